@@ -7,16 +7,14 @@ extraction, from random tasks of its own.
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from functools import partial
 from typing import Any
 
-from humanopts_env.arrays import Ints
 from humanopts_env.domains.registry import make_domain, parameters_json
 from humanopts_env.domains.taxi import Taxi
 from humanopts_env.domains.taxi_reference import reference_options
 from humanopts_learner.automatic.extract import AutomaticOptions, search_space
 from humanopts_learner.intervals import Interval
-from humanopts_teach.report.boards import Board, board_of, draw_heat
+from humanopts_teach.report.boards import board_of, draw_heat
 from humanopts_teach.report.figures import Drawing
 from matplotlib.colors import Normalize
 import numpy as np
@@ -206,42 +204,32 @@ def _mostly(said: str, flags: Sequence[bool], more: Mapping[str, Any]) -> Compar
 
 
 def _picture(name: str, first: Mapping[str, Any]) -> Picture:
-    domain = make_domain(name)
-    space, targets = search_space(domain), [option['cell'] for option in first['options']]
+    """Return the visits of each cell, with the options numbered at their targets."""
+    domain, options = make_domain(name), list(enumerate(first['options'], start=1))
+    space = search_space(domain)
     assert space.board is not None, f'{name} has a board'
     board = board_of(space.transitions, space.board)
-    cells = np.where(board.states >= 0, space.cell[board.states], -1)
+    cells = np.where(board.states >= 0, space.cell[board.states], -1)  # of each place; -1: none
     rows, cols = cells.shape
+    labels: dict[int, list[str]] = {}  # numbers by cell
+    for number, option in options:
+        labels.setdefault(option['cell'], []).append(str(number))
+
+    def draw(work: Drawing) -> None:
+        visited = np.where(cells >= 0, np.asarray(first['visits'])[cells], np.nan)
+        draw_heat(work, board, visited, Normalize(0.0, float(np.nanmax(visited))), 'visits')
+        box = {'boxstyle': 'round,pad=0.25', 'fc': '#ffffff', 'ec': '#101418', 'lw': 1.0}
+        style: dict[str, Any] = {'ha': 'center', 'va': 'center', 'weight': 'bold', 'bbox': box}
+        size = min(max(7.5, 60.0 / max(rows, cols)), 11.0)
+        for cell, numbers in labels.items():
+            for row, col in np.argwhere(cells == cell):
+                text = ', '.join(numbers)
+                work.axes.text(col, row, text, size=size, color='#101418', **style)
+        work.axes.set_title('Visits of greedy runs, and automatic options')
+        work.axes.tick_params(length=0)
+
     side = LARGEST_SIDE / max(rows, cols)
-    options = '; '.join(f'{n}: {o["name"]}' for n, o in enumerate(first['options'], start=1))
-    label = f'Visits of greedy runs in {DOMAINS[name]}, with the targets of automatic options'
-    caption = f'{DOMAINS[name]}. {options}'
-    draw = partial(_draw_visits, board, cells, first['visits'], targets)
     size = side * cols + 1.2, side * rows + 0.8
+    label = f'Visits of greedy runs in {DOMAINS[name]}, with the targets of automatic options'
+    caption = f'{DOMAINS[name]}. ' + '; '.join(f'{n}: {option["name"]}' for n, option in options)
     return Picture(f'fig3-{name}', label, size, draw, caption)
-
-
-def _draw_visits(
-    board: Board, cells: Ints, visits: Sequence[int], targets: Sequence[int], work: Drawing
-) -> None:
-    """
-    Draw the visits of each cell, and number the options at their targets.
-
-    :param cells: (rows, cols) the cell in each place of the board; -1: none.
-    :param visits: (K,) by cell.
-    :param targets: cell of each option.
-    """
-    rows, cols = cells.shape
-    visited = np.where(cells >= 0, np.asarray(visits)[cells], np.nan)
-    draw_heat(work, board, visited, Normalize(0.0, float(np.nanmax(visited))), 'visits')
-    box = {'boxstyle': 'round,pad=0.25', 'fc': '#ffffff', 'ec': '#101418', 'lw': 1.0}
-    size = min(max(7.5, 60.0 / max(rows, cols)), 11.0)
-    style: dict[str, Any] = {'ha': 'center', 'va': 'center', 'color': '#101418', 'weight': 'bold'}
-    labels: dict[int, list[str]] = {}
-    for number, target in enumerate(targets, start=1):
-        labels.setdefault(target, []).append(str(number))
-    for target, numbers in labels.items():
-        for row, col in np.argwhere(cells == target):
-            work.axes.text(col, row, ', '.join(numbers), size=size, bbox=box, **style)
-    work.axes.set_title('Visits of greedy runs, and automatic options')
-    work.axes.tick_params(length=0)

@@ -497,7 +497,14 @@ def present(done: report.Done) -> report.Section:
         found += [*_claims(results), *_numbers(results), *_goals(results), *_gains(game, gains)]
         name = f'table2-{re.sub(r"[^a-z]+", "-", game.name.lower())}'
         tables.append(report.Table(name, game.name, summary.loc[game.name].reset_index()))
-        pictures.append(_picture(game, name, curves[curves['game'] == game.name]))
+        label = f'Mean return in {game.name} by planning seconds and action set'
+        unit = 'sweeps' if game.exact else 'game steps'
+        caption = (
+            f'{game.name}: mean return against planning time, {unit} doubled from point to '
+            'point. Shaded: 95 % interval.'
+        )
+        draw = partial(_draw, game, curves[curves['game'] == game.name])
+        pictures.append(report.Picture(name, label, (8.2, 4.2), draw, caption))
     costs, stopped, settings = cost_table(done), gain_table(gains), setting_table(done)
     gained = 'What the same plan gains over running each option to its end'
     drawn = 'The curves; budgets are sweeps in Taxi, game steps in Pac-Man'
@@ -798,18 +805,6 @@ def _gains(game: ComparedGame, gains: pd.DataFrame) -> Iterator[report.Compariso
         claim = paper.SAID['interrupted']
     if by_way:
         yield report.compared(claim, text, verdict)
-
-
-def _picture(game: ComparedGame, name: str, curves: pd.DataFrame) -> report.Picture:
-    return report.Picture(
-        name,
-        f'Mean return in {game.name} by planning seconds and action set',
-        (8.2, 4.2),
-        partial(_draw, game, curves),
-        f'{game.name}: mean return against planning time, '
-        + ('sweeps' if game.exact else 'game steps')
-        + ' doubled from point to point. Shaded: 95 % interval.',
-    )
 
 
 def _draw(game: ComparedGame, curves: pd.DataFrame, work: Drawing) -> None:
