@@ -28,9 +28,10 @@ def built_once(build: Callable[[Any], T]) -> Callable[[Any], T]:
     @wraps(build)
     def read(domain: Any) -> T:
         known: dict[str, T] = domain.__dict__
-        if name not in known:
-            known[name] = build(domain)
-        return known[name]
+        try:
+            return known[name]
+        except KeyError:
+            return known.setdefault(name, build(domain))
 
     return read
 
@@ -65,7 +66,7 @@ class SharedTables(EnumerableDomain[S], ABC):
         if self.over()[number]:
             raise DomainError(f'the task is over in {self.encode(state)!r}: no step can be taken')
         chosen = 0
-        if not table.deterministic:
+        if table.successor.shape[2] > 1:
             chosen = int(draw_outcomes(self._limits, number, action, rng.random()))
         at = number, action, chosen
         successor = self.state_at(int(table.successor[at]))
