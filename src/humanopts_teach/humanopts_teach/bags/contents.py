@@ -255,11 +255,7 @@ def namespace(topic: str) -> str:
 
 
 def read_actors(bag: Bag, between: tuple[int, int] = ALWAYS) -> Actors:
-    """
-    Return which option sent each command of a bag.
-
-    :param between: log times that are read, ns.
-    """
+    """Return which option sent each command of a bag, between two log times, ns."""
     actors = Actors()
     for command in bag.converted(ACTION_COMMAND, _sender, between):
         actors.add(*command)

@@ -47,7 +47,7 @@ _ZSTD = b'\4\0\0\0zstd'  # how a chunk names its compression ...
 _ZSTD_AT = 28  # ... at this offset in its content, before the length of its records
 _OPCODES = {int(opcode) for opcode in Opcode}
 _IN_CHUNKS = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)  # that may also be outside
-# What damaged bytes make the ``mcap`` package raise.
+# What damaged bytes make the ``mcap`` package raise, and the functions below that parse them.
 DAMAGE = (
     McapError,
     zstandard.ZstdError,
@@ -198,11 +198,7 @@ def read_attachment(index: FileIndex, name: str) -> Attachment:
 
 
 def read_block(stream: McapStream, block: Block) -> list[McapRecord]:
-    """
-    Return the records of a block.
-
-    :raises Exception: one of ``DAMAGE``, where they are damaged, or it claims to be huge.
-    """
+    """Return the records of a block; ``DAMAGE``: they are damaged, or it claims to be huge."""
     stream.seek(block.offset)
     if block.length > LARGEST:
         raise ValueError(f'a chunk claims {block.length} bytes')
@@ -224,11 +220,7 @@ def _parser(content: bytes) -> ReadDataStream:
 
 
 def _read_footer(stream: McapStream) -> Footer:
-    """
-    Return the last record of a file.
-
-    :raises Exception: one of ``DAMAGE``, where the file has no end.
-    """
+    """Return the last record of a file; ``DAMAGE``: it has no end."""
     stream.seek(-FOOTER_SIZE - MAGIC_SIZE, SEEK_END)
     content = stream.read(FOOTER_SIZE + MAGIC_SIZE)
     if content[0] != Opcode.FOOTER or content[FOOTER_SIZE:] != MCAP0_MAGIC:
@@ -238,11 +230,7 @@ def _read_footer(stream: McapStream) -> Footer:
 
 
 def _data_checksum(stream: McapStream, offset: int) -> int:
-    """
-    Return the checksum of all bytes before the end of the data; 0: there is none.
-
-    :raises Exception: one of ``DAMAGE``, where the data does not end at this offset.
-    """
+    """Return the checksum of all bytes before the end of the data, at an offset; 0: none."""
     stream.seek(offset)
     opcode, _, checksum = _DATA_END.unpack(stream.read(_DATA_END.size))
     if opcode != Opcode.DATA_END:
@@ -255,8 +243,6 @@ def _read_summary(index: FileIndex, stream: McapStream) -> bool:
     Read the index at the end of a file; False: it lacks one, or what some programs leave out.
 
     It is compared with its checksum, its place and the file, which the ``mcap`` package does not.
-
-    :raises Exception: one of ``DAMAGE``, where it is damaged or the file has no end.
     """
     footer = _read_footer(stream)
     if footer.summary_start == 0:
@@ -285,11 +271,7 @@ def _read_summary(index: FileIndex, stream: McapStream) -> bool:
 
 
 def _indexed(stream: McapStream, chunk: ChunkIndex, channels: frozenset[int]) -> Block:
-    """
-    Return a chunk, whose beginning is compared with what the index says of it.
-
-    :raises Exception: one of ``DAMAGE``, where something else is there.
-    """
+    """Return a chunk, whose beginning is compared with what the index says of it."""
     times = (chunk.message_start_time, chunk.message_end_time)
     length = chunk.chunk_length - _HEAD.size
     stream.seek(chunk.chunk_start_offset)
@@ -404,11 +386,7 @@ def _next_chunk(stream: McapStream, at: int) -> tuple[int, int]:
 
 
 def _add_block(index: FileIndex, stream: McapStream, block: Block) -> None:
-    """
-    Keep what a block describes, and the block where it holds messages.
-
-    :raises Exception: one of ``DAMAGE``, where it is damaged; nothing is kept then.
-    """
+    """Keep what a block describes, and the block where it holds messages; nothing if damaged."""
     times, counts = [], Counter[int]()
     for record in read_block(stream, block):
         if isinstance(record, Message):

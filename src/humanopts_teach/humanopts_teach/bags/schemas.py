@@ -62,11 +62,7 @@ def find_schema(type_name: str) -> str:
 
 @cache
 def _definition(type_name: str, prefixes: tuple[Path, ...]) -> str:
-    """
-    Return the definition of one type, without those that it depends on.
-
-    :raises SchemaError: it is not installed here, or is no such name.
-    """
+    """Return the definition of one type, without those that it depends on."""
     match = re.fullmatch(r'(\w+)/(msg|srv|action)/(\w+)', type_name)
     if match is None:
         raise SchemaError(f'{type_name!r} is not a type name such as std_msgs/msg/String')

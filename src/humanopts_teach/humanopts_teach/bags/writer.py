@@ -173,7 +173,10 @@ class BagWriter(AbstractContextManager['BagWriter']):
     One recording.
 
     ``flush`` hands every message so far to the operating system as whole chunks: a process that
-    is killed loses only what came after. After a ``BagWriteError`` nothing more is written.
+    is killed loses only what came after.
+
+    Whatever writes raises ``BagWriteError`` where the disk is full or a file cannot be written;
+    after that nothing more is written.
     """
 
     def __init__(
@@ -237,7 +240,6 @@ class BagWriter(AbstractContextManager['BagWriter']):
         :param schema: of its messages, ros2msg; None: that of the type installed here.
         :return: the schema.
         :raises SchemaError: the type's definition is not installed here.
-        :raises BagWriteError: the disk is full or the file cannot be written.
         """
         if name not in self.topics:
             if '/msg/' not in type_name:
@@ -263,9 +265,11 @@ class BagWriter(AbstractContextManager['BagWriter']):
         :param log_time: when it was received, ns since the epoch.
         :param publish_time: when it was sent; None: not known, so ``log_time``.
         :param sequence: its number; None: the next one of its topic.
-        :raises BagWriteError: the disk is full or the file cannot be written.
         """
-        if self._reached_limit(log_time):
+        file, limits = self._files[-1], self._limits
+        age = log_time - file.extent.first
+        large = 0 < limits.bytes <= file.size or 0 < limits.seconds * 1e9 <= age
+        if file.extent.messages and large:
             self._split()
         entry, file = self.topics[topic], self._files[-1]
         sent = log_time if publish_time is None else publish_time
@@ -287,7 +291,6 @@ class BagWriter(AbstractContextManager['BagWriter']):
         Keep a file in the bag.
 
         :param times: when the file was made and recorded, ns; None: that of the last message.
-        :raises BagWriteError: the disk is full or the file cannot be written.
         """
         made, recorded = times or (self.extent.last, self.extent.last)
         writer = self._files[-1].writer
@@ -295,29 +298,17 @@ class BagWriter(AbstractContextManager['BagWriter']):
         writer.add_attachment(made, recorded, name, media_type, data)
 
     def note(self, name: str, values: Mapping[str, str]) -> None:
-        """
-        Keep facts in an MCAP metadata record.
-
-        :raises BagWriteError: the disk is full or the file cannot be written.
-        """
+        """Keep facts in an MCAP metadata record."""
         self._files[-1].writer.add_metadata(name, dict(values))
 
     def flush(self) -> None:
-        """
-        Write the present chunk, and metadata.yaml where it lacks a topic.
-
-        :raises BagWriteError: the disk is full or the file cannot be written.
-        """
+        """Write the present chunk, and metadata.yaml where it lacks a topic."""
         self._files[-1].writer.flush()
         if self._described != len(self.topics):
             self._describe(self._information())
 
     def close(self) -> None:
-        """
-        Write index, statistics and metadata.yaml; it can be called again.
-
-        :raises BagWriteError: the disk is full or the file cannot be written.
-        """
+        """Write index, statistics and metadata.yaml; it can be called again."""
         if not self._closed:
             self._closed = True
             information = self._information()
@@ -340,14 +331,6 @@ class BagWriter(AbstractContextManager['BagWriter']):
                 topic.name, 'cdr', file.schemas[topic.type], metadata
             )
         return file.channels[topic.name]
-
-    def _reached_limit(self, log_time: int) -> bool:
-        """Return whether a message of this time (ns) belongs into the next file."""
-        file, limits = self._files[-1], self._limits
-        if file.extent.messages == 0:
-            return False
-        age = log_time - file.extent.first
-        return 0 < limits.bytes <= file.size or 0 < limits.seconds * 1e9 <= age
 
     def _split(self) -> None:
         """Begin the next file and finish this one."""

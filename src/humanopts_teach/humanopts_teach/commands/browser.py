@@ -37,12 +37,10 @@ OpenGame = Callable[[TeleopThread, Seat], AbstractAsyncContextManager[Press]]
 
 def teach_in_browser(setup: Setup, namespace: str, pages: PageOptions, participant: str) -> int:
     """
-    Serve pages until Ctrl-C.
+    Serve pages until Ctrl-C; other parameters and errors are those of ``_serve_seats``.
 
     :param setup: of each participant's graph, besides its folder and bag.
     :param namespace: in which each graph has one of its own.
-    :param participant: code that is proposed; empty: none.
-    :raises CommandError: the address cannot be used.
     """
 
     def open_game(thread: TeleopThread, seat: Seat) -> AbstractAsyncContextManager[Press]:
@@ -193,12 +191,7 @@ async def _graph(setup: Setup, namespace: str, seat: Seat | ConditionSeat) -> As
 
 
 def study_in_browser(study: Study, pages: PageOptions, participant: str) -> int:
-    """
-    Serve pages of a study until Ctrl-C; its participants each have one.
-
-    :param participant: code that is proposed; empty: none.
-    :raises CommandError: the address cannot be used.
-    """
+    """Serve pages of a study; other parameters and errors are those of ``_serve_seats``."""
     print(f'{study.plan.name}: everything is kept in {study.folder.path}.')
     return _serve_seats(study.plan.name, partial(_all_turns, study), pages, participant)
 

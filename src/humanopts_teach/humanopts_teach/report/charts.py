@@ -1,4 +1,8 @@
-"""The charts of a report: learning curves, planning and its sweeps, and games."""
+"""
+The charts of a report: learning curves, planning and its sweeps, and games.
+
+``name`` is the prefix of the identifiers in a figure.
+"""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -89,7 +93,6 @@ def learning_curves(points: Sequence[CurvePoint], name: str, option: str) -> lis
 
     :param points: in order of demonstrations; of several with equally many trajectories (between
         them came "not here" answers) the last is drawn.
-    :param name: prefix of the identifiers.
     """
     drawn = {p.block.n_demonstrations: p for p in points if p.block.n_demonstrations}
     if not drawn:
@@ -264,7 +267,6 @@ def sweep_report(plans: Mapping[str, ExactPlan], name: str) -> SweepReport | Non
     Make the plans again, sweep by sweep; None where that would take long, or there are none.
 
     :param plans: with exact models, by name.
-    :param name: prefix of the identifiers.
     """
     values = [plan.domain.n_states * plan.solution.sweeps for plan in plans.values()]
     if not values or max(values) > MOST_VALUES:
@@ -317,11 +319,7 @@ def _residuals(tables: Mapping[str, Sequence[SweepRow]], name: str) -> str:
 
 
 def games_figures(games: GamesEvaluation, name: str) -> list[str]:
-    """
-    Return the scores, the share of mazes cleared where there are mazes, and the curves.
-
-    :param name: prefix of the identifiers.
-    """
+    """Return the scores, the share of mazes cleared where there are mazes, and the curves."""
     settings = games.settings
     figures = [_intervals(settings, f'{name}-score', 'Mean score', 'points', lambda r: r.score)]
     if all(CLEARED in row.outcomes for setting in settings for row in setting.rows):

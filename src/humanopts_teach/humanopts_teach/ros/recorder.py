@@ -163,11 +163,7 @@ class Recorder(NodeBase):
             raise StartError(str(error)) from error
 
     def _attach(self) -> None:
-        """
-        Keep files in the bag as they now are.
-
-        :raises BagWriteError: the disk is full.
-        """
+        """Keep files in the bag as they now are."""
         for name, path in attachments(self._attached):
             try:
                 data, changed = path.read_bytes(), path.stat().st_mtime_ns
@@ -190,11 +186,7 @@ class Recorder(NodeBase):
         self._publish_status()
 
     def _add_topic(self, added: TopicSubscription) -> None:
-        """
-        Add a topic to the bag, where its type is installed.
-
-        :raises BagWriteError: the bag cannot be written.
-        """
+        """Add a topic to the bag, where its type is installed."""
         try:
             schema = self._bag.add_topic(added.topic, added.type, added.offers, added.type_hash)
         except SchemaError as error:
