@@ -1,7 +1,6 @@
 """What of a bag is damaged or missing, and a whole bag with the rest."""
 
 from collections import Counter
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -123,8 +122,15 @@ def _compare(bag: Bag, counts: Counter[str], extent: Extent) -> None:
             bag.note(f'{name}: {counts[name]} of {count} messages were read')
     if bag.recording or not bag.information:
         return
+    told = bag.information
     try:
-        total, counted, times = _described(bag.information)
+        total = int(told['message_count'])
+        counted = {
+            str(entry['topic_metadata']['name']): int(entry['message_count'])
+            for entry in told['topics_with_message_count']
+        }
+        start = int(told['starting_time']['nanoseconds_since_epoch'])
+        duration = int(told['duration']['nanoseconds'])
     except (KeyError, TypeError, ValueError):
         bag.note(f'{FILE} does not tell the counts and times of messages')
         return
@@ -134,27 +140,8 @@ def _compare(bag: Bag, counts: Counter[str], extent: Extent) -> None:
     for name in sorted(counted.keys() | counts.keys()):
         if counted.get(name, 0) not in (counts[name], indexed.get(name)):
             bag.note(f'{name}: {FILE} tells of {counted.get(name, 0)}, {counts[name]} were read')
-    if times != (extent.first, extent.duration):
+    if (start, duration) != (extent.first, extent.duration):
         bag.note(f'{FILE} tells of another beginning or duration than its messages')
-
-
-def _described(information: Mapping[str, Any]) -> tuple[int, dict[str, int], tuple[int, int]]:
-    """
-    Return what metadata.yaml counts: messages, those of each topic, beginning and duration in ns.
-
-    :raises KeyError: a count is missing.
-    :raises TypeError: or ValueError: a count is no number.
-    """
-    topics = {
-        str(entry['topic_metadata']['name']): int(entry['message_count'])
-        for entry in information['topics_with_message_count']
-    }
-    start = int(information['starting_time']['nanoseconds_since_epoch'])
-    return (
-        int(information['message_count']),
-        topics,
-        (start, int(information['duration']['nanoseconds'])),
-    )
 
 
 REPAIR = 'humanopts_repair'  # name of the MCAP metadata record that describes a repair

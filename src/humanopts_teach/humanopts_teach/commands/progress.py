@@ -1,5 +1,6 @@
 """What a person watches while a demo runs: the board, the lesson, the criteria."""
 
+from collections.abc import Sequence
 from typing import Any
 
 from humanopts_env.colours import GREEN, ORANGE
@@ -70,9 +71,14 @@ class DemoProgress:
         if graph.domain is not None and graph.state is not None:
             parts += state_text(draw_state(graph.domain, graph.state.state))
         if graph.learning is not None and graph.learning.options:
-            parts.append(_criteria_table(graph.learning))
-        if hasattr(graph.feedback, 'fallbacks'):
-            parts.append(Text(_episodes(graph.feedback)))
+            options = list(map(option_status_from_message, graph.learning.options))
+            parts.append(_criteria_table(options))
+        if hasattr(played := graph.feedback, 'fallbacks'):
+            told = (
+                f'{played.episodes} episodes played, {played.successes} done, '
+                f'{played.fallbacks} fallbacks, mean return {played.mean_return:.2f}'
+            )
+            parts.append(Text(told))
         return Group(*parts)
 
     def _lines(self, graph: GraphClient) -> None:
@@ -91,17 +97,14 @@ class DemoProgress:
             self._console.print(printable(text), highlight=False, markup=False, soft_wrap=True)
 
 
-def _criteria_table(learning: Any) -> Table:
+def _criteria_table(options: Sequence[OptionStatus]) -> Table:
     table = Table(box=None, pad_edge=False)
     table.add_column('option')
     for name in ('shown', 'not here', 'return', 'initiation', 'termination'):
         table.add_column(name, justify='right')
-    for message in learning.options:
-        option = option_status_from_message(message)
-        cells = [_criterion(criterion) for criterion in option.criteria]
-        table.add_row(
-            option.option_name, str(option.n_demonstrations), str(option.n_not_here), *cells
-        )
+    for option in options:
+        counts = str(option.n_demonstrations), str(option.n_not_here)
+        table.add_row(option.option_name, *counts, *map(_criterion, option.criteria))
     return table
 
 
@@ -123,10 +126,3 @@ def _criteria_words(option: OptionStatus) -> str:
     met = 'criteria met' if option.criteria_met else 'criteria not met yet'
     shown = f'{option.n_demonstrations} shown, {option.n_not_here} not here'
     return '; '.join([shown, ', '.join(measured) or 'criteria not yet measurable', met])
-
-
-def _episodes(feedback: Any) -> str:
-    return (
-        f'{feedback.episodes} episodes played, {feedback.successes} done, '
-        f'{feedback.fallbacks} fallbacks, mean return {feedback.mean_return:.2f}'
-    )

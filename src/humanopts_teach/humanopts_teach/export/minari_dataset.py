@@ -67,12 +67,16 @@ def write_dataset(bag: Bag, out: Path) -> tuple[str, int]:
         for number, one in enumerate(chain([first], whole))
     )
     name = dataset_name(domain, bag.path)
+    description = (
+        f'Recorded episodes of {domain.name}. Begin each with '
+        'env.reset(options=dataset.storage.get_episode_metadata([id])["options"]).'
+    )
     os.environ[FOLDER] = str(out)
     with warnings.catch_warnings():
         warnings.simplefilter('ignore', UserWarning)  # that no author is named, and the like
         try:
             minari.create_dataset_from_buffers(
-                name, buffers, env=spec, data_format=FORMAT, description=_description(domain)
+                name, buffers, env=spec, data_format=FORMAT, description=description
             )
         except ValueError as error:
             raise ExportError(f'the dataset cannot be written: {error}') from error
@@ -120,10 +124,3 @@ def _columns(env: Any, episode: Episode) -> dict[str, Any]:
         'terminations': [each.terminated for each in taken],
         'truncations': [each.truncated for each in taken],
     }
-
-
-def _description(domain: Domain[Any]) -> str:
-    return (
-        f'Recorded episodes of {domain.name}. Begin each with '
-        'env.reset(options=dataset.storage.get_episode_metadata([id])["options"]).'
-    )

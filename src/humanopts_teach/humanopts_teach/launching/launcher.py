@@ -266,7 +266,12 @@ class Launcher:
         path.write_text(json.dumps(tree, ensure_ascii=False), encoding='utf-8')
         arguments = ['--ros-args', '-r', f'__ns:={self._namespace}', _PARAMETERS, str(path)]
         if spec.terminal or self._server is None:
-            return _of_terminal(spec.module, arguments, log)
+            with log.open('wb') as errors:  # it has the terminal; only its errors go to the log
+                return subprocess.Popen(
+                    [sys.executable, '-m', spec.module, *arguments, '--disable-stdout-logs'],
+                    stderr=errors,
+                    env={**os.environ, LAUNCHER_PID: str(os.getpid())},
+                )
         return self._server.start(spec.module, arguments, os.environ, log)
 
     def _ended(self, running: _Running, status: int, now: float) -> None:
@@ -333,16 +338,6 @@ def _terminal_restored() -> Iterator[None]:
                 # 47, not 1049: the cursor stays below what the node said at a clean end
                 sys.stdout.write('\x1b[?47l\x1b[?25h\x1b[0m')
                 sys.stdout.flush()
-
-
-def _of_terminal(module: str, arguments: Sequence[str], log: Path) -> 'subprocess.Popen[bytes]':
-    """Start a process that has the terminal; only its errors go to the log."""
-    with log.open('wb') as errors:
-        return subprocess.Popen(
-            [sys.executable, '-m', module, *arguments, '--disable-stdout-logs'],
-            stderr=errors,
-            env={**os.environ, LAUNCHER_PID: str(os.getpid())},
-        )
 
 
 def _end_of(running: _Running) -> str:

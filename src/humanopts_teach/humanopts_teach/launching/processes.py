@@ -140,7 +140,7 @@ def processes(setup: Setup) -> list[ProcessSpec]:
     )
     own = _own_parameters(setup)
     specs = [
-        ProcessSpec(name, module, {**own.get(name, {}), **_common(name, setup)})
+        ProcessSpec(name, module, {**common_parameters(setup), **own.get(name, {})})
         for wanted, name, module in table
         if wanted
     ]
@@ -159,6 +159,7 @@ def _own_parameters(setup: Setup) -> dict[str, dict[str, Value]]:
     recording, turn = setup.recording, setup.study
     return {
         RECORDER: {
+            'expect_recorder': False,
             'path': str(setup.bag),
             'go_on': True,
             'metadata': json.dumps(recorded_facts(setup)),
@@ -224,14 +225,7 @@ def recorded_facts(setup: Setup) -> dict[str, str]:
 
 def common_parameters(setup: Setup) -> dict[str, Value]:
     """Return what every node but the recorder has to know about the recording."""
-    return {'expect_recorder': setup.record, **_patterns(setup.recording)}
-
-
-def _common(name: str, setup: Setup) -> dict[str, Value]:
-    return _patterns(setup.recording) if name == RECORDER else common_parameters(setup)
-
-
-def _patterns(recording: Recording) -> dict[str, Value]:
-    """Return the patterns of recorded topics that were given; none: all topics are recorded."""
-    patterns = {'record_include': recording.include, 'record_exclude': recording.exclude}
-    return {name: list(values) for name, values in patterns.items() if values}
+    given = setup.recording
+    patterns = {'record_include': given.include, 'record_exclude': given.exclude}  # none: all
+    some = {name: list(values) for name, values in patterns.items() if values}
+    return {'expect_recorder': setup.record, **some}

@@ -15,7 +15,7 @@ from humanopts_learner.intervals import Interval
 from humanopts_learner.planning.exact import build_model, ExactPlan
 from humanopts_learner.planning.value_iteration import sweep_table, SweepRow
 from humanopts_teach.evaluation.bag_evaluation import CurvePoint
-from humanopts_teach.evaluation.games import ComparisonRow, Curve, GamesEvaluation, Setting
+from humanopts_teach.evaluation.games import ComparisonRow, GamesEvaluation, Setting
 from humanopts_teach.evaluation.measures import PlanningRow
 from humanopts_teach.report.figures import Drawing, drawing, MUTED, SERIES
 from humanopts_teach.report.findings import reached
@@ -382,7 +382,8 @@ def _score_curves(games: GamesEvaluation, name: str) -> str:
             style = _series(index)
             low, high = [score.low for score in scores], [score.high for score in scores]
             axes.fill_between(seconds, low, high, color=style['color'], alpha=0.2, lw=0)
-            label = _curve_label(curve, games.targets)
+            times = [f'{target:,.0f} {reached(curve, target)}' for target in games.targets]
+            label = ': '.join([curve.name, ', '.join(times)] if times else [curve.name])
             axes.plot(seconds, [score.mean for score in scores], ms=4.5, label=label, **style)
         for target in games.targets:
             axes.axhline(target, color=MUTED, ls='--', lw=1.0)
@@ -401,8 +402,3 @@ def _score_curves(games: GamesEvaluation, name: str) -> str:
         axes.xaxis.set_minor_locator(NullLocator())
         work.figure.legend(loc='outside lower left', ncols=1)
     return work.svg
-
-
-def _curve_label(curve: Curve, targets: Sequence[float]) -> str:
-    times = [f'{target:,.0f} {reached(curve, target)}' for target in targets]
-    return ': '.join([curve.name, ', '.join(times)]) if times else curve.name

@@ -138,6 +138,8 @@ def _provenance(data: ReportData) -> dict[str, str]:
     settings, domain = data.evaluation.settings, data.evaluation.domain
     rate, limits = settings.teacher_error_rate, settings.thresholds
     parameters = ', '.join(f'{name} {value}' for name, value in domain.parameters.items())
+    now, names = software(), ('Python', 'NumPy', 'scikit-learn')
+    versions = {**{name: now[name.lower()] for name in names}, 'humanopts': now[OWN_VERSION]}
     return {
         'domain': f'{domain.name} ({parameters})',
         'seed': str(settings.seed),
@@ -149,11 +151,5 @@ def _provenance(data: ReportData) -> dict[str, str]:
         ),
         'teacher': 'a person' if rate is None else f'simulated, {percent(rate)} of steps wrong',
         **data.provenance,
-        'evaluated with': _versions(),
+        'evaluated with': ', '.join(f'{n} {v}' for n, v in versions.items() if v != UNKNOWN),
     }
-
-
-def _versions() -> str:
-    now, names = software(), ('Python', 'NumPy', 'scikit-learn')
-    versions = {**{name: now[name.lower()] for name in names}, 'humanopts': now[OWN_VERSION]}
-    return ', '.join(f'{name} {found}' for name, found in versions.items() if found != UNKNOWN)
