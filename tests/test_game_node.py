@@ -285,6 +285,20 @@ def test_of_two_machines_the_first_takes_a_paced_step_and_the_other_is_refused(
     assert player.state.action_publisher_id == '/one#1'
 
 
+def test_a_step_that_waits_is_refused_at_once_when_a_person_takes_control(live: Graph) -> None:
+    live.start(GAME, step_period=60.0)
+    player = Player(live)
+    player.fresh(START)
+    waiting = player.command('south', publisher_id='/one#1')
+    player.send(waiting)
+    assert "'south' waits" in refused(player.do('west', publisher_id='/other#1'))[1]
+    player.hold(True)
+    live.until(
+        lambda: player.refusals[-1].command_publisher_id == waiting.publisher_id, 'its refusal'
+    )
+    assert player.refusals[-1].reason == ActionRefusal.REASON_HELD_BY_PERSON
+
+
 # A participant that is silent for its lease (20 s) is dropped, and then blocks nobody. A writer
 # that keeps everything is blocked by so many messages that a reader has not taken; else by 5,000.
 UNREAD = 400

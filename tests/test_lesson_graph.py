@@ -201,12 +201,14 @@ def test_what_is_taken_back_is_unlearned_and_run_no_more(graph: Graph, person: P
 def test_a_learner_that_refused_something_gets_it_once_it_is_heard_again(
     graph: Graph, person: Person
 ) -> None:
-    person.start_lesson()
+    lesson = person.start_lesson()
     says = graph.node.create_publisher(LearningStatus, 'learning_status', LATCHED)
     answers = graph.node.create_publisher(DemonstrationReceipt, 'demonstration_receipts', STREAM)
     graph.until(lambda: says.get_subscription_count() > 1, 'the lesson to listen')
     graph.until(lambda: answers.get_subscription_count() > 0, 'the lesson to listen')
     says.publish(LearningStatus(publisher_id='/learner#1'))
+    graph.until(lambda: not lesson._resend.is_canceled(), 'the learner to be known')
+    graph.until(lesson._resend.is_canceled, 'all to be sent to it')
     person.get_ready()
     uuid = person.demonstrate()
     status = DemonstrationReceipt.STATUS_REFUSED
@@ -241,6 +243,19 @@ def test_without_a_game_the_lesson_says_so_and_stays_ready(graph: Graph, person:
     assert person.lesson.phase == LessonState.PHASE_READY
     graph.start(GAME)
     person.begin()
+
+
+def test_what_game_says_against_a_start_state_reaches_the_person(
+    graph: Graph, person: Person
+) -> None:
+    person.start_lesson()
+    person.get_ready()
+    graph.stop(graph.node_called('/game'))
+    graph.start(GAME, domain='rooms')  # where the start states of Taxi are none
+    answer = person.ask(BeginDemonstration)
+    assert answer.status == BeginDemonstration.Response.STATUS_BAD_STATE
+    assert 'rooms' in answer.detail
+    assert person.lesson.phase == LessonState.PHASE_READY
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,7 @@ from humanopts_teach.bags.check import check_bag
 from humanopts_teach.bags.info import summarise
 from humanopts_teach.bags.provenance import software
 from humanopts_teach.bags.reader import Bag, open_bag
+from humanopts_teach.ros import recorder
 import pytest
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -352,6 +353,15 @@ def test_patterns_that_leave_nothing_are_said(recording: Recording) -> None:
     recording.graph.start(RECORDER, path=recording.path, record_include=['nothing'])
     recording.graph.until(lambda: recording.status.complete, 'the recorder')
     assert recording.status.text == 'the patterns leave no topic to record'
+
+
+def test_a_bag_names_a_topic_before_the_next_flush_is_due(
+    recording: Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(recorder, '_FLUSH_PERIOD', 3600.0)
+    recording.record()
+    recording.node.create_publisher(String, 'chatter', STREAM)
+    recording.graph.until(lambda: '/chatter' in open_bag(recording.path).topics, 'the topic')
 
 
 def test_option_files_are_kept_as_they_are_at_the_end(recording: Recording) -> None:
