@@ -23,7 +23,7 @@ T = TypeVar('T')
 
 def built_once(build: Callable[[Any], T]) -> Callable[[Any], T]:
     """Have a method without parameters build its result once for each object, and share it."""
-    name = f'_{build.__name__}'
+    name = f'_{build.__qualname__}'  # an overridden method has a result of its own
 
     @wraps(build)
     def read(domain: Any) -> T:
