@@ -152,9 +152,11 @@ def _teach_plan_play(
         graph.retry(partial(graph.plan, name, judged, setup.seed)) for name in (HUMAN, PRIMITIVE)
     ]
     progress.stage(f'playing {episodes} episodes')
-    threading.Thread(target=_import_what_follows, daemon=True).start()
+    importing = threading.Thread(target=_import_what_follows, daemon=True)
+    importing.start()
     played = graph.retry(partial(graph.play, HUMAN, episodes, setup.seed))
     graph.wait(graph.all_recorded, NEWS_SECONDS, 'what was shown to be in the newest bag')
+    importing.join()  # nothing is imported beside scikit-learn, which hides pandas meanwhile
     execution = Execution(played.episodes, played.successes, played.fallbacks, played.mean_return)
     return Live(tuple(options), tuple(map(row_of_result, plans)), execution)
 
