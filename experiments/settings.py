@@ -35,7 +35,7 @@ import pandas as pd
 
 from experiments.people import options_of, owners, PERSON, Study
 from experiments.report import Done, mean_intervals, Section, Table
-from experiments.table2 import EFFORT
+from experiments.table2_plans import EFFORT
 from experiments.transfer import taught_in_usual_maze
 from experiments.trials import Trial
 

@@ -1,134 +1,48 @@
 """
 Table 2: what planning with each action set takes and achieves (sections 7.3 and 8).
 
-One trial has one owner of options: a person, an extraction, or nobody. The options are made once,
-in the usual game, and every variant of that kind of owner plans with them. Exact models have no
-settings to search for, and the plans are played from every start state. Sampled models begin with
-a search for settings, equally long for all variants, and are judged with other seeds.
+The trials of the plans in ``table2_plans``, and their section of the report.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict
 from functools import partial
 import math
 import re
-from typing import Any
 
-from humanopts_env.domains.base import Domain, EnumerableDomain, is_enumerable
-from humanopts_env.domains.pacman.baselines import INTERRUPTED
-from humanopts_env.domains.pacman.baselines import PRIMITIVE as PRIMITIVE_SETTINGS
-from humanopts_env.domains.registry import make_domain
-from humanopts_env.seeding import generator
 from humanopts_learner.intervals import all_hold, any_holds, Interval, LEVEL, level_of_each
-from humanopts_learner.options.option import LearnedOption, TabularOption, tabulate
-from humanopts_learner.options.rollout import tabular_rollouts
-from humanopts_learner.planning.evaluate import play, Returns
-from humanopts_learner.planning.exact import ExactPlan, make_exact_plan
-from humanopts_learner.planning.interruption import as_executed, policy_values
-from humanopts_learner.planning.plan import AnyPlan
-from humanopts_learner.planning.request import (
-    AUTOMATIC,
-    AUTOMATIC_AND_PRIMITIVE,
-    Execution,
-    HUMAN,
-    HUMAN_AND_PRIMITIVE,
-    MAX_SWEEPS,
-    PlanRequest,
-    PRIMITIVE,
-    Sampling,
-)
-from humanopts_learner.planning.sampled.action_set import ActionSet
-from humanopts_learner.planning.sampled.games import play_games
-from humanopts_learner.planning.sampled.plan import (
-    make_sampled_plan,
-    make_sampled_plans,
-    play_in_step,
-)
-from humanopts_learner.planning.sampled.policies import UniformPolicy
-from humanopts_teach.evaluation.games import carried_over
-from humanopts_teach.evaluation.measures import finite
 from humanopts_teach.report.figures import Drawing
 from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
 import numpy as np
-from numpy.typing import NDArray
 import pandas as pd
 
 from experiments import paper, people, report
-from experiments.learners import FOREST, LEARNERS, NEIGHBOUR, with_cloned_policies
 from experiments.paper import Statement
+from experiments.table2_plans import (
+    AS_IN_PAPER,
+    BY_CHANCE,
+    CHASE,
+    ComparedGame,
+    EFFORT,
+    GAMES,
+    INTERRUPTING,
+    MASS_NAME,
+    NAME,
+    plan_all_games,
+    SECONDS,
+    TAXI,
+    TO_END,
+    UNIFORM,
+    VARIANTS,
+)
 from experiments.trials import Trial
 
-NAME = 'table2'
 TITLE = 'Table 2: planning time and return'
+COSTS = {'pacman': 170.0, 'taxi': 5.0}  # of a trial, about processor seconds
 KEYS = ['game', 'action set']
 EXECUTIONS = ['game', 'carried out as']
-AS_IN_PAPER = 'human, without eating ghosts'  # in Pac-Man
-# Options of a person: those that the paper's participants taught, those that it names too, and one
-# more that it does not name. In Taxi also the first with policies by each of ``LEARNERS``.
-SECTION_7, NAMED, ALSO_FRUIT = 'of section 7', 'named in the paper', 'the fruit too'
-SECONDS = ('table_seconds', 'model_seconds', 'sweep_seconds')
-REPEATS = 7  # makings of one exact plan, for its seconds
-COSTS = {'pacman': 170.0, 'taxi': 5.0}  # of a trial, about processor seconds
 ROUNDING = 1e-9  # reward units
 WANTED_UNIFORM, WANTED_MORE, TENTH = 1900.0, 300.0, 10.0  # points; times as long
-
-
-@dataclass(frozen=True)
-class ComparedGame:
-    """One game in which all variants are compared."""
-
-    name: str
-    domain: str
-    exact: bool  # models; else they are sampled
-    parameters: Mapping[str, Any] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class Variant:
-    """A row of the table: the options and actions of a plan, and the execution of its policy."""
-
-    name: str
-    whose: str  # kind of owner of the options
-    action_set: str
-    line: str  # colour, line and marker, as matplotlib has them
-    execution: Execution = Execution.RUN_TO_END
-    options: str = NAMED  # of a person, in Pac-Man
-    by_chance: bool = False  # nothing is planned: any option that can start, each alike
-
-
-TAXI = ComparedGame('Taxi', 'taxi', exact=True)
-UNIFORM = ComparedGame('Pac-Man, random ghosts', 'pacman', exact=False)
-CHASE = ComparedGame(
-    'Pac-Man, chasing ghosts', 'pacman', exact=False, parameters={'ghosts': 'chase'}
-)
-GAMES = (TAXI, UNIFORM, CHASE)
-
-STOPPED, FIVE = Execution.INTERRUPTED, 'human, 5 options'
-MASS_NAME = 'human, modular (greatest mass)'  # it may make a state worth less
-MASS, STRONGEST = Execution.MODULAR_MASS, Execution.MODULAR_STRONGEST
-TO_END = Variant('human', people.PERSON, HUMAN, 'C1-s')
-BY_CHANCE = Variant(
-    'random choice among human options', people.PERSON, HUMAN, 'C6:*', by_chance=True
-)
-VARIANTS = (
-    Variant('primitive', people.NOBODY, PRIMITIVE, 'C0-o'),
-    TO_END,
-    Variant(AS_IN_PAPER, people.PERSON, HUMAN, 'C1:x', options=SECTION_7),
-    Variant(FIVE, people.PERSON, HUMAN, 'C7-p', options=ALSO_FRUIT),
-    Variant('automatic', people.MACHINE, AUTOMATIC, 'C2-^'),
-    Variant('human + primitive', people.PERSON, HUMAN_AND_PRIMITIVE, 'C1--D'),
-    Variant('automatic + primitive', people.MACHINE, AUTOMATIC_AND_PRIMITIVE, 'C2--v'),
-    Variant('human, interrupted', people.PERSON, HUMAN, 'C3-P', STOPPED),
-    Variant(f'{FIVE}, interrupted', people.PERSON, HUMAN, 'C8-h', STOPPED, ALSO_FRUIT),
-    Variant(MASS_NAME, people.PERSON, HUMAN, 'C4-.<', MASS),
-    Variant('human, modular (strongest)', people.PERSON, HUMAN, 'C5-.>', STRONGEST),
-    Variant(f'human, {NEIGHBOUR}', people.PERSON, HUMAN, 'C7:1', options=NEIGHBOUR),  # in Taxi
-    Variant(f'human, {FOREST}', people.PERSON, HUMAN, 'C8:2', options=FOREST),
-    BY_CHANCE,
-)
-INTERRUPTING = tuple(  # other executions of the plan ``TO_END``
-    v for v in VARIANTS if v.execution is not Execution.RUN_TO_END and v.options == NAMED
-)
 GOALS = {
     TAXI.name: 'Exact models: interrupted, or with the strongest module, no state is worth less '
     'than run to the end.',
@@ -140,34 +54,6 @@ GOALS = {
     'actions.',
 }
 ORDER = ['taxi', 'pacman', *(one.name for one in (*GAMES, *VARIANTS))]  # of rows
-
-
-@dataclass(frozen=True)
-class Effort:
-    """How much is sampled and played; with primitive actions alone more, as steps cost less."""
-
-    tried: int = 5  # settings, at most
-    search_games: int = 60
-    search_steps: int = 50_000  # game steps that a plan is made from in the search
-    largest: int = 200_000  # of the last point of the curve, and of the plans of the table
-    primitive_search_steps: int = 200_000
-    primitive_largest: int = 3_200_000
-    first: int = 25_000  # of the first point of the curve; then doubled
-    games: int = 150  # that every plan is judged in
-
-    def steps(self, variant: Variant) -> tuple[int, int]:
-        """Return the game steps of a plan in the search, and of one in the table."""
-        if variant.action_set == PRIMITIVE:
-            return self.primitive_search_steps, self.primitive_largest
-        return self.search_steps, self.largest
-
-    def budgets(self, variant: Variant) -> list[int]:
-        """Return the game steps of the points of the curve."""
-        doublings = int(math.log2(self.steps(variant)[1] / self.first))
-        return [self.first * 2**n for n in range(doublings + 1)]
-
-
-EFFORT = Effort()
 
 
 def trials(study: people.Study) -> list[Trial]:
@@ -189,300 +75,6 @@ def trials(study: people.Study) -> list[Trial]:
                 }
                 found.append(Trial(NAME, parameters, plan_all_games, COSTS[domain]))
     return found
-
-
-def plan_all_games(parameters: Mapping[str, Any]) -> dict[str, list[dict[str, Any]]]:
-    """
-    Plan with every variant that some options belong to, in every game of their domain.
-
-    :return: rows of tables: ``plans`` and ``curve`` (plans of smaller budgets), ``gains`` (what
-        another execution of the same plan gains), ``settings`` that were chosen, and ``costs`` of
-        the options.
-    """
-    effort, plans = Effort(**parameters['effort']), parameters['plans']
-    owned, costs = _options_by_variant(parameters), ('minutes', 'seconds', 'game_steps')
-    names = ('plans', 'curve', 'gains', 'settings', 'costs')
-    found: dict[str, list[dict[str, Any]]] = {name: [] for name in names}
-    for variant, owner in owned:
-        cost = {name: getattr(owner, name) for name in ('demonstrations', *costs)}
-        row = {'action set': variant.name, 'options': len(owner.options), **cost}
-        found['costs'].append(row)
-    for game in GAMES:
-        if game.domain != parameters['domain']:
-            continue
-        domain = make_domain(game.domain, game.parameters)
-        seed = people.owner_seed(parameters, NAME, game.name)
-        for variant, owner in owned:
-            options = [  # for use with other parameters than they were taught with
-                carried_over(option, domain) if isinstance(option, LearnedOption) else option
-                for option in owner.options
-            ]
-            if variant.by_chance:
-                tables = {'plans': choose_by_chance(domain, options, plans, effort, seed)}
-            elif is_enumerable(domain):
-                tables = plan_exactly(domain, variant, options, plans)
-            else:
-                tables = plan_from_samples(domain, variant, options, plans, effort, seed)
-            for name, rows in tables.items():
-                named = {} if name == 'gains' else {'action set': variant.name}
-                found[name] += [{'game': game.name, **named, **row} for row in rows]
-    return found
-
-
-def _options_by_variant(
-    parameters: Mapping[str, Any],
-) -> list[tuple[Variant, people.OwnedOptions]]:
-    """Return the variants of a trial, each with its options, without those that have no more."""
-    domain, whose = make_domain(parameters['domain']), parameters['whose']
-    owned = {NAMED: people.options_of(parameters, domain)}
-    if domain.name in paper.ALSO_NAMED and 'person' in parameters.get('teacher', {}):
-        owned[SECTION_7] = owned[NAMED]
-        owned[NAMED] += people.options_of(parameters, domain, paper.ALSO_NAMED[domain.name])
-        fruit = people.options_of(parameters, domain, paper.NOT_NAMED[domain.name])
-        owned[ALSO_FRUIT] = owned[NAMED] + fruit
-    if whose == people.PERSON and is_enumerable(domain):
-        seed, by_trees = parameters['seed'], owned[NAMED]
-        owned |= {each: with_cloned_policies(each, by_trees, domain, seed) for each in LEARNERS}
-    return [
-        (variant, owned[variant.options])
-        for variant in VARIANTS
-        if variant.whose == whose and variant.options in owned
-    ]
-
-
-def _record(
-    budget: int, plan: AnyPlan | None, returns: Returns, done: NDArray[Any]
-) -> dict[str, Any]:
-    """
-    Return seconds, sizes and means of a plan and the games that it was judged in, as JSON data.
-
-    :param budget: sweeps at most, or game steps.
-    :param plan: None: nothing was planned.
-    :param done: (E,) which games did what there is to do.
-    """
-    return {
-        'budget': budget,
-        **{name: getattr(plan, name) if plan else 0.0 for name in SECONDS},
-        'sweeps': plan.solution.sweeps if plan else 0,
-        'states': len(plan.solution.values) if plan else 0,
-        'game_steps': plan.game_steps if plan else 0,
-        'mean': float(returns.total.mean()),
-        'discounted': finite(returns.discounted.mean()),
-        'done': float(done.mean()),
-        'fallbacks': float(returns.fallbacks.mean()),
-        'games': len(returns.total),
-    }
-
-
-def choose_by_chance(
-    domain: Domain[Any],
-    options: Sequence[LearnedOption],
-    plans: int,
-    effort: Effort,
-    seed: int,
-) -> list[dict[str, Any]]:
-    """
-    Play as plans do, with random choice among the same options: what a plan has to beat.
-
-    Wherever a choice is due, any option that can start is chosen, each with the same probability,
-    and runs to its end. Where none can start, a primitive action is taken.
-
-    :param plans: how often, with chance of its own each time.
-    :return: rows as those of plans.
-    """
-    rows = []
-    for number in range(plans):
-        if is_enumerable(domain):
-            rng = generator(seed, 'table 2', 'chance', number)
-            returns = play_states_by_chance(domain, options, rng)
-            done = returns.successes
-        else:
-            actions, games = ActionSet(domain, HUMAN, options), _seed_for(seed, 'games', number)
-            policy = UniformPolicy(actions)
-            returns = play_games(actions, policy, domain.gamma, games, effort.games)
-            done = returns.outcomes['cleared']
-        rows.append(_record(0, None, returns, done))
-    return rows
-
-
-def play_states_by_chance(
-    domain: EnumerableDomain[Any],
-    options: Sequence[LearnedOption | TabularOption],
-    rng: np.random.Generator,
-) -> Returns:
-    """Play an episode from every start state of a domain in which every action has one outcome."""
-    everywhere = np.ones(domain.n_states, dtype=np.bool_)
-    tables = [tabulate(option, domain) for option in options]
-    tables += [
-        TabularOption(action.name, 1, np.full(domain.n_states, index), everywhere, everywhere)
-        for index, action in enumerate(domain.actions)
-    ]
-    can = np.array([table.initiation for table in tables])  # (O + A, S)
-    can[len(options) :] = ~can[: len(options)].any(axis=0)
-    longest = np.array([table.max_steps for table in tables])
-    at = domain.start_states().astype(np.intp)
-    returns, going = Returns.of_none(np.zeros(len(at), dtype=np.bool_)), np.arange(len(at))
-    while going.size:
-        draws = np.where(can[:, at[going]], rng.random((len(tables), len(going))), -1.0)
-        which = draws.argmax(axis=0)
-        limits = np.minimum(longest[which], domain.max_steps - returns.steps[going])
-        runs = tabular_rollouts(domain, tables, which, at[going], limits)
-        returns.total[going] += runs.total_reward
-        returns.steps[going] += runs.steps
-        returns.decisions[going] += 1
-        returns.fallbacks[going] += which >= len(options)
-        returns.successes[going] = runs.over
-        at[going] = runs.final
-        going = going[~runs.over & (returns.steps[going] < domain.max_steps)]
-    returns.discounted[:] = np.nan  # what a run earned is known, not when
-    return returns
-
-
-def _seed_for(seed: int, purpose: str, number: int = 0) -> int:
-    return int(generator(seed, 'table 2', purpose, number).integers(2**31))
-
-
-def plan_exactly(
-    domain: EnumerableDomain[Any],
-    variant: Variant,
-    options: Sequence[LearnedOption | TabularOption],
-    plans: int,
-) -> dict[str, list[dict[str, Any]]]:
-    """
-    Plan with exact models, and play from every start state, once.
-
-    :param plans: how often the same plan is made, for its seconds.
-    :return: rows of plans, of the curve (one for each number of sweeps, doubled until converged),
-        and of the gains by state.
-    """
-
-    def make(max_sweeps: int = MAX_SWEEPS) -> tuple[ExactPlan, ExactPlan]:
-        """Return a plan, with all its seconds, and the one that executes it."""
-        request = PlanRequest(variant.action_set, max_sweeps=max_sweeps)
-        plan = make_exact_plan(domain, options, request, clock=people.CLOCK)
-        began = people.CLOCK()
-        executed = as_executed(plan, variant.execution)
-        return replace(plan, model_seconds=plan.model_seconds + people.CLOCK() - began), executed
-
-    def judge(max_sweeps: int = MAX_SWEEPS) -> tuple[ExactPlan, dict[str, Any]]:
-        """Judge the plan of the median seconds of several, since one takes hardly any."""
-        made = [make(max_sweeps) for _ in range(REPEATS)]
-        made.sort(key=lambda pair: sum(getattr(pair[0], name) for name in SECONDS))
-        plan, executed = made[REPEATS // 2]
-        returns = play(executed, domain.start_states())
-        return plan, _record(max_sweeps, plan, returns, returns.successes)
-
-    curve, converged, sweeps = [], False, 1
-    while not converged and sweeps <= MAX_SWEEPS:
-        plan, record = judge(sweeps)
-        curve.append(record)
-        converged, sweeps = plan.solution.converged, 2 * sweeps
-    tables = {'curve': curve, 'plans': [judge()[1] for _ in range(plans)]}
-    if variant in INTERRUPTING:
-        plan, executed = make()
-        more = policy_values(executed) - policy_values(plan)
-        extremes = {'least': float(more.min()), 'most': float(more.max())}
-        gain = {'carried out as': variant.name, **extremes, 'mean': float(np.mean(more))}
-        tables['gains'] = [gain]
-    return tables
-
-
-def settings_to_try(variant: Variant, gamma: float, count: int) -> list[PlanRequest]:
-    """
-    Return requests without budgets, with the same settings for every variant.
-
-    The first are the usual ones. The second were found by hand with primitive actions, the third
-    and fourth with the reference options, in either kind of ghosts; the last look farther ahead.
-
-    :param gamma: the domain's own.
-    :param count: 1 to 5.
-    """
-    by_hand = (PRIMITIVE_SETTINGS, *INTERRUPTED.values())
-    settings = [(gamma, {}), *((one.gamma, one.sampling) for one in by_hand), (0.985, {})]
-    return [
-        PlanRequest(
-            variant.action_set, gamma, sampling=Sampling(**how), execution=variant.execution
-        )
-        for gamma, how in settings[:count]
-    ]
-
-
-def plan_from_samples(
-    domain: Domain[Any],
-    variant: Variant,
-    options: Sequence[LearnedOption],
-    plans: int,
-    effort: Effort,
-    seed: int,
-) -> dict[str, list[dict[str, Any]]]:
-    """
-    Search for settings, then plan with the best.
-
-    :param plans: how many are made of the largest budget, each by random draws of its own.
-    :param seed: of plans and games; those of the search are others.
-    :return: rows of plans, of the curve (one for each budget), of the gains (one for each plan
-        that runs options to their end), and of the settings that were chosen.
-    """
-    few, most = effort.steps(variant)
-
-    settings, search = (
-        settings_to_try(variant, domain.gamma, effort.tried),
-        _seed_for(seed, 'search'),
-    )
-    asked = [replace(one, game_steps=few, seed=search) for one in settings]
-    candidates = make_sampled_plans(domain, options, asked)
-    searched = play_in_step([(plan, search, None) for plan in candidates], effort.search_games)
-    tried = [float(returns.total.mean()) for returns in searched]
-    best = settings[int(np.argmax(tried))]
-
-    budgets = [*effort.budgets(variant), *[most] * (plans - 1)]
-    numbers = [0] * (len(budgets) - plans + 1) + list(range(1, plans))
-    made = [  # one after another, since their seconds are results
-        make_sampled_plan(
-            domain,
-            options,
-            replace(best, game_steps=budget, seed=_seed_for(seed, 'plan', number)),
-            clock=people.CLOCK,
-        )
-        for budget, number in zip(budgets, numbers)
-    ]
-    games = [_seed_for(seed, 'games', number) for number in numbers]
-    played = play_in_step([(plan, one, None) for plan, one in zip(made, games)], effort.games)
-    records = [
-        _record(budget, plan, returns, returns.outcomes['cleared'])
-        for budget, plan, returns in zip(budgets, made, played)
-    ]
-    again = [
-        (other, plan, game, before)
-        for other in INTERRUPTING
-        if variant == TO_END
-        for plan, game, before in zip(made[-plans:], games[-plans:], played[-plans:])
-    ]
-    stopped = [(plan, game, other.execution) for other, plan, game, _ in again]
-    how = best.sampling
-    setting = {
-        'gamma': best.gamma,
-        'rounds': how.rounds,
-        'explore': how.explore,
-        'min_samples': how.min_samples,
-        'penalty': how.penalty,
-        'pooling': how.shrinkage,
-        'margin': how.interruption_margin,
-        'return in the search': max(tried),
-        'mean of all tried': float(np.mean(tried)),
-    }
-    return {
-        'curve': records[: len(records) - plans + 1],
-        'plans': records[-plans:],
-        'settings': [setting],
-        'gains': [
-            {'carried out as': other.name, 'mean': float(now.total.mean() - then.total.mean())}
-            for (other, _, _, then), now in zip(again, play_in_step(stopped, effort.games))
-        ],
-    }
-
-
-# The section of the report.
 
 
 def present(done: report.Done) -> report.Section:

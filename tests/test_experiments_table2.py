@@ -20,11 +20,12 @@ from humanopts_teach.report.figures import Drawing
 import numpy as np
 import pytest
 
-from experiments import paper, table2
+from experiments import paper, table2, table2_plans
 from experiments.learners import cloned_accuracies, LEARNERS, with_cloned_policies
 from experiments.people import BagLesson, NOBODY, OwnedOptions, PERSON, Study
 from experiments.report import Comparison, Done, Mark, Section
-from experiments.table2 import (
+from experiments.table2 import present
+from experiments.table2_plans import (
     BY_CHANCE,
     CHASE,
     Effort,
@@ -32,7 +33,6 @@ from experiments.table2 import (
     INTERRUPTING,
     plan_from_samples,
     play_states_by_chance,
-    present,
     SECONDS,
     settings_to_try,
     TAXI,
@@ -99,7 +99,7 @@ def test_all_action_sets_try_the_same_settings_and_the_first_is_the_usual_one() 
 def test_person_plans_taxi_as_well_as_primitive_actions_do(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(table2, 'REPEATS', 1)  # seconds are not compared
+    monkeypatch.setattr(table2_plans, 'REPEATS', 1)  # seconds are not compared
     human, primitive = (
         (trial := trial_of('taxi', whose)).compute(trial.parameters) for whose in (PERSON, NOBODY)
     )
@@ -149,7 +149,7 @@ def test_only_the_policies_of_cloned_options_are_others(learner: str) -> None:
 def test_both_games_of_pacman_are_planned_with_budgets_that_double() -> None:
     effort = replace(TINY, tried=1, games=2, primitive_largest=800)
     trial = trial_of('pacman', NOBODY, seeds=1)
-    found = table2.plan_all_games({**trial.parameters, 'effort': asdict(effort)})
+    found = table2_plans.plan_all_games({**trial.parameters, 'effort': asdict(effort)})
     assert [(row['game'], row['budget']) for row in found['curve']] == [
         (game.name, budget) for game in (UNIFORM, CHASE) for budget in (400, 800)
     ]
@@ -178,7 +178,7 @@ def test_gains_are_of_every_plan_that_runs_to_the_end() -> None:
         plan_from_samples(domain, variant, options, plans, effort, seed=1)
         for variant, plans in ((TO_END, 2), (INTERRUPTING[0], 1))
     )
-    by_chance = [table2.choose_by_chance(domain, options, 2, TINY, 1) for _ in range(2)]
+    by_chance = [table2_plans.choose_by_chance(domain, options, 2, TINY, 1) for _ in range(2)]
     assert by_chance[0] == by_chance[1]
     assert [row['games'] for row in by_chance[0]] == [TINY.games] * 2
     assert len(found['plans']) == 2
