@@ -96,8 +96,10 @@ class Stranger:
         self._context.try_shutdown()
 
     def serve(self, seconds: float = 0.0) -> None:
-        """Take what has come."""
+        """Take what has come; the game waits for a reader of its stream that falls behind."""
         self._executor.spin_once(seconds)
+        for _ in range(8):
+            self._executor.spin_once(0.0)
 
     def topics(self) -> list[tuple[str, str]]:
         """Return the topics of the graph and their types."""
