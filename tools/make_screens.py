@@ -304,7 +304,7 @@ def teach(name: str, option: str, shown: int) -> list[tuple[str, str]]:
         person.choose('Run a taught option')
         person.keep('which', 'Which option to run', see=['Run which option?'])
         person.keep('run', 'Before an option is run', '1')
-        ran = [' steps,', ' step,', 'A new start may suit it.']
+        ran = [' steps,', ' step,', 'or try a new start.']
         person.keep('ran', 'After an option has run', 'n', ENTER, see=ran)
         person.press(ESCAPE)
         person.choose('Change an option')

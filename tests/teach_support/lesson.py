@@ -8,7 +8,7 @@ from typing import Any
 from humanopts_env.domains.base import Domain
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.game import Source, Transition
-from humanopts_learner.demonstrations import Demonstration
+from humanopts_learner.demonstrations import Demonstration, TREES
 from humanopts_teach.lesson.history import OptionHistory
 from humanopts_teach.lesson.lesson import Lesson
 from humanopts_teach.lesson.requests import (
@@ -68,9 +68,10 @@ class Table:
         budget: int = 5,
         seed: int = 0,
         domain: Domain[Any] = TAXI,
+        method: str = TREES,
     ) -> None:
         self.store = store
-        self.starts = Starts(domain, LessonRules('random', budget, seed))
+        self.starts = Starts(domain, LessonRules('random', budget, seed, method=method))
         self.time = 100.0
         self.episode = 0
         self.here: Transition | None = None

@@ -217,8 +217,10 @@ def test_where_chance_plays_a_part_a_step_cannot_be_undone() -> None:
     person.lesson(Phase.DEMONSTRATING, episode=2)
     person.answer(begun, episode=2)
     drive(person, 'left')
+    assert 'undo' not in person.sees()
     assert person.press('u') is None
-    assert person.sees_words('Chance plays a part in this game: a step cannot be undone.')
+    person.press('?')
+    assert 'undo' not in person.sees()
 
 
 def test_all_that_was_shown_is_listed_with_its_way_on_the_board(shower: Person) -> None:

@@ -93,6 +93,18 @@ def test_a_strategy_with_something_left_to_ask_goes_on(table: Table) -> None:
     assert table.lesson.phase is Phase.FINISHED
 
 
+def test_a_person_is_told_why_a_lesson_goes_on_whose_criteria_hold(table: Table) -> None:
+    why = 'All criteria hold, but from some starts it still fails.'
+    table.starts.more = True
+    assert why in met(table).lesson.view.text
+    assert why in table.began().lesson.view.text
+    table.starts.more = False
+    table.drive('west').end()
+    table.learned(met=True)
+    assert table.lesson.phase is Phase.FINISHED
+    assert why not in table.began().lesson.view.text  # one more, though none is needed
+
+
 @pytest.mark.parametrize('not_here', [0, 2])
 def test_the_budget_ends_the_lesson_whatever_the_criteria_say(table: Table, not_here: int) -> None:
     table.ready()
@@ -153,6 +165,18 @@ def test_how_an_option_is_learned_is_chosen_and_kept_over_a_restart(
     resumed.ask(DefineOption(OPTION, method=TREES))
     assert resumed.lesson.criteria_met
     assert resumed.ask(DefineOption('another')).ok
+    assert resumed.lesson.view.method == TREES
+
+
+def test_an_option_that_is_begun_is_learned_on_as_before_whatever_is_usual(
+    store: DemonstrationStore,
+) -> None:
+    began = Table(store, method=GOAL).ready()
+    assert began.began().drive('west').end().demonstration.method == GOAL
+    resumed = Table(store).opened()
+    resumed.ask(DefineOption(OPTION))
+    assert resumed.lesson.view.method == GOAL
+    resumed.ask(DefineOption('another'))
     assert resumed.lesson.view.method == TREES
 
 

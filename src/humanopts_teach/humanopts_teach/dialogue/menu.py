@@ -95,6 +95,7 @@ def to_menu(app: App) -> None:
 
 def to_lesson(app: App) -> None:
     """Show the lesson as it stands."""
+    app.groups.forget()
     app.show(LessonScreen(menu=to_menu, run=to_run))
 
 

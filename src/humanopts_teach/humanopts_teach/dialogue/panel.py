@@ -32,7 +32,8 @@ from humanopts_teach.lesson.requests import LessonView, OptionStatus, Phase, Wor
 from humanopts_teach.state_drawing import draw_state, StateDrawing
 
 TARGET = 1 / 3  # of the length of a bar: where a criterion begins to hold
-_BARE = {Phase.READY, Phase.DEMONSTRATING, Phase.LEARNING}  # only chosen features are shown
+# Where only the chosen features are shown.
+_BARE = {Phase.READY, Phase.DEMONSTRATING, Phase.LEARNING, Phase.FINISHED}
 
 
 class Tone(Enum):
@@ -326,7 +327,7 @@ def _question_lines(app: App, lesson: LessonView) -> tuple[Line, ...]:
     group = app.groups.open_group(app.domain, lesson)
     if group is not None:
         text = f"Does the '{lesson.option_name}' option depend on anything about {group.words}?"
-        which = f'At yes, {len(group.features)} features of {group.words} are asked about.'
+        which = f'If yes, {len(group.features)} features of {group.words} are asked about.'
     yes = ', '.join(map(_plain, lesson.chosen_features)) or 'nothing yet'
     asked = Line(text, strong=True)
     return asked, GAP, Line(which, Tone.QUIET), Line(f'It depends on: {yes}')
@@ -401,10 +402,7 @@ def _share(value: float, threshold: float) -> float:
 def _estimate(lesson: LessonView, progress: OptionStatus) -> Line:
     """Return how far it is until the criteria hold."""
     if progress.criteria_met:
-        goes_on = lesson.phase in {Phase.READY, Phase.DEMONSTRATING}
-        still = goes_on and set(progress.features) == set(lesson.chosen_features)
-        but = ', but from some starts it still fails.' if still else '.'
-        return Line(f'All criteria hold{but}', Tone.GOOD)
+        return Line('All criteria hold.', Tone.GOOD)
     if progress.n_demonstrations < (least := fewest(lesson.method)):
         return Line(f'Measured from {least} demonstrations on.')
     undecided = [c.name for c in progress.criteria if c.undecided]

@@ -138,13 +138,15 @@ class LessonScreen(Screen):
             self.automatic, app.next_start = False, ''
             if request.watch and answer.ok:
                 app.ask(SetControl(hold=False), RunOption(lesson.option_name, app.participant))
-        elif isinstance(request, AnswerQuestion) and not answer.carried_out:
+        elif isinstance(request, AnswerQuestion) and not answer.ok:
             self.rest = False
             app.groups.forget()
         elif isinstance(request, AnswerQuestion) and request.back:
-            group = _open_group(app)
-            if group is not None and lesson.question_feature != group.features[0]:
-                app.ask(AnswerQuestion(lesson.question_id, back=True))
+            group, said = app.groups.asked(app.domain, lesson)
+            if group is not None and said is not GroupAnswer.EACH:
+                app.groups.take_back(group)
+                if lesson.question_feature != group.features[0]:
+                    app.ask(AnswerQuestion(lesson.question_id, back=True))
         elif isinstance(request, EndDemonstration) and answer.ok:
             self.automatic = not lesson.paused
             if answer.contradiction:
@@ -155,11 +157,12 @@ class LessonScreen(Screen):
     def table(self, app: App) -> KeyTable:
         lesson, phase = app.world.lesson, app.world.lesson.phase
         actions = app.domain.actions if phase is Phase.DEMONSTRATING else ()
-        commands = list(_IN_PHASE.get(phase, _ELSE))
-        if not lesson.n_demonstrations and Command.WATCH in commands:
-            commands.remove(Command.WATCH)
-        if phase is Phase.ASKING and lesson.question_feature == app.domain.features[0].name:
-            commands.remove(Command.BACK)
+        without = set() if lesson.n_demonstrations else {Command.WATCH}
+        without |= _impossible(app)
+        first = lesson.question_feature == app.domain.features[0].name
+        if phase is Phase.ASKING and first and app.groups.asked(app.domain, lesson)[1] is None:
+            without.add(Command.BACK)
+        commands = [command for command in _IN_PHASE.get(phase, _ELSE) if command not in without]
         return key_table(actions, (*PACE, *commands) if app.run is not None else commands)
 
     def questions_key(self, app: App) -> str:
@@ -181,7 +184,7 @@ class LessonScreen(Screen):
         again = f'can restart at its end: {"YES" if _can_start_again(app) else "no"}'
         words = {Command.START_AGAIN: again, **pace_words(app)}
         if phase is Phase.FINISHED:
-            words[Command.BEGIN] = 'show one more'
+            words |= {Command.BEGIN: 'show one more', Command.MENU: 'menu, next option'}
         return first + table.labelled(words)
 
     def _carry_out(self, command: Command, lesson: LessonView, app: App) -> None:
@@ -200,7 +203,7 @@ class LessonScreen(Screen):
             Command.UNDO: lambda: self._undo(lesson, app),
             Command.DEMONSTRATIONS: lambda: app.ask(ListDemonstrations()),
             Command.WATCH: lambda: self._watch(_random_start(app), app),
-            Command.BACK: lambda: app.ask(AnswerQuestion(lesson.question_id, back=True)),
+            Command.BACK: lambda: self._back(lesson, app),
             **{pace: partial(set_pace, pace, app) for pace in PACE},
             Command.START_AGAIN: lambda: app.can_start_again.update(
                 {lesson.option_name: not _can_start_again(app)}
@@ -212,6 +215,13 @@ class LessonScreen(Screen):
             Command.QUIT: lambda: leave('Quit', lambda app: app.end()),
         }
         does[command]()
+
+    def _back(self, lesson: LessonView, app: App) -> None:
+        group, said = app.groups.asked(app.domain, lesson)
+        if group is not None and said is not None and lesson.question_feature == group.features[0]:
+            app.groups.take_back(group)
+        else:
+            app.ask(AnswerQuestion(lesson.question_id, back=True))
 
     def _begin(self, app: App) -> None:
         app.ask(BeginDemonstration(app.next_start))
@@ -256,9 +266,7 @@ class LessonScreen(Screen):
     def _undo(self, lesson: LessonView, app: App) -> None:
         """Drive again, in a new episode, all that the person has driven but the last step."""
         since, driven = app.world.since, app.world.driven
-        if not is_deterministic(app.domain):
-            app.say('Chance plays a part in this game: a step cannot be undone.', bad=True)
-        elif since is None or since.step != lesson.machine_steps or not driven:
+        if since is None or since.step != lesson.machine_steps or not driven:
             app.say('There is no step of yours to undo.', bad=True)
         elif lesson.paused:
             app.say('Not now: the lesson is paused, and could not begin again.', bad=True)
@@ -327,6 +335,7 @@ class LessonScreen(Screen):
             discard(app)
 
     def _ask_again(self, app: App) -> None:
+        app.groups.forget()
         app.ask(DefineOption(app.world.lesson.option_name, ask_again=True))
 
 
@@ -388,8 +397,14 @@ def _question_keys(app: App) -> list[tuple[str, str]]:
     return keys
 
 
+def _impossible(app: App) -> set[Command]:
+    """Return what cannot be done in this game: what chance decides may end otherwise next time."""
+    return set() if is_deterministic(app.domain) else {Command.UNDO}
+
+
 def _showing(app: App) -> KeyTable:
-    return key_table(app.domain.actions, _IN_PHASE[Phase.DEMONSTRATING])
+    commands = [c for c in _IN_PHASE[Phase.DEMONSTRATING] if c not in _impossible(app)]
+    return key_table(app.domain.actions, commands)
 
 
 def _help(app: App) -> Sequence[tuple[str, str]]:

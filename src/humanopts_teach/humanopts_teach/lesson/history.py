@@ -67,7 +67,7 @@ class OptionHistory:
     def __init__(self, name: str, features: Sequence[Feature], number: int = 1) -> None:
         self.name = name
         self.questions = Questions(name, features)
-        self.method = ''  # of learning, that was asked for; empty: none was
+        self.method = ''  # of learning: asked for, or first shown for; empty: neither was
         self.demonstrations: list[Demonstration] = []  # those that count
         self.withdrawn: set[str] = set()  # uuids
         self.start_states: list[str] = []  # of what was withdrawn and not shown anew; last first
@@ -86,6 +86,7 @@ class OptionHistory:
     def add(self, demo: Demonstration) -> None:
         """Add one more demonstration, or count out one that is withdrawn."""
         self.number = max(self.number, demo.number + 1)
+        self.method = self.method or demo.method
         if demo.withdrawn:
             self.withdrawn.add(demo.uuid)
             self.start_states.append(demo.states[0])

@@ -80,6 +80,7 @@ _HINTS = {
     Phase.LEARNING: 'The learner works on the demonstration.',
     Phase.FINISHED: 'Name the next option to teach.',
 }
+_FAILS = 'All criteria hold, but from some starts it still fails.'
 _GOES_ON = (Phase.DEMONSTRATING, Phase.LEARNING)  # also while the lesson is paused
 
 
@@ -190,7 +191,9 @@ class Lesson:
                 machine_steps=attempt.machine_steps if attempt is not None else 0,
                 criteria_met=self.criteria_met,
             )
-        return replace(view, text=f'{self._notice} {_hint(view)}'.strip())
+        goes_on = view.phase in (Phase.READY, Phase.DEMONSTRATING) and not self._done
+        why = _FAILS if goes_on and view.criteria_met else ''
+        return replace(view, text=' '.join(filter(None, (self._notice, why, _hint(view)))))
 
     def demonstrations(self) -> list[Demonstration]:
         """

@@ -21,17 +21,16 @@ class QuestionGroups:
     What a person has said of groups of features, for the questions of one option.
 
     The lesson asks about one feature after the other. A screen asks about ``open_group`` first,
-    and gives ``reply`` for the features of a group that needs no more questions.
+    and gives ``reply`` for the features of a group that needs no more questions. It says where
+    questions go back, begin again, or are those of another option.
     """
 
     def __init__(self) -> None:
-        self._option = ''
-        self._latest = 0  # index of the feature that was asked about last
         self._answers: dict[str, GroupAnswer] = {}  # by the group's words
 
     def open_group(self, domain: Domain[Any], lesson: LessonView) -> FeatureGroup | None:
         """Return the group to ask about now; None: the lesson's own question stands."""
-        group, said = self._asked(domain, lesson)
+        group, said = self.asked(domain, lesson)
         return group if said is None else None
 
     def answer(self, group: FeatureGroup, answer: GroupAnswer) -> None:
@@ -40,27 +39,23 @@ class QuestionGroups:
 
     def reply(self, domain: Domain[Any], lesson: LessonView) -> bool | None:
         """Return what the open question is answered without asking; None: the person is asked."""
-        _, said = self._asked(domain, lesson)
+        _, said = self.asked(domain, lesson)
         if said is None or said is GroupAnswer.EACH:
             return None
         return said is GroupAnswer.AS_BEFORE and lesson.question_feature in lesson.earlier_features
+
+    def take_back(self, group: FeatureGroup) -> None:
+        """Ask about a group again."""
+        self._answers.pop(group.words, None)
 
     def forget(self) -> None:
         """Ask about every group again."""
         self._answers.clear()
 
-    def _asked(
+    def asked(
         self, domain: Domain[Any], lesson: LessonView
     ) -> tuple[FeatureGroup | None, GroupAnswer | None]:
-        """
-        Return the group of the open question and what was said of it; None: nothing.
-
-        The answers are forgotten when the questions are those of another option or begin again.
-        """
-        names, feature = [each.name for each in domain.features], lesson.question_feature
-        number = names.index(feature) if feature in names else 0
-        if lesson.option_name != self._option or number < self._latest:
-            self.forget()
-        self._option, self._latest = lesson.option_name, number
+        """Return the group of the open question and what was said of it; None: nothing."""
+        feature = lesson.question_feature
         group = next((each for each in feature_groups(domain) if feature in each.features), None)
         return group, self._answers.get(group.words) if group is not None else None

@@ -330,7 +330,7 @@ def result_text(result: Any, i_drive: bool) -> tuple[bool, str]:
     if status == kind.STATUS_CANCELED:
         return True, f'Stopped{what}.'
     if status == getattr(kind, 'STATUS_NOT_AVAILABLE', None):
-        return False, f'{result.detail}. A new start may suit it.'
+        return False, f'{result.detail}. Drive to where it can, or try a new start.'
     if status not in well:
         return False, f'{result.detail}.'
     if isinstance(result, OptionResult):
@@ -357,4 +357,4 @@ def _progress_text(feedback: Any) -> str:
         return f'{feedback.step_count} steps, reward {feedback.total_reward:g}'
     if isinstance(feedback, actions.Plan.Feedback):
         return f'planning: {feedback.stage} {100 * feedback.progress:.0f} %'
-    return f'{feedback.episodes} episodes played, {feedback.successes} done'
+    return f'{feedback.episodes} played, {feedback.successes} done'
