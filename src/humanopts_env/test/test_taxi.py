@@ -214,6 +214,8 @@ TAXI = {'taxi_row', 'taxi_col'}
         (set(), '', '□■▒☻⚑:'),
         (TAXI, '▒', '□■☻⚑:'),
         (TAXI | {'passenger_in_taxi'}, '■', '□▒☻⚑:'),
+        (TAXI | {'passenger_row', 'passenger_col', 'passenger_in_taxi'}, '■', '□▒☻⚑:'),
+        ({'passenger_row', 'passenger_col', 'passenger_in_taxi'}, '☻:', '□■▒⚑'),
         (TAXI | {'taxi_at_destination'}, '▒:', '□■☻⚑'),
         ({'destination_row', 'destination_col'}, '⚑', '□■▒☻:'),
         ({'passenger_row', 'passenger_col'}, '☻', '□■▒⚑:'),

@@ -150,6 +150,13 @@ def draw_board(
         0: (EMPTY_TAXI, 'taxi, empty'),
         1: (FULL_TAXI, 'taxi, passenger aboard'),
     }[values.get('passenger_in_taxi')]
+    facts = [
+        f'{feature.name.replace("_", " ")}: {feature.values[value]}'
+        for feature, value in shown
+        if not EXPRESSED_BY[feature.name] <= places.keys()
+    ]
+    if taxi == FULL_TAXI and 'taxi' in places:
+        places.pop('passenger', None)  # drawn with the taxi
     middle = {cell: letter for letter, cell in landmarks.items()}
     texts = {'taxi': taxi_text, 'passenger': 'passenger', 'destination': 'destination'}
     glyphs = {'taxi': taxi, 'passenger': PASSENGER, 'destination': DESTINATION}
@@ -162,11 +169,6 @@ def draw_board(
         return left + middle.get(cell, FLOOR) + right
 
     legend = [f'{glyphs[thing]} {texts[thing]}' for thing in places]
-    facts = [
-        f'{feature.name.replace("_", " ")}: {feature.values[value]}'
-        for feature, value in shown
-        if not EXPRESSED_BY[feature.name] <= places.keys()
-    ]
     rows, cols = wall_east.shape
     cells = [[cell_text((row, col)) for col in range(cols)] for row in range(rows)]
     lines = [*_grid(wall_east.tolist(), cells), '   '.join([*legend, 'R G Y B landmarks'])]
