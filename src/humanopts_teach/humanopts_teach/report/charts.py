@@ -4,7 +4,7 @@ The charts of a report: learning curves, planning and its sweeps, and games.
 ``name`` is the prefix of the identifiers in a figure.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import pairwise, zip_longest
@@ -15,11 +15,12 @@ from humanopts_learner.intervals import Interval
 from humanopts_learner.planning.exact import build_model, ExactPlan
 from humanopts_learner.planning.value_iteration import sweep_table, SweepRow
 from humanopts_teach.evaluation.bag_evaluation import CurvePoint
-from humanopts_teach.evaluation.games import ComparisonRow, GamesEvaluation, Setting
+from humanopts_teach.evaluation.games import GamesEvaluation
 from humanopts_teach.evaluation.measures import PlanningRow
 from humanopts_teach.report.figures import Drawing, drawing, MUTED, SERIES
 from humanopts_teach.report.findings import reached
 from humanopts_teach.report.pages import number
+from matplotlib.axes import Axes
 from matplotlib.ticker import (
     LogLocator,
     MaxNLocator,
@@ -27,6 +28,7 @@ from matplotlib.ticker import (
     PercentFormatter,
     StrMethodFormatter,
 )
+import numpy as np
 
 SIZE = (5.0, 2.9)  # inches
 MOST_MARKERS = 30  # on a curve
@@ -35,30 +37,29 @@ PANELS = (  # criterion, title, unit
     ('initiation', 'Initiation: held-out error (may it start?)', 'balanced error'),
     ('termination', 'Termination: held-out error (does it end?)', 'balanced error'),
 )
-ACCURACIES: tuple[tuple[str, str, dict[str, Any]], ...] = (  # curves that coincide stay visible
-    ('policy_accuracy', 'policy', {'color': SERIES[0], 'marker': 'o', 'ms': 3.5}),
-    (
-        'classification_accuracy_initiation',
-        'I',
-        {'color': SERIES[1], 'marker': 's', 'ms': 7, 'mfc': 'none', 'ls': '--', 'lw': 1.1},
-    ),
-    (
-        'classification_accuracy_termination',
-        'β',
-        {'color': SERIES[3], 'marker': '^', 'ms': 3.5, 'ls': ':', 'lw': 1.1},
-    ),
+ACCURACIES = {
+    'policy': 'policy_accuracy',
+    'I': 'classification_accuracy_initiation',
+    'β': 'classification_accuracy_termination',
+}
+CURVES: tuple[dict[str, Any], ...] = (  # curves of one chart that coincide stay visible
+    {'color': SERIES[0], 'marker': 'o', 'ms': 3.5},
+    {'color': SERIES[1], 'marker': 's', 'ms': 7, 'mfc': 'none', 'ls': '--', 'lw': 1.1},
+    {'color': SERIES[3], 'marker': '^', 'ms': 3.5, 'ls': ':', 'lw': 1.1},
 )
 STAGES = (
     ('table_seconds', 'policy tables', 0),
     ('model_seconds', 'models', 1),
     ('sweep_seconds', 'sweeps', 3),
 )
+RETURNS = (('undiscounted', 'mean_return'), ('discounted', 'mean_discounted_return'))
 MARKERS = 'osD^'
 WIDTH, ROW_HEIGHT = 5.6, 0.33  # inches
 CLEARED = 'cleared'
 MOST_VALUES = 20_000_000  # states by sweeps, up to which plans are made again for their sweeps
 ALL_ROWS, STEP = 30, 1.1  # sweeps that are all in the table; from there on each so many times on
 NEAR = 1e-3  # a value so close to its end, in reward units, is settled
+_Curves = Mapping[str, Mapping[int, float | None]]  # by label and demonstrations; None: not known
 
 
 @contextmanager
@@ -89,102 +90,79 @@ def _series(index: int) -> dict[str, Any]:
 
 def learning_curves(points: Sequence[CurvePoint], name: str, option: str) -> list[str]:
     """
-    Return one SVG for each criterion, and one of the accuracies where any could be measured.
+    Return one SVG for each criterion, one of the accuracies and one of the gain where known.
 
     :param points: in order of demonstrations; of several with equally many trajectories (between
         them came "not here" answers) the last is drawn.
     """
     drawn = {p.block.n_demonstrations: p for p in points if p.block.n_demonstrations}
-    if not drawn:
-        return []
-    figures = [_criterion_curve(drawn, f'{name}-{panel[0]}', option, panel) for panel in PANELS]
-    curves = {
-        field: {n: getattr(point.block, field) for n, point in drawn.items()}
-        for field, _, _ in ACCURACIES
-    }
-    if any(value is not None for curve in curves.values() for value in curve.values()):
-        label = f'Accuracy of {option} by demonstrations'
-        title, unit = 'Accuracy against the reference option', 'share of states'
-        with _chart(f'{name}-accuracy', label, title=title, ylabel=unit) as work:
-            for field, part, style in ACCURACIES:
-                _curve(work, curves[field], label=part, **style)
-            work.axes.set_ylim(top=1.03)
-            work.axes.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
-            _by_demonstrations(work, drawn)
+    figures = []
+
+    @contextmanager
+    def chart(part: str, title: str, unit: str, curves: _Curves) -> Iterator[Axes]:
+        axes_of = {'title': title, 'xlabel': 'demonstrations', 'ylabel': unit}
+        with _chart(f'{name}-{part}', f'{title}: {option}', **axes_of) as work:
+            _draw_curves(work.axes, curves)
+            yield work.axes
+            work.axes.set_xlim(0, max(drawn) + 0.6)
+            work.axes.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=7))
+            work.axes.legend(loc='best')
         figures.append(work.svg)
+
+    for criterion, title, unit in PANELS if drawn else ():
+        known = {
+            n: c for n, p in drawn.items() for c in p.judgement.criteria if c.name == criterion
+        }
+        curves: _Curves = {
+            'measured': {n: c.value for n, c in known.items()},
+            'upper limit': {n: c.high for n, c in known.items() if c.high != c.value},
+        }
+        with chart(criterion, title, unit, curves) as axes:
+            threshold = list(known.values())[-1].threshold
+            least = min([0.0, threshold, *_known(*curves.values())])
+            style: dict[str, Any] = {'color': SERIES[2], 'label': f'met at or below {threshold:g}'}
+            axes.axhline(threshold, ls='--', lw=1.4, **style)
+            axes.axhspan(least, threshold, color=SERIES[2], alpha=0.13, lw=0)
+    curves = {
+        part: {n: getattr(p.block, field) for n, p in drawn.items()}
+        for part, field in ACCURACIES.items()
+    }
+    if _known(*curves.values()):
+        title = 'Accuracy against the reference option'
+        with chart('accuracy', title, 'share of states', curves) as axes:
+            axes.set_ylim(top=1.03)
+            axes.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
     gains = {n: p.judgement.gain for n, p in drawn.items() if not math.isnan(p.judgement.gain.low)}
-    return [*figures, _gain_curve(gains, f'{name}-gain', option, drawn)] if gains else figures
+    if gains:
+        curves = {'mean': {n: gain.mean for n, gain in gains.items()}}
+        title = 'Return of the policy less that shown'
+        with chart('gain', title, 'reward units', curves) as axes:
+            _fill(axes, list(gains), list(gains.values()), SERIES[0], '95 % interval, same starts')
+            axes.axhline(0, color=MUTED, lw=0.8)
+    return figures
 
 
-def _gain_curve(
-    gains: Mapping[int, Interval], name: str, option: str, points: Mapping[int, CurvePoint]
-) -> str:
-    """Draw the return of the policy less that of the demonstrations, with its interval."""
-    title, unit = 'Return of the policy less that shown', 'reward units'
-    with _chart(name, f'{title}: {option}', title=title, ylabel=unit) as work:
-        means = {n: gain.mean for n, gain in gains.items()}
-        low, high = ([getattr(gain, end) for gain in gains.values()] for end in ('low', 'high'))
-        limits = '95 % interval, same starts'
-        work.axes.fill_between(
-            list(gains), low, high, color=SERIES[0], alpha=0.2, lw=0, label=limits
-        )
-        _curve(work, means, label='mean', color=SERIES[0], marker='o', ms=3.5)
-        work.axes.axhline(0, color=MUTED, lw=0.8)
-        _by_demonstrations(work, points)
-    return work.svg
+def _draw_curves(axes: Axes, curves: _Curves) -> None:
+    """Draw values by demonstrations, with so few markers that they do not overlap."""
+    for style, (label, curve) in zip(CURVES, curves.items()):
+        known = {n: value for n, value in curve.items() if value is not None}
+        if known:
+            every = -(-len(known) // MOST_MARKERS)
+            axes.plot(list(known), list(known.values()), markevery=every, label=label, **style)
+    if not _known(*curves.values()):
+        axes.text(0.5, 0.7, 'not yet measurable', transform=axes.transAxes, ha='center')
 
 
-def _criterion_curve(
-    points: Mapping[int, CurvePoint], name: str, option: str, panel: tuple[str, str, str]
-) -> str:
-    criterion, title, unit = panel
-    known = {n: c for n, p in points.items() for c in p.judgement.criteria if c.name == criterion}
-    label = f'{title} of {option} by demonstrations'
-    with _chart(name, label, title=title, ylabel=unit) as work:
-        values = {n: c.value for n, c in known.items()}
-        style: dict[str, Any] = {'color': SERIES[0], 'marker': 'o', 'ms': 3.5}
-        measured = _curve(work, values, label='measured', **style)
-        limits = {n: c.high for n, c in known.items() if c.high != c.value}
-        dotted: dict[str, Any] = {'color': SERIES[0], 'ls': ':', 'lw': 1.1}
-        drawn = measured + _curve(work, limits, label='upper limit', **dotted)
-        _draw_threshold(work, list(known.values())[-1].threshold, drawn)
-        if not measured:
-            middle = work.axes.transAxes
-            work.axes.text(0.5, 0.7, 'not yet measurable', transform=middle, ha='center')
-        _by_demonstrations(work, points)
-    return work.svg
+def _known(*curves: Mapping[int, float | None]) -> list[float]:
+    return [value for curve in curves for value in curve.values() if value is not None]
 
 
-def _curve(work: Drawing, curve: Mapping[int, float | None], **style: Any) -> list[float]:
-    """
-    Draw values by demonstrations, with so few markers that they do not overlap.
-
-    :return: the values that are known.
-    """
-    known = {n: value for n, value in curve.items() if value is not None}
-    if known:
-        every = -(-len(known) // MOST_MARKERS)
-        work.axes.plot(list(known), list(known.values()), markevery=every, **style)
-    return list(known.values())
-
-
-def _draw_threshold(work: Drawing, threshold: float, values: Sequence[float]) -> None:
-    """Shade what meets the criterion."""
-    axes, spread = work.axes, [threshold, 0.0, *values]
-    margin = 0.08 * (max(spread) - min(spread) or 1.0)
-    low, high = min(spread) - margin, max(spread) + 2 * margin
-    axes.axhspan(low, threshold, color=SERIES[2], alpha=0.13, lw=0)
-    axes.axhline(
-        threshold, color=SERIES[2], ls='--', lw=1.4, label=f'met at or below {threshold:g}'
-    )
-    axes.set_ylim(low, high)
-
-
-def _by_demonstrations(work: Drawing, points: Mapping[int, CurvePoint]) -> None:
-    work.axes.set_xlabel('demonstrations')
-    work.axes.set_xlim(0, max(points) + 0.6)
-    work.axes.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=7))
-    work.axes.legend(loc='best')
+def _fill(
+    axes: Axes, x: Sequence[float], found: Sequence[Interval], color: str, label: str | None = None
+) -> None:
+    """Shade intervals beside one another."""
+    low, high = [each.low for each in found], [each.high for each in found]
+    axes.fill_between(x, low, high, color=color, alpha=0.2, lw=0, label=label)
 
 
 def planning_figures(rows: Mapping[str, PlanningRow], name: str) -> list[str]:
@@ -199,21 +177,19 @@ def planning_figures(rows: Mapping[str, PlanningRow], name: str) -> list[str]:
 
 
 def _planning_times(rows: Mapping[str, PlanningRow], name: str) -> str:
-    left = [0.0] * len(rows)
     longest = max(row.seconds for row in rows.values())
     scale, unit, word = (1.0, 's', 'seconds') if longest >= 1.0 else (1e3, 'ms', 'milliseconds')
     title, size = 'Planning time', (5.0, 1.3 + 0.6 * len(rows))
     with _chart(name, f'{title} by action set', size, 'x', title=title, xlabel=word) as work:
+        left = np.zeros(len(rows))
         for field, label, color in STAGES:
-            values = [scale * getattr(row, field) for row in rows.values()]
-            if any(values):
-                work.axes.barh(
-                    list(rows), values, 0.55, left=left, color=SERIES[color], label=label
-                )
-                left = [a + b for a, b in zip(left, values)]
-        for index, total in enumerate(left):
-            _value_label(work, (total, index), f'{total:.3g} {unit}', (5, 0), 'left')
-        work.axes.set_xlim(0, 1.22 * max(left))
+            values = scale * np.array([getattr(row, field) for row in rows.values()])
+            if values.any():
+                style: dict[str, Any] = {'color': SERIES[color], 'label': label}
+                bars = work.axes.barh(list(rows), values, 0.55, left=left, **style)
+                left += values
+        work.axes.bar_label(bars, [f'{total:.3g} {unit}' for total in left], padding=5, size=9)
+        work.axes.set_xlim(0, 1.22 * left.max())
         work.axes.invert_yaxis()
         work.figure.legend(loc='outside lower center', ncols=3)
     return work.svg
@@ -221,35 +197,18 @@ def _planning_times(rows: Mapping[str, PlanningRow], name: str) -> str:
 
 def _mean_returns(returns: Mapping[str, PlanningRow], name: str) -> str:
     title, size = 'Mean return of an episode, with 95 % interval', (5.0, 1.3 + 0.6 * len(returns))
-    label, unit = 'Mean return by action set', 'reward units'
+    label, unit, rows = 'Mean return by action set', 'reward units', returns.values()
     with _chart(name, label, size, 'x', title=title, xlabel=unit) as work:
-        for series, (kind, shift) in enumerate((('undiscounted', 10), ('discounted', -10))):
-            style = {**_series(series), 'ms': 8, 'ls': ''}
-            work.axes.plot([], [], label=kind, **style)
-            for index, row in enumerate(returns.values()):
-                value = (row.mean_return, row.mean_discounted_return)[series]
-                if value is None:
-                    continue
-                work.axes.plot(value, index, **style)
-                _value_label(work, (value, index), number(value), (0, shift), 'center')
-        for index, row in enumerate(returns.values()):
-            if row.mean_return_low is not None and row.mean_return_high is not None:
-                ends = row.mean_return_low, row.mean_return_high
-                work.axes.hlines(index, *ends, color=SERIES[0], lw=2.0, alpha=0.5)
+        for series, (kind, field) in enumerate(RETURNS):
+            means = np.array([getattr(row, field) for row in rows], float)  # NaN: not measured
+            work.axes.plot(means, list(returns), label=kind, ms=8, ls='', **_series(series))
+        ends = np.array([(row.mean_return_low, row.mean_return_high) for row in rows], float)
+        work.axes.hlines(list(returns), *ends.T, color=SERIES[0], lw=2.0, alpha=0.5)
         work.axes.axvline(0, color=MUTED, lw=0.8)
-        work.axes.set_yticks(range(len(returns)), list(returns))
         work.axes.set_ylim(len(returns) - 0.4, -0.6)
         work.axes.xaxis.set_major_locator(MaxNLocator(6))
-        work.axes.margins(x=0.15)
         work.figure.legend(loc='outside lower center', ncols=2)
     return work.svg
-
-
-def _value_label(
-    work: Drawing, at: tuple[Any, float], text: str, shift: tuple[float, float], side: Any
-) -> None:
-    """Write a value beside its mark; ``shift`` in points."""
-    work.axes.annotate(text, at, shift, textcoords='offset points', ha=side, va='center', size=9)
 
 
 @dataclass(frozen=True)
@@ -320,37 +279,31 @@ def _residuals(tables: Mapping[str, Sequence[SweepRow]], name: str) -> str:
 
 def games_figures(games: GamesEvaluation, name: str) -> list[str]:
     """Return the scores, the share of mazes cleared where there are mazes, and the curves."""
-    settings = games.settings
-    figures = [_intervals(settings, f'{name}-score', 'Mean score', 'points', lambda r: r.score)]
-    if all(CLEARED in row.outcomes for setting in settings for row in setting.rows):
-        title, unit = 'Mazes cleared', 'share of games'
+    rows = [row for setting in games.settings for row in setting.rows]
+    scores = [row.score for row in rows]
+    figures = [_intervals(games, scores, f'{name}-score', 'Mean score', 'points')]
+    if all(CLEARED in row.outcomes for row in rows):
+        cleared = [row.outcomes[CLEARED] for row in rows]
         figures.append(
-            _intervals(settings, f'{name}-cleared', title, unit, lambda r: r.outcomes[CLEARED])
+            _intervals(games, cleared, f'{name}-cleared', 'Mazes cleared', 'share of games')
         )
     return [*figures, _score_curves(games, f'{name}-curve')]
 
 
 def _intervals(
-    settings: Sequence[Setting],
-    name: str,
-    title: str,
-    unit: str,
-    value: Callable[[ComparisonRow], Interval],
+    games: GamesEvaluation, found: Sequence[Interval], name: str, title: str, unit: str
 ) -> str:
-    rows = settings[0].rows
+    """Draw an interval for each row of each setting, the settings beside one another."""
+    rows, settings = games.settings[0].rows, games.settings
     size = WIDTH, 1.2 + ROW_HEIGHT * len(rows)
     label = f'{title} by what plays, with 95 % intervals'
     with _chart(name, label, size, 'x', title=title, xlabel=f'{unit}, with 95 % interval') as work:
-        axes = work.axes
-        for index, setting in enumerate(settings):
-            found = [value(row) for row in setting.rows]
-            shift = 0.2 * (index - (len(settings) - 1) / 2)
-            heights = [row + shift for row in range(len(found))]
+        axes, ends = work.axes, np.array([(each.mean, each.low, each.high) for each in found])
+        for index, (setting, part) in enumerate(zip(settings, np.split(ends, len(settings)))):
+            heights = np.arange(len(rows)) + 0.2 * (index - (len(settings) - 1) / 2)
             style = _series(index)
-            low, high = [each.low for each in found], [each.high for each in found]
-            axes.hlines(heights, low, high, color=style['color'], lw=2.0)
-            means = [each.mean for each in found]
-            axes.plot(means, heights, ls='', ms=4.5, label=setting.name or None, **style)
+            axes.hlines(heights, part[:, 1], part[:, 2], color=style['color'], lw=2.0)
+            axes.plot(part[:, 0], heights, ls='', ms=4.5, label=setting.name or None, **style)
         for row, (one, other) in enumerate(pairwise(rows)):
             if one.kind != other.kind:
                 axes.axhline(row + 0.5, color=MUTED, lw=0.6, alpha=0.5)
@@ -373,30 +326,20 @@ def _score_curves(games: GamesEvaluation, name: str) -> str:
         'ylabel': 'mean score, with 95 % interval',
         'xscale': 'log',
     }
-    with _chart(
-        name, f'Mean score by planning seconds{where}', (WIDTH, 4.4), 'both', **names
-    ) as work:
+    label = f'Mean score by planning seconds{where}'
+    with _chart(name, label, (WIDTH, 4.4), 'both', **names) as work:
         axes = work.axes
         for index, curve in enumerate(games.curves):
             seconds, scores = [r.seconds for r in curve.rows], [r.score for r in curve.rows]
             style = _series(index)
-            low, high = [score.low for score in scores], [score.high for score in scores]
-            axes.fill_between(seconds, low, high, color=style['color'], alpha=0.2, lw=0)
+            _fill(axes, seconds, scores, style['color'])
             times = [f'{target:,.0f} {reached(curve, target)}' for target in games.targets]
             label = ': '.join([curve.name, ', '.join(times)] if times else [curve.name])
             axes.plot(seconds, [score.mean for score in scores], ms=4.5, label=label, **style)
         for target in games.targets:
             axes.axhline(target, color=MUTED, ls='--', lw=1.0)
-            axes.annotate(
-                f'{target:,.0f}',
-                (1.0, target),
-                xycoords=('axes fraction', 'data'),
-                xytext=(3, 0),
-                textcoords='offset points',
-                va='center',
-                size=8.5,
-                color=MUTED,
-            )
+            at = axes.get_yaxis_transform()
+            axes.text(1.01, target, f'{target:,.0f}', transform=at, va='center', color=MUTED)
         axes.xaxis.set_major_formatter(StrMethodFormatter('{x:g}'))
         axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         axes.xaxis.set_minor_locator(NullLocator())
