@@ -4,7 +4,7 @@ What ``humanopts bag info`` prints, found in one pass and shown as text and as J
 These are the facts about a bag: people, options, runs, plans, episodes and loss.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from datetime import datetime, UTC
 from functools import lru_cache, partial
@@ -43,6 +43,14 @@ _OF_TOPIC = ('name', 'type', 'messages', 'counted')
 _OF_STREAM = (
     *('topic', 'publisher', 'first', 'last', 'received'),
     *('missing', 'replaced', 'duplicates'),
+)
+_TAUGHT = (
+    *('participant', 'option', 'shown', 'not here', 'taken back'),
+    *('steps', 'seconds', 'criteria met'),
+)
+_CRITERIA = (
+    *('participant', 'option', 'criterion', 'target'),
+    *('first held after', 'at second', 'value', 'at the end'),
 )
 
 
@@ -89,15 +97,15 @@ class CriterionPoint:
     met: bool
 
 
-@dataclass(frozen=True)
+@dataclass
 class CriterionRow:
     """The values of one criterion of one option over time."""
 
     participant: str
     option: str
     criterion: str  # return, initiation or termination
-    threshold: float
-    points: tuple[CriterionPoint, ...]
+    threshold: float = 0.0
+    points: list[CriterionPoint] = field(default_factory=list)
 
     @property
     def first_met(self) -> CriterionPoint | None:
@@ -174,37 +182,27 @@ class BagInfo:
 
     def to_text(self) -> str:
         """Return the facts as text for a person."""
-        taught = ('participant', 'option', 'shown', 'not here', 'taken back')
+        told = [
+            (name.replace('_', ' '), NO_TEACHER if value == 'None' else value)
+            for name, value in sorted(self.facts.items())
+        ]
+        attached = [(file.name, file.data_size, file.media_type) for file in self.attached]
+        topics = [(topic.name, topic.messages, topic.type) for topic in self.topics]
+        taught = [
+            (
+                *(o.participant, o.option, o.demonstrations, o.not_here, o.withdrawn),
+                *(o.steps, round(o.seconds), 'yes' if o.criteria_met else 'no'),
+            )
+            for o in self.options
+        ]
         parts = [
             self._head(),
-            table(
-                ('recorded with', ''),
-                [
-                    (name.replace('_', ' '), NO_TEACHER if value == 'None' else value)
-                    for name, value in sorted(self.facts.items())
-                ],
-            ),
-            table(
-                ('attached file', 'bytes', 'type'),
-                [(file.name, file.data_size, file.media_type) for file in self.attached],
-            ),
-            table(
-                (*taught, 'steps', 'seconds', 'criteria met'),
-                [
-                    (
-                        *(row.participant, row.option),
-                        *(row.demonstrations, row.not_here, row.withdrawn),
-                        *(row.steps, f'{row.seconds:.0f}', 'yes' if row.criteria_met else 'no'),
-                    )
-                    for row in self.options
-                ],
-            ),
-            self._criteria(),
+            table(('recorded with', ''), told),
+            table(('attached file', 'bytes', 'type'), attached),
+            table(_TAUGHT, taught),
+            table(_CRITERIA, list(map(_criterion, self.criteria))),
             self._events(),
-            table(
-                ('topic', 'messages', 'type'),
-                [(topic.name, topic.messages, topic.type) for topic in self.topics],
-            ),
+            table(('topic', 'messages', 'type'), topics),
             self._loss(),
         ]
         return '\n\n'.join(part for part in parts if part)
@@ -226,30 +224,12 @@ class BagInfo:
         width = max(len(name) for name, _ in pairs)
         return '\n'.join(f'{name:{width}}  {value}' for name, value in pairs)
 
-    def _criteria(self) -> str:
-        """Return when each criterion held first, and its value then and at the end."""
-        rows = []
-        for row in self.criteria:
-            first = ('never', '-', '-')
-            if (met := row.first_met) is not None:
-                shown = f'{met.demonstrations} shown, {met.not_here} not here'
-                first = (shown, f'{met.seconds:.1f}', _measured(met))
-            named = (row.participant, row.option, row.criterion, row.threshold)
-            rows.append((*named, *first, _measured(row.points[-1])))
-        head = ('participant', 'option', 'criterion', 'target')
-        return table((*head, 'first held after', 'at second', 'value', 'at the end'), rows)
-
     def _events(self) -> str:
-        kinds = [
-            ('option runs', self.option_runs),
-            ('plans', self.plans),
-            ('policy runs', self.policy_runs),
-        ]
         lines = [f'episodes: {self.episodes}, {self.episodes_ended} recorded to their end']
-        for name, counts in kinds:
-            if counts:
+        for name in ('option_runs', 'plans', 'policy_runs'):
+            if counts := getattr(self, name):
                 each = ', '.join(f'{status} {count}' for status, count in sorted(counts.items()))
-                lines.append(f'{name}: {each}')
+                lines.append(f'{name.replace("_", " ")}: {each}')
         if self.policy_runs:
             lines.append(
                 f'in policy runs: {self.interruptions} options stopped by the plan, '
@@ -267,143 +247,139 @@ class BagInfo:
         )
 
 
-def _measured(point: CriterionPoint) -> str:
-    """Return the value of a criterion."""
-    return '-' if point.value is None else f'{point.value:.3g}'
+def _criterion(row: CriterionRow) -> tuple[object, ...]:
+    """Return when a criterion held first, and its value then and at the end, as ``_CRITERIA``."""
 
+    def measured(point: CriterionPoint) -> str:
+        return '-' if point.value is None else f'{point.value:.3g}'
 
-def summarise(bag: Bag) -> BagInfo:
-    """Read a bag once and return what it holds."""
-    return _Collector(bag).read(bag.topics)
+    first = ('never', '-', '-')
+    if (met := row.first_met) is not None:
+        shown = f'{met.demonstrations} shown, {met.not_here} not here'
+        first = (shown, f'{met.seconds:.1f}', measured(met))
+    named = (row.participant, row.option, row.criterion, row.threshold)
+    return (*named, *first, measured(row.points[-1]))
 
 
 def option_rows(bag: Bag) -> Sequence[OptionRow]:
     """Return the options that were taught."""
-    return _Collector(bag).read(bag.of_type(DEMONSTRATION) + bag.of_type(_STATUS)).options
+    return summarise(bag, bag.of_type(DEMONSTRATION) + bag.of_type(_STATUS)).options
 
 
-class _Collector:
-    """Collects what a bag holds, message by message."""
+def summarise(bag: Bag, topics: Collection[str] | None = None) -> BagInfo:
+    """
+    Read a bag once and return what it holds.
 
-    def __init__(self, bag: Bag) -> None:
-        self._info = info = BagInfo(str(bag.path))
-        self._bag = bag
-        self._counter = MessageCounter(bag)
-        self._games = EpisodeGrouping(bag)
-        self._demonstrations: list[Demonstration] = []
-        self._met: dict[tuple[str, str], bool] = {}  # all criteria, by participant and option
-        self._criteria: dict[tuple[str, str, str], CriterionRow] = {}
-        self._results = {
-            _OPTION_RESULT: info.option_runs,
-            PLAN_RESULT: info.plans,
-            _POLICY_RESULT: info.policy_runs,
-        }
-        self._handlers = {
-            DEMONSTRATION: self._demonstration,
-            DOMAIN_INFO: self._domain,
-            LESSON_STATE: self._lesson,
-            _STATUS: self._status,
-            **dict.fromkeys(self._results, self._result),
-        }
+    :param topics: that are read; None: all.
+    """
+    info, counter, games = BagInfo(str(bag.path)), MessageCounter(bag), EpisodeGrouping(bag)
+    demonstrations: list[Demonstration] = []
+    met: dict[tuple[str, str], bool] = {}  # all criteria, by participant and option
+    criteria: dict[tuple[str, str, str], CriterionRow] = {}
+    results = {
+        _OPTION_RESULT: info.option_runs,
+        PLAN_RESULT: info.plans,
+        _POLICY_RESULT: info.policy_runs,
+    }
 
-    def read(self, topics: Collection[str]) -> BagInfo:
-        """Read some topics, and return what they hold."""
-        bag, counter = self._bag, self._counter
-        for recorded in bag.messages(topics):
-            if not counter.add(recorded):
-                continue
-            if recorded.topic in self._games.topics:
-                self._episode(self._games.add(recorded))
-            if (handler := self._handlers.get(recorded.type)) is not None:
-                bag.convert(recorded.topic, recorded.data, partial(handler, recorded))
-        for group in self._games.unfinished():
-            self._episode(group)
-        taught: dict[tuple[str, str], list[Demonstration]] = {}
-        for demo in each_once(self._demonstrations):
-            taught.setdefault((demo.participant, demo.option_name), []).append(demo)
-        return replace(
-            self._info,
-            recording=bag.recording,
-            damage=bag.damage,
-            start=counter.extent.first if counter.extent.messages else 0,
-            duration=counter.extent.duration,
-            files=len(bag.files),
-            bytes=sum(file.stat().st_size for file in bag.files),
-            facts=bag.facts,
-            attached=list(bag.attachments.values()),
-            topics=[self._topic_row(topic) for topic in bag.topics.values()],
-            options=[self._option_row(*key, demos) for key, demos in taught.items()],
-            criteria=list(self._criteria.values()),
-            streams=list(counter.losses),
-        )
+    def episode(group: EpisodeMessages) -> None:
+        info.episodes += 1
+        info.episodes_ended += is_ended(bag, group)
 
-    def _topic_row(self, topic: Topic) -> TopicRow:
-        counter, loss = self._counter, tuple[int, ...]()
-        if topic.name in counter.stamped:
-            missing = [stream.missing for stream in counter.losses if stream.topic == topic.name]
-            loss = len(missing), sum(missing)
-        return TopicRow(topic.name, topic.type, counter.counts[topic.name], *loss)
-
-    def _option_row(self, participant: str, name: str, demos: list[Demonstration]) -> OptionRow:
-        kept = [demo for demo in demos if not demo.withdrawn]
-        shown = [demo for demo in kept if demo.kind is Kind.TRAJECTORY]
-        newest = max(kept or demos, key=lambda demo: demo.number)
-        return OptionRow(
-            participant=participant,
-            option=name,
-            sessions=tuple(dict.fromkeys(demo.session for demo in demos)),
-            features=newest.chosen_features,
-            demonstrations=len(shown),
-            not_here=len(kept) - len(shown),
-            withdrawn=len(demos) - len(kept),
-            steps=sum(len(demo.actions) for demo in shown),
-            seconds=math.fsum(demo.seconds for demo in kept if math.isfinite(demo.seconds)),
-            criteria_met=self._met.get((participant, name), False),
-        )
-
-    def _episode(self, group: EpisodeMessages | None) -> None:
-        """Count an episode that is over."""
-        if group is not None:
-            self._info.episodes += 1
-            self._info.episodes_ended += is_ended(self._bag, group)
-
-    def _demonstration(self, _: Recorded, message: Any) -> None:
-        self._demonstrations.append(demonstration_from_message(message))
-
-    def _domain(self, _: Recorded, message: Any) -> None:
-        played = f'{message.domain} {message.parameters}'
-        if played not in self._info.domains:
-            self._info.domains.append(played)
-
-    def _lesson(self, _: Recorded, message: Any) -> None:
-        opened = (message.participant, message.session)
-        if message.participant and opened not in self._info.open_sessions:
-            self._info.open_sessions.append(opened)
-
-    def _status(self, recorded: Recorded, message: Any) -> None:
+    def status(recorded: Recorded, message: Any) -> None:
         for option in message.options:
             taught = (option.participant, option.option_name)
-            self._met[taught] = option.criteria_met
+            met[taught] = option.criteria_met
             for criterion in option.criteria:
+                key = (*taught, criterion.name)
+                row = criteria.setdefault(key, CriterionRow(*key))
+                row.threshold, last = criterion.threshold, row.points[-1:]
                 point = CriterionPoint(
-                    (recorded.log_time - self._counter.extent.first) / 1e9,
+                    (recorded.log_time - counter.extent.first) / 1e9,
                     option.n_demonstrations,
                     option.n_not_here,
                     criterion.value if criterion.measurable else None,
                     criterion.met,
                 )
-                key = (*taught, criterion.name)
-                before = self._criteria.get(key, CriterionRow(*key, 0.0, ()))
-                points = before.points
-                if not points or replace(point, seconds=points[-1].seconds) != points[-1]:
-                    points = (*points, point)
-                self._criteria[key] = CriterionRow(*key, criterion.threshold, points)
+                if [replace(point, seconds=each.seconds) for each in last] != last or not last:
+                    row.points.append(point)
 
-    def _result(self, recorded: Recorded, message: Any) -> None:
-        names = _constants(self._bag.topics[recorded.topic].schema, 'STATUS_')
+    def result(recorded: Recorded, message: Any) -> None:
+        names = _constants(bag.topics[recorded.topic].schema, 'STATUS_')
         name = names.get(message.status, f'status {message.status}').lower()
-        counts = self._results[recorded.type]
+        counts = results[recorded.type]
         counts[name] = counts.get(name, 0) + 1
         if recorded.type == _POLICY_RESULT:  # older versions have no such fields
-            self._info.interruptions += getattr(message, 'interruptions', 0)
-            self._info.execution_changes += getattr(message, 'execution_changes', 0)
+            info.interruptions += getattr(message, 'interruptions', 0)
+            info.execution_changes += getattr(message, 'execution_changes', 0)
+
+    def lesson(_: Recorded, message: Any) -> None:
+        opened = (message.participant, message.session)
+        if message.participant and opened not in info.open_sessions:
+            info.open_sessions.append(opened)
+
+    def domain(_: Recorded, message: Any) -> None:
+        played = f'{message.domain} {message.parameters}'
+        if played not in info.domains:
+            info.domains.append(played)
+
+    handlers: dict[str, Callable[[Recorded, Any], None]] = {
+        DEMONSTRATION: lambda _, m: demonstrations.append(demonstration_from_message(m)),
+        DOMAIN_INFO: domain,
+        LESSON_STATE: lesson,
+        _STATUS: status,
+        **dict.fromkeys(results, result),
+    }
+    for recorded in bag.messages(topics):
+        if not counter.add(recorded):
+            continue
+        if recorded.topic in games.topics and (group := games.add(recorded)) is not None:
+            episode(group)
+        if (handler := handlers.get(recorded.type)) is not None:
+            bag.convert(recorded.topic, recorded.data, partial(handler, recorded))
+    for group in games.unfinished():
+        episode(group)
+    taught: dict[tuple[str, str], list[Demonstration]] = {}
+    for demo in each_once(demonstrations):
+        taught.setdefault((demo.participant, demo.option_name), []).append(demo)
+    return replace(
+        info,
+        recording=bag.recording,
+        damage=bag.damage,
+        start=counter.extent.first if counter.extent.messages else 0,
+        duration=counter.extent.duration,
+        files=len(bag.files),
+        bytes=sum(file.stat().st_size for file in bag.files),
+        facts=bag.facts,
+        attached=list(bag.attachments.values()),
+        topics=[_topic_row(topic, counter) for topic in bag.topics.values()],
+        options=[_option_row(demos, met.get(key, False)) for key, demos in taught.items()],
+        criteria=list(criteria.values()),
+        streams=list(counter.losses),
+    )
+
+
+def _topic_row(topic: Topic, counter: MessageCounter) -> TopicRow:
+    loss = tuple[int, ...]()
+    if topic.name in counter.stamped:
+        missing = [stream.missing for stream in counter.losses if stream.topic == topic.name]
+        loss = len(missing), sum(missing)
+    return TopicRow(topic.name, topic.type, counter.counts[topic.name], *loss)
+
+
+def _option_row(demos: Sequence[Demonstration], criteria_met: bool) -> OptionRow:
+    kept = [demo for demo in demos if not demo.withdrawn]
+    shown = [demo for demo in kept if demo.kind is Kind.TRAJECTORY]
+    newest = max(kept or demos, key=lambda demo: demo.number)
+    return OptionRow(
+        participant=newest.participant,
+        option=newest.option_name,
+        sessions=tuple(dict.fromkeys(demo.session for demo in demos)),
+        features=newest.chosen_features,
+        demonstrations=len(shown),
+        not_here=len(kept) - len(shown),
+        withdrawn=len(demos) - len(kept),
+        steps=sum(len(demo.actions) for demo in shown),
+        seconds=math.fsum(demo.seconds for demo in kept if math.isfinite(demo.seconds)),
+        criteria_met=criteria_met,
+    )

@@ -100,7 +100,7 @@ def learning_curves(points: Sequence[CurvePoint], name: str, option: str) -> lis
 
     @contextmanager
     def chart(part: str, title: str, unit: str, curves: _Curves) -> Iterator[Axes]:
-        axes_of = {'title': title, 'xlabel': 'demonstrations', 'ylabel': unit}
+        axes_of: dict[str, Any] = {'title': title, 'xlabel': 'demonstrations', 'ylabel': unit}
         with _chart(f'{name}-{part}', f'{title}: {option}', **axes_of) as work:
             _draw_curves(work.axes, curves)
             yield work.axes
