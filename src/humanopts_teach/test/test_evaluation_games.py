@@ -42,7 +42,7 @@ from humanopts_teach.evaluation.games import (
 from humanopts_teach.evaluation.measures import Settings
 from humanopts_teach.evaluation.text import games_text
 from humanopts_teach.report.episode import episode_strip, Frame, MOST_PICTURES
-from humanopts_teach.report.findings import findings, games_findings, reached
+from humanopts_teach.report.findings import findings, games_findings
 from humanopts_teach.report.pages import Finding
 from humanopts_teach.report.write import render_report, ReportData
 import numpy as np
@@ -340,7 +340,7 @@ def judged(games: GamesEvaluation, score: Interval, gain: NDArray[np.float64]) -
 
 def test_what_is_never_reached_is_said_to_be_so() -> None:
     one = curve('x', (1.0, 90.0), (2.0, 110.0))
-    assert (reached(one, 100.0), reached(one, 200.0)) == ('in 2.0 s', 'not reached in 2.0 s')
+    assert (one.reached(100.0), one.reached(200.0)) == ('in 2.0 s', 'not reached in 2.0 s')
 
 
 def test_the_report_shows_the_games_and_says_what_is_estimated(

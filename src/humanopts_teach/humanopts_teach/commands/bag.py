@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from humanopts_teach.terminal.device import Device
     from humanopts_teach.terminal.replay import Replay
 
-_PERIOD = 0.1  # s between two drawings of the same work
 _LONGEST_WAIT = 0.2  # s, until a window of another size is seen
 
 app = typer.Typer(**PLAIN, cls=CommandGroup, subcommand_metavar='COMMAND ...')
@@ -55,13 +54,10 @@ def progress_bar(lines: bool = False) -> Iterator[Callable[..., None]]:
     console = Console(stderr=True)
     with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task('reading', total=None)
-        shown, due, said = '', 0.0, set[str]()
+        said = set[str]()
 
         def show(done: float, total: float, text: str = 'reading') -> None:
-            nonlocal shown, due
-            if text != shown or time.monotonic() >= due:
-                shown, due = text, time.monotonic() + _PERIOD
-                progress.update(task, completed=done, total=total, description=text)
+            progress.update(task, completed=done, total=total, description=text)
             if lines and progress.disable and text not in said:
                 said.add(text)
                 print(f'{text} ({done / total:.0%})', file=sys.stderr, flush=True)

@@ -27,7 +27,7 @@ from humanopts_env.domains.registry import make_domain, parameters_json
 from humanopts_learner.intervals import Interval
 from humanopts_learner.options.option import LearnedOption, OptionError
 from humanopts_learner.planning.evaluate import Returns
-from humanopts_learner.planning.plan import Performance
+from humanopts_learner.planning.plan import judge_plan, Performance
 from humanopts_learner.planning.request import (
     Execution,
     GAME_STEPS,
@@ -123,29 +123,29 @@ def play_baseline(
     :param games: two or more.
     :raises PlanError: as ``make_sampled_plan``; or the domain has no rule written by hand.
     """
-    results: Returns | Scores
-    found: dict[str, Any] = {}
     if baseline.kind == PLAN:
-        plan = _make_plan(domain, baseline, seed)
-        results = plan.play(seed, games)
-        found = {
-            'game_steps': plan.game_steps,
-            'seconds': plan.seconds,
-            'n_states': len(plan.solution.values),
-        }
-    elif baseline.kind == RANDOM:
+        request = PlanRequest(
+            baseline.action_set,
+            gamma=baseline.gamma or 0.0,
+            game_steps=baseline.budget_steps,
+            seed=seed,
+            sampling=baseline.sampling,
+            execution=baseline.execution,
+        )
+        clock = time.process_time  # no other program's work makes it longer
+        plan = make_sampled_plan(domain, baseline.options, request, clock=clock)
+        return _plan_row(baseline, plan, judge_plan(plan, seed, games))
+    results: Returns | Scores
+    counts: dict[str, Any] = {}
+    if baseline.kind == RANDOM:
         actions = ActionSet(domain, baseline.action_set, baseline.options)
-        policy = UniformPolicy(actions)
-        results = play_games(actions, policy, domain.gamma, seed, games)
+        results = play_games(actions, UniformPolicy(actions), domain.gamma, seed, games)
+        counts['decisions'] = float(results.decisions.mean())
+        counts['fallbacks'] = float(results.fallbacks.mean())
     elif (play := baselines_of(domain).heuristic) is not None:
         results = play(games, seed, to_end=baseline.to_end)
     else:
         raise PlanError(f'{domain.name} has no rule that was written by hand')
-    if isinstance(results, Returns):
-        found |= {
-            'decisions': float(results.decisions.mean()),
-            'fallbacks': float(results.fallbacks.mean()),
-        }
     return ComparisonRow(
         name=baseline.name,
         kind=baseline.kind,
@@ -154,7 +154,7 @@ def play_baseline(
         score=Interval.of(results.total),
         scores=results.total,
         outcomes={name: Interval.of(values) for name, values in results.outcomes.items()},
-        **found,
+        **counts,
     )
 
 
@@ -162,36 +162,25 @@ def judged_plan(
     plan: SampledPlan, judged: Performance, seed: int
 ) -> tuple[PlayKey, ComparisonRow]:
     """Return what ``play_baseline`` would of a plan with the usual settings that was judged."""
-    options, games = plan.actions.options, judged.episodes
-    way = Baseline('', PLAN, plan.action_set, options, plan.game_steps)
-    row = ComparisonRow(
+    way = Baseline('', PLAN, plan.action_set, plan.actions.options, plan.game_steps)
+    return _key(plan.domain, way, seed, judged.episodes), _plan_row(way, plan, judged)
+
+
+def _plan_row(way: Baseline, plan: SampledPlan, judged: Performance) -> ComparisonRow:
+    return ComparisonRow(
         name=way.name,
         kind=way.kind,
-        options=tuple(option.name for option in options),
-        games=games,
+        options=tuple(option.name for option in way.options),
+        games=judged.episodes,
         score=judged.total,
         scores=judged.totals,
         outcomes=judged.outcomes,
-        decisions=judged.decisions / games,
-        fallbacks=judged.fallbacks / games,
+        decisions=judged.decisions / judged.episodes,
+        fallbacks=judged.fallbacks / judged.episodes,
         game_steps=plan.game_steps,
         seconds=plan.seconds,
         n_states=len(plan.solution.values),
     )
-    return _key(plan.domain, way, seed, games), row
-
-
-def _make_plan(domain: Domain[Any], baseline: Baseline, seed: int) -> SampledPlan:
-    request = PlanRequest(
-        baseline.action_set,
-        gamma=baseline.gamma or 0.0,
-        game_steps=baseline.budget_steps,
-        seed=seed,
-        sampling=baseline.sampling,
-        execution=baseline.execution,
-    )
-    clock = time.process_time  # no other program's work makes it longer
-    return make_sampled_plan(domain, baseline.options, request, clock=clock)
 
 
 @dataclass(frozen=True)
@@ -216,6 +205,13 @@ class Curve:
         """Return the planning seconds of the first plan that reached a score; None: none did."""
         return next((row.seconds for row in self.rows if row.score.low >= target), None)
 
+    def reached(self, target: float) -> str:
+        """Return the planning time until a score was reached, in words."""
+        seconds = self.seconds_to_reach(target)
+        if seconds is None:
+            return f'not reached in {max(row.seconds for row in self.rows):.1f} s'
+        return f'in {seconds:.1f} s'
+
     def times_as_long(self, other: 'Curve', target: float) -> Interval | None:
         """
         Return how many times as long as the other this takes to reach a score; None: it cannot.
@@ -228,22 +224,14 @@ class Curve:
         if quick is None:
             return None
         short, long = self._too_short(target), other._too_short(target)
-        reached = math.inf if slow is None else slow
-        return Interval(
-            (self.most_seconds if slow is None else slow) / quick,
-            short / quick,
-            reached / long if long else math.inf,
-        )
+        least = max(row.seconds for row in self.rows) if slow is None else slow
+        most = slow / long if slow is not None and long else math.inf
+        return Interval(least / quick, short / quick, most)
 
     def _too_short(self, target: float) -> float:
         """Return the planning seconds of the longest plan that scores below for certain, or 0."""
         low = (row.seconds for row in self.rows if row.score.at_least(target) is False)
         return max(low, default=0.0)
-
-    @property
-    def most_seconds(self) -> float:
-        """Planning seconds of the longest plan that was tried."""
-        return max(row.seconds for row in self.rows)
 
 
 def planning_curve(
@@ -493,29 +481,26 @@ def every_baseline(domain: Domain[Any], options: Options, steps: int) -> list[Ba
     usual = baselines_of(domain)
     moved = [carried_over(option, domain) for option in options]
     sets = option_sets(moved, usual.fewer_options)
-    every = _counted(options)
     fold = f'{GENEROUS}-fold steps'
+    many = f'{_counted(options)}, interrupted, {fold}'
+    mixture = usual.interrupted_mixture
     found = [_planned(f'human, {name}', HUMAN, chosen, steps) for name, chosen in sets.items()]
-    for name, action_set, chosen, budget, settings in (
+    interrupted: list[tuple[str, str, Options, int, PlanSettings | None]] = [
         *(
             (f'human, {name}, interrupted', HUMAN, chosen, steps, usual.interrupted)
             for name, chosen in sets.items()
         ),
-        *(
-            (f'{words}, {every}, interrupted, {fold}', each, moved, GENEROUS * steps, its)
-            for words, each, its in (
-                ('human', HUMAN, usual.interrupted),
-                ('human+primitive', HUMAN_AND_PRIMITIVE, usual.interrupted_mixture),
-            )
-        ),
-    ):
-        if settings is not None:
-            plan = _planned(name, action_set, chosen, budget, settings)
-            found.append(replace(plan, execution=Execution.INTERRUPTED))
-    many = f'primitive, {fold}'
+        (f'human, {many}', HUMAN, moved, GENEROUS * steps, usual.interrupted),
+        (f'human+primitive, {many}', HUMAN_AND_PRIMITIVE, moved, GENEROUS * steps, mixture),
+    ]
+    found += [
+        replace(_planned(*plan), execution=Execution.INTERRUPTED)
+        for plan in interrupted
+        if plan[-1] is not None
+    ]
     found += [
         _planned('primitive', PRIMITIVE, (), steps, usual.primitive),
-        _planned(many, PRIMITIVE, (), GENEROUS * steps, usual.primitive),
+        _planned(f'primitive, {fold}', PRIMITIVE, (), GENEROUS * steps, usual.primitive),
         Baseline('random moves', RANDOM, PRIMITIVE),
     ]
     found += [

@@ -69,15 +69,7 @@ def games_text(games: GamesEvaluation) -> list[str]:
         gain = f'{setting.largest(PLAN).name} less {setting.largest(RANDOM).name}, game by game'
         lines += ['', *table(head, rows), f'{gain}: {interval(setting.gain, 0)}']
     for target in games.targets:
-        reached = [
-            f'{curve.name} '
-            + (
-                f'not reached in {curve.most_seconds:.1f} s'
-                if (seconds := curve.seconds_to_reach(target)) is None
-                else f'{seconds:.1f} s'
-            )
-            for curve in games.curves
-        ]
+        reached = [f'{curve.name} {curve.reached(target)}' for curve in games.curves]
         lines.append(f'planning to a score of {target:.0f}: {", ".join(reached)}')
     return lines
 

@@ -71,7 +71,7 @@ def write_dataset(bag: Bag, out: Path) -> tuple[str, int]:
         f'Recorded episodes of {domain.name}. Begin each with '
         'env.reset(options=dataset.storage.get_episode_metadata([id])["options"]).'
     )
-    os.environ[FOLDER] = str(out)
+    os.environ[FOLDER] = os.path.abspath(out)  # Minari cannot write in a relative one
     with warnings.catch_warnings():
         warnings.simplefilter('ignore', UserWarning)  # that no author is named, and the like
         try:

@@ -16,7 +16,7 @@ SIDES = ((0, 1), (1, 0))  # (row, column) steps to the neighbours looked at: eas
 MOST_MARKED = 24  # rows or columns up to which every cell shows what is chosen there
 MOST_VECTOR_CELLS = 900  # boards of more cells are drawn as a bitmap
 COLORS = 'cividis'
-ARROW = {'arrowstyle': '->', 'lw': 1.5, 'shrinkA': 0, 'shrinkB': 0}
+ARROW: dict[str, Any] = {'angles': 'xy', 'scale_units': 'xy', 'scale': 1, 'pivot': 'mid'}
 LETTERS = string.ascii_uppercase + string.ascii_lowercase
 
 
@@ -151,14 +151,12 @@ def draw_heat(
 
 def _draw_walls(work: Drawing, board: Board) -> None:
     """Draw the walls and the edge of a board, cell (row, col) at (col, row)."""
-    east, south = board.walls
-    shown = board.states >= 0
-    lines = [((c + 0.5, c + 0.5), (r - 0.5, r + 0.5)) for r, c in np.argwhere(east)]
-    lines += [((c - 0.5, c + 0.5), (r + 0.5, r + 0.5)) for r, c in np.argwhere(south)]
-    lines += [((-0.5, -0.5), (r - 0.5, r + 0.5)) for r in np.flatnonzero(shown[:, 0])]
-    lines += [((c - 0.5, c + 0.5), (-0.5, -0.5)) for c in np.flatnonzero(shown[0])]
-    for x, y in lines:
-        work.axes.plot(x, y, color=INK, lw=2.2, solid_capstyle='round', clip_on=False)
+    shown, (east, south) = board.states >= 0, board.walls
+    style: dict[str, Any] = {'color': INK, 'lw': 2.2, 'capstyle': 'round', 'clip_on': False}
+    row, col = np.nonzero(np.hstack([shown[:, :1], east])) - np.array([[0.5], [0.5]])
+    work.axes.vlines(col, row, row + 1, **style)
+    row, col = np.nonzero(np.vstack([shown[:1], south])) - np.array([[0.5], [0.5]])
+    work.axes.hlines(row, col, col + 1, **style)
 
 
 def _draw_choices(work: Drawing, board: Board, plan: ExactPlan, scale: Normalize) -> list[int]:
@@ -179,14 +177,8 @@ def _draw_choices(work: Drawing, board: Board, plan: ExactPlan, scale: Normalize
             at = (col - 0.44, row - 0.44)
             work.axes.text(*at, _letter(chosen), ha='left', va='top', **style)
         if action in board.moves:
-            down, right = board.moves[action]
-            length = 0.28 / max(abs(down), abs(right))
-            work.axes.annotate(
-                '',
-                xy=(col + length * right, row + length * down),
-                xytext=(col - length * right, row - length * down),
-                arrowprops={**ARROW, 'color': ink},
-            )
+            arrow = 0.56 * np.array(board.moves[action][::-1]) / np.abs(board.moves[action]).max()
+            work.axes.quiver(col, row, *arrow, color=ink, **ARROW)
         else:
             name, at = plan.domain.actions[action].name, (col, row + 0.08)
             work.axes.text(*at, name, ha='center', va='center', weight='bold', **style)

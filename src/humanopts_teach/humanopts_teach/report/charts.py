@@ -18,7 +18,6 @@ from humanopts_teach.evaluation.bag_evaluation import CurvePoint
 from humanopts_teach.evaluation.games import GamesEvaluation
 from humanopts_teach.evaluation.measures import PlanningRow
 from humanopts_teach.report.figures import Drawing, drawing, MUTED, SERIES
-from humanopts_teach.report.findings import reached
 from humanopts_teach.report.pages import number
 from matplotlib.axes import Axes
 from matplotlib.ticker import (
@@ -333,7 +332,7 @@ def _score_curves(games: GamesEvaluation, name: str) -> str:
             seconds, scores = [r.seconds for r in curve.rows], [r.score for r in curve.rows]
             style = _series(index)
             _fill(axes, seconds, scores, style['color'])
-            times = [f'{target:,.0f} {reached(curve, target)}' for target in games.targets]
+            times = [f'{target:,.0f} {curve.reached(target)}' for target in games.targets]
             label = ': '.join([curve.name, ', '.join(times)] if times else [curve.name])
             axes.plot(seconds, [score.mean for score in scores], ms=4.5, label=label, **style)
         for target in games.targets:

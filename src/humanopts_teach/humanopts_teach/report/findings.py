@@ -198,14 +198,6 @@ def _offline(live: Live, evaluation: BagEvaluation) -> Finding:
     )
 
 
-def reached(curve: Curve, target: float) -> str:
-    """Return the planning time until a score was reached."""
-    seconds = curve.seconds_to_reach(target)
-    if seconds is None:
-        return f'not reached in {curve.most_seconds:.1f} s'
-    return f'in {seconds:.1f} s'
-
-
 def games_findings(games: GamesEvaluation) -> Iterator[Finding]:
     """Yield the findings of a comparison in games."""
     for setting in games.settings:
@@ -263,7 +255,7 @@ def _time(curves: Sequence[Curve], target: float) -> Finding:
     """Judge whether options reached a score in a tenth of the time of primitive actions."""
     options, primitive = curves
     times = primitive.times_as_long(options, target)
-    both = ', '.join(f'with {curve.name} {reached(curve, target)}' for curve in curves)
+    both = ', '.join(f'with {curve.name} {curve.reached(target)}' for curve in curves)
     text = f'Planning to a score of {target:,.0f} (the whole interval above it): {both}'
     if times is None:
         missed = options.rows[-1].score.at_least(target) is False
