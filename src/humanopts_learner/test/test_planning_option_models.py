@@ -1,10 +1,13 @@
 """Exact option models against runs taken step by step, dense algebra and answers by hand."""
 
 from humanopts_env.domains.base import Transitions
+from humanopts_learner.options.option import TabularOption
 from humanopts_learner.planning.option_models import (
-    DeterministicModeller,
-    option_modeller,
-    StochasticModeller,
+    deterministic_model,
+    model_option,
+    OptionModel,
+    SparseOptionModel,
+    stochastic_model,
 )
 from humanopts_learner.planning.request import PlanError
 from hypothesis import given, settings
@@ -35,6 +38,11 @@ def chain(length: int, last: int | None = None) -> Transitions:
     successor = np.minimum(np.arange(1, length + 1), length - 1)
     successor[-1] = length - 1 if last is None else last
     return table(successor[:, None], -np.ones((length, 1)), np.zeros((length, 1), dtype=np.bool_))
+
+
+def option(action: NDArray[np.integer], termination: Flags, max_steps: int) -> TabularOption:
+    """Return an option that can start everywhere."""
+    return TabularOption('o', max_steps, action, np.ones_like(termination), termination)
 
 
 def run_by_steps(
@@ -84,12 +92,11 @@ def test_models_equal_runs_taken_step_by_step(
     )
     over, termination, starts = (rng.random((3, n_states)) < [[ending], [ending], [0.5]])[:]
     action = rng.integers(0, n_actions, n_states)
-    found = DeterministicModeller(rules, over, gamma).model(
-        action, termination, max_steps, starts if some else None
-    )
-    assert set(np.flatnonzero(starts) if some else range(n_states)) <= set(found.states)
+    starts |= not some
+    found = deterministic_model(rules, over, gamma, option(action, termination, max_steps), starts)
+    assert set(np.flatnonzero(starts)) <= set(found.states)
     for row, state in enumerate(found.states):
-        if some and not starts[state]:
+        if not starts[state]:
             continue
         reward, successor, discount, reached = run_by_steps(
             rules, over, gamma, action, termination, max_steps, int(state)
@@ -105,7 +112,8 @@ def test_a_run_is_cut_off_at_max_steps_where_it_is(max_steps: int) -> None:
     rules, never = chain(100), np.zeros(100, dtype=np.bool_)
     termination = np.arange(100) == 64
     action = np.zeros(100, dtype=np.intp)
-    found = DeterministicModeller(rules, never, 0.9).model(action, termination, max_steps)
+    walk = option(action, termination, max_steps)
+    found = deterministic_model(rules, never, 0.9, walk, ~never)
     assert found.successor[0] == min(max_steps, 64)
     assert found.discount[0] == pytest.approx(0.9 ** min(max_steps, 64))
     assert found.cut_off[0] == (max_steps < 64)
@@ -113,9 +121,8 @@ def test_a_run_is_cut_off_at_max_steps_where_it_is(max_steps: int) -> None:
 
 def test_a_circle_is_not_valued_as_if_it_reached_its_end() -> None:
     rules, never = chain(3, last=0), np.zeros(3, dtype=np.bool_)
-    found = DeterministicModeller(rules, never, 0.9).model(
-        np.zeros(3, dtype=np.intp), np.zeros(3, dtype=np.bool_), max_steps=7
-    )
+    walk = option(np.zeros(3, dtype=np.intp), never, max_steps=7)
+    found = deterministic_model(rules, never, 0.9, walk, ~never)
     assert found.cut_off.all()
     assert found.successor.tolist() == [1, 2, 0]  # 7 steps of 3
     assert found.discount == pytest.approx(0.9**7)
@@ -167,11 +174,10 @@ def test_models_equal_those_of_dense_algebra(
     rules, over = random_rules(rng, n_states, 2, outcomes, ending)
     termination, starts = rng.random((2, n_states)) < [[ending], [0.5]]
     action = rng.integers(0, 2, n_states)
-    found = StochasticModeller(rules, over, gamma).model(
-        action, termination, max_steps, starts if some else None
-    )
+    starts |= not some
+    found = stochastic_model(rules, over, gamma, option(action, termination, max_steps), starts)
     reward, successor, running = dense_model(rules, termination | over, gamma, action, max_steps)
-    assert set(np.flatnonzero(starts) if some else range(n_states)) <= set(found.states)
+    assert set(np.flatnonzero(starts)) <= set(found.states)
     scale = 1 + np.abs(reward).max()
     assert found.reward / scale == pytest.approx(reward[found.states] / scale, abs=1e-10)
     assert found.successor.toarray() == pytest.approx(successor[found.states], abs=1e-10)
@@ -192,22 +198,21 @@ def coin() -> Transitions:
 @pytest.mark.parametrize(('max_steps', 'cut_off'), [(1, 0.5), (2, 0.25), (5, 1 / 32), (100, 0.0)])
 def test_throwing_until_heads_is_cut_off_at_max_steps(max_steps: int, cut_off: float) -> None:
     never, heads = np.zeros(2, dtype=np.bool_), np.array([False, True])
-    found = StochasticModeller(coin(), never, 1.0).model(np.zeros(2, np.intp), heads, max_steps)
+    throw = option(np.zeros(2, np.intp), heads, max_steps)
+    found = stochastic_model(coin(), never, 1.0, throw, ~never)
     assert found.reward[0] == pytest.approx(-2 * (1 - 0.5**max_steps))
     assert found.successor.toarray()[0] == pytest.approx([cut_off, 1 - cut_off])
     assert found.cut_off_probability[0] == pytest.approx(cut_off)
 
 
-@pytest.mark.parametrize('modeller', [DeterministicModeller, StochasticModeller])
-def test_options_of_no_steps_are_refused(
-    modeller: type[DeterministicModeller] | type[StochasticModeller],
-) -> None:
-    rules, never = chain(3), np.zeros(3, dtype=np.bool_)
+def test_options_of_no_steps_are_refused() -> None:
+    never = np.zeros(3, dtype=np.bool_)
     with pytest.raises(PlanError, match='max_steps is 0'):
-        modeller(rules, never, 0.9).model(np.zeros(3, dtype=np.intp), never, 0)
+        model_option(chain(3), never, 0.9, option(np.zeros(3, np.intp), never, 0), ~never)
 
 
-def test_each_domain_gets_the_modeller_that_fits() -> None:
+def test_each_domain_gets_the_model_that_fits() -> None:
     never = np.zeros(2, dtype=np.bool_)
-    assert isinstance(option_modeller(chain(2), never, 0.9), DeterministicModeller)
-    assert isinstance(option_modeller(coin(), never, 0.9), StochasticModeller)
+    asked = never, 0.9, option(np.zeros(2, np.intp), never, 1), ~never
+    assert isinstance(model_option(chain(2), *asked), OptionModel)
+    assert isinstance(model_option(coin(), *asked), SparseOptionModel)

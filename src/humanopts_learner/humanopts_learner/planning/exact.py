@@ -10,7 +10,7 @@ from humanopts_env.arrays import Flags, Ints
 from humanopts_env.domains.base import EnumerableDomain
 from humanopts_learner.demonstrations import PRIMITIVE_PREFIX
 from humanopts_learner.options.option import LearnedOption, TabularOption, tabulate
-from humanopts_learner.planning.option_models import option_modeller, OptionModel
+from humanopts_learner.planning.option_models import model_option, OptionModel
 from humanopts_learner.planning.request import (
     Clock,
     ignore_progress,
@@ -237,16 +237,15 @@ def _option_models(
 ) -> Model:
     """Return the model of options alone, sparse where the domain has chance."""
     over, shape = domain.over(), (len(options), domain.n_states)
-    modeller = option_modeller(domain.transitions(), over, gamma)
+    rules = domain.transitions()
     reward, available = np.zeros(shape), np.empty(shape, dtype=np.bool_)
-    deterministic = domain.transitions().deterministic
-    discount = np.zeros(shape if deterministic else 0)
+    discount = np.zeros(shape if rules.deterministic else 0)
     successor = np.zeros(discount.shape, dtype=np.int32)
     rows = []
     for o, option in enumerate(options):
         progress('models', o / (1 + len(options)), 0, math.nan)
         np.greater(option.initiation, over, out=available[o])
-        found = modeller.model(option.action, option.termination, option.max_steps, available[o])
+        found = model_option(rules, over, gamma, option, available[o])
         reward[o, found.states] = found.reward
         if isinstance(found, OptionModel):
             discount[o, found.states] = found.discount
@@ -257,6 +256,6 @@ def _option_models(
             place = csr_array((np.ones(len(asked)), at), (len(over), len(found.states)))
             rows.append(place @ found.successor)
     names = tuple(option.name for option in options)
-    if deterministic:
+    if rules.deterministic:
         return MultiTimeModel(names, reward.T, available.T, successor.T, discount.T)
     return SparseMultiTimeModel(names, reward.T, available.T, vstack(rows, format='csr'))

@@ -20,7 +20,7 @@ from humanopts_env.arrays import Flags, Floats, Ints
 from humanopts_env.domains.base import Transitions
 from humanopts_learner.options.option import TabularOption
 from humanopts_learner.planning.exact import build_model, ExactPlan, option_table
-from humanopts_learner.planning.option_models import option_modeller, visited
+from humanopts_learner.planning.option_models import model_option, visited
 from humanopts_learner.planning.request import Execution, PlanError
 from humanopts_learner.planning.smdp import look_ahead
 import numpy as np
@@ -211,9 +211,7 @@ def _continuation_values(plan: ExactPlan, option: TabularOption) -> Floats:
     """Return the value of running an option from each state, (S,), started there or not."""
     domain, values = plan.domain, plan.solution.values
     rules, over = domain.transitions(), domain.over()
-    model = option_modeller(rules, over, plan.gamma).model(
-        option.action, option.termination, option.max_steps
-    )
+    model = model_option(rules, over, plan.gamma, option, np.ones_like(over))
     worth = model.values(values)
     late = model.cut_off & option.initiation & ~over
     if late.any():

@@ -22,6 +22,7 @@ from dataclasses import dataclass
 
 from humanopts_env.arrays import Flags, Floats, Ints
 from humanopts_env.domains.base import Transitions
+from humanopts_learner.options.option import TabularOption
 from humanopts_learner.planning.request import PlanError
 from humanopts_learner.planning.smdp import Rows
 import numpy as np
@@ -68,97 +69,64 @@ class SparseOptionModel:
         return worth
 
 
-@dataclass(frozen=True)
-class DeterministicModeller:
-    """Models the options of one domain in which every action has one outcome."""
+def model_option(
+    rules: Transitions, over: Flags, gamma: float, option: TabularOption, starts: Flags
+) -> OptionModel | SparseOptionModel:
+    """
+    Run an option from many states, as execution does.
 
-    transitions: Transitions
-    over: Flags  # (S,) states where the task is over
-    gamma: float
+    It ends where the termination condition holds, which is looked at only after a step; where the
+    task is over; or after ``max_steps``, at the state where it is.
 
-    def model(
-        self,
-        action: NDArray[np.integer],
-        termination: Flags,
-        max_steps: int,
-        starts: Flags | None = None,
-    ) -> OptionModel:
-        """
-        Run an option from many states, as execution does.
+    :param over: (S,) states where the task is over.
+    :param option: its action must be defined wherever it can come.
+    :param starts: (S,) states from which the answer is needed.
+    :return: an ``OptionModel`` where every action of the domain has one outcome.
+    :raises PlanError: max_steps is below 1.
+    """
+    if option.max_steps < 1:
+        raise PlanError(f'max_steps is {option.max_steps}, and must be 1 or more')
+    kind = deterministic_model if rules.deterministic else stochastic_model
+    return kind(rules, over, gamma, option, starts)
 
-        It ends where the termination condition holds, which is looked at only after a step; where
-        the task is over; or after ``max_steps``, at the state where it is.
 
-        A step that ends the option leads from a row of the table that is made absorbing, so n
-        moves are a product of binary powers of one table; the step itself is taken at the end.
+def deterministic_model(
+    rules: Transitions, over: Flags, gamma: float, option: TabularOption, starts: Flags
+) -> OptionModel:
+    """
+    Return the model of an option where every action has one outcome; as ``model_option``.
 
-        :param action: (S,) what it does; defined wherever it can come.
-        :param termination: (S,).
-        :param max_steps: 1 or more.
-        :param starts: (S,) states from which the answer is needed; None: all.
-        :raises PlanError: max_steps is below 1.
-        """
-        _check_max_steps(max_steps)
-        policy = self._policy(action, termination | self.over, starts)
-        walk = self._walk(policy, max_steps - 1, starts)
-        return self._last_step(policy, walk)
-
-    def _policy(
-        self, action: NDArray[np.integer], ends: Flags, starts: Flags | None
-    ) -> '_PolicyTable':
-        """Tabulate one step from the starts if no run leaves them, or else from all states."""
-        states = np.arange(len(ends)) if starts is None else np.flatnonzero(starts)
-        rules = self.transitions
+    A step that ends the option leads from a row of the table that is made absorbing, so n moves
+    are a product of binary powers of one table; the last step is taken at the end.
+    """
+    ends = option.termination | over
+    for states in (np.flatnonzero(starts), np.arange(len(ends))):  # all where runs leave those
         pair = states * rules.successor.shape[1]
-        pair += action[states]
+        pair += option.action[states]
         successor = rules.successor.ravel()[pair].astype(np.intp)
-        terminated = rules.terminated.ravel()[pair]
+        reward, terminated = rules.reward.ravel()[pair], rules.terminated.ravel()[pair]
         last = ends[successor]
         last |= terminated
-        if starts is not None and not (last | starts[successor]).all():
-            return self._policy(action, ends, None)
-        return _PolicyTable(states, successor, rules.reward.ravel()[pair], terminated, last)
-
-    def _walk(self, policy: '_PolicyTable', steps: int, starts: Flags | None) -> '_Walk':
-        """Move ``steps`` times from every row, but stay before a step that would be the last."""
-        last = policy.last
-        here = np.arange(len(last))
-        if steps == 0:
-            return _Walk(here, np.zeros(len(last)), np.ones(len(last)))
-        row_of = np.zeros(len(self.over), dtype=np.intp)
-        row_of[policy.states] = here
-        one = _Walk(
-            np.where(last, here, row_of[policy.successor]),
-            np.where(last, 0.0, policy.reward),
-            np.where(last, 1.0, self.gamma),
-        )
-        wanted = None if starts is None else starts[policy.states]
+        if (last | starts[successor]).all():
+            break
+    row_of = np.zeros(len(ends), dtype=np.intp)
+    row_of[states] = here = np.arange(len(states))
+    one = _Walk(
+        np.where(last, here, row_of[successor]),
+        np.where(last, 0.0, reward),
+        np.where(last, 1.0, gamma),
+    )
+    steps, wanted = option.max_steps - 1, starts[states]
+    walk = _Walk(here, np.zeros(len(last)), np.ones(len(last)))
+    if steps:
         highest = 1 << (steps.bit_length() - 1)
         walk = _power(one, highest, last, wanted)
         if highest < steps and not _all_stay(walk, last, wanted):
             walk.append(_power(one, steps - highest, last, wanted))
-        return walk
-
-    def _last_step(self, policy: '_PolicyTable', walk: '_Walk') -> OptionModel:
-        """Take the step that ends the option, or the last that ``max_steps`` allows."""
-        end = walk.row
-        walk.reward += walk.discount * policy.reward[end]
-        walk.discount *= self.gamma
-        walk.discount[policy.terminated[end]] = 0.0
-        return OptionModel(
-            policy.states, walk.reward, policy.successor[end], walk.discount, ~policy.last[end]
-        )
-
-
-@dataclass(frozen=True)
-class _PolicyTable:
-    """One step of an option from each of n states."""
-
-    states: Ints  # (n,) in ascending order
-    successor: Ints  # (n,) states
-    reward: Floats  # (n,)
-    terminated: Flags  # (n,)
-    last: Flags  # (n,) the step ends the option
+    walk.reward += walk.discount * reward[walk.row]
+    walk.discount *= gamma
+    walk.discount[terminated[walk.row]] = 0.0
+    return OptionModel(states, walk.reward, successor[walk.row], walk.discount, ~last[walk.row])
 
 
 @dataclass
@@ -178,7 +146,7 @@ class _Walk:
         self.row = then.row.take(self.row)
 
 
-def _power(one: _Walk, steps: int, last: Flags, wanted: Flags | None) -> _Walk:
+def _power(one: _Walk, steps: int, last: Flags, wanted: Flags) -> _Walk:
     """Return ``steps`` moves (1 or more), or fewer where more would change nothing."""
     walk = _Walk(one.row, one.reward.copy(), one.discount.copy())
     for bit in bin(steps)[3:]:  # the highest bit is ``one`` itself
@@ -190,63 +158,44 @@ def _power(one: _Walk, steps: int, last: Flags, wanted: Flags | None) -> _Walk:
     return walk
 
 
-def _all_stay(walk: _Walk, last: Flags, wanted: Flags | None) -> bool:
-    stays = last[walk.row]
-    return bool(stays.all() if wanted is None else (stays | ~wanted).all())
+def _all_stay(walk: _Walk, last: Flags, wanted: Flags) -> bool:
+    return bool((last[walk.row] | ~wanted).all())
 
 
-@dataclass(frozen=True)
-class StochasticModeller:
-    """Models the options of one domain, with chance or without; as ``DeterministicModeller``."""
+def stochastic_model(
+    rules: Transitions, over: Flags, gamma: float, option: TabularOption, starts: Flags
+) -> SparseOptionModel:
+    """Return the model of an option, with chance or without; as ``model_option``."""
+    ends = option.termination | over
+    states = visited(rules, option.action, ends, starts)
+    at = states, option.action[states]
+    successor, probability = rules.successor[at], rules.probability[at]  # (n, B)
+    terminated = rules.terminated[at]
+    last = ends[successor] | terminated
+    row_of = np.zeros(len(ends), dtype=np.intp)
+    row_of[states] = np.arange(len(states))
 
-    transitions: Transitions
-    over: Flags
-    gamma: float
+    def rows(kept: Flags, columns: NDArray[np.integer], width: int) -> Rows:
+        data = np.where(kept, gamma * probability, 0.0).ravel()
+        pointers = np.arange(0, data.size + 1, probability.shape[1])
+        found = csr_array((data, columns.ravel(), pointers), shape=(len(states), width))
+        found.sum_duplicates()
+        found.eliminate_zeros()
+        return found
 
-    def model(
-        self,
-        action: NDArray[np.integer],
-        termination: Flags,
-        max_steps: int,
-        starts: Flags | None = None,
-    ) -> SparseOptionModel:
-        """Run an option from many states; parameters and errors as ``DeterministicModeller``."""
-        _check_max_steps(max_steps)
-        step = self._step(action, termination | self.over, starts)
-        reward, running = _rewards(step, max_steps)
-        successor = _unlimited_successors(step)
-        late = running > NEGLIGIBLE
-        if late.any():
-            successor = _limited_successors(step, successor, late, max_steps)
-        return SparseOptionModel(step.states, reward, successor, np.where(late, running, 0.0))
-
-    def _step(
-        self, action: NDArray[np.integer], ends: Flags, starts: Flags | None
-    ) -> '_StochasticStep':
-        rules = self.transitions
-        states = np.arange(len(ends)) if starts is None else visited(rules, action, ends, starts)
-        at = states, action[states]
-        successor, probability = rules.successor[at], rules.probability[at]  # (n, B)
-        over = rules.terminated[at]
-        last = ends[successor] | over
-        row_of = np.zeros(len(ends), dtype=np.intp)
-        row_of[states] = np.arange(len(states))
-
-        def rows(kept: Flags, columns: NDArray[np.integer], width: int) -> Rows:
-            data = np.where(kept, self.gamma * probability, 0.0).ravel()
-            pointers = np.arange(0, data.size + 1, probability.shape[1])
-            found = csr_array((data, columns.ravel(), pointers), shape=(len(states), width))
-            found.sum_duplicates()
-            found.eliminate_zeros()
-            return found
-
-        return _StochasticStep(
-            states,
-            (probability * rules.reward[at]).sum(axis=1),
-            rows(~last, row_of[successor], len(states)),
-            rows(last & ~over, successor, len(ends)),
-            (last & (probability > 0)).any(axis=1),
-        )
+    step = _StochasticStep(
+        states,
+        (probability * rules.reward[at]).sum(axis=1),
+        rows(~last, row_of[successor], len(states)),
+        rows(last & ~terminated, successor, len(ends)),
+        (last & (probability > 0)).any(axis=1),
+    )
+    expected, running = _rewards(step, option.max_steps)
+    ending = _unlimited_successors(step)
+    late = running > NEGLIGIBLE
+    if late.any():
+        ending = _limited_successors(step, ending, late, option.max_steps)
+    return SparseOptionModel(states, expected, ending, np.where(late, running, 0.0))
 
 
 @dataclass(frozen=True)
@@ -258,14 +207,6 @@ class _StochasticStep:
     on: Rows  # (n, n) discounted probability of going on: M
     end: Rows  # (n, S) discounted probability of ending with the task not over: E
     may_end: Flags  # (n,) the option may end with this step, the task over or not
-
-
-def option_modeller(
-    transitions: Transitions, over: Flags, gamma: float
-) -> DeterministicModeller | StochasticModeller:
-    """Return the modeller that fits a domain; parameters and errors as there."""
-    kind = DeterministicModeller if transitions.deterministic else StochasticModeller
-    return kind(transitions, over, gamma)
 
 
 def visited(
@@ -281,11 +222,6 @@ def visited(
         fresh = reached[~ends[reached] & ~found[reached]]
         found[fresh] = True
     return np.flatnonzero(found)
-
-
-def _check_max_steps(max_steps: int) -> None:
-    if max_steps < 1:
-        raise PlanError(f'max_steps is {max_steps}, and must be 1 or more')
 
 
 def _rewards(step: _StochasticStep, max_steps: int) -> tuple[Floats, Floats]:
