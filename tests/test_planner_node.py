@@ -11,8 +11,7 @@ from graph_support.scripted import FETCH, taught, TAXI
 from humanopts_env.ros.convert import domain_to_info
 from humanopts_interfaces.action import Plan, RunPolicy
 from humanopts_interfaces.msg import DomainInfo, NodeStatus, PlanResult, PolicyResult
-from humanopts_learner.planning.coverage import find_coverage
-from humanopts_learner.planning.evaluate import episode_starts, play
+from humanopts_learner.planning.evaluate import episode_starts, find_coverage, play
 from humanopts_learner.planning.plan import judge_plan, make_plan
 from humanopts_learner.planning.request import PlanRequest
 from humanopts_ros.qos import LATCHED, LATCHED_ALL

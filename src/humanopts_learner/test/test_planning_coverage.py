@@ -6,7 +6,7 @@ from humanopts_env.domains.rooms import Rooms
 from humanopts_env.domains.taxi import Taxi
 from humanopts_env.domains.taxi_reference import reference_options
 from humanopts_learner.options.option import TabularOption
-from humanopts_learner.planning.coverage import find_coverage
+from humanopts_learner.planning.evaluate import find_coverage
 from humanopts_learner.planning.exact import ExactPlan, make_exact_plan
 from humanopts_learner.planning.request import PlanError, PlanRequest
 import numpy as np

@@ -7,7 +7,7 @@ import time
 from typing import Any
 
 from humanopts_env.arrays import Flags, Ints
-from humanopts_env.domains.base import EnumerableDomain
+from humanopts_env.domains.base import Domain, EnumerableDomain
 from humanopts_learner.demonstrations import PRIMITIVE_PREFIX
 from humanopts_learner.options.option import LearnedOption, TabularOption, tabulate
 from humanopts_learner.planning.option_models import model_option, OptionModel
@@ -40,26 +40,30 @@ class Decision:
     fallback: bool  # a primitive action because no option is available
 
 
-@dataclass(frozen=True)
-class ExactPlan:
+@dataclass(frozen=True, kw_only=True)
+class PolicyPlan:
     """
-    A greedy policy over options.
+    A greedy policy over options, and what it took to make it.
 
-    Option indices count the learned options and then, where the action set needs them, all
-    primitive actions. In the sets ``human`` and ``automatic`` these are the fallback: available
-    only in states where no option is, so that the one chosen there is the best by one step of
-    look-ahead in the plan's own values, the first of equals.
+    Option indices count the options and then, where the action set needs them, all primitive
+    actions.
     """
 
-    domain: EnumerableDomain[Any]
+    domain: Domain[Any]
     action_set: str
     gamma: float
-    options: tuple[TabularOption, ...]
     names: tuple[str, ...]  # by option index
+    first_fallback: int  # index from which on a choice is a fallback; number of names if none is
     solution: Solution
-    table_seconds: float
-    model_seconds: float
+    game_steps: int = 0  # that were sampled
+    table_seconds: float = 0.0  # of the options of exact plans
+    model_seconds: float  # sampling and counting, where models are sampled
     sweep_seconds: float
+
+    @property
+    def seconds(self) -> float:
+        """Duration of planning, everything included."""
+        return self.table_seconds + self.model_seconds + self.sweep_seconds
 
     def choose(self, state: Any) -> Decision:
         """
@@ -67,20 +71,31 @@ class ExactPlan:
 
         :raises PlanError: the task is over in it.
         """
-        option = int(self.solution.best[self.domain.index(state)])
-        if option < 0:
+        if self.domain.is_over(state):
             raise PlanError('there is nothing to do: the task is over')
+        option = self._best(state)
         return Decision(self.names[option], option >= self.first_fallback)
 
-    @property
-    def first_fallback(self) -> int:
-        """Option index from which on a choice is a fallback; the number of names if none is."""
-        return len(self.options) if self.action_set in OPTIONS_ONLY else len(self.names)
+    def _best(self, state: Any) -> int:
+        """Return the index of the option to run in a state in which the task is not over."""
+        raise NotImplementedError
 
-    @property
-    def game_steps(self) -> int:
-        """Game steps that were sampled: 0."""
-        return 0
+
+@dataclass(frozen=True, kw_only=True)
+class ExactPlan(PolicyPlan):
+    """
+    A plan by the values of all states.
+
+    In the sets ``human`` and ``automatic`` primitive actions are the fallback: available only in
+    states where no option is, so that the one chosen there is the best by one step of look-ahead
+    in the plan's own values, the first of equals.
+    """
+
+    domain: EnumerableDomain[Any]
+    options: tuple[TabularOption, ...]
+
+    def _best(self, state: Any) -> int:
+        return int(self.solution.best[self.domain.index(state)])
 
 
 def make_exact_plan(
@@ -118,6 +133,7 @@ def make_exact_plan(
         gamma=asked.gamma,
         options=tuple(tabled),
         names=model.names,
+        first_fallback=len(tabled if asked.action_set in OPTIONS_ONLY else model.names),
         solution=solution,
         table_seconds=evaluated - began,
         model_seconds=modelled - evaluated,

@@ -183,12 +183,13 @@ def stochastic_model(
         found.eliminate_zeros()
         return found
 
+    may_end: Flags = (last & (probability > 0)).any(axis=1)
     step = _StochasticStep(
         states,
         (probability * rules.reward[at]).sum(axis=1),
         rows(~last, row_of[successor], len(states)),
         rows(last & ~terminated, successor, len(ends)),
-        (last & (probability > 0)).any(axis=1),
+        may_end,
     )
     expected, running = _rewards(step, option.max_steps)
     ending = _unlimited_successors(step)

@@ -29,10 +29,6 @@ from humanopts_learner.planning.request import (
 from humanopts_learner.planning.sampled.plan import make_sampled_plan, SampledPlan
 
 AnyPlan = ExactPlan | SampledPlan
-"""
-Both have domain, action_set, gamma, names, first_fallback, solution, game_steps (0: exact),
-table_seconds, model_seconds, sweep_seconds, and ``choose(state)``.
-"""
 
 
 def make_plan(

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 if TYPE_CHECKING:  # slow to import, and terminals convert none of them
     from humanopts_learner.execution import RunResult
-    from humanopts_learner.planning.coverage import Coverage
+    from humanopts_learner.planning.evaluate import Coverage
     from humanopts_learner.planning.interruption import OptionValues
     from humanopts_learner.planning.plan import AnyPlan, Performance
 

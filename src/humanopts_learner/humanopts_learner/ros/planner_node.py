@@ -10,7 +10,7 @@ from humanopts_env.domains.base import Domain
 from humanopts_env.ros.game_subscriber import GameSubscriber
 from humanopts_interfaces.action import Plan
 from humanopts_interfaces.msg import LearnedOptions, PlanGoal, PlanResult
-from humanopts_learner.planning.coverage import Coverage, find_coverage
+from humanopts_learner.planning.evaluate import Coverage, find_coverage
 from humanopts_learner.planning.exact import ExactPlan
 from humanopts_learner.planning.plan import AnyPlan, judge_plan, make_plan, Performance
 from humanopts_learner.planning.request import OPTIONS_ONLY, PlanError, select_options

@@ -11,7 +11,7 @@ from humanopts_env.domains.base import Domain
 from humanopts_env.seeding import generator
 from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.planning.evaluate import Returns
-from humanopts_learner.planning.exact import Decision, SweepProgress
+from humanopts_learner.planning.exact import PolicyPlan, SweepProgress
 from humanopts_learner.planning.interruption import OptionValues
 from humanopts_learner.planning.request import (
     Clock,
@@ -43,52 +43,20 @@ import numpy as np
 IMPROVEMENTS = 4  # policy improvements by shrunk values after value iteration, each evaluated
 
 
-@dataclass(frozen=True)
-class SampledPlan:
+@dataclass(frozen=True, kw_only=True)
+class SampledPlan(PolicyPlan):
     """
-    A greedy policy over options, by the abstract states that were visited.
+    A plan by the values of the abstract states that were visited.
 
-    Option indices count the options and then the primitive actions. In the set ``human`` the
-    primitive actions are the fallback, chosen by a hash of the features where no option can start;
-    they have no models.
+    In the set ``human`` the primitive actions are the fallback, chosen by a hash of the features
+    where no option can start; they have no models.
     """
 
-    domain: Domain[Any]
-    action_set: str
-    gamma: float
     actions: ActionSet
-    solution: Solution
     policy: GreedyPolicy  # executed as it was while sampling
-    game_steps: int  # that were sampled
-    model_seconds: float  # sampling and counting
-    sweep_seconds: float
-    table_seconds: float = 0.0  # 0: sampled plans have no option tables
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names by option index."""
-        return self.actions.names
-
-    @property
-    def first_fallback(self) -> int:
-        """The first option index that is a fallback; the number of names if there is none."""
-        return self.actions.first_fallback
-
-    @property
-    def seconds(self) -> float:
-        """Duration of planning, everything included."""
-        return self.table_seconds + self.model_seconds + self.sweep_seconds
-
-    def choose(self, state: Any) -> Decision:
-        """
-        Return the option or action that the policy chooses in a state of the domain.
-
-        :raises PlanError: the task is over in it.
-        """
-        if self.domain.is_over(state):
-            raise PlanError('there is nothing to do: the task is over')
-        option = int(self.policy.choose(self.actions.observe_state(state)).option[0])
-        return Decision(self.names[option], option >= self.first_fallback)
+    def _best(self, state: Any) -> int:
+        return int(self.policy.choose(self.actions.observe_state(state)).option[0])
 
     def as_executed(self, execution: Execution | None = None) -> GreedyPolicy:
         """Return the policy with a way of execution; None: the one it was sampled with."""
@@ -201,6 +169,8 @@ def _planning(
         domain=domain,
         action_set=asked.action_set,
         gamma=asked.gamma,
+        names=actions.names,
+        first_fallback=actions.first_fallback,
         actions=actions,
         solution=solution,
         policy=greedy,
