@@ -183,13 +183,12 @@ def stochastic_model(
         found.eliminate_zeros()
         return found
 
-    may_end: Flags = (last & (probability > 0)).any(axis=1)
     step = _StochasticStep(
         states,
         (probability * rules.reward[at]).sum(axis=1),
         rows(~last, row_of[successor], len(states)),
         rows(last & ~terminated, successor, len(ends)),
-        may_end,
+        np.asarray((last & (probability > 0)).any(axis=1)),
     )
     expected, running = _rewards(step, option.max_steps)
     ending = _unlimited_successors(step)

@@ -1,4 +1,4 @@
-"""The common parts of the planner's actions: its state, worker threads, and one goal at a time."""
+"""The planner's actions with long computations, in worker threads: plan and extract_options."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -7,19 +7,53 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 import time
 from typing import Any, Generic, TypeVar
+import uuid
 
 from humanopts_env.domains.base import Domain, DomainError
-from humanopts_interfaces.msg import ExtractionResult, PlanResult
+from humanopts_interfaces.action import ExtractOptions, Plan
+from humanopts_interfaces.msg import (
+    ExtractionGoal,
+    ExtractionResult,
+    LearnedOptions,
+    PlanGoal,
+    PlanResult,
+)
+from humanopts_learner.automatic.config import Extraction, USUAL
+from humanopts_learner.automatic.extract import (
+    AutomaticOptions,
+    check_participant,
+    find_options,
+    to_learned_options,
+)
 from humanopts_learner.options.option import LearnedOption
-from humanopts_learner.planning.plan import AnyPlan
-from humanopts_learner.planning.request import NoOptionsError, OF_MACHINES, PlanCanceled, PlanError
+from humanopts_learner.planning.evaluate import Coverage, find_coverage
+from humanopts_learner.planning.exact import ExactPlan
+from humanopts_learner.planning.plan import AnyPlan, judge_plan, make_plan, Performance
+from humanopts_learner.planning.request import (
+    MACHINE,
+    NoOptionsError,
+    OF_MACHINES,
+    OPTIONS_ONLY,
+    PlanCanceled,
+    PlanError,
+    select_options,
+)
+from humanopts_learner.ros.convert import (
+    options_to_message,
+    plan_goal_to_message,
+    plan_request_from_goal,
+    plan_to_message,
+    refused_plan,
+)
 from humanopts_ros.node_base import end_goal, NodeBase
 from humanopts_ros.publisher import StampedPublisher
+from humanopts_ros.qos import LATCHED
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import CallbackGroup
 from rclpy.task import Future
 
 STOPS = 'the planner stops'
+_OPTIONS_SECONDS = 5.0  # s to wait for the options of a request
 _FEEDBACK_PERIOD = 0.1  # s
 T = TypeVar('T')
 ResultT = TypeVar('ResultT', PlanResult, ExtractionResult)
@@ -74,36 +108,27 @@ class LongAction(ABC, Generic[ResultT]):
     :ivar busy: whether a goal is executed.
     """
 
+    kind: Any  # type of the action
+    name: str  # of the action, and of its topics of goals and results
+    topics: str
+    goal_kind: Any
+    result_kind: type[ResultT]
+    measured: tuple[str, ...]  # fields of the feedback, after its stage
     goal_noun: str  # of "the planner is at work on another ..."
     good: tuple[int, ...]  # statuses with which a goal succeeds
 
-    def __init__(
-        self,
-        node: NodeBase,
-        group: CallbackGroup,
-        kind: Any,
-        name: str,
-        results: StampedPublisher[ResultT],
-        state: PlannerState,
-    ) -> None:
-        """
-        Serve the action.
-
-        :param kind: its type.
-        :param results: publisher of the result of every goal, also of refused ones.
-        """
+    def __init__(self, node: NodeBase, group: CallbackGroup, state: PlannerState) -> None:
+        """Serve the action; the results of all goals are published, also of refused ones."""
         self.busy = False
+        self._node, self._state = node, state
+        self._goals = node.stamped_publisher(self.goal_kind, f'{self.topics}_goals')
+        results = node.stamped_publisher(self.result_kind, f'{self.topics}_results')
         self._results: StampedPublisher[ResultT] = results
-        self._node, self._kind, self._state = node, kind, state
-        node.recorded_action(kind, name, self._execute, group)
+        node.recorded_action(self.kind, self.name, self._execute, group)
 
     @abstractmethod
     def blank(self, goal: Any) -> ResultT:
         """Return an empty result; status and detail are left to the caller."""
-
-    @abstractmethod
-    def feedback(self, stage: str, *numbers: Any) -> Any:
-        """Return the feedback with the progress."""
 
     @abstractmethod
     async def work(
@@ -117,7 +142,7 @@ class LongAction(ABC, Generic[ResultT]):
         Execute a goal, and return its result.
 
         :param result: the result of ``blank``; it is sent where an error is raised.
-        :param progress: called with the arguments of ``feedback``; raises PlanCanceled.
+        :param progress: called with the stage and what is ``measured``; raises PlanCanceled.
         :raises NoOptionsError: there are no options to plan with.
         :raises PlanError: or DomainError: the request is invalid.
         """
@@ -126,7 +151,7 @@ class LongAction(ABC, Generic[ResultT]):
         result = await self._carry_out(handle, self.blank(handle.request))
         self._results.publish(result)
         end_goal(handle, result.status in self.good, result.status == result.STATUS_CANCELED)
-        return self._kind.Result(result=result)
+        return self.kind.Result(result=result)
 
     async def _carry_out(self, handle: ServerGoalHandle, result: ResultT) -> ResultT:
         await self._node.provided()
@@ -166,6 +191,134 @@ class LongAction(ABC, Generic[ResultT]):
             now = time.monotonic()
             if stage != known or now >= due:
                 known, due = stage, now + _FEEDBACK_PERIOD
-                handle.publish_feedback(self.feedback(stage, *numbers))
+                values = dict(zip(self.measured, numbers))
+                handle.publish_feedback(self.kind.Feedback(stage=stage, **values))
 
         return progress
+
+
+class PlanAction(LongAction[PlanResult]):
+    """Plans with an action set, and evaluates the plan if the goal has episodes."""
+
+    kind, name, topics = Plan, 'plan', 'plan'
+    goal_kind, result_kind = PlanGoal, PlanResult
+    measured = ('progress', 'sweeps', 'residual')
+    goal_noun = 'plan'
+    good = (PlanResult.STATUS_CONVERGED, PlanResult.STATUS_NOT_CONVERGED)
+
+    def blank(self, goal: Plan.Goal) -> PlanResult:
+        """Return a result without a plan."""
+        return refused_plan(goal.action_set)
+
+    async def work(
+        self,
+        domain: Domain[Any],
+        goal: Plan.Goal,
+        result: PlanResult,
+        progress: Callable[..., None],
+    ) -> PlanResult:
+        """
+        Plan with the options that the goal names.
+
+        :raises PlanError: the request is invalid, or its options were not received in time.
+        """
+        await self._wait_for_options(goal.options_sequence)
+        known = self._state.options(goal.action_set)
+        options = select_options(known, goal.action_set, goal.participant, goal.options)
+        request = plan_request_from_goal(goal).in_force(domain, options)
+        result.plan_id = plan_id = str(uuid.uuid4())  # the result from here on
+        self._goals.publish(plan_goal_to_message(goal, plan_id, request, options))
+
+        def compute() -> tuple[AnyPlan, Performance | None, Coverage | None]:
+            plan, performance, coverage = make_plan(domain, options, request, progress), None, None
+            if goal.evaluation_episodes:
+                performance = judge_plan(plan, goal.seed, goal.evaluation_episodes, progress)
+            if isinstance(plan, ExactPlan) and goal.action_set in OPTIONS_ONLY:
+                coverage = find_coverage(plan) if domain.max_steps else None
+            return plan, performance, coverage
+
+        plan, performance, coverage = await in_thread(self._node, self._state.pool, compute)
+        made = MadePlan(plan, plan_id, goal.participant, known)
+        self._state.plans[goal.action_set, goal.participant] = made
+        return plan_to_message(plan, plan_id, performance, coverage)
+
+    async def _wait_for_options(self, sequence: int) -> None:
+        """
+        Wait until the options are at least as new as a goal requires.
+
+        :raises PlanError: they are not received in time.
+        """
+        state = self._state
+        come = await self._node.waiting.until(
+            lambda: state.taught_sequence >= sequence, _OPTIONS_SECONDS
+        )
+        if not come:
+            raise PlanError(
+                f'learned_options {sequence} did not come, only {state.taught_sequence}'
+            )
+
+
+class ExtractionAction(LongAction[ExtractionResult]):
+    """Searches for options; those of a participant replace the participant's older ones."""
+
+    kind, name, topics = ExtractOptions, 'extract_options', 'extraction'
+    goal_kind, result_kind = ExtractionGoal, ExtractionResult
+    measured = ('progress', 'game_steps')
+    goal_noun = 'search for options'
+    good = (ExtractionResult.STATUS_DONE,)
+
+    def __init__(self, node: NodeBase, group: CallbackGroup, state: PlannerState) -> None:
+        super().__init__(node, group, state)
+        self._found = node.stamped_publisher(LearnedOptions, 'automatic_options', LATCHED)
+
+    def blank(self, goal: ExtractOptions.Goal) -> ExtractionResult:
+        """Return a result without options."""
+        return ExtractionResult(participant=goal.participant or MACHINE)
+
+    async def work(
+        self,
+        domain: Domain[Any],
+        goal: ExtractOptions.Goal,
+        result: ExtractionResult,
+        progress: Callable[..., None],
+    ) -> ExtractionResult:
+        """
+        Search for options.
+
+        :raises PlanError: the domain, or the participant's code, cannot be used for this.
+        """
+        how = Extraction(
+            options=goal.max_options or USUAL.options,
+            tasks=goal.tasks or USUAL.tasks,
+            train_episodes=goal.task_episodes or USUAL.train_episodes,
+            option_episodes=goal.option_episodes or USUAL.option_episodes,
+        )
+        participant = result.participant
+        check_participant(participant)
+        result.extraction_id = str(uuid.uuid4())  # the result from here on
+        self._goals.publish(
+            ExtractionGoal(
+                extraction_id=result.extraction_id,
+                participant=participant,
+                max_options=how.options,
+                tasks=how.tasks,
+                task_episodes=how.train_episodes,
+                option_episodes=how.option_episodes,
+                seed=goal.seed,
+            )
+        )
+
+        def search() -> tuple[AutomaticOptions, list[LearnedOption]]:
+            found = find_options(domain, goal.seed, how, progress)
+            return found, to_learned_options(domain, found, participant)
+
+        found, options = await in_thread(self._node, self._state.pool, search)
+        others = [o for o in self._state.automatic if o.participant != participant]
+        self._state.automatic = [*others, *options]
+        self._found.publish(options_to_message(self._state.automatic))
+        result.status = result.STATUS_DONE
+        result.option_names = [option.name for option in options]
+        result.reaches = [option.reaches for option in found.options]
+        result.seconds, result.game_steps = found.seconds, found.game_steps
+        result.episodes, result.solved = found.episodes, found.solved
+        return result
