@@ -11,8 +11,8 @@ from humanopts_env.domains.pacman.domain import PacMan
 from humanopts_env.domains.registry import reference_options
 from humanopts_env.domains.taxi import Taxi
 from humanopts_env.seeding import generator
-from humanopts_learner.automatic.config import Extraction
 from humanopts_learner.automatic.extract import find_options, to_learned_options
+from humanopts_learner.automatic.subgoals import Extraction
 from humanopts_learner.options.learn import learn_option
 from humanopts_learner.options.option import options_from_references, tabulate
 from humanopts_learner.planning.request import Sampling

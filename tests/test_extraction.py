@@ -16,12 +16,12 @@ from humanopts_interfaces.msg import (
     PolicyResult,
 )
 from humanopts_interfaces.srv import ListOptions
-from humanopts_learner.automatic.config import Extraction
 from humanopts_learner.automatic.extract import (
     AutomaticOptions,
     find_options,
     to_learned_options,
 )
+from humanopts_learner.automatic.subgoals import Extraction
 from humanopts_learner.planning.plan import make_plan
 from humanopts_learner.planning.request import PlanRequest
 from humanopts_learner.ros.convert import options_from_message

@@ -10,8 +10,8 @@ from humanopts_env.reference_contract import ReferenceContract
 from humanopts_env.seeding import generator
 from humanopts_greenhouse.greenhouse import Greenhouse, GreenhouseState
 from humanopts_greenhouse.reference import reference_options
-from humanopts_learner.automatic.config import Extraction
 from humanopts_learner.automatic.extract import find_options
+from humanopts_learner.automatic.subgoals import Extraction
 from humanopts_learner.options.criteria import Thresholds, usual_thresholds
 from humanopts_learner.options.option import options_from_references
 from humanopts_teach.evaluation.games import Baseline, HEURISTIC, PLAN, play_baseline, RANDOM

@@ -14,13 +14,11 @@ from humanopts_learner.options.failures import find_failures
 from humanopts_learner.options.learn import learn_option
 from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.options.rollout import rollouts
-from humanopts_learner.options.sampled_failures import (
+from humanopts_learner.options.start_states import (
+    choose_start_state,
     committee_disagrees,
     nothing_fails,
     sample_failures,
-)
-from humanopts_learner.options.start_states import (
-    choose_start_state,
     STRATEGIES,
     UnknownStrategyError,
 )

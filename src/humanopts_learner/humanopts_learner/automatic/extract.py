@@ -12,13 +12,16 @@ from humanopts_env.domains.search_space import SearchSpace, space_of_states
 from humanopts_env.domains.tabular import TabularSimulator
 from humanopts_env.seeding import generator
 from humanopts_learner.automatic.bottlenecks import Bottleneck, find_bottlenecks, Visits
-from humanopts_learner.automatic.config import Extraction, ignore_progress, Progress, USUAL
 from humanopts_learner.automatic.subgoals import (
     check_tables,
     draw_tasks,
+    Extraction,
     greedy_runs,
+    ignore_progress,
     learn_to_reach,
+    Progress,
     Subgoals,
+    USUAL,
     Values,
 )
 from humanopts_learner.options.option import LearnedOption, option_from_table, TabularOption

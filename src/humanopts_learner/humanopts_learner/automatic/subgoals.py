@@ -1,17 +1,17 @@
 """
 Subgoals, and Q-learning of policies that reach them (Watkins 1989), many learners side by side.
 
-The subgoals are first the goals of random tasks, and then the bottlenecks.
+The subgoals are first the goals of random tasks, and then the bottlenecks. The parameters of the
+search are here, each with its source.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 
 from humanopts_env.arrays import Flags, Ints
 from humanopts_env.domains.search_space import SearchSpace
 from humanopts_env.domains.tabular import TabularSimulator
-from humanopts_learner.automatic.config import Extraction
 from humanopts_learner.planning.request import PlanError
 from humanopts_learner.qlearning import draw_among
 import numpy as np
@@ -23,6 +23,50 @@ Values = NDArray[np.float32]
 OnProgress = Callable[[float, int], object]  # share of the episodes done, steps so far
 REPORT_EVERY = 200  # steps
 LARGEST_TABLES = 2**28  # entries of all learners, 1 GiB
+# Called with the stage (tasks or policies), the share done (0..1) and the game steps so far;
+# raises ``PlanCanceled`` to stop
+Progress = Callable[[str, float, int], object]
+
+
+@dataclass(frozen=True)
+class Extraction:
+    """
+    The parameters of the search for options.
+
+    M. Stolle and D. Precup (2002), "Learning Options in Reinforcement Learning", give the
+    algorithm. The numbers marked "usual" are those of another implementation
+    (utkd/bottleneck-options-learning); the others are ours, with their reasons.
+    """
+
+    options: int = 25  # largest number
+    tasks: int = 400  # usual: 20, where some bottlenecks were missed
+    train_episodes: int = 200  # of Q-learning for each task, N_train: usual
+    test_runs: int = 10  # greedy ones for each task, N_test: usual
+    option_episodes: int = 2000  # for each option; usual: 200, but these begin all over I
+    learning_rate: float = 0.1  # usual
+    explore: float = 0.1  # share of random actions while learning: usual
+    gamma: float = 0.9  # while learning: usual; the reward is 1 at the target, 0 elsewhere
+    max_steps: int = 1000  # after which an episode or a greedy run is cut off: ours
+
+    def __post_init__(self) -> None:
+        """
+        Check the numbers.
+
+        :raises PlanError: one is out of range.
+        """
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if field.type is int and value < 1:
+                raise PlanError(f'{field.name} is {value}, and must be 1 or more')
+            if field.type is float and not 0.0 <= value <= 1.0:
+                raise PlanError(f'{field.name} is {value}, and must be from 0 to 1')
+
+
+USUAL = Extraction()
+
+
+def ignore_progress(stage: str, fraction: float, game_steps: int) -> None:
+    """Ignore the progress."""
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,7 @@ from functools import lru_cache
 import math
 from typing import Any
 
-from humanopts_env.arrays import Flags, Ints, Rows
-from humanopts_env.domains.base import Domain
+from humanopts_env.arrays import Flags, Rows
 from humanopts_learner.options.decision_tree import EncodedFeature, LEAF, Tree
 from humanopts_learner.options.option import HALF, LearnedOption, MEMBER
 import numpy as np
@@ -27,40 +26,27 @@ LARGEST = 2**20  # combinations of buckets; a tree with more of them is walked
 class Decisions:
     """What ``LearnedOption`` decides in N states, by the rows (N, F) of all features."""
 
-    greedy_action: Callable[[Rows], Ints]
+    greedy_action: Callable[[Rows], NDArray[np.integer]]
     can_start: Callable[[Rows], Flags]
     ends: Callable[[Rows], Flags]
 
 
-def decisions(option: LearnedOption, domain: Domain[Any]) -> Decisions:
-    """Return the decisions of an option in states of a domain whose features it knows."""
-    counts = tuple(len(feature.values) for feature in domain.features)
-    policy = _likeliest(option.policy, option.policy_encoding, counts)
-    initiation = _member(option.initiation, option.encoding, counts)
-    termination = _member(option.termination, option.encoding, counts)
-    return Decisions(
-        policy or option.greedy_action,
-        initiation or option.can_start,
-        termination or option.ends,
-    )
-
-
 @lru_cache(maxsize=32)
-def _likeliest(
-    tree: Tree, encoding: tuple[EncodedFeature, ...], counts: tuple[int, ...]
-) -> Callable[[Rows], Ints] | None:
-    """Return what gives the likeliest class; the next plan with the same option has it at once."""
-    best = tree.shares.argmax(axis=1).astype(np.min_scalar_type(len(tree.classes)))
-    look_up = tree_table(tree, encoding, counts, best)
-    return None if look_up is None else lambda rows: look_up(rows).astype(np.intp)
+def decisions(option: LearnedOption, counts: tuple[int, ...]) -> Decisions:
+    """
+    Return the decisions of an option; the next plan with the same option has them at once.
 
-
-@lru_cache(maxsize=64)
-def _member(
-    tree: Tree, encoding: tuple[EncodedFeature, ...], counts: tuple[int, ...]
-) -> Callable[[Rows], Flags] | None:
-    """Return what tells members of I, or ends."""
-    return tree_table(tree, encoding, counts, tree.shares[:, MEMBER] >= HALF)
+    :param counts: number of values of each of the F features of its domain.
+    """
+    best = option.policy.shares.argmax(axis=1).astype(np.min_scalar_type(len(option.actions)))
+    starts, ends = (
+        tree.shares[:, MEMBER] >= HALF for tree in (option.initiation, option.termination)
+    )
+    return Decisions(
+        tree_table(option.policy, option.policy_encoding, counts, best) or option.greedy_action,
+        tree_table(option.initiation, option.encoding, counts, starts) or option.can_start,
+        tree_table(option.termination, option.encoding, counts, ends) or option.ends,
+    )
 
 
 def tree_table(
@@ -77,10 +63,8 @@ def tree_table(
     features = sorted({encoding[column].index for column in tree.tested})
     buckets, firsts = {}, {}
     for feature in features:
-        known = [left for node, left in tests.items() if _feature(tree, encoding, node) == feature]
-        _, first, bucket = np.unique(
-            np.array(known), axis=1, return_index=True, return_inverse=True
-        )
+        known = np.array([left for tested, left in tests.values() if tested == feature])
+        _, first, bucket = np.unique(known, axis=1, return_index=True, return_inverse=True)
         buckets[feature], firsts[feature] = bucket.ravel().astype(np.intp), first
     shape = tuple(len(firsts[feature]) for feature in features)
     if math.prod(shape) > LARGEST:
@@ -92,9 +76,8 @@ def tree_table(
         if tree.left[node] == LEAF:
             table[np.ix_(*box)] = values[node]
             continue
-        feature = _feature(tree, encoding, node)
-        axis = features.index(feature)
-        left = tests[node][firsts[feature]]
+        feature, goes_left = tests[node]
+        axis, left = features.index(feature), goes_left[firsts[feature]]
         for child, side in ((tree.left[node], left), (tree.right[node], ~left)):
             boxes[int(child)] = (*box[:axis], box[axis] & side, *box[axis + 1 :])
     strides = np.cumprod([1, *shape[:0:-1]])[::-1]
@@ -111,19 +94,14 @@ def tree_table(
     return look_up
 
 
-def _feature(tree: Tree, encoding: Sequence[EncodedFeature], node: int) -> int:
-    """Return the index of the feature that a node tests."""
-    return encoding[int(tree.feature[node])].index
-
-
 def _tests(
     tree: Tree, encoding: Sequence[EncodedFeature], counts: Sequence[int]
-) -> dict[int, Flags]:
-    """Return by node that tests a feature: which of the feature's values (V,) go left."""
+) -> dict[int, tuple[int, Flags]]:
+    """Return by node that tests a feature: the feature, and which of its values (V,) go left."""
     tests = {}
     for node in np.flatnonzero(tree.left != LEAF).tolist():
         encoded = encoding[int(tree.feature[node])]
         value = np.arange(counts[encoded.index])
         seen = value if encoded.value is None else value == encoded.value
-        tests[node] = seen.astype(np.float32) <= tree.threshold[node]
+        tests[node] = encoded.index, seen.astype(np.float32) <= tree.threshold[node]
     return tests

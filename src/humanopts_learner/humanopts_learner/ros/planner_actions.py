@@ -18,13 +18,13 @@ from humanopts_interfaces.msg import (
     PlanGoal,
     PlanResult,
 )
-from humanopts_learner.automatic.config import Extraction, USUAL
 from humanopts_learner.automatic.extract import (
     AutomaticOptions,
     check_participant,
     find_options,
     to_learned_options,
 )
+from humanopts_learner.automatic.subgoals import Extraction, USUAL
 from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.planning.evaluate import Coverage, find_coverage
 from humanopts_learner.planning.exact import ExactPlan

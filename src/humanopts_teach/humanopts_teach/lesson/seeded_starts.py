@@ -8,8 +8,7 @@ from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.options.files import option_from_json
 from humanopts_learner.options.option import LearnedOption
-from humanopts_learner.options.sampled_failures import nothing_fails
-from humanopts_learner.options.start_states import choose_start_state, draw_sample
+from humanopts_learner.options.start_states import choose_start_state, draw_sample, nothing_fails
 from humanopts_teach.lesson import BUDGET, METHOD, STRATEGY
 from humanopts_teach.lesson.history import OptionHistory
 import numpy as np

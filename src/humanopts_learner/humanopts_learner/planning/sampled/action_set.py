@@ -114,7 +114,8 @@ class ActionSet:
         """
         self.options = () if action_set == PRIMITIVE else tuple(options)
         self.action_set, self.n_actions = action_set, len(domain.actions)
-        self._decide = [decisions(option, domain) for option in self.options]
+        counts = tuple(len(feature.values) for feature in domain.features)
+        self._decide = [decisions(option, counts) for option in self.options]
         self.games = batch_games(domain)
         self.abstraction = StateAbstraction(self.games, action_set)
         self.names = (
