@@ -310,8 +310,12 @@ def test_how_the_machine_plays_can_be_chosen_before_and_changed_while(teacher: P
 def test_the_key_that_changes_how_the_machine_plays_is_on_the_help_line(teacher: Person) -> None:
     teacher.press('escape', '4', '1')
     assert 'x other arbitration' in teacher.sees()
-    teacher.press('?')
-    assert teacher.sees_words('x other arbitration')
+
+
+def test_help_explains_what_the_machine_plays_by_and_what_a_fallback_is(teacher: Person) -> None:
+    teacher.press('escape', '4', '1', '?')
+    assert teacher.sees_words('x another way to choose between options: each option to its end;')
+    assert teacher.sees_words('so that a single step was taken (a fallback)')
 
 
 def test_places_that_no_option_covers_are_starts_to_teach_from(teacher: Person) -> None:

@@ -35,6 +35,12 @@ PACE = (Command.PAUSE, Command.STEP, Command.SLOWER, Command.FASTER)  # while th
 PERIODS = (2.0, 1.0, 0.5, 0.25, 0.1, 0.0)  # s between steps of the machine
 _COMMANDS = (Command.NEW_START, Command.MENU, Command.HELP, Command.QUIT)
 _IDLE = (Command.NEW_START, Command.RUN_HERE, Command.UNCOVERED)  # while the machine drives
+_LONG = {
+    Command.EXECUTION: 'another way to choose between options: ' + '; '.join(EXECUTIONS.values()),
+    Command.UNCOVERED: 'list where no option could start, so that a single step was taken (a '
+    'fallback), or a single step was worth more',
+    Command.NEW_START: 'begin an episode from a start of the task',
+}
 _NOT_KNOWN = (
     'What no option covers is known of plans with your options alone, in games whose states can '
     'all be listed.'
@@ -100,13 +106,8 @@ class PlayScreen(Screen):
         return key_table(app.domain.actions, (*pace, *self.commands))
 
     def keys(self, app: App) -> Keys:
-        running = app.run is not None
-        words = {Command.MENU: 'stop it'} if running else {}
-        table, idle = self.table(app), _IDLE if running else ()
-        commands = {key: command for key, command in table.commands.items() if command not in idle}
         actions = [(label(action.key), action.name) for action in app.domain.actions]
-        shown = replace(table, commands=commands)
-        return actions + shown.labelled({**words, **self.words, **pace_words(app)})
+        return [*actions, *self._labelled(app, {})]
 
     def _out(self, app: App) -> None:
         if app.run is not None:
@@ -118,7 +119,16 @@ class PlayScreen(Screen):
 
     def _help(self, app: App) -> Keys:
         actions = [(label(action.key), action.description) for action in app.domain.actions]
-        return [*actions, *self.keys(app)[len(actions) :], ('Ctrl-C', 'leave at once')]
+        return [*actions, *self._labelled(app, _LONG), ('Ctrl-C', 'leave at once')]
+
+    def _labelled(self, app: App, words: Mapping[Command, str]) -> Keys:
+        """Return the keys of the commands and what they do; ``words`` say it in other words."""
+        running = app.run is not None
+        here = {Command.MENU: 'stop it'} if running else {}
+        table, idle = self.table(app), _IDLE if running else ()
+        commands = {key: command for key, command in table.commands.items() if command not in idle}
+        shown = replace(table, commands=commands)
+        return shown.labelled({**here, **self.words, **pace_words(app), **words})
 
 
 @dataclass
