@@ -2,18 +2,20 @@
 
 from collections import Counter, defaultdict
 from collections.abc import Iterator
+from contextlib import ExitStack
 from html.parser import HTMLParser
 import json
 from pathlib import Path
 import re
 from typing import Any
 
-from graph_support.command import DemoRun, EPISODES, run_demo, shown_in_bag, shown_on_disk
+from graph_support.command import Command, DemoRun, EPISODES, run_demo, shown_in_bag, shown_on_disk
 from humanopts_env.domains.base import action_index
 from humanopts_env.domains.taxi import Taxi
 from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import GOAL, Kind, METHODS
 from humanopts_learner.options.files import option_from_json
+from humanopts_teach.bags.check import check_bag
 from humanopts_teach.bags.contents import DEMONSTRATION, Episode, read_episodes
 from humanopts_teach.bags.reader import Bag, open_bag
 from humanopts_teach.bags.sequence_numbers import count_loss
@@ -388,3 +390,31 @@ def test_where_states_cannot_be_listed_the_demo_is_refused(
     said = capsys.readouterr().err
     assert said.startswith('humanopts demo: the states of pacman cannot be listed')
     assert said.count('\n') == 1
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1200)
+def test_eight_games_side_by_side_are_each_recorded_whole_and_learned_as_alone(
+    tmp_path: Path, domain_id: int
+) -> None:
+    """Of one ROS_DOMAIN_ID, in namespaces; nothing of one game reaches another."""
+    names = [f'game_{number}' for number in range(8)]
+    with ExitStack() as stack:
+        commands = []
+        for seed, name in enumerate(names):
+            (folder := tmp_path / name).mkdir()
+            words = ('--namespace', f'/{name}', '--seed', seed, '--episodes', EPISODES)
+            command = Command(['demo', '--out', folder / 'out', *words], folder, domain_id)
+            stack.callback(command.close)
+            commands.append(command)
+        ends = [(command.ended(900), command.errors) for command in commands]
+    assert ends == [(0, '')] * len(names)
+    for name in names:
+        out = tmp_path / name / 'out'
+        bag = open_bag(out / 'bag')
+        assert check_bag(bag).findings == ()
+        assert shown_in_bag(bag) == shown_on_disk(out)
+        assert {part for topic in bag.topics if (part := topic.split('/')[1]) in names} == {name}
+        summary = json.loads((out / 'summary.json').read_text('utf-8'))
+        assert summary['offline']['options'] == summary['options']
+        assert summary['ended_nodes'] == []

@@ -294,14 +294,22 @@ def test_the_conductor_gets_ready_and_a_wait_goes_on_as_long_as_there_is_progres
     live: Graph, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv('ROS_DOMAIN_ID', str(live.domain_id))
-    conductor = GraphClient('/', {'expect_recorder': False}, tmp_path, watch=lambda: None)
+    began = time.monotonic()
 
     def tenths() -> int:
         return min(10, round(10 * (time.monotonic() - began)))
 
+    def start_slowly() -> None:
+        state = NodeStatus.STATE_READY if tenths() == 10 else NodeStatus.STATE_STARTING
+        conductor.statuses['/slow'] = NodeStatus(state=state, text=f'waits for {tenths()}')
+
+    conductor = GraphClient('/', {'expect_recorder': False}, tmp_path, watch=start_slowly)
     try:
-        conductor.wait_ready([])
+        conductor.wait_ready(['/slow'], 0.5)
         assert conductor.ready
+        assert time.monotonic() - began > 0.9
+        with pytest.raises(LaunchError, match=r'not ready: /lost$'):
+            conductor.wait_ready(['/slow', '/lost'], 0.2)
         began = time.monotonic()
         conductor.wait(lambda: tenths() == 10, 0.5, 'the last', tenths)
         assert time.monotonic() - began > 0.9

@@ -141,11 +141,17 @@ class GraphClient(NodeBase):
         """
         Wait until nodes and this one are ready and, if one runs, the recorder has every topic.
 
+        :param seconds: longest wait for the next change of what is missing.
         :raises LaunchError: as ``wait``; the text says which nodes are missing.
         """
         self._awaited |= set(names)
         try:
-            self.wait(lambda: not self._missing(names), seconds, 'the nodes')
+            self.wait(
+                lambda: not self._missing(names),
+                seconds,
+                'the nodes',
+                lambda: self._missing(names),
+            )
         except LaunchError as error:
             if not (missing := self._missing(names)):
                 raise
