@@ -14,6 +14,7 @@ setup(
             '__init__.pyi',
             'report/*.html',
             'report/*.css',
+            'report/*.txt',
             'browser/page.*',
             'study/*.yaml',
         ]

@@ -1,10 +1,8 @@
 """What a person watches while a demo runs: the board, the lesson, the criteria."""
 
-from collections.abc import Sequence
 from typing import Any
 
-from humanopts_env.colours import GREEN, ORANGE
-from humanopts_learner.options.criteria import Criterion
+from humanopts_env.colours import GREEN
 from humanopts_ros.limits import printable
 from humanopts_teach.lesson.requests import OptionStatus
 from humanopts_teach.ros.convert import option_status_from_message
@@ -13,7 +11,6 @@ from humanopts_teach.state_drawing import draw_state
 from humanopts_teach.terminal.drawing import state_text
 from rich.console import Console, Group
 from rich.live import Live
-from rich.table import Table
 from rich.text import Text
 
 _LINE_EVERY = 10  # demonstrations, where lines are printed instead of a live picture
@@ -70,9 +67,10 @@ class DemoProgress:
         parts: list[Any] = [Text(f'\n{self._stage}', style='bold')]
         if graph.domain is not None and graph.state is not None:
             parts += state_text(draw_state(graph.domain, graph.state.state))
-        if graph.learning is not None and graph.learning.options:
-            options = list(map(option_status_from_message, graph.learning.options))
-            parts.append(_criteria_table(options))
+        for option in graph.learning.options if graph.learning else ():
+            found = option_status_from_message(option)
+            style = GREEN if found.criteria_met else ''
+            parts.append(Text(f'{found.option_name}: {_criteria_words(found)}', style))
         if hasattr(played := graph.feedback, 'fallbacks'):
             told = (
                 f'{played.episodes} episodes played, {played.successes} done, '
@@ -95,26 +93,6 @@ class DemoProgress:
         if (key or text) not in self._said:
             self._said.add(key or text)
             self._console.print(printable(text), highlight=False, markup=False, soft_wrap=True)
-
-
-def _criteria_table(options: Sequence[OptionStatus]) -> Table:
-    table = Table(box=None, pad_edge=False)
-    table.add_column('option')
-    for name in ('shown', 'not here', 'return', 'initiation', 'termination'):
-        table.add_column(name, justify='right')
-    for option in options:
-        counts = str(option.n_demonstrations), str(option.n_not_here)
-        table.add_row(option.option_name, *counts, *map(_criterion, option.criteria))
-    return table
-
-
-def _criterion(criterion: Criterion) -> Text:
-    if not criterion.measurable:
-        return Text('not yet', style='dim')
-    if criterion.met:
-        return Text(f'{criterion.value:.3g}', style=GREEN)
-    why = f', {criterion.verdict}' if criterion.undecided else f' > {criterion.threshold:g}'
-    return Text(f'{criterion.value:.3g}{why}', style=ORANGE)
 
 
 def _criteria_words(option: OptionStatus) -> str:

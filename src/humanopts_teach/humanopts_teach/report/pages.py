@@ -12,6 +12,7 @@ from markupsafe import Markup
 
 DASH = '\N{EN DASH}'  # no number
 MINUS = '\N{MINUS SIGN}'
+MARKS = {True: '✓', False: '✗', None: '·'}  # of what is good, bad, or neither
 
 
 @cache
@@ -36,7 +37,7 @@ def templates(package: str) -> jinja2.Environment:
     packages = dict.fromkeys((package, 'humanopts_teach.report'))
     environment = jinja2.Environment(
         loader=jinja2.ChoiceLoader([jinja2.PackageLoader(each, '') for each in packages]),
-        autoescape=True,
+        autoescape=jinja2.select_autoescape(),  # HTML, not text
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
@@ -63,7 +64,7 @@ class Finding:
     @property
     def mark(self) -> str:
         """A tick, a cross or a dot."""
-        return {True: '✓', False: '✗', None: '·'}[self.good]
+        return MARKS[self.good]
 
 
 def number(value: float | None, digits: int = 4) -> str:

@@ -1,13 +1,8 @@
-"""What people showed, and how they compare."""
-
-from collections.abc import Iterator
-from itertools import combinations
+"""What people showed."""
 
 from humanopts_learner.demonstrations import Demonstration, each_once, Kind
-from humanopts_learner.intervals import Interval, level_of_each
-from humanopts_learner.planning.request import HUMAN
+from humanopts_learner.intervals import Interval
 from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, OptionEvaluation
-from humanopts_teach.report.pages import Finding, limits, number
 
 
 def shown_demonstrations(evaluation: BagEvaluation) -> list[tuple[Demonstration, str]]:
@@ -61,24 +56,3 @@ def teachers(evaluation: BagEvaluation) -> list[tuple[OptionEvaluation, int, Int
         for option in evaluation.options
         if option.last.block.name == name
     ]
-
-
-def people_findings(evaluation: BagEvaluation) -> Iterator[Finding]:
-    """Compare the plans with the options of each two people, in the same episodes."""
-    plans = [
-        plan for plan in evaluation.plans if plan.participant and plan.row.action_set == HUMAN
-    ]
-    pairs = list(combinations(plans, 2))
-    for one, other in pairs:
-        totals = one.judged.totals, other.judged.totals
-        if len(totals[0]) != len(totals[1]):
-            continue
-        gain = Interval.of_difference(*totals, level_of_each(len(pairs)))
-        words = {True: 'better than', False: 'worse than', None: 'not distinguishable from'}
-        verdict = 'as good as' if gain.low == gain.high == 0.0 else words[gain.above()]
-        yield Finding(
-            None,
-            f'A plan with the options of {one.participant} is {verdict} one with those of '
-            f'{other.participant}: from the same start states, it returns {number(gain.mean)} '
-            f'{limits(gain)} more.',
-        )

@@ -85,7 +85,7 @@ def render_report(data: ReportData) -> str:
     }
     values = {
         'title': data.title,
-        'findings': list(findings(evaluation, live, data.topics)),
+        'findings': findings(evaluation, live, data.topics),
         'games': [
             (person, games, games_figures(games, f'games-{index}'))
             for index, (person, games) in enumerate(evaluation.games.items())
