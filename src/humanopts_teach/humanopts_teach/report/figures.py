@@ -10,6 +10,7 @@ from typing import Any
 from humanopts_teach.report.pages import page_style
 import matplotlib
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.rcsetup import cycler
 
@@ -104,7 +105,8 @@ def drawing(name: str, label: str, width: float, height: float) -> Iterator[Draw
 def _svg(figure: Any, name: str, label: str) -> str:
     """Return an ``<svg>`` element that is scaled and coloured by the page."""
     file = io.StringIO()
-    figure.savefig(file, format='svg', metadata={'Date': None, 'Creator': None})
+    canvas: Any = FigureCanvasSVG(figure)  # it draws once; ``savefig`` draws twice
+    canvas.print_svg(file, metadata={'Date': None, 'Creator': None})
     text = file.getvalue()
     text = text[text.index('<svg') :]
     text = re.sub(r'<metadata>.*?</metadata>', '', text, flags=re.DOTALL)
