@@ -164,7 +164,7 @@ class Arbiter:
             raise PlanError(f'{self.execution} runs no modules')
         if self._values.sampled:
             actions = self._policy.actions
-            chosen = self._policy.decide(actions.observe_state(state)).option[0]
+            chosen = self._policy(actions.observe_state(state), self._rng).option[0]
             return self._options[actions.names[int(chosen)]]
         modules = [self._options[name] for name in self._values.names]
         row = self._domain.feature_values(state)

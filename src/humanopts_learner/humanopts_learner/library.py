@@ -43,23 +43,18 @@ class PrimitiveOption:
     max_steps: int = 1
 
     def action_probabilities(self, rows: Rows) -> Floats:
-        """Return (N, A): 1 for the action."""
         return np.tile(np.eye(self.n_actions)[self.action], (len(rows), 1))
 
     def initiation_probability(self, rows: Rows) -> Floats:
-        """Return (N,): 1."""
         return np.ones(len(rows))
 
     def termination_probability(self, rows: Rows) -> Floats:
-        """Return (N,): 1."""
         return np.ones(len(rows))
 
     def can_start(self, rows: Rows) -> Flags:
-        """Return (N,): True."""
         return np.ones(len(rows), dtype=np.bool_)
 
     def choose_action(self, row: Rows, mode: Mode, rng: np.random.Generator) -> int:
-        """Return the action."""
         return self.action
 
     def choose_end(self, row: Rows, mode: Mode, rng: np.random.Generator) -> bool:
@@ -78,7 +73,6 @@ class OptionLibrary:
     """
 
     def __init__(self, domain: Domain[Any]) -> None:
-        """Make a library without learned options."""
         self.domain = domain
         names = [PRIMITIVE_PREFIX + action.name for action in domain.actions]
         self._primitives = {

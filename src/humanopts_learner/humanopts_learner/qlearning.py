@@ -44,17 +44,12 @@ class Method(Enum):
 
 @dataclass(frozen=True)
 class Rates:
-    """How one learner learns and explores."""
+    """How one learner learns and explores; a PlanError: a number is out of range."""
 
     learning_rate: float = 0.1
     explore: float = 0.1  # share of decisions that are drawn from all that is available
 
     def __post_init__(self) -> None:
-        """
-        Check the numbers.
-
-        :raises PlanError: one is out of range.
-        """
         if not (0.0 < self.learning_rate <= 1.0 and 0.0 <= self.explore <= 1.0):
             raise PlanError(f'{self}: the rate must be above 0, and both at most 1')
 
@@ -218,7 +213,6 @@ class _Live:
     """The n learners with episodes left, in the order of their numbers; (n,) of each."""
 
     def __init__(self, groups: Sequence[Learners], tables: _Tables, n_states: int) -> None:
-        """Begin with all learners before their first episodes."""
         rates = [one for group in groups for one in group.rates]
         count = len(rates)
         self.number = np.arange(count)
@@ -239,7 +233,6 @@ class _Live:
         self.returns = np.zeros(count)  # undiscounted
 
     def keep(self, chosen: Flags) -> None:
-        """Keep chosen learners (n,) only."""
         for name, values in vars(self).items():
             setattr(self, name, values[chosen])
 

@@ -89,8 +89,9 @@ def test_values_come_near_those_of_exact_models(action_set: str) -> None:
     domain = BatchRooms()
     exact = make_plan(domain, rooms_options(domain), PlanRequest(action_set)).solution.values
     starts = domain.start_states()
-    number, seen = plan.policy.values.find(starts.astype(np.int64))
-    assert seen.all()
+    states = plan.policy.values.states
+    number = states.searchsorted(starts)
+    assert (states[number] == starts).all()
     assert plan.solution.values[number] == pytest.approx(exact[starts], abs=0.03)
 
 

@@ -161,12 +161,10 @@ class NodeBase(Node):
         self._start_fault: Exception | None = None
 
     def get_logger(self) -> RcutilsLogger:
-        """Return the node's logger."""
         logger: RcutilsLogger = super().get_logger()  # type: ignore[no-untyped-call]
         return logger
 
     def destroy_node(self) -> None:
-        """Destroy all endpoints that the node has on the graph."""
         super().destroy_node()  # type: ignore[no-untyped-call]
 
     def create_timer(

@@ -19,11 +19,9 @@ class Polled(CallbackGroup):
     """
 
     def can_execute(self, entity: Any) -> bool:
-        """Refuse."""
         return False
 
     def beginning_execution(self, entity: Any) -> bool:
-        """Refuse."""
         return False
 
     def ending_execution(self, entity: Any) -> None:

@@ -34,7 +34,6 @@ class _Stop:
         self.requested = True
 
     def __call__(self) -> bool:
-        """Return whether the process is to end."""
         return self.requested or (self._launcher != 0 and os.getppid() != self._launcher)
 
 

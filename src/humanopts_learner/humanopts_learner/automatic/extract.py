@@ -17,7 +17,6 @@ from humanopts_learner.automatic.subgoals import (
     draw_tasks,
     Extraction,
     greedy_runs,
-    ignore_progress,
     learn_to_reach,
     Progress,
     Subgoals,
@@ -80,7 +79,7 @@ def find_options(
     :raises PlanError: no tasks can be set in the domain; its subclasses say why.
     :raises PlanCanceled: from ``progress``.
     """
-    space, report = search_space(domain), progress or ignore_progress
+    space, report = search_space(domain), progress or (lambda stage, done, steps: None)
     began, game_steps = clock(), 0
     simulator = TabularSimulator(space.transitions, space.over)
     check_tables(simulator, config.tasks)

@@ -36,6 +36,8 @@ class Extraction:
     M. Stolle and D. Precup (2002), "Learning Options in Reinforcement Learning", give the
     algorithm. The numbers marked "usual" are those of another implementation
     (utkd/bottleneck-options-learning); the others are ours, with their reasons.
+
+    :raises PlanError: one is out of range.
     """
 
     options: int = 25  # largest number
@@ -49,11 +51,6 @@ class Extraction:
     max_steps: int = 1000  # after which an episode or a greedy run is cut off: ours
 
     def __post_init__(self) -> None:
-        """
-        Check the numbers.
-
-        :raises PlanError: one is out of range.
-        """
         for field in fields(self):
             value = getattr(self, field.name)
             if field.type is int and value < 1:
@@ -63,10 +60,6 @@ class Extraction:
 
 
 USUAL = Extraction()
-
-
-def ignore_progress(stage: str, fraction: float, game_steps: int) -> None:
-    """Ignore the progress."""
 
 
 @dataclass(frozen=True)

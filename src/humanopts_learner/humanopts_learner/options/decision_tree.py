@@ -33,7 +33,6 @@ class EncodedFeature:
     value: int | None = None  # None: the feature itself; else 1 where it has this value, 0 else
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the encoded feature as JSON data."""
         return {'feature': self.feature, 'index': self.index, 'value': self.value}
 
     @classmethod
@@ -130,11 +129,9 @@ class Tree:
         _check(self)
 
     def __eq__(self, other: object) -> bool:
-        """Return whether the other is the same tree."""
         return isinstance(other, Tree) and self.to_dict() == other.to_dict()
 
     def __hash__(self) -> int:
-        """Return a hash that equal trees share."""
         return hash((self.feature.tobytes(), self.counts.tobytes(), self.classes))
 
     def leaves(self, X: NDArray[np.float32]) -> Ints:
@@ -211,7 +208,6 @@ class Tree:
         return shares
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the tree as JSON data."""
         parts = (self.feature, self.threshold, self.left, self.right, self.counts)
         nodes = []
         for feature, threshold, left, right, counts in zip(*(part.tolist() for part in parts)):

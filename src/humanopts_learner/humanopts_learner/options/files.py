@@ -34,6 +34,10 @@ def option_to_json(option: LearnedOption, demonstrations: Sequence[Demonstration
     :param demonstrations: those that it was learned from, or none.
     """
     trees = {part: getattr(option, part).to_dict() for part in PARTS}
+    planned: dict[str, Any] = {}
+    if option.method != TREES:
+        columns = [encoded.to_dict() for encoded in option.policy_encoding]
+        planned = {'method': option.method, 'policy_columns': columns}
     data = {
         'format': FORMAT,
         'version': VERSION,
@@ -42,7 +46,7 @@ def option_to_json(option: LearnedOption, demonstrations: Sequence[Demonstration
         **{key: getattr(option, key) for key in COUNTS},
         **{key: list(getattr(option, key)) for key in NAMES},
         'columns': [encoded.to_dict() for encoded in option.encoding],
-        **_planned(option),
+        **planned,
         **trees,
         'demonstrations': [json.loads(demo.to_json()) for demo in demonstrations],
     }
@@ -82,14 +86,6 @@ def option_from_json(text: str) -> tuple[LearnedOption, list[Demonstration]]:
     if demonstrations and {demo.uuid for demo in demonstrations} != set(option.uuids):
         raise OptionFileError('its demonstrations are not those that it was learned from')
     return option, demonstrations
-
-
-def _planned(option: LearnedOption) -> dict[str, Any]:
-    """Return what a file says more of an option whose policy was planned."""
-    if option.method == TREES:
-        return {}
-    columns = [encoded.to_dict() for encoded in option.policy_encoding]
-    return {'method': option.method, 'policy_columns': columns}
 
 
 def option_path(directory: Path, participant: str, name: str) -> Path:

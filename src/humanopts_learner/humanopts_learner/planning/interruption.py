@@ -51,7 +51,6 @@ class OptionValues:
     sampled: bool  # states are abstract states
 
     def __post_init__(self) -> None:
-        """Check the arrays."""
         shape = len(self.states), len(self.names)
         if self.option_values.shape != shape or self.continuation_values.shape != shape:
             raise PlanError(
@@ -67,12 +66,6 @@ class OptionValues:
             raise PlanError(
                 f'interruption_margin is {self.interruption_margin}, and must be 0 or greater'
             )
-
-    def find(self, states: NDArray[np.int64]) -> tuple[Ints, Flags]:
-        """Return the row of each state (N,), 0 where it has none, and (N,) whether it has one."""
-        row = np.minimum(np.searchsorted(self.states, states), len(self.states) - 1)
-        found = self.states[row] == states
-        return np.where(found, row, 0), found
 
 
 def interruptions(

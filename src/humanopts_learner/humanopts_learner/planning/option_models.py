@@ -183,30 +183,17 @@ def stochastic_model(
         found.eliminate_zeros()
         return found
 
-    step = _StochasticStep(
-        states,
-        (probability * rules.reward[at]).sum(axis=1),
-        rows(~last, row_of[successor], len(states)),
-        rows(last & ~terminated, successor, len(ends)),
-        np.asarray((last & (probability > 0)).any(axis=1)),
-    )
-    expected, running = _rewards(step, option.max_steps)
-    ending = _unlimited_successors(step)
+    on = rows(~last, row_of[successor], len(states))  # M
+    end = rows(last & ~terminated, successor, len(ends))  # E
+    may_end = np.asarray((last & (probability > 0)).any(axis=1))
+    reward = (probability * rules.reward[at]).sum(axis=1)
+    expected, running = _rewards(on, reward, option.max_steps)
+    ending = _unlimited_successors(on, end, may_end)
     late = running > NEGLIGIBLE
     if late.any():
-        ending = _limited_successors(step, ending, late, option.max_steps)
+        here = csr_array((np.ones(len(states)), (row_of[states], states)), shape=ending.shape)
+        ending = _limited_successors(on, here, ending, late, option.max_steps)
     return SparseOptionModel(states, expected, ending, np.where(late, running, 0.0))
-
-
-@dataclass(frozen=True)
-class _StochasticStep:
-    """One step of an option from each of n states, as sparse rows."""
-
-    states: Ints  # (n,)
-    reward: Floats  # (n,)
-    on: Rows  # (n, n) discounted probability of going on: M
-    end: Rows  # (n, S) discounted probability of ending with the task not over: E
-    may_end: Flags  # (n,) the option may end with this step, the task over or not
 
 
 def visited(
@@ -224,47 +211,49 @@ def visited(
     return np.flatnonzero(found)
 
 
-def _rewards(step: _StochasticStep, max_steps: int) -> tuple[Floats, Floats]:
+def _rewards(on: Rows, reward: Floats, max_steps: int) -> tuple[Floats, Floats]:
     """Return the reward (n,) of at most ``max_steps`` steps and what is still running then."""
-    first = np.stack([step.reward, np.zeros(len(step.states))], axis=1)
-    total = np.stack([np.zeros(len(step.states)), np.ones(len(step.states))], axis=1)
+    first = np.stack([reward, np.zeros(len(reward))], axis=1)
+    total = np.stack([np.zeros(len(reward)), np.ones(len(reward))], axis=1)
     for _ in range(max_steps):
-        total = first + step.on @ total
+        total = first + on @ total
         if not (total[:, 1] > NEGLIGIBLE).any():
             break
     return total[:, 0], total[:, 1]
 
 
-def _unlimited_successors(step: _StochasticStep) -> Rows:
-    """Solve (I - M) F = E, (n, S), where runs can end; where they never do, F is 0."""
-    can_end = step.may_end
+def _unlimited_successors(on: Rows, end: Rows, can_end: Flags) -> Rows:
+    """
+    Solve (I - M) F = E, (n, S), where runs can end; where they never do, F is 0.
+
+    :param can_end: (n,) the option may end with the next step, the task over or not.
+    """
     while True:
-        more = can_end | ((step.on @ can_end.astype(np.float64)) > 0)
+        more = can_end | ((on @ can_end.astype(np.float64)) > 0)
         if (more == can_end).all():
             break
         can_end = more
     rows = np.flatnonzero(can_end)
-    if not step.end.nnz:
-        return step.end
-    solve = splu((eye_array(len(rows)) - step.on[rows][:, rows]).tocsc()).solve
-    columns = np.unique(step.end.indices)
+    if not end.nnz:
+        return end
+    solve = splu((eye_array(len(rows)) - on[rows][:, rows]).tocsc()).solve
+    columns = np.unique(end.indices)
     blocks = []
     for begin in range(0, len(columns), BLOCK):
         block = columns[begin : begin + BLOCK]
-        found = solve(step.end[rows][:, block].toarray())
+        found = solve(end[rows][:, block].toarray())
         row, col = np.nonzero(found > NEGLIGIBLE)
         blocks.append((found[row, col], rows[row], block[col]))
     data, row, col = (np.concatenate(part) for part in zip(*blocks))
-    return csr_array((data, (row, col)), shape=step.end.shape)
+    return csr_array((data, (row, col)), shape=end.shape)
 
 
 def _limited_successors(
-    step: _StochasticStep, successor: Rows, late: Flags, max_steps: int
+    on: Rows, here: Rows, successor: Rows, late: Flags, max_steps: int
 ) -> Rows:
-    """Return F + M**max_steps (I - F) in the late rows, and F in the others."""
+    """Return F + M**max_steps (I - F) in the late rows, and F in the others; ``here`` is I."""
     count = len(late)
-    here = csr_array((np.ones(count), (np.arange(count), step.states)), shape=successor.shape)
-    back, rest = step.on.T.tocsr(), (here - successor).T.tocsr()
+    back, rest = on.T.tocsr(), (here - successor).T.tocsr()
     rows = np.flatnonzero(late)
     parts = []
     for begin in range(0, len(rows), BLOCK):

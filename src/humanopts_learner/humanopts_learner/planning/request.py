@@ -103,7 +103,6 @@ class Sampling:
     interruption_margin: float = 10.0  # reward units that stopping an option must gain
 
     def __post_init__(self) -> None:
-        """Check the numbers."""
         if min(self.rounds - 1, self.n_games, self.min_samples) < 1:
             raise PlanError(f'{self} needs at least two rounds, one game and one sample')
         if self.game_steps < self.rounds:
@@ -142,7 +141,6 @@ class PlanRequest:
     """
 
     def __post_init__(self) -> None:
-        """Check what does not depend on the domain."""
         if self.action_set not in ACTION_SETS:
             raise PlanError(
                 f'no action set {self.action_set!r}; there is {", ".join(ACTION_SETS)}'

@@ -30,37 +30,50 @@ def look_ahead(model: 'Model', values: Floats) -> Floats:
 
 
 @dataclass(frozen=True)
-class MultiTimeModel:
+class _Rewards:
+    """The rewards of running option o from state s, in both forms of a model."""
+
+    names: tuple[str, ...]  # of the options, (O,)
+    reward: Floats  # (S, O), expected sum of gamma**i * r[i], i = 0..k-1
+    available: Flags  # (S, O)
+
+    def __post_init__(self) -> None:
+        reward = self.reward
+        if self.available.shape != reward.shape:
+            raise PlanError(f'available is {self.available.shape}, and reward is {reward.shape}')
+        if reward.ndim != 2 or 0 in reward.shape or reward.shape[1] != len(self.names):
+            raise PlanError(f'{len(self.names)} names do not fit arrays of shape {reward.shape}')
+        largest = float(np.finfo(np.float64).max)
+        _check_range('reward', reward, -largest, largest)
+
+    @property
+    def n_states(self) -> int:
+        """Number of states, S."""
+        return int(self.reward.shape[0])
+
+
+@dataclass(frozen=True)
+class MultiTimeModel(_Rewards):
     """
     Rewards and successors of running option o from state s, with one successor each.
 
-    An option takes k primitive steps; its reward is sum of gamma**i * r[i], i = 0..k-1. Entries
-    of pairs that are not available are ignored, but must be valid numbers. Arrays may be shared
-    and read-only, and of any strides.
+    Entries of pairs that are not available are ignored, but must be valid numbers. Arrays may be
+    shared and read-only, and of any strides.
 
     :raises PlanError: shapes disagree, a number is not finite, or an entry is out of range.
     """
 
-    names: tuple[str, ...]  # of the options, (O,)
-    reward: Floats  # (S, O)
-    available: Flags  # (S, O)
     successor: NDArray[np.int32]  # (S, O)
-    discount: Floats  # (S, O), gamma**k; 0 where the task was over
+    discount: Floats  # (S, O), gamma**k of an option that takes k steps; 0 where the task was over
 
     def __post_init__(self) -> None:
-        """Check the arrays."""
-        _check_shapes(self.names, self.reward, self.available)
+        super().__post_init__()
         shape = self.reward.shape
         for name in ('successor', 'discount'):
             if getattr(self, name).shape != shape:
                 raise PlanError(f'{name} is {getattr(self, name).shape}, and reward is {shape}')
         _check_range('successor', self.successor, 0, shape[0] - 1)
         _check_range('discount', self.discount, 0, 1)
-
-    @property
-    def n_states(self) -> int:
-        """Number of states, S."""
-        return int(self.reward.shape[0])
 
     @cached_property
     def rows(self) -> Rows:
@@ -73,7 +86,7 @@ class MultiTimeModel:
 
 
 @dataclass(frozen=True)
-class SparseMultiTimeModel:
+class SparseMultiTimeModel(_Rewards):
     """
     Rewards and successors of running option o from state s, with any number of successors.
 
@@ -81,14 +94,10 @@ class SparseMultiTimeModel:
         more than 1, or belongs to a pair that is not available.
     """
 
-    names: tuple[str, ...]  # of the options, (O,)
-    reward: Floats  # (S, O), expected sum of gamma**i * r[i], i = 0..k-1
-    available: Flags  # (S, O)
     rows: Rows  # (O*S, S), row o*S + s: expected gamma**k of each successor; none: task over
 
     def __post_init__(self) -> None:
-        """Check the arrays."""
-        _check_shapes(self.names, self.reward, self.available)
+        super().__post_init__()
         count, options = self.reward.shape
         if self.rows.shape != (options * count, count):
             raise PlanError(f'rows are {self.rows.shape}, and reward is {self.reward.shape}')
@@ -115,11 +124,6 @@ class SparseMultiTimeModel:
             self.available[states, option][:, None],
             self.rows[option * self.n_states + states],
         )
-
-    @property
-    def n_states(self) -> int:
-        """Number of states, S."""
-        return int(self.reward.shape[0])
 
 
 Model = MultiTimeModel | SparseMultiTimeModel
@@ -179,15 +183,6 @@ def _primitive_rows(
     return SparseMultiTimeModel(
         tuple(names), reward, np.broadcast_to(~over, reward.T.shape).T, rows
     )
-
-
-def _check_shapes(names: Sequence[str], reward: Floats, available: Flags) -> None:
-    if available.shape != reward.shape:
-        raise PlanError(f'available is {available.shape}, and reward is {reward.shape}')
-    if reward.ndim != 2 or 0 in reward.shape or reward.shape[1] != len(names):
-        raise PlanError(f'{len(names)} names do not fit arrays of shape {reward.shape}')
-    largest = float(np.finfo(np.float64).max)
-    _check_range('reward', reward, -largest, largest)
 
 
 def _check_range(name: str, array: NDArray[Any], low: float, high: float) -> None:

@@ -115,12 +115,7 @@ class _IndexedBackup:
         return best
 
     def everywhere(self, values: Floats, before: Floats) -> Floats:
-        """
-        Return the values (S,) of all states, in the order of the model.
-
-        :param values: (R,) by the last sweep.
-        :param before: (R,) by the one before it.
-        """
+        """Return the values (S,) in the order of the model, by those (R,) of the last sweeps."""
         return values.copy()
 
 
@@ -134,7 +129,6 @@ class _SparseBackup:
     """
 
     def __init__(self, model: SparseMultiTimeModel) -> None:
-        """Prepare the sweeps over the states that are successors."""
         self._model, self._dead = model, ~np.asarray(model.available.T.any(axis=0))
         swept = np.zeros(model.n_states, dtype=np.bool_)
         swept[model.rows.indices] = True
@@ -165,7 +159,6 @@ class _SparseBackup:
         self._rewards = np.where(self._dead[state], 0.0, model.reward[state, option])
 
     def sweep(self, old: Floats, new: Floats) -> float:
-        """Write the next values to ``new``, and return the largest change."""
         old, new, choices = old[:-1], new[:-1], self._choices
         choices.fill(0.0)
         self._multiply(old, choices)  # adds to it
@@ -181,12 +174,10 @@ class _SparseBackup:
         return float(np.maximum.reduce(np.abs(change, out=change)))
 
     def best(self, values: Floats) -> NDArray[np.int32]:
-        """Return the greedy option (S,), the lowest of equals."""
         best = look_ahead(self._model, self._of_all(values)).argmax(axis=1)
         return np.where(self._dead, -1, best).astype(np.int32)
 
     def everywhere(self, values: Floats, before: Floats) -> Floats:
-        """Return the values (S,) of all states."""
         if self.n_swept == self._model.n_states:
             return self._of_all(values)
         found = look_ahead(self._model, self._of_all(before)).max(axis=1)

@@ -99,18 +99,6 @@ def options_to_message(options: Sequence[LearnedOption]) -> msg.LearnedOptions:
     )
 
 
-def plan_request_from_goal(goal: Plan.Goal) -> PlanRequest:
-    """Decode a plan request from a goal of the action plan."""
-    return PlanRequest(
-        action_set=goal.action_set,
-        gamma=goal.gamma,
-        tol=goal.tolerance,
-        max_sweeps=goal.max_sweeps,
-        game_steps=goal.game_steps,
-        seed=goal.seed,
-    )
-
-
 def plan_goal_to_message(
     goal: Plan.Goal, plan_id: str, request: PlanRequest, options: Sequence[LearnedOption]
 ) -> msg.PlanGoal:

@@ -58,7 +58,6 @@ class LearnerNode(NodeBase):
         self.create_subscription(Demonstration, 'demonstrations', self._on_demonstration, STREAM)
 
     def waits_for(self) -> str | None:
-        """Return what the node waits for: the domain of the game."""
         return None if self._trainer else 'domain_info'
 
     def on_ready(self) -> None:

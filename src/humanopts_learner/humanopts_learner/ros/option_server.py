@@ -70,7 +70,6 @@ class OptionServerNode(NodeBase):
         self._runner.patience = seconds
 
     def waits_for(self) -> str | None:
-        """Return what the node waits for: the domain of the game."""
         return None if self._runner.library is not None else 'domain_info'
 
     def close(self) -> None:

@@ -36,12 +36,12 @@ from humanopts_learner.planning.request import (
     OPTIONS_ONLY,
     PlanCanceled,
     PlanError,
+    PlanRequest,
     select_options,
 )
 from humanopts_learner.ros.convert import (
     options_to_message,
     plan_goal_to_message,
-    plan_request_from_goal,
     plan_to_message,
     refused_plan,
 )
@@ -207,7 +207,6 @@ class PlanAction(LongAction[PlanResult]):
     good = (PlanResult.STATUS_CONVERGED, PlanResult.STATUS_NOT_CONVERGED)
 
     def blank(self, goal: Plan.Goal) -> PlanResult:
-        """Return a result without a plan."""
         return refused_plan(goal.action_set)
 
     async def work(
@@ -225,7 +224,8 @@ class PlanAction(LongAction[PlanResult]):
         await self._wait_for_options(goal.options_sequence)
         known = self._state.options(goal.action_set)
         options = select_options(known, goal.action_set, goal.participant, goal.options)
-        request = plan_request_from_goal(goal).in_force(domain, options)
+        numbers = goal.gamma, goal.tolerance, goal.max_sweeps, goal.game_steps, goal.seed
+        request = PlanRequest(goal.action_set, *numbers).in_force(domain, options)
         result.plan_id = plan_id = str(uuid.uuid4())  # the result from here on
         self._goals.publish(plan_goal_to_message(goal, plan_id, request, options))
 
@@ -272,7 +272,6 @@ class ExtractionAction(LongAction[ExtractionResult]):
         self._found = node.stamped_publisher(LearnedOptions, 'automatic_options', LATCHED)
 
     def blank(self, goal: ExtractOptions.Goal) -> ExtractionResult:
-        """Return a result without options."""
         return ExtractionResult(participant=goal.participant or MACHINE)
 
     async def work(

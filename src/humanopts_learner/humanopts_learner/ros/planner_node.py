@@ -31,7 +31,6 @@ class PlannerNode(NodeBase):
         self._actions = PlanAction(*shared), ExtractionAction(*shared)
 
     def waits_for(self) -> str | None:
-        """Return what the node waits for: the domain of the game."""
         return None if self._state.domain is not None else 'domain_info'
 
     def close(self) -> None:

@@ -110,7 +110,6 @@ class PolicyServer:
 
     @property
     def busy(self) -> bool:
-        """Whether a policy runs."""
         return self._run is not None
 
     def stop(self) -> None:

@@ -99,7 +99,6 @@ class PolicySubscriber:
         node.subscribe(ExecutionState, 'execution', _checked, self._on_execution, CURRENT)
 
     def has(self, plan_id: str) -> bool:
-        """Return whether the values of a plan are the newest."""
         return self._message is not None and self._message.plan_id == plan_id
 
     def newest(self) -> str:

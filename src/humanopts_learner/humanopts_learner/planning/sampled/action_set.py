@@ -37,20 +37,16 @@ class Observation:
 
     def take(self, chosen: Ints) -> 'Observation':
         """Return the observation of chosen games (M,)."""
-        return Observation(*(array.take(chosen, axis=0) for array in self._arrays))
+        return Observation(*(array.take(chosen, axis=0) for array in vars(self).values()))
 
     def part(self, begin: int, end: int) -> 'Observation':
         """Return the observation of the games from ``begin`` up to ``end``, in the same memory."""
-        return Observation(*(array[begin:end] for array in self._arrays))
+        return Observation(*(array[begin:end] for array in vars(self).values()))
 
     def put(self, chosen: Ints, source: 'Observation') -> None:
         """Set chosen games (M,) to those of another observation."""
-        for mine, its in zip(self._arrays, source._arrays):
+        for mine, its in zip(vars(self).values(), vars(source).values()):
             mine[chosen] = its
-
-    @property
-    def _arrays(self) -> tuple[NDArray[Any], ...]:
-        return self.states, self.startable, self.wanted, self.ending, self.fallback
 
 
 class StateAbstraction:

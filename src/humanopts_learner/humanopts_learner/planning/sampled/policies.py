@@ -39,7 +39,6 @@ class UniformPolicy:
     actions: ActionSet
 
     def __call__(self, seen: Observation, rng: np.random.Generator) -> Choice:
-        """Return the next option in each game."""
         option = self.drawn(seen, rng.random(seen.startable.shape))
         return Choice(option, np.zeros(len(option), dtype=np.bool_))
 
@@ -50,7 +49,6 @@ class UniformPolicy:
         return option
 
     def stops(self, seen: Observation, option: Ints, rng: np.random.Generator) -> Flags:
-        """Return False for every game."""
         return np.zeros(len(option), dtype=np.bool_)
 
 
@@ -78,10 +76,6 @@ class GreedyPolicy:
         return np.bincount(best, minlength=self.actions.first_fallback)
 
     def __call__(self, seen: Observation, rng: np.random.Generator) -> Choice:
-        """Return the next option in each game."""
-        return self.decide(seen)
-
-    def decide(self, seen: Observation) -> Choice:
         """Return the next option in each game; of modules the one that acts for a step."""
         row = self._row(seen)
         option_values = self._option_values(seen, row)
@@ -161,8 +155,7 @@ class ExploringPolicy:
     share: float  # of decisions that explore
 
     def __call__(self, seen: Observation, rng: np.random.Generator) -> Choice:
-        """Return the next option in each game."""
-        best = self.greedy.decide(seen)
+        best = self.greedy(seen, rng)
         draws = rng.random(seen.startable.shape)
         explore = np.flatnonzero(rng.random(len(best.option)) < self.share)
         uniform = UniformPolicy(self.greedy.actions)
@@ -170,7 +163,6 @@ class ExploringPolicy:
         return best
 
     def stops(self, seen: Observation, option: Ints, rng: np.random.Generator) -> Flags:
-        """Return (N,): whether the running option is stopped."""
         stop = self.greedy.stops(seen, option, rng)
         if self.greedy.execution is Execution.RUN_TO_END:
             return stop

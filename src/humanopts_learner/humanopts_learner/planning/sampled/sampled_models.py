@@ -33,12 +33,10 @@ class StateIndex:
     """Numbers abstract states in the order of their first visit."""
 
     def __init__(self) -> None:
-        """Begin without states."""
         self._sorted = np.empty(0, dtype=np.int64)
         self._number = np.empty(0, dtype=np.intp)
 
     def __len__(self) -> int:
-        """Return the number of states."""
         return len(self._sorted)
 
     @property
@@ -75,7 +73,6 @@ class SampleCounts:
         self._rows: Rows = csr_array((0, 0))
 
     def add(self, samples: Samples) -> None:
-        """Count samples."""
         codes = np.concatenate([samples.state, samples.successor])
         state, successor = np.split(self.index.add(codes), 2)
         options, states = len(self.names), len(self.index)
@@ -90,7 +87,6 @@ class SampleCounts:
         self._rows = self._rows + more.tocsr()
 
     def _grow(self, states: int) -> None:
-        """Make room for more states."""
         options, old = self._count.shape
         if states == old:
             return
