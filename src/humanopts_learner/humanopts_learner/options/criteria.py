@@ -241,9 +241,9 @@ def _criteria(
         initiation = [option.can_start for option in options]
         termination = [option.ends for option in options]
         shortfall = held_out_shortfall(data, domain, options, folds, seed)
-        initiation_error = balanced_error(
-            data.initiation, initiation, folds, starts_anywhere(data)
-        )
+        asked = [demo.can_start_at_end for demo in data.trajectories if not demo.terminated]
+        anywhere = bool(asked) and all(asked) and bool((data.initiation.labels == MEMBER).all())
+        initiation_error = balanced_error(data.initiation, initiation, folds, anywhere)
         termination_error = balanced_error(data.termination, termination, folds)
     mean, high = (shortfall.mean, shortfall.high) if shortfall else (None, None)
     if shortfall and known is not None and known <= thresholds.return_delta:
@@ -258,12 +258,6 @@ def _criteria(
 def fewest(method: str) -> int:
     """Return how many trajectories it takes before the criteria are measurable."""
     return FEWEST_TO_A_GOAL if method == GOAL else FEWEST
-
-
-def starts_anywhere(data: Dataset) -> bool:
-    """Return whether every answer was that the option could start again where it ended."""
-    asked = [demo.can_start_at_end for demo in data.trajectories if not demo.terminated]
-    return bool(asked) and all(asked) and bool((data.initiation.labels == MEMBER).all())
 
 
 def fold_of(data: Dataset, seed: int) -> Ints:

@@ -59,7 +59,12 @@ def tree_table(
     :param values: one for each node of the tree.
     :return: None: there are more than ``LARGEST`` combinations.
     """
-    tests = _tests(tree, encoding, counts)
+    tests = {}  # by node: its feature, and which of the feature's values (V,) go left
+    for node in np.flatnonzero(tree.left != LEAF).tolist():
+        encoded = encoding[int(tree.feature[node])]
+        value = np.arange(counts[encoded.index])
+        seen = value if encoded.value is None else value == encoded.value
+        tests[node] = encoded.index, seen.astype(np.float32) <= tree.threshold[node]
     features = sorted({encoding[column].index for column in tree.tested})
     buckets, firsts = {}, {}
     for feature in features:
@@ -92,16 +97,3 @@ def tree_table(
         return found
 
     return look_up
-
-
-def _tests(
-    tree: Tree, encoding: Sequence[EncodedFeature], counts: Sequence[int]
-) -> dict[int, tuple[int, Flags]]:
-    """Return by node that tests a feature: the feature, and which of its values (V,) go left."""
-    tests = {}
-    for node in np.flatnonzero(tree.left != LEAF).tolist():
-        encoded = encoding[int(tree.feature[node])]
-        value = np.arange(counts[encoded.index])
-        seen = value if encoded.value is None else value == encoded.value
-        tests[node] = encoded.index, seen.astype(np.float32) <= tree.threshold[node]
-    return tests
