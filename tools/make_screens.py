@@ -258,7 +258,7 @@ def teach(name: str, option: str, shown: int) -> list[tuple[str, str]]:
         person.press(ESCAPE)
         person.choose('Teach a new option')
         person.keep('name', 'Naming an option', option)
-        person.keep('question', 'A question', ENTER, see=['question 1 of', 'At yes,'])
+        person.keep('question', 'A question', ENTER, see=['question 1 of', 'If yes,'])
         person.answer()
         person.keep('ready', 'Before the first start', see=['Enter shows start 1'])
         person.keep('start', 'A start', ENTER, see=['next: start 1'])
