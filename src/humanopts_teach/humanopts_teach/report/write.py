@@ -23,7 +23,7 @@ from humanopts_teach.report.charts import (
 )
 from humanopts_teach.report.episode import episode_strip, Frame, read_last_episode
 from humanopts_teach.report.findings import findings, planning_rows
-from humanopts_teach.report.pages import DASH, duration, percent, render
+from humanopts_teach.report.pages import render
 from humanopts_teach.report.people import shown_demonstrations, shown_return, teachers
 from humanopts_teach.report.rules import option_rules
 
@@ -103,7 +103,8 @@ def render_report(data: ReportData) -> str:
         'demonstrations': shown_demonstrations(evaluation),
         'teachers': teachers(evaluation),
         'shown': [shown_return(evaluation, each) for each in evaluation.options],
-        'strategy': evaluation.settings.strategy,
+        'domain': evaluation.domain,
+        'settings': evaluation.settings,
         'several': len(evaluation.people) > 1,
         'references': reference_options(evaluation.domain),
         'exact_accuracy': is_enumerable(evaluation.domain),
@@ -113,43 +114,18 @@ def render_report(data: ReportData) -> str:
         'reproduced': REPRODUCED,
         'boards': board_figures(exact, 'board'),
         'planning': planning,
-        'teaching_cost': _teaching_cost(evaluation),
+        'evaluation': evaluation,
         'planning_figures': planning_figures(planning, 'planning'),
         'episode': episode_strip(evaluation.domain, data.frames),
         'topics': data.topics,
-        'provenance': _provenance(data),
+        'provenance': data.provenance,
+        'versions': _versions(),
     }
     return render('humanopts_teach.report', 'report.html', values)
 
 
-def _teaching_cost(evaluation: BagEvaluation) -> dict[str, str]:
-    """Return demonstrations and time that the options of each plan took, by its name."""
-    cost = {}
-    for name, plan in evaluation.named_plans.items():
-        taught = [option.last for option in evaluation.of(plan.participant)]
-        shown = sum(point.block.n_demonstrations for point in taught)
-        seconds = duration(sum(point.seconds for point in taught))
-        cost[name] = f'{shown} in {seconds}' if taught else DASH
-    return cost
-
-
-def _provenance(data: ReportData) -> dict[str, str]:
-    """Return what a reader needs to get the same numbers again."""
-    settings, domain = data.evaluation.settings, data.evaluation.domain
-    rate, limits = settings.teacher_error_rate, settings.thresholds
-    parameters = ', '.join(f'{name} {value}' for name, value in domain.parameters.items())
+def _versions() -> list[str]:
+    """Return the software that the numbers come from, as far as it is known."""
     now, names = software(), ('Python', 'NumPy', 'scikit-learn')
     versions = {**{name: now[name.lower()] for name in names}, 'humanopts': now[OWN_VERSION]}
-    return {
-        'domain': f'{domain.name} ({parameters})',
-        'seed': str(settings.seed),
-        'start states chosen by': f'{settings.strategy}, at most {settings.budget} for an option',
-        'criteria': (
-            f'return at most {limits.return_delta:g} reward units short, '
-            f'initiation at most {limits.initiation_error:g}, '
-            f'termination at most {limits.termination_error:g}'
-        ),
-        'teacher': 'a person' if rate is None else f'simulated, {percent(rate)} of steps wrong',
-        **data.provenance,
-        'evaluated with': ', '.join(f'{n} {v}' for n, v in versions.items() if v != UNKNOWN),
-    }
+    return [f'{name} {version}' for name, version in versions.items() if version != UNKNOWN]
