@@ -88,14 +88,27 @@ def best_ways(
     :return: value (S,), the expected gamma**k of reaching the goal by the k-th action, of the best
         way from each state, allowed or not; optimal (S, A), the first actions of best ways.
     """
-    value = np.zeros(len(allowed))
+    n_states, chance = len(allowed), not transitions.deterministic
+    goal_place, nowhere = n_states, n_states + 1  # behind the states, in what each is worth
+    leads_to = np.where(allowed[transitions.successor], transitions.successor, nowhere)
+    leads_to[goal] = goal_place
+    leads_to = np.ascontiguousarray(leads_to.transpose(2, 1, 0), dtype=np.intp)  # (B, A, S): quick
+    probability = np.ascontiguousarray(transitions.probability.transpose(2, 1, 0))
+    worth = np.zeros(n_states + 2)
+    worth[goal_place] = 1.0
+    value = worth[:n_states]
+    each, best = np.empty(leads_to.shape), np.empty(n_states)
+    ahead = np.empty(each.shape[1:]) if chance else each[0]
     while True:
-        worth = np.where(goal, 1.0, np.where(allowed, value, 0.0)[transitions.successor])
-        ahead = (transitions.probability * worth).sum(axis=2) * gamma
-        best = ahead.max(axis=1)
+        worth.take(leads_to, out=each, mode='clip')  # 'raise' would copy
+        if chance:
+            np.multiply(each, probability, out=each)
+            each.sum(axis=0, out=ahead)
+        ahead *= gamma
+        ahead.max(axis=0, out=best)
         if np.abs(best - value).max() <= np.finfo(np.float64).eps:
-            return best, ahead >= best[:, None] - TIE
-        value = best
+            return best, (ahead >= best - TIE).T
+        value[:] = best
 
 
 ROUNDING = 1e-9  # how far the probabilities of one action may be from 1 in sum
