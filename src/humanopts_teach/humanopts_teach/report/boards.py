@@ -162,7 +162,7 @@ def _draw_walls(work: Drawing, board: Board) -> None:
 def _draw_choices(work: Drawing, board: Board, plan: ExactPlan, scale: Normalize) -> list[int]:
     """Mark every cell with its option's letter and the primitive action; return what is used."""
     size = min(8.0, 55.0 / max(board.states.shape))
-    used = set()
+    used, arrows = set(), list[tuple[Any, ...]]()
     for row, col in np.argwhere(board.states >= 0):
         state = board.states[row, col]
         chosen = int(plan.solution.best[state])
@@ -178,8 +178,11 @@ def _draw_choices(work: Drawing, board: Board, plan: ExactPlan, scale: Normalize
             work.axes.text(*at, _letter(chosen), ha='left', va='top', **style)
         if action in board.moves:
             arrow = 0.56 * np.array(board.moves[action][::-1]) / np.abs(board.moves[action]).max()
-            work.axes.quiver(col, row, *arrow, color=ink, **ARROW)
+            arrows.append((col, row, *arrow, ink))
         else:
             name, at = plan.domain.actions[action].name, (col, row + 0.08)
             work.axes.text(*at, name, ha='center', va='center', weight='bold', **style)
+    if arrows:
+        *ends, inks = zip(*arrows)
+        work.axes.quiver(*ends, color=inks, **ARROW)
     return sorted(used)
