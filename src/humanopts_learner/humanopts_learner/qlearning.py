@@ -44,7 +44,11 @@ class Method(Enum):
 
 @dataclass(frozen=True)
 class Rates:
-    """How one learner learns and explores; a PlanError: a number is out of range."""
+    """
+    How one learner learns and explores.
+
+    :raises PlanError: a number is out of range.
+    """
 
     learning_rate: float = 0.1
     explore: float = 0.1  # share of decisions that are drawn from all that is available

@@ -237,7 +237,7 @@ def test_numbers_on_the_page_are_those_of_the_data(data: ReportData, page: str) 
     assert 'return at most 2.25 reward units short' in page
 
 
-def test_the_words_say_what_was_lost_and_what_differs(data: ReportData) -> None:
+def test_the_words_say_what_was_played_what_was_lost_and_what_differs(data: ReportData) -> None:
     assert data.live is not None
     block = replace(data.live.options[0], n_demonstrations=999)
     live = replace(data.live, options=(block, *data.live.options[1:]))
@@ -247,6 +247,10 @@ def test_the_words_say_what_was_lost_and_what_differs(data: ReportData) -> None:
     assert any('999' in text and good is False for text, good in texts.items())
     found = findings(data.evaluation, data.live, TOPICS)
     good = [finding.text for finding in found if finding.good]
+    assert (
+        '100 of 100 episodes (95 % interval 96% to 100%) reached the end of the task, with no '
+        f'fallbacks to a primitive action; their mean return is {MINUS}11.38.'
+    ) in good
     assert any(text.startswith('No message was lost: 4,321') for text in good)
     assert any('equals the live one' in text for text in good)
 

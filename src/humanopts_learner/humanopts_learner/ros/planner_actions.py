@@ -109,9 +109,9 @@ class LongAction(ABC, Generic[ResultT]):
     """
 
     kind: Any  # type of the action
-    name: str  # of the action, and of its topics of goals and results
-    topics: str
-    goal_kind: Any
+    name: str  # of the action
+    topics: str  # how the names of its topics of goals and results begin
+    goal_kind: Any  # type of the messages on these topics, as ``result_kind``
     result_kind: type[ResultT]
     measured: tuple[str, ...]  # fields of the feedback, after its stage
     goal_noun: str  # of "the planner is at work on another ..."

@@ -145,7 +145,11 @@ class PolicySubscriber:
 
     @staticmethod
     def _read(message: OptionValues) -> tuple[OptionValues, PlanValues]:
-        """Return the message and its values; a PlanError: the parts contradict each other."""
+        """
+        Return the message and its values.
+
+        :raises PlanError: the parts contradict each other.
+        """
         return message, option_values_from_message(message)
 
     def _on_values(self, read: tuple[OptionValues, PlanValues]) -> None:
