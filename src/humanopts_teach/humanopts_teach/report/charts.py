@@ -183,10 +183,10 @@ def _planning_times(rows: Mapping[str, PlanningRow], name: str) -> str:
         left = np.zeros(len(rows))
         for field, label, color in STAGES:
             values = scale * np.array([getattr(row, field) for row in rows.values()])
-            if values.any():
-                style: dict[str, Any] = {'color': SERIES[color], 'label': label}
-                bars = work.axes.barh(list(rows), values, 0.55, left=left, **style)
-                left += values
+            told = label if values.any() else ''
+            style: dict[str, Any] = {'color': SERIES[color], 'label': told}
+            bars = work.axes.barh(list(rows), values, 0.55, left=left, **style)
+            left += values
         work.axes.bar_label(bars, [f'{total:.3g} {unit}' for total in left], padding=5, size=9)
         work.axes.set_xlim(0, 1.22 * left.max())
         work.axes.invert_yaxis()
