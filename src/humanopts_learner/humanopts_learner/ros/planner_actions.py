@@ -191,7 +191,7 @@ class LongAction(ABC, Generic[ResultT]):
             now = time.monotonic()
             if stage != known or now >= due:
                 known, due = stage, now + _FEEDBACK_PERIOD
-                values = dict(zip(self.measured, numbers))
+                values = dict(zip(self.measured, numbers, strict=True))
                 handle.publish_feedback(self.kind.Feedback(stage=stage, **values))
 
         return progress

@@ -149,7 +149,7 @@ class GraphClient(NodeBase):
             self.wait(
                 lambda: not self._missing(names),
                 seconds,
-                'the nodes',
+                'a change of the nodes',
                 lambda: self._missing(names),
             )
         except LaunchError as error:
