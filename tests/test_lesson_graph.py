@@ -35,6 +35,8 @@ from humanopts_learner.options.learn import learn_option
 from humanopts_ros.qos import CURRENT, LATCHED, STREAM
 from humanopts_teach.bags.contents import read_demonstrations, read_domain, read_episodes
 from humanopts_teach.bags.reader import open_bag
+from humanopts_teach.lesson.lesson import Lesson
+from humanopts_teach.lesson.requests import Answer, RequestStatus
 from humanopts_teach.lesson.store import DemonstrationStore
 import pytest
 from rclpy.parameter import Parameter
@@ -93,6 +95,29 @@ def test_the_simulated_teacher_teaches_until_the_criteria_hold(
     assert kept == list(dict.fromkeys(message.uuid for message in person.shown))
     numbers = [message.sequence for message in person.shown]
     assert numbers == list(range(1, len(numbers) + 1))
+
+
+def test_the_simulated_teacher_waits_for_a_game_that_is_away(
+    graph: Graph, person: Person, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr('humanopts_teach.ros.lesson_node._GAME_DEADLINE', 0.05)
+    refused: list[str] = []
+    not_begun = Lesson.not_begun
+
+    def refuse(lesson: Lesson, status: RequestStatus, cause: str) -> Answer:
+        refused.append(cause)
+        return not_begun(lesson, status, cause)
+
+    monkeypatch.setattr(Lesson, 'not_begun', refuse)
+    start_learner(graph)
+    person.start_lesson(strategy='failures', until_no_failures=True, learn=GOAL)
+    graph.ready('/game', '/learner')
+    graph.start(TEACHER, options=[PICKUP])
+    graph.until(lambda: bool(person.shown), 'a demonstration')
+    graph.stop(graph.node_called('/game'))
+    graph.until(lambda: len(refused) > 3, 'refusals')
+    graph.start(GAME)
+    graph.until(lambda: person.lesson.phase == LessonState.PHASE_FINISHED, 'the end', 90.0)
 
 
 def test_a_lesson_that_was_killed_goes_on_where_it_was(graph: Graph, person: Person) -> None:

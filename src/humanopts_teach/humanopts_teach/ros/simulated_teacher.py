@@ -13,6 +13,7 @@ from humanopts_teach.lesson.requests import (
     EndDemonstration,
     LessonRequest,
     Phase,
+    RequestStatus,
     Verdict,
 )
 from humanopts_teach.lesson.simulated_teacher import (
@@ -32,7 +33,7 @@ from humanopts_teach.ros.lesson_client import (
 from rclpy.callback_groups import ReentrantCallbackGroup
 
 _TICK = 0.1  # s until something that was refused is tried again
-_REFUSALS = 3  # in a row, after which it gives up
+_REFUSALS = 3  # in a row, after which it gives up; it waits longer for a game that is silent
 
 
 class SimulatedTeacherNode(NodeBase):
@@ -94,14 +95,15 @@ class SimulatedTeacherNode(NodeBase):
     async def _teach(self) -> None:
         """Teach everything, give control back, and say how it ended."""
         self._begin.cancel()
-        cause, refused = '', 0
+        cause, refused, answered = '', 0, self.monotonic()
         try:
             while not isinstance(act := await self._next_act(), Finish):
                 try:
                     await self._client.ask(act)
-                    refused = 0
+                    refused, answered = 0, self.monotonic()
                 except RefusedError as error:
-                    refused += 1
+                    silent = error.answer.status is RequestStatus.NO_GAME
+                    refused += not silent or self.monotonic() > answered + self._deadline
                     if refused == _REFUSALS:
                         detail = error.answer.detail
                         cause = f'{error.what} was refused {_REFUSALS} times: {detail}'
