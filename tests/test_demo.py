@@ -394,10 +394,8 @@ def test_where_states_cannot_be_listed_the_demo_is_refused(
 
 @pytest.mark.slow
 @pytest.mark.timeout(1200)
-def test_eight_games_side_by_side_are_each_recorded_whole_and_learned_as_alone(
-    tmp_path: Path, domain_id: int
-) -> None:
-    """Of one ROS_DOMAIN_ID, in namespaces; nothing of one game reaches another."""
+def test_eight_games_side_by_side_are_each_recorded_whole(tmp_path: Path, domain_id: int) -> None:
+    """Of one ROS_DOMAIN_ID, in namespaces; nothing of one game reaches another's bag."""
     names = [f'game_{number}' for number in range(8)]
     with ExitStack() as stack:
         commands = []
