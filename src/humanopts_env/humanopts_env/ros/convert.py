@@ -62,7 +62,7 @@ def domain_from_info(info: DomainInfo) -> Domain[Hashable]:
 
 def transition_to_message(transition: Transition) -> GameState:
     """Encode a transition; header, publisher_id and sequence are left to the publisher."""
-    values = asdict(transition)
+    values = {field.name: getattr(transition, field.name) for field in fields(transition)}
     values['features'] = list(transition.features)
     values['action_source'] = int(transition.action_source)
     return GameState(**values)

@@ -201,8 +201,9 @@ class GameNode(NodeBase):
         self._send(self._control, control_to_message(control, self._pacing))
 
     def _send_transition(self, transition: Transition) -> None:
-        for publisher in (self._stream, self._current):
-            self._send(publisher, transition_to_message(transition))
+        message = transition_to_message(transition)
+        for publisher in (self._stream, self._current):  # each numbers it when it sends it
+            self._send(publisher, message)
 
     def _say_again(self) -> None:
         """Publish what is current again while somebody else publishes in its place."""
