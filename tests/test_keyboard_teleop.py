@@ -375,11 +375,13 @@ def test_a_terminal_waits_for_the_game_drives_again_after_it_was_killed_and_quit
     controls = graph.listen(ControlState, 'control', LATCHED_ALL)
     terminals.sit_down(killed)
     drive(killed, 0)
+    graph.until(lambda: len(controls) >= 2, 'control to be taken')
     first = controls[-1].holder_id
     killed.process.kill()
     killed.process.wait()
     terminal = terminals.sit_down()
     drive(terminal, 1)
+    graph.until(lambda: len(controls) >= 4, 'control to be taken again')
     assert [c.holder for c in controls] == [0, 1, 0, 1]
     assert controls[-1].holder_id != first
     assert controls[-1].holder_id.partition('#')[0] == '/keyboard_teleop'
