@@ -1,5 +1,6 @@
 """Planning with exact models: from an action set to the greedy policy over its options."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 import math
@@ -41,7 +42,7 @@ class Decision:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PolicyPlan:
+class PolicyPlan(ABC):
     """
     A greedy policy over options, and what it took to make it.
 
@@ -76,9 +77,9 @@ class PolicyPlan:
         option = self._best(state)
         return Decision(self.names[option], option >= self.first_fallback)
 
+    @abstractmethod
     def _best(self, state: Any) -> int:
         """Return the index of the option to run in a state in which the task is not over."""
-        raise NotImplementedError
 
 
 @dataclass(frozen=True, kw_only=True)
