@@ -4,8 +4,9 @@ How long the graph takes for a step and for an option, beside bare rclpy.
 Game and option_server are measured from this process, in turns with a bare peer, by the same code.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from contextlib import closing, ExitStack
+from contextlib import closing
 from typing import Any
 
 from humanopts_env.domains.taxi import Taxi
@@ -29,7 +30,6 @@ from benchmarks.processes import bench_spec, Client, launched, NAMESPACE, own_pl
 QUICK = (2, 20, 3)
 SIDE = 5  # of the Taxi grid
 LENGTHS = (1, 8)  # steps of the runs that are timed
-_NODES = ('game', 'option_server')
 _MOVES = ('north', 'south')
 BARE_STEP = 'the same two messages, a bare node'
 BARE = {
@@ -43,26 +43,35 @@ def measure(
     progress: OnMeasured, rounds: int = 10, steps: int = 150, calls: int = 20
 ) -> list[Row]:
     """
-    Measure in rounds; one more comes first, and is not counted.
+    Measure in rounds; of each kind one more comes first, and is not counted.
+
+    While steps are measured, nobody else reads the states, as nobody does of the bare peer.
 
     :param steps: a round; Taxi cuts an episode off after 200.
     :param calls: of each kind, a round.
     :raises LaunchError: a process died, or does not answer.
     """
-    progress(0.0, 'starting the nodes')
-    with own_place() as folder, ExitStack() as stack:
+    with own_place() as folder:
         setup = Setup('taxi', folder, {'rows': SIDE, 'cols': SIDE}, teach=False, record=False)
         option = TaxiCase(SIDE).learned[0]
         save_option(setup.options, option, ())
-        specs = [spec for spec in processes(setup) if spec.name in _NODES]
-        launcher = stack.enter_context(
-            launched([*specs, bench_spec('bench_peer')], folder / 'log')
+        specs = {spec.name: spec for spec in processes(setup)}
+        found: list[dict[str, list[Times]]] = [{} for _ in range(rounds + 1)]
+        parts = (
+            ('steps', _Steps, ['game'], steps),
+            ('services and actions', _Runs, ['game', 'option_server'], calls),
         )
-        measured = stack.enter_context(closing(_Measured(launcher, option)))
-        found = []
-        for number in range(rounds + 1):
-            found.append(measured.take(steps, calls))
-            progress((number + 1) / (rounds + 1), 'steps, services and actions over ROS')
+        for part, (what, kind, nodes, count) in enumerate(parts):
+            progress(part / len(parts), 'starting the nodes')
+            started = [*map(specs.__getitem__, nodes), bench_spec('bench_peer')]
+            with (
+                launched(started, folder / what) as launcher,
+                closing(kind(launcher, option)) as measured,
+            ):
+                for number, turns in enumerate(found, start=1):
+                    turns |= measured.take(count)
+                    done = (part + number / len(found)) / len(parts)
+                    progress(done, f'{what} over ROS')
     return latencies(found[1:])
 
 
@@ -95,8 +104,8 @@ def start_of(option: LearnedOption, steps: int) -> str:
     return domain.encode(states[int(found[0])])
 
 
-class _Measured:
-    """Clients of game and option_server, and for each one that does the same with the peer."""
+class _Measured(ABC):
+    """Clients that begin episodes and see their states, and those of a subclass."""
 
     def __init__(self, launcher: Launcher, option: LearnedOption) -> None:
         self._option = option.name
@@ -106,9 +115,7 @@ class _Measured:
         self._resets = self._reset.node.create_client(ResetGame, 'reset_game')
         self._reset.until(self._resets.service_is_ready, 'reset_game')
         self._game = _Stepper(launcher, 'bench_step')
-        self._echo = _Stepper(launcher, 'bench_echo', 'bare/')
-        self._runs = {via: _Runner(launcher, via) for via in NAMES}
-        self._bare = {via: _Runner(launcher, via, 'bare/') for via in NAMES}
+        self._clients: list[Client] = [self._reset, self._game]
 
     def _await_ready(self, missing: set[str]) -> None:
         def keep(status: NodeStatus) -> None:
@@ -123,34 +130,12 @@ class _Measured:
 
     def close(self) -> None:
         """Leave the graph."""
-        both = (*self._runs.values(), *self._bare.values())
-        for client in (self._reset, self._game, self._echo, *both):
+        for client in self._clients:
             client.close()
 
-    def take(self, steps: int, calls: int) -> dict[str, list[Times]]:
-        """Take one round of samples by the name of the measurement."""
-        episode = self._begin(LENGTHS[0])
-        found = {
-            'step': self._game.steps(episode, steps),
-            'bare step': self._echo.steps(episode, steps),
-        }
-        for via, bare in self._bare.items():
-            found[f'bare {via}'] = [bare.run(option_name=self._option)[0] for _ in range(calls)]
-            for length in LENGTHS:
-                found[f'{via} {length}'] = [self._run(via, length) for _ in range(calls)]
-        return found
-
-    def _run(self, via: str, length: int) -> Times:
-        """
-        Run an option for so many steps; return the time.
-
-        :raises LaunchError: it takes other steps.
-        """
-        episode = self._begin(length)
-        times, result = self._runs[via].run(option_name=self._option, episode=episode)
-        if (result.status, result.step_count) != (OptionResult.STATUS_REACHED, length):
-            raise LaunchError(f'a run of {length} steps ended otherwise: {result.detail}')
-        return times
+    @abstractmethod
+    def take(self, count: int) -> dict[str, list[Times]]:
+        """Take one round of so many samples by the name of the measurement."""
 
     def _begin(self, length: int) -> int:
         """
@@ -166,6 +151,52 @@ class _Measured:
             raise LaunchError(f'game refused an episode: {reply.detail}')
         self._game.until(lambda: self._game.at == (reply.episode, 0), 'the first state')
         return int(reply.episode)
+
+
+class _Steps(_Measured):
+    """Steps of game, and of a peer that does the same."""
+
+    def __init__(self, launcher: Launcher, option: LearnedOption) -> None:
+        super().__init__(launcher, option)
+        self._echo = _Stepper(launcher, 'bench_echo', 'bare/')
+        self._clients.append(self._echo)
+
+    def take(self, count: int) -> dict[str, list[Times]]:
+        episode = self._begin(LENGTHS[0])
+        return {
+            'step': self._game.steps(episode, count),
+            'bare step': self._echo.steps(episode, count),
+        }
+
+
+class _Runs(_Measured):
+    """Runs of an option by option_server, and answers of a peer that runs nothing."""
+
+    def __init__(self, launcher: Launcher, option: LearnedOption) -> None:
+        super().__init__(launcher, option)
+        self._runs = {via: _Runner(launcher, via) for via in NAMES}
+        self._bare = {via: _Runner(launcher, via, 'bare/') for via in NAMES}
+        self._clients += [*self._runs.values(), *self._bare.values()]
+
+    def take(self, count: int) -> dict[str, list[Times]]:
+        found = {}
+        for via, bare in self._bare.items():
+            found[f'bare {via}'] = [bare.run(option_name=self._option)[0] for _ in range(count)]
+            for length in LENGTHS:
+                found[f'{via} {length}'] = [self._run(via, length) for _ in range(count)]
+        return found
+
+    def _run(self, via: str, length: int) -> Times:
+        """
+        Run an option for so many steps; return the time.
+
+        :raises LaunchError: it takes other steps.
+        """
+        episode = self._begin(length)
+        times, result = self._runs[via].run(option_name=self._option, episode=episode)
+        if (result.status, result.step_count) != (OptionResult.STATUS_REACHED, length):
+            raise LaunchError(f'a run of {length} steps ended otherwise: {result.detail}')
+        return times
 
 
 class _Stepper(Client):

@@ -6,6 +6,7 @@ from functools import partial
 import json
 from pathlib import Path
 import signal
+import time
 from typing import Any
 
 from graph_support.live import GAME, Graph, NodeProcess
@@ -14,7 +15,7 @@ from graph_support.scripted import TAXI
 from humanopts_interfaces.msg import ActionRefusal, ControlState, DomainInfo, GameState, NodeStatus
 from humanopts_interfaces.srv import ResetGame, SetControl, SetPace
 from humanopts_ros.node_base import NodeBase
-from humanopts_ros.qos import LATCHED_ALL
+from humanopts_ros.qos import LATCHED, LATCHED_ALL
 import pytest
 import rclpy
 from rclpy.context import Context
@@ -50,6 +51,10 @@ def taken(answer: Answer) -> tuple[int, str]:
     return answer.step, answer.state
 
 
+def place(state: GameState) -> tuple[int, int]:
+    return state.episode, state.step
+
+
 def test_a_stream_of_states_is_the_record_of_the_game(player: Player) -> None:
     for action in ('west', 'pickup', 'south'):
         player.do(action)
@@ -80,13 +85,36 @@ def test_who_comes_late_knows_the_rules_and_the_current_state(
 
 def test_the_first_state_that_anybody_gets_is_the_newest(player: Player, shared: Graph) -> None:
     usual = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    known = shared.listen(GameState, 'current_state', LATCHED)
     for number in range(12):
         player.do('west' if number % 2 else 'east')
+        newest = player.state.episode, number + 1
+        shared.until(lambda n=newest: known and place(known[-1]) == n, 'the current state')
         states = shared.listen(GameState, 'current_state', usual)
         controls = shared.listen(ControlState, 'control', usual)
         shared.until(lambda s=states, c=controls: s and c, 'current values')
-        assert (states[0].episode, states[0].step) == (player.state.episode, number + 1)
+        assert place(states[0]) == newest
         assert controls[0].sequence == player.controls[-1].sequence
+
+
+def test_current_states_come_at_most_fifty_times_a_second_while_the_machine_plays(
+    player: Player, shared: Graph
+) -> None:
+    current = shared.listen(GameState, 'current_state')
+    shared.until(lambda: player.do('west') and current, 'a current state')
+    first, began = len(current), time.monotonic()
+    for number in range(100):
+        player.do('west' if number % 2 else 'east')
+    shared.until(lambda: place(current[-1]) == place(player.state), 'the newest state')
+    assert len(current) - first <= 50.0 * (time.monotonic() - began) + 2
+    assert [s.sequence for s in current] == list(
+        range(current[0].sequence, current[-1].sequence + 1)
+    )
+    for _ in range(3):  # a person sees each step
+        player.do('east', PERSON)
+        newest = place(player.state)
+        shared.until(lambda n=newest: place(current[-1]) == n, 'the state of a person')
+    assert [s.step for s in current[-3:]] == [player.state.step - n for n in (2, 1, 0)]
 
 
 def test_every_refusal_names_its_reason_repeats_the_command_and_changes_nothing(

@@ -46,6 +46,7 @@ from rclpy.parameter import Parameter
 _RETRY_PERIOD = 0.5  # s between attempts to publish messages again
 _SAY_AGAIN = 1.0  # s between looks whether somebody else publishes what is current
 _LEASE_PERIOD = 0.25  # s between looks whether the holder of control has renewed it
+_SHOW_PERIOD = 0.02  # s, least time between current states while the machine plays
 
 
 class GameNode(NodeBase):
@@ -79,6 +80,8 @@ class GameNode(NodeBase):
         self.create_timer(_SAY_AGAIN, self._say_again)
         self._lease, self._pause_lease = Lease(), Lease()
         self._lease_timer = self.create_timer(_LEASE_PERIOD, self._check_lease, autostart=False)
+        self._show_timer = self.create_timer(_SHOW_PERIOD, self._show, autostart=False)
+        self._unshown: GameState | None = None  # the newest state, if current_state is behind
         self.create_subscription(NodeStatus, 'node_status', self._on_status, LATCHED_ALL)
 
     def on_ready(self) -> None:
@@ -87,6 +90,10 @@ class GameNode(NodeBase):
         self._send_control(self._game.control)
         self._game.reset('', self._seed, Source.MACHINE)
         self._send_transition(self._game.transition)
+
+    def close(self) -> None:
+        """Leave the last state as the current one."""
+        self._show()
 
     def _read_domain(self) -> Domain[Any]:
         name = self.setting('domain', 'taxi', 'registered name of the domain')
@@ -201,9 +208,21 @@ class GameNode(NodeBase):
         self._send(self._control, control_to_message(control, self._pacing))
 
     def _send_transition(self, transition: Transition) -> None:
-        message = transition_to_message(transition)
-        for publisher in (self._stream, self._current):  # each numbers it when it sends it
-            self._send(publisher, message)
+        """Publish a state; as the current one at once, unless the machine plays faster."""
+        message = transition_to_message(transition)  # each publisher numbers it when it sends it
+        self._send(self._stream, message)
+        self._unshown = message
+        if transition.action_source is not Source.MACHINE or self._show_timer.is_canceled():
+            self._show()
+            self._show_timer.reset()
+
+    def _show(self) -> None:
+        """Publish the newest state as the current one; stop once there is none to publish."""
+        if self._unshown is None:
+            self._show_timer.cancel()
+        else:
+            self._send(self._current, self._unshown)
+            self._unshown = None
 
     def _say_again(self) -> None:
         """Publish what is current again while somebody else publishes in its place."""
