@@ -24,7 +24,7 @@ from humanopts_learner.automatic.extract import (
 from humanopts_learner.automatic.subgoals import Extraction
 from humanopts_learner.planning.plan import make_plan
 from humanopts_learner.planning.request import PlanRequest
-from humanopts_learner.ros.convert import options_from_message
+from humanopts_learner.ros.convert import OptionsReader
 from humanopts_ros.qos import CURRENT
 import pytest
 
@@ -97,7 +97,7 @@ def test_who_comes_late_gets_them_whole(
 ) -> None:
     heard = at_work.graph.listen(LearnedOptions, 'automatic_options', CURRENT)
     at_work.graph.until(lambda: heard, 'the options')
-    options, problems = options_from_message(heard[-1])
+    options, problems = OptionsReader().read(heard[-1])
     assert not problems
     assert options == to_learned_options(TAXI, found)
 

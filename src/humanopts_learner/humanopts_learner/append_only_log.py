@@ -26,29 +26,30 @@ class AppendOnlyLog:
 
         :raises OSError: it is a symbolic link, cannot be read, or its end cannot be repaired.
         """
-        refuse_link(path)
         self.path = path
         self.problems: list[str] = []  # what was repaired or left out, in words
-        content = path.read_bytes() if path.exists() else b''
+        content = self._content()
         end = content.rfind(b'\n') + 1
-        whole = content[:end]
         if content[end:]:
-            whole += self._mend(end, content[end:])
-        self.lines = whole.decode(errors='replace').split('\n')[:-1]
+            self._mend(end, content[end:])
 
     def read(self, entry_of: Callable[[str], T]) -> list[T]:
         """
-        Return the entries that the lines hold.
+        Return the entries that the lines of the file hold.
 
         :param entry_of: returns the entry of a line, or raises a ValueError that says why it
             cannot be used; then the line is left out and named in ``problems``.
+        :raises OSError: the file cannot be read.
         """
         entries = []
-        for number, line in enumerate(self.lines, start=1):
+        lines = self._content().decode(errors='replace').split('\n')[:-1]
+        for number, line in enumerate(lines, start=1):
             try:
                 entries.append(entry_of(line))
             except ValueError as error:
-                self.problems.append(f'line {number} of {self.path} is left out: {error}')
+                problem = f'line {number} of {self.path} is left out: {error}'
+                if problem not in self.problems:
+                    self.problems.append(problem)
         return entries
 
     def append(self, *lines: str) -> None:
@@ -58,9 +59,12 @@ class AppendOnlyLog:
         :raises OSError: they could not be written; nothing of them is kept.
         """
         append_bytes(self.path, ''.join(f'{line}\n' for line in lines).encode())
-        self.lines += lines
 
-    def _mend(self, size: int, torn: bytes) -> bytes:
+    def _content(self) -> bytes:
+        refuse_link(self.path)
+        return self.path.read_bytes() if self.path.exists() else b''
+
+    def _mend(self, size: int, torn: bytes) -> None:
         """Complete a last line that lacks only its end; move any other aside."""
         try:
             parse_json(torn.decode())
@@ -73,9 +77,8 @@ class AppendOnlyLog:
                 f'the last line of {self.path} was cut off; its {len(torn)} bytes are now in '
                 f'{aside.name}, and all lines before it are kept'
             )
-            return b''
-        append_bytes(self.path, b'\n')
-        return torn + b'\n'
+        else:
+            append_bytes(self.path, b'\n')
 
 
 def append_bytes(path: Path, content: bytes) -> None:

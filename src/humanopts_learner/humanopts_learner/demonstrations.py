@@ -6,6 +6,7 @@ from enum import Enum
 from functools import cached_property
 import json
 import math
+from sys import intern
 from typing import Any, Final
 import uuid as uuid_module
 
@@ -50,8 +51,8 @@ _CONVERT: Mapping[Any, Callable[[Any], Any]] = {  # plain values into the types 
     bool: bool,
     int: int,
     float: float,
-    str: str,
-    tuple[str, ...]: lambda texts: tuple(map(str, texts)),
+    str: lambda text: intern(str(text)),  # states and names repeat; one of each takes memory
+    tuple[str, ...]: lambda texts: tuple(intern(str(text)) for text in texts),
     tuple[float, ...]: lambda numbers: tuple(map(float, numbers)),
     tuple[tuple[int, ...], ...]: lambda rows: tuple(tuple(map(int, row)) for row in rows),
 }

@@ -9,6 +9,7 @@ from humanopts_learner.append_only_log import AppendOnlyLog, link_remark
 from humanopts_learner.demonstrations import (
     check_demonstration,
     Demonstration,
+    each_once,
     group_by_option,
 )
 from humanopts_learner.options.criteria import judge, Judgement, Thresholds
@@ -55,8 +56,9 @@ class OptionTrainer:
         self.problems = self._log.problems  # parts of the folder that could not be used, in words
         if remark := link_remark(directory):
             self.problems.append(remark)
-        self._demos = self._log.read(self._checked)
-        for key in dict.fromkeys((demo.participant, demo.option_name) for demo in self._demos):
+        read = each_once(self._log.read(self._checked))
+        self._demos = {demo.uuid: demo for demo in read}
+        for key in dict.fromkeys((demo.participant, demo.option_name) for demo in read):
             self._learn(*key)
 
     def take(self, demo: Demonstration) -> bool:
@@ -67,14 +69,15 @@ class OptionTrainer:
         :raises DemonstrationError: it cannot be used; it is not kept.
         :raises DataSetError: it could not be written; it is not kept.
         """
-        if any(k.uuid == demo.uuid and k.withdrawn >= demo.withdrawn for k in self._demos):
+        known = self._demos.get(demo.uuid)
+        if known is not None and known.withdrawn >= demo.withdrawn:
             return False
         check_demonstration(demo, self._domain)
         try:
             self._log.append(demo.to_json())
         except OSError as error:
             raise DataSetError(f'cannot write {self._log.path}: {error.strerror}') from error
-        self._demos.append(demo)
+        self._demos[demo.uuid] = demo
         self._learn(demo.participant, demo.option_name)
         return True
 
@@ -89,7 +92,8 @@ class OptionTrainer:
 
     def _learn(self, participant: str, option_name: str) -> None:
         key = participant, option_name
-        demos = group_by_option(self._demos).get(key, [])
+        mine = (d for d in self._demos.values() if (d.participant, d.option_name) == key)
+        demos = group_by_option(mine).get(key, [])
         try:
             option = learn_option(demos, self._domain, self._seed)
         except NotLearnableError:

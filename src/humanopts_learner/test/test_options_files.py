@@ -21,6 +21,7 @@ from humanopts_learner.options.files import (
 )
 from humanopts_learner.options.learn import learn_option
 from humanopts_learner.options.option import LearnedOption
+from humanopts_learner.ros.convert import options_to_message, OptionsReader
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import pytest
@@ -92,6 +93,23 @@ def test_a_damaged_file_is_refused(
     damage(data)
     with pytest.raises(OptionFileError, match=message):
         option_from_json(json.dumps(data))
+
+
+def test_of_one_message_after_another_only_what_changed_is_read_again(
+    option: LearnedOption,
+) -> None:
+    reader, other = OptionsReader(), replace(option, name='another')
+    before, _ = reader.read(options_to_message([option, other]))
+    changed = replace(option, n_demonstrations=option.n_demonstrations + 1)
+    message = options_to_message([changed, other])
+    message.options[0].model += ']'
+    after, (problem,) = reader.read(message)
+    assert after == [other]
+    assert after[0] is before[1]
+    assert repr(option.name) in problem
+    again, _ = reader.read(options_to_message([changed, other]))
+    assert again == [changed, other]
+    assert again[1] is before[1]
 
 
 @pytest.mark.parametrize('text', ['', 'null', '[]', '{"format": NaN}', '[' * 100_000, '\x00'])

@@ -449,6 +449,25 @@ def test_what_cannot_be_written_is_not_lost_and_can_be_tried_again(
     assert table.end().ok
 
 
+def test_what_a_person_did_is_read_when_the_session_opens_and_an_unreadable_file_is_told(
+    table: Table, store: DemonstrationStore
+) -> None:
+    kept = table.ready().began(START).drive('west').end().demonstration
+    assert kept in store.entries('p1')
+    assert table.ask(OpenSession('p2')).ok
+    path = store.directory / 'p1.jsonl'
+    aside = path.rename(path.with_suffix('.aside'))
+    path.mkdir()
+    answer = table.ask(OpenSession('p1'))
+    assert answer.status is RequestStatus.NOT_SAVED
+    assert 'cannot read what p1 did' in answer.detail
+    assert table.lesson.view.participant == 'p2'
+    path.rmdir()
+    aside.rename(path)
+    assert table.ask(OpenSession('p1')).ok
+    assert kept in store.entries('p1')
+
+
 def test_the_same_lesson_gives_the_same_uuids_and_any_difference_others(tmp_path: Path) -> None:
     def uuid(folder: str, *steps: str, seconds: float = 0.0) -> str:
         with DemonstrationStore(tmp_path / folder) as store:

@@ -3,6 +3,7 @@
 from array import array
 from collections.abc import Sequence
 from dataclasses import asdict, fields
+from hashlib import sha256
 import math
 from typing import Any, TYPE_CHECKING
 
@@ -78,15 +79,23 @@ def not_learnable_status(demos: list[Demonstration]) -> msg.OptionStatus:
     )
 
 
-def options_from_message(message: msg.LearnedOptions) -> tuple[list[LearnedOption], list[str]]:
-    """Return the options that can be read, and the errors of the others."""
-    options, problems = [], []
-    for entry in message.options:
-        try:
-            options.append(option_from_json(entry.model)[0])
-        except OptionError as error:
-            problems.append(f'{entry.name!r} in learned_options: {error}')
-    return options, problems
+class OptionsReader:
+    """Reads the options of one message after another; one that has not changed is kept."""
+
+    def __init__(self) -> None:
+        self._known: dict[bytes, LearnedOption] = {}  # of the last message, by digest of the text
+
+    def read(self, message: msg.LearnedOptions) -> tuple[list[LearnedOption], list[str]]:
+        """Return the options that can be read, and the errors of the others."""
+        found, problems = {}, []
+        for entry in message.options:
+            key = sha256(entry.model.encode()).digest()
+            try:
+                found[key] = self._known.get(key) or option_from_json(entry.model)[0]
+            except OptionError as error:
+                problems.append(f'{entry.name!r} in learned_options: {error}')
+        self._known = found
+        return list(found.values()), problems
 
 
 def options_to_message(options: Sequence[LearnedOption]) -> msg.LearnedOptions:

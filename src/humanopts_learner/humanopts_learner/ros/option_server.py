@@ -15,7 +15,7 @@ from humanopts_learner.execution import Run
 from humanopts_learner.library import OptionLibrary, taught_nothing, UnknownOptionError
 from humanopts_learner.options.files import load_options
 from humanopts_learner.options.option import LearnedOption, Mode, OptionError
-from humanopts_learner.ros.convert import options_from_message
+from humanopts_learner.ros.convert import OptionsReader
 from humanopts_learner.ros.runner import Runner, RunRequest
 from humanopts_ros.node_base import end_goal, NodeBase, PATIENCE, SEEDS
 from humanopts_ros.process import run_node
@@ -55,6 +55,8 @@ class OptionServerNode(NodeBase):
         )
         self._learned: list[LearnedOption] | None = None  # None: not published yet
         self._automatic: list[LearnedOption] = []
+        topics = 'learned_options', 'automatic_options'
+        self._readers = {topic: OptionsReader() for topic in topics}
         self._results = self.stamped_publisher(OptionResult, 'option_results')
         game = GameSubscriber(self, self._on_domain)
         self._runner = Runner(self, game, Mode(mode), seed, deadline)
@@ -100,7 +102,7 @@ class OptionServerNode(NodeBase):
         self._serve()
 
     def _read(self, topic: str, message: LearnedOptions) -> list[LearnedOption]:
-        options, problems = options_from_message(message)
+        options, problems = self._readers[topic].read(message)
         for problem in problems:
             self.refuse(topic, message, problem)
         return options

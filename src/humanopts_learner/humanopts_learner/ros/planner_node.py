@@ -7,7 +7,7 @@ from typing import Any
 from humanopts_env.domains.base import Domain
 from humanopts_env.ros.game_subscriber import GameSubscriber
 from humanopts_interfaces.msg import LearnedOptions
-from humanopts_learner.ros.convert import options_from_message
+from humanopts_learner.ros.convert import OptionsReader
 from humanopts_learner.ros.planner_actions import ExtractionAction, PlanAction, PlannerState
 from humanopts_learner.ros.policy_server import PolicyServer
 from humanopts_ros.node_base import NodeBase
@@ -25,6 +25,7 @@ class PlannerNode(NodeBase):
         super().__init__('planner', **options)
         self._state = PlannerState()
         GameSubscriber(self, self._on_domain)
+        self._reader = OptionsReader()
         self.create_subscription(LearnedOptions, 'learned_options', self._on_options, CURRENT)
         shared = self, ReentrantCallbackGroup(), self._state
         self._policies = PolicyServer(*shared)
@@ -46,7 +47,7 @@ class PlannerNode(NodeBase):
         self._state.domain = domain
 
     def _on_options(self, message: LearnedOptions) -> None:
-        self._state.taught, problems = options_from_message(message)
+        self._state.taught, problems = self._reader.read(message)
         self._state.taught_sequence = message.sequence
         self.waiting.check()
         for problem in problems:

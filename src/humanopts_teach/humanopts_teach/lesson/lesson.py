@@ -200,6 +200,8 @@ class Lesson:
         Return the demonstrations of all participants in this domain, each once.
 
         Of one that was taken back, only the withdrawal is returned.
+
+        :raises RefusalError: a file of theirs cannot be read.
         """
         return self._demonstrations(*self._store.participants())
 
@@ -207,7 +209,7 @@ class Lesson:
         return each_once(
             entry
             for participant in participants
-            for entry in self._store.entries(participant)
+            for entry in self._entries(participant)
             if isinstance(entry, Demonstration)
             and (entry.domain, entry.domain_parameters) == self._history.key
         )
@@ -393,6 +395,12 @@ class Lesson:
     def _refusal_while_paused(self) -> RefusalError:
         return RefusalError(RequestStatus.PAUSED, f'the lesson is paused: {self._paused}')
 
+    def _entries(self, participant: str) -> tuple[Entry, ...]:
+        try:
+            return self._store.entries(participant)
+        except StoreError as error:
+            raise RefusalError(RequestStatus.NOT_SAVED, str(error)) from error
+
     def _write(self, *entries: Entry, history: History | None = None) -> None:
         try:
             self._store.append(*entries)
@@ -409,7 +417,7 @@ class Lesson:
             if not CODE.fullmatch(code):
                 detail = f'{what} {code!r} is not a code: {CODE_RULE}'
                 raise RefusalError(RequestStatus.BAD_NAME, detail)
-        history = History(self._domain, self._store.entries(participant))
+        history = History(self._domain, self._entries(participant))
         codes = (f'{self._today()}-{number}' for number in count(1))
         session = session or next(code for code in codes if code not in history.sessions)
         self._write(SessionOpened(*history.key, participant, session), history=history)

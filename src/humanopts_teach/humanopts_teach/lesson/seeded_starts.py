@@ -1,6 +1,7 @@
 """Where demonstrations start: drawn by a strategy, keyed by person, option and number."""
 
 from dataclasses import dataclass
+from hashlib import sha256
 from typing import Any
 
 from humanopts_env.domains.base import Domain
@@ -40,7 +41,7 @@ class SeededStarts:
         self.rules = rules
         self._domain = domain
         self._options: dict[tuple[str, str], LearnedOption] = {}
-        self._texts: dict[tuple[str, str], str] = {}
+        self._digests: dict[tuple[str, str], bytes] = {}  # of the options as texts
         self._ahead: tuple[Any, list[Any], np.random.Generator] | None = None
 
     def learned(self, participant: str, option_name: str, text: str) -> bool:
@@ -50,12 +51,12 @@ class SeededStarts:
         :return: whether it is another than before.
         :raises OptionError: it is not an option, or one of another domain.
         """
-        key = (participant, option_name)
-        if self.rules.strategy != FAILURES or self._texts.get(key) == text:
+        key, digest = (participant, option_name), sha256(text.encode()).digest()
+        if self.rules.strategy != FAILURES or self._digests.get(key) == digest:
             return False
         option, _ = option_from_json(text)
         option.check_domain(self._domain)
-        self._options[key], self._texts[key] = option, text
+        self._options[key], self._digests[key] = option, digest
         return True
 
     def draw(self, participant: str, option: OptionHistory) -> str:

@@ -9,6 +9,7 @@ from contextlib import AbstractContextManager, suppress
 from dataclasses import asdict, dataclass, fields
 import errno
 import fcntl
+from functools import partial
 import json
 import os
 from pathlib import Path
@@ -140,7 +141,11 @@ class StoreError(OSError):
 
 
 class DemonstrationStore(AbstractContextManager['DemonstrationStore']):
-    """The entries of every participant, in one folder that one process uses at a time."""
+    """
+    The entries of every participant, in one folder that one process uses at a time.
+
+    They are read from their files when they are asked for; none is kept in memory.
+    """
 
     def __init__(self, directory: Path) -> None:
         """
@@ -150,8 +155,7 @@ class DemonstrationStore(AbstractContextManager['DemonstrationStore']):
         """
         self.directory = directory
         self.damage: list[str] = []  # what was found damaged, in words
-        self._entries: dict[str, list[Entry]] = {}
-        self._logs: dict[str, AppendOnlyLog] = {}
+        self._logs: dict[str, AppendOnlyLog] = {}  # by participant
         self._lock: TextIO | None = None
         try:
             directory.mkdir(parents=True, exist_ok=True)
@@ -163,7 +167,9 @@ class DemonstrationStore(AbstractContextManager['DemonstrationStore']):
                 if path.is_symlink():
                     self.damage.append(f'{path} is left out: it is a symbolic link')
                 else:
-                    self._entries[path.stem] = self._load(path)
+                    log = self._logs[path.stem] = AppendOnlyLog(path)
+                    log.read(partial(_entry_of, path.stem))
+                    self.damage += log.problems
         except OSError as error:
             self.close()
             raise _explained(error, f'open the folder of demonstrations {directory}') from error
@@ -178,11 +184,19 @@ class DemonstrationStore(AbstractContextManager['DemonstrationStore']):
 
     def participants(self) -> list[str]:
         """Return the codes of all participants in the folder, sorted."""
-        return sorted(self._entries)
+        return sorted(self._logs)
 
     def entries(self, participant: str) -> tuple[Entry, ...]:
-        """Return the entries of one participant, in the order in which they were written."""
-        return tuple(self._entries.get(participant, ()))
+        """
+        Return the entries of one participant, in the order in which they were written.
+
+        :raises StoreError: their file cannot be read.
+        """
+        log = self._logs.get(participant)
+        try:
+            return tuple(log.read(partial(_entry_of, participant))) if log is not None else ()
+        except OSError as error:
+            raise _explained(error, f'read what {participant} did') from error
 
     def append(self, *entries: Entry) -> None:
         """
@@ -194,24 +208,23 @@ class DemonstrationStore(AbstractContextManager['DemonstrationStore']):
         participant = entries[0].participant
         path = self.directory / f'{participant}{_SUFFIX}'
         try:
-            if participant not in self._logs:
-                self._logs[participant] = AppendOnlyLog(path)
-            self._logs[participant].append(*map(entry_to_line, entries))
+            log = self._logs.get(participant) or AppendOnlyLog(path)
+            log.append(*map(entry_to_line, entries))
         except OSError as error:
             raise _explained(error, f'write to {path}') from error
-        self._entries.setdefault(participant, []).extend(entries)
+        self._logs[participant] = log
 
-    def _load(self, path: Path) -> list[Entry]:
-        def entry_of(line: str) -> Entry:
-            entry = entry_from_line(line)
-            if entry.participant != path.stem:
-                raise EntryError(f'it is of participant {entry.participant!r}')
-            return entry
 
-        log = self._logs[path.stem] = AppendOnlyLog(path)
-        found = log.read(entry_of)
-        self.damage += log.problems
-        return found
+def _entry_of(participant: str, line: str) -> Entry:
+    """
+    Return the entry of a line.
+
+    :raises EntryError: it is none, or another participant's.
+    """
+    entry = entry_from_line(line)
+    if entry.participant != participant:
+        raise EntryError(f'it is of participant {entry.participant!r}')
+    return entry
 
 
 def _explained(error: OSError, what: str) -> StoreError:
