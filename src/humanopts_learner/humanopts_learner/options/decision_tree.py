@@ -261,20 +261,17 @@ def fit_tree(
     if len(X) == 0 or not np.isin(y, classes).all():
         raise ValueError('a tree is fitted to one row or more, labelled with its classes')
     import_scikit_learn()
-    from sklearn.tree import _criterion, _splitter, _tree
+    from sklearn import config_context
+    from sklearn.tree import DecisionTreeClassifier
 
-    # What DecisionTreeClassifier builds; it checks the labels for twice as long as it builds.
-    present, labels = np.unique(y, return_inverse=True)
-    n_classes, n_features = np.array([len(present)], dtype=np.intp), X.shape[1]
-    gini, rng = _criterion.Gini(1, n_classes), np.random.RandomState(seed)
-    splitter = _splitter.BestSplitter(gini, n_features, 1, 0.0, rng, None)
-    fitted = _tree.Tree(n_features, n_classes, 1)
-    builder = _tree.DepthFirstTreeBuilder(splitter, 2, 1, 0.0, np.iinfo(np.int32).max, 0.0)
-    builder.build(fitted, X, labels.reshape(-1, 1).astype(np.float64), None, None)
+    # The public class: its parts would take half the time, and differ between versions.
+    classifier = DecisionTreeClassifier(random_state=seed)
+    with config_context(assume_finite=True, skip_parameter_validation=True):
+        fitted = classifier.fit(X, y, check_input=False).tree_  # both are of the right type
     leaf = fitted.children_left == LEAF
     counts = np.zeros((fitted.node_count, len(classes)), dtype=np.int64)
     shares = fitted.value[:, 0, :] * fitted.weighted_n_node_samples[:, None]
-    counts[:, np.searchsorted(classes, present)] = np.rint(shares)
+    counts[:, np.searchsorted(classes, classifier.classes_)] = np.rint(shares)
     return Tree(
         fitted.children_left.astype(np.int32),
         fitted.children_right.astype(np.int32),
