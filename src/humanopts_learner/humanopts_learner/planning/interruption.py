@@ -26,7 +26,6 @@ from humanopts_learner.planning.smdp import look_ahead
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import eye_array
-from scipy.sparse.linalg import splu
 
 ROUNDING = 1e-9  # relative to the largest value: differences of values that are rounding
 
@@ -175,6 +174,8 @@ def policy_values(plan: ExactPlan) -> Floats:
 
     :raises PlanError: gamma is 1 and the policy does not end from everywhere.
     """
+    from scipy.sparse.linalg import splu  # slow to import
+
     model = build_model(plan.domain, plan.action_set, plan.options, plan.gamma)
     best = plan.solution.best
     live = np.flatnonzero(best >= 0)

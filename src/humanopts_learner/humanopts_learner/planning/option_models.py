@@ -28,7 +28,6 @@ from humanopts_learner.planning.smdp import Rows
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array, eye_array
-from scipy.sparse.linalg import splu
 
 NEGLIGIBLE = 1e-14  # discounted probability that is taken for 0
 BLOCK = 256  # columns that are dense at once
@@ -228,6 +227,8 @@ def _unlimited_successors(on: Rows, end: Rows, can_end: Flags) -> Rows:
 
     :param can_end: (n,) the option may end with the next step, the task over or not.
     """
+    from scipy.sparse.linalg import splu  # slow to import
+
     while True:
         more = can_end | ((on @ can_end.astype(np.float64)) > 0)
         if (more == can_end).all():
