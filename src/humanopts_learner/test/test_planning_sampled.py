@@ -21,7 +21,7 @@ from humanopts_learner.planning.request import (
     Progress,
     Sampling,
 )
-from humanopts_learner.planning.sampled.action_set import ActionSet, StateAbstraction
+from humanopts_learner.planning.sampled.action_set import ActionSet, CodeTable, StateAbstraction
 from humanopts_learner.planning.sampled.games import (
     Recording,
     run_in_step,
@@ -162,6 +162,14 @@ def test_shrinkage_moves_advantages_towards_those_of_the_group() -> None:
     assert found[:, 1] == pytest.approx(
         [10 - (4 + 1.75) / 2, 2 - (3 + 1.75) / 4, 5 - 1.75, 7 - (2 + 1) / 3]
     )
+
+
+@pytest.mark.parametrize('count', [0, 1, 3, 5000])
+def test_a_table_finds_its_codes_and_no_others(count: int) -> None:
+    codes = np.unique(np.random.default_rng(1).integers(2**53, size=count))
+    table = CodeTable(codes)
+    assert (table.find(codes) == np.arange(len(codes))).all()
+    assert (table.find(np.setdiff1d(np.arange(5000), codes)) == len(codes)).all()
 
 
 def test_numbers_of_states_stay_when_more_come() -> None:

@@ -25,6 +25,36 @@ LARGEST_CODE = 2**53  # abstract states are numbered below this
 GOLDEN = np.uint64(0x9E3779B97F4A7C15)  # 2**64 by the golden ratio, odd: for hashing
 
 
+class CodeTable:
+    """
+    Finds abstract states in a list by a hash, many times as fast as by bisection.
+
+    :ivar codes: (K,) of the states, ascending.
+    """
+
+    def __init__(self, codes: Codes) -> None:
+        self.codes, self._bits = codes, len(codes).bit_length() + 2
+        self._padded = np.append(codes, np.iinfo(np.int64).max)  # of no state
+        self._place = np.full(1 << self._bits, len(codes))  # of one of the codes with each hash
+        self._place[self._hash(codes)] = np.arange(len(codes))
+
+    def find(self, codes: Codes) -> Ints:
+        """Return the places (N,) of codes (N,) in the list; K: it is not there."""
+        place: Ints = self._place.take(self._hash(codes))
+        others = (self._padded.take(place) != codes).nonzero()[0]
+        if others.size:
+            wanted = codes.take(others)
+            at = self.codes.searchsorted(wanted)
+            place[others] = np.where(self._padded.take(at) == wanted, at, len(self.codes))
+        return place
+
+    def _hash(self, codes: Codes) -> Ints:
+        """Return the highest bits of products with the golden ratio (Fibonacci hashing)."""
+        mixed = codes.view(np.uint64) * GOLDEN
+        mixed >>= np.uint64(64 - self._bits)
+        return mixed.view(np.int64)
+
+
 @dataclass
 class Observation:
     """The abstract states of N games, and what O options, fallback aside, decide."""

@@ -21,7 +21,7 @@ from humanopts_learner.planning.request import (
     PlanRequest,
     Progress,
 )
-from humanopts_learner.planning.sampled.action_set import ActionSet
+from humanopts_learner.planning.sampled.action_set import ActionSet, CodeTable
 from humanopts_learner.planning.sampled.games import (
     play_games,
     playing,
@@ -193,9 +193,8 @@ def _solve(
     shrinks = config.shrinkage > 0.0 and actions.abstraction.context != ()
     shrink: Callable[[Floats], Floats] = np.copy  # of the values (S, O) of those to choose among
     if shrinks:  # towards the states that differ in context only
-        group = np.unique(
-            actions.abstraction.without_context(counts.index.codes), return_inverse=True
-        )[1]
+        alike = actions.abstraction.without_context(counts.index.codes)
+        group = CodeTable(np.unique(alike)).find(alike)
         samples = counts.samples[:, :n_choosable]
         shrink = Shrinkage(choosable.available, samples, group, config.shrinkage)
     solution = solve_smdp(choosable, asked.tol, asked.max_sweeps, on_sweep)

@@ -7,7 +7,7 @@ from typing import Protocol
 from humanopts_env.arrays import Flags, Floats, Ints
 from humanopts_learner.planning.interruption import arbitrate, interruptions, OptionValues
 from humanopts_learner.planning.request import Execution, MODULAR
-from humanopts_learner.planning.sampled.action_set import ActionSet, Observation
+from humanopts_learner.planning.sampled.action_set import ActionSet, CodeTable, Observation
 import numpy as np
 from numpy.typing import NDArray
 
@@ -126,21 +126,18 @@ class GreedyPolicy:
         return Choice(option, unknown)
 
     @cached_property
-    def _table(self) -> tuple[NDArray[np.int64], Floats, Floats]:
-        """States (K + 1,), option values and continuation values (K + 1, O); the last: unknown."""
+    def _table(self) -> tuple[CodeTable, Floats, Floats]:
+        """States (K,), option values and continuation values (K + 1, O); the last: unknown."""
         values, nothing = self.values, np.full((1, self.values.option_values.shape[1]), -np.inf)
         return (
-            np.append(values.states, np.iinfo(np.int64).max),
+            CodeTable(values.states),
             np.concatenate([values.option_values, nothing]),
             np.concatenate([values.continuation_values, nothing]),
         )
 
     def _row(self, seen: Observation) -> Ints:
         """Return (N,): the row of each game's state in the table."""
-        states = self._table[0]
-        row = states.searchsorted(seen.states)
-        row[states.take(row) != seen.states] = len(states) - 1
-        return row
+        return self._table[0].find(seen.states)
 
     def _option_values(self, seen: Observation, row: Ints) -> Floats:
         """Return option values (N, O); -inf: the option cannot start, or is not known."""

@@ -10,12 +10,11 @@ that differ in such context only, as an empirical Bayes estimate would be (Efron
 from dataclasses import dataclass
 
 from humanopts_env.arrays import Flags, Floats, Ints
+from humanopts_learner.planning.sampled.action_set import Codes, CodeTable
 from humanopts_learner.planning.smdp import Rows, SparseMultiTimeModel
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array
-
-Codes = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -33,26 +32,28 @@ class StateIndex:
     """Numbers abstract states in the order of their first visit."""
 
     def __init__(self) -> None:
-        self._sorted = np.empty(0, dtype=np.int64)
+        self._table = CodeTable(np.empty(0, dtype=np.int64))
         self._number = np.empty(0, dtype=np.intp)
 
     def __len__(self) -> int:
-        return len(self._sorted)
+        return len(self._number)
 
     @property
     def codes(self) -> Codes:
         """(S,) the abstract states by their numbers."""
-        return self._sorted[np.argsort(self._number)]
+        return self._table.codes[np.argsort(self._number)]
 
     def add(self, codes: Codes) -> Ints:
         """Return each code's state number (N,), and number the new ones."""
-        unique, inverse = np.unique(codes, return_inverse=True)
-        new = np.setdiff1d(unique, self._sorted, assume_unique=True)
-        numbers = np.concatenate([self._number, len(self) + np.arange(len(new))])
-        merged = np.concatenate([self._sorted, new])
-        order = np.argsort(merged, kind='stable')
-        self._sorted, self._number = merged[order], numbers[order]
-        found: Ints = self._number[np.searchsorted(self._sorted, unique)][inverse]
+        place = self._table.find(codes)
+        new = np.unique(codes[place == len(self)])
+        if new.size:
+            numbers = np.concatenate([self._number, len(self) + np.arange(len(new))])
+            merged = np.concatenate([self._table.codes, new])
+            order = np.argsort(merged, kind='stable')
+            self._table, self._number = CodeTable(merged[order]), numbers[order]
+            place = self._table.find(codes)
+        found: Ints = self._number.take(place)
         return found
 
 
