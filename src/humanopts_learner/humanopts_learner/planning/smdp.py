@@ -8,6 +8,7 @@ row of them.
 """
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -25,8 +26,10 @@ ROUNDING = 1e-9  # how far above 1 the entries of one row may sum up
 
 def look_ahead(model: 'Model', values: Floats) -> Floats:
     """Return (S, O): the value of each option by the values (S,) of its ends, or -inf."""
-    ahead = (model.rows @ values).reshape(model.reward.T.shape).T
-    return np.where(model.available, model.reward + ahead, -np.inf)
+    ahead: Floats = (model.rows @ values).reshape(model.reward.T.shape).T
+    ahead += model.reward
+    np.copyto(ahead, -np.inf, where=~model.available)
+    return ahead
 
 
 @dataclass(frozen=True)
@@ -110,20 +113,31 @@ class SparseMultiTimeModel(_Rewards):
 
     def first(self, count: int) -> 'SparseMultiTimeModel':
         """Return the model of the first options only."""
-        rows = self.rows[: count * self.n_states]
-        return SparseMultiTimeModel(
-            self.names[:count], self.reward[:, :count], self.available[:, :count], rows
+        n_rows = count * self.n_states
+        end = self.rows.indptr[n_rows]
+        parts = (self.rows.data[:end], self.rows.indices[:end], self.rows.indptr[: n_rows + 1])
+        return self._with(
+            names=self.names[:count],
+            reward=self.reward[:, :count],
+            available=self.available[:, :count],
+            rows=csr_array(parts, shape=(n_rows, self.n_states)),
         )
 
     def of_policy(self, option: NDArray[np.integer]) -> 'SparseMultiTimeModel':
         """Return the model whose only option is, in each state, a given one, (S,)."""
         states = np.arange(self.n_states)
-        return SparseMultiTimeModel(
-            ('policy',),
-            self.reward[states, option][:, None],
-            self.available[states, option][:, None],
-            self.rows[option * self.n_states + states],
+        return self._with(
+            names=('policy',),
+            reward=self.reward[states, option][:, None],
+            available=self.available[states, option][:, None],
+            rows=self.rows[option * self.n_states + states],
         )
+
+    def _with(self, **parts: Any) -> 'SparseMultiTimeModel':
+        """Return a model with some rows of this one, which were checked."""
+        model = copy(self)
+        vars(model).update(parts)
+        return model
 
 
 Model = MultiTimeModel | SparseMultiTimeModel

@@ -173,10 +173,6 @@ class _SparseBackup:
         change = np.subtract(new, old, out=choices[: self.n_swept])
         return float(np.maximum.reduce(np.abs(change, out=change)))
 
-    def best(self, values: Floats) -> NDArray[np.int32]:
-        best = look_ahead(self._model, self._of_all(values)).argmax(axis=1)
-        return np.where(self._dead, -1, best).astype(np.int32)
-
     def everywhere(self, values: Floats, before: Floats) -> Floats:
         if self.n_swept == self._model.n_states:
             return self._of_all(values)
@@ -239,10 +235,8 @@ def compiled_sweep() -> Callable[..., float] | None:
     return compiled
 
 
-def _backup(model: Model) -> _IndexedBackup | _SparseBackup:
-    """Return the backup that suits a model: compiled where that is loaded, or pays for loading."""
-    if not isinstance(model, MultiTimeModel):
-        return _SparseBackup(model)
+def _indexed_backup(model: MultiTimeModel) -> _IndexedBackup:
+    """Return the backup of a model: compiled where that is loaded, or pays for loading."""
     loaded = compiled_sweep.cache_info().currsize > 0
     pays = loaded or model.reward.size >= COMPILED_FROM
     return _IndexedBackup(model, compiled_sweep() if pays else None)
@@ -264,18 +258,32 @@ def solve_smdp(
         through.
     :raises PlanError: tol is negative or no number, or max_sweeps is below 1.
     """
-    backup = _backup(model)
-    swept, found, sweeps, residual = _sweep(backup, model.n_states, tol, max_sweeps, on_sweep)
-    return Solution(found, backup.best(swept), sweeps, residual, residual <= tol)
+    if isinstance(model, SparseMultiTimeModel):
+        values, sweeps, residual = sweep_values(model, tol, max_sweeps, on_sweep)
+        best = greedy_options(look_ahead(model, values))
+    else:
+        backup = _indexed_backup(model)
+        values, sweeps, residual = _sweep(backup, model.n_states, tol, max_sweeps, on_sweep)
+        best = backup.best(values)
+    return Solution(values, best, sweeps, residual, residual <= tol)
 
 
-def evaluate_policy(model: SparseMultiTimeModel, tol: float, max_sweeps: int) -> Floats:
+def sweep_values(
+    model: SparseMultiTimeModel, tol: float, max_sweeps: int, on_sweep: OnSweep | None = None
+) -> tuple[Floats, int, float]:
     """
-    Return the values (S,) of the only option of a model; as ``solve_smdp``.
+    Return the best values (S,), the number of sweeps and the last residual; as ``solve_smdp``.
 
     :raises PlanError: as ``solve_smdp``.
     """
-    return _sweep(_SparseBackup(model), model.n_states, tol, max_sweeps)[1]
+    return _sweep(_SparseBackup(model), model.n_states, tol, max_sweeps, on_sweep)
+
+
+def greedy_options(option_values: Floats) -> NDArray[np.int32]:
+    """Return (S,): the option of the greatest value (S, O), the lowest of equals; -1: of none."""
+    best = option_values.argmax(axis=1)
+    greatest = option_values[np.arange(len(best)), best]
+    return np.where(greatest == -np.inf, -1, best).astype(np.int32)
 
 
 def _sweep(
@@ -284,8 +292,8 @@ def _sweep(
     tol: float,
     max_sweeps: int,
     on_sweep: OnSweep | None = None,
-) -> tuple[Floats, Floats, int, float]:
-    """Return the values (R,) of the last sweep, those of all states, sweeps and residual."""
+) -> tuple[Floats, int, float]:
+    """Return the values of all states (S,), the number of sweeps and the last residual."""
     check_limits(tol, max_sweeps)
     partial = backup.n_swept < n_states
     values, before, earlier = np.zeros((3, backup.n_swept + 1))  # by the last sweep, and so on
@@ -300,7 +308,7 @@ def _sweep(
                 residual = float(np.abs(found - old).max())
             if stop or residual <= tol:
                 break
-    return values[:-1], found, sweeps, residual
+    return found, sweeps, residual
 
 
 @dataclass(frozen=True)

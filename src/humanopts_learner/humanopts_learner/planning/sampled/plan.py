@@ -37,7 +37,7 @@ from humanopts_learner.planning.sampled.policies import (
 )
 from humanopts_learner.planning.sampled.sampled_models import SampleCounts, Shrinkage
 from humanopts_learner.planning.smdp import look_ahead, SparseMultiTimeModel
-from humanopts_learner.planning.value_iteration import evaluate_policy, Solution, solve_smdp
+from humanopts_learner.planning.value_iteration import greedy_options, Solution, sweep_values
 import numpy as np
 
 IMPROVEMENTS = 4  # policy improvements by shrunk values after value iteration, each evaluated
@@ -197,14 +197,17 @@ def _solve(
         group = CodeTable(np.unique(alike)).find(alike)
         samples = counts.samples[:, :n_choosable]
         shrink = Shrinkage(choosable.available, samples, group, config.shrinkage)
-    solution = solve_smdp(choosable, asked.tol, asked.max_sweeps, on_sweep)
-    values = solution.values
+    limits = asked.tol, asked.max_sweeps
+    solved, sweeps, residual = sweep_values(choosable, *limits, on_sweep)
+    values, greedy = solved, None
     for _ in range(IMPROVEMENTS if shrinks else 0):
-        option_values = shrink(look_ahead(choosable, values))
-        best = np.where(choosable.available, option_values, -np.inf).argmax(axis=1)
-        values = evaluate_policy(choosable.of_policy(best), asked.tol, asked.max_sweeps)
+        ahead = look_ahead(choosable, values)
+        greedy = greedy_options(ahead) if greedy is None else greedy
+        best = np.where(choosable.available, shrink(ahead), -np.inf).argmax(axis=1)
+        values = sweep_values(choosable.of_policy(best), *limits)[0]
     ahead = look_ahead(model, values)  # (S, modelled)
     option_values, others = shrink(ahead[:, :n_choosable]), ahead[:, n_choosable:]
+    greedy = greedy_options(ahead[:, :n_choosable]) if greedy is None else greedy
     if n_options := len(actions.options):
         option_values[:, n_options:] -= config.primitive_penalty
     continuation_values = np.full(option_values.shape, -np.inf)
@@ -220,5 +223,5 @@ def _solve(
         interruption_margin=config.interruption_margin,
         sampled=True,
     )
-    solution = replace(solution, values=solution.values[order], best=solution.best[order])
+    solution = Solution(solved[order], greedy[order], sweeps, residual, residual <= asked.tol)
     return solution, GreedyPolicy(actions, table, asked.execution)
