@@ -17,6 +17,7 @@ from humanopts_teach.cli import main
 import pytest
 
 SHOWN = 3  # demonstrations on disk before anything happens
+EPISODES = 4  # played by the demo that survives the deaths of nodes
 PATIENCE = 30.0  # s for a demo to end; it takes about one
 NODES = [
     *('conductor', 'game', 'learner', 'lesson', 'option_server', 'planner', 'recorder'),
@@ -123,7 +124,7 @@ def test_a_demo_survives_the_deaths_of_nodes_while_it_teaches_and_while_it_plays
     start: Start, tmp_path: Path
 ) -> None:
     # The machine is paced, so that its play lasts until the planner is killed.
-    command = start('--learn', GOAL, '--episodes', 10, '--step-period', 0.02)
+    command = start('--learn', GOAL, '--episodes', EPISODES, '--step-period', 0.05)
     command.until(lambda: in_first_bag(tmp_path), 'a demonstration in the bag', 3 * PATIENCE)
     before = in_first_bag(tmp_path)
     command.kill('recorder', SIGKILL)
@@ -133,7 +134,7 @@ def test_a_demo_survives_the_deaths_of_nodes_while_it_teaches_and_while_it_plays
     command.kill('planner', SIGKILL)
     ends = {'recorder': KILLED, 'game': KILLED, 'planner': KILLED}
     found = check_survives(command, tmp_path, ends)
-    assert (found['execution']['episodes'], found['bag']['path']) == (10, 'bag-2')
+    assert (found['execution']['episodes'], found['bag']['path']) == (EPISODES, 'bag-2')
     assert found['offline']['options'] == found['options']
     for option in found['options']:
         assert (option['method'], option['policy_accuracy']) == (GOAL, 1.0)

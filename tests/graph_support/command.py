@@ -21,7 +21,7 @@ from humanopts_teach.lesson.store import entry_from_line
 
 from graph_support.live import free_domain_id
 
-EPISODES = 10  # played in the demo that tests share
+EPISODES = 5  # played in the demo that tests share
 
 
 class Command:
