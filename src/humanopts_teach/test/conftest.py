@@ -31,17 +31,18 @@ def demonstrate(
 ) -> list[Demonstration]:
     """Show an option from random states, as an expert with fixed preferences would."""
     rng = generator(seed, 'scripted teacher', option)
+    choose, reference = by_reference(option, domain), reference_options(domain)[option]
     demos = []
     for number, start in enumerate(domain.sample_states(rng, count), start=1):
         demo = show(
             domain,
             start,
-            by_reference(option, domain),
+            choose,
             rng,
             participant=participant,
             option_name=option,
             number=number,
-            chosen_features=reference_options(domain)[option].features,
+            chosen_features=reference.features,
         )
         demos.append(replace(demo, seconds=2.0 + 0.5 * len(demo.actions)))
     return demos

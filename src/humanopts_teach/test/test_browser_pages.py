@@ -13,7 +13,6 @@ from urllib.request import urlopen
 
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.game import Transition
-from humanopts_teach.browser.pages import serve
 from humanopts_teach.browser.seats import Press, Seat, Seats
 from humanopts_teach.dialogue.app import App, MOST_KEYS
 from humanopts_teach.dialogue.entry import Item, ListScreen
@@ -61,6 +60,8 @@ def address(stop: threading.Event) -> Iterator[str]:
     listening = socket.create_server(('127.0.0.1', 0))
 
     async def serving() -> None:
+        from humanopts_teach.browser.pages import serve  # NiceGUI is slow to import
+
         seats = Seats('taxi', game, linger=PATIENCE)
         await serve(seats, listening, TOKEN, 'p1', stop.is_set)
 
