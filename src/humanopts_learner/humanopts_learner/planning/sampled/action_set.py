@@ -99,7 +99,7 @@ class StateAbstraction:
         sizes = (*(coarse.sizes[feature] for feature in self._mixture), *own.sizes)
         if np.prod(sizes, dtype=np.float64) > LARGEST_CODE:
             raise PlanError(f'abstract features of {sizes} values are too fine')
-        self._sizes, self._radix = sizes, np.cumprod([1, *sizes[:-1]], dtype=np.int64)
+        self._sizes, self._radix = sizes, np.cumprod([1, *sizes[:-1]], dtype=np.float64)
         self.context = tuple(range(len(self._mixture))) if self._mixture else own.context
         """Indices of the abstract features that hardly decide which option is the best."""
 
@@ -110,12 +110,13 @@ class StateAbstraction:
         if self._mixture:
             coarse = self.games.abstract_features(batch, rows, fine=False)
             features = np.concatenate([coarse[:, list(self._mixture)], features], axis=1)
-        return rows, features @ self._radix
+        # Products of floats are exact below LARGEST_CODE, and faster than those of integers.
+        return rows, (features.astype(np.float64) @ self._radix).astype(np.int64)
 
     def without_context(self, states: Codes) -> Codes:
         """Return the codes (N,) of abstract states with all context features set to 0."""
         for feature in self.context:
-            radix = self._radix[feature]
+            radix = int(self._radix[feature])
             states = states - states // radix % self._sizes[feature] * radix
         return states
 

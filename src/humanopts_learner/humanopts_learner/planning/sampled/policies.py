@@ -141,7 +141,9 @@ class GreedyPolicy:
 
     def _option_values(self, seen: Observation, row: Ints) -> Floats:
         """Return option values (N, O); -inf: the option cannot start, or is not known."""
-        return np.where(seen.startable, self._table[1].take(row, axis=0), -np.inf)
+        values = self._table[1].take(row, axis=0)
+        np.copyto(values, -np.inf, where=~seen.startable)
+        return values
 
 
 @dataclass(frozen=True)
