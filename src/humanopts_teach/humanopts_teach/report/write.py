@@ -75,9 +75,14 @@ def write_evaluation_report(
 
 
 def render_report(data: ReportData) -> str:
-    """Return the page."""
+    """
+    Return the page.
+
+    :raises StateError: a state of the episode is not of the domain.
+    """
     evaluation, live = data.evaluation, data.live
     planning = planning_rows(evaluation, live)
+    episode = episode_strip(evaluation.domain, data.frames)  # first: it can fail
     exact = {
         name: found.plan
         for name, found in evaluation.named_plans.items()
@@ -116,7 +121,7 @@ def render_report(data: ReportData) -> str:
         'planning': planning,
         'evaluation': evaluation,
         'planning_figures': planning_figures(planning, 'planning'),
-        'episode': episode_strip(evaluation.domain, data.frames),
+        'episode': episode,
         'topics': data.topics,
         'provenance': data.provenance,
         'versions': _versions(),
