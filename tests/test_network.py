@@ -4,6 +4,7 @@ memory of messages is given back.
 """
 
 from collections.abc import Iterator
+from importlib.resources import files
 from itertools import chain, repeat
 import os
 from pathlib import Path
@@ -70,6 +71,9 @@ def test_a_burst_of_large_messages_leaves_no_memory_in_use(live: Graph, where: s
     assert int(kept.stdout) < 30e6, 'of 100 MB that were sent'
 
 
+LOOPBACK = str(files('humanopts_ros') / 'loopback_discovery.xml')
+
+
 @pytest.mark.parametrize(
     ('given', 'profile', 'kept'),
     [
@@ -78,6 +82,12 @@ def test_a_burst_of_large_messages_leaves_no_memory_in_use(live: Graph, where: s
         ({RANGE: 'SUBNET'}, 'quick_discovery.xml', 'SUBNET'),
         ({}, 'quick_discovery.xml', None),
         ({RANGE: 'LOCALHOST', PROFILES[1]: 'own.xml'}, None, 'LOCALHOST'),
+        ({RANGE: 'LOCALHOST', PROFILES[0]: LOOPBACK}, 'loopback_discovery.xml', 'SYSTEM_DEFAULT'),
+        (
+            {RANGE: 'SYSTEM_DEFAULT', PROFILES[0]: LOOPBACK},
+            'loopback_discovery.xml',
+            'SYSTEM_DEFAULT',
+        ),
     ],
 )
 def test_the_profile_follows_from_the_range(
@@ -98,6 +108,11 @@ def test_the_profile_follows_from_the_range(
     monkeypatch.setenv(PROFILES[0], 'restored')  # so that the test leaves nothing behind
     monkeypatch.setenv(READ_PROFILES, 'restored')
     monkeypatch.setenv(RANGE, 'restored')
+
+
+def test_no_process_of_a_test_uses_shared_memory() -> None:
+    """With the range LOCALHOST the middleware would, beside the profile."""
+    assert (os.environ[PROFILES[0]], os.environ[RANGE]) == (LOOPBACK, 'SYSTEM_DEFAULT')
 
 
 OTHER = '127.0.0.9'  # a machine that any machine has a route to

@@ -29,13 +29,18 @@ def prepare_discovery() -> None:
     is told to change nothing of it: with LOCALHOST it binds to every interface.
     """
     _await_network()
-    if any(name in os.environ for name in PROFILES):
+    quick, loopback = (
+        str(files('humanopts_ros') / name)
+        for name in ('quick_discovery.xml', 'loopback_discovery.xml')
+    )
+    given = [os.environ[name] for name in PROFILES if name in os.environ]
+    if given not in ([], [loopback]):  # the last: by the process that started this one
         return
-    profile = 'quick_discovery.xml'
-    if os.environ.get(RANGE) == 'LOCALHOST' and not os.environ.get(PEERS):
-        profile, os.environ[RANGE] = 'loopback_discovery.xml', 'SYSTEM_DEFAULT'
+    stays = os.environ.get(RANGE) == 'LOCALHOST' and not os.environ.get(PEERS)
+    if stays:
+        os.environ[RANGE] = 'SYSTEM_DEFAULT'
     os.environ[READ_PROFILES] = '1'
-    os.environ[PROFILES[0]] = str(files('humanopts_ros') / profile)
+    os.environ[PROFILES[0]] = loopback if stays or given else quick
 
 
 def _await_network() -> None:
