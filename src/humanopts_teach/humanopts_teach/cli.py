@@ -32,6 +32,7 @@ from humanopts_teach.commands.options import (
 )
 from humanopts_teach.commands.study import app as study_app
 from humanopts_teach.launching import LaunchError
+from humanopts_teach.launching.fork_server import prepare
 import typer
 from typer.core import TyperCommand
 
@@ -138,6 +139,7 @@ def demo(
     launch: LaunchOptions,
 ) -> int:
     """Run the whole graph with a simulated teacher: bag, options, report."""
+    prepare()
     from humanopts_teach.commands.demo import run_demo
 
     return run_demo(domain, launch, episodes, games, error_rate)
@@ -153,6 +155,7 @@ def up(
     launch: LaunchOptions,
 ) -> int:
     """Launch the nodes and stay until Ctrl-C."""
+    prepare()
     from humanopts_teach.commands.session import check_folder, new_name, session, setup_from
 
     setup = setup_from(

@@ -1,5 +1,18 @@
 """Starting and stopping the processes of a graph."""
 
+MODULES = {  # that run the nodes, in the order in which they are started
+    'recorder': 'humanopts_teach.ros.recorder',
+    'game': 'humanopts_env.ros.game_node',
+    'learner': 'humanopts_learner.ros.learner_node',
+    'lesson': 'humanopts_teach.ros.lesson_node',
+    'option_server': 'humanopts_learner.ros.option_server',
+    'planner': 'humanopts_learner.ros.planner_node',
+    'diagnostics': 'humanopts_teach.ros.diagnostics',
+    'views': 'humanopts_teach.ros.views',
+    'simulated_teacher': 'humanopts_teach.ros.simulated_teacher',
+    'keyboard_teleop': 'humanopts_teach.ros.keyboard_teleop',
+}
+
 
 class LaunchError(RuntimeError):
     """The graph cannot be started, or a node of it died; the text says which and why."""

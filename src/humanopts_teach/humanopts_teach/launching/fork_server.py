@@ -23,8 +23,10 @@ import traceback
 from typing import Any, NoReturn
 
 from humanopts_ros.environment import LAUNCHER_PID
+from humanopts_teach.launching import MODULES
 from setproctitle import setproctitle
 
+_USUAL = 'recorder', 'game', 'learner', 'lesson', 'option_server', 'planner'  # of a launch
 _LAST_SECONDS = 1.0  # that the server has to end
 _MESSAGE_BYTES = 1 << 20  # at most; an order holds an environment
 
@@ -132,6 +134,19 @@ class ForkServer:
         except subprocess.TimeoutExpired:  # it is stopped, say
             self._process.kill()
             self._process.wait()
+
+
+_prepared: list[ForkServer] = []  # one at most
+
+
+def prepare() -> None:
+    """Start the server of the launch that follows: it imports while this process does."""
+    _prepared.append(ForkServer([MODULES[name] for name in _USUAL]))
+
+
+def server_for(modules: Sequence[str]) -> ForkServer:
+    """Return the server that was prepared, or start one with what it is to import."""
+    return _prepared.pop() if _prepared else ForkServer(modules)
 
 
 def main() -> int:

@@ -21,7 +21,7 @@ import time
 
 from humanopts_ros.environment import LAUNCHER_PID
 from humanopts_teach.launching import LaunchError
-from humanopts_teach.launching.fork_server import ForkedProcess, ForkServer
+from humanopts_teach.launching.fork_server import ForkedProcess, ForkServer, server_for
 from humanopts_teach.launching.processes import ProcessSpec, RECORDER
 from humanopts_teach.launching.restarts import how, MOST, NodeExit, RestartPolicy, said_last
 import psutil
@@ -176,7 +176,7 @@ class Launcher:
         try:
             self._directory.mkdir(parents=True, exist_ok=True)
             if self._server is None:
-                self._server = ForkServer([s.module for s in self._specs if not s.terminal])
+                self._server = server_for([s.module for s in self._specs if not s.terminal])
             for spec in self._specs:
                 if not spec.terminal and spec.late == late:
                     self._start(spec)

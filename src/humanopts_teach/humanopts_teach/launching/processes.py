@@ -7,6 +7,7 @@ from pathlib import Path
 
 from humanopts_env.domains.base import Parameter
 from humanopts_learner.options.criteria import Thresholds
+from humanopts_teach.launching import MODULES
 from humanopts_teach.lesson import BUDGET, METHOD, STRATEGY
 
 Value = Parameter | list[str]
@@ -126,23 +127,20 @@ def processes(setup: Setup) -> list[ProcessSpec]:
 
     :raises UnknownNodeError: a node that is to run here is none of the launch.
     """
-    table = (
-        (setup.record, RECORDER, 'humanopts_teach.ros.recorder'),
-        (True, 'game', 'humanopts_env.ros.game_node'),
-        (setup.teach, 'learner', 'humanopts_learner.ros.learner_node'),
-        (setup.teach, 'lesson', 'humanopts_teach.ros.lesson_node'),
-        (True, 'option_server', 'humanopts_learner.ros.option_server'),
-        (True, 'planner', 'humanopts_learner.ros.planner_node'),
-        (setup.diagnostics, 'diagnostics', 'humanopts_teach.ros.diagnostics'),
-        (setup.views, 'views', 'humanopts_teach.ros.views'),
-        (bool(setup.taught), 'simulated_teacher', 'humanopts_teach.ros.simulated_teacher'),
-        (setup.keyboard, 'keyboard_teleop', 'humanopts_teach.ros.keyboard_teleop'),
-    )
+    wanted = {
+        RECORDER: setup.record,
+        'learner': setup.teach,
+        'lesson': setup.teach,
+        'diagnostics': setup.diagnostics,
+        'views': setup.views,
+        'simulated_teacher': bool(setup.taught),
+        'keyboard_teleop': setup.keyboard,
+    }
     own = _own_parameters(setup)
     specs = [
         ProcessSpec(name, module, {**common_parameters(setup), **own.get(name, {})})
-        for wanted, name, module in table
-        if wanted
+        for name, module in MODULES.items()
+        if wanted.get(name, True)
     ]
     if not setup.only:
         return specs
