@@ -30,6 +30,7 @@ from matplotlib.ticker import (
 import numpy as np
 
 SIZE = (5.0, 2.9)  # inches
+MARGINS = {'left': 0.15, 'right': 0.985, 'bottom': 0.165, 'top': 0.9}  # shares, for six digits
 MOST_MARKERS = 30  # on a curve
 PANELS = (  # criterion, title, unit
     ('return', 'Return: shortfall', 'reward units'),
@@ -106,6 +107,8 @@ def learning_curves(points: Sequence[CurvePoint], name: str, option: str) -> lis
             work.axes.set_xlim(0, max(drawn) + 0.6)
             work.axes.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=7))
             work.axes.legend(loc='best')
+            work.figure.set_layout_engine(None)  # to lay out takes as long as to draw
+            work.figure.subplots_adjust(**MARGINS)
         figures.append(work.svg)
 
     for criterion, title, unit in PANELS if drawn else ():
