@@ -43,8 +43,7 @@ from humanopts_ros.publisher import PublishError, StampedPublisher
 from humanopts_ros.qos import LATCHED, LATCHED_ALL, STREAM
 from rclpy.parameter import Parameter
 
-_RETRY_PERIOD = 0.5  # s between attempts to publish messages again
-_SAY_AGAIN = 1.0  # s between looks whether somebody else publishes what is current
+_SAY_AGAIN = 1.0  # s between looks whether a message is to be published again
 _LEASE_PERIOD = 0.25  # s between looks whether the holder of control has renewed it
 _SHOW_PERIOD = 0.02  # s, least time between current states while the machine plays
 
@@ -76,7 +75,6 @@ class GameNode(NodeBase):
         self._unsent: dict[StampedPublisher[Any], deque[Any]] = {t: deque() for t in topics}
         self._pacing = Pacing(self._game, period)
         self._pace = self.create_timer(period or 1.0, self._on_pace, autostart=False)
-        self._retry = self.create_timer(_RETRY_PERIOD, self._on_retry, autostart=False)
         self.create_timer(_SAY_AGAIN, self._say_again)
         self._lease, self._pause_lease = Lease(), Lease()
         self._lease_timer = self.create_timer(_LEASE_PERIOD, self._check_lease, autostart=False)
@@ -225,7 +223,13 @@ class GameNode(NodeBase):
             self._unshown = None
 
     def _say_again(self) -> None:
-        """Publish what is current again while somebody else publishes in its place."""
+        """
+        Publish what could not be published.
+
+        What is current is published again while somebody else publishes in its place.
+        """
+        if any(self._unsent.values()):
+            self._retry()
         if self.ready and self.count_publishers('domain_info') > 1:
             self._info.publish(domain_to_info(self._game.domain))
         if self.ready and self.count_publishers('current_state') > 1:
@@ -247,13 +251,11 @@ class GameNode(NodeBase):
                 publisher.publish(waiting[0])
                 waiting.popleft()
         except PublishError as error:
-            self._retry.reset()
             if not self._game.paused:
                 self._game.paused = str(error)
                 self.set_status(NodeStatus.STATE_PAUSED, str(error))
 
-    def _on_retry(self) -> None:
-        self._retry.cancel()
+    def _retry(self) -> None:
         for publisher in self._unsent:
             self._push(publisher)
         if not any(self._unsent.values()):
