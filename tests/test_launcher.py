@@ -23,6 +23,7 @@ from humanopts_ros.qos import LATCHED_ALL
 from humanopts_teach.bags.reader import open_bag
 from humanopts_teach.cli import main
 from humanopts_teach.launching import LaunchError
+from humanopts_teach.launching.fork_server import prepare
 from humanopts_teach.launching.launcher import Launcher, only_launch
 from humanopts_teach.launching.processes import processes, ProcessSpec, Setup, Value
 from humanopts_teach.ros.graph_client import GraphClient
@@ -237,22 +238,18 @@ def test_a_fork_is_what_a_process_of_its_own_would_be(
         '    time.sleep(60)\n'
     )
     monkeypatch.setenv('PYTHONPATH', str(tmp_path), prepend=os.pathsep)
-    launcher = Launcher([spec('early', 'tells'), spec('simulated_teacher', 'tells')], tmp_path)
-    for late, name, who in ((False, 'early', 'anna'), (True, 'simulated_teacher', 'ben')):
-        monkeypatch.setenv('WHO', who)
-        (tmp_path / who).mkdir()
-        monkeypatch.chdir(tmp_path / who)
-        launcher.start(late=late)
-        log, pid = tmp_path / f'{name}.log', launcher.pid(name)
-        live.until(lambda log=log: log.read_text().endswith('\n'), 'what the node tells')
-        assert json.loads(log.read_text()) == [
-            str(tmp_path / who),
-            who,
-            ['--ros-args', '-r', '__ns:=/'],
-            pid,
-        ]
-        title = Path(f'/proc/{pid}/cmdline').read_bytes().decode()
-        assert f'-m tells --ros-args -r __ns:=/ --params-file {tmp_path}/{name}.yaml' in title
+    prepare()  # what follows is not known to the server
+    monkeypatch.setenv('WHO', 'anna')
+    (tmp_path / 'here').mkdir()
+    monkeypatch.chdir(tmp_path / 'here')
+    launcher = Launcher([spec('game', 'tells')], tmp_path)
+    launcher.start()
+    log, pid = tmp_path / 'game.log', launcher.pid('game')
+    live.until(lambda: log.read_text().endswith('\n'), 'what the node tells')
+    arguments = ['--ros-args', '-r', '__ns:=/']
+    assert json.loads(log.read_text()) == [str(tmp_path / 'here'), 'anna', arguments, pid]
+    title = Path(f'/proc/{pid}/cmdline').read_bytes().decode()
+    assert f'-m tells --ros-args -r __ns:=/ --params-file {tmp_path}/game.yaml' in title
     assert launcher.stop() == []
 
 

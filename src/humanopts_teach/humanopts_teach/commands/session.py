@@ -326,9 +326,8 @@ def session(
 
         launcher.on_end, launcher.report = on_end, report
         try:
-            for late in (False, True):
-                launcher.start(late=late)
-                graph.wait_ready(launcher.node_names)
+            launcher.start()
+            graph.wait_ready(launcher.node_names)
             yield running
         finally:
             try:
