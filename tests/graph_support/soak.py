@@ -31,6 +31,7 @@ from humanopts_teach.bags.reader import open_bag
 from humanopts_teach.commands.session import Session, session
 from humanopts_teach.launching import LaunchError
 from humanopts_teach.launching.processes import Setup
+from humanopts_teach.launching.restarts import RestartPolicy
 from humanopts_teach.lesson.store import entry_from_line
 from humanopts_teach.ros.raw_subscriber import load_type
 import psutil
@@ -275,6 +276,9 @@ class Soak:
         (spec,) = [s for s in self._launcher._specs if s.name == 'simulated_teacher']
         assert isinstance(spec.parameters, dict)
         spec.parameters['participant'] = f'p{self._participants}'
+        for running in self._launcher._running:
+            if running.spec is spec:  # it has not died, so that the pause before it does not grow
+                running.policy = RestartPolicy(10**9)
         pid = self._pid('simulated_teacher')
         self._replaced.add(pid)
         os.kill(pid, signal.SIGTERM)
