@@ -326,8 +326,9 @@ def session(
 
         launcher.on_end, launcher.report = on_end, report
         try:
-            launcher.start()
-            graph.wait_ready(launcher.node_names)
+            for late in (False, True):
+                launcher.start(late=late)
+                graph.wait_ready(launcher.node_names)
             yield running
         finally:
             try:

@@ -166,18 +166,20 @@ class Launcher:
         """Return the process of a node that runs."""
         return next(entry.process.pid for entry in self._running if entry.spec.name == name)
 
-    def start(self) -> None:
+    def start(self, *, late: bool = False) -> None:
         """
         Start every process but the terminal's.
 
+        :param late: those that come when the others are ready, in place of the others.
         :raises LaunchError: the log directory cannot be written.
         """
         try:
             self._directory.mkdir(parents=True, exist_ok=True)
-            specs = [spec for spec in self._specs if not spec.terminal]
-            self._server = server_for([spec.module for spec in specs])
-            for spec in specs:
-                self._start(spec)
+            if self._server is None:
+                self._server = server_for([s.module for s in self._specs if not s.terminal])
+            for spec in self._specs:
+                if not spec.terminal and spec.late == late:
+                    self._start(spec)
         except OSError as error:
             self.stop()
             raise LaunchError(f'cannot write logs in {self._directory}: {error}') from error

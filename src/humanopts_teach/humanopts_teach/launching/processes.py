@@ -33,6 +33,11 @@ class ProcessSpec:
         return self.module.partition('.')[0]
 
     @property
+    def late(self) -> bool:
+        """Whether it is started when the others are ready."""
+        return self.name == 'simulated_teacher'
+
+    @property
     def terminal(self) -> bool:
         """Whether it takes over the terminal."""
         return self.name == 'keyboard_teleop'
