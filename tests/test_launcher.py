@@ -253,6 +253,12 @@ def test_a_fork_is_what_a_process_of_its_own_would_be(
     assert launcher.stop() == []
 
 
+def test_a_command_that_is_refused_leaves_no_process() -> None:
+    others = children()
+    assert main(['up', 'chess']) == 2
+    assert children() == others
+
+
 def test_nodes_end_when_the_server_that_forked_them_is_killed(launch: Launch, live: Graph) -> None:
     others = set(children())
     launcher = launch(spec('game', GAME))

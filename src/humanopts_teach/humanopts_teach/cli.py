@@ -32,7 +32,7 @@ from humanopts_teach.commands.options import (
 )
 from humanopts_teach.commands.study import app as study_app
 from humanopts_teach.launching import LaunchError
-from humanopts_teach.launching.fork_server import prepare
+from humanopts_teach.launching.fork_server import discard, prepare
 import typer
 from typer.core import TyperCommand
 
@@ -281,6 +281,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # nobody reads on, as in "humanopts bag info BAG | head"
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
+    finally:
+        discard()
     return status
 
 

@@ -132,8 +132,13 @@ class ForkServer:
         try:
             self._process.wait(_LAST_SECONDS)
         except subprocess.TimeoutExpired:  # it is stopped, say
-            self._process.kill()
-            self._process.wait()
+            self.kill()
+
+    def kill(self) -> None:
+        """End the server at once."""
+        self._channel.close()
+        self._process.kill()
+        self._process.wait()
 
 
 _prepared: list[ForkServer] = []  # one at most
@@ -147,6 +152,12 @@ def prepare() -> None:
 def server_for(modules: Sequence[str]) -> ForkServer:
     """Return the server that was prepared, or start one with what it is to import."""
     return _prepared.pop() if _prepared else ForkServer(modules)
+
+
+def discard() -> None:
+    """End the server that no launch has taken, as where a command was refused."""
+    while _prepared:
+        _prepared.pop().kill()
 
 
 def main() -> int:
