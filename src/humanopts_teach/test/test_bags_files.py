@@ -11,6 +11,7 @@ from pathlib import Path
 import re
 import resource
 import shutil
+import tracemalloc
 from typing import Any
 
 from humanopts_interfaces.msg import ActionCommand, GameState
@@ -105,6 +106,23 @@ def test_a_bag_that_was_not_closed_holds_every_flushed_message(tmp_path: Path) -
     assert 'was not closed' in opened.damage
     assert opened.topics['/game_state'].messages == 50
     assert opened.metadata['humanopts'] == {'seed': '7'}
+
+
+def test_a_bag_that_is_being_written_takes_few_bytes_for_each_chunk(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / 'bag') as writer:
+        tracemalloc.start()
+        taken = []
+        for number in range(2000):
+            writer.add_topic('/topic', 'std_msgs/msg/Empty')
+            writer.write('/topic', bytes(5), START + number)
+            writer.flush()
+            taken.append(tracemalloc.get_traced_memory()[0])
+        tracemalloc.stop()
+    assert taken[-1] - taken[999] < 1000 * 150
+    with (tmp_path / 'bag' / 'bag_0.mcap').open('rb') as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    assert [each.message_start_time - START for each in summary.chunk_indexes] == [*range(2000)]
 
 
 def test_a_bag_cut_at_any_byte_opens_with_every_whole_chunk(bag: Path, data: bytes) -> None:
