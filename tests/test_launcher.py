@@ -26,6 +26,7 @@ from humanopts_teach.launching import LaunchError
 from humanopts_teach.launching.fork_server import prepare
 from humanopts_teach.launching.launcher import Launcher, only_launch
 from humanopts_teach.launching.processes import processes, ProcessSpec, Setup, Value
+from humanopts_teach.launching.restarts import NodeExit
 from humanopts_teach.ros.graph_client import GraphClient
 import pytest
 
@@ -206,6 +207,38 @@ def test_a_terminal_that_died_and_is_started_again_does_not_end_up(
         live.start(GAME)
         with pytest.raises(LaunchError, match='/game runs already'):
             conductor.stay(live.spin, lambda line: None)
+    finally:
+        conductor.close()
+
+
+def test_a_node_that_was_started_again_is_known_from_what_others_sign_with_its_name(
+    live: Graph, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = live.node.create_publisher(NodeStatus, 'node_status', LATCHED_ALL)
+    monkeypatch.setenv('ROS_DOMAIN_ID', str(live.domain_id))
+    conductor = GraphClient('/', {'expect_recorder': False}, tmp_path, watch=live.spin)
+
+    def heard(name: str, text: str) -> bool:
+        conductor.catch_up()
+        return name in conductor.statuses and conductor.statuses[name].text == text
+
+    def say(who: str, text: str, kept: str) -> None:
+        status = NodeStatus(node='/game', publisher_id=f'/game#{who}', text=text)
+        status.header.stamp = sent
+        out.publish(status)
+        out.publish(NodeStatus(node='/mark', publisher_id='/mark#1', text=text))  # comes after it
+        live.until(lambda: heard('/mark', text), 'what was said')
+        assert conductor.statuses['/game'].text == kept
+
+    try:
+        sent = conductor.get_clock().now().to_msg()
+        conductor.note_end(NodeExit('game', 'exit status 1', '', 0, again=True))
+        say('first', 'sent before it ended', 'sent before it ended')
+        sent = conductor.get_clock().now().to_msg()
+        say('second', 'ready', 'ready')
+        say('first', 'still sent', 'ready')
+        say('somebody', 'of no node', 'ready')
+        say('second', 'finished', 'finished')
     finally:
         conductor.close()
 

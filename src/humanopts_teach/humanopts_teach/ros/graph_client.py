@@ -4,7 +4,6 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from functools import partial
 import json
-import math
 from pathlib import Path
 import time
 from typing import Any, TypeVar
@@ -76,6 +75,7 @@ class GraphClient(NodeBase):
         self.duplicates: set[str] = set()
         self.restarts: Counter[str] = Counter()
         self._ended: dict[str, float] = {}  # when each node ended last, s
+        self._ended_at: dict[str, tuple[int, int]] = {}  # the same by the clock, s and ns
         self._gone: set[str] = set()  # publisher_ids of processes that have ended
         self._resent = 0  # sequence of the lesson's status from which all is in the newest bag
         self._awaited: set[str] = set()  # nodes of this launch; others may be started again
@@ -314,6 +314,7 @@ class GraphClient(NodeBase):
         node = self.full_name(end.node)
         self.restarts[node] += end.again
         self._ended[node] = time.monotonic()
+        self._ended_at[node] = self.get_clock().now().seconds_nanoseconds()
         if (known := self.statuses.pop(node, None)) is not None:
             self._gone.add(known.publisher_id)
         lesson = self.statuses.get(self.full_name(LESSON))
@@ -332,11 +333,12 @@ class GraphClient(NodeBase):
         if status.publisher_id in self._gone or status.publisher_id.partition('#')[0] != node:
             return
         if status.publisher_id != known.publisher_id:
-            late = time.monotonic() - self._ended.get(node, -math.inf) < _PATIENCE
-            if not late and known.state != known.STATE_STOPPING:
+            sent = known.header.stamp.sec, known.header.stamp.nanosec
+            ended = known.state == known.STATE_STOPPING or sent < self._ended_at.get(node, (0, 0))
+            if not ended:
                 self.duplicates.add(node)
                 return
-            self._gone.add(known.publisher_id)  # it ended before its status had come here
+            self._gone.add(known.publisher_id)
         self.statuses[node] = status
 
     def _stopped(self) -> str:
