@@ -1,5 +1,6 @@
 """What every node shares: one plain line for bad parameters, a life that is told, a clean end."""
 
+import ctypes
 import itertools
 import os
 from pathlib import Path
@@ -22,8 +23,10 @@ from humanopts_interfaces.msg import GameState, NodeStatus
 from humanopts_interfaces.srv import SetPace
 from humanopts_ros.node_base import NodeBase
 from humanopts_ros.node_restarts import NodeRestarts
+from humanopts_ros.process import MemoryReturn
 from humanopts_ros.qos import LATCHED_ALL
 from humanopts_teach.bags.reader import open_bag
+import psutil
 import pytest
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
@@ -32,6 +35,7 @@ from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import Trigger
 
 ALL = (GAME, LEARNER, LESSON, OPTION_SERVER, PLANNER, RECORDER, TEACHER)
+BLOCK = 65536  # bytes
 WRONG: list[tuple[str, dict[str, Any], str]] = [
     *((node, {'seed': -1}, 'seed') for node in (LEARNER, LESSON, OPTION_SERVER, TEACHER)),
     *((node, {'expect_recorder': 3}, 'expect_recorder') for node in ALL),
@@ -61,6 +65,29 @@ from humanopts_ros.process import run_node
 
 sys.exit(run_node(lambda: NodeBase(sys.argv[1])))
 """
+
+
+def test_memory_that_is_free_is_given_back_when_it_is_time_to() -> None:
+    libc, blocks, now = ctypes.CDLL(None), 1000, 0.0
+    libc.malloc.restype = ctypes.c_void_p
+
+    def memory() -> int:
+        return psutil.Process().memory_info().rss
+
+    give_back = MemoryReturn(lambda: now)
+    give_back()
+    taken = [ctypes.c_void_p(libc.malloc(BLOCK)) for _ in range(blocks)]
+    for block in taken:
+        ctypes.memset(block, 1, BLOCK)
+    most = memory()
+    for block in taken[:-1]:  # the last keeps those before it from being given back by themselves
+        libc.free(block)
+    give_back()
+    assert memory() > most - blocks * BLOCK // 2
+    now += 5.0
+    give_back()
+    assert memory() < most - blocks * BLOCK // 2
+    libc.free(taken[-1])
 
 
 def test_a_node_that_cannot_start_says_so_in_one_line_and_ends_with_2(shared: Graph) -> None:

@@ -46,6 +46,7 @@ from graph_support.garbage import Garbage
 from graph_support.live import free_domain_id
 
 OPTIONS = ('go to passenger and pickup', 'go to destination and dropoff')
+SETTLE = 30.0  # s for the lesson to take its usual memory, and to give back what it took more
 RECOVERY = 60.0  # s until all nodes are ready and another demonstration is kept
 ANSWER = 40.0  # s for a call of garbage to be answered; a node may wait 15 s for others
 OURS = 'soak'  # the node that sends garbage
@@ -91,7 +92,9 @@ class Stranger:
         self.node.create_subscription(GameState, 'game_state', self._on_state, STREAM)
 
     def close(self) -> None:
-        """Leave."""
+        """Leave; it can be called again."""
+        if not self._context.ok():
+            return
         self._executor.shutdown()
         self.node.destroy_node()
         self._context.try_shutdown()
@@ -321,14 +324,30 @@ class Soak:
             self.serve(0.01)
 
     def serve(self, seconds: float) -> None:
-        """Look after the launch for a while, in which the lesson goes on."""
+        """Look after the stranger and the launch for a while, in which the lesson goes on."""
         end = time.monotonic() + seconds
         while True:
             self.stranger.serve(0.01)
+            self.watch(0.0)
+            if time.monotonic() >= end:
+                return
+
+    def teach(self, seconds: float) -> None:
+        """Let people teach for a while, one after the other."""
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            self._grown(0)
+            self.serve(0.5)
+
+    def watch(self, seconds: float) -> None:
+        """Look after the launch for a while."""
+        end = time.monotonic() + seconds
+        while True:
             self._graph.catch_up()
             self._running.check()
             if time.monotonic() >= end:
                 return
+            time.sleep(0.01)
 
     def _violate(self, text: str) -> None:
         self._outcome.violations.append(text)
@@ -421,6 +440,7 @@ def run(
     most: int,
     messages: int = 200,
     calls: int = 20,
+    settle: float = 1.0,
     verbose: bool = False,
 ) -> tuple[Outcome, list[str]]:
     """
@@ -429,12 +449,13 @@ def run(
     :param most: faults at most.
     :param messages: of garbage in one fault.
     :param calls: of garbage in one fault.
+    :param settle: seconds before the first fault and after the last one, before memory is read.
     :return: what came of it, and lines for a person.
     """
     outcome, rng = Outcome(), random.Random(seed)
     began = time.monotonic()
     with lesson(folder, outcome, rng) as soak:
-        soak.serve(2.0)
+        soak.teach(settle)
         soak.verbose = verbose
         pids = {name: soak._pid(name) for name in soak.names}
         before = usage(pids)
@@ -446,6 +467,8 @@ def run(
                 break
         soak.serve(1.0)
         soak.finish()
+        soak.stranger.close()  # readers keep some of what it sent for as long as it is there
+        soak.watch(settle)
         after = usage({name: soak._pid(name) for name in soak.names})
         restarts = Counter(end.node for end in soak._launcher.ends)
     return outcome, table(outcome, before, after, restarts, time.monotonic() - began, seed)
@@ -495,7 +518,9 @@ def main() -> int:
         os.environ['ROS_DOMAIN_ID'] = str(number)
         place = given.out or Path(folder)
         outcome, lines = run(
-            place, given.seconds, given.seed, given.kinds, given.faults, verbose=True
+            *(place, given.seconds, given.seed, given.kinds, given.faults),
+            settle=SETTLE,
+            verbose=True,
         )
     print('\n'.join(lines))
     return 1 if outcome.violations else 0

@@ -1,9 +1,11 @@
 """A node as a process: signals, the launcher's end, and the exit status."""
 
 from collections.abc import Callable
+import ctypes
 import os
 import signal
 import sys
+import time
 from types import FrameType
 
 from humanopts_interfaces.msg import NodeStatus
@@ -19,6 +21,7 @@ from rclpy.utilities import try_shutdown
 # s to leave the graph after a clean end. Where all participants leave at once, Fast DDS hangs now
 # and then; the node is closed and what it sent is taken by then, so SIGALRM may end the process.
 _LEAVING = 5
+_GIVING_BACK = 5.0  # s between two givings back of memory, which take 0.3 ms each
 
 
 class _Stop:
@@ -35,6 +38,25 @@ class _Stop:
 
     def __call__(self) -> bool:
         return self.requested or (self._launcher != 0 and os.getppid() != self._launcher)
+
+
+class MemoryReturn:
+    """
+    Gives memory that is free back to the operating system, now and then.
+
+    The C library would keep it, and a reader of the middleware may have used much for a while: it
+    keeps what comes after a message that did not arrive, until that comes or its sender leaves.
+    """
+
+    def __init__(self, monotonic: Callable[[], float] = time.monotonic) -> None:
+        self._monotonic, self._due = monotonic, 0.0
+        self._trim = getattr(ctypes.CDLL(None), 'malloc_trim', None)  # of glibc
+
+    def __call__(self) -> None:
+        """Give memory back if it is time to; to be called often."""
+        if self._trim is not None and (now := self._monotonic()) >= self._due:
+            self._due = now + _GIVING_BACK
+            self._trim(0)
 
 
 def run_node(
@@ -54,7 +76,12 @@ def run_node(
     :return: the process's exit status: 0 after a clean end, 2 when it cannot start, 1 when it
         cannot go on.
     """
-    stop = _Stop()
+    stop, give_back = _Stop(), MemoryReturn()
+
+    def ended() -> bool:
+        give_back()
+        return stop()
+
     prepare_discovery()
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
@@ -67,7 +94,7 @@ def run_node(
         node = factory()
         executor.add_node(node)
         try:
-            node.serve(executor, stop)
+            node.serve(executor, ended)
         finally:  # after any error too, so that its files are complete
             node.close()
         node.set_status(NodeStatus.STATE_STOPPING)
