@@ -153,7 +153,6 @@ class NodeBase(Node):
         )
         self._remark_sent = ''  # what the status says of refusals and errors
         self.set_status(NodeStatus.STATE_STARTING)
-        self._deadline_group = ReentrantCallbackGroup()
         self.waiting = Waiting(self, monotonic)  # of this node's coroutines
         # An error while the node starts ends it.
         self._start_timer = super().create_timer(_CHECK_PERIOD, self._try_start)
@@ -401,9 +400,8 @@ class NodeBase(Node):
             if self.monotonic() >= deadline or lost() or not client.service_is_ready():
                 future.cancel()
 
-        timer = self.create_timer(
-            min(seconds, _PRESENCE_PERIOD), check, callback_group=self._deadline_group
-        )
+        group = ReentrantCallbackGroup()  # of its own: a group never forgets what was in it
+        timer = self.create_timer(min(seconds, _PRESENCE_PERIOD), check, callback_group=group)
         try:
             return await future
         finally:
