@@ -2,13 +2,23 @@
 
 from collections.abc import Sequence
 
+from humanopts_ros.limits import shown
+
+_WIDEST = 200  # characters in a cell
+
 
 def table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    """Lay out rows in columns, numbers to the right; empty where there are no rows."""
+    """
+    Lay out rows in columns, numbers to the right; empty where there are no rows.
+
+    Of a text that is too long for a cell its begin and its end are shown.
+    """
     if not rows:
         return ''
     right = [isinstance(value, int | float) for value in rows[0]]
-    return '\n'.join(aligned([head, *(list(map(str, row)) for row in rows)], right))
+    return '\n'.join(
+        aligned([head, *([shown(str(value), _WIDEST) for value in row] for row in rows)], right)
+    )
 
 
 def aligned(rows: Sequence[Sequence[str]], right: Sequence[bool]) -> list[str]:

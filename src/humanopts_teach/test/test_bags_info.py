@@ -58,6 +58,16 @@ def test_gaps_made_by_hand_are_counted_per_topic_and_publisher(tmp_path: Path) -
     assert 'missing: 4 messages' in info.to_text()
 
 
+def test_however_long_names_are_and_however_many_the_text_is_short(tmp_path: Path) -> None:
+    entries = [('/a', numbered(2, f'{n}{"x" * 50_000}')) for n in range(60)]
+    entries += [('/a', numbered(9, 'worst'))]
+    info = summarise(write_messages(tmp_path / 'bag', entries))
+    text = replace(info, domains=['y' * 50_000]).to_text()
+    assert max(map(len, text.splitlines())) < 500
+    assert text.endswith('and 11 streams more')
+    assert re.search(r'missing: 68 messages\n.*\n/a +worst +9 +8 +0\n', text)
+
+
 def test_the_summary_counts_what_was_taught_and_done(
     tmp_path: Path, taxi: Domain[Any], taxi_lesson: list[Demonstration]
 ) -> None:

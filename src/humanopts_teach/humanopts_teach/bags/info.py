@@ -17,6 +17,7 @@ from humanopts_learner.demonstrations import (
     each_once,
     Kind,
 )
+from humanopts_ros.limits import shown
 from humanopts_teach.bags.contents import (
     DEMONSTRATION,
     DOMAIN_INFO,
@@ -33,6 +34,7 @@ from humanopts_teach.text_table import table
 from mcap.records import AttachmentIndex
 
 NO_TEACHER = 'none: a person taught'  # shown for the simulated teacher's error rate
+_MOST_ROWS = 50  # streams that are told in a text, the worst
 _STATUS = 'humanopts_interfaces/msg/LearningStatus'
 _OPTION_RESULT = 'humanopts_interfaces/msg/OptionResult'
 PLAN_RESULT = 'humanopts_interfaces/msg/PlanResult'
@@ -222,7 +224,7 @@ class BagInfo:
             ('sessions', ', '.join(self.sessions) or 'none'),
         ]
         width = max(len(name) for name, _ in pairs)
-        return '\n'.join(f'{name:{width}}  {value}' for name, value in pairs)
+        return '\n'.join(f'{name:{width}}  {shown(value)}' for name, value in pairs)
 
     def _events(self) -> str:
         lines = [f'episodes: {self.episodes}, {self.episodes_ended} recorded to their end']
@@ -241,10 +243,15 @@ class BagInfo:
         odd = [row for row in self.streams if row.missing or row.duplicates]
         if not odd:
             return f'missing: 0 messages (by the numbers in {len(self.streams)} streams)'
-        return f'missing: {self.missing} messages\n' + table(
+        worst = sorted(odd, key=lambda row: (row.missing, row.duplicates), reverse=True)[
+            :_MOST_ROWS
+        ]
+        told = table(
             ('topic', 'publisher', 'sent', 'missing', 'repeated'),
-            [(row.topic, row.publisher, row.last, row.missing, row.duplicates) for row in odd],
+            [(row.topic, row.publisher, row.last, row.missing, row.duplicates) for row in worst],
         )
+        more = f'\nand {len(odd) - len(worst)} streams more' if len(odd) > len(worst) else ''
+        return f'missing: {self.missing} messages\n{told}{more}'
 
 
 def _criterion(row: CriterionRow) -> tuple[object, ...]:
