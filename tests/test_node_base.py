@@ -121,6 +121,25 @@ def test_a_node_that_the_middleware_holds_up_ends_all_the_same(shared: Graph) ->
     shared.until(lambda: shared.state('/held') == NodeStatus.STATE_STOPPING, 'its last status')
 
 
+@pytest.mark.parametrize(('longest', 'status'), [(0.0, 1), (60.0, 0)])
+def test_a_node_that_was_stopped_for_too_long_ends_and_says_so(
+    shared: Graph, longest: float, status: int
+) -> None:
+    name = f'stopped_{status}'
+    code = f'from humanopts_ros import process\nprocess.LONGEST_PAUSE = {longest}\n{PLAIN}'
+    shared.watch('/')
+    node = shared.run(['-c', code, name], name)
+    node.expected = {0, 1}
+    shared.ready(f'/{name}')
+    node.pause()
+    node.go_on()
+    if status:
+        assert node.ended() == status
+        assert 'other nodes may not hear it any more' in node.said()
+    else:
+        assert node.kill(signal.SIGTERM) == status
+
+
 def test_a_node_tells_its_life_and_ends_cleanly(shared: Graph) -> None:
     signals = (signal.SIGINT, signal.SIGHUP)  # SIGTERM ends the nodes of every launch
     names = [how.name.lower() for how in signals]

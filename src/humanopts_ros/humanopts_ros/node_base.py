@@ -377,6 +377,10 @@ class NodeBase(Node):
         """Return whether that many recorders subscribe, and their subscriptions are matched."""
         return publisher.is_matched() and self.is_recorded(publisher.topic, recorders)
 
+    def is_recorded_whole(self) -> bool:
+        """Return whether the recorder would get all that this node sends; True: none runs."""
+        return self._lacks_recorder() is None
+
     async def answer(
         self,
         client: Client,

@@ -21,14 +21,30 @@ from rclpy.utilities import try_shutdown
 # s to leave the graph after a clean end. Where all participants leave at once, Fast DDS hangs now
 # and then; the node is closed and what it sent is taken by then, so SIGALRM may end the process.
 _LEAVING = 5
+# s that a process may be stopped. After 20 s without a sign of it others forget it, and it forgets
+# them, but not at the same moment: then Fast DDS may never connect them again.
+LONGEST_PAUSE = 15.0
 _GIVING_BACK = 5.0  # s between two givings back of memory, which take 0.3 ms each
 
 
+_PAUSED = (
+    'the process was stopped for {:.0f} s; other nodes may not hear it any more, so it ends: '
+    'start it again'
+)
+
+
 class _Stop:
-    """Set by SIGINT, SIGTERM or SIGHUP, or when the launcher that started the process is gone."""
+    """
+    Set by SIGINT, SIGTERM or SIGHUP, when the launcher that started the process is gone, or when
+    the process goes on after SIGSTOP or SIGTSTP has stopped it for too long.
+
+    :ivar paused: how long that was, s; 0: it was not.
+    """
 
     def __init__(self) -> None:
-        self.requested = False
+        self.requested, self.paused = False, 0.0
+        self._looked = time.monotonic()
+        signal.signal(signal.SIGCONT, self._go_on)
         self._launcher = int(os.environ.get(LAUNCHER_PID, '0'))
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             signal.signal(number, self._request)
@@ -36,8 +52,14 @@ class _Stop:
     def _request(self, signum: int, frame: FrameType | None) -> None:
         self.requested = True
 
+    def _go_on(self, signum: int, frame: FrameType | None) -> None:
+        pause = time.monotonic() - self._looked
+        self.paused = pause if pause > LONGEST_PAUSE else 0.0
+
     def __call__(self) -> bool:
-        return self.requested or (self._launcher != 0 and os.getppid() != self._launcher)
+        self._looked = time.monotonic()
+        orphaned = self._launcher != 0 and os.getppid() != self._launcher
+        return self.requested or self.paused > 0.0 or orphaned
 
 
 class MemoryReturn:
@@ -66,7 +88,7 @@ def run_node(
     by_events: bool = False,
 ) -> int:
     """
-    Run a node until SIGINT, SIGTERM or SIGHUP.
+    Run a node until SIGINT, SIGTERM or SIGHUP, or until it was stopped for too long.
 
     The node is closed however it ends. An unexpected error is raised to the caller, so
     that the traceback is shown and the exit status is 1.
@@ -99,6 +121,9 @@ def run_node(
             node.close()
         node.set_status(NodeStatus.STATE_STOPPING)
         node.drain()
+        if stop.paused:
+            print(f'humanopts: {_PAUSED.format(stop.paused)}', file=sys.stderr)
+            node.failed = True
         signal.alarm(0 if node.failed else _LEAVING)
     except StartError as error:
         print(f'humanopts: {error}', file=sys.stderr)

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from functools import partial
 import json
 from typing import Any
 
@@ -90,8 +89,9 @@ class Study:
                     ]
 
                 record = published_record(running.graph, participant.path, code)
-                recorded = partial(running.graph.is_recorded, TOPIC)
-                running.graph.wait(recorded, NEWS_SECONDS, f'the recorder of {TOPIC}')
+                running.graph.wait(
+                    running.graph.is_recorded_whole, NEWS_SECONDS, f'{TOPIC} to be recorded'
+                )
                 for part in turn.left:
                     simulated_part(part, record, self.plan.seed, participant.number, teach)
         self.finish(participant)
