@@ -25,8 +25,6 @@ _LEAVING = 5
 # them, but not at the same moment: then Fast DDS may never connect them again.
 LONGEST_PAUSE = 15.0
 _GIVING_BACK = 5.0  # s between two givings back of memory, which take 0.3 ms each
-
-
 _PAUSED = (
     'the process was stopped for {:.0f} s; other nodes may not hear it any more, so it ends: '
     'start it again'
@@ -54,7 +52,8 @@ class _Stop:
 
     def _go_on(self, signum: int, frame: FrameType | None) -> None:
         pause = time.monotonic() - self._looked
-        self.paused = pause if pause > LONGEST_PAUSE else 0.0
+        if pause > LONGEST_PAUSE:
+            self.paused = pause
 
     def __call__(self) -> bool:
         self._looked = time.monotonic()

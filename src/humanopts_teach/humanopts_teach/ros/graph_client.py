@@ -335,7 +335,7 @@ class GraphClient(NodeBase):
         if status.publisher_id != known.publisher_id:
             sent = known.header.stamp.sec, known.header.stamp.nanosec
             ended = known.state == known.STATE_STOPPING or sent < self._ended_at.get(node, (0, 0))
-            if not ended:
+            if not ended:  # two processes sign with the name, or somebody claims to be it
                 self.duplicates.add(node)
                 return
             self._gone.add(known.publisher_id)
