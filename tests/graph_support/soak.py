@@ -88,7 +88,8 @@ class Stranger:
         self._publishers: dict[str, Any] = {}
         self._clients: dict[str, Any] = {}
         self._seen: dict[str, Any] = {}  # the newest real message by topic
-        self.applied: Counter[tuple[str, int]] = Counter()  # actions that the game has taken
+        # Episode and step after each action that the game has taken; it may publish a state again.
+        self.applied: defaultdict[tuple[str, int], set[tuple[int, int]]] = defaultdict(set)
         self.node.create_subscription(GameState, 'game_state', self._on_state, STREAM)
 
     def close(self) -> None:
@@ -188,7 +189,7 @@ class Stranger:
         mine = state.publisher_id.endswith('garbage')
         if state.publisher_id.startswith('/game#') and not mine and state.step:
             key = f'{state.publisher_id} {state.action_publisher_id}', state.action_sequence
-            self.applied[key] += 1
+            self.applied[key].add((state.episode, state.step))
 
 
 class Soak:
@@ -367,7 +368,7 @@ class Soak:
                 check_demonstration(demo, domain)
             except ValueError as error:
                 self._violate(f'a demonstration breaks the rules: {error}')
-        twice = [key for key, count in self.stranger.applied.items() if count > 1]
+        twice = [key for key, places in self.stranger.applied.items() if len(places) > 1]
         if twice:
             self._violate(f'{len(twice)} actions were applied twice: {twice[:3]}')
         people = len({d.participant for d in shown})
