@@ -304,7 +304,7 @@ def test_a_recorder_that_was_stopped_says_so_and_one_killed_after_a_split_keeps_
     assert [r.message.step for r in recorded] == list(range(len(recorded)))
     assert bag.n_messages >= told.messages
     told = bag.information['files']
-    assert len(told) == len(bag.files)
+    assert len(told) in (len(bag.files), len(bag.files) - 1)  # the newest may have just begun
     assert all(file['message_count'] > 0 for file in told[:-1])
 
 
