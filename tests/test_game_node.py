@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
+from importlib.resources import files
 import json
 from pathlib import Path
 import signal
@@ -14,6 +15,7 @@ from graph_support.player import MACHINE, ME, PERSON, Player
 from graph_support.scripted import TAXI
 from humanopts_interfaces.msg import ActionRefusal, ControlState, DomainInfo, GameState, NodeStatus
 from humanopts_interfaces.srv import ResetGame, SetControl, SetPace
+from humanopts_ros.environment import PROFILES, RANGE, READ_PROFILES
 from humanopts_ros.node_base import NodeBase
 from humanopts_ros.qos import LATCHED, LATCHED_ALL
 import pytest
@@ -330,17 +332,10 @@ def test_a_step_that_waits_is_refused_at_once_when_a_person_takes_control(live: 
 # A participant that is silent for its lease (20 s) is dropped, and then blocks nobody. A writer
 # that keeps everything is blocked by so many messages that a reader has not taken; else by 5,000.
 UNREAD = 400
-PROFILE = f"""<profiles xmlns="http://www.eprosima.com">
-  <participant profile_name="patient" is_default_profile="true"><rtps><builtin><discovery_config>
-    <leaseDuration><sec>600</sec></leaseDuration>
-    <leaseAnnouncement><sec>1</sec></leaseAnnouncement>
-  </discovery_config></builtin></rtps></participant>
-  <publisher profile_name="small" is_default_profile="true"><topic><resourceLimitsQos>
-    <max_samples>{UNREAD}</max_samples>
-    <max_samples_per_instance>{UNREAD}</max_samples_per_instance>
-  </resourceLimitsQos></topic></publisher>
-</profiles>
-"""
+LIMITS = f"""<topic><resourceLimitsQos>
+  <max_samples>{UNREAD}</max_samples><max_samples_per_instance>{UNREAD}</max_samples_per_instance>
+</resourceLimitsQos></topic>"""
+LEASE = '<leaseDuration><sec>600</sec></leaseDuration>'
 READER = """
 import signal, sys
 from humanopts_ros.qos import LATCHED_ALL, STREAM
@@ -362,10 +357,18 @@ while not ended:
 
 @pytest.fixture
 def impatient(live: Graph, monkeypatch: pytest.MonkeyPatch) -> Graph:
-    """A game that readers block soon, as a process."""
+    """A game that readers block soon, as a process; sockets are as in every graph."""
+    usual = (files('humanopts_ros') / 'loopback_discovery.xml').read_text()
+    writer = '<data_writer profile_name="writer" is_default_profile="true">'
     profile = live.folder / 'profile.xml'
-    profile.write_text(PROFILE)
-    monkeypatch.setenv('FASTRTPS_DEFAULT_PROFILES_FILE', str(profile))
+    profile.write_text(
+        usual.replace('<leaseAnnouncement>', f'{LEASE}<leaseAnnouncement>').replace(
+            writer, f'{writer}{LIMITS}'
+        )
+    )
+    monkeypatch.setenv(PROFILES[0], str(profile))
+    monkeypatch.setenv(READ_PROFILES, '1')
+    monkeypatch.setenv(RANGE, 'SYSTEM_DEFAULT')  # LOCALHOST would add shared memory
     live.spawn(GAME)
     live.ready('/game')
     return live

@@ -23,7 +23,7 @@ from humanopts_interfaces.msg import GameState, NodeStatus
 from humanopts_interfaces.srv import SetPace
 from humanopts_ros.node_base import NodeBase
 from humanopts_ros.node_restarts import NodeRestarts
-from humanopts_ros.process import MemoryReturn
+from humanopts_ros.process import MemoryReturn, reset_postponed
 from humanopts_ros.qos import LATCHED_ALL
 from humanopts_teach.bags.reader import open_bag
 import psutil
@@ -32,6 +32,7 @@ import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
+from rclpy.timer import Timer
 from std_srvs.srv import Trigger
 
 ALL = (GAME, LEARNER, LESSON, OPTION_SERVER, PLANNER, RECORDER, TEACHER)
@@ -88,6 +89,23 @@ def test_memory_that_is_free_is_given_back_when_it_is_time_to() -> None:
     give_back()
     assert memory() < most - blocks * BLOCK // 2
     libc.free(taken[-1])
+
+
+def test_a_timer_whose_next_call_was_put_off_is_called_after_its_period(live: Graph) -> None:
+    late, right, stopped = (live.node.create_timer(60.0, lambda: None) for _ in range(3))
+    stopped.cancel()
+
+    def left(timer: Timer) -> float:
+        return timer.time_until_next_call() / 1e9
+
+    for _ in range(50):
+        late.handle.call_timer()
+    assert left(late) > 2000.0
+    before = left(right)
+    reset_postponed(live.node)
+    assert left(late) <= 60.0
+    assert left(right) < before
+    assert stopped.is_canceled()
 
 
 def test_a_node_that_cannot_start_says_so_in_one_line_and_ends_with_2(shared: Graph) -> None:

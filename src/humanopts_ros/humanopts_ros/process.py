@@ -1,10 +1,12 @@
 """A node as a process: signals, the launcher's end, and the exit status."""
 
 from collections.abc import Callable
+from contextlib import suppress
 import ctypes
 import os
 import signal
 import sys
+import threading
 import time
 from types import FrameType
 
@@ -13,8 +15,10 @@ from humanopts_ros.environment import LAUNCHER_PID, prepare_discovery
 from humanopts_ros.node_base import NodeBase, StartError
 from humanopts_ros.publisher import PublishError, without_source
 import rclpy
+from rclpy.exceptions import InvalidHandle
 from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
 from rclpy.experimental.events_executor import EventsExecutor
+from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import try_shutdown
 
@@ -25,6 +29,7 @@ _LEAVING = 5
 # them, but not at the same moment: then Fast DDS may never connect them again.
 LONGEST_PAUSE = 15.0
 _GIVING_BACK = 5.0  # s between two givings back of memory, which take 0.3 ms each
+_LOOK_PERIOD = 0.5  # s between looks at timers
 _PAUSED = (
     'the process was stopped for {:.0f} s; other nodes may not hear it any more, so it ends: '
     'start it again'
@@ -80,6 +85,26 @@ class MemoryReturn:
             self._trim(0)
 
 
+def reset_postponed(node: Node) -> None:
+    """
+    Reset the timers of a node whose next call is further away than their period.
+
+    While a callback blocks, as one that publishes to a reader which has stopped, the
+    ``EventsExecutor`` of rclpy 7.1.5 gathers many calls of one timer; each puts the next one off
+    by a period, so that the node does without its timers for minutes.
+    """
+    for timer in list(node.timers):
+        with suppress(InvalidHandle):  # it was destroyed just now
+            left = timer.time_until_next_call()  # ns; None: it is cancelled
+            if left is not None and left > timer.timer_period_ns:
+                timer.reset()
+
+
+def _look_after_timers(node: Node, ended: threading.Event) -> None:
+    while not ended.wait(_LOOK_PERIOD):
+        reset_postponed(node)
+
+
 def run_node(
     factory: Callable[[], NodeBase],
     args: list[str] | None = None,
@@ -97,7 +122,7 @@ def run_node(
     :return: the process's exit status: 0 after a clean end, 2 when it cannot start, 1 when it
         cannot go on.
     """
-    stop, give_back = _Stop(), MemoryReturn()
+    stop, give_back, served = _Stop(), MemoryReturn(), threading.Event()
 
     def ended() -> bool:
         give_back()
@@ -114,9 +139,12 @@ def run_node(
     try:
         node = factory()
         executor.add_node(node)
+        if by_events:
+            threading.Thread(target=_look_after_timers, args=(node, served), daemon=True).start()
         try:
             node.serve(executor, ended)
         finally:  # after any error too, so that its files are complete
+            served.set()
             node.close()
         node.set_status(NodeStatus.STATE_STOPPING)
         node.drain()
