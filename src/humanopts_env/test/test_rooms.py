@@ -2,7 +2,7 @@
 
 from collections import Counter
 
-from humanopts_env.domains.base import DomainError
+from humanopts_env.domains.base import DomainError, StateError
 from humanopts_env.domains.reference import TabularReferenceOption
 from humanopts_env.domains.rooms import ACTIONS, Rooms, RoomsState
 from humanopts_env.domains.rooms_reference import reference_options
@@ -34,6 +34,11 @@ def test_there_are_104_cells_in_four_rooms_and_four_doorways() -> None:
         'doorway': 4,
     }
     assert count_of('doorway') == {'none': 100, 'north': 1, 'west': 1, 'east': 1, 'south': 1}
+
+
+def test_what_is_no_cell_is_no_state() -> None:
+    with pytest.raises(StateError, match='is not a state of rooms'):
+        ROOMS.index('nowhere')  # type: ignore[arg-type]
 
 
 def test_rooms_are_joined_by_doorways_alone() -> None:

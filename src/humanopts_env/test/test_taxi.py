@@ -3,7 +3,7 @@
 from typing import Any
 
 from humanopts_env.domains.base import DomainError, StateError
-from humanopts_env.domains.reference import TabularReferenceOption
+from humanopts_env.domains.reference import judge_states, TabularReferenceOption
 from humanopts_env.domains.tabular import reachable
 from humanopts_env.domains.taxi import Taxi, TaxiState
 from humanopts_env.domains.taxi_reference import reference_options
@@ -157,6 +157,32 @@ def test_a_size_that_is_no_grid_is_refused(bad: Any) -> None:
 def test_a_state_of_another_grid_is_refused(bad: TaxiState) -> None:
     with pytest.raises(StateError, match='5 x 5'):
         Taxi().index(bad)
+
+
+def test_nothing_follows_once_the_task_is_over() -> None:
+    domain = Taxi()
+    state = domain.state_at(int(domain.over().argmax()))
+    assert not domain.can_follow(state, 0, state)
+
+
+class OneByOne:
+    """A reference option that judges one state at a time."""
+
+    def __init__(self, option: TabularReferenceOption) -> None:
+        self.can_start, self.ends = option.can_start, option.ends
+        self.optimal_actions = option.optimal_actions
+
+
+def test_states_are_judged_one_by_one_as_all_at_once() -> None:
+    domain = Taxi()
+    option = reference_options(domain)['go to passenger and pickup']
+    states = domain.sample_states(generator(1, 'judged'), 30)
+    single: Any = OneByOne(option)
+    slowly, at_once = (
+        judge_states(each, states, len(domain.actions)) for each in (single, option)
+    )
+    for part in ('initiation', 'termination', 'optimal'):
+        assert np.array_equal(getattr(slowly, part), getattr(at_once, part)), part
 
 
 @pytest.mark.parametrize(('rows', 'cols'), [(4, 4), (4, 9), (9, 4), (10, 10), (23, 17)])

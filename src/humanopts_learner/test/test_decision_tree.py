@@ -131,6 +131,14 @@ def test_a_damaged_tree_is_refused(damage: Damage, message: str) -> None:
         Tree.from_dict(data)
 
 
+def test_arrays_of_different_lengths_and_leaves_with_tests_are_refused() -> None:
+    tree = small_tree()
+    with pytest.raises(TreeError, match='as many of everything'):
+        replace(tree, threshold=tree.threshold[1:])
+    with pytest.raises(TreeError, match='a leaf of a tree has a test'):
+        replace(tree, feature=np.zeros_like(tree.feature))
+
+
 def test_nodes_in_a_circle_are_refused() -> None:
     leaf = {'counts': [1, 0]}
     test = {'column': 0, 'at_most': 0.5, 'counts': [1, 0]}

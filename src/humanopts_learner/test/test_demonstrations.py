@@ -19,6 +19,7 @@ from humanopts_learner.demonstrations import (
     each_once,
     group_by_option,
     Kind,
+    make_demonstration,
 )
 import numpy as np
 import pandas as pd
@@ -210,7 +211,7 @@ TABLE = pd.DataFrame(
 )
 
 
-def read(table: pd.DataFrame, **options: Any) -> list[Demonstration]:
+def read(table: pd.DataFrame | Path, **options: Any) -> list[Demonstration]:
     return demonstrations_from_table(table, ROOMS, 'go east', **options)
 
 
@@ -272,6 +273,17 @@ def table_with(**cells: Any) -> pd.DataFrame:
 def test_a_table_that_cannot_be_used_is_refused_in_words(table: pd.DataFrame, words: str) -> None:
     with pytest.raises(DemonstrationError, match=words):
         read(table)
+
+
+def test_a_file_that_is_no_table_is_refused(tmp_path: Path) -> None:
+    (tmp_path / 'empty.csv').touch()
+    with pytest.raises(DemonstrationError, match='is not a table'):
+        read(tmp_path / 'empty.csv')
+
+
+def test_a_demonstration_has_a_state() -> None:
+    with pytest.raises(DemonstrationError, match='at least one state'):
+        make_demonstration(ROOMS, 'leave', [], [])
 
 
 def test_a_table_without_an_option_needs_its_name() -> None:

@@ -42,6 +42,11 @@ def test_one_value_has_no_limits_and_none_has_no_mean() -> None:
     assert one.above(0.0) is one.above(9.0) is one.at_least(4.0) is one.holds(4.0) is None
 
 
+def test_there_is_no_share_of_nothing() -> None:
+    found = Interval.of_share(np.zeros(0, dtype=np.bool_))
+    assert np.isnan([found.mean, found.low, found.high]).all()
+
+
 def test_an_interval_holds_its_limits_and_what_is_between() -> None:
     found = Interval(2.0, 1.0, 4.0)
     assert [found.holds(value) for value in (0.9, 1.0, 3.0, 4.0, 4.1)] == [

@@ -279,6 +279,12 @@ def test_a_message_that_contradicts_itself_is_refused(
         option_values_from_message(message)
 
 
+def test_values_of_another_shape_are_refused() -> None:
+    table = option_values(rooms_plan('human', 'G1'))
+    with pytest.raises(PlanError, match='values are'):
+        replace(table, states=table.states[1:])
+
+
 def test_a_policy_that_never_ends_has_no_undiscounted_value() -> None:
     taxi = Taxi()
     plan = make_exact_plan(taxi, [], PlanRequest('primitive', gamma=1.0))

@@ -48,6 +48,12 @@ def random_model(seed: int, n_states: int, n_options: int, closed: float = 0.3) 
     )
 
 
+def test_a_model_whose_parts_have_different_shapes_is_refused() -> None:
+    model = random_model(1, 5, 2)
+    with pytest.raises(PlanError, match='discount is'):
+        replace(model, discount=model.discount[:, :1])
+
+
 def policy_values(model: MultiTimeModel, policy: NDArray[np.integer]) -> NDArray[np.float64]:
     """Solve the linear equations of one policy; -1 and its state's value is 0."""
     states = np.arange(model.n_states)
