@@ -333,6 +333,7 @@ class GraphClient(NodeBase):
         if status.publisher_id in self._gone or status.publisher_id.partition('#')[0] != node:
             return
         if status.publisher_id != known.publisher_id:
+            # What was sent before the node ended last is of the process that ended.
             sent = known.header.stamp.sec, known.header.stamp.nanosec
             ended = known.state == known.STATE_STOPPING or sent < self._ended_at.get(node, (0, 0))
             if not ended:  # two processes sign with the name, or somebody claims to be it
