@@ -1,5 +1,6 @@
 """The data set of a domain on disk, and the options that are learned from it as it grows."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,9 +12,15 @@ from humanopts_learner.demonstrations import (
     Demonstration,
     each_once,
     group_by_option,
+    Kind,
 )
 from humanopts_learner.options.criteria import judge, Judgement, Thresholds
-from humanopts_learner.options.files import option_to_json, remove_option, save_option
+from humanopts_learner.options.files import (
+    option_from_json,
+    option_to_json,
+    remove_option,
+    save_option,
+)
 from humanopts_learner.options.learn import learn_option, NotLearnableError
 from humanopts_learner.options.option import LearnedOption
 
@@ -24,18 +31,36 @@ class DataSetError(RuntimeError):
     """The data set cannot be read or written; the text says why."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class OptionProgress:
-    """The demonstrations of one option of one participant, and what is learned from them."""
+    """
+    What is learned of one option of one participant.
 
-    demonstrations: list[Demonstration]
-    option: LearnedOption | None  # None while there is no trajectory
-    judgement: Judgement | None
+    It is kept for everybody who ever taught, so it holds no demonstrations and no trees.
+    """
+
+    participant: str
+    option_name: str
+    features: tuple[str, ...]  # chosen with the newest demonstration
+    method: str  # of learning, asked for with the newest demonstration
+    uuids: tuple[str, ...]  # of demonstrations and "not here" answers, the newest last
+    n_not_here: int
+    judgement: Judgement | None  # None while there is no trajectory
     file: str  # the option as data, without its demonstrations; empty without an option
+
+    @property
+    def option(self) -> LearnedOption | None:
+        """The option, read from its data; None while there is no trajectory."""
+        return option_from_json(self.file)[0] if self.file else None
 
 
 class OptionTrainer:
-    """All demonstrations of a domain, kept on disk, and the options learned from them."""
+    """
+    All demonstrations of a domain, kept on disk, and the options learned from them.
+
+    In memory are the demonstrations of the participant who is at work; those of another are read
+    from the disk when that one goes on.
+    """
 
     def __init__(
         self, directory: Path, domain: Domain[Any], thresholds: Thresholds, seed: int
@@ -56,10 +81,15 @@ class OptionTrainer:
         self.problems = self._log.problems  # parts of the folder that could not be used, in words
         if remark := link_remark(directory):
             self.problems.append(remark)
-        read = each_once(self._log.read(self._checked))
-        self._demos = {demo.uuid: demo for demo in read}
-        for key in dict.fromkeys((demo.participant, demo.option_name) for demo in read):
-            self._learn(*key)
+        read = self._read()
+        self._withdrawn = {demo.uuid: demo.withdrawn for demo in read}  # of all that are known
+        self._at_work: str | None = None
+        self._theirs: dict[str, Demonstration] = {}  # of the participant at work, by uuid
+        people: dict[str, list[Demonstration]] = {}
+        for demo in read:
+            people.setdefault(demo.participant, []).append(demo)
+        for who, name in dict.fromkeys((demo.participant, demo.option_name) for demo in read):
+            self._learn(who, name, people[who])
 
     def take(self, demo: Demonstration) -> bool:
         """
@@ -69,51 +99,84 @@ class OptionTrainer:
         :raises DemonstrationError: it cannot be used; it is not kept.
         :raises DataSetError: it could not be written; it is not kept.
         """
-        known = self._demos.get(demo.uuid)
-        if known is not None and known.withdrawn >= demo.withdrawn:
+        known = self._withdrawn.get(demo.uuid)
+        if known is not None and known >= demo.withdrawn:
             return False
         check_demonstration(demo, self._domain)
+        self._turn_to(demo.participant)
         try:
             self._log.append(demo.to_json())
         except OSError as error:
             raise DataSetError(f'cannot write {self._log.path}: {error.strerror}') from error
-        self._demos[demo.uuid] = demo
-        self._learn(demo.participant, demo.option_name)
+        self._theirs[demo.uuid], self._withdrawn[demo.uuid] = demo, demo.withdrawn
+        self._learn(demo.participant, demo.option_name, self._theirs.values())
         return True
 
     def progress(self) -> list[OptionProgress]:
         """Return the progress of every option, in order of first demonstration."""
         return list(self._progress.values())
 
-    def _checked(self, line: str) -> Demonstration:
-        demo = Demonstration.from_json(line)
-        check_demonstration(demo, self._domain)
-        return demo
+    def _read(self, participant: str | None = None) -> list[Demonstration]:
+        """Return the demonstrations on disk, each once: everybody's, or one participant's."""
 
-    def _learn(self, participant: str, option_name: str) -> None:
+        def checked(line: str) -> Demonstration | None:
+            demo = Demonstration.from_json(line)
+            if participant not in (None, demo.participant):
+                return None
+            check_demonstration(demo, self._domain)
+            return demo
+
+        return each_once(filter(None, self._log.read(checked)))
+
+    def _turn_to(self, participant: str) -> None:
+        """
+        Have the demonstrations of a participant at hand, and of nobody else.
+
+        :raises DataSetError: they cannot be read.
+        """
+        if participant == self._at_work:
+            return
+        read = []
+        if any(who == participant for who, _ in self._progress):
+            try:
+                read = self._read(participant)
+            except OSError as error:
+                raise DataSetError(f'cannot read {self._log.path}: {error.strerror}') from error
+        self._theirs, self._at_work = {demo.uuid: demo for demo in read}, participant
+
+    def _learn(self, participant: str, option_name: str, theirs: Iterable[Demonstration]) -> None:
+        """
+        Learn an option, or forget it where nothing of it counts any more.
+
+        :param theirs: all demonstrations of the participant.
+        """
         key = participant, option_name
-        mine = (d for d in self._demos.values() if (d.participant, d.option_name) == key)
-        demos = group_by_option(mine).get(key, [])
+        demos = group_by_option(theirs).get(key, [])
+        if not demos:
+            self._unlearn(*key)
+            self._progress.pop(key, None)
+            return
+        features, judgement, file = demos[-1].chosen_features, None, ''
         try:
             option = learn_option(demos, self._domain, self._seed)
         except NotLearnableError:
-            self._unlearn(participant, option_name, demos)
-            return
-        judgement = judge(demos, self._domain, self._thresholds, self._seed, option)
-        try:
-            save_option(self._directory, option, demos)
-        except OSError as error:
-            self.problems.append(f'cannot write the file of {option_name!r}: {error}')
-        file = option_to_json(option, [])
-        self._progress[key] = OptionProgress(demos, option, judgement, file)
+            self._unlearn(*key)
+        else:
+            judgement = judge(demos, self._domain, self._thresholds, self._seed, option)
+            try:
+                save_option(self._directory, option, demos)
+            except OSError as error:
+                self.problems.append(f'cannot write the file of {option_name!r}: {error}')
+            features, file = option.features, option_to_json(option, [])
+        uuids = tuple(demo.uuid for demo in demos)
+        n_not_here = sum(demo.kind is Kind.NOT_HERE for demo in demos)
+        self._progress[key] = OptionProgress(
+            *key, features, demos[-1].method, uuids, n_not_here, judgement, file
+        )
 
-    def _unlearn(self, participant: str, option_name: str, demos: list[Demonstration]) -> None:
-        """Remove the option that was learned from demonstrations that are withdrawn now."""
+    def _unlearn(self, participant: str, option_name: str) -> None:
+        """Remove the file of an option that was learned from demonstrations now withdrawn."""
         try:
             remove_option(self._directory, participant, option_name)
         except OSError as error:
             self.problems.append(f'cannot remove the file of {option_name!r}: {error}')
-        if demos:
-            self._progress[participant, option_name] = OptionProgress(demos, None, None, '')
-        else:
-            self._progress.pop((participant, option_name), None)

@@ -1,11 +1,14 @@
 """The data set of a lesson, in a file that a crash cannot spoil, and what is learned from it."""
 
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 import errno
+import gc
 import os
 from pathlib import Path
 from typing import Any
+from uuid import NAMESPACE_OID, uuid5
 
 from humanopts_env.domains.taxi import Taxi
 from humanopts_learner.append_only_log import append_bytes, AppendOnlyLog
@@ -14,6 +17,7 @@ from humanopts_learner.option_trainer import DATA_SET, DataSetError, OptionTrain
 from humanopts_learner.options.criteria import judge, Thresholds
 from humanopts_learner.options.files import load_options, option_from_json
 from humanopts_learner.options.learn import learn_option
+from humanopts_learner.options.option import LearnedOption
 import pytest
 
 TAXI = Taxi()
@@ -60,6 +64,10 @@ def not_here(shown: Demonstration) -> Demonstration:
     )
 
 
+def uuids(demos: list[Demonstration]) -> tuple[str, ...]:
+    return tuple(demo.uuid for demo in demos)
+
+
 def withdrawn(demo: Demonstration) -> Demonstration:
     return replace(demo, withdrawn=True)
 
@@ -70,7 +78,7 @@ def test_a_demonstration_is_learned_from_once(
     assert [trainer.take(demo) for demo in few] == [True] * 6
     assert trainer.take(few[3]) is False
     (progress,) = trainer.progress()
-    assert progress.demonstrations == few
+    assert progress.uuids == uuids(few)
     assert progress.option == learn_option(few, TAXI, SEED)
     assert progress.judgement == judge(few, TAXI, Thresholds(), SEED)
     assert option_from_json(progress.file) == (progress.option, [])
@@ -97,11 +105,53 @@ def test_options_and_people_are_kept_apart(person: Any, trainer: OptionTrainer) 
     for demos in zip(one, two, other):
         for demo in demos:
             trainer.take(demo)
-    found = {p.demonstrations[0].participant: p.demonstrations for p in trainer.progress()[:2]}
-    assert found == {'person 1': one, 'person 2': two}
+    found = {p.participant: p.uuids for p in trainer.progress()[:2]}
+    assert found == {'person 1': uuids(one), 'person 2': uuids(two)}
     assert [p.option for p in trainer.progress()] == [
         learn_option(demos, TAXI, SEED) for demos in (one, two, other)
     ]
+
+
+def test_what_somebody_taught_is_read_again_when_they_go_on(
+    person: Any, tmp_path: Path, reopen: Open, trainer: OptionTrainer
+) -> None:
+    one, two = person(seed=1).show_random(4), person(seed=2).show_random(1)
+    for demo in (*one[:3], *two, withdrawn(one[0]), *two, one[3]):
+        trainer.take(demo)
+    mine = trainer.progress()[0]
+    assert mine.uuids == uuids(one[1:])
+    assert mine.option == learn_option(one[1:], TAXI, SEED)
+    assert mine.judgement == judge(one[1:], TAXI, Thresholds(), SEED)
+    assert reopen().progress() == trainer.progress()
+    file = tmp_path / 'options' / DATA_SET
+    kept = file.read_bytes()
+    file.unlink()
+    file.mkdir()
+    with pytest.raises(DataSetError, match=r'cannot read .*jsonl: Is a directory'):
+        trainer.take(withdrawn(two[0]))
+    file.rmdir()
+    file.write_bytes(kept)
+    assert trainer.take(withdrawn(two[0]))
+    assert [p.participant for p in trainer.progress()] == ['person 1']
+
+
+def test_of_people_who_are_gone_no_demonstrations_and_trees_stay_in_memory(
+    few: list[Demonstration], trainer: OptionTrainer
+) -> None:
+    def of(kind: type) -> list[str]:
+        return [each.participant for each in gc.get_objects() if isinstance(each, kind)]
+
+    gc.collect()
+    options = len(of(LearnedOption))
+    for who in ('gone', 'gone too', 'here'):
+        for demo in few:
+            trainer.take(
+                replace(demo, participant=who, uuid=str(uuid5(NAMESPACE_OID, who + demo.uuid)))
+            )
+    gc.collect()
+    shown = Counter(of(Demonstration))
+    assert (shown['gone'], shown['gone too'], shown['here']) == (0, 0, len(few))
+    assert len(of(LearnedOption)) == options
 
 
 def test_not_here_alone_is_counted_but_is_no_option(
@@ -110,7 +160,7 @@ def test_not_here_alone_is_counted_but_is_no_option(
     nothing = not_here(few[0])
     assert trainer.take(nothing)
     (progress,) = trainer.progress()
-    assert (progress.demonstrations, progress.option, progress.file) == ([nothing], None, '')
+    assert (progress.uuids, progress.option, progress.file) == ((nothing.uuid,), None, '')
 
 
 def test_what_cannot_be_used_is_not_kept(
@@ -166,7 +216,7 @@ def test_an_option_file_that_cannot_be_written_is_a_problem_but_no_loss(
     assert trainer.take(few[1])
     (problem,) = trainer.problems
     assert 'cannot write the file of' in problem
-    assert reopen().progress()[0].demonstrations == few[:2]
+    assert reopen().progress()[0].uuids == uuids(few[:2])
 
 
 def test_what_is_withdrawn_is_unlearned_and_stays_so(
@@ -176,7 +226,7 @@ def test_what_is_withdrawn_is_unlearned_and_stays_so(
     for again in (few[-1], withdrawn(few[-1])):
         assert trained.take(again) is False
     (progress,) = trained.progress()
-    assert progress.demonstrations == few[:-1]
+    assert progress.uuids == uuids(few[:-1])
     assert progress.option == learn_option(few[:-1], TAXI, SEED)
     assert reopen().progress() == trained.progress()
 
@@ -199,7 +249,7 @@ def test_an_option_with_not_here_alone_left_is_known_and_has_no_file(
     for demo in (refusal, few[0], withdrawn(few[0])):
         trainer.take(demo)
     (progress,) = trainer.progress()
-    assert (progress.demonstrations, progress.option) == ([refusal], None)
+    assert (progress.uuids, progress.option) == ((refusal.uuid,), None)
     assert load_options(tmp_path / 'options') == ([], [])
 
 
@@ -239,7 +289,7 @@ def test_a_deep_line_is_left_out_by_its_number(
     (problem,) = again.problems
     assert problem.startswith('line 2 of ')
     assert 'nested more than' in problem
-    assert again.progress()[0].demonstrations == trained.progress()[0].demonstrations
+    assert again.progress()[0].uuids == trained.progress()[0].uuids
 
 
 @pytest.fixture

@@ -11,7 +11,6 @@ from humanopts_env.arrays import Floats
 from humanopts_interfaces import msg
 from humanopts_interfaces.action import Plan
 from humanopts_learner.demonstrations import Demonstration, KIND_NUMBERS
-from humanopts_learner.options.criteria import Judgement
 from humanopts_learner.options.files import option_from_json, option_to_json
 from humanopts_learner.options.option import LearnedOption, OptionError
 from humanopts_learner.planning.request import PlanError, PlanRequest
@@ -20,6 +19,7 @@ from numpy.typing import NDArray
 
 if TYPE_CHECKING:  # slow to import, and terminals convert none of them
     from humanopts_learner.execution import RunResult
+    from humanopts_learner.option_trainer import OptionProgress
     from humanopts_learner.planning.evaluate import Coverage
     from humanopts_learner.planning.interruption import OptionValues
     from humanopts_learner.planning.plan import AnyPlan, Performance
@@ -34,17 +34,23 @@ def demonstration_to_message(demo: Demonstration) -> msg.Demonstration:
     return msg.Demonstration(**values)
 
 
-def status_to_message(option: LearnedOption, judgement: Judgement) -> msg.OptionStatus:
-    """Encode how well an option is learned."""
-    return msg.OptionStatus(
-        option_name=option.name,
-        participant=option.participant,
-        features=list(option.features),
-        n_demonstrations=option.n_demonstrations,
-        n_not_here=option.n_not_here,
-        last_uuid=option.uuids[-1],
-        method=option.method,
-        criteria=[
+def status_to_message(progress: 'OptionProgress') -> msg.OptionStatus:
+    """Encode how well an option is learned; "not here" answers alone are no option yet."""
+    status = msg.OptionStatus(
+        option_name=progress.option_name,
+        participant=progress.participant,
+        features=list(progress.features),
+        n_demonstrations=len(progress.uuids) - progress.n_not_here,
+        n_not_here=progress.n_not_here,
+        last_uuid=progress.uuids[-1],
+        method=progress.method,
+        mean_return_demonstrations=math.nan,
+        mean_return_policy=math.nan,
+        more_needed=-1,
+    )
+    judgement = progress.judgement
+    if judgement is not None:
+        status.criteria = [
             msg.Criterion(
                 name=criterion.name,
                 value=math.nan if criterion.value is None else criterion.value,
@@ -53,30 +59,14 @@ def status_to_message(option: LearnedOption, judgement: Judgement) -> msg.Option
                 met=criterion.met,
             )
             for criterion in judgement.criteria
-        ],
-        criteria_met=judgement.criteria_met,
-        mean_return_demonstrations=judgement.mean_return_demonstrations,
-        mean_return_policy=judgement.mean_return_policy,
-        more_needed=judgement.more_needed,
-        conflicts=list(judgement.conflicts),
-        suggested_feature=judgement.suggested_feature or '',
-    )
-
-
-def not_learnable_status(demos: list[Demonstration]) -> msg.OptionStatus:
-    """Encode that there are only "not here" answers so far."""
-    newest = demos[-1]
-    return msg.OptionStatus(
-        option_name=newest.option_name,
-        participant=newest.participant,
-        features=list(newest.chosen_features),
-        n_not_here=len(demos),
-        last_uuid=newest.uuid,
-        method=newest.method,
-        mean_return_demonstrations=math.nan,
-        mean_return_policy=math.nan,
-        more_needed=-1,
-    )
+        ]
+        status.criteria_met = judgement.criteria_met
+        status.mean_return_demonstrations = judgement.mean_return_demonstrations
+        status.mean_return_policy = judgement.mean_return_policy
+        status.more_needed = judgement.more_needed
+        status.conflicts = list(judgement.conflicts)
+        status.suggested_feature = judgement.suggested_feature or ''
+    return status
 
 
 class OptionsReader:

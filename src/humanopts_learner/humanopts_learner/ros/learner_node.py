@@ -13,15 +13,11 @@ from humanopts_interfaces.msg import (
     LearnedOptions,
     LearningStatus,
     OptionFile,
-    OptionStatus,
 )
 from humanopts_learner.demonstrations import demonstration_from_message, DemonstrationError
-from humanopts_learner.option_trainer import DataSetError, OptionProgress, OptionTrainer
+from humanopts_learner.option_trainer import DataSetError, OptionTrainer
 from humanopts_learner.options.criteria import Thresholds
-from humanopts_learner.ros.convert import (
-    not_learnable_status,
-    status_to_message,
-)
+from humanopts_learner.ros.convert import status_to_message
 from humanopts_ros.limits import shown
 from humanopts_ros.node_base import NodeBase, SEEDS, StartError
 from humanopts_ros.process import run_node
@@ -104,19 +100,13 @@ class LearnerNode(NodeBase):
         self._options_out.publish(
             LearnedOptions(
                 options=[
-                    OptionFile(name=p.option.name, participant=p.option.participant, model=p.file)
+                    OptionFile(name=p.option_name, participant=p.participant, model=p.file)
                     for p in progress
-                    if p.option is not None
+                    if p.file
                 ]
             )
         )
-        self._status_out.publish(LearningStatus(options=[_status(p) for p in progress]))
-
-
-def _status(progress: OptionProgress) -> OptionStatus:
-    if progress.option is None or progress.judgement is None:
-        return not_learnable_status(progress.demonstrations)
-    return status_to_message(progress.option, progress.judgement)
+        self._status_out.publish(LearningStatus(options=[status_to_message(p) for p in progress]))
 
 
 main = partial(run_node, LearnerNode)
