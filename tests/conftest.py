@@ -16,6 +16,7 @@ prepare_discovery()
 os.environ['TERM'] = 'xterm-256color'  # what the pseudo-terminals of the tests understand
 
 
+HERE = Path(__file__).parent
 LEASE = 5  # s after which the middleware knows that a process was killed; usual are 20
 LIVE = {'demo', 'domain_id', 'live', 'shared'}  # fixtures of tests that need the graph
 LONGEST = (  # files, the longest first
@@ -38,7 +39,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """
     files = set()
     for item in items:
-        if not LIVE.isdisjoint(getattr(item, 'fixturenames', ())):
+        mine = HERE in item.path.parents  # other tests have fixtures of the same names
+        if mine and not LIVE.isdisjoint(getattr(item, 'fixturenames', ())):
             item.add_marker('live')
             files.add(item.path)
 
