@@ -21,7 +21,9 @@ def test_nothing_is_lost_or_done_twice_among_random_faults(
 ) -> None:
     monkeypatch.setenv('ROS_DOMAIN_ID', str(domain_id))
     kinds = (*KINDS, *GARBAGE)
-    outcome, lines = run(tmp_path, math.inf, SEED, kinds, FAULTS, messages=100, calls=10)
+    outcome, lines = run(
+        *(tmp_path, math.inf, SEED, kinds, FAULTS), messages=100, calls=10, settle=0.1
+    )
     print('\n'.join(lines))
     assert outcome.violations == []
     done = [name for name, times in outcome.seconds.items() for _ in times]

@@ -88,6 +88,7 @@ class Stranger:
         self._publishers: dict[str, Any] = {}
         self._clients: dict[str, Any] = {}
         self._seen: dict[str, Any] = {}  # the newest real message by topic
+        self._taken = 0  # messages
         # Episode and step after each action that the game has taken; it may publish a state again.
         self.applied: defaultdict[tuple[str, int], set[tuple[int, int]]] = defaultdict(set)
         self.node.create_subscription(GameState, 'game_state', self._on_state, STREAM)
@@ -104,7 +105,10 @@ class Stranger:
         """Take what has come; the game waits for a reader of its stream that falls behind."""
         self._executor.spin_once(seconds)
         for _ in range(8):
+            taken = self._taken
             self._executor.spin_once(0.0)
+            if taken == self._taken:
+                break
 
     def topics(self) -> list[tuple[str, str]]:
         """Return the topics of the graph and their types."""
@@ -181,11 +185,13 @@ class Stranger:
     def _keeper(self, name: str) -> Callable[[Any], None]:
         def keep(message: Any) -> None:
             self._seen[name] = message
+            self._taken += 1
 
         return keep
 
     def _on_state(self, state: GameState) -> None:
         self._seen['/game_state'] = state
+        self._taken += 1
         mine = state.publisher_id.endswith('garbage')
         if state.publisher_id.startswith('/game#') and not mine and state.step:
             key = f'{state.publisher_id} {state.action_publisher_id}', state.action_sequence
