@@ -8,7 +8,7 @@ In the tests of a package that adds reference options::
             return MyDomain()
 """
 
-from collections.abc import Hashable, Mapping
+from collections.abc import Hashable, Mapping, Sequence
 from functools import lru_cache
 from typing import Any, cast
 
@@ -86,9 +86,9 @@ class ReferenceContract:
         seen = self._seen
         for name, option in seen.options.items():
             starts = np.flatnonzero(seen.of(name).initiation)
-            for number in starts[:: max(1, len(starts) // ONE_BY_ONE)]:
-                for which in (0, -1):
-                    assert seen.run_ends(option, seen.states[number], which), name
+            states = [seen.states[n] for n in starts[:: max(1, len(starts) // ONE_BY_ONE)]]
+            for which in (0, -1):
+                assert seen.runs_end(option, states, which), name
 
     def test_one_state_is_judged_as_many_are(self) -> None:
         """Both ways of judging agree."""
@@ -130,16 +130,23 @@ class _Seen:
             self._said[name] = judge_states(option, self.states, len(self.domain.actions))
         return self._said[name]
 
-    def run_ends(self, option: ReferenceOption, state: Any, which: int) -> bool:
-        """Return whether a run by the first or the last optimal actions comes to its end."""
-        rng = generator(0, 'reference contract', option.name, which)
-        for _ in range(self.domain.max_steps or LONGEST):
-            outcome = self.domain.step(state, option.optimal_actions(state)[which], rng)
-            state = outcome.state
-            if outcome.terminated:
-                return option.ends(state) and not option.can_start(state)
-            if option.ends(state):
+    def runs_end(self, option: ReferenceOption, states: Sequence[Any], which: int) -> bool:
+        """Return whether all runs by the first or the last optimal actions come to their end."""
+        domain, n_actions = self.domain, len(self.domain.actions)
+        rngs = [generator(0, 'reference contract', option.name, which) for _ in states]
+        said = judge_states(option, states, n_actions)
+        for _ in range(domain.max_steps or LONGEST):
+            actions = [np.flatnonzero(optimal).tolist()[which] for optimal in said.optimal]
+            after = [domain.step(*step) for step in zip(states, actions, rngs)]
+            said = judge_states(option, [outcome.state for outcome in after], n_actions)
+            over = np.array([outcome.terminated for outcome in after], dtype=np.bool_)
+            if (over & (said.initiation | ~said.termination)).any():
+                return False
+            going = np.flatnonzero(~over & ~said.termination)
+            if not len(going):
                 return True
+            states, rngs = [after[n].state for n in going], [rngs[n] for n in going]
+            said = Judgement(said.initiation[going], said.termination[going], said.optimal[going])
         return False
 
     def _states(self) -> list[Any]:
