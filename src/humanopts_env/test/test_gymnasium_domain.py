@@ -5,7 +5,7 @@ from typing import Any
 
 import gymnasium
 from humanopts_env.contract import DomainContract
-from humanopts_env.domains.base import DomainError
+from humanopts_env.domains.base import DomainError, StateError
 from humanopts_env.domains.gymnasium_domain import gymnasium_domain, GymnasiumDomain
 from humanopts_env.domains.registry import domain_from_json, make_domain, parameters_json
 from humanopts_env.seeding import generator
@@ -231,3 +231,9 @@ def test_what_cannot_be_a_domain_is_refused_by_name(
 
 def test_without_a_distribution_of_starts_those_that_are_drawn_are_taken() -> None:
     assert gymnasium_domain('test/Chain-v0')().start_states().tolist() == [0, 1]
+
+
+def test_a_state_that_the_game_does_not_have_is_not_drawn() -> None:
+    domain = gymnasium_domain('test/Chain-v0')()
+    with pytest.raises(StateError, match='3 is not a state of gymnasium:test/Chain-v0'):
+        domain.render(3)

@@ -233,6 +233,12 @@ def test_a_one_way_world_has_no_tasks() -> None:
         draw_tasks(replace(space, transitions=rules), 3, generator(0, 'test'))
 
 
+def test_tasks_that_were_hardly_trained_are_refused_with_what_to_do() -> None:
+    hardly = replace(QUICK, tasks=1, train_episodes=1, max_steps=3)
+    with pytest.raises(PlanError, match=r'not one of 1 tasks .* in 1 episodes each: give more'):
+        find_options(Taxi(), 0, hardly)
+
+
 def test_parameters_out_of_range_are_refused() -> None:
     with pytest.raises(PlanError, match='tasks is 0'):
         Extraction(tasks=0)

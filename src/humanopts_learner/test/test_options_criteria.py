@@ -16,6 +16,7 @@ from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.options.conflicts import find_conflicts
 from humanopts_learner.options.criteria import (
+    balanced_error,
     Criterion,
     FEWEST,
     fit_leave_fold_out,
@@ -28,7 +29,13 @@ from humanopts_learner.options.criteria import (
     Thresholds,
 )
 from humanopts_learner.options.files import option_to_json
-from humanopts_learner.options.learn import learn_option, make_dataset, NotLearnableError
+from humanopts_learner.options.learn import (
+    Examples,
+    learn_option,
+    make_dataset,
+    NotLearnableError,
+)
+from humanopts_learner.options.option import MEMBER
 from humanopts_learner.options.rollout import rollouts
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -286,6 +293,18 @@ def test_senseless_thresholds_are_refused(wrong: dict[str, float]) -> None:
 def test_twice_the_threshold_needs_about_as_many_again(value: float | None, expected: int) -> None:
     criteria = [Criterion.of(RETURN, value, 1.0), Criterion.of(INITIATION, 0.0, 0.1)]
     assert more_needed(criteria, 10) == expected
+
+
+def test_no_number_of_demonstrations_takes_a_value_below_a_threshold_of_nothing() -> None:
+    assert more_needed([Criterion.of(RETURN, 0.1, 0.0)], 10) == -1
+
+
+def test_examples_of_one_class_have_no_balanced_error() -> None:
+    alike = Examples(np.zeros((4, 1), dtype=np.int32), np.full(4, MEMBER), np.arange(4))
+    always = [lambda rows: np.ones(len(rows), dtype=np.bool_)] * 2
+    folds = np.array([0, 1, 0, 1])
+    assert balanced_error(alike, always, folds) is None
+    assert balanced_error(alike, always, folds, members_only=True) == 0.0
 
 
 @pytest.mark.parametrize(('value', 'high'), [(0.5, 3.0), (-2.0, 9.0), (0.0, 1.5), (2.5, 4.0)])

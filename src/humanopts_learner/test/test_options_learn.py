@@ -224,6 +224,10 @@ def test_an_option_is_refused_by_another_game(fetching: Shown) -> None:
         tabulate(option, Taxi(rows=6, cols=6))
     with pytest.raises(OptionError, match='features or actions'):
         replace(option, actions=option.actions[::-1]).check_domain(TAXI)
+    (first, *rest) = option.encoding
+    unknown = replace(option, encoding=(replace(first, feature='fuel'), *rest))
+    with pytest.raises(OptionError, match=r"cannot be used: .*'fuel'"):
+        unknown.check_domain(TAXI)
 
 
 def test_trees_that_do_not_fit_make_no_option(fetching: Shown) -> None:

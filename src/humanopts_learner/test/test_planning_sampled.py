@@ -284,6 +284,11 @@ def test_interruption_gains_where_options_pass_by_the_goal(execution: Execution)
         assert gain.mean > 0.1 * to_end.mean()
 
 
+def test_no_games_cannot_be_played() -> None:
+    with pytest.raises(PlanError, match='cannot play 0 episodes'):
+        rooms_plan('human').play(3, 0)
+
+
 def test_a_plan_that_is_sampled_to_the_end_is_played_to_the_end() -> None:
     plan = rooms_plan('human', 20_000)
     assert plan.policy.execution is Execution.RUN_TO_END
@@ -349,6 +354,19 @@ class _TwoAbstractions(TabularGames):
         """Return nothing, or the state."""
         features = super().abstract_features(batch, rows, fine=False)
         return np.zeros((len(features), 1), dtype=np.int32) if fine else features
+
+
+class _TooFine(TabularGames):
+    """Abstract features whose values cannot be numbered."""
+
+    def abstraction(self, *, fine: bool) -> Abstraction:
+        """Return 60 features of two values."""
+        return Abstraction((2,) * 60)
+
+
+def test_abstract_features_of_too_many_values_are_refused() -> None:
+    with pytest.raises(PlanError, match='too fine'):
+        StateAbstraction(_TooFine(Rooms()), 'human')
 
 
 def test_plans_with_options_and_primitive_actions_see_the_features_of_both() -> None:

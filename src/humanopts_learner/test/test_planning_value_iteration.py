@@ -16,6 +16,7 @@ from humanopts_learner.planning.smdp import (
     SparseMultiTimeModel,
 )
 from humanopts_learner.planning.value_iteration import (
+    _sweep_states,
     compiled_sweep,
     Solution,
     solve_smdp,
@@ -195,6 +196,15 @@ def test_compiled_sweeps_have_the_bits_of_those_of_numpy(
     assert compiled.values.tobytes() == by_numpy.values.tobytes()
     assert compiled.best.tolist() == by_numpy.best.tolist()
     assert compiled.values == pytest.approx(policy_iteration(model), abs=1e-6)
+
+
+def test_what_is_compiled_has_the_bits_of_numpy_as_plain_python_too() -> None:
+    model = random_model(2, 12, 3)
+    alike = replace(model, discount=np.where(model.discount > 0, 0.95, 0.0))
+    for each in (model, alike):
+        plain, before = solved_with(_sweep_states, each)
+        by_numpy, after = solved_with(None, each)
+        assert (plain.values.tobytes(), before) == (by_numpy.values.tobytes(), after)
 
 
 def test_only_large_models_are_worth_loading_a_compiled_sweep() -> None:
