@@ -26,7 +26,7 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> DemoRun:
     with free_domain_id() as number:
         return run_demo(
             *(tmp_path_factory.mktemp('pacman'), number, '--domain', 'pacman'),
-            *('--parameter', 'maze=yard', '--parameter', 'max_steps=100'),
+            *('--parameter', 'maze=yard', '--parameter', 'max_steps=60'),
             *('--return-delta', 100, '--initiation-error', 0.2, '--termination-error', 0.2),
             *('--strategy', 'random', '--seed', 2, '--episodes', 2, '--games', 0),
             seconds=300.0,
