@@ -152,7 +152,8 @@ def _teach_plan_play(
         graph.retry(partial(graph.plan, name, judged, setup.seed)) for name in (HUMAN, PRIMITIVE)
     ]
     progress.stage(f'playing {episodes} episodes')
-    importing = threading.Thread(target=_import_what_follows, daemon=True)
+    learns = is_enumerable(domain)  # elsewhere other processes evaluate the bag
+    importing = threading.Thread(target=_import_what_follows, args=(learns,), daemon=True)
     importing.start()
     played = graph.retry(partial(graph.play, HUMAN, episodes, setup.seed))
     graph.wait(graph.all_recorded, NEWS_SECONDS, 'what was shown to be in the newest bag')
@@ -161,9 +162,14 @@ def _teach_plan_play(
     return Live(tuple(options), tuple(map(row_of_result, plans)), execution)
 
 
-def _import_what_follows() -> None:
-    """Import what evaluates and draws: a second that would be waited for afterwards."""
-    import_scikit_learn()
+def _import_what_follows(learns: bool) -> None:
+    """
+    Import what evaluates and draws: a second that would be waited for afterwards.
+
+    :param learns: options are learned again in this process.
+    """
+    if learns:
+        import_scikit_learn()
     from humanopts_teach.report import write  # noqa: F401
 
 
