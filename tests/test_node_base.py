@@ -91,6 +91,24 @@ def test_memory_that_is_free_is_given_back_when_it_is_time_to() -> None:
     libc.free(taken[-1])
 
 
+HEAP = """
+import ctypes
+from humanopts_ros.process import MemoryReturn
+give_back = MemoryReturn()
+sbrk = ctypes.CDLL(None).sbrk
+sbrk.argtypes, sbrk.restype = [ctypes.c_ssize_t], ctypes.c_void_p
+bytearray(16 << 20)  # once it is free, glibc by itself puts blocks up to its size on the heap
+before = sbrk(0)
+held = [bytearray(1 << 20) for _ in range(8)]
+print(sbrk(0) - before)
+"""
+
+
+def test_large_blocks_are_not_on_the_heap() -> None:
+    done = subprocess.run([sys.executable, '-c', HEAP], capture_output=True, text=True, check=True)
+    assert int(done.stdout) < 1 << 20
+
+
 def test_a_timer_whose_next_call_was_put_off_is_called_after_its_period(live: Graph) -> None:
     late, right, stopped = (live.node.create_timer(60.0, lambda: None) for _ in range(3))
     stopped.cancel()

@@ -29,6 +29,7 @@ _LEAVING = 5
 # them, but not at the same moment: then Fast DDS may never connect them again.
 LONGEST_PAUSE = 15.0
 _GIVING_BACK = 5.0  # s between two givings back of memory, which take 0.3 ms each
+_M_MMAP_THRESHOLD, _LARGE = -3, 128 * 1024  # of malloc.h; bytes, with which glibc begins
 _LOOK_PERIOD = 0.5  # s between looks at timers
 _PAUSED = (
     'the process was stopped for {:.0f} s; other nodes may not hear it any more, so it ends: '
@@ -72,11 +73,17 @@ class MemoryReturn:
 
     The C library would keep it, and a reader of the middleware may have used much for a while: it
     keeps what comes after a message that did not arrive, until that comes or its sender leaves.
+
+    Large blocks go back as soon as they are free. By itself glibc soon puts them on its heap, too,
+    which grows with messages that grow, such as everybody's options.
     """
 
     def __init__(self, monotonic: Callable[[], float] = time.monotonic) -> None:
         self._monotonic, self._due = monotonic, 0.0
-        self._trim = getattr(ctypes.CDLL(None), 'malloc_trim', None)  # of glibc
+        library = ctypes.CDLL(None)
+        self._trim = getattr(library, 'malloc_trim', None)  # of glibc
+        if self._trim is not None:
+            library.mallopt(_M_MMAP_THRESHOLD, _LARGE)
 
     def __call__(self) -> None:
         """Give memory back if it is time to; to be called often."""
