@@ -8,16 +8,15 @@ signals, an exit status or a terminal, is a process that the test starts.
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-import fcntl
 import gc
 import itertools
 import os
 from pathlib import Path
 from pkgutil import resolve_name
 import signal
+import socket
 import subprocess
 import sys
-import tempfile
 import time
 from typing import Any
 
@@ -62,11 +61,10 @@ def free_domain_id() -> Iterator[int]:
     """Claim a ROS_DOMAIN_ID that no other test of this machine uses."""
     for number in itertools.islice(_TURN, len(_IDS)):
         domain_id = _IDS[number % len(_IDS)]
-        path = Path(tempfile.gettempdir()) / f'humanopts-test-{os.getuid()}-{domain_id}.lock'
-        with path.open('w') as file:
-            try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
+        with socket.socket(socket.AF_UNIX) as claim:
+            try:  # a name without a file: one for all users and folders, gone with the process
+                claim.bind(f'\0humanopts-test-{domain_id}')
+            except OSError:
                 continue
             yield domain_id
             return
