@@ -157,10 +157,9 @@ def live_topics(graph: Graph) -> dict[str, Entry]:
 
 
 def test_every_topic_is_on_the_page_with_its_type_and_both_ends(full: Graph) -> None:
+    """Ends are found one after another."""
     page = told(documented('Topics'))
-    with suppress(
-        AssertionError
-    ):  # ends are found one after another; what is missing is told below
+    with suppress(AssertionError):  # what is missing is told below
         full.until(lambda: told(live_topics(full)) == page, 'all ends')
     assert told(live_topics(full)) == page
 
