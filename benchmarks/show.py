@@ -48,8 +48,8 @@ def _megabytes(size: float) -> str:
 
 
 def _digits(value: float) -> str:
-    """Return three digits, and no exponent."""
-    return f'{value:,.0f}' if value >= 100 else f'{value:.3g}'
+    """Return three digits or more, without an exponent below a million."""
+    return f'{value:,.0f}' if 100 <= value < 1e6 else f'{value:.3g}'
 
 
 # Columns: title, key of a row, and what makes text of a number, or its format; '': it is text.

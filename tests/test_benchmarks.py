@@ -211,7 +211,7 @@ def test_durations_have_a_unit_that_suits_them(seconds: float, text: str) -> Non
 
 @pytest.mark.parametrize(
     ('value', 'text'),
-    [(2.0, '2'), (0.25, '1/4'), (0.9999, '1'), (1 / 4500, '1/4,500')],
+    [(2.0, '2'), (0.25, '1/4'), (0.9999, '1'), (1 / 4500, '1/4,500'), (4e-19, '1/2.5e+18')],
 )
 def test_ratio_below_one_reads_as_a_part(value: float, text: str) -> None:
     assert ratio(value) == text
