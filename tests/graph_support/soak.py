@@ -517,7 +517,8 @@ def main() -> int:
     parser.add_argument('--seconds', type=float, default=600.0)
     parser.add_argument('--seed', type=int, default=1)
     parser.add_argument('--faults', type=int, default=10**9)
-    parser.add_argument('--kinds', nargs='*', default=[*KINDS, *GARBAGE])
+    kinds = [*KINDS, *GARBAGE]
+    parser.add_argument('--kinds', nargs='+', choices=sorted({*kinds}), default=kinds)
     parser.add_argument('--out', type=Path, help='keep logs, demonstrations and bags there')
     given = parser.parse_args()
     prepare_discovery()
