@@ -3,7 +3,7 @@
 from dataclasses import replace
 from pathlib import Path
 
-from humanopts_env.game import Source
+from humanopts_env.game import Source, Transition
 from humanopts_learner.demonstrations import Kind
 from humanopts_teach.lesson.requests import (
     Answer,
@@ -17,8 +17,10 @@ from humanopts_teach.lesson.requests import (
     OpenSession,
     Phase,
     RequestStatus,
+    settled,
     Verdict,
     WithdrawDemonstration,
+    World,
 )
 from humanopts_teach.lesson.store import DemonstrationStore
 import pytest
@@ -294,7 +296,7 @@ def test_a_discarded_demonstration_can_be_tried_again_from_the_same_state(table:
     table.drive('west')
     assert table.ask(EndDemonstration(Verdict.DISCARD, 0, 0, False)).ok
     view = table.lesson.view
-    assert (view.phase, view.n_demonstrations, view.episode) == (Phase.READY, 0, 0)
+    assert (view.phase, view.n_demonstrations, view.start_state) == (Phase.READY, 0, '')
     assert table.began().lesson.view.start_state == first
 
 
@@ -376,10 +378,15 @@ def test_a_reset_by_somebody_else_ends_the_demonstration(table: Table) -> None:
 
 
 def test_a_reset_before_the_first_state_came_ends_the_demonstration(table: Table) -> None:
-    table.lesson.began(1, table.ready().ask(BeginDemonstration(START)).state)
+    begin = BeginDemonstration(START)
+    begun = table.lesson.began(1, table.ready().ask(begin).state)
     table.episode = 2
     assert table.arrives(START)
-    assert 'reset by somebody else' in table.lesson.view.text
+    view = table.lesson.view
+    assert (view.phase, view.start_state) == (Phase.READY, '')
+    assert 'reset by somebody else' in view.text
+    # A client that sees no earlier view does not wait for one.
+    assert settled(begin, begun, World(game=Transition(episode=2), lesson=view))
 
 
 def test_a_machines_step_ends_the_demonstration(table: Table) -> None:
@@ -487,6 +494,7 @@ def test_a_game_that_is_started_again_ends_the_demonstration_under_way(table: Ta
     view = table.lesson.view
     assert view.phase is Phase.READY
     assert 'the game was started again' in view.text
+    assert view.episode == 0
     assert table.end().status is RequestStatus.WRONG_PHASE
     assert not table.lesson.game_restarted()  # nothing is under way
     table.began()

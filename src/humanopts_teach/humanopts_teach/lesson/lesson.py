@@ -111,6 +111,7 @@ class Lesson:
         self._history = History(domain)
         self._option: OptionHistory | None = None
         self._attempt: Attempt | None = None  # from the request for an episode on
+        self._episode = 0  # of the newest demonstration that was begun
         self._again = ''  # start state of a demonstration that came to nothing
         self._learned: dict[tuple[str, str], OptionStatus] = {}  # by participant and option
         self._awaited: Demonstration | None = None  # the learner has not counted it in, or out
@@ -187,7 +188,7 @@ class Lesson:
                 n_not_here=len(option.demonstrations) - option.n_trajectories,
                 last_uuid=option.newest.uuid if option.newest is not None else '',
                 start_state=attempt.start_state if attempt is not None else '',
-                episode=attempt.episode if attempt is not None else 0,
+                episode=self._episode,
                 machine_steps=attempt.machine_steps if attempt is not None else 0,
                 criteria_met=self.criteria_met,
             )
@@ -252,6 +253,7 @@ class Lesson:
             return self._refusal_while_paused().answer
         self._notice = ''
         attempt.episode, attempt.start_state, attempt.began = episode, state, self._clock()
+        self._episode = episode
         for transition in list(attempt.transitions):  # came before game's answer
             self._watch(transition)
         detail = f'episode {episode} begins'
@@ -289,10 +291,10 @@ class Lesson:
 
         :return: whether the view has changed.
         """
-        if self._under_way is None:
-            return False
-        self._give_up(_GAME_AGAIN)
-        return True
+        changed, self._episode = self._episode != 0, 0  # it counts its episodes anew
+        if self._under_way is not None:
+            self._give_up(_GAME_AGAIN)
+        return changed
 
     def resume(self, participant: str, session: str) -> Answer:
         """

@@ -329,7 +329,7 @@ class LessonView:
     strategy: str = ''
     method: str = ''  # with which the option is learned from its next demonstration on
     start_state: str = ''
-    episode: int = 0
+    episode: int = 0  # of the newest demonstration that was begun
     machine_steps: int = 0  # so many of its first steps were the machine's
     criteria_met: bool = False
     paused: str = ''  # why nothing new can be begun; empty: it can
@@ -419,7 +419,7 @@ def settled(request: Request, answer: Answer, world: World) -> bool:
         case BeginDemonstration():
             return game.episode >= answer.episode == lesson.episode
         case EndDemonstration(episode=episode):
-            return lesson.episode != episode
+            return lesson.phase is not Phase.DEMONSTRATING or lesson.episode != episode
         case WithdrawDemonstration():
             return lesson.last_uuid != answer.uuid
         case ChangeOption(name):
