@@ -212,14 +212,24 @@ def test_a_demo_whose_status_is_asked_for_and_that_is_interrupted_stops_everythi
         status = main(['status', '--json'])
         return status, json.loads(capsys.readouterr().out)
 
+    def look_until(well: int, planner_restarts: int) -> dict[str, Any]:
+        # On a busy machine an answer comes late, which is told as a fault, or a status does.
+        looks: list[dict[str, Any]] = []
+
+        def seen() -> bool:
+            status, found = look()
+            looks.append(found)
+            restarts = {node['name']: node['restarts'] for node in found['nodes']}
+            return status == well and restarts.get('planner') == planner_restarts
+
+        command.until(seen, f'the exit status {well} and {planner_restarts} restarts')
+        return looks[-1]
+
     monkeypatch.setenv('ROS_DOMAIN_ID', str(domain_id))
     assert look()[0] == 2
     command = start('--step-period', 0.1)
     teach(command, tmp_path)
-    # A busy machine answers late, which is told as a fault.
-    looks: list[tuple[int, dict[str, Any]]] = []
-    command.until(lambda: looks.append(look()) or looks[-1][0] == 0, 'all to be well')
-    found = looks[-1][1]
+    found = look_until(0, 0)
     nodes = {node['name']: node for node in found['nodes']}
     assert list(nodes) == NODES
     assert [name for name in NODES if nodes[name]['answer'] is None] == ['conductor']
@@ -230,10 +240,8 @@ def test_a_demo_whose_status_is_asked_for_and_that_is_interrupted_stops_everythi
     command.kill('planner', SIGKILL)
     command.until(lambda: 'is started again' in command.errors, 'its restart')
     command.kill('learner', SIGSTOP)
-    status, found = look()
+    found = look_until(1, 1)
     nodes = {node['name']: node for node in found['nodes']}
-    assert status == 1
-    assert nodes['planner']['restarts'] == 1
     stopped = f'learner is stopped; kill -CONT {nodes["learner"]["pid"]} lets it go on'
     assert stopped in found['faults']
     command.until(lambda: f'the node {stopped}' in command.errors, 'its name')

@@ -381,7 +381,7 @@ def test_a_full_disk_is_said_and_holds_nobody_back(recording: Recording) -> None
     publisher = recording.node.create_publisher(String, 'chatter', STREAM)
     until(lambda: publisher.get_subscription_count() > 0, 'the recorder')
     publisher.publish(String(data='before'))
-    until(lambda: recording.status.messages > 4, 'a status')
+    recording.holds('/chatter', 1)
     resource.prlimit(recorder.process.pid, resource.RLIMIT_FSIZE, (20_000, 20_000))
     for _ in range(8):
         publisher.publish(String(data=os.urandom(10_000).hex()))
