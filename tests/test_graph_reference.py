@@ -97,14 +97,18 @@ def full(shared: Graph) -> Iterator[Graph]:
 
         shared.until(look, f'{nodes} to be ready', 60.0)
 
-    for spec in processes(Setup('taxi', out, taught=('go to passenger',), keyboard=True)):
-        if spec.module in HOSTED:
-            shared.start(HOSTED[spec.module], **spec.parameters)
-    everybody = names('all')
-    ready(*everybody)
-    shared.until(lambda: recorder and recorder[-1].complete, 'the recorder')
-    shared.until(lambda: len(nodes_of(shared)) == len(everybody), 'the names of all nodes')
-    yield shared
+    setup = Setup('taxi', out, taught=('go to passenger',), keyboard=True)
+    hosted = {spec.name: spec for spec in processes(setup) if spec.module in HOSTED}
+    teacher = hosted.pop('simulated_teacher')  # the last: it unsubscribes when all is taught
+    for spec in hosted.values():
+        shared.start(HOSTED[spec.module], **spec.parameters)
+    ready(*(names('all') - {teacher.name}))
+    shared.start(TEACHER, **teacher.parameters)
+    ready(teacher.name)
+    with shared.silent('/simulated_teacher'):
+        shared.until(lambda: recorder and recorder[-1].complete, 'the recorder')
+        shared.until(lambda: len(nodes_of(shared)) == len(names('all')), 'the names of all nodes')
+        yield shared
     teach.kill(signal.SIGTERM)
     os.close(master)
     os.close(slave)
