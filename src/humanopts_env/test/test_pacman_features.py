@@ -257,7 +257,7 @@ def test_context_is_some_of_the_abstract_features() -> None:
 
 @pytest.mark.parametrize('maze', ['gardens', 'yard', '%%%%%\n%P..%\n%%%%%'])
 def test_abstract_features_are_within_their_buckets(maze: str) -> None:
-    batch = sample_games(PacMan(maze).rules, generator(0, 'buckets'), 500)
+    batch = sample_games(PacMan(maze).rules, [generator(0, 'buckets')], 500)
     values = abstract_features(batch)
     assert (
         (values >= 0) & (values < [len(edges) + 1 for edges in ABSTRACT_FEATURES.values()])

@@ -87,6 +87,9 @@ def test_a_sample_that_is_drawn_ahead_changes_no_start_state(
     ahead.draw_ahead('p1', history)
     assert ahead.draw('p1', history) == drawn
     assert ahead.draw('p1', history) == drawn  # what was drawn ahead is used once
+    history.number += 1  # drawn ahead with the last one
+    assert ahead.draw('p1', history) == plain.draw('p1', history) != drawn
+    history.number -= 1
     ahead.draw_ahead('p2', history)  # somebody else's
     assert ahead.draw('p1', history) == drawn
     ahead.draw_ahead('p1', history)

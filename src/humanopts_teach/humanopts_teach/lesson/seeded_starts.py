@@ -10,12 +10,13 @@ from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.options.files import option_from_json
 from humanopts_learner.options.option import LearnedOption
-from humanopts_learner.options.start_states import choose_start_state, draw_sample, nothing_fails
+from humanopts_learner.options.start_states import choose_start_state, draw_samples, nothing_fails
 from humanopts_teach.lesson import BUDGET, METHOD, STRATEGY
 from humanopts_teach.lesson.history import OptionHistory
 import numpy as np
 
 FAILURES = 'failures'  # the strategy that looks at what was learned
+AHEAD = 8  # demonstrations whose samples are drawn at once, in the time of two by themselves
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +44,8 @@ class SeededStarts:
         self._domain = domain
         self._texts: dict[tuple[str, str], tuple[bytes, bytes]] = {}  # digest; compressed text
         self._options: dict[tuple[str, str], LearnedOption] = {}  # of one participant only
-        self._ahead: tuple[Any, list[Any], np.random.Generator] | None = None
+        # samples that were drawn ahead, each with its generator, which goes on
+        self._ahead: dict[Any, tuple[list[Any], np.random.Generator]] = {}
 
     def learned(self, participant: str, option_name: str, text: str) -> bool:
         """
@@ -63,10 +65,8 @@ class SeededStarts:
 
     def draw(self, participant: str, option: OptionHistory) -> str:
         """Return the start state of the next demonstration, in the domain's notation."""
-        rng, drawn = self._generator('start_state', participant, option), None
-        if self._ahead is not None and self._ahead[0] == _key(participant, option):
-            _, drawn, rng = self._ahead
-        self._ahead = None  # its generator goes on
+        drawn, rng = self._ahead.pop(_key(participant, option), (None, None))
+        rng = rng or self._generator('start_state', participant, option)
         learned = self._option(participant, option.name)
         state = choose_start_state(
             self.rules.strategy, self._domain, learned, option.demonstrations, rng, drawn
@@ -74,10 +74,17 @@ class SeededStarts:
         return self._domain.encode(state)
 
     def draw_ahead(self, participant: str, option: OptionHistory) -> None:
-        """Draw the sample of states that the next start state is chosen from; that takes time."""
-        rng = self._generator('start_state', participant, option)
-        drawn = draw_sample(self.rules.strategy, self._domain, option.demonstrations, rng)
-        self._ahead = None if drawn is None else (_key(participant, option), drawn, rng)
+        """
+        Draw the sample of states that the next start state is chosen from; that takes time.
+
+        Those of the next demonstrations are drawn with it.
+        """
+        if _key(participant, option) in self._ahead:
+            return
+        rngs = [self._generator('start_state', participant, option, n) for n in range(AHEAD)]
+        drawn = draw_samples(self.rules.strategy, self._domain, option.demonstrations, rngs) or ()
+        keys = (_key(participant, option, later) for later in range(AHEAD))
+        self._ahead = dict(zip(keys, zip(drawn, rngs)))
 
     def episode_seed(self, participant: str, option: OptionHistory) -> int:
         """Return the seed of the chance in the next demonstration's episode."""
@@ -114,11 +121,13 @@ class SeededStarts:
         self._options = {**theirs, key: option}
 
     def _generator(
-        self, purpose: str, participant: str, option: OptionHistory
+        self, purpose: str, participant: str, option: OptionHistory, later: int = 0
     ) -> np.random.Generator:
-        return generator(self.rules.seed, purpose, participant, option.name, option.number)
+        """Return the generator of the next demonstration, or of one that is so many later."""
+        number = option.number + later
+        return generator(self.rules.seed, purpose, participant, option.name, number)
 
 
-def _key(participant: str, option: OptionHistory) -> tuple[str, str, int, bool]:
-    """Return what the sample for the next start state depends on."""
-    return participant, option.name, option.number, bool(option.demonstrations)
+def _key(participant: str, option: OptionHistory, later: int = 0) -> tuple[str, str, int, bool]:
+    """Return what the sample for a start state depends on; ``later`` as in ``_generator``."""
+    return participant, option.name, option.number + later, bool(option.demonstrations)

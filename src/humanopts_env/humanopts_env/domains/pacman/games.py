@@ -265,28 +265,43 @@ def _arrival(batch: PacManBatch, cells: Ints) -> NDArray[np.int16]:
     return found
 
 
-def sample_games(rules: Rules, rng: np.random.Generator, count: int) -> PacManBatch:
+def sample_games(
+    rules: Rules, rngs: Sequence[np.random.Generator], count: int
+) -> PacManBatch:
     """
-    Draw states that games pass through, none of them over.
+    Draw samples of states that games pass through, none of them over.
 
     Each game is played for a number of steps drawn uniformly below LONGEST, and begins again where
     it ends. Pac-Man has an aim for a while: he goes towards the nearest food, pill or scared
     ghost, or moves at random, which he also does where his aim is not in the maze.
 
-    :param count: number of states, N.
+    :param rngs: one for each sample, K; each is drawn from as if it were the only one.
+    :param count: number of states of a sample.
+    :return: N games, ``count`` for each of the K samples in order.
     """
-    read, games = _reader(rules), PacManBatch.begin(rules, count)
-    length = rng.integers(LONGEST, size=count)
-    want = rng.integers(len(WANTS), size=count)
-    order = np.argsort(length, kind='stable')  # of the games: those that are drawn first go first
-    drawn = np.searchsorted(length[order], np.arange(LONGEST), side='right').tolist()
-    for step in range(int(length.max(initial=-1)) + 1):
-        change, others = rng.random(count) < CHANGES, rng.integers(len(WANTS), size=count)
-        want = np.where(change, others, want)
-        at_random, draws = rng.integers(len(MOVES), size=count), games.draws(rng)
+    shape = len(rngs), count
+    length, want = np.empty((2, *shape), dtype=np.intp)
+    for sample, rng in enumerate(rngs):
+        length[sample] = rng.integers(LONGEST, size=count)
+        want[sample] = rng.integers(len(WANTS), size=count)
+    read, games = _reader(rules), PacManBatch.begin(rules, length.size)
+    order = np.argsort(length, axis=None, kind='stable')  # games that are drawn first go first
+    drawn = np.searchsorted(length.ravel()[order], np.arange(LONGEST), side='right').tolist()
+    last = length.max(axis=1, initial=-1).tolist()  # step of each sample
+    change, others, at_random = np.zeros(shape), np.zeros_like(want), np.zeros_like(want)
+    draws = np.zeros((len(rules.maze.homes), *shape), dtype=np.intp)
+    for step in range(max(last, default=-1) + 1):
+        for sample in [at for at, its_last in enumerate(last) if step <= its_last]:
+            rng = rngs[sample]
+            change[sample] = rng.random(count)
+            others[sample] = rng.integers(len(WANTS), size=count)
+            at_random[sample] = rng.integers(len(MOVES), size=count)
+            draws[:, sample] = rules.batch_draws(rng, count)
+        want = np.where(change < CHANGES, others, want)
         batch, playing = games.after(drawn[step]), order[drawn[step] :]
-        move = read.first_moves(batch, _AIMS[want[playing]])
-        batch.step(np.where(move < len(MOVES), move, at_random[playing]), draws[:, playing])
+        move = read.first_moves(batch, _AIMS[want.take(playing)])
+        move = np.where(move < len(MOVES), move, at_random.take(playing))
+        batch.step(move, draws.reshape(len(draws), length.size)[:, playing])
         over = batch.over.nonzero()[0]
         if over.size:
             batch.restart(over)

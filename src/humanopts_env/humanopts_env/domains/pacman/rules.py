@@ -182,6 +182,11 @@ class Rules:
         """Draw the chance of one step of one game, (G,)."""
         return [int(rng.integers(DRAWS)) for _ in self.maze.homes]
 
+    def batch_draws(self, rng: np.random.Generator, count: int) -> Ints:
+        """Draw the chance of one step of N games, (G, N)."""
+        shape = len(self.maze.homes), count
+        return rng.integers(DRAWS, size=shape, dtype=np.uint8).astype(np.intp)
+
     def advance(self, state: PacManState, move: int, draws: Sequence[int]) -> PacManState:
         """
         Take one step from a state that is not over; the points are the difference in score.
@@ -354,7 +359,7 @@ class PacManBatch:
 
     def draws(self, rng: np.random.Generator) -> Ints:
         """Return the random draws of one step, (G, N)."""
-        return rng.integers(DRAWS, size=self.ghosts.shape, dtype=np.uint8).astype(np.intp)
+        return self.rules.batch_draws(rng, len(self))
 
     def step(self, moves: NDArray[np.integer], draws: NDArray[np.integer]) -> Ints:
         """
