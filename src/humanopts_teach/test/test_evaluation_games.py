@@ -14,6 +14,7 @@ from humanopts_env.domains.registry import make_domain
 from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.intervals import Interval
+from humanopts_learner.options.files import option_from_json, option_to_json
 from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.planning import request
 from humanopts_learner.planning.request import HUMAN, PlanCanceled, PRIMITIVE
@@ -25,10 +26,10 @@ from humanopts_teach.evaluation.bag_evaluation import (
 )
 from humanopts_teach.evaluation.games import (
     Baseline,
-    calls_without_options,
     ComparisonRow,
     Curve,
     CurveRow,
+    earlier_calls,
     evaluate_games,
     every_baseline,
     GamesEvaluation,
@@ -95,7 +96,7 @@ def games(
     played: list[Baseline],
 ) -> GamesEvaluation:
     """What they came to; what needs no options was played before."""
-    calls = calls_without_options(brief, SEED, GAMES, SMALL[0], SMALL)
+    calls = earlier_calls(brief, (), SEED, GAMES, SMALL[0], SMALL)
 
     def play(domain: Domain[Any], way: Baseline, *numbers: int) -> ComparisonRow:
         played.append(way)
@@ -197,6 +198,34 @@ def test_what_needs_no_options_can_be_played_before_any_is_taught(
     assert games.settings
     assert played
     assert all(way.options for way in played)
+
+
+def test_what_was_played_with_the_same_options_is_not_played_again(
+    brief: Domain[Any],
+    options: list[LearnedOption],
+    games: GamesEvaluation,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Read again from their files they are the same; of another length they are others."""
+    any_plan = games.settings[0].rows[0]
+    played: list[Baseline] = []
+
+    def play(domain: Domain[Any], way: Baseline, *numbers: int) -> ComparisonRow:
+        played.append(way)
+        return any_plan
+
+    monkeypatch.setattr(evaluation_games, 'play_baseline', play)
+    calls = earlier_calls(brief, options, SEED, 2, SMALL[0], SMALL)
+    known = {key: call() for key, call in calls.items()}
+    assert played
+    assert all(way.needs_options for way in played)
+    again = [option_from_json(option_to_json(option))[0] for option in options]
+    longer = [replace(option, max_steps=option.max_steps + 1) for option in options]
+    for others, is_played in ((again, False), (longer, True)):
+        played.clear()
+        evaluate_games(brief, others, SEED, 2, SMALL[0], SMALL, jobs=1, known=known)
+        of_no_curve = [way for way in played if way.kind == RANDOM and way.needs_options]
+        assert bool(of_no_curve) is is_played
 
 
 def test_what_plays_alike_plays_once(

@@ -1,12 +1,13 @@
 """What another process does while this one has work that goes first."""
 
+from collections.abc import Mapping
 from functools import partial
 import os
 import subprocess
 import sys
 import time
 
-from humanopts_teach.evaluation.side_by_side import meanwhile, NICE
+from humanopts_teach.evaluation.side_by_side import Meanwhile, NICE
 import psutil
 
 
@@ -23,15 +24,31 @@ def test_calls_are_made_in_a_process_that_others_go_before_until_their_end_or_ou
         'process': os.getpid,
         'too long': partial(time.sleep, 600.0),
     }
-    deadline = time.monotonic() + 60.0
-    with meanwhile(calls) as found:
-        while len(found) < 2:
-            assert time.monotonic() < deadline
-            time.sleep(0.01)
+    with Meanwhile[str, object]() as other:
+        other.begin(calls)
+        _wait_for(other.results, 2)
         (process,) = at_work()
     lowest = 19
-    assert found == {'niceness': min(os.nice(0) + NICE, lowest), 'process': process.pid}
+    assert other.results == {'niceness': min(os.nice(0) + NICE, lowest), 'process': process.pid}
     assert at_work() == []
+
+
+def test_calls_that_are_begun_later_are_made_after_those_before_by_the_same_process() -> None:
+    with Meanwhile[str, int]() as other:
+        other.begin({'first': os.getpid})
+        other.begin({'second': os.getpid})
+        _wait_for(other.results, 2)
+        found = other.end()
+        assert at_work() == []
+    assert list(found) == ['first', 'second']
+    assert len(set(found.values())) == 1
+
+
+def _wait_for(results: Mapping[str, object], count: int) -> None:
+    deadline = time.monotonic() + 60.0
+    while len(results) < count:
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
 
 
 def test_the_process_ends_with_the_one_that_began_it_even_where_that_is_killed() -> None:
@@ -45,16 +62,18 @@ def test_the_process_ends_with_the_one_that_began_it_even_where_that_is_killed()
 
 _KILLED = """
 import os, time
-from humanopts_teach.evaluation.side_by_side import meanwhile
-with meanwhile({'process': os.getpid}) as found:
-    while not found:
+from humanopts_teach.evaluation.side_by_side import Meanwhile
+with Meanwhile() as other:
+    other.begin({'process': os.getpid})
+    while not other.results:
         time.sleep(0.01)
-    print(found['process'], flush=True)
+    print(other.results['process'], flush=True)
     time.sleep(600.0)
 """
 
 
 def test_without_calls_no_process_is_started() -> None:
-    with meanwhile({}) as found:
+    with Meanwhile[str, object]() as other:
+        other.begin({})
         assert at_work() == []
-    assert found == {}
+        assert other.end() == {}

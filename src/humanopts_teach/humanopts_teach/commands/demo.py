@@ -12,6 +12,7 @@ from humanopts_env.domains.base import Domain, DomainError, is_enumerable
 from humanopts_env.domains.registry import make_domain, reference_options
 from humanopts_learner.options.decision_tree import import_scikit_learn
 from humanopts_learner.options.files import option_from_json
+from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.planning.request import batch_games, HUMAN, PlanError, PRIMITIVE
 from humanopts_teach.bags import BagError
 from humanopts_teach.bags.info import TopicRow
@@ -36,9 +37,9 @@ from humanopts_teach.evaluation.bag_evaluation import (
     judged_by,
     with_games,
 )
-from humanopts_teach.evaluation.games import calls_without_options
+from humanopts_teach.evaluation.games import ComparisonRow, earlier_calls, PlayKey
 from humanopts_teach.evaluation.measures import option_block, row_of_result
-from humanopts_teach.evaluation.side_by_side import meanwhile
+from humanopts_teach.evaluation.side_by_side import Meanwhile
 from humanopts_teach.evaluation.summary import (
     differences,
     Execution,
@@ -80,19 +81,23 @@ def run_demo(
     played = episodes or (EPISODES if exact else LONG_EPISODES)
     judged = played if exact else games or judged_by(domain)
     check_folder(setup, new=True)
-    early = calls_without_options(domain, setup.seed, games) if games and not exact else {}
-    with DemoProgress() as progress:
-        with (
-            meanwhile(early) as known,
-            session(setup, launch.namespace, progress) as running,
-        ):
-            live = _teach_plan_play(running, domain, played, judged, progress)
+    compares = games > 0 and not exact  # in games; some can be played before their turn
+    with DemoProgress() as progress, Meanwhile[PlayKey, ComparisonRow]() as earlier:
+        if compares:
+            earlier.begin(earlier_calls(domain, (), setup.seed, games))
+        with session(setup, launch.namespace, progress) as running:
+            taught = _teach(running, progress)
+            if compares:
+                options = [option for option, _ in taught]
+                earlier.begin(earlier_calls(domain, options, setup.seed, games))
+            live = _plan_and_play(running, domain, taught, played, judged, progress)
         progress.stage('evaluating the bag')
         try:
             bag = open_bag(running.bags[-1])
             evaluation = evaluate_bag(bag, progress.evaluating, judged)
-            if games and not exact:
+            if compares:
                 progress.stage(f'playing {games} games with each')
+                known = earlier.end()
                 evaluation = with_games(evaluation, games, progress.comparing, known)
         except BagError as error:
             raise LaunchError(f'the recording cannot be evaluated: {error}') from error
@@ -136,17 +141,27 @@ def _demo_domain(name: str, launch: LaunchOptions) -> Domain[Any]:
     return domain
 
 
-def _teach_plan_play(
-    running: Session, domain: Domain[Any], episodes: int, judged: int, progress: DemoProgress
-) -> Live:
-    graph, setup = running.graph, running.setup
+def _teach(running: Session, progress: DemoProgress) -> list[tuple[LearnedOption, Any]]:
+    """Return each option and the message of its status, once everything is taught."""
     progress.stage('teaching')
     wait_until_taught(running)
+    return [(option_from_json(model)[0], status) for model, status in running.graph.learned()]
+
+
+def _plan_and_play(
+    running: Session,
+    domain: Domain[Any],
+    taught: Sequence[tuple[LearnedOption, Any]],
+    episodes: int,
+    judged: int,
+    progress: DemoProgress,
+) -> Live:
+    graph, setup = running.graph, running.setup
     references = reference_options(domain)
-    options = []
-    for model, status in graph.learned():
-        option, _ = option_from_json(model)
-        options.append(option_block(option, status, domain, references.get(option.name)))
+    options = [
+        option_block(option, status, domain, references.get(option.name))
+        for option, status in taught
+    ]
     progress.stage('planning')
     plans = [
         graph.retry(partial(graph.plan, name, judged, setup.seed)) for name in (HUMAN, PRIMITIVE)

@@ -15,7 +15,7 @@ made from scratch, models counted; judging is not.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
-from functools import partial
+from functools import lru_cache, partial
 import math
 import time
 from typing import Any
@@ -25,6 +25,7 @@ from humanopts_env.domains.base import Domain
 from humanopts_env.domains.capabilities import Baselines, HasBaselines, PlanSettings, Scores
 from humanopts_env.domains.registry import make_domain, parameters_json
 from humanopts_learner.intervals import Interval
+from humanopts_learner.options.files import option_to_json
 from humanopts_learner.options.option import LearnedOption, OptionError
 from humanopts_learner.planning.evaluate import Returns
 from humanopts_learner.planning.plan import judge_plan, Performance
@@ -53,6 +54,7 @@ BUDGETS = tuple(12_500 * 2**n for n in range(12))  # game steps, of the plans of
 GENEROUS = 4  # times the game steps, in a second plan with primitive actions
 CURVE = 'score by planning time'
 PLAYING = 50_000  # game steps that take about as long as to judge a way to play
+MIXED = 2  # times as long: a plan with options and primitive actions
 PLAN, RANDOM, HEURISTIC = 'plan', 'chance', 'rule'  # kinds of baseline, as in summary.json
 
 Options = Sequence[LearnedOption]
@@ -73,6 +75,11 @@ class Baseline:
     sampling: Sampling = field(default_factory=Sampling)  # of the plan
     execution: Execution = Execution.RUN_TO_END  # of the plan
     to_end: bool = True  # HEURISTIC: options run to their end; False: one is chosen at every step
+
+    @property
+    def needs_options(self) -> bool:
+        """Whether it plays with options that were learned."""
+        return self.kind != HEURISTIC and self.action_set != PRIMITIVE
 
 
 @dataclass(frozen=True)
@@ -345,21 +352,15 @@ def evaluate_games(
     :param budgets: of the curves, game steps, ascending.
     :param progress: called as the work goes on; what it raises passes through.
     :param jobs: processes that do the work; 0: one for each core; 1: this one.
-    :param known: results of some of ``calls_without_options``.
+    :param known: results of some of ``earlier_calls``.
     :raises PlanError: the domain cannot play many games, or the options are of another one.
     """
     variants = _variants(domain)
     first, variant = next(iter(variants.items()))
     usual = baselines_of(variant)
-    compared = [
-        (name, way)
-        for name, each in variants.items()
-        for way in every_baseline(each, options, game_steps)
-    ]
+    compared = _compared(variants, options, game_steps)
     curve = _primitive_plans(variant, budgets, game_steps)
-    plays: dict[PlayKey, tuple[str, Baseline]] = {}  # what plays alike does so once
-    for name, way in (*compared, *((first, way) for way in curve.values())):
-        plays.setdefault(_key(variants[name], way, seed, games), (name, way))
+    plays = _plays(variants, compared, curve, seed, games)
     rows = {key: row for key, row in known.items() if key in plays}
     left = {key: play for key, play in plays.items() if key not in rows}
     calls: list[Callable[[], Any]] = [
@@ -376,7 +377,7 @@ def evaluate_games(
         return replace(rows[_key(of, way, seed, games)], name=way.name)
 
     settings = tuple(
-        Setting(name, tuple(row_of(each, way) for of, way in compared if of == name))
+        Setting(name, tuple(row_of(each, way) for way in compared[name]))
         for name, each in variants.items()
     )
     primitive = planning_curve(
@@ -388,33 +389,56 @@ def evaluate_games(
     return GamesEvaluation(games, settings, first, (human, primitive), usual.targets)
 
 
-def calls_without_options(
+def earlier_calls(
     domain: Domain[Any],
+    options: Options,
     seed: int,
     games: int = GAMES,
     game_steps: int = GAME_STEPS,
     budgets: Sequence[int] = BUDGETS,
 ) -> dict[PlayKey, Callable[[], ComparisonRow]]:
     """
-    Return the calls of ``evaluate_games`` that need no options, the costliest first.
+    Return calls of ``evaluate_games`` that can be made before it, the cheapest first.
 
-    They can be made before anything is taught. The parameters are those of ``evaluate_games``.
+    Parameters and errors are those of ``evaluate_games``.
+
+    :param options: the calls need all of them, or some; none: calls that need no options.
     """
     variants = _variants(domain)
-    first = next(iter(variants.values()))
-    plays = [
-        *(
-            (variant, way)
-            for variant in variants.values()
-            for way in every_baseline(variant, (), game_steps)
-            if way.kind == HEURISTIC or way.action_set == PRIMITIVE
-        ),
-        *((first, way) for way in _primitive_plans(first, budgets, game_steps).values()),
-    ]
+    curve = _primitive_plans(next(iter(variants.values())), budgets, game_steps)
+    plays = _plays(variants, _compared(variants, options, game_steps), curve, seed, games)
     return {
-        _key(variant, way, seed, games): partial(play_baseline, variant, way, seed, games)
-        for variant, way in sorted(plays, key=lambda play: -_cost(play[1]))
+        key: partial(play_baseline, variants[name], way, seed, games)
+        for key, (name, way) in sorted(plays.items(), key=lambda play: _cost(play[1][1]))
+        if way.needs_options == bool(options)
     }
+
+
+def _compared(
+    variants: Mapping[str, Domain[Any]], options: Options, steps: int
+) -> dict[str, list[Baseline]]:
+    """Return the ways to play that are compared in each variant."""
+    return {name: every_baseline(each, options, steps) for name, each in variants.items()}
+
+
+def _plays(
+    variants: Mapping[str, Domain[Any]],
+    compared: Mapping[str, Sequence[Baseline]],
+    curve: Mapping[int, Baseline],
+    seed: int,
+    games: int,
+) -> dict[PlayKey, tuple[str, Baseline]]:
+    """
+    Return the variant and the way of each play; what plays alike does so once.
+
+    :param curve: ways to play in the first of the variants.
+    """
+    ways = [*((name, way) for name, each in compared.items() for way in each)]
+    ways += [(next(iter(variants)), way) for way in curve.values()]
+    plays: dict[PlayKey, tuple[str, Baseline]] = {}
+    for name, way in ways:
+        plays.setdefault(_key(variants[name], way, seed, games), (name, way))
+    return plays
 
 
 def _variants(domain: Domain[Any]) -> dict[str, Domain[Any]]:
@@ -426,15 +450,21 @@ def _variants(domain: Domain[Any]) -> dict[str, Domain[Any]]:
 
 
 def _key(domain: Domain[Any], way: Baseline, seed: int, games: int) -> PlayKey:
-    """Return what the results of a way to play depend on; of its options the names."""
+    """Return what the results of a way to play depend on."""
     parts = {each.name: getattr(way, each.name) for each in fields(way) if each.name != 'name'}
-    parts['options'] = tuple(option.name for option in way.options)
+    parts['options'] = tuple(map(_contents, way.options))
     return (domain.name, parameters_json(domain), seed, games, *parts.values())
 
 
+@lru_cache(maxsize=64)
+def _contents(option: LearnedOption) -> str:
+    return option_to_json(option)
+
+
 def _cost(way: Baseline) -> float:
-    """Return about how many game steps take as long, without options."""
-    return way.budget_steps + PLAYING
+    """Return about how many game steps of a plan with one kind of action take as long."""
+    mixed = way.action_set not in (HUMAN, PRIMITIVE)
+    return way.budget_steps * (MIXED if mixed else 1) + PLAYING
 
 
 def _target(usual: Baselines) -> float:

@@ -9,7 +9,7 @@ import os
 import signal
 import threading
 import time
-from typing import TypeVar
+from typing import Generic, Self, TypeVar
 
 from joblib import delayed, Parallel, parallel_config
 from joblib.externals.loky import ProcessPoolExecutor
@@ -75,35 +75,49 @@ def all_of(
     return [results[number] for number in range(len(calls))]
 
 
-@contextmanager
-def meanwhile(calls: Mapping[Key, Callable[[], Result]]) -> Iterator[dict[Key, Result]]:
+class Meanwhile(Generic[Key, Result]):
     """
-    Have another process make calls, in order, while this one has work that goes first.
+    Has another process make calls, in order, while this one has work that goes first.
 
-    :param calls: as of ``as_they_end``, by what their results are known by.
-    :return: the results so far, of calls that raised nothing. At the end what is still under way
-        is given up.
+    It is a context manager, and ends with it.
+
+    :ivar results: of the calls so far that raised nothing, by what these are known by.
     """
-    results: dict[Key, Result] = {}
-    if not calls:
-        yield results
-        return
-    executor = ProcessPoolExecutor(
-        1, initializer=_give_way, initargs=(os.getpid(),), env=_ONE_THREAD
-    )
 
-    def keep(key: Key, call: Future[Result]) -> None:
+    def __init__(self) -> None:
+        self.results: dict[Key, Result] = {}
+        self._executor: ProcessPoolExecutor | None = None
+        self._stack = ExitStack()
+
+    def begin(self, calls: Mapping[Key, Callable[[], Result]]) -> None:
+        """Have more calls made, after those before; each as of ``as_they_end``."""
+        if not calls:
+            return
+        self._executor = self._executor or ProcessPoolExecutor(
+            1, initializer=_give_way, initargs=(os.getpid(),), env=_ONE_THREAD
+        )
+        with _started_without_interrupts():
+            for key, call in calls.items():
+                self._executor.submit(call).add_done_callback(partial(self._keep, key))
+
+    def _keep(self, key: Key, call: Future[Result]) -> None:
         if not call.cancelled() and call.exception() is None:
-            results[key] = call.result()
+            self.results[key] = call.result()
 
-    with _quiet_thread():
-        try:
-            with _started_without_interrupts():
-                for key, call in calls.items():
-                    executor.submit(call).add_done_callback(partial(keep, key))
-            yield results
-        finally:
-            executor.shutdown(kill_workers=True)
+    def end(self) -> dict[Key, Result]:
+        """Give up what is still under way, and return the results."""
+        if self._executor is not None:
+            self._executor.shutdown(kill_workers=True)
+        self._executor = None
+        return self.results
+
+    def __enter__(self) -> Self:
+        self._stack.enter_context(_quiet_thread())
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        with self._stack:
+            self.end()
 
 
 def _give_way(parent: int) -> None:

@@ -265,9 +265,7 @@ def _arrival(batch: PacManBatch, cells: Ints) -> NDArray[np.int16]:
     return found
 
 
-def sample_games(
-    rules: Rules, rngs: Sequence[np.random.Generator], count: int
-) -> PacManBatch:
+def sample_games(rules: Rules, rngs: Sequence[np.random.Generator], count: int) -> PacManBatch:
     """
     Draw samples of states that games pass through, none of them over.
 
