@@ -207,6 +207,7 @@ def test_values_for_options_that_are_not_there_any_more_are_refused(acting: Acti
 def test_values_that_are_on_their_way_are_waited_for(acting: Acting) -> None:
     """They and the request come on different ways."""
     values = option_values_to_message(option_values(PLAN), 'mine', '')
+    values.publisher_id = '/planner#test'
     teller = acting.graph.node.create_publisher(OptionValues, 'option_values', LATCHED)
     acting.graph.until(teller.get_subscription_count, 'option_server to listen')
     state = acting.player.fresh(START)

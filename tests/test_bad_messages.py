@@ -20,6 +20,7 @@ from humanopts_interfaces.msg import (
     ExecutionState,
     GameState,
     LearnedOptions,
+    LearningStatus,
     LessonState,
     NodeStatus,
     OptionFile,
@@ -40,6 +41,9 @@ READERS = {  # nodes that read a topic
     'game_state': ('/lesson', '/option_server'),
     'current_state': ('/option_server',),
     'learned_options': ('/option_server', '/planner', '/lesson'),
+    'learning_status': ('/lesson',),
+    'demonstration_receipts': ('/lesson',),
+    'automatic_options': ('/option_server',),
     'option_values': ('/option_server',),
     'execution': ('/option_server',),
 }
@@ -181,14 +185,34 @@ def test_another_game_in_the_namespace_is_refused_whoever_announces_it(
     attacked.check_works()
 
 
-OPTIONS = LearnedOptions(options=[OptionFile(name='x', participant='p', model='[' * 100_000)])
+OPTIONS = [OptionFile(name='x', participant='p', model='[' * 100_000)]
 
 
 def test_options_values_and_executions_that_cannot_be_are_refused(attacked: Attacked) -> None:
-    values = OptionValues(plan_id='x', names=['a'], states=[1, 2], option_values=[1.0])
+    planners = {'publisher_id': '/planner#00000000'}
+    values = OptionValues(**planners, plan_id='x', names=['a'], states=[1, 2], option_values=[1.0])
     attacked.check_refused('option_values', values, 'option_values has 1 values')
-    attacked.check_refused('execution', ExecutionState(execution='fly'), "'fly'")
-    attacked.check_refused('learned_options', OPTIONS, 'nested more than')
+    attacked.check_refused('execution', ExecutionState(**planners, execution='fly'), "'fly'")
+    deep = LearnedOptions(publisher_id='/learner#00000000', options=OPTIONS)
+    attacked.check_refused('learned_options', deep, 'nested more than')
+
+
+@pytest.mark.parametrize(
+    ('topic', 'kind', 'owner'),
+    [
+        ('learned_options', LearnedOptions, '/learner'),
+        ('learning_status', LearningStatus, '/learner'),
+        ('demonstration_receipts', DemonstrationReceipt, '/learner'),
+        ('automatic_options', LearnedOptions, '/planner'),
+        ('option_values', OptionValues, '/planner'),
+        ('execution', ExecutionState, '/planner'),
+    ],
+)
+def test_what_another_node_publishes_in_the_place_of_learner_or_planner_is_refused(
+    attacked: Attacked, topic: str, kind: type, owner: str
+) -> None:
+    for forged in ('/stranger#1', '', owner, f'{owner}s#1', f'/other{owner}#1'):
+        attacked.check_refused(topic, kind(publisher_id=forged), f'it is not from {owner}')
 
 
 DEMO = walk(START, ['north'], FETCH, ['taxi_row'])
@@ -268,6 +292,23 @@ def test_a_state_of_the_lesson_that_another_node_publishes_is_replaced(
         assert states[-1].phase == LessonState.PHASE_NO_SESSION
     assert lesson.guard.refused == 2
     assert 'on lesson_state from /lesson#garbage' in lesson.guard.remark
+
+
+def test_what_was_learned_is_published_again_while_another_node_publishes_in_its_place(
+    live: Graph, tmp_path: Path
+) -> None:
+    live.start(GAME)
+    learner = live.start(LEARNER, directory=tmp_path)
+    live.ready('/learner')
+    out = live.node.create_publisher(LearnedOptions, 'learned_options', LATCHED)
+    out.publish(LearnedOptions(publisher_id='/stranger#1'))
+    for kind, topic in ((LearnedOptions, 'learned_options'), (LearningStatus, 'learning_status')):
+        said = live.listen(kind, topic, LATCHED)
+        for _ in range(2):
+            said.clear()
+            live.until(
+                lambda s=said: any(m.publisher_id == learner.publisher_id for m in s), topic
+            )
 
 
 def test_a_recorder_that_is_none_pauses_no_lesson(live: Graph, tmp_path: Path) -> None:

@@ -237,7 +237,8 @@ def test_a_learner_that_refused_something_gets_it_once_it_is_heard_again(
     person.get_ready()
     uuid = person.demonstrate()
     status = DemonstrationReceipt.STATUS_REFUSED
-    answers.publish(DemonstrationReceipt(uuid=uuid, status=status, detail='a full disk'))
+    by = {'publisher_id': '/learner#1', 'uuid': uuid}
+    answers.publish(DemonstrationReceipt(**by, status=status, detail='a full disk'))
     words = 'refused the demonstration: a full disk'
     graph.until(lambda: words in person.lesson.text, words)
     known = len(person.shown)

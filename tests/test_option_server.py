@@ -397,7 +397,7 @@ def test_options_that_the_learner_published_before_are_served(
     good = OptionFile(name=FETCH, participant='p1', model=option_to_json(OPTIONS[FETCH]))
     bad = OptionFile(name='spoilt', participant='p1', model='{}')
     publisher = alone.node.create_publisher(LearnedOptions, 'learned_options', LATCHED)
-    publisher.publish(LearnedOptions(options=[bad, good]))
+    publisher.publish(LearnedOptions(publisher_id='/learner#1', options=[bad, good]))
     alone.start(OPTION_SERVER)
     alone.ready('/option_server')
 

@@ -24,6 +24,7 @@ from graph_support.live import GAME, Goal, Graph, OPTION_SERVER, PLANNER
 from graph_support.player import Player
 from graph_support.scripted import touring
 
+LEARNERS = '/learner#test'  # publisher_id of the test in the learner's place
 LIMIT = 60  # decisions in an episode of Acting
 START = 'taxi 2,2 passenger G destination B'
 Step = tuple[str, str, str, float]  # state that it led to, action, whose it was, reward
@@ -56,7 +57,8 @@ class Planning:
             for o in options
         ]
         models += [OptionFile(name=name, model='not JSON') for name in spoilt]
-        self._options.publish(LearnedOptions(sequence=self._sequence, options=models))
+        sent = LearnedOptions(publisher_id=LEARNERS, sequence=self._sequence, options=models)
+        self._options.publish(sent)
         return self._sequence
 
     def plan(self, action_set: str, **fields: Any) -> PlanResult:

@@ -179,11 +179,35 @@ class NodeBase(Node):
         topic: str,
         callback: Callable[..., Any],
         qos_profile: QoSProfile | int,
+        *,
+        sender: str = '',
         **options: Any,
     ) -> Subscription:
-        """Create a subscription as rclpy does, with a guarded callback."""
-        guarded = self.guard.guarded(callback)
+        """
+        Create a subscription as rclpy does, with a guarded callback.
+
+        :param sender: name of the node of this namespace whose topic it is: what others publish
+            there is refused; empty: anybody may.
+        """
+        use = self._only_from(sender, topic, callback) if sender else callback
+        guarded = self.guard.guarded(use)
         return super().create_subscription(msg_type, topic, guarded, qos_profile, **options)
+
+    def _only_from(
+        self, sender: str, topic: str, use: Callable[[Any], object]
+    ) -> Callable[[Any], None]:
+        """Return the callback of a topic that only one node may publish on."""
+
+        @functools.wraps(use)
+        def on_message(message: Any) -> None:
+            try:
+                self.check_sender(message.publisher_id, sender)
+            except ValueError as error:
+                self.refuse(topic, message, error)
+            else:
+                use(message)
+
+        return on_message
 
     def create_service(
         self, srv_type: Any, srv_name: str, callback: Callable[..., Any], **options: Any
@@ -203,6 +227,7 @@ class NodeBase(Node):
         read: Callable[[T], V | None],
         use: Callable[[V], object],
         qos: QoSProfile = STREAM,
+        sender: str = '',
     ) -> Subscription:
         """
         Subscribe to a topic whose messages are checked where they become values.
@@ -210,6 +235,7 @@ class NodeBase(Node):
         :param read: returns the value of a message, or raises a ValueError that says why it
             cannot be used; then the message is counted, named and dropped. None: it is of no use.
         :param use: called with each value.
+        :param sender: as of ``create_subscription``.
         """
 
         @functools.wraps(use)
@@ -218,7 +244,7 @@ class NodeBase(Node):
             if value is not None:
                 use(value)
 
-        return self.create_subscription(kind, topic, on_message, qos)
+        return self.create_subscription(kind, topic, on_message, qos, sender=sender)
 
     def check_sender(self, publisher_id: str, name: str) -> None:
         """

@@ -36,6 +36,7 @@ from humanopts_learner.library import OptionLibrary, RunnableOption, UnknownOpti
 from humanopts_learner.options.option import Mode
 from humanopts_learner.planning.interruption import OptionValues as PlanValues
 from humanopts_learner.planning.request import Execution, MODULAR, PlanError
+from humanopts_learner.ros import PLANNER
 from humanopts_learner.ros.convert import end_to_message, option_values_from_message
 from humanopts_ros.limits import shown
 from humanopts_ros.node_base import NodeBase
@@ -95,8 +96,10 @@ class PolicySubscriber:
         self._state: ExecutionState | None = None
         self._arbiters: dict[Execution, Arbiter] = {}  # of the newest values, for these options
         self._options: dict[str, RunnableOption] = {}
-        node.subscribe(OptionValues, 'option_values', self._read, self._on_values, CURRENT)
-        node.subscribe(ExecutionState, 'execution', _checked, self._on_execution, CURRENT)
+        node.subscribe(
+            OptionValues, 'option_values', self._read, self._on_values, CURRENT, PLANNER
+        )
+        node.subscribe(ExecutionState, 'execution', _checked, self._on_execution, CURRENT, PLANNER)
 
     def has(self, plan_id: str) -> bool:
         return self._message is not None and self._message.plan_id == plan_id

@@ -16,6 +16,7 @@ from humanopts_interfaces.srv import ResetGame
 from humanopts_learner.demonstrations import Demonstration, METHODS
 from humanopts_learner.options.option import OptionError
 from humanopts_learner.options.start_states import STRATEGIES
+from humanopts_learner.ros import LEARNER
 from humanopts_learner.ros.convert import demonstration_to_message
 from humanopts_ros.node_base import NodeBase, PATIENCE, RECORDER, SEEDS, StartError
 from humanopts_ros.node_restarts import NodeRestarts
@@ -103,8 +104,8 @@ class LessonNode(NodeBase):
         game = GameSubscriber(self, self._on_domain)
         NodeRestarts(self, self._on_restart)
         self._game_states = game.follow('game_state', self._on_game_state)
-        self._recorder_status = self.subscribe(
-            msg.RecorderStatus, 'recorder_status', self._read_recorder, self._on_recorder, CURRENT
+        self._recorder_status = self.create_subscription(
+            msg.RecorderStatus, 'recorder_status', self._on_recorder, CURRENT, sender=RECORDER
         )
         self.create_subscription(msg.LessonState, 'lesson_state', self._on_lesson_state, CURRENT)
 
@@ -168,11 +169,12 @@ class LessonNode(NodeBase):
             raise StartError(answer.detail)
         for kind, (service, name) in LESSON_SERVICES.items():
             self.recorded_service(service, name, self._handler(kind), self._reentrant)
-        self.create_subscription(
-            msg.DemonstrationReceipt, 'demonstration_receipts', self._on_receipt, STREAM
-        )
-        self.create_subscription(msg.LearningStatus, 'learning_status', self._on_status, CURRENT)
-        self.create_subscription(msg.LearnedOptions, 'learned_options', self._on_options, CURRENT)
+        for kind, topic, use, qos in (
+            (msg.DemonstrationReceipt, 'demonstration_receipts', self._on_receipt, STREAM),
+            (msg.LearningStatus, 'learning_status', self._on_status, CURRENT),
+            (msg.LearnedOptions, 'learned_options', self._on_options, CURRENT),
+        ):
+            self.create_subscription(kind, topic, use, qos, sender=LEARNER)
 
     # What the person asks for.
 
@@ -268,10 +270,6 @@ class LessonNode(NodeBase):
             except OptionError as error:
                 self.refuse('learned_options', message, error)
         self._show()
-
-    def _read_recorder(self, status: msg.RecorderStatus) -> msg.RecorderStatus:
-        self.check_sender(status.publisher_id, RECORDER)
-        return status
 
     def _on_recorder(self, status: msg.RecorderStatus) -> None:
         self._recorders.update(

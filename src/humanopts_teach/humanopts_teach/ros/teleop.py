@@ -22,6 +22,7 @@ from humanopts_interfaces.msg import (
     PlanResult,
     StudyEvent,
 )
+from humanopts_learner.ros import LEARNER, OPTION_SERVER, PLANNER
 from humanopts_ros.node_base import NodeBase, SEEDS
 from humanopts_ros.node_restarts import NodeRestarts
 from humanopts_ros.publisher import PublishError
@@ -97,12 +98,14 @@ class TeleopNode(NodeBase):
         self._seen: object = None  # what the last frame showed
         self.last_answers: list[Future] | None = None  # that are awaited; None: it goes on
         self._parted_at = 0.0
-        for kind, topic, shown, read, qos in (
-            (LearningStatus, 'learning_status', 'progress', _progress, CURRENT),
-            (ExecutionState, 'execution', 'execution', attrgetter('execution'), CURRENT),
-            (OptionGoal, 'option_goals', 'running', attrgetter('option_name'), DISPLAY),
+        execution, running = attrgetter('execution'), attrgetter('option_name')
+        for sender, kind, topic, shown, read, qos in (
+            (LEARNER, LearningStatus, 'learning_status', 'progress', _progress, CURRENT),
+            (PLANNER, ExecutionState, 'execution', 'execution', execution, CURRENT),
+            (OPTION_SERVER, OptionGoal, 'option_goals', 'running', running, DISPLAY),
         ):
-            self.create_subscription(kind, topic, partial(self._show, shown, read), qos)
+            show = partial(self._show, shown, read)
+            self.create_subscription(kind, topic, show, qos, sender=sender)
         self.create_subscription(ActionCommand, 'action', self._on_action, DISPLAY)
 
     def _study(self, participant: str, seed: int) -> App | None:
