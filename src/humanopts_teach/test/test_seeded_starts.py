@@ -11,6 +11,7 @@ from humanopts_learner.options.failures import find_failures
 from humanopts_learner.options.files import option_to_json
 from humanopts_learner.options.learn import learn_option
 from humanopts_learner.options.option import LearnedOption, OptionError
+from humanopts_teach.lesson import seeded_starts
 from humanopts_teach.lesson.history import OptionHistory
 from humanopts_teach.lesson.seeded_starts import LessonRules, SeededStarts
 import pytest
@@ -72,7 +73,9 @@ def test_a_sample_that_is_drawn_ahead_changes_no_start_state(
     strategy: str,
     n_shown: int,
     is_learned: bool,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.setattr(seeded_starts, 'AHEAD', 2)
     name = yard_lesson[0].option_name
     shown = [demo for demo in yard_lesson if demo.option_name == name]
     text = option_to_json(learn_option(shown[:2], yard, 0), [])

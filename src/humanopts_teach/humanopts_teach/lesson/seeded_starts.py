@@ -16,7 +16,7 @@ from humanopts_teach.lesson.history import OptionHistory
 import numpy as np
 
 FAILURES = 'failures'  # the strategy that looks at what was learned
-AHEAD = 8  # demonstrations whose samples are drawn at once, in the time of two by themselves
+AHEAD = 8  # demonstrations whose samples are drawn at once, in Pac-Man in the time of three
 
 
 @dataclass(frozen=True, slots=True)
