@@ -36,16 +36,16 @@ import pytest
 FAULTY = 'graph_support.faulty:Faulty'
 START = 'taxi 2,2 passenger aboard destination G'
 GAMES_NAME = '/game#00000000'  # as the game itself would sign
-READERS = {  # nodes that read a topic
-    'domain_info': ('/learner', '/lesson', '/option_server', '/planner'),
-    'game_state': ('/lesson', '/option_server'),
-    'current_state': ('/option_server',),
-    'learned_options': ('/option_server', '/planner', '/lesson'),
-    'learning_status': ('/lesson',),
-    'demonstration_receipts': ('/lesson',),
-    'automatic_options': ('/option_server',),
-    'option_values': ('/option_server',),
-    'execution': ('/option_server',),
+TOPICS = {  # the node whose topic it is, and those that read it
+    'domain_info': ('/game', ['/learner', '/lesson', '/option_server', '/planner']),
+    'game_state': ('/game', ['/lesson', '/option_server']),
+    'current_state': ('/game', ['/option_server']),
+    'learned_options': ('/learner', ['/option_server', '/planner', '/lesson']),
+    'learning_status': ('/learner', ['/lesson']),
+    'demonstration_receipts': ('/learner', ['/lesson']),
+    'automatic_options': ('/planner', ['/option_server']),
+    'option_values': ('/planner', ['/option_server']),
+    'execution': ('/planner', ['/option_server']),
 }
 
 
@@ -81,9 +81,10 @@ class Attacked:
 
     def check_refused(self, topic: str, message: Any, why: str) -> None:
         """Publish a message; each node that reads it refuses it, and notes why for its status."""
-        before = {name: self.refused(name) for name in READERS[topic]}
-        # The game would replace a current state before all have read it.
-        with self.graph.silent('/game'), self.publisher(type(message), topic) as publish:
+        owner, readers = TOPICS[topic]
+        before = {name: self.refused(name) for name in readers}
+        # The owner would replace what is current before all have read it.
+        with self.graph.silent(owner), self.publisher(type(message), topic) as publish:
             publish(message)
             for name, count in before.items():
                 self.graph.until(lambda n=name, c=count: self.refused(n) > c, f'{name} to refuse')
@@ -144,7 +145,7 @@ def test_an_option_runs_after_a_state_that_was_refused(attacked: Attacked) -> No
     attacked.check_refused('game_state', state(state='nowhere'), "'nowhere'")
     attacked.check_works()
     graph = attacked.graph
-    for name in READERS['game_state']:
+    for name in TOPICS['game_state'][1]:
         remark = graph.node_called(name).guard.remark
         graph.until(lambda n=name, r=remark: r in graph.statuses[n][-1].text, 'its status')
 
@@ -198,19 +199,20 @@ def test_options_values_and_executions_that_cannot_be_are_refused(attacked: Atta
 
 
 @pytest.mark.parametrize(
-    ('topic', 'kind', 'owner'),
+    ('topic', 'kind'),
     [
-        ('learned_options', LearnedOptions, '/learner'),
-        ('learning_status', LearningStatus, '/learner'),
-        ('demonstration_receipts', DemonstrationReceipt, '/learner'),
-        ('automatic_options', LearnedOptions, '/planner'),
-        ('option_values', OptionValues, '/planner'),
-        ('execution', ExecutionState, '/planner'),
+        ('learned_options', LearnedOptions),
+        ('learning_status', LearningStatus),
+        ('demonstration_receipts', DemonstrationReceipt),
+        ('automatic_options', LearnedOptions),
+        ('option_values', OptionValues),
+        ('execution', ExecutionState),
     ],
 )
 def test_what_another_node_publishes_in_the_place_of_learner_or_planner_is_refused(
-    attacked: Attacked, topic: str, kind: type, owner: str
+    attacked: Attacked, topic: str, kind: type
 ) -> None:
+    owner = TOPICS[topic][0]
     for forged in ('/stranger#1', '', owner, f'{owner}s#1', f'/other{owner}#1'):
         attacked.check_refused(topic, kind(publisher_id=forged), f'it is not from {owner}')
 
@@ -300,9 +302,9 @@ def test_what_was_learned_is_published_again_while_another_node_publishes_in_its
     live.start(GAME)
     learner = live.start(LEARNER, directory=tmp_path)
     live.ready('/learner')
-    out = live.node.create_publisher(LearnedOptions, 'learned_options', LATCHED)
-    out.publish(LearnedOptions(publisher_id='/stranger#1'))
     for kind, topic in ((LearnedOptions, 'learned_options'), (LearningStatus, 'learning_status')):
+        out = live.node.create_publisher(kind, topic, LATCHED)
+        out.publish(kind(publisher_id='/stranger#1'))
         said = live.listen(kind, topic, LATCHED)
         for _ in range(2):
             said.clear()

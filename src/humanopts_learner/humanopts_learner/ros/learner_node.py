@@ -24,8 +24,6 @@ from humanopts_ros.node_base import NodeBase, SEEDS, StartError
 from humanopts_ros.process import run_node
 from humanopts_ros.qos import LATCHED, STREAM
 
-_SAY_AGAIN = 1.0  # s between looks at whether others publish in its place
-
 
 class LearnerNode(NodeBase):
     """Stores demonstrations, and publishes the options that are learned from them."""
@@ -53,7 +51,7 @@ class LearnerNode(NodeBase):
         self._receipts = self.stamped_publisher(DemonstrationReceipt, 'demonstration_receipts')
         self._status_out = self.stamped_publisher(LearningStatus, 'learning_status', LATCHED)
         self._options_out = self.stamped_publisher(LearnedOptions, 'learned_options', LATCHED)
-        self.create_timer(_SAY_AGAIN, self._say_again)
+        self.keep_current(self._status_out, self._options_out)
         GameSubscriber(self, self._on_domain)
         self.create_subscription(Demonstration, 'demonstrations', self._on_demonstration, STREAM)
 
@@ -93,12 +91,6 @@ class LearnerNode(NodeBase):
             receipt.status = receipt.STATUS_REFUSED
             receipt.detail = self.guard.caught('learning', error)
         self._receipts.publish(receipt)
-
-    def _say_again(self) -> None:
-        """Publish what was learned again while somebody else publishes in its place."""
-        topics = self._status_out.topic, self._options_out.topic
-        if self.ready and max(map(self.count_publishers, topics)) > 1:
-            self.on_ready()
 
     def _log_problems(self, trainer: OptionTrainer) -> None:
         """Log new errors in the folder since the last call."""
