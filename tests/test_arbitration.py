@@ -10,7 +10,7 @@ from graph_support.planning import Acting, LIMIT, START, start_acting
 from graph_support.player import PERSON
 from graph_support.scripted import TAXI, TOUR, touring, USE
 from humanopts_interfaces.action import ExecuteOption
-from humanopts_interfaces.msg import ExecutionState, OptionResult, OptionValues, PolicyResult
+from humanopts_interfaces.msg import OptionResult, OptionValues, PolicyResult
 from humanopts_interfaces.srv import RunOption, SetExecution, SetPace
 from humanopts_learner.planning.evaluate import episode_starts
 from humanopts_learner.planning.exact import ExactPlan, option_table
@@ -219,23 +219,6 @@ def test_values_that_are_on_their_way_are_waited_for(acting: Acting) -> None:
     acting.graph.until(waiting.done, 'the run')
     assert waiting.result().result.status == OptionResult.STATUS_STOPPED_BY_PLAN
     acting.graph.node.destroy_publisher(teller)
-
-
-def test_values_and_execution_are_published_again_while_others_publish_in_their_place(
-    acting: Acting,
-) -> None:
-    graph = acting.graph
-    acting.play(Execution.INTERRUPTED)
-    for kind, topic in ((OptionValues, 'option_values'), (ExecutionState, 'execution')):
-        said = graph.listen(kind, topic, LATCHED)
-        graph.until(lambda s=said: s, topic)
-        other = graph.node.create_publisher(kind, topic, LATCHED)
-        graph.until(other.get_subscription_count, 'its readers')
-        other.publish(kind(publisher_id='/stranger#1'))
-        for _ in range(2):
-            said.clear()
-            graph.until(lambda s=said: s and s[-1].publisher_id.startswith('/planner#'), topic)
-        graph.node.destroy_publisher(other)
 
 
 @pytest.fixture(scope='module')

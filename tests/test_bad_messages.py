@@ -296,23 +296,6 @@ def test_a_state_of_the_lesson_that_another_node_publishes_is_replaced(
     assert 'on lesson_state from /lesson#garbage' in lesson.guard.remark
 
 
-def test_what_was_learned_is_published_again_while_another_node_publishes_in_its_place(
-    live: Graph, tmp_path: Path
-) -> None:
-    live.start(GAME)
-    learner = live.start(LEARNER, directory=tmp_path)
-    live.ready('/learner')
-    for kind, topic in ((LearnedOptions, 'learned_options'), (LearningStatus, 'learning_status')):
-        out = live.node.create_publisher(kind, topic, LATCHED)
-        out.publish(kind(publisher_id='/stranger#1'))
-        said = live.listen(kind, topic, LATCHED)
-        for _ in range(2):
-            said.clear()
-            live.until(
-                lambda s=said: any(m.publisher_id == learner.publisher_id for m in s), topic
-            )
-
-
 def test_a_recorder_that_is_none_pauses_no_lesson(live: Graph, tmp_path: Path) -> None:
     lesson = live.start(LESSON, directory=tmp_path)
     live.start(GAME)

@@ -76,6 +76,7 @@ def test_a_game_is_shown_in_its_namespace(live: Graph) -> None:
     live.until(lambda: not texts(late[-1], 'option'), 'the end of the option')
 
     plan: dict[str, Any] = {'action_set': 'human', 'names': ['a', 'b'], 'states': [0, 1]}
+    plan['publisher_id'] = '/room/planner#1'
     table = np.array([0.25, 0.5, -np.inf, -np.inf])
     plans.publish(OptionValues(**plan, option_values=table[:3], continuation_values=table))
     plans.publish(OptionValues(**plan, option_values=table, continuation_values=table))

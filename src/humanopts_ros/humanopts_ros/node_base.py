@@ -37,7 +37,6 @@ _RESULT_TIMEOUT = 10  # s that a finished goal's result is kept; each costs time
 _LAST_ROUNDS = 10  # callbacks that are carried out for the last answers
 _DRAIN = 0.3  # s that readers have to take what was sent, before a node ends
 _PRESENCE_PERIOD = 1.0  # s between checks that the server of a request still exists
-_SAY_AGAIN = 1.0  # s between messages that are published again because others publish, too
 _REMARK_PERIOD = 1.0  # s between statuses that differ in what was refused or failed only
 _PROVISION = 5.0  # s that a request waits until the node is ready for it
 _LATE = 5.0  # s after which a node that still starts says what it waits for
@@ -339,17 +338,6 @@ class NodeBase(Node):
         publisher = StampedPublisher(self, self.publisher_id, kind, topic, qos)
         self._stamped.append(publisher)
         return publisher
-
-    def keep_current(self, *publishers: StampedPublisher[Any]) -> None:
-        """Publish the newest message of each again while others publish in its place."""
-
-        def say_again() -> None:
-            for publisher in publishers:
-                others = self.count_publishers(publisher.topic) > 1
-                if others and publisher.newest is not None:
-                    publisher.publish(publisher.newest)
-
-        self.create_timer(_SAY_AGAIN, say_again)
 
     def recorded_service(
         self,

@@ -31,7 +31,6 @@ class StampedPublisher(Generic[M]):
     Publishes on one topic, filling in header, publisher_id and sequence.
 
     :ivar sequence: of the last message that was sent; 0: none was sent.
-    :ivar newest: the last message that was sent; None: none was sent.
     """
 
     def __init__(
@@ -40,7 +39,6 @@ class StampedPublisher(Generic[M]):
         self._node, self._publisher_id = node, publisher_id
         self._publisher: Publisher = node.create_publisher(kind, topic, qos)
         self.sequence = 0
-        self.newest: M | None = None
 
     @property
     def topic(self) -> str:
@@ -65,7 +63,6 @@ class StampedPublisher(Generic[M]):
                 f'cannot publish on {self.topic}: {cause}; has a reader stopped? They are: {names}'
             ) from error
         self.sequence += 1
-        self.newest = message
 
     def readers(self) -> list[str]:
         """Return the name of the node of each subscription of the topic."""

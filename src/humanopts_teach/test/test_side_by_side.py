@@ -44,6 +44,20 @@ def test_calls_that_are_begun_later_are_made_after_those_before_by_the_same_proc
     assert len(set(found.values())) == 1
 
 
+def test_where_the_process_is_killed_the_results_so_far_stay_and_no_more_come() -> None:
+    with Meanwhile[str, int]() as other:
+        other.begin({'first': os.getpid})
+        _wait_for(other.results, 1)
+        (process,) = at_work()
+        process.kill()
+        process.wait(timeout=30.0)
+        deadline = time.monotonic() + 60.0
+        while at_work():
+            assert time.monotonic() < deadline
+        other.begin({'second': os.getpid})
+        assert other.end() == {'first': process.pid}
+
+
 def _wait_for(results: Mapping[str, object], count: int) -> None:
     deadline = time.monotonic() + 60.0
     while len(results) < count:

@@ -51,7 +51,6 @@ class LearnerNode(NodeBase):
         self._receipts = self.stamped_publisher(DemonstrationReceipt, 'demonstration_receipts')
         self._status_out = self.stamped_publisher(LearningStatus, 'learning_status', LATCHED)
         self._options_out = self.stamped_publisher(LearnedOptions, 'learned_options', LATCHED)
-        self.keep_current(self._status_out, self._options_out)
         GameSubscriber(self, self._on_domain)
         self.create_subscription(Demonstration, 'demonstrations', self._on_demonstration, STREAM)
 

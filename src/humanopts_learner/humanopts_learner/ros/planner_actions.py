@@ -270,7 +270,6 @@ class ExtractionAction(LongAction[ExtractionResult]):
     def __init__(self, node: NodeBase, group: CallbackGroup, state: PlannerState) -> None:
         super().__init__(node, group, state)
         self._found = node.stamped_publisher(LearnedOptions, 'automatic_options', LATCHED)
-        node.keep_current(self._found)
 
     def blank(self, goal: ExtractOptions.Goal) -> ExtractionResult:
         return ExtractionResult(participant=goal.participant or MACHINE)

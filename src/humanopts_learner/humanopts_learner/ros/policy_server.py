@@ -102,7 +102,6 @@ class PolicyServer:
         self._results = node.stamped_publisher(PolicyResult, 'policy_results')
         self._values = node.stamped_publisher(OptionValues, 'option_values', LATCHED)
         self._executions = node.stamped_publisher(ExecutionState, 'execution', LATCHED)
-        node.keep_current(self._values, self._executions)
         self._restarts = NodeRestarts(node)
         self._reset_client = node.recorded_client(ResetGame, 'reset_game', group)
         self._run_client = node.recorded_client(RunOption, 'run_option', group)

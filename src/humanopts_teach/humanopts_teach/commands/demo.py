@@ -87,8 +87,8 @@ def run_demo(
             earlier.begin(earlier_calls(domain, (), setup.seed, games))
         with session(setup, launch.namespace, progress) as running:
             taught = _teach(running, progress)
-            if compares:
-                options = [option for option, _ in taught]
+            options = [option for option, _ in taught]
+            if compares and options:
                 earlier.begin(earlier_calls(domain, options, setup.seed, games))
             live = _plan_and_play(running, domain, taught, played, judged, progress)
         progress.stage('evaluating the bag')

@@ -2,7 +2,8 @@
 
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
-from contextlib import closing, contextmanager, ExitStack
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import closing, contextmanager, ExitStack, suppress
 from functools import partial
 from multiprocessing import resource_tracker
 import os
@@ -90,13 +91,17 @@ class Meanwhile(Generic[Key, Result]):
         self._stack = ExitStack()
 
     def begin(self, calls: Mapping[Key, Callable[[], Result]]) -> None:
-        """Have more calls made, after those before; each as of ``as_they_end``."""
+        """
+        Have more calls made, after those before; each as of ``as_they_end``.
+
+        Where the process was killed, as for want of memory, no more are made.
+        """
         if not calls:
             return
         self._executor = self._executor or ProcessPoolExecutor(
             1, initializer=_give_way, initargs=(os.getpid(),), env=_ONE_THREAD
         )
-        with _started_without_interrupts():
+        with suppress(BrokenProcessPool), _started_without_interrupts():
             for key, call in calls.items():
                 self._executor.submit(call).add_done_callback(partial(self._keep, key))
 

@@ -6,6 +6,7 @@ from typing import Any
 import zlib
 
 from humanopts_env.domains.base import Domain
+from humanopts_env.domains.capabilities import HasStateSamples
 from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.options.files import option_from_json
@@ -77,13 +78,14 @@ class SeededStarts:
         """
         Draw the sample of states that the next start state is chosen from; that takes time.
 
-        Those of the next demonstrations are drawn with it.
+        Those of the next demonstrations are drawn with it where the domain has a way to.
         """
         if _key(participant, option) in self._ahead:
             return
-        rngs = [self._generator('start_state', participant, option, n) for n in range(AHEAD)]
+        count = AHEAD if isinstance(self._domain, HasStateSamples) else 1
+        rngs = [self._generator('start_state', participant, option, n) for n in range(count)]
         drawn = draw_samples(self.rules.strategy, self._domain, option.demonstrations, rngs) or ()
-        keys = (_key(participant, option, later) for later in range(AHEAD))
+        keys = (_key(participant, option, later) for later in range(count))
         self._ahead = dict(zip(keys, zip(drawn, rngs)))
 
     def episode_seed(self, participant: str, option: OptionHistory) -> int:

@@ -36,7 +36,7 @@ class DiagnosticsNode(NodeBase):
         self._out = self.create_publisher(DiagnosticArray, TOPIC, STREAM)
         self.subscribe(NodeStatus, 'node_status', self._read, self._keep, LATCHED_ALL)
         keep = partial(setattr, self, '_recorder')
-        self.create_subscription(RecorderStatus, 'recorder_status', keep, CURRENT)
+        self.create_subscription(RecorderStatus, 'recorder_status', keep, CURRENT, sender=RECORDER)
         self.create_timer(_PERIOD, self._publish)
 
     def _read(self, status: NodeStatus) -> NodeStatus:

@@ -14,6 +14,7 @@ from humanopts_env.domains.base import BoardSlice, Domain, is_enumerable
 from humanopts_env.ros.game_subscriber import GameSubscriber, Observed
 from humanopts_interfaces.msg import OptionGoal, OptionResult, OptionValues
 from humanopts_learner.planning.interruption import OptionValues as PlanValues
+from humanopts_learner.ros import PLANNER
 from humanopts_learner.ros.convert import option_values_from_message
 from humanopts_ros.node_base import NodeBase
 from humanopts_ros.process import run_node
@@ -62,9 +63,8 @@ class ViewsNode(NodeBase):
         self._changed = False
         self.create_subscription(OptionGoal, 'option_goals', self._on_goal, DISPLAY)
         self.create_subscription(OptionResult, 'option_results', self._on_result, DISPLAY)
-        self.subscribe(
-            OptionValues, 'option_values', option_values_from_message, self._on_values, CURRENT
-        )
+        read, use = option_values_from_message, self._on_values
+        self.subscribe(OptionValues, 'option_values', read, use, CURRENT, PLANNER)
         self._timer = self.create_timer(_PERIOD, self._draw_newest, autostart=False)
 
     def waits_for(self) -> str | None:
