@@ -16,7 +16,7 @@ from humanopts_interfaces.srv import ResetGame, RunOption
 from humanopts_learner.options.files import save_option
 from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.options.rollout import rollouts
-from humanopts_ros.qos import LATCHED_ALL, STREAM
+from humanopts_ros.qos import CURRENT, STREAM
 from humanopts_teach.launching import LaunchError
 from humanopts_teach.launching.launcher import Launcher
 from humanopts_teach.launching.processes import processes, Setup
@@ -122,9 +122,7 @@ class _Measured(ABC):
             if status.state == NodeStatus.STATE_READY:
                 missing.discard(status.node)
 
-        statuses = self._reset.node.create_subscription(
-            NodeStatus, 'node_status', keep, LATCHED_ALL
-        )
+        statuses = self._reset.node.create_subscription(NodeStatus, 'node_status', keep, CURRENT)
         self._reset.until(lambda: not missing, 'the nodes')
         self._reset.node.destroy_subscription(statuses)
 

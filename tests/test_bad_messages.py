@@ -30,7 +30,8 @@ from humanopts_interfaces.msg import (
 )
 from humanopts_interfaces.srv import ListOptions, RunOption
 from humanopts_learner.ros.convert import demonstration_to_message
-from humanopts_ros.qos import LATCHED, STREAM
+from humanopts_ros.qos import CURRENT, LATCHED, STREAM
+from humanopts_teach.ros.graph_probe import probe_graph
 import pytest
 
 FAULTY = 'graph_support.faulty:Faulty'
@@ -347,3 +348,22 @@ def test_a_node_that_starts_beside_a_stranger_learns_the_game_all_the_same(
         learner = live.start(LEARNER, directory=tmp_path / str(turn))
         live.until(lambda n=learner: n.ready and n.guard.refused, 'the learner, and its refusal')
         live.stop(learner)
+
+
+def test_the_status_tells_of_nothing_that_others_signed(
+    live: Graph, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv('ROS_DOMAIN_ID', str(live.domain_id))
+    statuses = live.node.create_publisher(NodeStatus, 'node_status', CURRENT)
+    infos = live.node.create_publisher(DomainInfo, 'domain_info', CURRENT)
+    recorders = live.node.create_publisher(RecorderStatus, 'recorder_status', CURRENT)
+    statuses.publish(NodeStatus(publisher_id='/recorder#1', node='/recorder', text='its own'))
+    for signed in ('/game#1', '/stranger#1'):
+        statuses.publish(NodeStatus(publisher_id=signed, node='/game', text=f'of {signed}'))
+        infos.publish(DomainInfo(publisher_id=signed, domain=f'of {signed}'))
+        recorders.publish(RecorderStatus(publisher_id=signed))
+    report = probe_graph('/')
+    assert report.game == 'of /game#1'
+    texts = {node.name: node.text for node in report.nodes}
+    assert (texts['game'], texts['recorder']) == ('of /game#1', 'its own')
+    assert report.recorder is None

@@ -17,7 +17,7 @@ from humanopts_interfaces.msg import ActionRefusal, ControlState, DomainInfo, Ga
 from humanopts_interfaces.srv import ResetGame, SetControl, SetPace
 from humanopts_ros.environment import PROFILES, RANGE, READ_PROFILES
 from humanopts_ros.node_base import NodeBase
-from humanopts_ros.qos import LATCHED, LATCHED_ALL
+from humanopts_ros.qos import CURRENT, LATCHED
 import pytest
 import rclpy
 from rclpy.context import Context
@@ -77,8 +77,8 @@ def test_who_comes_late_knows_the_rules_and_the_current_state(
     player: Player, shared: Graph
 ) -> None:
     player.do('west')
-    info = shared.listen(DomainInfo, 'domain_info', LATCHED_ALL)
-    current = shared.listen(GameState, 'current_state', LATCHED_ALL)
+    info = shared.listen(DomainInfo, 'domain_info', CURRENT)
+    current = shared.listen(GameState, 'current_state', CURRENT)
     shared.until(lambda: info and current and current[-1].step, 'latched values')
     assert (info[0].domain, info[0].gamma, info[0].max_steps) == ('taxi', 0.99, 200)
     assert json.loads(info[0].parameters) == {'rows': 5, 'cols': 5}
@@ -347,7 +347,7 @@ LIMITS = f"""<topic><resourceLimitsQos>
 LEASE = '<leaseDuration><sec>600</sec></leaseDuration>'
 READER = """
 import signal, sys
-from humanopts_ros.qos import LATCHED_ALL, STREAM
+from humanopts_ros.qos import CURRENT, STREAM
 from humanopts_interfaces import msg
 import rclpy
 from rclpy.signals import SignalHandlerOptions

@@ -39,7 +39,7 @@ from humanopts_interfaces.msg import (
     OptionResult,
 )
 from humanopts_learner.demonstrations import GOAL, TREES
-from humanopts_ros.qos import LATCHED_ALL, STREAM
+from humanopts_ros.qos import CURRENT, STREAM
 from humanopts_teach.bags.reader import open_bag
 from humanopts_teach.ros import keyboard_teleop
 import pyte
@@ -372,7 +372,7 @@ def test_a_terminal_waits_for_the_game_drives_again_after_it_was_killed_and_quit
     killed.see('game, lesson: not there.')
     graph.start(GAME)
     graph.start(LESSON, directory=graph.folder / 'demonstrations')
-    controls = graph.listen(ControlState, 'control', LATCHED_ALL)
+    controls = graph.listen(ControlState, 'control', CURRENT)
     terminals.sit_down(killed)
     drive(killed, 0)
     graph.until(lambda: len(controls) >= 2, 'control to be taken')

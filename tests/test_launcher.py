@@ -19,7 +19,7 @@ from humanopts_interfaces.msg import (
     NodeStatus,
     OptionStatus,
 )
-from humanopts_ros.qos import LATCHED_ALL
+from humanopts_ros.qos import CURRENT
 from humanopts_teach.bags.reader import open_bag
 from humanopts_teach.cli import main
 from humanopts_teach.launching import LaunchError
@@ -183,7 +183,7 @@ def test_a_bag_that_is_short_is_told_though_another_recorder_took_over(
 def test_a_terminal_that_died_and_is_started_again_does_not_end_up(
     live: Graph, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    out = live.node.create_publisher(NodeStatus, 'node_status', LATCHED_ALL)
+    out = live.node.create_publisher(NodeStatus, 'node_status', CURRENT)
     live.start(GAME)
     live.ready('/game')
 
@@ -214,7 +214,7 @@ def test_a_terminal_that_died_and_is_started_again_does_not_end_up(
 def test_a_node_that_was_started_again_is_known_from_what_others_sign_with_its_name(
     live: Graph, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    out = live.node.create_publisher(NodeStatus, 'node_status', LATCHED_ALL)
+    out = live.node.create_publisher(NodeStatus, 'node_status', CURRENT)
     monkeypatch.setenv('ROS_DOMAIN_ID', str(live.domain_id))
     conductor = GraphClient('/', {'expect_recorder': False}, tmp_path, watch=live.spin)
 

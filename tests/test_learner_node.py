@@ -18,7 +18,7 @@ from humanopts_learner.options.criteria import judge, Thresholds
 from humanopts_learner.options.files import load_options, option_from_json
 from humanopts_learner.options.learn import learn_option
 from humanopts_learner.ros.convert import demonstration_to_message
-from humanopts_ros.qos import LATCHED_ALL, STREAM
+from humanopts_ros.qos import CURRENT, STREAM
 import pytest
 
 SEED = 4
@@ -33,8 +33,8 @@ class Learning:
         self.graph, self.folder = graph, graph.folder / 'options'
         self._out = graph.node.create_publisher(DemonstrationMessage, 'demonstrations', STREAM)
         self.receipts = graph.listen(DemonstrationReceipt, 'demonstration_receipts')
-        self.statuses = graph.listen(LearningStatus, 'learning_status', LATCHED_ALL)
-        self.options = graph.listen(LearnedOptions, 'learned_options', LATCHED_ALL)
+        self.statuses = graph.listen(LearningStatus, 'learning_status', CURRENT)
+        self.options = graph.listen(LearnedOptions, 'learned_options', CURRENT)
         graph.start(GAME)
         self.node = self.start()
 

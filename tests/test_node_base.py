@@ -19,12 +19,12 @@ from graph_support.live import (
     RECORDER,
     TEACHER,
 )
-from humanopts_interfaces.msg import GameState, NodeStatus
+from humanopts_interfaces.msg import GameState, LearningStatus, NodeStatus
 from humanopts_interfaces.srv import SetPace
 from humanopts_ros.node_base import NodeBase
 from humanopts_ros.node_restarts import NodeRestarts
 from humanopts_ros.process import MemoryReturn, reset_postponed
-from humanopts_ros.qos import LATCHED_ALL
+from humanopts_ros.qos import CURRENT, LATCHED
 from humanopts_teach.bags.reader import open_bag
 import psutil
 import pytest
@@ -211,7 +211,7 @@ def test_a_node_that_waits_for_the_game_says_that_it_is_starting(shared: Graph) 
 def test_nothing_happens_before_the_recorder_is_there_and_then_all_of_it_is_in_the_bag(
     live: Graph, tmp_path: Path
 ) -> None:
-    states = live.listen(GameState, 'current_state', LATCHED_ALL)
+    states = live.listen(GameState, 'current_state', CURRENT)
     game = live.start(GAME, expect_recorder=True)
     live.until(lambda: live.state('/game') == NodeStatus.STATE_STARTING, 'the game to start')
     assert states == []
@@ -336,7 +336,7 @@ class Watcher(NodeBase):
 
 def test_a_restart_is_told_when_the_node_begins_and_when_it_is_ready(live: Graph) -> None:
     watcher = live.start(WATCHER, '/room')
-    out = live.node.create_publisher(NodeStatus, '/room/node_status', LATCHED_ALL)
+    out = live.node.create_publisher(NodeStatus, '/room/node_status', CURRENT)
     live.until(out.get_subscription_count, 'the watcher to listen')
 
     number = itertools.count()
@@ -365,3 +365,32 @@ def test_a_restart_is_told_when_the_node_begins_and_when_it_is_ready(live: Graph
     say('/hall/game', '/hall/game#9', READY, [])  # of another namespace
     say('/hall/game', '/hall/game#10', READY, [])
     assert watcher.restarts.counts['game'] == 3
+
+
+LISTENER = f'{__name__}:Listener'
+
+
+class Listener(NodeBase):
+    """Keeps what the learner publishes of itself."""
+
+    def __init__(self, **options: object) -> None:
+        super().__init__('listener', **options)
+        self.kept: list[LearningStatus] = []
+        self.create_subscription(
+            LearningStatus, 'learning_status', self.kept.append, CURRENT, sender='learner'
+        )
+
+
+def test_what_a_stranger_publishes_displaces_no_current_value_of_the_owner(live: Graph) -> None:
+    owner, stranger = (
+        live.node.create_publisher(LearningStatus, 'learning_status', LATCHED) for _ in range(2)
+    )
+    owner.publish(LearningStatus(publisher_id='/learner#1'))
+    listener = live.start(LISTENER)
+    live.until(lambda: stranger.get_subscription_count() and listener.kept, 'the first value')
+    for number in (2, 3):  # nothing is taken meanwhile
+        owner.publish(LearningStatus(publisher_id=f'/learner#{number}'))
+        for _ in range(50):
+            stranger.publish(LearningStatus(publisher_id='/stranger#1'))
+    live.until(lambda: listener.guard.refused == 100, 'all to be taken')
+    assert [status.publisher_id[-2:] for status in listener.kept] == ['#1', '#2', '#3']

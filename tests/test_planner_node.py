@@ -14,7 +14,7 @@ from humanopts_interfaces.msg import DomainInfo, NodeStatus, PlanResult, PolicyR
 from humanopts_learner.planning.evaluate import episode_starts, find_coverage, play
 from humanopts_learner.planning.plan import judge_plan, make_plan
 from humanopts_learner.planning.request import PlanRequest
-from humanopts_ros.qos import LATCHED, LATCHED_ALL
+from humanopts_ros.qos import CURRENT, LATCHED
 import pytest
 
 OPTIONS = taught()
@@ -96,7 +96,7 @@ def test_some_of_the_options_can_be_planned_with(planning: Planning) -> None:
 
 
 def test_an_option_that_cannot_be_read_does_not_hide_the_others(planning: Planning) -> None:
-    statuses = planning.graph.listen(NodeStatus, 'node_status', LATCHED_ALL)
+    statuses = planning.graph.listen(NodeStatus, 'node_status', CURRENT)
     planning.teach(OPTIONS, spoilt=['spoilt'])
     result = planning.plan('human')
     assert tuple(result.option_names) == make_plan(TAXI, OPTIONS, PlanRequest('human')).names

@@ -9,7 +9,7 @@ from typing import Any
 from graph_support.live import GAME, Graph, NodeProcess, RECORDER
 from humanopts_interfaces.msg import GameState, NodeStatus, RecorderStatus
 from humanopts_interfaces.srv import ResetGame
-from humanopts_ros.qos import LATCHED, LATCHED_ALL, STREAM
+from humanopts_ros.qos import CURRENT, LATCHED, STREAM
 from humanopts_teach.bags.check import check_bag
 from humanopts_teach.bags.info import summarise
 from humanopts_teach.bags.provenance import software
@@ -63,9 +63,7 @@ class Recording:
     def __init__(self, graph: Graph) -> None:
         self.graph, self.node = graph, graph.node
         self.path = graph.folder / 'bag'
-        self.said: list[RecorderStatus] = graph.listen(
-            RecorderStatus, 'recorder_status', LATCHED_ALL
-        )
+        self.said: list[RecorderStatus] = graph.listen(RecorderStatus, 'recorder_status', CURRENT)
         self._recorder: Any = None
 
     @property
@@ -221,7 +219,7 @@ def test_a_namespace_is_recorded_without_its_neighbours(live: Graph) -> None:
     theirs = live.node.create_publisher(String, '/ab/chatter', LATCHED)
     for publisher in (ours, theirs):
         publisher.publish(String(data='x'))
-    said = live.listen(RecorderStatus, '/a/recorder_status', LATCHED_ALL)
+    said = live.listen(RecorderStatus, '/a/recorder_status', CURRENT)
     recorder = live.start(RECORDER, '/a', path=live.folder / 'bag')
     live.until(lambda: said and said[-1].complete, 'the recorder')
     live.until(lambda: ours.get_subscription_count() == 1, 'a match')

@@ -22,7 +22,7 @@ from typing import Any
 
 from humanopts_interfaces.msg import NodeStatus
 from humanopts_ros.node_base import NodeBase, StartError
-from humanopts_ros.qos import LATCHED_ALL, STREAM
+from humanopts_ros.qos import CURRENT, STREAM
 import rclpy
 from rclpy.action import ActionClient
 from rclpy.context import Context
@@ -378,7 +378,7 @@ class Graph:
                 NodeStatus,
                 f'{namespace.rstrip("/")}/node_status',
                 lambda status: self.statuses.setdefault(status.node, []).append(status),
-                LATCHED_ALL,
+                CURRENT,
             )
 
 

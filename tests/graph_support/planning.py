@@ -18,7 +18,7 @@ from humanopts_interfaces.msg import (
 from humanopts_interfaces.srv import ListOptions, RunOption, SetExecution
 from humanopts_learner.options.files import option_to_json
 from humanopts_learner.options.option import LearnedOption
-from humanopts_ros.qos import LATCHED, LATCHED_ALL
+from humanopts_ros.qos import CURRENT, LATCHED
 
 from graph_support.live import GAME, Goal, Graph, OPTION_SERVER, PLANNER
 from graph_support.player import Player
@@ -91,7 +91,7 @@ class Acting(Planning):
         super().__init__(graph, episodes=episodes, seed=seed)
         self.commands: list[ActionCommand] = graph.listen(ActionCommand, 'action')
         self.runs: list[OptionResult] = graph.listen(OptionResult, 'option_results')
-        self.executions = graph.listen(ExecutionState, 'execution', LATCHED_ALL)
+        self.executions = graph.listen(ExecutionState, 'execution', CURRENT)
         graph.ask(ListOptions, 'list_options')  # who answers has found the readers made before
         self.teach(touring())
         self.plan_id = self.plan('human').plan_id

@@ -11,7 +11,7 @@ from humanopts_interfaces.msg import (
     NodeStatus,
 )
 from humanopts_interfaces.srv import ResetGame, SetControl
-from humanopts_ros.qos import LATCHED, LATCHED_ALL, STREAM
+from humanopts_ros.qos import CURRENT, LATCHED, STREAM
 
 from graph_support.live import Graph
 
@@ -31,7 +31,7 @@ class Player:
             ActionRefusal, f'{namespace}/action_refused'
         )
         self.controls: list[ControlState] = graph.listen(
-            ControlState, f'{namespace}/control', LATCHED_ALL
+            ControlState, f'{namespace}/control', CURRENT
         )
         self.renewals = 0  # of this player's control
         self._status = graph.node.create_publisher(NodeStatus, f'{namespace}/node_status', LATCHED)

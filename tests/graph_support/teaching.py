@@ -21,7 +21,7 @@ from humanopts_interfaces.srv import (
     OpenSession,
     WithdrawDemonstration,
 )
-from humanopts_ros.qos import LATCHED_ALL, STREAM
+from humanopts_ros.qos import CURRENT, STREAM
 
 from graph_support.live import Graph, LESSON
 
@@ -58,7 +58,7 @@ class Person:
             (ControlState, 'control'),
             (GameState, 'current_state'),
         ):
-            graph.node.create_subscription(kind, topic, self._keep, LATCHED_ALL)
+            graph.node.create_subscription(kind, topic, self._keep, CURRENT)
         self.shown: list[Demonstration] = graph.listen(Demonstration, 'demonstrations')
         self.keys = graph.node.create_publisher(ActionCommand, 'action', STREAM)
 

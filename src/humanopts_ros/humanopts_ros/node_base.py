@@ -11,7 +11,7 @@ import uuid
 
 from humanopts_interfaces.msg import NodeStatus
 from humanopts_ros.guard import Guard
-from humanopts_ros.publisher import M, PublishError, StampedPublisher
+from humanopts_ros.publisher import M, PublishError, signer, StampedPublisher
 from humanopts_ros.qos import ACTION, LATCHED, SERVICE, STREAM
 from humanopts_ros.recording import Selection
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
@@ -253,7 +253,7 @@ class NodeBase(Node):
         :raises ValueError: another node has published it.
         """
         sender = self.full_name(name)
-        if not publisher_id.startswith(f'{sender}#'):
+        if signer(publisher_id) != sender:
             raise ValueError(f'it is not from {sender}')
 
     def full_name(self, name: str) -> str:

@@ -5,7 +5,8 @@ from collections.abc import Callable
 
 from humanopts_interfaces.msg import NodeStatus
 from humanopts_ros.node_base import NodeBase
-from humanopts_ros.qos import LATCHED_ALL
+from humanopts_ros.publisher import signer
+from humanopts_ros.qos import CURRENT
 
 
 class NodeRestarts:
@@ -29,11 +30,11 @@ class NodeRestarts:
         self._on_restart = on_restart
         self._lives: dict[str, str] = {}  # publisher_id by name
         self._starting: set[str] = set()  # nodes that were started again, and are not ready yet
-        node.create_subscription(NodeStatus, 'node_status', self._on_status, LATCHED_ALL)
+        node.create_subscription(NodeStatus, 'node_status', self._on_status, CURRENT)
 
     def _on_status(self, status: NodeStatus) -> None:
         """Notice another life; what does not sign with the node's own name tells nothing."""
-        path, _, _ = status.publisher_id.partition('#')
+        path = signer(status.publisher_id)
         if path != status.node or not path.startswith(self._prefix):
             return
         name = path.removeprefix(self._prefix)

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import Any, Generic, TypeVar
 
 from humanopts_ros.node_base import NodeBase
-from humanopts_ros.qos import CURRENT
+from humanopts_ros.qos import LATCHED
 from rclpy.callback_groups import CallbackGroup
 
 T = TypeVar('T')
@@ -39,7 +39,7 @@ class PolledValue(Generic[T, V]):
         """
         self._node, self._kind, self._topic, self._read = node, kind, topic, read
         self._subscription = node.create_subscription(
-            kind, topic, never_called, CURRENT, callback_group=Polled()
+            kind, topic, never_called, LATCHED, callback_group=Polled()
         )
 
     def take(self) -> V | None:

@@ -17,9 +17,9 @@ def _profile(durability: DurabilityPolicy, depth: int) -> QoSProfile:
 # Publishes a current value: a newer one replaces it, so the first message that a late subscriber
 # gets is the newest. What must not be lost is on a stream.
 LATCHED = _profile(DurabilityPolicy.TRANSIENT_LOCAL, 1)
-CURRENT = LATCHED  # reads a current value
-# Reads a latched topic that several nodes publish (node_status): all of each.
-LATCHED_ALL = _profile(DurabilityPolicy.TRANSIENT_LOCAL, 0)
+# Reads a current value: all of each publisher, so that what one publishes keeps nobody from what
+# another does.
+CURRENT = _profile(DurabilityPolicy.TRANSIENT_LOCAL, 0)
 # Append-only streams, for the recorder and the lock-step partners. A reader that has stopped
 # blocks the writer, so displays read LATCHED topics or DISPLAY instead.
 STREAM = _profile(DurabilityPolicy.VOLATILE, 0)

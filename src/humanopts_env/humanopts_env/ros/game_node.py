@@ -40,7 +40,7 @@ from humanopts_ros.limits import shown
 from humanopts_ros.node_base import NodeBase, SEEDS, StartError
 from humanopts_ros.process import run_node
 from humanopts_ros.publisher import PublishError, StampedPublisher
-from humanopts_ros.qos import LATCHED, LATCHED_ALL, STREAM
+from humanopts_ros.qos import CURRENT, LATCHED, STREAM
 from rclpy.parameter import Parameter
 
 _SAY_AGAIN = 1.0  # s between looks whether a message is to be published again
@@ -80,7 +80,7 @@ class GameNode(NodeBase):
         self._lease_timer = self.create_timer(_LEASE_PERIOD, self._check_lease, autostart=False)
         self._show_timer = self.create_timer(_SHOW_PERIOD, self._show, autostart=False)
         self._unshown: GameState | None = None  # the newest state, if current_state is behind
-        self.create_subscription(NodeStatus, 'node_status', self._on_status, LATCHED_ALL)
+        self.create_subscription(NodeStatus, 'node_status', self._on_status, CURRENT)
 
     def on_ready(self) -> None:
         """Publish the domain, and begin the first episode."""

@@ -17,7 +17,7 @@ from humanopts_interfaces.msg import ControlState, DomainInfo, GameState
 from humanopts_ros.limits import shown
 from humanopts_ros.node_base import NodeBase
 from humanopts_ros.polled import PolledValue
-from humanopts_ros.qos import CURRENT, LATCHED_ALL, STREAM
+from humanopts_ros.qos import CURRENT, STREAM
 from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
 
@@ -53,7 +53,7 @@ class GameSubscriber:
         self._node, self._on_domain = node, on_domain
         self._early: dict[str, tuple[GameState, Callable[[Observed], object]]] = {}  # by topic
         self._domain_info = node.subscribe(
-            DomainInfo, 'domain_info', self._read_domain, self._use_domain, LATCHED_ALL
+            DomainInfo, 'domain_info', self._read_domain, self._use_domain, CURRENT
         )
 
     def follow(

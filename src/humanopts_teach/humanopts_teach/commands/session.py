@@ -189,6 +189,15 @@ class Session:
             self.check_recording()
             raise
 
+    def watch_terminal(self) -> None:
+        """
+        Take a message of the graph, once there is one, and look for an interrupt.
+
+        :raises KeyboardInterrupt: one has come.
+        """
+        self.graph.take(0.1)
+        self.interrupts.check()
+
     def check_recording(self) -> None:
         """
         Check at the end of a session that everything was recorded, as far as is known.
@@ -353,7 +362,7 @@ def run_in_terminal(
     said: list[str] = []  # while the terminal is not ours
     try:
         with session(setup, namespace, report=said.append) as running:
-            status = running.launcher.run_terminal(running.interrupts.check)
+            status = running.launcher.run_terminal(running.watch_terminal)
             done(running)
             running.graph.catch_up()
             running.check_recording()

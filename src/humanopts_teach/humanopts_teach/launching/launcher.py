@@ -188,7 +188,8 @@ class Launcher:
         """
         Run the process that takes over the terminal, to its end, and restore the terminal.
 
-        :param watch: called ten times a second meanwhile; what it raises ends the process, too.
+        :param watch: called again and again meanwhile; it waits a moment, and what it raises ends
+            the process, too.
         :return: its exit status.
         :raises LaunchError: another node ended meanwhile, is not started again, and is needed:
             without the recorder the lesson pauses, and says so. The terminal's process is ended.
@@ -200,7 +201,6 @@ class Launcher:
                 while running.process.poll() is None:
                     watch()
                     self.check(RECORDER)
-                    time.sleep(0.1)
                 self._running.remove(running)
                 status = running.process.wait()
                 if status < 0:

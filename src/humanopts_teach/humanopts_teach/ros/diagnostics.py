@@ -13,7 +13,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from humanopts_interfaces.msg import NodeStatus, RecorderStatus
 from humanopts_ros.node_base import NodeBase, RECORDER
 from humanopts_ros.process import run_node
-from humanopts_ros.qos import CURRENT, LATCHED_ALL, STREAM
+from humanopts_ros.qos import CURRENT, STREAM
 
 TOPIC = '/diagnostics'
 _PERIOD = 1.0  # s
@@ -34,7 +34,7 @@ class DiagnosticsNode(NodeBase):
         self._statuses: dict[str, NodeStatus] = {}  # the newest by node
         self._recorder: RecorderStatus | None = None
         self._out = self.create_publisher(DiagnosticArray, TOPIC, STREAM)
-        self.subscribe(NodeStatus, 'node_status', self._read, self._keep, LATCHED_ALL)
+        self.subscribe(NodeStatus, 'node_status', self._read, self._keep, CURRENT)
         keep = partial(setattr, self, '_recorder')
         self.create_subscription(RecorderStatus, 'recorder_status', keep, CURRENT, sender=RECORDER)
         self.create_timer(_PERIOD, self._publish)

@@ -15,7 +15,8 @@ from humanopts_interfaces.action import Plan, RunPolicy
 from humanopts_learner.ros import LEARNER
 from humanopts_ros.environment import prepare_discovery
 from humanopts_ros.node_base import NodeBase
-from humanopts_ros.qos import ACTION, CURRENT, LATCHED_ALL
+from humanopts_ros.publisher import signer
+from humanopts_ros.qos import ACTION, CURRENT
 from humanopts_teach.launching import LaunchError
 from humanopts_teach.launching.launcher import CONDUCTOR
 from humanopts_teach.launching.processes import RECORDER, Value
@@ -84,7 +85,7 @@ class GraphClient(NodeBase):
         self._record, self._bag = bool(parameters['expect_recorder']), bag
         self._watch = watch
         self._fine = time.monotonic()  # when no node was paused last
-        self.create_subscription(msg.NodeStatus, 'node_status', self._keep_status, LATCHED_ALL)
+        self.create_subscription(msg.NodeStatus, 'node_status', self._keep_status, CURRENT)
         for sender, kind, topic, name in (
             (LESSON, msg.LessonState, 'lesson_state', 'lesson'),
             (LEARNER, msg.LearningStatus, 'learning_status', 'learning'),
@@ -137,7 +138,7 @@ class GraphClient(NodeBase):
                 last, deadline = newest, now + seconds
             if now > deadline:
                 raise LaunchError(f'gave up waiting for {what} after {seconds:.0f} s')
-            self.turn(self._executor, 0.05)
+            self.take(0.05)
 
     def wait_ready(self, names: list[str], seconds: float = 60.0) -> None:
         """
@@ -225,7 +226,7 @@ class GraphClient(NodeBase):
         """
         reported: dict[str, str] = {}
         while True:
-            self.turn(self._executor, 0.05)
+            self.take(0.05)
             check()
             self._check_duplicates(self.full_name(RECORDER))  # a new one takes over from ours
             paused = self._paused()
@@ -238,10 +239,14 @@ class GraphClient(NodeBase):
                     report(f'{name} is paused: {text}')
             reported = paused
 
+    def take(self, seconds: float) -> None:
+        """Process one message, once there is one."""
+        self.turn(self._executor, seconds)
+
     def catch_up(self) -> None:
         """Process the messages that came while nobody served the graph."""
         for _ in range(_ROUNDS):
-            self.turn(self._executor, 0.0)
+            self.take(0.0)
 
     def unrecorded(self) -> str:
         """Return why the bag is short, or nothing is recorded now; empty: neither is known."""
@@ -332,7 +337,7 @@ class GraphClient(NodeBase):
     def _keep_status(self, status: msg.NodeStatus) -> None:
         node = status.node
         known = self.statuses.get(node, status)
-        if status.publisher_id in self._gone or status.publisher_id.partition('#')[0] != node:
+        if status.publisher_id in self._gone or signer(status.publisher_id) != node:
             return
         if status.publisher_id != known.publisher_id:
             # What was sent before the node ended last is of the process that ended.

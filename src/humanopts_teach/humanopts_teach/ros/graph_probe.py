@@ -7,10 +7,13 @@ import shutil
 import time
 from typing import Any
 
+from humanopts_env.ros.game_subscriber import GAME
 from humanopts_interfaces import msg
 from humanopts_ros.environment import prepare_discovery
-from humanopts_ros.qos import CURRENT, LATCHED_ALL
+from humanopts_ros.publisher import signer
+from humanopts_ros.qos import CURRENT
 from humanopts_teach.launching.launcher import CONDUCTOR, processes_of_launch
+from humanopts_teach.launching.processes import RECORDER
 from humanopts_teach.launching.status import (
     GraphReport,
     NodeReport,
@@ -70,16 +73,14 @@ class _Probe:
         self._sent: dict[str, float] = {}  # when each node was asked, s
         self._answers: dict[str, float] = {}  # s, by node
         self._processes: dict[str, psutil.Process | None] = {}
-        self._node.create_subscription(
-            msg.NodeStatus, 'node_status', self._keep_status, LATCHED_ALL
-        )
-        for kind, topic in (
-            (msg.RecorderStatus, 'recorder_status'),
-            (msg.GameState, 'current_state'),
-            (msg.DomainInfo, 'domain_info'),
-            (msg.ControlState, 'control'),
+        self._node.create_subscription(msg.NodeStatus, 'node_status', self._keep_status, CURRENT)
+        for kind, topic, owner in (
+            (msg.RecorderStatus, 'recorder_status', RECORDER),
+            (msg.GameState, 'current_state', GAME),
+            (msg.DomainInfo, 'domain_info', GAME),
+            (msg.ControlState, 'control', GAME),
         ):
-            keep = partial(self._newest.__setitem__, topic)
+            keep = partial(self._keep, topic, f'{namespace.rstrip("/")}/{owner}')
             self._node.create_subscription(kind, topic, keep, CURRENT)
 
     def report(self) -> GraphReport:
@@ -142,7 +143,13 @@ class _Probe:
     def _answered(self, name: str, done: Future) -> None:
         self._answers[name] = time.monotonic() - self._sent[name]
 
+    def _keep(self, topic: str, owner: str, message: Any) -> None:
+        if signer(message.publisher_id) == owner:
+            self._newest[topic] = message
+
     def _keep_status(self, status: msg.NodeStatus) -> None:
+        if signer(status.publisher_id) != status.node:
+            return
         name = status.node.rpartition('/')[2]
         known = self._statuses.get(name)
         stamps = [(s.header.stamp.sec, s.header.stamp.nanosec) for s in (status, known or status)]
