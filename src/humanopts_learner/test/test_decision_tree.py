@@ -185,14 +185,17 @@ def test_an_option_can_be_used_without_loading_scikit_learn() -> None:
     assert subprocess.run([sys.executable, '-c', code], check=False).returncode == 0
 
 
-def test_a_tree_is_fitted_without_pandas_which_can_be_imported_afterwards() -> None:
+def test_a_tree_is_fitted_without_pandas_and_statistics_which_can_be_used_afterwards() -> None:
     code = (
         'import sys, numpy; from humanopts_learner.options.decision_tree import fit_tree;'
         'fit_tree(numpy.eye(2, dtype=numpy.float32), numpy.array([0, 1]), (0, 1), 0);'
-        'assert not {"pandas", "pyarrow"} & sys.modules.keys();'
+        'assert not {"pandas", "pyarrow", "scipy.stats"} & sys.modules.keys();'
         'import pandas; from sklearn.tree import DecisionTreeClassifier;'
         'frame = pandas.DataFrame({"a": [0, 1]});'
-        'assert DecisionTreeClassifier().fit(frame, [0, 1]).feature_names_in_ == ["a"]'
+        'assert DecisionTreeClassifier().fit(frame, [0, 1]).feature_names_in_ == ["a"];'
+        'from sklearn.metrics import label_ranking_average_precision_score as score;'
+        'assert score([[0, 1, 1]], [[.3, .2, .1]]) == (1 / 2 + 2 / 3) / 2;'
+        'import scipy.stats; assert scipy.stats.gmean([1, 4]) == 2'
     )
     assert subprocess.run([sys.executable, '-c', code], check=False).returncode == 0
 
