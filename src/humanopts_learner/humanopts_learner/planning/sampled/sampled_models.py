@@ -116,26 +116,32 @@ class SampleCounts:
             square root of its number of samples.
         """
         enough, rows = self._known(self._count >= max(min_samples, 1))
-        count = np.where(enough, self._count, 1.0)
-        reward = np.where(enough, self._reward / count - penalty / np.sqrt(count), 0.0)
+        count, reward = self._count[enough], np.zeros(enough.shape)
+        reward[enough] = self._reward[enough] / count - penalty / np.sqrt(count)
         return SparseMultiTimeModel(self.names, reward.T, enough.T, rows)
 
     def _known(self, enough: Flags) -> tuple[Flags, Rows]:
         """Return the pairs (O, S) that lead to states with such pairs, and their successors."""
-        total = self._rows.sum(axis=1)
+        pairs = np.flatnonzero(enough)  # the others are many, and are not looked at
+        rows = self._rows[pairs]
+        total = rows.sum(axis=1)
+        enough, left = enough.copy(), np.ones(len(pairs), dtype=np.bool_)
         while True:
             known = np.asarray(enough[: self._choosable].any(axis=0))
-            kept = self._rows @ known
-            more = enough & ((kept > 0) | (total == 0)).reshape(enough.shape)
-            if (more == enough).all():
+            kept = rows @ known
+            more = left & ((kept > 0) | (total == 0))
+            if (more == left).all():
                 break
-            enough = more
-        scale = np.where(enough.ravel() & (kept > 0), total, 0.0)
-        scale /= np.where(kept > 0, kept, 1.0) * np.maximum(self._count.ravel(), 1.0)
-        rows = self._rows.copy()
+            left = more
+            enough.ravel()[pairs] = left
+        scale = np.where(left & (kept > 0), total, 0.0)
+        scale /= np.where(kept > 0, kept, 1.0) * self._count.ravel()[pairs]
         rows.data *= np.repeat(scale, np.diff(rows.indptr)) * known[rows.indices]
         rows.eliminate_zeros()
-        return enough, rows
+        lengths = np.zeros(enough.size + 1, dtype=rows.indptr.dtype)
+        lengths[pairs + 1] = np.diff(rows.indptr)
+        parts = rows.data, rows.indices, np.cumsum(lengths, dtype=lengths.dtype)
+        return enough, csr_array(parts, shape=self._rows.shape)
 
 
 class Shrinkage:
