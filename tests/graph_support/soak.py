@@ -4,6 +4,9 @@ A long lesson among random faults: ``make soak SECONDS=600 SEED=1``.
 Nodes are killed, ended and stopped at random moments, and garbage is sent on every topic, service
 and action. After each fault the lesson must go on. At the end nothing that was shown may be lost
 and no action applied twice. A table says what was done and what came of it.
+
+``make soak SECONDS=3600 ARGS='--faults 0'`` does nothing to it: each minute a person teaches, and
+the machine plans and plays. It says what each node costs.
 """
 
 import argparse
@@ -24,6 +27,7 @@ from typing import Any
 from humanopts_env.domains.registry import make_domain
 from humanopts_interfaces.msg import GameState, NodeStatus
 from humanopts_learner.demonstrations import check_demonstration, Demonstration
+from humanopts_learner.planning.request import PRIMITIVE
 from humanopts_ros.environment import prepare_discovery
 from humanopts_ros.qos import ACTION, DISPLAY, LATCHED, SERVICE, STREAM
 from humanopts_teach.bags.check import check_bag
@@ -47,6 +51,9 @@ from graph_support.live import free_domain_id
 
 OPTIONS = ('go to passenger and pickup', 'go to destination and dropoff')
 SETTLE = 30.0  # s for the lesson to take its usual memory, and to give back what it took more
+TURN = 60.0  # s for each person, where there are no faults
+EPISODES = 20  # that the machine plays then
+WARM = 1 / 6  # share of the turns until memory is compared
 RECOVERY = 60.0  # s until all nodes are ready and another demonstration is kept
 ANSWER = 40.0  # s for a call of garbage to be answered; a node may wait 15 s for others
 OURS = 'soak'  # the node that sends garbage
@@ -276,7 +283,7 @@ class Soak:
 
     def _grown(self, before: int) -> bool:
         self.stranger.serve()
-        if self._graph.teacher_finished() and self._pid('simulated_teacher') not in self._replaced:
+        if self._taught():
             self._next_participant()
         return len(self.shown()) > before
 
@@ -346,6 +353,28 @@ class Soak:
             self._grown(0)
             self.serve(0.5)
 
+    def turn(self, seconds: float) -> float:
+        """
+        Let a person teach everything, plan, play, and let the next person come after a while.
+
+        :param seconds: of all this.
+        :return: s that a step of the machine took.
+        """
+        end = time.monotonic() + seconds
+        self._until(self._taught, 'a person to have taught', TURN)
+        self._graph.plan(PRIMITIVE, EPISODES, self._participants)
+        before, began = len(self.stranger.applied), time.monotonic()
+        self._graph.play(PRIMITIVE, EPISODES, self._participants)
+        played = time.monotonic() - began
+        self.serve(max(1.0, end - time.monotonic()))
+        self._next_participant()
+        return played / (len(self.stranger.applied) - before)
+
+    def _taught(self) -> bool:
+        return (
+            self._graph.teacher_finished() and self._pid('simulated_teacher') not in self._replaced
+        )
+
     def watch(self, seconds: float) -> None:
         """Look after the launch for a while."""
         end = time.monotonic() + seconds
@@ -408,7 +437,9 @@ def usage(pids: dict[str, int]) -> dict[str, tuple[float, int, int]]:
 
 
 @contextmanager
-def lesson(folder: Path, outcome: Outcome, rng: random.Random) -> Iterator[Soak]:
+def lesson(
+    folder: Path, outcome: Outcome, rng: random.Random, step_period: float
+) -> Iterator[Soak]:
     """Launch a lesson that has no end by itself."""
     setup = Setup(
         'taxi',
@@ -417,7 +448,7 @@ def lesson(folder: Path, outcome: Outcome, rng: random.Random) -> Iterator[Soak]
         taught=OPTIONS,
         teacher_error_rate=0.05,
         budget=25,
-        step_period=0.005,
+        step_period=step_period,
     )
     said: list[str] = []
     with session(setup, '/', report=said.append, restarts=10**9) as running:
@@ -461,7 +492,7 @@ def run(
     """
     outcome, rng = Outcome(), random.Random(seed)
     began = time.monotonic()
-    with lesson(folder, outcome, rng) as soak:
+    with lesson(folder, outcome, rng, 0.005) as soak:
         soak.teach(settle)
         soak.verbose = verbose
         pids = {name: soak._pid(name) for name in soak.names}
@@ -479,6 +510,45 @@ def run(
         after = usage({name: soak._pid(name) for name in soak.names})
         restarts = Counter(end.node for end in soak._launcher.ends)
     return outcome, table(outcome, before, after, restarts, time.monotonic() - began, seed)
+
+
+def endure(
+    folder: Path, seconds: float, seed: int, turn: float = TURN
+) -> tuple[Outcome, list[str]]:
+    """
+    Let people teach, one after the other, and the machine plan and play, with no fault.
+
+    A line is printed after each turn: memory of each node, and how long a step of the machine
+    took.
+
+    :param turn: s of each.
+    :return: what came of it, and lines for a person: what grew since the first sixth of the turns.
+    """
+    outcome, began = Outcome(), time.monotonic()
+    used: list[dict[str, tuple[float, int, int]]] = []
+    steps: list[float] = []
+    with lesson(folder, outcome, random.Random(seed), 0.0) as soak:
+        while (now := time.monotonic() - began) < seconds:
+            steps.append(1000 * soak.turn(turn))
+            used.append(usage({name: soak._pid(name) for name in soak.names}))
+            memory = '  '.join(f'{name} {each[0]:.1f}' for name, each in used[-1].items())
+            print(f'{now:6.0f} s  a step {steps[-1]:.2f} ms  MB: {memory}', flush=True)
+        soak.finish()
+    first, last = used[int(WARM * len(used))], used[-1]
+    lines = [f'seed {seed}: {len(used)} turns in {time.monotonic() - began:.0f} s']
+    lines.append(f'{"node":20} {"MB":>17} {"growth":>8}  {"threads":>9}  {"descriptors":>11}')
+    for name, (memory, threads, files) in first.items():
+        now_used = last[name]
+        lines.append(
+            f'{name:20} {memory:7.1f} > {now_used[0]:7.1f} {now_used[0] / memory - 1:8.1%}  '
+            f'{threads:3} > {now_used[1]:3}  {files:4} > {now_used[2]:4}'
+        )
+    half = len(steps) // 2
+    lines.append(
+        f'a step: median {median(steps[:half]):.2f} ms in the first half, '
+        f'{median(steps[half:]):.2f} ms in the second, {max(steps):.2f} ms at most'
+    )
+    return outcome, lines + ending(outcome)
 
 
 def table(
@@ -502,7 +572,12 @@ def table(
             f'{name:20} {restarts[name]:8}  {memory:5.0f} > {last[0]:5.0f}  '
             f'{threads:3} > {last[1]:3}  {files:4} > {last[2]:4}'
         )
-    lines += [f'{count:4} x {text}' for text, count in outcome.remarks.most_common()]
+    return lines + ending(outcome)
+
+
+def ending(outcome: Outcome) -> list[str]:
+    """Return the last lines of a report: what was noticed, and what must not be."""
+    lines = [f'{count:4} x {text}' for text, count in outcome.remarks.most_common()]
     lines.append(f'{len(outcome.violations)} violations')
     return [*lines, *(f'VIOLATION: {text}' for text in outcome.violations)]
 
@@ -516,7 +591,9 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--seconds', type=float, default=600.0)
     parser.add_argument('--seed', type=int, default=1)
-    parser.add_argument('--faults', type=int, default=10**9)
+    parser.add_argument(
+        '--faults', type=int, default=10**9, help='at most; 0: an undisturbed lesson'
+    )
     kinds = [*KINDS, *GARBAGE]
     parser.add_argument('--kinds', nargs='+', choices=sorted({*kinds}), default=kinds)
     parser.add_argument('--out', type=Path, help='keep logs, demonstrations and bags there')
@@ -525,11 +602,14 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as folder, free_domain_id() as number:
         os.environ['ROS_DOMAIN_ID'] = str(number)
         place = given.out or Path(folder)
-        outcome, lines = run(
-            *(place, given.seconds, given.seed, given.kinds, given.faults),
-            settle=SETTLE,
-            verbose=True,
-        )
+        if given.faults:
+            outcome, lines = run(
+                *(place, given.seconds, given.seed, given.kinds, given.faults),
+                settle=SETTLE,
+                verbose=True,
+            )
+        else:
+            outcome, lines = endure(place, given.seconds, given.seed)
     print('\n'.join(lines))
     return 1 if outcome.violations else 0
 
