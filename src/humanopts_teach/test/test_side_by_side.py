@@ -1,14 +1,19 @@
 """What another process does while this one has work that goes first."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 import os
+import signal
 import subprocess
 import sys
+import threading
 import time
+from typing import Any
 
+from humanopts_teach.commands import interruptible
 from humanopts_teach.evaluation.side_by_side import Meanwhile, NICE
 import psutil
+import pytest
 
 
 def at_work() -> list[psutil.Process]:
@@ -56,6 +61,33 @@ def test_where_the_process_is_killed_the_results_so_far_stay_and_no_more_come() 
             assert time.monotonic() < deadline
         other.begin({'second': os.getpid})
         assert other.end() == {'first': process.pid}
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_what_interrupts_this_process_waits_until_the_other_has_started(
+    number: signal.Signals,
+) -> None:
+    """It comes to another thread, as where a bar of progress is drawn."""
+    asked, sent = threading.Event(), threading.Event()
+
+    def interrupt() -> None:
+        asked.wait()
+        signal.raise_signal(number)
+        sent.set()
+
+    class Interrupted(dict[str, Callable[[], int]]):
+        def items(self) -> Any:
+            asked.set()
+            assert sent.wait(30.0)
+            return super().items()
+
+    thread = threading.Thread(target=interrupt)
+    thread.start()
+    with interruptible(), Meanwhile[str, int]() as other:
+        with pytest.raises(KeyboardInterrupt):
+            other.begin(Interrupted({'process': os.getpid}))
+        _wait_for(other.results, 1)
+    thread.join()
 
 
 def _wait_for(results: Mapping[str, object], count: int) -> None:

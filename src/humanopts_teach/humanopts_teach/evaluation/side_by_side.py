@@ -18,6 +18,7 @@ from joblib.externals.loky.backend import resource_tracker as loky_tracker
 
 NICE = 10  # of a process whose work can wait
 _LOOK = 1.0  # s between looks at whether the process that began this one is still there
+_ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _ONE_THREAD = {'OMP_NUM_THREADS': '1', 'OPENBLAS_NUM_THREADS': '1'}  # as joblib's processes
 Key = TypeVar('Key', bound=Hashable)
 Result = TypeVar('Result')
@@ -144,13 +145,37 @@ def _numbered(number: int, call: Callable[[], Result]) -> tuple[int, Result]:
 @contextmanager
 def _started_without_interrupts() -> Iterator[None]:
     """Have processes that are started meanwhile not hear Ctrl-C; this process ends them."""
-    for tracker in (resource_tracker, loky_tracker):  # each hears it again once it has started
-        tracker.ensure_running()
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    with _signals_held_back():
+        for tracker in (resource_tracker, loky_tracker):  # each hears it again once it has started
+            tracker.ensure_running()
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            yield
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextmanager
+def _signals_held_back() -> Iterator[None]:
+    """
+    Let what ends this process wait, whichever of its threads the signal came to.
+
+    A start of joblib that is interrupted in its middle raises another error.
+    """
+    came: list[int] = []
+    handlers = {}
+    if threading.current_thread() is threading.main_thread():  # which alone is interrupted
+        handlers = {each: signal.getsignal(each) for each in _ENDING}
+    handlers = {each: handler for each, handler in handlers.items() if callable(handler)}
+    for each in handlers:
+        signal.signal(each, lambda number, _: came.append(number))
     try:
         yield
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        for each, handler in handlers.items():
+            signal.signal(each, handler)
+        if came:
+            signal.raise_signal(came[0])
 
 
 @contextmanager
