@@ -33,7 +33,7 @@ LAUNCH = (
 HELP = {
     (): ('demo', 'up', 'teach', 'study', 'status', 'bag', 'reproduce', 'bench'),
     ('status',): ('--namespace', '--json'),
-    ('demo',): ('--domain', '--episodes', '--games', '--error-rate', *LAUNCH),
+    ('demo',): ('--domain', '--episodes', '--games', '--game-steps', '--error-rate', *LAUNCH),
     ('up',): ('DOMAIN', '--no-record', '--step-period', *LAUNCH),
     ('teach',): ('DOMAIN', 'pacman, rooms, taxi', '--participant', *LAUNCH),
     ('study',): ('run', 'status', 'export', 'PLAN.yaml'),
@@ -153,6 +153,8 @@ def test_a_shell_completes_what_is_typed(
         (('demo', '--strategy', 'luck'), ["'luck'", 'random', 'coverage', 'failures']),
         (('demo', '--domain', 'chess'), ["'chess'", 'taxi']),
         (('demo', '--games', 1), ['--games', 'one game has no interval']),
+        (('demo', '--game-steps', 0), ['--game-steps', '0 is not from 1']),
+        (('demo', '--domain', 'pacman', '--game-steps', 9), ['game_steps is 9', 'at least 400']),
         (('demo', '--domain', 'gymnasium:FrozenLake-v1'), ['no reference options']),
         (('up', 'chess'), ["'chess'", 'taxi']),
         (('up',), ['DOMAIN']),

@@ -127,6 +127,15 @@ def demo(
             'the comparison out',
         ),
     ] = 1000,
+    game_steps: Annotated[
+        int | None,
+        typer.Option(
+            parser=whole(1),
+            metavar='N',
+            help='of games, that a plan is sampled from where plans are made from samples; '
+            'default: 800000',
+        ),
+    ] = None,
     error_rate: Annotated[
         float,
         typer.Option(
@@ -142,7 +151,7 @@ def demo(
     prepare()
     from humanopts_teach.commands.demo import run_demo
 
-    return run_demo(domain, launch, episodes, games, error_rate)
+    return run_demo(domain, launch, episodes, games, game_steps or 0, error_rate)
 
 
 @app.command(cls=DomainCommand)

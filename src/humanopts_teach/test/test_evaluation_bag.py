@@ -206,6 +206,8 @@ def test_settings_are_read_from_the_facts_in_the_bag() -> None:
     assert settings_from_facts(FACTS) == (RECORDED, [])
     person, _ = settings_from_facts({**FACTS, 'teacher_error_rate': 'None'})
     assert person.teacher_error_rate is None
+    few, _ = settings_from_facts({**FACTS, 'game_steps': '4000'})
+    assert few == replace(RECORDED, game_steps=4000)
 
 
 @pytest.mark.parametrize(
@@ -213,6 +215,7 @@ def test_settings_are_read_from_the_facts_in_the_bag() -> None:
     [
         ('seed', '-1'),
         ('budget', 'many'),
+        ('game_steps', '-1'),
         ('return_delta', 'nan'),
         ('initiation_error', '7'),
         ('teacher_error_rate', '2'),

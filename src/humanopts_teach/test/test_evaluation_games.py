@@ -16,7 +16,6 @@ from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.intervals import Interval
 from humanopts_learner.options.files import option_from_json, option_to_json
 from humanopts_learner.options.option import LearnedOption
-from humanopts_learner.planning import request
 from humanopts_learner.planning.request import HUMAN, PlanCanceled, PRIMITIVE
 from humanopts_learner.planning.sampled.plan import SampledPlan
 from humanopts_teach.evaluation import games as evaluation_games
@@ -65,9 +64,7 @@ def brief() -> Domain[Any]:
 @pytest.fixture(scope='module')
 def evaluation(yard: Domain[Any], yard_lesson: list[Demonstration]) -> BagEvaluation:
     """Four options, taught a little."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(request, 'GAME_STEPS', STEPS)
-        return evaluate(yard_lesson, yard, Settings(seed=SEED), episodes=GAMES)
+    return evaluate(yard_lesson, yard, Settings(seed=SEED, game_steps=STEPS), episodes=GAMES)
 
 
 @pytest.fixture(scope='module')

@@ -13,7 +13,13 @@ from humanopts_env.domains.registry import make_domain, reference_options
 from humanopts_learner.options.decision_tree import import_scikit_learn
 from humanopts_learner.options.files import option_from_json
 from humanopts_learner.options.option import LearnedOption
-from humanopts_learner.planning.request import batch_games, HUMAN, PlanError, PRIMITIVE
+from humanopts_learner.planning.request import (
+    batch_games,
+    HUMAN,
+    PlanError,
+    PlanRequest,
+    PRIMITIVE,
+)
 from humanopts_teach.bags import BagError
 from humanopts_teach.bags.info import TopicRow
 from humanopts_teach.bags.reader import open_bag
@@ -56,7 +62,12 @@ _WATCHED = 0.02  # s between steps of the machine, in a terminal
 
 
 def run_demo(
-    name: str, launch: LaunchOptions, episodes: int | None, games: int, error_rate: float
+    name: str,
+    launch: LaunchOptions,
+    episodes: int | None,
+    games: int,
+    game_steps: int,
+    error_rate: float,
 ) -> int:
     """
     Teach, plan, play, evaluate the bag and report.
@@ -64,10 +75,11 @@ def run_demo(
     :param name: of the domain.
     :param episodes: to play live; None: as many as is usual in the domain.
     :param games: that each way to play is compared in; 0: there is no comparison.
+    :param game_steps: that plans are sampled from; 0: as many as is usual.
     :param error_rate: share of the simulated teacher's steps that are wrong.
     :return: exit status, 1 where something did not hold.
     """
-    domain = _demo_domain(name, launch)
+    domain = _demo_domain(name, launch, game_steps)
     setup = setup_from(
         name,
         launch,
@@ -76,6 +88,7 @@ def run_demo(
         step_period=_WATCHED if sys.stdout.isatty() else 0.0,
         taught=taught_options(domain),
         teacher_error_rate=error_rate,
+        game_steps=game_steps,
     )
     exact = is_enumerable(domain)
     played = episodes or (EPISODES if exact else LONG_EPISODES)
@@ -84,12 +97,12 @@ def run_demo(
     compares = games > 0 and not exact  # in games; some can be played before their turn
     with DemoProgress() as progress, Meanwhile[PlayKey, ComparisonRow]() as earlier:
         if compares:
-            earlier.begin(earlier_calls(domain, (), setup.seed, games))
+            earlier.begin(earlier_calls(domain, (), setup.seed, games, game_steps))
         with session(setup, launch.namespace, progress) as running:
             taught = _teach(running, progress)
             options = [option for option, _ in taught]
             if compares and options:
-                earlier.begin(earlier_calls(domain, options, setup.seed, games))
+                earlier.begin(earlier_calls(domain, options, setup.seed, games, game_steps))
             live = _plan_and_play(running, domain, taught, played, judged, progress)
         progress.stage('evaluating the bag')
         try:
@@ -126,8 +139,8 @@ def run_demo(
     return 1 if problems or running.unclean else 0
 
 
-def _demo_domain(name: str, launch: LaunchOptions) -> Domain[Any]:
-    """Return the domain; refuse one that cannot be planned in."""
+def _demo_domain(name: str, launch: LaunchOptions, game_steps: int) -> Domain[Any]:
+    """Return the domain; refuse one that cannot be planned in, or not so."""
     try:
         domain = make_domain(name, domain_parameters(launch))
         if not is_enumerable(domain):
@@ -138,6 +151,10 @@ def _demo_domain(name: str, launch: LaunchOptions) -> Domain[Any]:
         raise CommandError(
             f'the demo plans: {error}; teach it yourself: humanopts teach {name}'
         ) from error
+    try:
+        PlanRequest(PRIMITIVE, game_steps=game_steps).in_force(domain, ())
+    except PlanError as error:
+        raise CommandError(str(error)) from error
     return domain
 
 
@@ -164,13 +181,14 @@ def _plan_and_play(
     ]
     progress.stage('planning')
     plans = [
-        graph.retry(partial(graph.plan, name, judged, setup.seed)) for name in (HUMAN, PRIMITIVE)
+        graph.retry(partial(graph.plan, name, judged, setup.seed, setup.game_steps))
+        for name in (HUMAN, PRIMITIVE)
     ]
     progress.stage(f'playing {episodes} episodes')
     learns = is_enumerable(domain)  # elsewhere other processes evaluate the bag
     importing = threading.Thread(target=_import_what_follows, args=(learns,), daemon=True)
     importing.start()
-    played = graph.retry(partial(graph.play, HUMAN, episodes, setup.seed))
+    played = graph.retry(partial(graph.play, HUMAN, episodes, setup.seed, setup.game_steps))
     graph.wait(graph.all_recorded, NEWS_SECONDS, 'what was shown to be in the newest bag')
     importing.join()  # nothing is imported beside scikit-learn, which hides pandas meanwhile
     execution = Execution(played.episodes, played.successes, played.fallbacks, played.mean_return)

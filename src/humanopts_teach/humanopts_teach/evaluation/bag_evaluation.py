@@ -186,7 +186,7 @@ class BagEvaluation:
         return {
             'domain': self.domain.name,
             'domain_parameters': dict(self.domain.parameters),
-            **asdict(self.settings),
+            **self.settings.to_dict(),
             'options': [option.to_dict() for option in self.options],
             'planning': [
                 {'participant': plan.participant, **asdict(plan.row)} for plan in self.plans
@@ -254,7 +254,7 @@ def evaluate(
         work.append((call, f'{name}: {len(demos)} demonstrations', len(demos)))
     for person, action_set in requests:
         taught = [demos for (taught_by, _), demos in groups.items() if taught_by == person]
-        request = PlanRequest(action_set, seed=settings.seed)
+        request = PlanRequest(action_set, game_steps=settings.game_steps, seed=settings.seed)
         plan = partial(_evaluate_plan, taught, domain, request, episodes or judged_by(domain))
         work.append((plan, f'planning with {action_set} actions', math.inf))
     progress(0, len(work), f'{len(demonstrations)} demonstrations')
@@ -420,13 +420,13 @@ def with_games(
     :param known: as of ``evaluate_games``.
     :raises EvaluationError: plans of the domain are exact, or it cannot play many games.
     """
-    domain, people = evaluation.domain, evaluation.people
+    domain, people, settings = evaluation.domain, evaluation.people, evaluation.settings
     check_games(domain)
     found = {}
     for number, person in enumerate(people):
         options = [each.last.option for each in evaluation.of(person)]
         judged = dict(
-            judged_plan(each.plan, each.judged, evaluation.settings.seed)
+            judged_plan(each.plan, each.judged, settings.seed)
             for each in evaluation.plans
             if each.participant == person and isinstance(each.plan, SampledPlan)
         )
@@ -436,7 +436,7 @@ def with_games(
 
         try:
             found[person] = evaluate_games(
-                *(domain, options, evaluation.settings.seed, games),
+                *(domain, options, settings.seed, games, settings.game_steps),
                 progress=report,
                 known={**known, **judged},
             )

@@ -337,7 +337,7 @@ def evaluate_games(
     options: Options,
     seed: int,
     games: int = GAMES,
-    game_steps: int = GAME_STEPS,
+    game_steps: int = 0,
     budgets: Sequence[int] = BUDGETS,
     progress: ProgressCallback = ignore_progress,
     jobs: int = 0,
@@ -348,7 +348,7 @@ def evaluate_games(
 
     :param options: of one participant, learned in ``domain`` or in a variant of it.
     :param games: that each way to play is judged by, two or more.
-    :param game_steps: that the plans which are compared are made from.
+    :param game_steps: that the plans which are compared are made from; 0: as many as is usual.
     :param budgets: of the curves, game steps, ascending.
     :param progress: called as the work goes on; what it raises passes through.
     :param jobs: processes that do the work; 0: one for each core; 1: this one.
@@ -358,8 +358,9 @@ def evaluate_games(
     variants = _variants(domain)
     first, variant = next(iter(variants.items()))
     usual = baselines_of(variant)
-    compared = _compared(variants, options, game_steps)
-    curve = _primitive_plans(variant, budgets, game_steps)
+    steps = game_steps or GAME_STEPS
+    compared = _compared(variants, options, steps)
+    curve = _primitive_plans(variant, budgets, steps)
     plays = _plays(variants, compared, curve, seed, games)
     rows = {key: row for key, row in known.items() if key in plays}
     left = {key: play for key, play in plays.items() if key not in rows}
@@ -394,7 +395,7 @@ def earlier_calls(
     options: Options,
     seed: int,
     games: int = GAMES,
-    game_steps: int = GAME_STEPS,
+    game_steps: int = 0,
     budgets: Sequence[int] = BUDGETS,
 ) -> dict[PlayKey, Callable[[], ComparisonRow]]:
     """
@@ -404,9 +405,9 @@ def earlier_calls(
 
     :param options: the calls need all of them, or some; none: calls that need no options.
     """
-    variants = _variants(domain)
-    curve = _primitive_plans(next(iter(variants.values())), budgets, game_steps)
-    plays = _plays(variants, _compared(variants, options, game_steps), curve, seed, games)
+    variants, steps = _variants(domain), game_steps or GAME_STEPS
+    curve = _primitive_plans(next(iter(variants.values())), budgets, steps)
+    plays = _plays(variants, _compared(variants, options, steps), curve, seed, games)
     return {
         key: partial(play_baseline, variants[name], way, seed, games)
         for key, (name, way) in sorted(plays.items(), key=lambda play: _cost(play[1][1]))

@@ -24,6 +24,7 @@ class Settings:
     thresholds: Thresholds = field(default_factory=Thresholds)
     teacher_error_rate: float | None = None  # None: a person taught
     budget: int = BUDGET  # most start states shown for one option
+    game_steps: int = 0  # that plans are sampled from; 0: as many as is usual
 
     def __post_init__(self) -> None:
         """
@@ -31,8 +32,13 @@ class Settings:
 
         :raises ValueError: one is out of range.
         """
-        if min(self.seed, self.budget) < 0 or not 0 <= (self.teacher_error_rate or 0.0) <= 1:
-            raise ValueError(f'{self}: seed and budget are at least 0, and the rate a share')
+        numbers = self.seed, self.budget, self.game_steps
+        if min(numbers) < 0 or not 0 <= (self.teacher_error_rate or 0.0) <= 1:
+            raise ValueError(f'{self}: a number is below 0, or the rate is no share')
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the settings as JSON data, without the game steps: each plan tells its own."""
+        return {name: value for name, value in asdict(self).items() if name != 'game_steps'}
 
 
 def settings_from_facts(facts: Mapping[str, str]) -> tuple[Settings, list[str]]:
@@ -50,6 +56,8 @@ def settings_from_facts(facts: Mapping[str, str]) -> tuple[Settings, list[str]]:
         'budget': int,
         'teacher_error_rate': lambda text: None if text == 'None' else float(text),
     }
+    if 'game_steps' in facts:  # else as many as is usual
+        parsers['game_steps'] = int
     for name, parse in parsers.items():
         usual = getattr(settings.thresholds if name in limits else settings, name)
         try:

@@ -43,7 +43,7 @@ def summary(live: Live, offline: BagEvaluation, bag: Mapping[str, Any]) -> dict[
     :param offline: learned, planned and played again from the bag alone, which one person taught.
     :param bag: the facts about the recording.
     """
-    settings = asdict(offline.settings)
+    settings = offline.settings.to_dict()
     return {
         'domain': offline.domain.name,
         'seed': settings.pop('seed'),

@@ -83,6 +83,7 @@ class Setup:
     keyboard: bool = False
     record: bool = True
     recording: Recording = field(default_factory=Recording)
+    game_steps: int = 0  # that the command's plans are sampled from; 0: as many as is usual
     bag_name: str = 'bag'
     step_period: float = 0.0  # s between a machine's steps
     diagnostics: bool = False  # a node publishes /diagnostics
@@ -214,6 +215,8 @@ def recorded_facts(setup: Setup) -> dict[str, str]:
         'budget': str(setup.budget),
         'teacher_error_rate': repr(setup.teacher_error_rate if setup.taught else None),
     }
+    if setup.game_steps:
+        facts['game_steps'] = str(setup.game_steps)
     if setup.taught or setup.keyboard:
         facts['participant'] = setup.participant
     if setup.study is not None:

@@ -160,18 +160,22 @@ class GraphClient(NodeBase):
                 raise
             raise LaunchError(f'{error}; not ready: {", ".join(missing)}') from error
 
-    def plan(self, action_set: str, episodes: int, seed: int) -> msg.PlanResult:
+    def plan(
+        self, action_set: str, episodes: int, seed: int, game_steps: int = 0
+    ) -> msg.PlanResult:
         """
         Have the planner plan with the newest options, and judge the plan.
 
         :param episodes: to judge it by; 0: it is not judged.
         :param seed: of what is drawn, for the plan and to judge it.
+        :param game_steps: to sample from; 0: as many as is usual.
         :raises LaunchError: it refused, failed or did not answer.
         """
         goal = Plan.Goal(
             action_set=action_set,
             evaluation_episodes=episodes,
             seed=seed,
+            game_steps=game_steps,
             options_sequence=self.options.sequence if self.options else 0,
         )
         result: msg.PlanResult = self._act(self._plan_client, goal, f'the {action_set} plan')
@@ -179,18 +183,21 @@ class GraphClient(NodeBase):
             raise LaunchError(f'planning with {action_set} failed: {result.detail}')
         return result
 
-    def play(self, action_set: str, episodes: int, seed: int) -> msg.PolicyResult:
+    def play(
+        self, action_set: str, episodes: int, seed: int, game_steps: int = 0
+    ) -> msg.PolicyResult:
         """
         Have the planner play episodes through the option server.
 
         Where it has no plan, or not with the newest options, it plans first.
 
+        :param game_steps: to sample that plan from; 0: as many as is usual.
         :raises LaunchError: it refused, failed or did not answer.
         """
         goal = RunPolicy.Goal(action_set=action_set, episodes=episodes, seed=seed)
         result: msg.PolicyResult = self._act(self._policy_client, goal, 'the episodes')
         if result.status == result.STATUS_NO_PLAN:
-            self.plan(action_set, 0, seed)
+            self.plan(action_set, 0, seed, game_steps)
             result = self._act(self._policy_client, goal, 'the episodes')
         if result.status != msg.PolicyResult.STATUS_DONE:
             raise LaunchError(f'playing by the {action_set} plan failed: {result.detail}')
