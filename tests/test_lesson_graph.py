@@ -401,8 +401,7 @@ def test_what_the_machine_showed_is_told_apart_and_the_bag_learns_the_same(live:
     learned = live.listen(LearnedOptions, 'learned_options', CURRENT)
 
     def watch(steps: int) -> int:
-        nobody = ControlState.HOLDER_NOBODY
-        live.until(lambda: person.latest[ControlState].holder == nobody, 'the lease to end')
+        person.give_back()
         begun = person.ask(BeginDemonstration, start_state=START, watch=True)
         assert begun.status == BeginDemonstration.Response.STATUS_OK, begun.detail
         live.act(

@@ -227,7 +227,7 @@ def test_a_demo_whose_status_is_asked_for_and_that_is_interrupted_stops_everythi
 
     monkeypatch.setenv('ROS_DOMAIN_ID', str(domain_id))
     assert look()[0] == 2
-    command = start('--step-period', 0.1)
+    command = start('--step-period', 0.1, '--budget', 8)  # it soon plays, at a pace
     teach(command, tmp_path)
     found = look_until(0, 0)
     nodes = {node['name']: node for node in found['nodes']}

@@ -19,11 +19,13 @@ from humanopts_interfaces.srv import (
     EndDemonstration,
     ListDemonstrations,
     OpenSession,
+    SetControl,
     WithdrawDemonstration,
 )
 from humanopts_ros.qos import CURRENT, STREAM
 
 from graph_support.live import Graph, LESSON
+from graph_support.player import ME
 
 PICKUP = 'go to passenger and pickup'
 START = 'taxi 0,1 passenger R destination G'
@@ -121,7 +123,7 @@ class Person:
         for action in actions:
             self.keys.publish(
                 ActionCommand(
-                    publisher_id='/person#1',
+                    publisher_id=ME,
                     source=ActionCommand.SOURCE_PERSON,
                     episode=episode,
                     action=action,
@@ -140,6 +142,12 @@ class Person:
         ended = self.end(episode, 2)
         assert ended.status == EndDemonstration.Response.STATUS_OK, ended.detail
         return str(ended.uuid)
+
+    def give_back(self) -> None:
+        """Give control back, and wait until it is free."""
+        self.graph.ask(SetControl, 'set_control', hold=False, holder_id=ME)
+        nobody = ControlState.HOLDER_NOBODY
+        self.graph.until(lambda: self.latest[ControlState].holder == nobody, 'control to be free')
 
     def show(self) -> str:
         """Give a demonstration that a learner counts in; return its uuid."""
