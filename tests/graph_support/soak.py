@@ -238,8 +238,7 @@ class Soak:
         said = len(self.stranger.said)
         name = f'{kind} {node}'
         if kind in ('kill', 'term'):
-            how = signal.SIGKILL if kind == 'kill' else signal.SIGTERM
-            os.kill(self._pid(node), how)
+            self._send(node, signal.SIGKILL if kind == 'kill' else signal.SIGTERM)
             self._until(lambda: len(self._launcher.ends) > ends, f'{name}: its end to be seen')
             told = f'the node {node} ended'
             self._until(
@@ -247,9 +246,8 @@ class Soak:
                 f'{name}: a message on the graph that tells of it',
             )
         elif kind == 'stop':
-            pid, seconds = self._pid(node), self._rng.choice((0.2, 1.0, 3.0))
-            os.kill(pid, signal.SIGSTOP)
-            self.serve(seconds)
+            pid = self._send(node, signal.SIGSTOP)
+            self.serve(self._rng.choice((0.2, 1.0, 3.0)))
             os.kill(pid, signal.SIGCONT)
         elif kind == 'messages':
             topic, type_ = self._rng.choice(self.stranger.topics())
@@ -261,6 +259,15 @@ class Soak:
             name = 'garbage calls'
             self._call(calls)
         self._recover(name, before, began)
+
+    def _send(self, node: str, how: signal.Signals) -> int:
+        """Send a signal to a node, and return its process; it may have ended just now."""
+        while True:
+            pid = self._pid(node)
+            with suppress(ProcessLookupError):
+                os.kill(pid, how)
+                return pid
+            self.serve(0.1)
 
     def _call(self, count: int) -> None:
         service, type_ = self._rng.choice(self.stranger.services())

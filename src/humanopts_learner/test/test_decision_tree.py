@@ -200,6 +200,20 @@ def test_a_tree_is_fitted_without_pandas_and_statistics_which_can_be_used_afterw
     assert subprocess.run([sys.executable, '-c', code], check=False).returncode == 0
 
 
+def test_modules_can_be_looked_through_while_scikit_learn_is_imported() -> None:
+    """As the logger of rclpy does in another thread."""
+    code = (
+        'import inspect, sys; from humanopts_learner.options.decision_tree import *\n'
+        'looked = []\n'
+        'def look(event, words):\n'
+        '    if event == "import" and words[0] == "sklearn.tree._classes":\n'
+        '        assert "scipy.stats" in sys.modules\n'
+        '        looked.append(inspect.getmodule(sys._getframe(), "nowhere"))\n'
+        'sys.addaudithook(look); import_scikit_learn(); assert looked'
+    )
+    assert subprocess.run([sys.executable, '-c', code], check=False).returncode == 0
+
+
 DOMAIN = PacMan()
 # ordinal and nominal features
 FEATURES = ('pacman_row', 'food_direction', 'food_distance', 'danger_distance', 'ate')

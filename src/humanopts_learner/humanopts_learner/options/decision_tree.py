@@ -289,6 +289,8 @@ class _Postponed(ModuleType):
     """Stands for a module while others import functions of it; it is imported when one is used."""
 
     def __getattr__(self, name: str) -> Any:
+        if name.startswith('__'):  # it has no file, which loggers of other threads look for
+            raise AttributeError(name)
         if sys.modules.get(self.__name__) is not self:
             return getattr(import_module(self.__name__), name)
 
