@@ -18,9 +18,9 @@ PURE := $(shell find src -name '*.py' -path '*/humanopts_*/humanopts_*') \
   $(wildcard experiments/*.py benchmarks/*.py)
 CHECKED := conftest.py src experiments benchmarks tests tools examples
 WITH_ROS := root=$(CURDIR); . tools/environment.sh; ROS_PYTHON_CHECK_FIELDS=1
-# Three processes, each with a file of tests at a time: while one waits for its graph, others compute.
+# Four processes, each with a file of tests at a time: while some wait for their graphs, others compute.
 SIDE_BY_SIDE := OMP_NUM_THREADS=1 $(VENV)/bin/python -m pytest \
-  -n 3 --dist loadfile --no-loadscope-reorder
+  -n 4 --dist loadfile --no-loadscope-reorder
 COMPILE := build/lock/bin/uv pip compile --universal --python-version 3.11 --generate-hashes \
   --no-emit-index-url --no-header --quiet
 SHELL := /bin/bash
