@@ -29,6 +29,7 @@ from humanopts_teach.bags.reader import open_bag
 import psutil
 import pytest
 import rclpy
+from rclpy.clock import ClockType
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
@@ -124,6 +125,15 @@ def test_a_timer_whose_next_call_was_put_off_is_called_after_its_period(live: Gr
     assert left(late) <= 60.0
     assert left(right) < before
     assert stopped.is_canceled()
+
+
+def test_no_timer_waits_for_the_time_of_day(live: Graph) -> None:
+    live.start(GAME)
+    live.start(LESSON)
+    live.ready('/game', '/lesson')
+    timers = [t for name in ('/game', '/lesson') for t in live.node_called(name).timers]
+    assert len(timers) > 8
+    assert {t.clock.clock_type for t in timers} == {ClockType.STEADY_TIME}
 
 
 def test_a_node_that_cannot_start_says_so_in_one_line_and_ends_with_2(shared: Graph) -> None:

@@ -1,8 +1,9 @@
 """
 A long lesson among random faults: ``make soak SECONDS=600 SEED=1``.
 
-Nodes are killed, ended and stopped at random moments, and garbage is sent on every topic, service
-and action. After each fault the lesson must go on. At the end nothing that was shown may be lost
+Nodes are killed, ended and stopped at random moments, the time of their machine is set, its disk is
+slow for a while, and garbage is sent on every topic, service and action. After each fault the
+lesson must go on. At the end nothing that was shown may be lost
 and no action applied twice. A table says what was done and what came of it.
 
 ``make soak SECONDS=3600 ARGS='--faults 0'`` does nothing to it: each minute a person teaches, and
@@ -23,6 +24,7 @@ import sys
 import tempfile
 import time
 from typing import Any
+from unittest.mock import patch
 
 from humanopts_env.domains.registry import make_domain
 from humanopts_interfaces.msg import GameState, NodeStatus
@@ -49,6 +51,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from graph_support.garbage import Garbage
 from graph_support.live import free_domain_id
+from graph_support.machine import Machine
 
 OPTIONS = ('go to passenger and pickup', 'go to destination and dropoff')
 SETTLE = 30.0  # s for the lesson to take its usual memory, and to give back what it took more
@@ -56,6 +59,7 @@ TURN = 60.0  # s for each person, where there are no faults
 EPISODES = 20  # that the machine plays then
 WARM = 1 / 6  # share of the turns until memory is compared
 RECOVERY = 60.0  # s until all nodes are ready and another demonstration is kept
+SETTINGS = (-3600.0, -10.0, -0.3, 0.3, 10.0, 3600.0)  # s by which the time of day is set
 ANSWER = 40.0  # s for a call of garbage to be answered; a node may wait 15 s for others
 OURS = 'soak'  # the node that sends garbage
 _LATCHED = {
@@ -215,7 +219,10 @@ class Stranger:
 class Soak:
     """A launch under random faults."""
 
-    def __init__(self, running: Session, rng: random.Random, outcome: Outcome) -> None:
+    def __init__(
+        self, running: Session, machine: Machine, rng: random.Random, outcome: Outcome
+    ) -> None:
+        self._machine = machine
         self._running, self._graph, self._launcher = running, running.graph, running.launcher
         self._rng, self._outcome = rng, outcome
         self.stranger = Stranger(random.Random(rng.random()))
@@ -249,6 +256,14 @@ class Soak:
             pid = self._send(node, signal.SIGSTOP)
             self.serve(self._rng.choice((0.2, 1.0, 3.0)))
             os.kill(pid, signal.SIGCONT)
+        elif kind == 'clock':
+            name = kind
+            self._machine.set_time(self._rng.choice(SETTINGS))
+        elif kind == 'disk':
+            name = kind
+            self._machine.slow_disk(self._rng.choice((0.01, 0.1, 1.0)))
+            self.serve(3.0)
+            self._machine.slow_disk(0.0)
         elif kind == 'messages':
             topic, type_ = self._rng.choice(self.stranger.topics())
             name = 'garbage messages'
@@ -458,8 +473,12 @@ def lesson(
         step_period=step_period,
     )
     said: list[str] = []
-    with session(setup, '/', report=said.append, restarts=10**9) as running:
-        soak = Soak(running, rng, outcome)
+    machine = Machine(folder)
+    with (
+        patch.dict(os.environ, machine.environment),
+        session(setup, '/', report=said.append, restarts=10**9) as running,
+    ):
+        soak = Soak(running, machine, rng, outcome)
         soak.told = said
         try:
             yield soak
@@ -468,6 +487,8 @@ def lesson(
     outcome.violations += [f'at the end: {problem}' for problem in running.unclean]
     for bag in running.bags:
         found = check_bag(open_bag(bag))
+        late = [s for s in found.streams if s.late and s.publisher.startswith('/game#')]
+        outcome.violations += [f'{bag.name}: {s.late} on {s.topic} out of order' for s in late]
         ours = [s for s in found.streams if s.duplicates and s.topic == '/game_state']
         real = [
             s for s in ours if s.publisher.startswith('/game#') and 'garbage' not in s.publisher
@@ -589,7 +610,7 @@ def ending(outcome: Outcome) -> list[str]:
     return [*lines, *(f'VIOLATION: {text}' for text in outcome.violations)]
 
 
-KINDS = ('kill', 'kill', 'term', 'stop')
+KINDS = ('kill', 'kill', 'term', 'stop', 'clock', 'disk')
 GARBAGE = ('messages', 'messages', 'calls')
 
 

@@ -18,6 +18,7 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.action.server import ActionServer, CancelResponse, ServerGoalHandle
 from rclpy.callback_groups import CallbackGroup, ReentrantCallbackGroup
 from rclpy.client import Client
+from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import InvalidHandle, ParameterException
 from rclpy.executors import Executor, ExternalShutdownException
 from rclpy.impl.rcutils_logger import RcutilsLogger
@@ -41,6 +42,7 @@ _REMARK_PERIOD = 1.0  # s between statuses that differ in what was refused or fa
 _PROVISION = 5.0  # s that a request waits until the node is ready for it
 _LATE = 5.0  # s after which a node that still starts says what it waits for
 _CHECK_PERIOD = 0.02  # s between checks while a node starts or ends, or a coroutine waits
+_STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 
 
 T = TypeVar('T')
@@ -155,7 +157,7 @@ class NodeBase(Node):
         self.set_status(NodeStatus.STATE_STARTING)
         self.waiting = Waiting(self, monotonic)  # of this node's coroutines
         # An error while the node starts ends it.
-        self._start_timer = super().create_timer(_CHECK_PERIOD, self._try_start)
+        self._start_timer = super().create_timer(_CHECK_PERIOD, self._try_start, clock=_STEADY)
         self._begun = monotonic()
         self._start_fault: Exception | None = None
 
@@ -169,9 +171,9 @@ class NodeBase(Node):
     def create_timer(
         self, timer_period_sec: float, callback: Callable[..., Any], *args: Any, **options: Any
     ) -> Timer:
-        """Create a timer as rclpy does, with a guarded callback."""
+        """Create a timer as rclpy does, with a guarded callback, that no set time of day moves."""
         guarded = self.guard.guarded(callback)
-        return super().create_timer(timer_period_sec, guarded, *args, **options)
+        return super().create_timer(timer_period_sec, guarded, *args, clock=_STEADY, **options)
 
     def create_subscription(
         self,

@@ -77,8 +77,8 @@ class GraphClient(NodeBase):
         self.duplicates: set[str] = set()
         self.restarts: Counter[str] = Counter()
         self._ended: dict[str, float] = {}  # when each node ended last, s
-        self._ended_at: dict[str, tuple[int, int]] = {}  # the same by the clock, s and ns
         self._gone: set[str] = set()  # publisher_ids of processes that have ended
+        self._unheard: Counter[str] = Counter()  # processes of a name that ended before one came
         self._resent = 0  # sequence of the lesson's status from which all is in the newest bag
         self._awaited: set[str] = set()  # nodes of this launch; others may be started again
         self.feedback: Any = None
@@ -328,9 +328,10 @@ class GraphClient(NodeBase):
         node = self.full_name(end.node)
         self.restarts[node] += end.again
         self._ended[node] = time.monotonic()
-        self._ended_at[node] = self.get_clock().now().seconds_nanoseconds()
         if (known := self.statuses.pop(node, None)) is not None:
             self._gone.add(known.publisher_id)
+        else:
+            self._unheard[node] += 1
         lesson = self.statuses.get(self.full_name(LESSON))
         if end.node == LESSON:  # the next one sends everything
             self._resent = min(self._resent, 1)
@@ -347,12 +348,11 @@ class GraphClient(NodeBase):
         if status.publisher_id in self._gone or signer(status.publisher_id) != node:
             return
         if status.publisher_id != known.publisher_id:
-            # What was sent before the node ended last is of the process that ended.
-            sent = known.header.stamp.sec, known.header.stamp.nanosec
-            ended = known.state == known.STATE_STOPPING or sent < self._ended_at.get(node, (0, 0))
-            if not ended:  # two processes sign with the name, or somebody claims to be it
-                self.duplicates.add(node)
+            stopping = known.state == known.STATE_STOPPING
+            if not stopping and not self._unheard[node]:
+                self.duplicates.add(node)  # two processes sign with it, or somebody claims to be it
                 return
+            self._unheard[node] -= not stopping  # the known one had ended before it was heard
             self._gone.add(known.publisher_id)
         self.statuses[node] = status
 

@@ -152,8 +152,8 @@ class _Probe:
             return
         name = status.node.rpartition('/')[2]
         known = self._statuses.get(name)
-        stamps = [(s.header.stamp.sec, s.header.stamp.nanosec) for s in (status, known or status)]
-        if stamps[0] >= stamps[1]:
+        same = known is None or status.publisher_id == known.publisher_id
+        if same or status.state != status.STATE_STOPPING:  # another process has the name now
             self._statuses[name] = status
 
     def _status(self, name: str) -> msg.NodeStatus:

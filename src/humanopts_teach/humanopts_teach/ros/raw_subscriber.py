@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 from humanopts_ros.polled import never_called, Polled
 from humanopts_ros.recording import Selection
+from humanopts_teach.bags.arrival_times import ArrivalTimes
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
@@ -21,7 +22,7 @@ _AT_ONCE = 2000  # messages taken from one topic before the next has its turn
 class Taken(NamedTuple):
     """One message as it arrived."""
 
-    received: int  # ns since the epoch, by the middleware
+    received: int  # ns since the epoch, by a clock that nobody sets
     sent: int  # ns since the epoch, by the middleware of the sender
     topic: str
     data: bytes  # CDR
@@ -52,9 +53,12 @@ class RawSubscriber:
 
     All queued messages are taken together, many times a second, which costs less than a twentieth
     of what an executor does with them.
+
+    :ivar times: of the arrivals.
     """
 
     def __init__(self, node: Node, selection: Selection) -> None:
+        self.times = ArrivalTimes()
         self._node = node
         self._selection = selection
         self._group = Polled()
@@ -89,6 +93,8 @@ class RawSubscriber:
         batch, self._left = self._left, []
         for each in self._subscriptions.values():
             batch += _take(each, each.subscription)
+        self.times.look()
+        batch = [taken._replace(received=self.times.of(taken.topic, taken.received)) for taken in batch]
         batch.sort(key=attrgetter('received'))
         return batch
 

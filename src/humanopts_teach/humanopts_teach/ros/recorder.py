@@ -199,7 +199,7 @@ class Recorder(NodeBase):
     def _take(self) -> None:
         """Record what has arrived."""
         batch = self._subscriber.take()
-        waited = (time.time_ns() - batch[0].received) / _NS if batch else 0.0
+        waited = (self._subscriber.times.now - batch[0].received) / _NS if batch else 0.0
         self._lag.add(time.monotonic(), waited)
         busy = self._record(batch)
         if busy and self._unflushed:  # so that the bag opens, however soon the recorder is killed

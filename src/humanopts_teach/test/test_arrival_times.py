@@ -1,0 +1,75 @@
+"""When messages arrived, while somebody sets the time of day."""
+
+from dataclasses import dataclass
+
+from humanopts_teach.bags.arrival_times import ArrivalTimes
+from hypothesis import given, strategies as st
+
+S, MS = 10**9, 10**6
+BEGUN = 1_700_000_000 * S  # the time of day
+
+
+@dataclass
+class Clocks:
+    """Of a machine whose time of day somebody sets."""
+
+    elapsed: int = 5 * S
+    day: int = BEGUN - 5 * S
+    slow: int = 0  # ns that it takes to read the time of day
+
+    def time_of_day(self) -> int:
+        self.elapsed += self.slow
+        return self.day + self.elapsed
+
+    def steady(self) -> int:
+        return self.elapsed
+
+
+SETTINGS = st.one_of(
+    st.just(0), st.integers(2 * MS, 7200 * S), st.integers(2 * MS, 7200 * S).map(lambda ns: -ns)
+)
+
+
+@given(st.lists(st.tuples(SETTINGS, st.integers(1, 20 * MS), st.integers(1, 20 * MS)), max_size=8))
+def test_times_go_on_from_the_time_of_day_at_the_start(looks: list[tuple[int, int, int]]) -> None:
+    clocks = Clocks()
+    times = ArrivalTimes(clocks.time_of_day, clocks.steady)
+    last = 0
+    for setting, before, after in looks:
+        clocks.elapsed += before
+        first = clocks.time_of_day(), clocks.elapsed
+        clocks.day += setting
+        clocks.elapsed += after
+        second = clocks.time_of_day(), clocks.elapsed
+        times.look()
+        assert times.now == BEGUN - 5 * S + clocks.elapsed
+        told = [times.of('/a', received) for received, _ in (first, second)]
+        assert last <= told[0] <= told[1] <= times.now
+        last = told[1]
+        if setting == 0 or abs(setting) > before + after:
+            assert told == [BEGUN - 5 * S + elapsed for _, elapsed in (first, second)]
+
+
+def test_a_slow_look_is_not_taken_for_a_setting() -> None:
+    clocks = Clocks()
+    times = ArrivalTimes(clocks.time_of_day, clocks.steady)
+    clocks.slow = 3 * S
+    times.look()
+    clocks.slow = 0
+    received = clocks.time_of_day()
+    times.look()
+    assert times.of('/a', received) == received
+
+
+def test_what_was_left_from_an_earlier_look_keeps_its_time() -> None:
+    clocks = Clocks()
+    times = ArrivalTimes(clocks.time_of_day, clocks.steady)
+    received = clocks.time_of_day()
+    for _ in range(3):
+        clocks.elapsed += S
+        times.look()
+    assert times.of('/a', received) == received
+    clocks.day -= 3600 * S
+    clocks.elapsed += S
+    times.look()
+    assert times.of('/b', received) == received
