@@ -2,19 +2,26 @@
  * Preloaded into processes: somebody sets the time of their machine, and its disk is slow.
  *
  * The file that MACHINE names holds two 64-bit numbers: what is added to the time of day, ns, and
- * how long each write to a file takes longer, us.
+ * how long each write to a file takes longer, us. Waits until a time of day end when it has come by
+ * the clock that was set, as those of a real machine do.
  */
 #define _GNU_SOURCE
 #include <dlfcn.h>
+#include <errno.h>
 #include <fcntl.h>
+#include <pthread.h>
 #include <stdint.h>
 #include <stdlib.h>
 #include <sys/mman.h>
 #include <sys/stat.h>
+#include <sys/time.h>
 #include <time.h>
 #include <unistd.h>
 
 #define REAL(name) ((__typeof__(&name))dlsym(RTLD_NEXT, #name))
+#define S INT64_C(1000000000)
+#define LOOK (S / 50)  // ns between looks at the clock while something waits
+#define MONOTONIC_CONDITION 2  // flag of a condition variable that waits by that clock, in glibc
 
 struct machine {
   int64_t set_ns;
@@ -32,15 +39,50 @@ __attribute__((constructor)) static void begin(void) {
   close(file);
 }
 
+static int64_t ns(const struct timespec *time) { return time->tv_sec * S + time->tv_nsec; }
+
+static struct timespec timespec(int64_t ns) { return (struct timespec){ns / S, ns % S}; }
+
 int clock_gettime(clockid_t clock, struct timespec *now) {
   static __typeof__(&clock_gettime) real;
   if (real == NULL) real = REAL(clock_gettime);
   int failed = real(clock, now);
-  if (failed || (clock != CLOCK_REALTIME && clock != CLOCK_REALTIME_COARSE)) return failed;
-  int64_t set = now->tv_sec * INT64_C(1000000000) + now->tv_nsec + machine->set_ns;
-  now->tv_sec = set / 1000000000;
-  now->tv_nsec = set % 1000000000;
+  if (!failed && (clock == CLOCK_REALTIME || clock == CLOCK_REALTIME_COARSE))
+    *now = timespec(ns(now) + machine->set_ns);
+  return failed;
+}
+
+static int64_t now(clockid_t clock) {
+  struct timespec now;
+  clock_gettime(clock, &now);
+  return ns(&now);
+}
+
+int gettimeofday(struct timeval *restrict time, void *restrict zone) {
+  int64_t day = now(CLOCK_REALTIME);
+  time->tv_sec = day / S;
+  time->tv_usec = day % S / 1000;
   return 0;
+}
+
+/* Returns until when to wait before the next look at the clock. */
+static struct timespec look(const struct timespec *until) {
+  int64_t left = ns(until) - now(CLOCK_REALTIME);
+  return timespec(now(CLOCK_MONOTONIC) + (left < LOOK ? left : LOOK));
+}
+
+static int passed(const struct timespec *until) { return now(CLOCK_REALTIME) >= ns(until); }
+
+int pthread_cond_timedwait(
+    pthread_cond_t *restrict condition, pthread_mutex_t *restrict mutex,
+    const struct timespec *restrict until) {
+  if (condition->__data.__wrefs & MONOTONIC_CONDITION)
+    return pthread_cond_clockwait(condition, mutex, CLOCK_MONOTONIC, until);
+  for (;;) {
+    struct timespec next = look(until);
+    int failed = pthread_cond_clockwait(condition, mutex, CLOCK_MONOTONIC, &next);
+    if (failed != ETIMEDOUT || passed(until)) return failed;
+  }
 }
 
 static void wait_for_disk(int file) {

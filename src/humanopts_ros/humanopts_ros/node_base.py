@@ -5,6 +5,7 @@ from contextlib import suppress
 from dataclasses import replace
 import functools
 from itertools import chain
+import threading
 import time
 from typing import Any, TypeVar
 import uuid
@@ -14,6 +15,7 @@ from humanopts_ros.guard import Guard
 from humanopts_ros.publisher import M, PublishError, signer, StampedPublisher
 from humanopts_ros.qos import ACTION, LATCHED, SERVICE, STREAM
 from humanopts_ros.recording import Selection
+from humanopts_ros.time_of_day import TimeOfDay
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.action.server import ActionServer, CancelResponse, ServerGoalHandle
 from rclpy.callback_groups import CallbackGroup, ReentrantCallbackGroup
@@ -42,6 +44,7 @@ _REMARK_PERIOD = 1.0  # s between statuses that differ in what was refused or fa
 _PROVISION = 5.0  # s that a request waits until the node is ready for it
 _LATE = 5.0  # s after which a node that still starts says what it waits for
 _CHECK_PERIOD = 0.02  # s between checks while a node starts or ends, or a coroutine waits
+_TIME_PERIOD = 0.5  # s between looks at the time of day
 _STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 
 
@@ -160,12 +163,15 @@ class NodeBase(Node):
         self._start_timer = super().create_timer(_CHECK_PERIOD, self._try_start, clock=_STEADY)
         self._begun = monotonic()
         self._start_fault: Exception | None = None
+        self._destroyed = threading.Event()
+        threading.Thread(target=self._watch_time, daemon=True).start()
 
     def get_logger(self) -> RcutilsLogger:
         logger: RcutilsLogger = super().get_logger()  # type: ignore[no-untyped-call]
         return logger
 
     def destroy_node(self) -> None:
+        self._destroyed.set()
         super().destroy_node()  # type: ignore[no-untyped-call]
 
     def create_timer(
@@ -536,6 +542,23 @@ class NodeBase(Node):
             self._remark_timer.cancel()
         else:
             self.publish_status_again()
+
+    def _watch_time(self) -> None:
+        """
+        Go on although somebody sets the time of day.
+
+        Fast DDS as it is in wheels waits until a time of day. Where that is set back, what it waits
+        for in vain would hold up the node for as long.
+        """
+        time_of_day = TimeOfDay()
+        while not self._destroyed.wait(_TIME_PERIOD):
+            if (by := time_of_day.look()) and (executor := self.executor) is not None:
+                with suppress(InvalidHandle):  # it was shut down just now
+                    executor.create_task(self.guard.guarded(self._on_time_set), by / 1e9)
+
+    def _on_time_set(self, seconds: float) -> None:
+        self.get_logger().warning(f'somebody set the time of day by {seconds:+.3f} s')
+        self.publish_status_again()  # what is sent wakes the middleware's own threads, too
 
     def _try_start(self) -> None:
         try:

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from humanopts_ros.time_of_day import TimeOfDay
 from humanopts_teach.bags.arrival_times import ArrivalTimes
 from hypothesis import given, strategies as st
 
@@ -33,7 +34,7 @@ SETTINGS = st.one_of(
 @given(st.lists(st.tuples(SETTINGS, st.integers(1, 20 * MS), st.integers(1, 20 * MS)), max_size=8))
 def test_times_go_on_from_the_time_of_day_at_the_start(looks: list[tuple[int, int, int]]) -> None:
     clocks = Clocks()
-    times = ArrivalTimes(clocks.time_of_day, clocks.steady)
+    times = ArrivalTimes(TimeOfDay(clocks.time_of_day, clocks.steady))
     last = 0
     for setting, before, after in looks:
         clocks.elapsed += before
@@ -52,7 +53,7 @@ def test_times_go_on_from_the_time_of_day_at_the_start(looks: list[tuple[int, in
 
 def test_a_slow_look_is_not_taken_for_a_setting() -> None:
     clocks = Clocks()
-    times = ArrivalTimes(clocks.time_of_day, clocks.steady)
+    times = ArrivalTimes(TimeOfDay(clocks.time_of_day, clocks.steady))
     clocks.slow = 3 * S
     times.look()
     clocks.slow = 0
@@ -63,7 +64,7 @@ def test_a_slow_look_is_not_taken_for_a_setting() -> None:
 
 def test_what_was_left_from_an_earlier_look_keeps_its_time() -> None:
     clocks = Clocks()
-    times = ArrivalTimes(clocks.time_of_day, clocks.steady)
+    times = ArrivalTimes(TimeOfDay(clocks.time_of_day, clocks.steady))
     received = clocks.time_of_day()
     for _ in range(3):
         clocks.elapsed += S

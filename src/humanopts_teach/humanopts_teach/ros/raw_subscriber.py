@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 from humanopts_ros.polled import never_called, Polled
 from humanopts_ros.recording import Selection
+from humanopts_ros.time_of_day import TimeOfDay
 from humanopts_teach.bags.arrival_times import ArrivalTimes
 from rclpy.duration import Duration
 from rclpy.node import Node
@@ -58,7 +59,7 @@ class RawSubscriber:
     """
 
     def __init__(self, node: Node, selection: Selection) -> None:
-        self.times = ArrivalTimes()
+        self.times = ArrivalTimes(TimeOfDay())
         self._node = node
         self._selection = selection
         self._group = Polled()
