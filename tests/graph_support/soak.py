@@ -2,9 +2,10 @@
 A long lesson among random faults: ``make soak SECONDS=600 SEED=1``.
 
 Nodes are killed, ended and stopped at random moments, the time of their machine is set, its disk is
-slow for a while, and garbage is sent on every topic, service and action. After each fault the
-lesson must go on. At the end nothing that was shown may be lost
-and no action applied twice. A table says what was done and what came of it.
+slow for a while, their files get lines that are none, their parameters are set to what they cannot
+be, and garbage is sent on every topic, service and action. After each fault the lesson must go on.
+At the end nothing that was shown may be lost and no action applied twice. A table says what was
+done and what came of it.
 
 ``make soak SECONDS=3600 ARGS='--faults 0'`` does nothing to it: each minute a person teaches, and
 the machine plans and plays. It says what each node costs.
@@ -15,6 +16,7 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+import math
 import os
 from pathlib import Path
 import random
@@ -42,11 +44,13 @@ from humanopts_teach.launching.restarts import RestartPolicy
 from humanopts_teach.lesson.store import entry_from_line
 from humanopts_teach.ros.raw_subscriber import load_type
 import psutil
+from rcl_interfaces.srv import ListParameters, SetParameters
 import rclpy
 from rclpy.action import ActionClient
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
 from graph_support.garbage import Garbage
@@ -67,7 +71,7 @@ _LATCHED = {
     'learned_options', 'automatic_options', 'execution', 'option_values', 'node_status',
     'recorder_status',
 }  # fmt: skip
-_CANCEL = ('plan', 'extract_options', 'run_policy', 'execute_option')
+IMPOSSIBLE = (math.nan, -math.inf, [1, 2], 'x' * 20_000)  # values of no parameter
 
 
 @dataclass
@@ -130,6 +134,10 @@ class Stranger:
         return sorted(
             (n, t[0]) for n, t in found if t[0].startswith('humanopts') and '/_' not in n
         )
+
+    def bytes(self) -> bytes:
+        """Return bytes that are no message of any type."""
+        return self._garbage.raw()
 
     def services(self) -> list[tuple[str, str]]:
         """Return the services and actions of the graph and their types."""
@@ -231,6 +239,7 @@ class Soak:
         self.verbose = False  # a line is printed for each fault
         self._participants, self._replaced = 1, set[int]()  # processes of those who are done
         self._last = ''  # what garbage was sent last
+        self._next: list[str] = []  # kinds of faults
 
     def shown(self) -> list[Demonstration]:
         """Return the demonstrations on disk, without those that were taken back."""
@@ -239,13 +248,19 @@ class Soak:
     def fault(self, kinds: Sequence[str], messages: int, calls: int) -> None:
         """Do one thing at random, and wait until the lesson goes on."""
         self.serve(self._rng.uniform(0.0, 1.0))
-        kind, node = self._rng.choice(kinds), self._rng.choice(self.names)
+        if not self._next:  # each kind comes as often as it is given
+            self._next = self._rng.sample(kinds, len(kinds))
+        kind, node = self._next.pop(), self._rng.choice(self.names)
         self._until(lambda: self._runs(node), f'{node} to run')
         before, ends, began = len(self.shown()), len(self._launcher.ends), time.monotonic()
         said = len(self.stranger.said)
         name = f'{kind} {node}'
-        if kind in ('kill', 'term'):
-            self._send(node, signal.SIGKILL if kind == 'kill' else signal.SIGTERM)
+        if kind == 'files':
+            node = self._rng.choice(('lesson', 'learner'))
+            name = f'files of {node}'
+            self._spoil(node)
+        if kind in ('kill', 'term', 'files'):
+            self._send(node, signal.SIGTERM if kind == 'term' else signal.SIGKILL)
             self._until(lambda: len(self._launcher.ends) > ends, f'{name}: its end to be seen')
             told = f'the node {node} ended'
             self._until(
@@ -264,6 +279,9 @@ class Soak:
             self._machine.slow_disk(self._rng.choice((0.01, 0.1, 1.0)))
             self.serve(3.0)
             self._machine.slow_disk(0.0)
+        elif kind == 'settings':
+            name = kind
+            self._set(node)
         elif kind == 'messages':
             topic, type_ = self._rng.choice(self.stranger.topics())
             name = 'garbage messages'
@@ -283,6 +301,36 @@ class Soak:
                 os.kill(pid, how)
                 return pid
             self.serve(0.1)
+
+    def _spoil(self, node: str) -> None:
+        """Add a line that is no entry to a file that the node reads when it is started again."""
+        out = self._running.setup.directory
+        folder = out / ('demonstrations' if node == 'lesson' else 'options')
+        file = self._rng.choice(sorted(folder.glob('*.jsonl')))
+        entry = self._rng.choice(file.read_bytes().splitlines())
+        cut = entry[: self._rng.randrange(len(entry))]
+        line = self._rng.choice((cut, b'[' * 100_000, b'{"entry": 5}', self.stranger.bytes()))
+        with file.open('ab', buffering=0) as opened:
+            opened.write(line.replace(b'\n', b'') + b'\n')
+
+    def _set(self, node: str) -> None:
+        """Set every parameter of a node to what it cannot be; each must be refused with a reason."""
+        value = self._rng.choice(IMPOSSIBLE)
+        names = self._ask(ListParameters, f'/{node}/list_parameters').result.names
+        wanted = [Parameter(name, value=value).to_parameter_msg() for name in names]
+        answer = self._ask(SetParameters, f'/{node}/set_parameters', parameters=wanted)
+        for name, result in zip(names, answer.results, strict=True):
+            if result.successful or not result.reason:
+                self._violate(f'{name} of {node} was set to {str(value)[:20]}')
+
+    def _ask(self, kind: Any, service: str, **fields: Any) -> Any:
+        """Return the response of a service of the graph."""
+        client = self.stranger.node.create_client(kind, service)
+        self._until(client.service_is_ready, f'{service} to be there')
+        future = client.call_async(kind.Request(**fields))
+        self._until(future.done, f'an answer of {service}', ANSWER)
+        self.stranger.node.destroy_client(client)
+        return future.result()
 
     def _call(self, count: int) -> None:
         service, type_ = self._rng.choice(self.stranger.services())
@@ -437,9 +485,11 @@ def on_disk(folder: Path) -> list[Demonstration]:
     """Return the demonstrations in the files of the lesson or of the learner that count."""
     found: dict[str, Demonstration] = {}
     for file in sorted(folder.glob('*.jsonl')):
-        for line in file.read_text('utf-8').splitlines(keepends=True):
+        for line in file.read_bytes().decode(errors='replace').split('\n')[:-1]:
             read = entry_from_line if '"entry"' in line else Demonstration.from_json
-            entry = read(line) if line.endswith('\n') else None
+            entry = None
+            with suppress(ValueError):  # a line that was spoilt
+                entry = read(line)
             if isinstance(entry, Demonstration):
                 found[entry.uuid] = entry
     return [demo for demo in found.values() if not demo.withdrawn]
@@ -610,7 +660,7 @@ def ending(outcome: Outcome) -> list[str]:
     return [*lines, *(f'VIOLATION: {text}' for text in outcome.violations)]
 
 
-KINDS = ('kill', 'kill', 'term', 'stop', 'clock', 'disk')
+KINDS = ('kill', 'kill', 'term', 'stop', 'clock', 'disk', 'files', 'settings')
 GARBAGE = ('messages', 'messages', 'calls')
 
 
