@@ -37,7 +37,7 @@ help:
 	@echo 'make test-hosts  run those over two hosts, in namespaces of this machine, whose cable is pulled'
 	@echo 'make test-stress  run the tests of the graph ten times while all cores are busy and nodes are'
 	@echo '             found late (ROUNDS=, SEED=, LIMIT= in seconds, ARGS= for files)'
-	@echo 'make soak    a long lesson while nodes are killed and garbage is sent (SECONDS=, SEED=)'
+	@echo 'make soak    a long lesson among random faults and garbage (SECONDS=, SEED=)'
 	@echo 'make lint    ruff, mypy --strict, rosdep keys and pages of the packages'
 	@echo 'make docs    build the documentation as a site, build/site/index.html'
 	@echo 'make screens take the pictures of all screens of the dialogue, docs/reference/screens.md'

@@ -19,6 +19,7 @@ from graph_support.live import (
     RECORDER,
     TEACHER,
 )
+from graph_support.machine import Machine
 from humanopts_interfaces.msg import GameState, LearningStatus, NodeStatus
 from humanopts_interfaces.srv import SetPace
 from humanopts_ros.node_base import NodeBase
@@ -28,8 +29,9 @@ from humanopts_ros.qos import CURRENT, LATCHED
 from humanopts_teach.bags.reader import open_bag
 import psutil
 import pytest
+from rcl_interfaces.msg import Log
 import rclpy
-from rclpy.clock import ClockType
+from rclpy.clock_type import ClockType
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
@@ -134,6 +136,27 @@ def test_no_timer_waits_for_the_time_of_day(live: Graph) -> None:
     timers = [t for name in ('/game', '/lesson') for t in live.node_called(name).timers]
     assert len(timers) > 8
     assert {t.clock.clock_type for t in timers} == {ClockType.STEADY_TIME}
+
+
+def test_a_node_goes_on_and_ends_although_the_time_of_day_is_set_back(
+    live: Graph, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    machine = Machine(tmp_path)
+    for name, value in machine.environment.items():
+        monkeypatch.setenv(name, value)
+    said = live.listen(Log, '/rosout', LATCHED)
+    game = live.spawn(GAME)
+    planner = live.spawn(PLANNER)  # it has no timer
+    live.ready('/game', '/planner')
+    machine.set_time(-3600.0)
+    live.until(
+        lambda: (
+            {m.name for m in said if 'set the time of day by -3600.' in m.msg}
+            >= {'game', 'planner'}
+        ),
+        'both to tell it',
+    )
+    assert {game.kill(signal.SIGTERM), planner.kill(signal.SIGTERM)} == {0}
 
 
 def test_a_node_that_cannot_start_says_so_in_one_line_and_ends_with_2(shared: Graph) -> None:

@@ -1,11 +1,11 @@
 """
 A long lesson among random faults: ``make soak SECONDS=600 SEED=1``.
 
-Nodes are killed, ended and stopped at random moments, the time of their machine is set, its disk is
-slow for a while, their files get lines that are none, their parameters are set to what they cannot
-be, and garbage is sent on every topic, service and action. After each fault the lesson must go on.
-At the end nothing that was shown may be lost and no action applied twice. A table says what was
-done and what came of it.
+Nodes are killed, ended and stopped at random moments, the time of their machine is set, its disk
+is slow for a while, their files get lines that are none, their parameters are set to what they
+cannot be, and garbage is sent on every topic, service and action. After each fault the lesson must
+go on. At the end nothing that was shown may be lost and no action applied twice. A table says what
+was done and what came of it.
 
 ``make soak SECONDS=3600 ARGS='--faults 0'`` does nothing to it: each minute a person teaches, and
 the machine plans and plays. It says what each node costs.
@@ -314,7 +314,7 @@ class Soak:
             opened.write(line.replace(b'\n', b'') + b'\n')
 
     def _set(self, node: str) -> None:
-        """Set every parameter of a node to what it cannot be; each must be refused with a reason."""
+        """Set every parameter of a node to what it cannot be; each must be refused, and why."""
         value = self._rng.choice(IMPOSSIBLE)
         names = self._ask(ListParameters, f'/{node}/list_parameters').result.names
         wanted = [Parameter(name, value=value).to_parameter_msg() for name in names]

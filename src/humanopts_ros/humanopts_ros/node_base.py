@@ -20,7 +20,8 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.action.server import ActionServer, CancelResponse, ServerGoalHandle
 from rclpy.callback_groups import CallbackGroup, ReentrantCallbackGroup
 from rclpy.client import Client
-from rclpy.clock import Clock, ClockType
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
 from rclpy.exceptions import InvalidHandle, ParameterException
 from rclpy.executors import Executor, ExternalShutdownException
 from rclpy.impl.rcutils_logger import RcutilsLogger
@@ -178,8 +179,8 @@ class NodeBase(Node):
         self, timer_period_sec: float, callback: Callable[..., Any], *args: Any, **options: Any
     ) -> Timer:
         """Create a timer as rclpy does, with a guarded callback, that no set time of day moves."""
-        guarded = self.guard.guarded(callback)
-        return super().create_timer(timer_period_sec, guarded, *args, clock=_STEADY, **options)
+        guarded, options['clock'] = self.guard.guarded(callback), _STEADY
+        return super().create_timer(timer_period_sec, guarded, *args, **options)
 
     def create_subscription(
         self,
@@ -547,8 +548,8 @@ class NodeBase(Node):
         """
         Go on although somebody sets the time of day.
 
-        Fast DDS as it is in wheels waits until a time of day. Where that is set back, what it waits
-        for in vain would hold up the node for as long.
+        Fast DDS as it is in wheels waits until a time of day. Where that is set back, a wait for
+        what does not come would hold up the node for as long.
         """
         time_of_day = TimeOfDay()
         while not self._destroyed.wait(_TIME_PERIOD):

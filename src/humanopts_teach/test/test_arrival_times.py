@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 from humanopts_ros.time_of_day import TimeOfDay
 from humanopts_teach.bags.arrival_times import ArrivalTimes
-from hypothesis import given, strategies as st
+from hypothesis import given
+from hypothesis import strategies as st
 
 S, MS = 10**9, 10**6
 BEGUN = 1_700_000_000 * S  # the time of day

@@ -7,9 +7,9 @@ class ArrivalTimes:
     """
     Arrival times that begin at the time of day and run steadily from there, ns since the epoch.
 
-    The middleware notes the time of day when a message arrives. That somebody set it is seen at the
-    next look. What arrived between two looks arrived before it was set or after: of the two times
-    that it may mean, one is between the looks.
+    The middleware notes the time of day when a message arrives. That somebody set it is seen at
+    the next look. What arrived between two looks arrived before it was set or after: of the two
+    times that it may mean, one is between the looks.
 
     :ivar now: at the last look.
     """

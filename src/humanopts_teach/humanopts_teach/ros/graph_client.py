@@ -350,7 +350,8 @@ class GraphClient(NodeBase):
         if status.publisher_id != known.publisher_id:
             stopping = known.state == known.STATE_STOPPING
             if not stopping and not self._unheard[node]:
-                self.duplicates.add(node)  # two processes sign with it, or somebody claims to be it
+                # Two processes sign with the name, or somebody claims to be it.
+                self.duplicates.add(node)
                 return
             self._unheard[node] -= not stopping  # the known one had ended before it was heard
             self._gone.add(known.publisher_id)

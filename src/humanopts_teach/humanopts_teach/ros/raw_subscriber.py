@@ -95,7 +95,7 @@ class RawSubscriber:
         for each in self._subscriptions.values():
             batch += _take(each, each.subscription)
         self.times.look()
-        batch = [taken._replace(received=self.times.of(taken.topic, taken.received)) for taken in batch]
+        batch = [t._replace(received=self.times.of(t.topic, t.received)) for t in batch]
         batch.sort(key=attrgetter('received'))
         return batch
 
