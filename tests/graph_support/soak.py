@@ -536,14 +536,14 @@ def lesson(
             soak.stranger.close()
     outcome.violations += [f'at the end: {problem}' for problem in running.unclean]
     for bag in running.bags:
-        found = check_bag(open_bag(bag))
-        late = [s for s in found.streams if s.late and s.publisher.startswith('/game#')]
-        outcome.violations += [f'{bag.name}: {s.late} on {s.topic} out of order' for s in late]
-        ours = [s for s in found.streams if s.duplicates and s.topic == '/game_state']
         real = [
-            s for s in ours if s.publisher.startswith('/game#') and 'garbage' not in s.publisher
+            stream
+            for stream in check_bag(open_bag(bag)).streams
+            if stream.publisher.startswith('/game#') and 'garbage' not in stream.publisher
         ]
-        if real:
+        late = [s for s in real if s.late]
+        outcome.violations += [f'{bag.name}: {s.late} on {s.topic} out of order' for s in late]
+        if any(s.duplicates and s.topic == '/game_state' for s in real):
             outcome.remarks[f'{bag.name}: repeated states, mutated copies of real ones'] += 1
     outcome.remarks[f'{len(running.bags)} bags can be read'] += 1
 
