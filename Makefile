@@ -27,12 +27,13 @@ SHELL := /bin/bash
 
 unexport PYTHONPATH PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup checked demo test test-quick test-slow test-browser test-hosts test-stress soak lint docs screens format lock clean
+.PHONY: help setup checked demo test test-quick test-whole test-slow test-browser test-hosts test-stress soak lint docs screens format lock clean
 
 help:
 	@echo 'make demo    teach a simulated agent two options for Taxi, plan, drive, report (OUT=, SEED=)'
 	@echo 'make test    run the tests, two at a time (ARGS=), first those that need no graph'
-	@echo 'make test-quick  run the quick ones of pure code; make test-slow  the long ones'
+	@echo 'make test-quick  run the quick ones of pure code; make test-slow  those that take minutes'
+	@echo 'make test-whole  run those of whole commands: the demo of Pac-Man, studies, nodes that die'
 	@echo 'make test-browser  run those that teach in Chromium'
 	@echo 'make test-hosts  run those over two hosts, in namespaces of this machine, whose cable is pulled'
 	@echo 'make test-stress  run the tests of the graph ten times while all cores are busy and nodes are'
@@ -86,10 +87,13 @@ demo: setup
 	@./humanopts demo --domain taxi --out $(OUT) --seed $(SEED)
 
 test: checked
-	@$(WITH_ROS) $(SIDE_BY_SIDE) -m 'not slow and not chromium and not hosts' $(ARGS)
+	@$(WITH_ROS) $(SIDE_BY_SIDE) -m 'not slow and not whole and not chromium and not hosts' $(ARGS)
 
 test-quick: checked
 	@$(WITH_ROS) $(SIDE_BY_SIDE) -m 'not slow and not live and not heavy' $(or $(ARGS),src)
+
+test-whole: checked
+	@$(WITH_ROS) $(SIDE_BY_SIDE) -m 'whole and not slow' $(or $(ARGS),tests)
 
 test-slow: checked
 	@$(WITH_ROS) $(VENV)/bin/python -m pytest -m slow $(ARGS)

@@ -23,6 +23,7 @@ LONGEST = (  # files, the longest first
     'test_demo_pacman.py',
     'test_node_deaths.py',
     'test_study.py',
+    'test_soak.py',
     'test_demo.py',
     'test_browser.py',
     'test_keyboard_teleop.py',

@@ -15,7 +15,7 @@ TAUGHT = [
     'go to the nearest power pellet',
     'eat the ghost',
 ]
-pytestmark = pytest.mark.timeout(300)
+pytestmark = [pytest.mark.whole, pytest.mark.timeout(300)]
 STEPS = 60_000  # of games, that each plan is sampled from
 SECONDS = {'table_seconds', 'model_seconds', 'sweep_seconds'}
 

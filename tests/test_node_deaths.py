@@ -25,7 +25,7 @@ NODES = [
 ]
 DISK = 300_000  # bytes; a demo's bag alone is about twice as large
 Start = Callable[..., Command]
-pytestmark = pytest.mark.timeout(300)  # on a busy machine
+pytestmark = [pytest.mark.whole, pytest.mark.timeout(300)]  # on a busy machine
 
 
 @pytest.fixture

@@ -16,7 +16,7 @@ import pexpect
 import pytest
 from teach_support.page_client import PageClient
 
-pytestmark = pytest.mark.timeout(300)  # on a busy machine
+pytestmark = [pytest.mark.whole, pytest.mark.timeout(300)]  # on a busy machine
 EXAMPLE = Path(__file__).parents[1] / 'examples' / 'study' / 'plan.yaml'
 
 
