@@ -554,7 +554,7 @@ class NodeBase(Node):
         time_of_day = TimeOfDay()
         while not self._destroyed.wait(_TIME_PERIOD):
             if (by := time_of_day.look()) and (executor := self.executor) is not None:
-                with suppress(InvalidHandle):  # it was shut down just now
+                with suppress(InvalidHandle, AttributeError):  # it was shut down just now
                     executor.create_task(self.guard.guarded(self._on_time_set), by / 1e9)
 
     def _on_time_set(self, seconds: float) -> None:

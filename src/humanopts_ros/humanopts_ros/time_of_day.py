@@ -4,6 +4,7 @@ from collections.abc import Callable
 import time
 
 _SET = 1_000_000  # ns by which it differs from what a steady clock says only where it was set
+_READINGS = 5  # at the start, of which the quickest counts: a process may pause in any
 
 
 def _steady() -> int:
@@ -31,8 +32,9 @@ class TimeOfDay:
         :param steady: ns since any time, by a clock that nobody sets.
         """
         self._time_of_day, self._steady = time_of_day, steady
-        self._begun = time_of_day() - steady()
-        self.now, self.ahead = self._begun + steady(), 0
+        readings = [(steady(), time_of_day(), steady()) for _ in range(_READINGS)]
+        _, self.now, after = min(readings, key=lambda reading: reading[2] - reading[0])
+        self._begun, self.ahead = self.now - after, 0
 
     def look(self) -> int:
         """Return by how much the time of day was set since the last look, ns; mostly 0."""

@@ -1,6 +1,7 @@
 """When messages arrived, while somebody sets the time of day."""
 
 from dataclasses import dataclass
+from itertools import count
 
 from humanopts_ros.time_of_day import TimeOfDay
 from humanopts_teach.bags.arrival_times import ArrivalTimes
@@ -50,6 +51,18 @@ def test_times_go_on_from_the_time_of_day_at_the_start(looks: list[tuple[int, in
         last = told[1]
         if setting == 0 or abs(setting) > before + after:
             assert told == [BEGUN - 5 * S + elapsed for _, elapsed in (first, second)]
+
+
+def test_a_slow_start_is_not_taken_for_a_setting() -> None:
+    clocks, readings = Clocks(), count()
+
+    def time_of_day() -> int:
+        read = clocks.time_of_day()
+        clocks.elapsed += 0 if next(readings) == 3 else S
+        return read
+
+    times = TimeOfDay(time_of_day, clocks.steady)
+    assert [times.look() for _ in range(3)] == [0, 0, 0]
 
 
 def test_a_slow_look_is_not_taken_for_a_setting() -> None:
