@@ -131,7 +131,7 @@ def test_a_timer_whose_next_call_was_put_off_is_called_after_its_period(live: Gr
 
 def test_no_timer_waits_for_the_time_of_day(live: Graph) -> None:
     live.start(GAME)
-    live.start(LESSON)
+    live.start(LESSON, directory=live.folder / 'demonstrations')
     live.ready('/game', '/lesson')
     timers = [t for name in ('/game', '/lesson') for t in live.node_called(name).timers]
     assert len(timers) > 8

@@ -9,6 +9,7 @@ import threading
 import time
 from typing import Any, TypeVar
 import uuid
+import weakref
 
 from humanopts_interfaces.msg import NodeStatus
 from humanopts_ros.guard import Guard
@@ -164,15 +165,15 @@ class NodeBase(Node):
         self._start_timer = super().create_timer(_CHECK_PERIOD, self._try_start, clock=_STEADY)
         self._begun = monotonic()
         self._start_fault: Exception | None = None
-        self._destroyed = threading.Event()
-        threading.Thread(target=self._watch_time, daemon=True).start()
+        self._destroyed = False
+        threading.Thread(target=_watch_time, args=(weakref.ref(self),), daemon=True).start()
 
     def get_logger(self) -> RcutilsLogger:
         logger: RcutilsLogger = super().get_logger()  # type: ignore[no-untyped-call]
         return logger
 
     def destroy_node(self) -> None:
-        self._destroyed.set()
+        self._destroyed = True
         super().destroy_node()  # type: ignore[no-untyped-call]
 
     def create_timer(
@@ -544,20 +545,15 @@ class NodeBase(Node):
         else:
             self.publish_status_again()
 
-    def _watch_time(self) -> None:
-        """
-        Go on although somebody sets the time of day.
-
-        Fast DDS as it is in wheels waits until a time of day. Where that is set back, a wait for
-        what does not come would hold up the node for as long.
-        """
-        time_of_day = TimeOfDay()
-        while not self._destroyed.wait(_TIME_PERIOD):
-            if (by := time_of_day.look()) and (executor := self.executor) is not None:
-                with suppress(InvalidHandle, AttributeError):  # it was shut down just now
-                    executor.create_task(self.guard.guarded(self._on_time_set), by / 1e9)
+    def tell_time_set(self, seconds: float) -> None:
+        """Go on although the time of day was set, and tell by how much; from any thread."""
+        if (executor := self.executor) is not None:
+            with suppress(InvalidHandle, AttributeError):  # it was shut down just now
+                executor.create_task(self.guard.guarded(self._on_time_set), seconds)
 
     def _on_time_set(self, seconds: float) -> None:
+        if self._destroyed:
+            return
         self.get_logger().warning(f'somebody set the time of day by {seconds:+.3f} s')
         self.publish_status_again()  # what is sent wakes the middleware's own threads, too
 
@@ -593,6 +589,26 @@ class NodeBase(Node):
         )
         topic = next(lacking, None)
         return None if topic is None else f'the recorder to subscribe to {topic}'
+
+
+def _watch_time(watched: Callable[[], NodeBase | None]) -> None:
+    """
+    Let a node go on although somebody sets the time of day.
+
+    The Fast DDS in the wheels of ROS ends its waits by the time of day. Where that is set back, a
+    wait for what does not come would hold up the node for as long.
+
+    :param watched: returns the node; None: it is gone.
+    """
+    time_of_day = TimeOfDay()
+    while True:
+        time.sleep(_TIME_PERIOD)
+        node = watched()
+        if node is None or node._destroyed:
+            return
+        if by := time_of_day.look():
+            node.tell_time_set(by / 1e9)
+        del node  # so that it is free while this sleeps
 
 
 def _failed(answer: Any, text: str) -> Any:
