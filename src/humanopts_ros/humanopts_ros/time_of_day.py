@@ -3,8 +3,8 @@
 from collections.abc import Callable
 import time
 
-_SET = 1_000_000  # ns by which it differs from what a steady clock says only where it was set
-_READINGS = 5  # at the start, of which the quickest counts: a process may pause in any
+_SET = 1_000_000  # ns; a smaller difference from the steady clock is no setting
+_READINGS = 5  # of which the quickest counts: the process may pause in any
 
 
 def _steady() -> int:
@@ -32,15 +32,20 @@ class TimeOfDay:
         :param steady: ns since any time, by a clock that nobody sets.
         """
         self._time_of_day, self._steady = time_of_day, steady
-        readings = [(steady(), time_of_day(), steady()) for _ in range(_READINGS)]
-        _, self.now, after = min(readings, key=lambda reading: reading[2] - reading[0])
+        self.now, after = self._read()
         self._begun, self.ahead = self.now - after, 0
 
     def look(self) -> int:
         """Return by how much the time of day was set since the last look, ns; mostly 0."""
-        earliest = self._begun + self._steady()
-        time_of_day = self._time_of_day()
-        self.now, before = self._begun + self._steady(), self.ahead
-        if not earliest - _SET <= time_of_day - before <= self.now + _SET:
+        time_of_day, after = self._read()
+        self.now, before = self._begun + after, self.ahead
+        if abs(time_of_day - self.now - before) > _SET:
             self.ahead = time_of_day - self.now
         return self.ahead - before
+
+    def _read(self) -> tuple[int, int]:
+        """Return the time of day and the steady time at the same moment, ns."""
+        steady, read = self._steady, self._time_of_day
+        readings = [(steady(), read(), steady()) for _ in range(_READINGS)]
+        _, time_of_day, after = min(readings, key=lambda reading: reading[2] - reading[0])
+        return time_of_day, after

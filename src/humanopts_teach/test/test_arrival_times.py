@@ -7,6 +7,7 @@ from humanopts_ros.time_of_day import TimeOfDay
 from humanopts_teach.bags.arrival_times import ArrivalTimes
 from hypothesis import given
 from hypothesis import strategies as st
+import pytest
 
 S, MS = 10**9, 10**6
 BEGUN = 1_700_000_000 * S  # the time of day
@@ -18,10 +19,8 @@ class Clocks:
 
     elapsed: int = 5 * S
     day: int = BEGUN - 5 * S
-    slow: int = 0  # ns that it takes to read the time of day
 
     def time_of_day(self) -> int:
-        self.elapsed += self.slow
         return self.day + self.elapsed
 
     def steady(self) -> int:
@@ -53,27 +52,19 @@ def test_times_go_on_from_the_time_of_day_at_the_start(looks: list[tuple[int, in
             assert told == [BEGUN - 5 * S + elapsed for _, elapsed in (first, second)]
 
 
-def test_a_slow_start_is_not_taken_for_a_setting() -> None:
+@pytest.mark.parametrize('setting', [0, -3600 * S, S])
+def test_a_pause_while_clocks_are_read_is_not_taken_for_a_setting(setting: int) -> None:
     clocks, readings = Clocks(), count()
 
     def time_of_day() -> int:
         read = clocks.time_of_day()
-        clocks.elapsed += 0 if next(readings) == 3 else S
+        clocks.elapsed += 0 if next(readings) % 5 == 3 else 20 * MS
         return read
 
     times = TimeOfDay(time_of_day, clocks.steady)
-    assert [times.look() for _ in range(3)] == [0, 0, 0]
-
-
-def test_a_slow_look_is_not_taken_for_a_setting() -> None:
-    clocks = Clocks()
-    times = ArrivalTimes(TimeOfDay(clocks.time_of_day, clocks.steady))
-    clocks.slow = 3 * S
-    times.look()
-    clocks.slow = 0
-    received = clocks.time_of_day()
-    times.look()
-    assert times.of('/a', received) == received
+    looks = [times.look(), times.look()]
+    clocks.day += setting
+    assert [*looks, times.look(), times.look()] == [0, 0, setting, 0]
 
 
 def test_what_was_left_from_an_earlier_look_keeps_its_time() -> None:
@@ -84,7 +75,16 @@ def test_what_was_left_from_an_earlier_look_keeps_its_time() -> None:
         clocks.elapsed += S
         times.look()
     assert times.of('/a', received) == received
-    clocks.day -= 3600 * S
-    clocks.elapsed += S
-    times.look()
-    assert times.of('/b', received) == received
+
+
+def test_what_was_left_from_before_a_setting_is_put_at_the_last_look() -> None:
+    clocks = Clocks()
+    times = ArrivalTimes(TimeOfDay(clocks.time_of_day, clocks.steady))
+    received = clocks.time_of_day()
+    clocks.day += 3600 * S
+    looks = []
+    for _ in range(2):
+        clocks.elapsed += S
+        times.look()
+        looks.append(times.now)
+    assert times.of('/a', received) == looks[0]

@@ -9,7 +9,8 @@ class ArrivalTimes:
 
     The middleware notes the time of day when a message arrives. That somebody set it is seen at
     the next look. What arrived between two looks arrived before it was set or after: of the two
-    times that it may mean, one is between the looks.
+    times that it may mean, mostly one is between the looks. What was left from before, and fits
+    neither, is put at the earlier look.
 
     :ivar now: at the last look.
     """
@@ -34,6 +35,7 @@ class ArrivalTimes:
         """
         arrived = received - self._time_of_day.ahead
         if not self._looked_before <= arrived <= self.now:
-            arrived = min(received - self._ahead_before, self.now)
+            earliest = self._looked_before if self._time_of_day.ahead else 0
+            arrived = min(max(received - self._ahead_before, earliest), self.now)
         newest = self._newest[topic] = max(arrived, self._newest.get(topic, 0))
         return newest
