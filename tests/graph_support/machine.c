@@ -2,8 +2,8 @@
  * Preloaded into processes: somebody sets the time of their machine, and its disk is slow.
  *
  * The file that MACHINE names holds two 64-bit numbers: what is added to the time of day, ns, and
- * how long each write to a file takes longer, us. Waits until a time of day end when it has come by
- * the clock that was set, as those of a real machine do.
+ * how long each write to a file takes longer, us. A wait that ends at a time of day ends when the
+ * clock that was set reaches it, as on a real machine; but semaphores, which nothing here uses so.
  */
 #define _GNU_SOURCE
 #include <dlfcn.h>
@@ -20,7 +20,7 @@
 
 #define REAL(name) ((__typeof__(&name))dlsym(RTLD_NEXT, #name))
 #define S INT64_C(1000000000)
-#define LOOK (S / 50)  // ns between looks at the clock while something waits
+#define STEP (S / 20)  // ns between looks at the clock while something waits
 #define MONOTONIC_CONDITION 2  // flag of a condition variable that waits by that clock, in glibc
 
 struct machine {
@@ -65,24 +65,27 @@ int gettimeofday(struct timeval *restrict time, void *restrict zone) {
   return 0;
 }
 
-/* Returns until when to wait before the next look at the clock. */
-static struct timespec look(const struct timespec *until) {
-  int64_t left = ns(until) - now(CLOCK_REALTIME);
-  return timespec(now(CLOCK_MONOTONIC) + (left < LOOK ? left : LOOK));
-}
-
-static int passed(const struct timespec *until) { return now(CLOCK_REALTIME) >= ns(until); }
+/* Waits by small steps until a time of day has come by the clock that may be set meanwhile. */
+#define WAIT_UNTIL(until, wait)                                             \
+  for (;;) {                                                                \
+    int64_t left = ns(until) - now(CLOCK_REALTIME);                         \
+    left = left < 0 ? 0 : left < STEP ? left : STEP;                        \
+    struct timespec next = timespec(now(CLOCK_MONOTONIC) + left);           \
+    int failed = wait;                                                      \
+    if (failed != ETIMEDOUT || now(CLOCK_REALTIME) >= ns(until)) return failed; \
+  }
 
 int pthread_cond_timedwait(
     pthread_cond_t *restrict condition, pthread_mutex_t *restrict mutex,
     const struct timespec *restrict until) {
   if (condition->__data.__wrefs & MONOTONIC_CONDITION)
     return pthread_cond_clockwait(condition, mutex, CLOCK_MONOTONIC, until);
-  for (;;) {
-    struct timespec next = look(until);
-    int failed = pthread_cond_clockwait(condition, mutex, CLOCK_MONOTONIC, &next);
-    if (failed != ETIMEDOUT || passed(until)) return failed;
-  }
+  WAIT_UNTIL(until, pthread_cond_clockwait(condition, mutex, CLOCK_MONOTONIC, &next))
+}
+
+int pthread_mutex_timedlock(
+    pthread_mutex_t *restrict mutex, const struct timespec *restrict until) {
+  WAIT_UNTIL(until, pthread_mutex_clocklock(mutex, CLOCK_MONOTONIC, &next))
 }
 
 static void wait_for_disk(int file) {
