@@ -3,13 +3,14 @@
  *
  * The file that MACHINE names holds two 64-bit numbers: what is added to the time of day, ns, and
  * how long each write to a file takes longer, us. A wait that ends at a time of day ends when the
- * clock that was set reaches it, as on a real machine; but semaphores, which nothing here uses so.
+ * clock that was set reaches it, as on a real machine.
  */
 #define _GNU_SOURCE
 #include <dlfcn.h>
 #include <errno.h>
 #include <fcntl.h>
 #include <pthread.h>
+#include <semaphore.h>
 #include <stdint.h>
 #include <stdlib.h>
 #include <sys/mman.h>
@@ -86,6 +87,18 @@ int pthread_cond_timedwait(
 int pthread_mutex_timedlock(
     pthread_mutex_t *restrict mutex, const struct timespec *restrict until) {
   WAIT_UNTIL(until, pthread_mutex_clocklock(mutex, CLOCK_MONOTONIC, &next))
+}
+
+static int failure(int failed) { return failed ? errno : 0; }
+
+static int wait_for_semaphore(sem_t *semaphore, const struct timespec *until) {
+  WAIT_UNTIL(until, failure(sem_clockwait(semaphore, CLOCK_MONOTONIC, &next)))
+}
+
+int sem_timedwait(sem_t *restrict semaphore, const struct timespec *restrict until) {
+  int failed = wait_for_semaphore(semaphore, until);
+  if (failed) errno = failed;
+  return failed ? -1 : 0;
 }
 
 static void wait_for_disk(int file) {
