@@ -1,6 +1,7 @@
 """What every node shares: one plain line for bad parameters, a life that is told, a clean end."""
 
 import ctypes
+import gc
 import itertools
 import os
 from pathlib import Path
@@ -8,6 +9,7 @@ import signal
 import subprocess
 import sys
 from typing import Any
+import weakref
 
 from graph_support.live import (
     GAME,
@@ -22,7 +24,7 @@ from graph_support.live import (
 from graph_support.machine import Machine
 from humanopts_interfaces.msg import GameState, LearningStatus, NodeStatus
 from humanopts_interfaces.srv import SetPace
-from humanopts_ros.node_base import NodeBase
+from humanopts_ros.node_base import NodeBase, StartError
 from humanopts_ros.node_restarts import NodeRestarts
 from humanopts_ros.process import MemoryReturn, reset_postponed
 from humanopts_ros.qos import CURRENT, LATCHED
@@ -129,6 +131,21 @@ def test_a_timer_whose_next_call_was_put_off_is_called_after_its_period(live: Gr
     assert stopped.is_canceled()
 
 
+def test_a_node_whose_constructor_fails_is_freed(live: Graph) -> None:
+    known = []
+
+    class Refused(NodeBase):
+        def __init__(self) -> None:
+            super().__init__('refused', context=live.context)
+            known.append(weakref.ref(self))
+            raise StartError('no')
+
+    with pytest.raises(StartError):
+        Refused()
+    gc.collect()
+    assert known[0]() is None
+
+
 def test_no_timer_waits_for_the_time_of_day(live: Graph) -> None:
     live.start(GAME)
     live.start(LESSON, directory=live.folder / 'demonstrations')
@@ -146,7 +163,7 @@ def test_a_node_goes_on_and_ends_although_the_time_of_day_is_set_back(
         monkeypatch.setenv(name, value)
     said = live.listen(Log, '/rosout', LATCHED)
     game = live.spawn(GAME)
-    planner = live.spawn(PLANNER)  # it has no timer
+    planner = live.spawn(PLANNER)  # none of its timers runs
     live.ready('/game', '/planner')
     machine.set_time(-3600.0)
     live.until(

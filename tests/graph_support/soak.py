@@ -306,7 +306,8 @@ class Soak:
         """Add a line that is no entry to a file that the node reads when it is started again."""
         out = self._running.setup.directory
         folder = out / ('demonstrations' if node == 'lesson' else 'options')
-        file = self._rng.choice(sorted(folder.glob('*.jsonl')))
+        self._until(lambda: any(f.stat().st_size for f in folder.glob('*.jsonl')), 'a journal')
+        file = self._rng.choice(sorted(f for f in folder.glob('*.jsonl') if f.stat().st_size))
         entry = self._rng.choice(file.read_bytes().splitlines())
         cut = entry[: self._rng.randrange(len(entry))]
         line = self._rng.choice((cut, b'[' * 100_000, b'{"entry": 5}', self.stranger.bytes()))
@@ -316,15 +317,18 @@ class Soak:
     def _set(self, node: str) -> None:
         """Set every parameter of a node to what it cannot be; each must be refused, and why."""
         value = self._rng.choice(IMPOSSIBLE)
-        names = self._ask(ListParameters, f'/{node}/list_parameters').result.names
+        listed = self._ask(ListParameters, f'/{node}/list_parameters')
+        names = listed.result.names if listed else []
         wanted = [Parameter(name, value=value).to_parameter_msg() for name in names]
         answer = self._ask(SetParameters, f'/{node}/set_parameters', parameters=wanted)
+        if answer is None:
+            return
         for name, result in zip(names, answer.results, strict=True):
             if result.successful or not result.reason:
                 self._violate(f'{name} of {node} was set to {str(value)[:20]}')
 
     def _ask(self, kind: Any, service: str, **fields: Any) -> Any:
-        """Return the response of a service of the graph."""
+        """Return the response of a service of the graph; None: there is none, a violation."""
         client = self.stranger.node.create_client(kind, service)
         self._until(client.service_is_ready, f'{service} to be there')
         future = client.call_async(kind.Request(**fields))

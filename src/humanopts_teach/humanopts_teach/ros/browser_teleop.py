@@ -105,6 +105,7 @@ class TeleopThread:
     def stop(self) -> None:
         """End the thread, and the context of ROS."""
         self._ending = True
+        self._executor.wake()  # its wait may last, where somebody has set the time of day back
         self._thread.join()
         for node in self._nodes:
             node.destroy_node()

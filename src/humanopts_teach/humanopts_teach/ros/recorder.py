@@ -171,7 +171,7 @@ class Recorder(NodeBase):
                 self.get_logger().warning(f'{path} is not kept in the bag: {error.strerror}')
                 continue
             kind = guess_type(name)[0] or 'application/octet-stream'
-            self._bag.attach(name, data, kind, (changed, time.time_ns()))
+            self._bag.attach(name, data, kind, (changed, self._subscriber.times.now))
 
     def _discover(self) -> None:
         """Subscribe to what is new on the graph; look less often while nothing changes."""
