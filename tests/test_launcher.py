@@ -227,14 +227,16 @@ def test_a_node_that_was_started_again_is_known_from_what_others_sign_with_its_n
         out.publish(status)
         out.publish(NodeStatus(node='/mark', publisher_id='/mark#1', text=text))  # comes after it
         live.until(lambda: heard('/mark', text), 'what was said')
-        assert conductor.statuses['/game'].text == kept
+        assert conductor.statuses.get('/game', NodeStatus()).text == kept
 
     try:
-        conductor.note_end(NodeExit('game', 'exit status 1', '', 0, again=True))
-        say('first', 'sent before it ended', 'sent before it ended')
-        say('second', 'ready', 'ready')
-        say('first', 'still sent', 'ready')
-        say('somebody', 'of no node', 'ready')
+        say('first', 'ready', 'ready')
+        conductor.note_end(NodeExit('game', 'exit status 1', '', 0, again=True), 'first')
+        conductor.note_end(NodeExit('game', 'exit status 1', '', 0, again=True), 'unheard')
+        say('unheard', 'sent before it ended', '')
+        say('second', 'ready again', 'ready again')
+        say('first', 'still sent', 'ready again')
+        say('somebody', 'of no node', 'ready again')
         say('second', 'finished', 'finished')
     finally:
         conductor.close()

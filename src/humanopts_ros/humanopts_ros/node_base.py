@@ -5,6 +5,7 @@ from contextlib import suppress
 from dataclasses import replace
 import functools
 from itertools import chain
+import os
 import threading
 import time
 from typing import Any, TypeVar
@@ -12,6 +13,7 @@ import uuid
 import weakref
 
 from humanopts_interfaces.msg import NodeStatus
+from humanopts_ros.environment import INSTANCE
 from humanopts_ros.guard import Guard
 from humanopts_ros.publisher import M, PublishError, signer, StampedPublisher
 from humanopts_ros.qos import ACTION, LATCHED, SERVICE, STREAM
@@ -138,7 +140,8 @@ class NodeBase(Node):
         self.guard = Guard(self.get_logger, monotonic, self._publish_remark, ends)
         super().__init__(name, **options)
         self.monotonic = monotonic
-        self.publisher_id = f'{self.get_fully_qualified_name()}#{uuid.uuid4().hex[:8]}'
+        instance = os.environ.pop(INSTANCE, '') or uuid.uuid4().hex[:8]
+        self.publisher_id = f'{self.get_fully_qualified_name()}#{instance}'
         self._stamped: list[StampedPublisher[Any]] = []
         self._hidden: list[str] = []  # topics of services and actions
         self._on_change: dict[str, Callable[[Any], object]] = {}  # by name of a parameter

@@ -328,8 +328,8 @@ def session(
         graph = GraphClient(namespace, common_parameters(setup), setup.bag, watch=watch)
         running = Session(setup, launcher, graph, interrupts)
 
-        def on_end(end: NodeExit) -> None:
-            graph.note_end(end)
+        def on_end(end: NodeExit, instance: str) -> None:
+            graph.note_end(end, instance)
             if end.again:  # the other is an error of the session
                 report(end.text)
 

@@ -18,8 +18,9 @@ import sys
 import tempfile
 import termios
 import time
+import uuid
 
-from humanopts_ros.environment import LAUNCHER_PID
+from humanopts_ros.environment import INSTANCE, LAUNCHER_PID
 from humanopts_teach.launching import LaunchError
 from humanopts_teach.launching.fork_server import ForkedProcess, ForkServer, server_for
 from humanopts_teach.launching.processes import ProcessSpec, RECORDER
@@ -101,6 +102,7 @@ Process = subprocess.Popen[bytes] | ForkedProcess
 class _Running:
     spec: ProcessSpec
     process: Process
+    instance: str  # how its publisher_id ends
     log: Path
     policy: RestartPolicy
     due: float | None = None  # when it is started again, s; None: it runs, or does so no more
@@ -123,7 +125,7 @@ class Launcher:
     the terminal's, a limited number of times in a row and after a pause that grows.
 
     :ivar ends: of nodes that nobody asked to end, in order.
-    :ivar on_end: called with each of them.
+    :ivar on_end: called with each of them, and with how the publisher_id of its process ended.
     :ivar report: called with a line about a process that is stopped, and when it goes on.
     """
 
@@ -145,7 +147,7 @@ class Launcher:
         self._namespace = namespace
         self._restarts = restarts
         self.ends: list[NodeExit] = []
-        self.on_end: Callable[[NodeExit], object] = lambda ended: None
+        self.on_end: Callable[[NodeExit, str], object] = lambda ended, instance: None
         self.report: Callable[[str], object] = lambda line: None
         self._checked = 0.0  # when it was last looked for stopped processes, s
         self._running: list[_Running] = []
@@ -224,7 +226,8 @@ class Launcher:
             if running.spec.terminal:
                 continue
             if running.due is not None and now >= running.due:
-                running.process = self._process(running.spec, running.log)
+                running.instance = _new_instance()
+                running.process = self._process(running.spec, running.log, running.instance)
                 running.due, running.stopped = None, False
                 running.policy.begin(time.monotonic())
             elif running.runs and (status := running.process.poll()) is not None:
@@ -254,12 +257,13 @@ class Launcher:
     def _start(self, spec: ProcessSpec) -> _Running:
         log = self._directory / f'{spec.name}.log'
         log.write_bytes(b'')  # of an earlier launch
-        running = _Running(spec, self._process(spec, log), log, RestartPolicy(self._restarts))
+        instance, policy = _new_instance(), RestartPolicy(self._restarts)
+        running = _Running(spec, self._process(spec, log, instance), instance, log, policy)
         running.policy.begin(time.monotonic())
         self._running.append(running)
         return running
 
-    def _process(self, spec: ProcessSpec, log: Path) -> Process:
+    def _process(self, spec: ProcessSpec, log: Path, instance: str) -> Process:
         path = self._directory / f'{spec.name}.yaml'
         tree = {'/**': {'ros__parameters': dict(spec.parameters)}}
         # JSON, as YAML whose strings are quoted: rcl takes a bare y for true.
@@ -270,9 +274,9 @@ class Launcher:
                 return subprocess.Popen(
                     [sys.executable, '-m', spec.module, *arguments, '--disable-stdout-logs'],
                     stderr=errors,
-                    env={**os.environ, LAUNCHER_PID: str(os.getpid())},
+                    env={**os.environ, INSTANCE: instance, LAUNCHER_PID: str(os.getpid())},
                 )
-        return self._server.start(spec.module, arguments, os.environ, log)
+        return self._server.start(spec.module, arguments, {**os.environ, INSTANCE: instance}, log)
 
     def _ended(self, running: _Running, status: int, now: float) -> None:
         """Plan when a node that ended is started again, and tell that it ended."""
@@ -286,7 +290,7 @@ class Launcher:
         with running.log.open('a', encoding='utf-8') as log:
             log.write(f'humanopts: {end.sentence}\n')
         self.ends.append(end)
-        self.on_end(end)
+        self.on_end(end, running.instance)
 
     def _check_stopped(self) -> None:
         """Report which processes are stopped, and which go on."""
@@ -323,6 +327,10 @@ class Launcher:
             if entry.process.wait() not in _ENDS_AS_ASKED:
                 problems.append(_end_of(entry))
         return problems
+
+
+def _new_instance() -> str:
+    return uuid.uuid4().hex[:8]
 
 
 @contextmanager

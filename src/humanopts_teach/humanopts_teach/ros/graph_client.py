@@ -78,7 +78,6 @@ class GraphClient(NodeBase):
         self.restarts: Counter[str] = Counter()
         self._ended: dict[str, float] = {}  # when each node ended last, s
         self._gone: set[str] = set()  # publisher_ids of processes that have ended
-        self._unheard: Counter[str] = Counter()  # processes of a name that ended before one came
         self._resent = 0  # sequence of the lesson's status from which all is in the newest bag
         self._awaited: set[str] = set()  # nodes of this launch; others may be started again
         self.feedback: Any = None
@@ -323,15 +322,17 @@ class GraphClient(NodeBase):
                     raise
                 self.wait_ready(sorted(self._awaited))
 
-    def note_end(self, end: NodeExit) -> None:
-        """Publish that a node ended; the next process of that name is then no other node."""
+    def note_end(self, end: NodeExit, instance: str) -> None:
+        """
+        Publish that a node ended; the next process of that name is then no other node.
+
+        :param instance: how the publisher_id of its process ended; what comes late is not heard.
+        """
         node = self.full_name(end.node)
         self.restarts[node] += end.again
         self._ended[node] = time.monotonic()
-        if (known := self.statuses.pop(node, None)) is not None:
-            self._gone.add(known.publisher_id)
-        else:
-            self._unheard[node] += 1
+        self.statuses.pop(node, None)
+        self._gone.add(f'{node}#{instance}')
         lesson = self.statuses.get(self.full_name(LESSON))
         if end.node == LESSON:  # the next one sends everything
             self._resent = min(self._resent, 1)
@@ -348,12 +349,10 @@ class GraphClient(NodeBase):
         if status.publisher_id in self._gone or signer(status.publisher_id) != node:
             return
         if status.publisher_id != known.publisher_id:
-            stopping = known.state == known.STATE_STOPPING
-            if not stopping and not self._unheard[node]:
+            if known.state != known.STATE_STOPPING:
                 # Two processes sign with the name, or somebody claims to be it.
                 self.duplicates.add(node)
                 return
-            self._unheard[node] -= not stopping  # the known one had ended before it was heard
             self._gone.add(known.publisher_id)
         self.statuses[node] = status
 
