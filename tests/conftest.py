@@ -13,6 +13,8 @@ import pytest
 os.environ['ROS_PYTHON_CHECK_FIELDS'] = '1'  # a misspelt field is an error, here and in the nodes
 os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
 prepare_discovery()
+if late := os.environ.get('STRESS_PROFILE'):  # of make test-stress
+    os.environ[PROFILES[0]] = late
 os.environ['TERM'] = 'xterm-256color'  # what the pseudo-terminals of the tests understand
 
 

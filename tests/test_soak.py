@@ -8,7 +8,6 @@ from graph_support.garbage import Garbage
 from graph_support.soak import run
 from humanopts_interfaces.msg import Demonstration, GameState, LessonState
 from humanopts_interfaces.srv import EndDemonstration
-from humanopts_ros.environment import prepare_discovery, PROFILES, RANGE
 import pytest
 from rclpy.serialization import deserialize_message, serialize_message
 
@@ -16,25 +15,11 @@ KINDS = ('kill', 'stop', 'clock', 'files', 'messages')
 SEED = 1
 
 
-@pytest.fixture
-def usual_discovery(monkeypatch: pytest.MonkeyPatch) -> None:
-    """
-    Find nodes as graphs on one machine do, under ``make test-stress`` too.
-
-    Its profile has shared memory, in which a killed process leaves what others wait for, and which
-    would join processes whose time is set with this one, whose time is not.
-    """
-    monkeypatch.setenv(RANGE, 'LOCALHOST')
-    monkeypatch.delenv(PROFILES[0])
-    prepare_discovery()
-
-
 @pytest.mark.timeout(300)
 def test_nothing_is_lost_or_done_twice_among_random_faults(
     tmp_path: Path,
     domain_id: int,
     monkeypatch: pytest.MonkeyPatch,
-    usual_discovery: None,
     short_lease: None,
 ) -> None:
     monkeypatch.setenv('ROS_DOMAIN_ID', str(domain_id))

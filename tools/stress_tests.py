@@ -8,9 +8,11 @@ can be run again: ``make test-stress ROUNDS=1 SEED=7 ARGS=tests/test_recorder.py
 import argparse
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from importlib.resources import files
 import os
 from pathlib import Path
 import random
+import re
 import signal
 import subprocess
 import sys
@@ -26,24 +28,15 @@ while os.getppid() == parent:
     for _ in range(1_000_000):
         pass
 """
-# Fast DDS announces a participant when it is made and then once in a period; the nodes' own
-# profile has it do so ten times a second at first.
-LATE_DISCOVERY = """<?xml version="1.0" encoding="UTF-8"?>
-<profiles xmlns="http://www.eprosima.com">
-  <participant profile_name="late_discovery" is_default_profile="true">
-    <rtps>
-      <builtin>
-        <discovery_config>
-          <initialAnnouncements>
-            <count>1</count>
-            <period><sec>0</sec><nanosec>{first}</nanosec></period>
-          </initialAnnouncements>
-          <leaseAnnouncement><sec>{seconds}</sec><nanosec>{nanoseconds}</nanosec></leaseAnnouncement>
-        </discovery_config>
-      </builtin>
-    </rtps>
-  </participant>
-</profiles>
+# Fast DDS announces a participant when it is made and then once in a period; the usual profile of
+# nodes on one machine has it do so ten times a second at first.
+USUAL = files('humanopts_ros') / 'loopback_discovery.xml'
+ANNOUNCEMENTS = re.compile(r'(?<=<discovery_config>).*(?=</discovery_config>)', re.DOTALL)
+LATE = """
+<initialAnnouncements>
+  <count>1</count><period><sec>0</sec><nanosec>{first}</nanosec></period>
+</initialAnnouncements>
+<leaseAnnouncement><sec>{seconds}</sec><nanosec>{nanoseconds}</nanosec></leaseAnnouncement>
 """
 
 
@@ -75,9 +68,11 @@ def write_profile(chance: random.Random, path: Path) -> str:
     """Write a profile by which nodes are found late, and return it in words."""
     first, period = chance.uniform(0.2, 0.9), chance.uniform(1.0, 3.0)
     seconds = int(period)
-    text = LATE_DISCOVERY.format(
+    late = LATE.format(
         first=int(first * 1e9), seconds=seconds, nanoseconds=int((period - seconds) * 1e9)
     )
+    text, changed = ANNOUNCEMENTS.subn(late, USUAL.read_text(encoding='utf-8'))
+    assert changed == 1
     path.write_text(text, encoding='utf-8')
     return f'announced again after {first:.1f} s, then every {period:.1f} s'
 
@@ -95,7 +90,7 @@ def run_file(file: str, name: str, profile: Path, seconds: float) -> list[str] |
     log = LOGS / f'{name}.log'
     command = [sys.executable, '-m', 'pytest', '-q', '-rfE', '-p', 'no:cacheprovider']
     command += ['-m', LIVE, file]
-    environment = {**os.environ, 'FASTRTPS_DEFAULT_PROFILES_FILE': str(profile.absolute())}
+    environment = {**os.environ, 'STRESS_PROFILE': str(profile.absolute())}
     with log.open('w', encoding='utf-8') as output:
         process = subprocess.Popen(
             command, stdout=output, stderr=subprocess.STDOUT, env=environment
@@ -123,7 +118,7 @@ def main() -> int:
     parser.add_argument('--limit', type=float, default=7200.0, help='seconds for all rounds')
     options = parser.parse_args()
     LOGS.mkdir(parents=True, exist_ok=True)
-    files = live_files(options.files)
+    chosen = live_files(options.files)
     runs, end = 0, time.monotonic() + options.limit
     failures: list[str] = []  # each with its round and seed
     left_out: list[str] = []  # files and rounds that there was no time for
@@ -131,7 +126,7 @@ def main() -> int:
         for number in range(1, options.rounds + 1):
             seed = options.seed + number - 1
             chance = random.Random(seed)
-            order = chance.sample(files, len(files))
+            order = chance.sample(chosen, len(chosen))
             profile = LOGS / f'discovery-{seed}.xml'
             late = write_profile(chance, profile)
             print(f'round {number} of {options.rounds}, seed {seed}: {late}')
@@ -145,7 +140,7 @@ def main() -> int:
                 for failure in found:
                     failures.append(f'round {number}, seed {seed}: {failure}')
                     print(failures[-1], flush=True)
-    print(f'{runs} runs of {len(files)} files, {len(failures)} failures')
+    print(f'{runs} runs of {len(chosen)} files, {len(failures)} failures')
     if left_out:
         more = f' and {len(left_out) - 5} more' if len(left_out) > 5 else ''
         print(f'no time in {options.limit:.0f} s for {", ".join(left_out[:5])}{more}')
