@@ -2,20 +2,12 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-import fcntl
 from io import StringIO
-import os
 from pathlib import Path
-import pty
 import re
 import resource
-import select
 import signal
-import struct
-import subprocess
 import sys
-import termios
-import time
 from typing import Any
 
 from graph_support.live import (
@@ -28,6 +20,7 @@ from graph_support.live import (
     OPTION_SERVER,
     PLANNER,
 )
+from graph_support.terminal import CTRL_C, ENTER, ESCAPE, HEIGHT, Terminal, WIDTH
 from humanopts_env.domains.registry import make_domain, reference_options
 from humanopts_env.domains.taxi import landmark_cells, TaxiState
 from humanopts_env.seeding import generator
@@ -42,105 +35,15 @@ from humanopts_learner.demonstrations import GOAL, TREES
 from humanopts_ros.qos import CURRENT, STREAM
 from humanopts_teach.bags.reader import open_bag
 from humanopts_teach.ros import keyboard_teleop
-import pyte
 import pytest
 
-WIDTH, HEIGHT = 80, 24
-LOOK = 0.02  # s between looks at the screen
-SIDE = 24  # column where the panel beside the board begins
 PICKUP = 'go to passenger and pickup'
-KEYS = {'down': '\x1b[B', 'up': '\x1b[A', 'right': '\x1b[C', 'left': '\x1b[D'}
-ENTER, ESCAPE, CTRL_C = '\r', '\x1b', '\x03'
 TAXI = make_domain('taxi')
 
 
-def run_on(slave: int, graph: Graph, *arguments: str) -> 'subprocess.Popen[bytes]':
-    """Start Python on a terminal, as its controlling one."""
-    return subprocess.Popen(
-        ['setsid', '--ctty', sys.executable, *arguments],
-        stdin=slave,
-        stdout=slave,
-        stderr=subprocess.PIPE,
-        env={**os.environ, 'ROS_DOMAIN_ID': str(graph.domain_id)},
-    )
-
-
-class Terminal:
-    """A terminal emulator with a process in it, and a person who reads and types."""
-
-    def __init__(self, graph: Graph, *arguments: str) -> None:
-        self._graph = graph
-        self.master, self.slave = self._open = list(pty.openpty())
-        fcntl.ioctl(self.slave, termios.TIOCSWINSZ, struct.pack('HHHH', HEIGHT, WIDTH, 0, 0))
-        self.before = termios.tcgetattr(self.slave)
-        self.screen = pyte.Screen(WIDTH, HEIGHT)
-        self.stream = pyte.ByteStream(self.screen)
-        self.raw = b''
-        self._lines: list[str] = []  # on the screen; empty: it has changed
-        self.process = run_on(self.slave, graph, *arguments)
-
-    def lines(self) -> list[str]:
-        """Return the lines of the screen; to render them takes longer than a callback."""
-        self._lines = self._lines or self.screen.display
-        return self._lines
-
-    def text(self) -> str:
-        """Return what is on the screen, line by line."""
-        return '\n'.join(self.lines())
-
-    def words(self) -> str:
-        """Return what is beside the board, with wrapped lines joined."""
-        return ' '.join(' '.join(line[SIDE:] for line in self.lines()).split())
-
-    def read(self, seconds: float = 0.05) -> None:
-        """Take in what the process has written."""
-        if select.select([self.master], [], [], seconds)[0]:
-            data = os.read(self.master, 65536)
-            self.raw += data
-            self.stream.feed(data)
-            self._lines = []
-
-    def until(self, condition: Callable[[], Any], what: str, seconds: float = 30.0) -> None:
-        """Read, and let the other nodes work, until a condition holds."""
-        deadline = time.monotonic() + seconds
-        while not condition():
-            assert time.monotonic() < deadline, f'waited in vain for {what}:\n{self.text()}'
-            looked = time.monotonic()
-            while time.monotonic() < looked + LOOK:
-                self._graph.spin()
-                self.read(0.0)
-
-    def see(self, text: str, seconds: float = 30.0) -> None:
-        """Read until a text is on the screen, however it is wrapped."""
-        self.until(lambda: text in self.words() or text in self.text(), repr(text), seconds)
-
-    def press(self, *keys: str) -> None:
-        """Press keys."""
-        os.write(self.master, ''.join(KEYS.get(key, key) for key in keys).encode())
-
-    def ended(self) -> int:
-        """Wait for the process's end and return its status."""
-        self.until(lambda: self.process.poll() is not None, 'the end', 15.0)
-        self.read()
-        return self.process.returncode
-
-    def restored(self) -> bool:
-        """Tell whether the settings are what they were, and screen and cursor are given back."""
-        left = self.raw.rfind(b'\x1b[?1049l') > self.raw.rfind(b'\x1b[?1049h')
-        cursor = self.raw.rfind(b'\x1b[?25h') > self.raw.rfind(b'\x1b[?25l')
-        return left and cursor and termios.tcgetattr(self.slave) == self.before
-
-    def close(self) -> None:
-        """End whatever is left."""
-        if self.process.poll() is None:
-            self.process.kill()
-        self.process.communicate()
-        self.hang_up()
-
-    def hang_up(self) -> None:
-        """Cut the connection."""
-        while self._open:
-            os.close(self._open.pop())
+def open_terminal(graph: Graph, *arguments: str) -> Terminal:
+    """Start Python in a terminal on a graph."""
+    return Terminal(arguments, graph.domain_id, graph.spin)
 
 
 class Terminals:
@@ -173,7 +76,7 @@ class Terminals:
 
     def terminal(self) -> Terminal:
         """Start a terminal on the graph."""
-        terminal = Terminal(self.graph, '-m', module_of(KEYBOARD))
+        terminal = open_terminal(self.graph, '-m', module_of(KEYBOARD))
         self.terminals.append(terminal)
         return terminal
 
@@ -438,7 +341,7 @@ def test_a_full_disk_is_seen_in_the_terminal_and_told_when_the_person_quits(
     live: Graph, tmp_path: Path
 ) -> None:
     words = ['-m', 'humanopts_teach.cli', 'teach', 'taxi', '--out', str(tmp_path)]
-    terminal = Terminal(live, *words)
+    terminal = open_terminal(live, *words)
     try:
         terminal.see('Who teaches? > p1')
         terminal.press(ENTER)
@@ -461,7 +364,7 @@ def test_a_full_disk_is_seen_in_the_terminal_and_told_when_the_person_quits(
 
 
 def test_an_exception_restores_the_terminal(live: Graph) -> None:
-    terminal = Terminal(
+    terminal = open_terminal(
         live,
         '-c',
         'from humanopts_teach.terminal.device import Device\n'

@@ -1,11 +1,11 @@
 """
 A long lesson among random faults: ``make soak SECONDS=600 SEED=1``.
 
-Nodes are killed, ended and stopped at random moments, the time of their machine is set, its disk
-is slow for a while, their files get lines that are none, their parameters are set to what they
-cannot be, and garbage is sent on every topic, service and action. After each fault the lesson must
-go on. At the end nothing that was shown may be lost and no action applied twice. A table says what
-was done and what came of it.
+Nodes are killed, ended and stopped at random moments, and so is the terminal of a guest. The time
+of their machine is set, its disk is slow for a while, their files get lines that are none, their
+parameters are set to what they cannot be, and garbage is sent on every topic, service and action.
+After each fault the lesson must go on. At the end nothing that was shown may be lost and no action
+applied twice. A table says what was done and what came of it.
 
 ``make soak SECONDS=3600 ARGS='--faults 0'`` does nothing to it: each minute a person teaches, and
 the machine plans and plays. It says what each node costs.
@@ -38,7 +38,7 @@ from humanopts_ros.qos import ACTION, CURRENT, DISPLAY, LATCHED, SERVICE, STREAM
 from humanopts_teach.bags.check import check_bag
 from humanopts_teach.bags.reader import open_bag
 from humanopts_teach.commands.session import Session, session
-from humanopts_teach.launching import LaunchError
+from humanopts_teach.launching import LaunchError, MODULES
 from humanopts_teach.launching.processes import Setup
 from humanopts_teach.launching.restarts import RestartPolicy
 from humanopts_teach.lesson.store import entry_from_line
@@ -56,6 +56,7 @@ from rclpy.signals import SignalHandlerOptions
 from graph_support.garbage import Garbage
 from graph_support.live import free_domain_id
 from graph_support.machine import Machine
+from graph_support.terminal import CTRL_C, ENTER, Terminal
 
 OPTIONS = ('go to passenger and pickup', 'go to destination and dropoff')
 SETTLE = 30.0  # s for the lesson to take its usual memory, and to give back what it took more
@@ -71,6 +72,8 @@ _LATCHED = {
     'learned_options', 'automatic_options', 'execution', 'option_values', 'node_status',
     'recorder_status',
 }  # fmt: skip
+ENDS = {'killed': signal.SIGKILL, 'ended': signal.SIGTERM, 'stopped': signal.SIGSTOP}
+GUEST_KEYS = ('y', 'n', 'left', 'right', 'up', 'down', 'p', 'd', ENTER)  # answers and actions
 IMPOSSIBLE = (math.nan, -math.inf, [1, 2], 'x' * 20_000)  # values of no parameter
 
 
@@ -271,6 +274,8 @@ class Soak:
             pid = self._send(node, signal.SIGSTOP)
             self.serve(self._rng.choice((0.2, 1.0, 3.0)))
             os.kill(pid, signal.SIGCONT)
+        elif kind == 'terminal':
+            name = f'terminal {self._sit_down()}'
         elif kind == 'clock':
             name = kind
             self._machine.set_time(self._rng.choice(SETTINGS))
@@ -301,6 +306,60 @@ class Soak:
                 os.kill(pid, how)
                 return pid
             self.serve(0.1)
+
+    def _sit_down(self) -> str:
+        """
+        Let a guest teach in a terminal that ends at any moment, and come again.
+
+        :return: how it ended.
+        """
+        how = self._rng.choice(('killed', 'ended', 'stopped', 'hung up'))
+        with suppress(AssertionError), self._terminal() as terminal:
+            terminal.press('1', *'guess', ENTER)
+            end = time.monotonic() + self._rng.uniform(0.0, 6.0)
+            while time.monotonic() < end and terminal.process.poll() is None:
+                terminal.press(self._rng.choice(GUEST_KEYS))
+                self.serve(0.05)
+                terminal.read(0.0)
+            if how == 'hung up':
+                terminal.hang_up()
+            else:
+                terminal.process.send_signal(ENDS[how])
+            if how == 'stopped':
+                self.serve(self._rng.choice((0.2, 3.0)))
+                terminal.process.send_signal(signal.SIGCONT)
+                terminal.press(CTRL_C)
+            self._until(lambda: terminal.process.poll() is not None, f'the end of one {how}')
+        with self._terminal() as terminal:
+            terminal.press(CTRL_C)
+            status = terminal.ended()
+            if status or not terminal.restored():
+                self._violate(f'a terminal after one {how} ended with {status}')
+        return how
+
+    @contextmanager
+    def _terminal(self) -> Iterator[Terminal]:
+        """Sit down at a terminal as a guest."""
+        words = ('-m', MODULES['keyboard_teleop'], '--ros-args', '-p', 'participant:=guest')
+        terminal = Terminal(words, int(os.environ['ROS_DOMAIN_ID']), lambda: self.serve(0.0))
+        try:
+            terminal.see('Who teaches? > guest')
+            pressed = [0.0]
+
+            def let_in() -> bool:
+                """Press Enter now and then: somebody else may show an option just now."""
+                if time.monotonic() > pressed[-1] + 0.1:
+                    terminal.press(ENTER)
+                    pressed.append(time.monotonic())
+                return not any(text in terminal.text() for text in ('Who teaches?', 'Discard it?'))
+
+            terminal.until(let_in, 'to be let in', RECOVERY)
+            yield terminal
+        except AssertionError as error:
+            self._violate(str(error))
+            raise
+        finally:
+            terminal.close()
 
     def _spoil(self, node: str) -> None:
         """Add a line that is no entry to a file that the node reads when it is started again."""
@@ -364,6 +423,7 @@ class Soak:
             except LaunchError as error:
                 self._outcome.remarks[f'after {name}{detail}: {str(error)[:300]}'] += 1
                 self._help_teacher()
+                self.serve(0.5)
         self._violate(f'{name}{detail}: the lesson did not go on within {RECOVERY:.0f} s')
 
     def _grown(self, before: int) -> bool:
@@ -482,7 +542,9 @@ class Soak:
             self._violate(f'{len(twice)} actions were applied twice: {twice[:3]}')
         people = len({d.participant for d in shown})
         self._outcome.remarks[f'{len(shown)} demonstrations of {people} people are kept'] += 1
-        self._outcome.remarks[f'{len(self.stranger.applied)} actions were seen'] += 1
+        guests = sum('/keyboard_teleop#' in who for who, _ in self.stranger.applied)
+        seen = f'{len(self.stranger.applied)} actions were seen, {guests} of them by guests'
+        self._outcome.remarks[seen] += 1
 
 
 def on_disk(folder: Path) -> list[Demonstration]:
@@ -664,7 +726,7 @@ def ending(outcome: Outcome) -> list[str]:
     return [*lines, *(f'VIOLATION: {text}' for text in outcome.violations)]
 
 
-KINDS = ('kill', 'kill', 'term', 'stop', 'clock', 'disk', 'files', 'settings')
+KINDS = ('kill', 'kill', 'term', 'stop', 'terminal', 'clock', 'disk', 'files', 'settings')
 GARBAGE = ('messages', 'messages', 'calls')
 
 

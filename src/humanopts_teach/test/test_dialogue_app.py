@@ -133,6 +133,51 @@ def test_a_demonstration_left_by_a_cut_connection_is_taken_up(person: Person) ->
     assert person.sees_words(f'Teaching: {NAME}')
 
 
+def test_a_demonstration_that_somebody_else_left_is_discarded_once_the_person_says_so(
+    person: Person,
+) -> None:
+    left = {'participant': 'anna', 'option_name': NAME, 'episode': 7}
+    person.lesson(Phase.DEMONSTRATING, **left)
+    assert person.press('enter') is None
+    assert person.sees_words('anna has a demonstration under way, and nobody drives. Discard it?')
+    assert person.press('x') is None
+    assert person.sees_words('Who teaches? > p1')
+    person.press('enter')
+    discarded = person.press('enter')
+    assert discarded == EndDemonstration(Verdict.DISCARD, 7, 0)
+    person.lesson(Phase.READY)
+    opened = person.answer(discarded)
+    assert opened == OpenSession('p1')
+    assert person.sees_words('Who teaches?')
+    person.lesson(Phase.NO_OPTION, participant='p1')
+    person.answer(opened)
+    assert person.sees_words('What next?')
+
+
+def test_nothing_is_asked_of_a_lesson_that_somebody_else_has_taken_over(person: Person) -> None:
+    person.names_option(Phase.READY)
+    person.lesson(Phase.DEMONSTRATING, participant='anna', episode=3)
+    assert person.press('enter', 'left') is None
+    assert person.sees_words('anna teaches now. Enter takes the lesson over.')
+    assert person.sees_words('Who teaches? > p1')
+    person.world.holder = 'hers'
+    opened = person.press('enter')
+    assert opened == OpenSession('p1')
+    person.answer(opened, ok=False, text='anna has a demonstration under way')
+    assert person.sees_words('Who teaches? > p1')
+    again = person.press('enter')
+    person.lesson(Phase.NO_OPTION, participant='p1')
+    person.answer(again)
+    assert person.sees_words('What next?')
+    assert isinstance(person.press('1', *NAME, 'enter'), DefineOption)
+
+
+def test_a_demonstration_of_somebody_who_drives_is_not_discarded(person: Person) -> None:
+    person.lesson(Phase.DEMONSTRATING, participant='anna', option_name=NAME)
+    person.world.holder = 'hers'
+    assert person.press('enter') == OpenSession('p1')  # which the lesson refuses
+
+
 def test_nodes_that_are_gone_are_named(shower: Person) -> None:
     shower.world.missing = ('lesson',)
     assert shower.sees_words('lesson: not there. Everything taught is saved; Ctrl-C quits.')

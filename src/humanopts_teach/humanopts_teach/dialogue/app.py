@@ -20,6 +20,7 @@ from humanopts_teach.lesson.requests import (
     DefineOption,
     Drive,
     EndDemonstration,
+    LessonRequest,
     Phase,
     Request,
     RequestStatus,
@@ -116,6 +117,7 @@ class App:
         self.known_options: tuple[str, ...] = ()  # in the order in which they were begun
         self.message = Message()
         self.screen = first
+        self.entrance: Screen | None = None  # where the person came in
         self.run: Run | None = None  # under way
         self.run_text = ''  # how far it is
         self.next_start = ''  # of the next demonstration, that was chosen; empty: none
@@ -212,6 +214,10 @@ class App:
         while self._waiting is None and not self.ended:
             if self._outbox:
                 request = self._outbox.popleft()
+                if self._would_disturb(request):
+                    self._outbox.clear()
+                    self._keys.clear()
+                    continue
                 self._waiting = _Waiting(request, now + REPLY_SECONDS)
                 return request
             if self._keys:
@@ -270,6 +276,20 @@ class App:
         if self.world.i_drive:
             requests.append(SetControl(hold=False))
         return requests
+
+    def _would_disturb(self, request: Request) -> bool:
+        """Return whether a request would change the lesson of somebody else; then come in anew."""
+        whose, entrance = self.world.lesson.participant, self.entrance
+        if (
+            not isinstance(request, LessonRequest)
+            or entrance is None
+            or self.screen is entrance
+            or whose in ('', self.participant)
+        ):
+            return False
+        self.show(entrance)
+        self.say(f'{whose} teaches now. Enter takes the lesson over.', bad=True)
+        return True
 
     @property
     def _asked_for(self) -> object:

@@ -14,11 +14,13 @@ from humanopts_teach.lesson.requests import (
     Answer,
     ChangeOption,
     DefineOption,
+    EndDemonstration,
     ListOptions,
     OpenSession,
     Phase,
     Request,
     UNKNOWN,
+    Verdict,
 )
 
 
@@ -59,16 +61,27 @@ def opening(participant: str, *, ask: bool = True) -> OpeningScreen:
 
 def _enter(code: str, app: App) -> None:
     lesson = app.world.lesson
-    app.participant = code
-    if lesson.phase is Phase.DEMONSTRATING and lesson.participant == code:
+    under_way = lesson.phase is Phase.DEMONSTRATING
+    app.participant, app.entrance = code, app.screen
+    # A terminal that was cut off left a demonstration under way: that of the same person goes on.
+    if under_way and lesson.participant == code:
         app.known_options = (lesson.option_name,)
-        to_lesson(app)  # a terminal that was cut off left a demonstration under way
+        to_lesson(app)
+    elif under_way and not app.world.holder:
+        who = lesson.participant
+        question = f'{who} has a demonstration under way, and nobody drives. Discard it?'
+        discard = EndDemonstration(Verdict.DISCARD, lesson.episode, 0)
+        app.show(
+            ConfirmScreen(
+                question, lambda app: app.ask(discard, OpenSession(code)), app.screen.again
+            )
+        )
     else:
         app.ask(OpenSession(code))
 
 
 def _entered(request: Request, answer: Answer, app: App) -> None:
-    if answer.ok:
+    if answer.ok and isinstance(request, OpenSession):
         app.known_options = answer.known_options
         to_menu(app)
 

@@ -392,7 +392,8 @@ class Lesson:
         if self._paused:
             raise self._refusal_while_paused()
         if self._attempt is not None:
-            raise _wrong_phase('end the demonstration under way first')
+            who = self._participant
+            raise _wrong_phase(f'{who} has a demonstration under way; it has to be ended first')
 
     def _refusal_while_paused(self) -> RefusalError:
         return RefusalError(RequestStatus.PAUSED, f'the lesson is paused: {self._paused}')

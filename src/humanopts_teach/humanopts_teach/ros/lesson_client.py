@@ -43,6 +43,7 @@ from rclpy.utilities import try_shutdown
 
 LESSON = 'lesson'  # name of the node
 _LOST = Answer(RequestStatus.REFUSED, 'a node was started again meanwhile; look where it stands')
+_ELSEWHERE = Answer(RequestStatus.REFUSED, 'the lesson is in another session meanwhile')
 _PATIENCE = 30.0  # s
 _GIVE_BACK = 5.0  # s for game to take control back
 _RENEWAL = 0.5  # s between signs that this node goes on, while it holds control
@@ -146,17 +147,21 @@ class LessonClient:
         """
         what = self.name_of(request)
         await self.until(lambda: self.is_ready(request), f'{what} to be there')
-        future, before = self.send(request), self._lives()
+        future, before, whose = self.send(request), self._lives(), self._whose()
         await self.until(future.done, f'an answer of {what}')
         answer: Answer = future.result()
         if not answer.carried_out:
             raise RefusedError(what, answer)
         shown = f'the lesson to show what came of {what}'
         await self.until(
-            lambda: settled(request, answer, self.world) or self._lives() != before, shown
+            lambda: (
+                settled(request, answer, self.world)
+                or (self._lives(), self._whose()) != (before, whose)
+            ),
+            shown,
         )
         if not settled(request, answer, self.world):
-            raise RefusedError(what, _LOST)
+            raise RefusedError(what, _LOST if self._lives() != before else _ELSEWHERE)
         return answer
 
     async def drive(self, action: str) -> Transition:
@@ -250,6 +255,10 @@ class LessonClient:
         if isinstance(request, Drive):
             return f'action {request.action}'
         return str(self._clients[type(request)].srv_name)
+
+    def _whose(self) -> tuple[str, str]:
+        """Return the participant and the session that the lesson is about."""
+        return self.world.lesson.participant, self.world.lesson.session
 
     def _lives(self) -> tuple[int, int]:
         """Return how often the nodes were started again that change what requests have changed."""
