@@ -83,6 +83,8 @@ def test_a_node_that_was_killed_is_started_again_in_a_limited_number(
     launch: Launch, live: Graph
 ) -> None:
     launcher = launch(spec('game', GAME), restarts=2)
+    gone: list[str] = []
+    launcher.on_end = lambda end, instance: gone.append(f'/game#{instance}')
     for count in range(3):
         live.until(lambda n=count: starts(live) == n + 1, 'the next life', 30.0)
         assert [end.again for end in launcher.ends] == [True] * count
@@ -97,6 +99,7 @@ def test_a_node_that_was_killed_is_started_again_in_a_limited_number(
     assert [line for line in others if line.startswith('  humanopts')] == [again, again]
     assert [end.again for end in launcher.ends] == [True, True, False]
     assert launcher.pids == []
+    assert gone == list(dict.fromkeys(s.publisher_id for s in live.statuses['/game']))
 
 
 def starts(live: Graph) -> int:

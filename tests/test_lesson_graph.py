@@ -36,7 +36,13 @@ from humanopts_ros.qos import CURRENT, LATCHED, STREAM
 from humanopts_teach.bags.contents import read_demonstrations, read_domain, read_episodes
 from humanopts_teach.bags.reader import open_bag
 from humanopts_teach.lesson.lesson import Lesson
-from humanopts_teach.lesson.requests import Answer, RequestStatus
+from humanopts_teach.lesson.requests import (
+    Answer,
+    DefineOption,
+    LessonRequest,
+    OpenSession,
+    RequestStatus,
+)
 from humanopts_teach.lesson.store import DemonstrationStore
 import pytest
 from rclpy.parameter import Parameter
@@ -118,6 +124,28 @@ def test_the_simulated_teacher_waits_for_a_game_that_is_away(
     graph.until(lambda: len(refused) > 3, 'refusals')
     graph.start(GAME)
     graph.until(lambda: person.lesson.phase == LessonState.PHASE_FINISHED, 'the end', 90.0)
+
+
+def test_the_simulated_teacher_takes_the_lesson_back_from_somebody_who_came_in_between(
+    graph: Graph, person: Person, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    carry_out = Lesson.carry_out
+    taken_over: list[Answer] = []
+
+    def come_in_between(lesson: Lesson, request: LessonRequest) -> Answer:
+        answer = carry_out(lesson, request)
+        if isinstance(request, DefineOption) and not taken_over:
+            taken_over.append(carry_out(lesson, OpenSession('anna', 'hers')))
+        return answer
+
+    monkeypatch.setattr(Lesson, 'carry_out', come_in_between)
+    start_learner(graph)
+    person.start_lesson()
+    graph.ready('/game', '/learner')
+    graph.start(TEACHER, options=[PICKUP])
+    graph.until(lambda: bool(person.shown), 'a demonstration')
+    assert [answer.ok for answer in taken_over] == [True]
+    assert {message.participant for message in person.shown} == {'simulated'}
 
 
 def test_a_lesson_that_was_killed_goes_on_where_it_was(graph: Graph, person: Person) -> None:
