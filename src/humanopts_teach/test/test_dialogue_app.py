@@ -143,6 +143,12 @@ def test_a_demonstration_that_somebody_else_left_is_discarded_once_the_person_sa
     assert person.press('x') is None
     assert person.sees_words('Who teaches? > p1')
     person.press('enter')
+    person.world.holder = 'hers'
+    refused = person.press('enter')
+    assert refused == OpenSession('p1')  # she drives again
+    person.answer(refused, ok=False)
+    person.world.holder = ''
+    person.press('enter')
     discarded = person.press('enter')
     assert discarded == EndDemonstration(Verdict.DISCARD, 7, 0)
     person.lesson(Phase.READY)

@@ -70,14 +70,16 @@ def _enter(code: str, app: App) -> None:
     elif under_way and not app.world.holder:
         who = lesson.participant
         question = f'{who} has a demonstration under way, and nobody drives. Discard it?'
-        discard = EndDemonstration(Verdict.DISCARD, lesson.episode, 0)
-        app.show(
-            ConfirmScreen(
-                question, lambda app: app.ask(discard, OpenSession(code)), app.screen.again
-            )
-        )
+        app.show(ConfirmScreen(question, partial(_take_over, lesson.episode), app.screen.again))
     else:
         app.ask(OpenSession(code))
+
+
+def _take_over(episode: int, app: App) -> None:
+    """Discard a demonstration that somebody else left, unless they drive again; then come in."""
+    if app.world.lesson.episode == episode and not app.world.holder:
+        app.ask(EndDemonstration(Verdict.DISCARD, episode, 0))
+    app.ask(OpenSession(app.participant))
 
 
 def _entered(request: Request, answer: Answer, app: App) -> None:
