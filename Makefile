@@ -31,7 +31,7 @@ unexport PYTHONPATH PYTHONDONTWRITEBYTECODE
 
 help:
 	@echo 'make demo    teach a simulated agent two options for Taxi, plan, drive, report (OUT=, SEED=)'
-	@echo 'make test    run the tests, two at a time (ARGS=), first those that need no graph'
+	@echo 'make test    run the tests, four at a time (ARGS=), first those that need no graph'
 	@echo 'make test-quick  run the quick ones of pure code; make test-slow  those that take minutes'
 	@echo 'make test-whole  run those of whole commands: the demo of Pac-Man, studies, nodes that die'
 	@echo 'make test-browser  run those that teach in Chromium'

@@ -353,8 +353,7 @@ def test_a_full_disk_is_seen_in_the_terminal_and_told_when_the_person_quits(
         terminal.press(CTRL_C)
         assert terminal.ended() == 1
         assert terminal.restored()
-        assert terminal.process.stderr is not None
-        told = terminal.process.stderr.read().decode()
+        told = terminal.errors()
         assert told.startswith('humanopts teach: recording stopped: cannot write to')
         (bag,) = (tmp_path / 'bags').iterdir()
         assert told.endswith(f'The bag can be read: humanopts bag info {bag}\n')

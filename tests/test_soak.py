@@ -11,7 +11,7 @@ from humanopts_interfaces.srv import EndDemonstration
 import pytest
 from rclpy.serialization import deserialize_message, serialize_message
 
-KINDS = ('kill', 'stop', 'clock', 'files', 'messages')
+KINDS = ('kill', 'stop', 'terminal', 'clock', 'files', 'messages')
 SEED = 1
 
 

@@ -44,10 +44,10 @@ def live_files(chosen: Sequence[str]) -> list[str]:
     """Return the files that have tests of the live graph, among those chosen; none chosen: all."""
     command = [sys.executable, '-m', 'pytest', '--collect-only', '-q', '-m', LIVE, *chosen]
     done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=False)
-    files = [line.partition('::')[0] for line in done.stdout.splitlines() if '::' in line]
-    if done.returncode not in (0, NOTHING_LEFT) or not files:
+    found = [line.partition('::')[0] for line in done.stdout.splitlines() if '::' in line]
+    if done.returncode not in (0, NOTHING_LEFT) or not found:
         sys.exit(f'no tests of the live graph were found:\n{done.stdout}')
-    return sorted(set(files))
+    return sorted(set(found))
 
 
 @contextmanager

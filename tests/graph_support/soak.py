@@ -73,7 +73,7 @@ _LATCHED = {
     'recorder_status',
 }  # fmt: skip
 ENDS = {'killed': signal.SIGKILL, 'ended': signal.SIGTERM, 'stopped': signal.SIGSTOP}
-GUEST_KEYS = ('y', 'n', 'left', 'right', 'up', 'down', 'p', 'd', ENTER)  # answers and actions
+GUEST_KEYS = ('y', 'n', 'left', 'right', 'up', 'down', 'p', 'd', 't', ENTER)
 IMPOSSIBLE = (math.nan, -math.inf, [1, 2], 'x' * 20_000)  # values of no parameter
 
 
@@ -319,7 +319,9 @@ class Soak:
                 self._teach_until(how, terminal)
             with self._terminal() as terminal:
                 terminal.press(CTRL_C)
-                assert (terminal.ended(), terminal.restored()) == (0, True), f'after one {how}'
+                status = terminal.ended()
+                assert not status, f'after one {how}: {terminal.errors()}'
+                assert terminal.restored(), f'the terminal is not given back after one {how}'
         return how
 
     def _teach_until(self, how: str, terminal: Terminal) -> None:
@@ -347,13 +349,14 @@ class Soak:
         terminal = Terminal(words, int(os.environ['ROS_DOMAIN_ID']), lambda: self.serve(0.0))
         try:
             terminal.see('Who teaches? > guest')
-            pressed = [0.0]
+            pressed = 0.0
 
             def let_in() -> bool:
                 """Press Enter now and then: somebody else may show an option just now."""
-                if time.monotonic() > pressed[-1] + 0.1:
+                nonlocal pressed
+                if time.monotonic() > pressed + 0.1:
                     terminal.press(ENTER)
-                    pressed.append(time.monotonic())
+                    pressed = time.monotonic()
                 return not any(text in terminal.text() for text in ('Who teaches?', 'Discard it?'))
 
             terminal.until(let_in, 'to be let in', RECOVERY)

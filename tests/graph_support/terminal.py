@@ -98,6 +98,10 @@ class Terminal:
         cursor = self.raw.rfind(b'\x1b[?25h') > self.raw.rfind(b'\x1b[?25l')
         return left and cursor and termios.tcgetattr(self.slave) == self.before
 
+    def errors(self) -> str:
+        """Return what the process that has ended wrote on standard error."""
+        return self.process.communicate()[1].decode(errors='replace')
+
     def close(self) -> None:
         """End whatever is left."""
         if self.process.poll() is None:

@@ -139,7 +139,7 @@ def test_a_demonstration_that_somebody_else_left_is_discarded_once_the_person_sa
     left = {'participant': 'anna', 'option_name': NAME, 'episode': 7}
     person.lesson(Phase.DEMONSTRATING, **left)
     assert person.press('enter') is None
-    assert person.sees_words('anna has a demonstration under way, and nobody drives. Discard it?')
+    assert person.sees_words('Perhaps anna is still there. Discard it?')
     assert person.press('x') is None
     assert person.sees_words('Who teaches? > p1')
     person.press('enter')
@@ -148,6 +148,12 @@ def test_a_demonstration_that_somebody_else_left_is_discarded_once_the_person_sa
     assert refused == OpenSession('p1')  # she drives again
     person.answer(refused, ok=False)
     person.world.holder = ''
+    person.press('enter')
+    person.lesson(Phase.READY)  # she has ended it meanwhile
+    ended = person.press('enter')
+    assert ended == OpenSession('p1')
+    person.answer(ended, ok=False)
+    person.lesson(Phase.DEMONSTRATING, **left)
     person.press('enter')
     discarded = person.press('enter')
     assert discarded == EndDemonstration(Verdict.DISCARD, 7, 0)
@@ -160,20 +166,63 @@ def test_a_demonstration_that_somebody_else_left_is_discarded_once_the_person_sa
     assert person.sees_words('What next?')
 
 
-def test_nothing_is_asked_of_a_lesson_that_somebody_else_has_taken_over(person: Person) -> None:
+@pytest.mark.parametrize('key', ['left', 'enter', 'd'])
+def test_nothing_is_asked_of_a_demonstration_of_somebody_who_has_taken_the_lesson_over(
+    person: Person, key: str
+) -> None:
     person.names_option(Phase.READY)
+    person.look()
     person.lesson(Phase.DEMONSTRATING, participant='anna', episode=3)
-    assert person.press('enter', 'left') is None
-    assert person.sees_words('anna teaches now. Enter takes the lesson over.')
-    assert person.sees_words('Who teaches? > p1')
+    asked = len(person.asked)
+    assert person.press(key) is None
+    assert person.sees_words('anna teaches now.')
+    assert person.sees_words('The lesson is no longer yours. Take it back?')
+    assert person.press('enter', 'y', 'left') is None
     person.world.holder = 'hers'
-    opened = person.press('enter')
+    opened = person.press('t')
     assert opened == OpenSession('p1')
     person.answer(opened, ok=False, text='anna has a demonstration under way')
-    assert person.sees_words('Who teaches? > p1')
-    again = person.press('enter')
+    assert person.sees_words('Take it back?')
+    again = person.press('t')
     person.lesson(Phase.NO_OPTION, participant='p1')
     person.answer(again)
+    assert person.sees_words('What next?')
+    assert person.asked[asked:] == [opened, again]
+
+
+def test_who_is_displaced_gives_control_back_and_lets_the_machine_go_on(person: Person) -> None:
+    person.names_option(Phase.READY)
+    person.world.holder = person.world.paused_by = person.world.me
+    person.world.step_period = 0.5
+    person.lesson(Phase.ASKING, participant='anna', question_id=1)
+    goes_on = person.press('y')
+    assert goes_on == SetPace(0.5, paused=False)
+    person.world.paused_by = ''
+    given_back = person.answer(goes_on)
+    assert given_back == SetControl(hold=False)
+    person.world.holder = ''
+    assert person.answer(given_back) is None
+    person.press('escape')
+    assert person.sees_words('What next?')
+
+
+def test_a_lesson_that_was_started_again_without_a_session_is_come_back_to(
+    person: Person,
+) -> None:
+    person.names_option(Phase.READY)
+    person.lesson(Phase.NO_SESSION, participant='', option_name='')
+    person.press('escape')
+    assert person.press('1', *NAME, 'enter') is None
+    assert person.sees_words('The lesson was started again.')
+    assert person.press('t') == OpenSession('p1')
+
+
+def test_a_state_that_comes_late_displaces_nobody(person: Person) -> None:
+    person.lesson(Phase.READY, participant='anna')
+    request = person.press('enter')
+    person.answer(request)
+    person.now = SETTLE_SECONDS
+    person.look()
     assert person.sees_words('What next?')
     assert isinstance(person.press('1', *NAME, 'enter'), DefineOption)
 

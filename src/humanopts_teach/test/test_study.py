@@ -304,6 +304,26 @@ def test_teaching_ends_from_the_menu_and_never_in_a_demonstration(
     assert guest.events('part ended') == [('teach', 'a/teach', 'time is over')]
 
 
+def test_teaching_that_somebody_else_has_taken_over_ends_without_a_word_to_their_lesson(
+    tmp_path: Path, taxi: Domain[Any]
+) -> None:
+    guest = Guest([TEACH, PAGE], tmp_path / 'a.jsonl', taxi)
+    opened = guest.app.waits_for
+    assert opened is not None
+    guest.world.lesson = LessonView(Phase.NO_OPTION, 'anna', 's', budget=100)
+    guest.app.replied(opened, Answer(RequestStatus.OK, ''), guest.now)
+    guest.press('1', *'fetch')
+    defined = guest.press('enter')
+    assert defined is not None
+    guest.world.lesson = LessonView(Phase.DEMONSTRATING, 'anna', 's', 'fetch', episode=1)
+    guest.app.replied(defined, Answer(RequestStatus.OK, ''), guest.now)
+    guest.look()
+    guest.world.lesson = LessonView(Phase.DEMONSTRATING, 'bob', 't', 'go', episode=2)
+    assert guest.press('q') is None
+    assert 'Read this.' in guest.seen
+    assert 'bob' not in guest.seen
+
+
 def test_ctrl_c_leaves_a_part_that_is_begun_again(tmp_path: Path, taxi: Domain[Any]) -> None:
     path = tmp_path / 'a.jsonl'
     guest = Guest([CONSENT, PAGE], path, taxi)

@@ -21,6 +21,7 @@ from humanopts_teach.lesson.requests import (
     Drive,
     EndDemonstration,
     LessonRequest,
+    NewEpisode,
     Phase,
     Request,
     RequestStatus,
@@ -48,10 +49,12 @@ class Screen:
 
     :cvar answers_lesson: a key answers what the lesson asks for, if that was seen.
     :cvar shows_board: the game stands beside what it shows.
+    :cvar comes_in: the lesson may be somebody else's: the person asks for it here.
     """
 
     answers_lesson: ClassVar[bool] = False
     shows_board: ClassVar[bool] = True
+    comes_in: ClassVar[bool] = False
 
     @property
     def state(self) -> str:
@@ -117,7 +120,6 @@ class App:
         self.known_options: tuple[str, ...] = ()  # in the order in which they were begun
         self.message = Message()
         self.screen = first
-        self.entrance: Screen | None = None  # where the person came in
         self.run: Run | None = None  # under way
         self.run_text = ''  # how far it is
         self.next_start = ''  # of the next demonstration, that was chosen; empty: none
@@ -130,6 +132,8 @@ class App:
         self._outbox: deque[Request] = deque()
         self._keys: deque[tuple[str, _Seen]] = deque()  # with what was seen when it was pressed
         self._waiting: _Waiting | None = None
+        self._came_in = False  # the lesson was seen to be this person's
+        self._displaced = first  # screen for one whose lesson is somebody else's now
 
     @property
     def domain(self) -> Domain[Any]:
@@ -171,6 +175,14 @@ class App:
         else:
             self.ask(Drive(action, game.episode, game.step))
 
+    def come_in(self, participant: str, displaced: Screen) -> None:
+        """
+        Be this participant from now on.
+
+        :param displaced: screen to show once the lesson is somebody else's.
+        """
+        self.participant, self._displaced, self._came_in = participant, displaced, False
+
     def end(self) -> None:
         """Leave the dialogue. To be overridden where something follows."""
         self.ended = True
@@ -211,12 +223,12 @@ class App:
         :return: the next request to make; its answer goes to ``replied``.
         """
         self._check_waiting(now)
+        self._came_in |= self.world.lesson.participant == self.participant
         while self._waiting is None and not self.ended:
             if self._outbox:
                 request = self._outbox.popleft()
-                if self._would_disturb(request):
-                    self._outbox.clear()
-                    self._keys.clear()
+                if self._is_others(request):
+                    self._make_way()
                     continue
                 self._waiting = _Waiting(request, now + REPLY_SECONDS)
                 return request
@@ -277,19 +289,28 @@ class App:
             requests.append(SetControl(hold=False))
         return requests
 
-    def _would_disturb(self, request: Request) -> bool:
-        """Return whether a request would change the lesson of somebody else; then come in anew."""
-        whose, entrance = self.world.lesson.participant, self.entrance
-        if (
-            not isinstance(request, LessonRequest)
-            or entrance is None
-            or self.screen is entrance
-            or whose in ('', self.participant)
-        ):
+    def _is_others(self, request: Request) -> bool:
+        """Return whether a request would go to a lesson that is no longer this person's."""
+        lesson = self.world.lesson
+        if not self._came_in or self.screen.comes_in or lesson.participant == self.participant:
             return False
-        self.show(entrance)
-        self.say(f'{whose} teaches now. Enter takes the lesson over.', bad=True)
-        return True
+        moves = isinstance(request, Drive | NewEpisode | Run) or request == SetControl(hold=True)
+        shows = lesson.phase is Phase.DEMONSTRATING
+        return isinstance(request, LessonRequest) or (moves and shows)
+
+    def _make_way(self) -> None:
+        """Leave lesson and game to somebody else, and say so."""
+        self._outbox.clear()
+        self._keys.clear()
+        if self.run is not None:
+            self.ask(CancelRun())
+        if self.world.paused_by == self.world.me:
+            self.go_on()
+        if self.world.i_drive:
+            self.ask(SetControl(hold=False))
+        whose = self.world.lesson.participant
+        self.say(f'{whose} teaches now.' if whose else 'The lesson was started again.', bad=True)
+        self.show(self._displaced)
 
     @property
     def _asked_for(self) -> object:

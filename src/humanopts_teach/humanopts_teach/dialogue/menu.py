@@ -3,12 +3,14 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from typing import ClassVar
 
 from humanopts_env.domains.base import is_enumerable
 from humanopts_learner.demonstrations import GOAL, METHODS, TREES
-from humanopts_teach.dialogue.app import App
+from humanopts_teach.dialogue.app import App, Keys
 from humanopts_teach.dialogue.driving import PlayScreen, RunScreen, WatchScreen
 from humanopts_teach.dialogue.entry import ConfirmScreen, Item, ListScreen, TextScreen
+from humanopts_teach.dialogue.keys import ESCAPE
 from humanopts_teach.dialogue.teaching import LessonScreen
 from humanopts_teach.lesson.requests import (
     Answer,
@@ -34,12 +36,34 @@ class OpeningScreen(TextScreen):
     """
 
     known: bool = False
+    comes_in: ClassVar[bool] = True
 
     def tick(self, app: App) -> None:
         """Take the code that is known, once."""
         if self.known and app.world.lesson is not UNKNOWN:
             self.known = False
             self.submit(self.typed, app)
+
+
+class DisplacedScreen(ConfirmScreen):
+    """The lesson is no longer this person's; no key that was meant for it takes it back."""
+
+    comes_in: ClassVar[bool] = True
+
+    def __init__(self) -> None:
+        super().__init__('The lesson is no longer yours. Take it back?', _come_back, to_menu)
+
+    def press(self, key: str, app: App) -> None:
+        if key == 't':
+            self.affirm(app)
+        elif key == ESCAPE:
+            self.back(app)
+
+    def replied(self, request: Request, answer: Answer, app: App) -> None:
+        _entered(request, answer, app)
+
+    def keys(self, app: App) -> Keys:
+        return [('t', 'take it back'), ('Esc', 'menu'), ('Ctrl-C', 'quit')]
 
 
 def opening(participant: str, *, ask: bool = True) -> OpeningScreen:
@@ -62,22 +86,31 @@ def opening(participant: str, *, ask: bool = True) -> OpeningScreen:
 def _enter(code: str, app: App) -> None:
     lesson = app.world.lesson
     under_way = lesson.phase is Phase.DEMONSTRATING
-    app.participant, app.entrance = code, app.screen
+    app.come_in(code, DisplacedScreen())
     # A terminal that was cut off left a demonstration under way: that of the same person goes on.
     if under_way and lesson.participant == code:
         app.known_options = (lesson.option_name,)
         to_lesson(app)
     elif under_way and not app.world.holder:
         who = lesson.participant
-        question = f'{who} has a demonstration under way, and nobody drives. Discard it?'
+        question = (
+            f'{who} has a demonstration under way, but holds no control now. Perhaps {who} is '
+            'still there. Discard it?'
+        )
         app.show(ConfirmScreen(question, partial(_take_over, lesson.episode), app.screen.again))
     else:
         app.ask(OpenSession(code))
 
 
+def _come_back(app: App) -> None:
+    _enter(app.participant, app)
+
+
 def _take_over(episode: int, app: App) -> None:
-    """Discard a demonstration that somebody else left, unless they drive again; then come in."""
-    if app.world.lesson.episode == episode and not app.world.holder:
+    """Discard a demonstration that somebody else left, if it still is as it was; then come in."""
+    lesson = app.world.lesson
+    under_way = lesson.phase is Phase.DEMONSTRATING and lesson.episode == episode
+    if under_way and not app.world.holder:
         app.ask(EndDemonstration(Verdict.DISCARD, episode, 0))
     app.ask(OpenSession(app.participant))
 

@@ -1,5 +1,6 @@
 """The dialogue of a study: one part after the other, of which teaching is one."""
 
+from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import ClassVar
@@ -103,6 +104,7 @@ class StudyApp(App):
         self._note(PART_ENDED, kind=self._part.kind.value, why=why)
         self._part = None
         self._keys.clear()  # typed for what was shown
+        self._outbox = deque(each for each in self._outbox if not self._is_others(each))
         self.show(Screen())
 
     def _note(self, what: str, **values: object) -> None:

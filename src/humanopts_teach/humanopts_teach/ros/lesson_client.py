@@ -43,7 +43,7 @@ from rclpy.utilities import try_shutdown
 
 LESSON = 'lesson'  # name of the node
 _LOST = Answer(RequestStatus.REFUSED, 'a node was started again meanwhile; look where it stands')
-_ELSEWHERE = Answer(RequestStatus.REFUSED, 'the lesson is in another session meanwhile')
+_ELSEWHERE = Answer(RequestStatus.REFUSED, 'the lesson is now in another session')
 _PATIENCE = 30.0  # s
 _GIVE_BACK = 5.0  # s for game to take control back
 _RENEWAL = 0.5  # s between signs that this node goes on, while it holds control
@@ -142,12 +142,13 @@ class LessonClient:
         """
         Ask the lesson or drive, and wait until the published state shows what came of it.
 
-        :raises RefusedError: it was not carried out.
+        :raises RefusedError: it was not carried out, or what came of it cannot be seen: a node was
+            started again, or the lesson is in another session.
         :raises NoAnswerError: there was no answer, or the state does not show it.
         """
         what = self.name_of(request)
         await self.until(lambda: self.is_ready(request), f'{what} to be there')
-        future, before, whose = self.send(request), self._lives(), self._whose()
+        future, before, session = self.send(request), self._lives(), self._session()
         await self.until(future.done, f'an answer of {what}')
         answer: Answer = future.result()
         if not answer.carried_out:
@@ -156,7 +157,7 @@ class LessonClient:
         await self.until(
             lambda: (
                 settled(request, answer, self.world)
-                or (self._lives(), self._whose()) != (before, whose)
+                or (self._lives(), self._session()) != (before, session)
             ),
             shown,
         )
@@ -256,7 +257,7 @@ class LessonClient:
             return f'action {request.action}'
         return str(self._clients[type(request)].srv_name)
 
-    def _whose(self) -> tuple[str, str]:
+    def _session(self) -> tuple[str, str]:
         """Return the participant and the session that the lesson is about."""
         return self.world.lesson.participant, self.world.lesson.session
 
