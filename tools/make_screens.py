@@ -42,7 +42,7 @@ PICTURES = PAGE.with_suffix('')
 TITLES = {'taxi': 'Taxi', 'pacman': 'Pac-Man', 'study': 'A study'}
 HEAD = """# Screens
 
-Every screen of the dialogue in the terminal, at 80 x 24 and at 120 x 40. `make screens` makes the
+Every screen of the dialogue of one person in the terminal, at 80 x 24 and at 120 x 40. `make screens` makes the
 pictures and this page: the whole graph runs, and a program presses the keys. The page in the
 browser shows the same in [a form of its own](../how-to/teach-in-a-browser.md).
 """
