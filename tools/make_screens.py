@@ -42,9 +42,9 @@ PICTURES = PAGE.with_suffix('')
 TITLES = {'taxi': 'Taxi', 'pacman': 'Pac-Man', 'study': 'A study'}
 HEAD = """# Screens
 
-Every screen of the dialogue of one person in the terminal, at 80 x 24 and at 120 x 40. `make screens` makes the
-pictures and this page: the whole graph runs, and a program presses the keys. The page in the
-browser shows the same in [a form of its own](../how-to/teach-in-a-browser.md).
+Every screen of one person's dialogue in the terminal, at 80 x 24 and at 120 x 40. `make screens`
+makes the pictures and this page: the whole graph runs, and a program presses the keys. The page in
+the browser shows the same in [a form of its own](../how-to/teach-in-a-browser.md).
 """
 FILM = Path('docs/images/teach.svg')  # of these screens, one after the other
 FRAMES = ('name', 'question', 'start', 'criteria', 'watched', 'finished', 'plan', 'played')
