@@ -66,7 +66,7 @@ $(VENV)/.test-locked: requirements-test.lock $(VENV)/.locked
 	$(STEP) 'Installing the packages of the tests' tools/install_packages.sh $(VENV) $<
 	@touch $@
 
-build/.interfaces: $(VENV)/.build-locked $(INTERFACES) tools/build_interfaces.sh
+build/.interfaces: $(VENV)/.build-locked $(INTERFACES) tools/build_interfaces.sh tools/wheels.cmake tools/generate_interfaces.py
 	$(STEP) 'Building the ROS interfaces' tools/build_interfaces.sh $(VENV)
 	@touch $@
 

@@ -9,7 +9,7 @@ built=install/humanopts_interfaces
 name=humanopts_interfaces
 
 key=$({
-  find "src/$name" tools/build_interfaces.sh tools/drop_missing_includes.cmake \
+  find "src/$name" tools/{build_interfaces.sh,wheels.cmake,generate_interfaces.py} \
     -type f -not -name '*.md' -not -name '*.rst' -print0 |
     LC_ALL=C sort -z | xargs -0 sha256sum
   grep -E '^(ros-|numpy)' requirements-build.lock
@@ -42,6 +42,6 @@ PATH="$venv/bin:$PATH" "$venv/bin/colcon" --log-level error build \
   --event-handlers console_direct- summary- --packages-select "$name" --cmake-args \
   -DPython3_EXECUTABLE="$venv/bin/python" -DBUILD_TESTING=OFF -DCMAKE_BUILD_TYPE=Release \
   -DCMAKE_C_FLAGS_RELEASE="$light" -DCMAKE_CXX_FLAGS_RELEASE="$light" \
-  -DCMAKE_PROJECT_INCLUDE="$root/tools/drop_missing_includes.cmake" \
+  -DCMAKE_PROJECT_INCLUDE="$root/tools/wheels.cmake" \
   -DHUMANOPTS_PYTHON_ONLY=ON > build/interfaces.log 2>&1 || { cat build/interfaces.log; exit 1; }
 copy "$built" "$cache" "$root" @ROOT@ || echo "$cache cannot be written"

@@ -1,5 +1,7 @@
-# The ROS wheels export include paths of the machine that built them. Passed as
-# CMAKE_PROJECT_INCLUDE, this drops the ones that do not exist here, once every package is found.
+# What building interfaces with ROS from wheels needs. It is passed as CMAKE_PROJECT_INCLUDE and
+# done once everything is configured.
+
+# The wheels export include paths of the machine that built them. Those that do not exist go.
 function(humanopts_drop_missing_includes)
   get_property(targets DIRECTORY PROPERTY IMPORTED_TARGETS)
   foreach(target IN LISTS targets)
@@ -15,4 +17,12 @@ function(humanopts_drop_missing_includes)
     endif()
   endforeach()
 endfunction()
+
+function(humanopts_generate_interfaces)
+  execute_process(
+    COMMAND "${Python3_EXECUTABLE}" "${CMAKE_CURRENT_FUNCTION_LIST_DIR}/generate_interfaces.py"
+    "${CMAKE_CURRENT_BINARY_DIR}" COMMAND_ERROR_IS_FATAL ANY)
+endfunction()
+
 cmake_language(DEFER CALL humanopts_drop_missing_includes)
+cmake_language(DEFER CALL humanopts_generate_interfaces)

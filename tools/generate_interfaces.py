@@ -1,0 +1,51 @@
+"""
+generate_interfaces.py FOLDER: runs the generators of ROS interfaces that CMake configured there.
+
+make would run one after the other, and each would parse all interfaces again, which is most of
+their work. Here they are parsed once, and all cores generate. make finds everything up to date.
+"""
+
+import functools
+import multiprocessing
+from pathlib import Path
+import runpy
+import sys
+
+from rosidl_parser import parser
+
+TYPE_SUPPORTS = (  # those that are installed; the first is built
+    'rosidl_typesupport_fastrtps_c',
+    'rosidl_typesupport_introspection_c',
+    'rosidl_typesupport_c',
+)
+FIRST = 'rosidl_generator_type_description'  # the others read what it writes
+OTHERS = {  # the longest first
+    'rosidl_generator_py': ['--typesupport-impls', ';'.join(TYPE_SUPPORTS)],
+    'rosidl_generator_c': [],
+    'rosidl_typesupport_fastrtps_c': [],
+    'rosidl_typesupport_c': ['--typesupports', TYPE_SUPPORTS[0]],
+}
+LIBRARIES = Path(sys.prefix) / 'lib'
+
+
+def generate(folder: Path, name: str, *arguments: str) -> None:
+    """Run one generator, as make would."""
+    described = str(folder / f'{name}__arguments.json')
+    sys.argv = [name, '--generator-arguments-file', described, *arguments]
+    try:
+        runpy.run_path(str(LIBRARIES / name / name), run_name='__main__')
+    except SystemExit as end:
+        if end.code:
+            raise
+
+
+def main(folder: Path) -> None:
+    """Run them all."""
+    parser.parse_idl_string = functools.cache(parser.parse_idl_string)
+    generate(folder, FIRST)
+    with multiprocessing.get_context('fork').Pool() as pool:
+        pool.starmap(generate, [(folder, name, *args) for name, args in OTHERS.items()], 1)
+
+
+if __name__ == '__main__':
+    main(Path(sys.argv[1]))
