@@ -13,17 +13,14 @@ import sys
 
 from rosidl_parser import parser
 
-TYPE_SUPPORTS = (  # those that are installed; the first is built
-    'rosidl_typesupport_fastrtps_c',
-    'rosidl_typesupport_introspection_c',
-    'rosidl_typesupport_c',
-)
+TYPE_SUPPORTS = ['rosidl_typesupport_fastrtps_c', 'rosidl_typesupport_introspection_c']
 FIRST = 'rosidl_generator_type_description'  # the others read what it writes
 OTHERS = {  # the longest first
-    'rosidl_generator_py': ['--typesupport-impls', ';'.join(TYPE_SUPPORTS)],
+    'rosidl_generator_py': ['--typesupport-impls', ';'.join([*TYPE_SUPPORTS, 'rosidl_typesupport_c'])],
     'rosidl_generator_c': [],
     'rosidl_typesupport_fastrtps_c': [],
-    'rosidl_typesupport_c': ['--typesupports', TYPE_SUPPORTS[0]],
+    'rosidl_typesupport_introspection_c': [],
+    'rosidl_typesupport_c': ['--typesupports', *TYPE_SUPPORTS],
 }
 LIBRARIES = Path(sys.prefix) / 'lib'
 
