@@ -14,13 +14,14 @@ import sys
 from rosidl_parser import parser
 
 TYPE_SUPPORTS = ['rosidl_typesupport_fastrtps_c', 'rosidl_typesupport_introspection_c']
+DISPATCH = 'rosidl_typesupport_c'
 FIRST = 'rosidl_generator_type_description'  # the others read what it writes
 OTHERS = {  # the longest first
-    'rosidl_generator_py': ['--typesupport-impls', ';'.join([*TYPE_SUPPORTS, 'rosidl_typesupport_c'])],
+    'rosidl_generator_py': ['--typesupport-impls', ';'.join((*TYPE_SUPPORTS, DISPATCH))],
     'rosidl_generator_c': [],
     'rosidl_typesupport_fastrtps_c': [],
     'rosidl_typesupport_introspection_c': [],
-    'rosidl_typesupport_c': ['--typesupports', *TYPE_SUPPORTS],
+    DISPATCH: ['--typesupports', *TYPE_SUPPORTS],
 }
 LIBRARIES = Path(sys.prefix) / 'lib'
 
