@@ -1,8 +1,9 @@
-"""What another process does while this one has work that goes first."""
+"""What other processes do while this one has work that goes first."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import partial
 import os
+from pathlib import Path
 import signal
 import subprocess
 import sys
@@ -31,36 +32,89 @@ def test_calls_are_made_in_a_process_that_others_go_before_until_their_end_or_ou
     }
     with Meanwhile[str, object]() as other:
         other.begin(calls)
-        _wait_for(other.results, 2)
-        (process,) = at_work()
+        _wait_for(other, 2)
+        pids = {process.pid for process in at_work()}
+    assert len(pids) == len(os.sched_getaffinity(0))
     lowest = 19
-    assert other.results == {'niceness': min(os.nice(0) + NICE, lowest), 'process': process.pid}
+    assert set(other.results) == {'niceness', 'process'}
+    assert other.results['niceness'] == min(os.nice(0) + NICE, lowest)
+    assert other.results['process'] in pids
     assert at_work() == []
 
 
-def test_calls_that_are_begun_later_are_made_after_those_before_by_the_same_process() -> None:
-    with Meanwhile[str, int]() as other:
-        other.begin({'first': os.getpid})
-        other.begin({'second': os.getpid})
-        _wait_for(other.results, 2)
-        found = other.end()
-        assert at_work() == []
-    assert list(found) == ['first', 'second']
-    assert len(set(found.values())) == 1
+def test_what_is_under_way_goes_on_and_what_waits_begins_again_the_costliest_first(
+    tmp_path: Path,
+) -> None:
+    cores = len(os.sched_getaffinity(0))
+    gate, told = tmp_path / 'open', list[tuple[float, float, str]]()
+    with Meanwhile[str, object]() as other:
+        other.begin({'known': partial(int, '1')})
+        _wait_for(other, 1)
+        other.begin({f'busy {n}': partial(_wait_for_file, gate) for n in range(cores)})
+        _wait_until(lambda: len(list(tmp_path.glob('begun-*'))) == cores)
+        queued = {f'queued {n}': partial(_order, tmp_path) for n in range(20)}
+        other.begin(queued)
+        calls = {**queued, 'dear': partial(_order, tmp_path), 'busy 0': partial(int, '0')}
+        threading.Timer(0.2, gate.touch).start()
+        costs = [*range(20), 100.0, 1.0]
+        found = other.all_of(calls, list(calls), costs, lambda *told_now: told.append(told_now))
+        assert found[-1] == 'it went on'
+        assert set(other.results) == {'known', *calls, *(f'busy {n}' for n in range(cores))}
+    *of_queued, of_dear, _ = found
+    assert all(isinstance(turn, int) for turn in of_queued)
+    # What was handed to the processes before could not be taken back; of the others it was first.
+    assert isinstance(of_dear, int)
+    assert of_dear < 15
+    assert found[19] < found[10]  # type: ignore[operator]
+    assert [done for done, _, _ in told] == list(range(1, len(calls) + 1))
+    assert {total for _, total, _ in told} == {len(calls)}
+    assert sorted(name for _, _, name in told) == sorted(calls)
 
 
-def test_where_the_process_is_killed_the_results_so_far_stay_and_no_more_come() -> None:
+def test_what_raises_raises_when_it_is_needed() -> None:
+    calls = {'error': partial(int, 'no number')}
+    with Meanwhile[str, int]() as other:
+        other.begin(calls)
+        with pytest.raises(ValueError, match='no number'):
+            other.all_of(calls, ['error'], [1.0], lambda *_: None)
+
+
+def test_where_a_process_is_killed_the_results_so_far_stay_and_the_others_are_made_anew() -> None:
     with Meanwhile[str, int]() as other:
         other.begin({'first': os.getpid})
-        _wait_for(other.results, 1)
-        (process,) = at_work()
-        process.kill()
-        process.wait(timeout=30.0)
-        deadline = time.monotonic() + 60.0
-        while at_work():
-            assert time.monotonic() < deadline
+        _wait_for(other, 1)
+        other.begin({'lost': partial(_sleep, 600.0)})
+        for process in at_work():
+            process.kill()
+            process.wait(timeout=30.0)
+        _wait_until(lambda: 'ExecutorManagerThread' not in {t.name for t in threading.enumerate()})
         other.begin({'second': os.getpid})
-        assert other.end() == {'first': process.pid}
+        calls = {'first': os.getpid, 'lost': os.getpid, 'second': os.getpid}
+        first, *others = other.all_of(calls, list(calls), [1.0] * 3, lambda *_: None)
+        assert first not in others
+        assert {*others} <= {process.pid for process in at_work()}
+
+
+def _sleep(seconds: float) -> int:
+    time.sleep(seconds)
+    return 0
+
+
+def _wait_for_file(path: Path) -> str:
+    (path.parent / f'begun-{os.getpid()}').touch()
+    _wait_until(path.exists)
+    return 'it went on'
+
+
+def _order(folder: Path) -> int:
+    """Return how many did this before."""
+    for number in range(1000):
+        try:
+            (folder / f'turn-{number}').touch(exist_ok=False)
+        except FileExistsError:
+            continue
+        return number
+    raise AssertionError
 
 
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
@@ -86,13 +140,17 @@ def test_what_interrupts_this_process_waits_until_the_other_has_started(
     with interruptible(), Meanwhile[str, int]() as other:
         with pytest.raises(KeyboardInterrupt):
             other.begin(Interrupted({'process': os.getpid}))
-        _wait_for(other.results, 1)
+        _wait_for(other, 1)
     thread.join()
 
 
-def _wait_for(results: Mapping[str, object], count: int) -> None:
+def _wait_for(other: Meanwhile[Any, Any], count: int) -> None:
+    _wait_until(lambda: len(other.results) >= count)
+
+
+def _wait_until(holds: Callable[[], bool]) -> None:
     deadline = time.monotonic() + 60.0
-    while len(results) < count:
+    while not holds():
         assert time.monotonic() < deadline
         time.sleep(0.01)
 
@@ -122,4 +180,4 @@ def test_without_calls_no_process_is_started() -> None:
     with Meanwhile[str, object]() as other:
         other.begin({})
         assert at_work() == []
-        assert other.end() == {}
+    assert other.results == {}

@@ -43,7 +43,7 @@ from humanopts_teach.evaluation.bag_evaluation import (
     judged_by,
     with_games,
 )
-from humanopts_teach.evaluation.games import ComparisonRow, earlier_calls, PlayKey
+from humanopts_teach.evaluation.games import earlier_calls, PlayKey
 from humanopts_teach.evaluation.measures import option_block, row_of_result
 from humanopts_teach.evaluation.side_by_side import Meanwhile
 from humanopts_teach.evaluation.summary import (
@@ -95,7 +95,7 @@ def run_demo(
     judged = played if exact else games or judged_by(domain)
     check_folder(setup, new=True)
     compares = games > 0 and not exact  # in games; some can be played before their turn
-    with DemoProgress() as progress, Meanwhile[PlayKey, ComparisonRow]() as earlier:
+    with DemoProgress() as progress, Meanwhile[PlayKey, Any]() as earlier:
         if compares:
             earlier.begin(earlier_calls(domain, (), setup.seed, games, game_steps))
         with session(setup, launch.namespace, progress) as running:
@@ -103,15 +103,15 @@ def run_demo(
             options = [option for option, _ in taught]
             if compares and options:
                 earlier.begin(earlier_calls(domain, options, setup.seed, games, game_steps))
-            live = _plan_and_play(running, domain, taught, played, judged, progress)
+            here = exact or compares  # the bag is evaluated by this process
+            live = _plan_and_play(running, domain, taught, played, judged, here, progress)
         progress.stage('evaluating the bag')
         try:
             bag = open_bag(running.bags[-1])
-            evaluation = evaluate_bag(bag, progress.evaluating, judged)
+            evaluation = evaluate_bag(bag, progress.evaluating, judged, jobs=int(here))
             if compares:
                 progress.stage(f'playing {games} games with each')
-                known = earlier.end()
-                evaluation = with_games(evaluation, games, progress.comparing, known)
+                evaluation = with_games(evaluation, games, progress.comparing, earlier)
         except BagError as error:
             raise LaunchError(f'the recording cannot be evaluated: {error}') from error
         progress.stage('writing the report')
@@ -171,6 +171,7 @@ def _plan_and_play(
     taught: Sequence[tuple[LearnedOption, Any]],
     episodes: int,
     judged: int,
+    here: bool,
     progress: DemoProgress,
 ) -> Live:
     graph, setup = running.graph, running.setup
@@ -185,8 +186,7 @@ def _plan_and_play(
         for name in (HUMAN, PRIMITIVE)
     ]
     progress.stage(f'playing {episodes} episodes')
-    learns = is_enumerable(domain)  # elsewhere other processes evaluate the bag
-    importing = threading.Thread(target=_import_what_follows, args=(learns,), daemon=True)
+    importing = threading.Thread(target=_import_what_follows, args=(here,), daemon=True)
     importing.start()
     played = graph.retry(partial(graph.play, HUMAN, episodes, setup.seed, setup.game_steps))
     graph.wait(graph.all_recorded, NEWS_SECONDS, 'what was shown to be in the newest bag')

@@ -37,7 +37,6 @@ from humanopts_teach.bags.contents import read_demonstrations, read_domain
 from humanopts_teach.bags.provenance import software, UNKNOWN
 from humanopts_teach.bags.reader import Bag, ignore_progress, open_bag
 from humanopts_teach.evaluation.games import (
-    ComparisonRow,
     evaluate_games,
     GAMES,
     GamesEvaluation,
@@ -54,7 +53,7 @@ from humanopts_teach.evaluation.measures import (
     Settings,
     settings_from_facts,
 )
-from humanopts_teach.evaluation.side_by_side import all_of
+from humanopts_teach.evaluation.side_by_side import all_of, Meanwhile
 
 EPISODES = 100  # that plans are judged by, where models are exact
 SOFTWARE = ('humanopts_version', 'numpy', 'scikit-learn')  # that learning depends on
@@ -202,13 +201,18 @@ def judged_by(domain: Domain[Any]) -> int:
 
 
 def evaluate_bag(
-    bag: str | Path | Bag, progress: ProgressCallback = ignore_progress, episodes: int = 0
+    bag: str | Path | Bag,
+    progress: ProgressCallback = ignore_progress,
+    episodes: int = 0,
+    jobs: int = 0,
 ) -> BagEvaluation:
     """
     Evaluate a bag with the settings that it carries.
 
     :param progress: called as the work goes on.
     :param episodes: that plans are judged by; 0: as many as is usual in the domain.
+    :param jobs: processes that do the work; 0: one for each core, but this one where plans are
+        exact, as they take less time than processes to start.
     :raises BagError: it is not a readable bag.
     :raises EvaluationError: it holds no demonstration to learn from.
     """
@@ -217,7 +221,7 @@ def evaluate_bag(
     settings, assumed = settings_from_facts(opened.facts)
     demonstrations, attached = read_demonstrations(opened), attached_options(opened)
     warnings = [*opened.notes, *assumed, *software_notes(opened.facts)]
-    jobs = 1 if is_enumerable(domain) else 0  # else it takes longer than to start processes
+    jobs = jobs or int(is_enumerable(domain))
     found = evaluate(demonstrations, domain, settings, warnings, progress, episodes, jobs)
     learned = [evaluated.last.option for evaluated in found.options]
     equal, differing = compare_options(attached, learned, demonstrations)
@@ -410,14 +414,14 @@ def with_games(
     evaluation: BagEvaluation,
     games: int = GAMES,
     progress: ProgressCallback = ignore_progress,
-    known: Mapping[PlayKey, ComparisonRow] = {},
+    earlier: Meanwhile[PlayKey, Any] | None = None,
 ) -> BagEvaluation:
     """
     Compare each participant's options with their baselines in many games.
 
     :param games: that each way to play is judged by, two or more.
     :param progress: called as the work goes on.
-    :param known: as of ``evaluate_games``.
+    :param earlier: as of ``evaluate_games``.
     :raises EvaluationError: plans of the domain are exact, or it cannot play many games.
     """
     domain, people, settings = evaluation.domain, evaluation.people, evaluation.settings
@@ -438,7 +442,8 @@ def with_games(
             found[person] = evaluate_games(
                 *(domain, options, settings.seed, games, settings.game_steps),
                 progress=report,
-                known={**known, **judged},
+                known=judged,
+                earlier=earlier,
             )
         except PlanError as error:
             raise EvaluationError(f'the games cannot be played: {error}') from error

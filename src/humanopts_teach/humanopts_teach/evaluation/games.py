@@ -44,7 +44,7 @@ from humanopts_learner.planning.sampled.games import play_games
 from humanopts_learner.planning.sampled.plan import make_sampled_plan, SampledPlan
 from humanopts_learner.planning.sampled.policies import UniformPolicy
 from humanopts_teach.bags.reader import ignore_progress
-from humanopts_teach.evaluation.side_by_side import all_of
+from humanopts_teach.evaluation.side_by_side import all_of, Meanwhile
 import numpy as np
 
 GAMES = 1000  # that each way to play is judged by
@@ -342,6 +342,7 @@ def evaluate_games(
     progress: ProgressCallback = ignore_progress,
     jobs: int = 0,
     known: Mapping[PlayKey, ComparisonRow] = {},
+    earlier: Meanwhile[PlayKey, Any] | None = None,
 ) -> GamesEvaluation:
     """
     Compare action sets, chance and the domain's rule in games, and measure the curves.
@@ -353,6 +354,7 @@ def evaluate_games(
     :param progress: called as the work goes on; what it raises passes through.
     :param jobs: processes that do the work; 0: one for each core; 1: this one.
     :param known: results of some of ``earlier_calls``.
+    :param earlier: has begun some of them, and does what is left; None: ``jobs`` do.
     :raises PlanError: the domain cannot play many games, or the options are of another one.
     """
     variants = _variants(domain)
@@ -362,16 +364,24 @@ def evaluate_games(
     compared = _compared(variants, options, steps)
     curve = _primitive_plans(variant, budgets, steps)
     plays = _plays(variants, compared, curve, seed, games)
+    known = {**known, **(earlier.results if earlier else {})}
     rows = {key: row for key, row in known.items() if key in plays}
     left = {key: play for key, play in plays.items() if key not in rows}
-    calls: list[Callable[[], Any]] = [
-        *(partial(play_baseline, variants[name], way, seed, games) for name, way in left.values()),
-        partial(_curve_of_options, variant, options, budgets, seed, games),
-    ]
+    calls: dict[PlayKey, Callable[[], Any]] = {
+        key: partial(play_baseline, variants[name], way, seed, games)
+        for key, (name, way) in left.items()
+    }
+    of_curve = _key(variant, Baseline(CURVE, PLAN, HUMAN, options), seed, games)
+    calls[*of_curve, *budgets] = partial(
+        _curve_of_options, variant, options, budgets, seed, games
+    )
     names = [*(f'{name}: {way.name}' if name else way.name for name, way in left.values()), CURVE]
     costs = [*(_cost(way) for _, way in left.values()), math.inf]
     progress(0, len(calls), f'{len(calls)} parts, side by side')
-    *found, human = all_of(calls, names, costs, progress, jobs)
+    if earlier:
+        *found, human = earlier.all_of(calls, names, costs, progress)
+    else:
+        *found, human = all_of([*calls.values()], names, costs, progress, jobs)
     rows |= zip(left, found)
 
     def row_of(of: Domain[Any], way: Baseline) -> ComparisonRow:
@@ -399,8 +409,9 @@ def earlier_calls(
     budgets: Sequence[int] = BUDGETS,
 ) -> dict[PlayKey, Callable[[], ComparisonRow]]:
     """
-    Return calls of ``evaluate_games`` that can be made before it, the cheapest first.
+    Return calls of ``evaluate_games`` that can be made before it, the costliest first.
 
+    The plan with all options that a bag is evaluated with is not among them: it is known then.
     Parameters and errors are those of ``evaluate_games``.
 
     :param options: the calls need all of them, or some; none: calls that need no options.
@@ -408,9 +419,10 @@ def earlier_calls(
     variants, steps = _variants(domain), game_steps or GAME_STEPS
     curve = _primitive_plans(next(iter(variants.values())), budgets, steps)
     plays = _plays(variants, _compared(variants, options, steps), curve, seed, games)
+    plays.pop(_key(domain, Baseline('', PLAN, HUMAN, options, steps), seed, games), None)
     return {
         key: partial(play_baseline, variants[name], way, seed, games)
-        for key, (name, way) in sorted(plays.items(), key=lambda play: _cost(play[1][1]))
+        for key, (name, way) in sorted(plays.items(), key=lambda play: -_cost(play[1][1]))
         if way.needs_options == bool(options)
     }
 

@@ -1,22 +1,21 @@
 """Work done side by side by processes of this machine, which end with the one that began them."""
 
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
-from concurrent.futures import Future
+from concurrent.futures import as_completed, Future
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import closing, contextmanager, ExitStack, suppress
-from functools import partial
+from contextlib import closing, contextmanager, ExitStack
 from multiprocessing import resource_tracker
 import os
 import signal
 import threading
 import time
-from typing import Generic, Self, TypeVar
+from typing import Any, Generic, Self, TypeVar
 
 from joblib import delayed, Parallel, parallel_config
 from joblib.externals.loky import ProcessPoolExecutor
 from joblib.externals.loky.backend import resource_tracker as loky_tracker
 
-NICE = 10  # of a process whose work can wait
+NICE = 5  # of a process whose work can wait, but not for as long as others have any
 _LOOK = 1.0  # s between looks at whether the process that began this one is still there
 _ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _ONE_THREAD = {'OMP_NUM_THREADS': '1', 'OPENBLAS_NUM_THREADS': '1'}  # as joblib's processes
@@ -79,43 +78,70 @@ def all_of(
 
 class Meanwhile(Generic[Key, Result]):
     """
-    Has another process make calls, in order, while this one has work that goes first.
+    Has other processes, one for each core, make calls while this one has work that goes first.
 
-    It is a context manager, and ends with it.
-
-    :ivar results: of the calls so far that raised nothing, by what these are known by.
+    It is a context manager, and ends with it; what is still under way is given up then.
     """
 
     def __init__(self) -> None:
-        self.results: dict[Key, Result] = {}
         self._executor: ProcessPoolExecutor | None = None
+        self._begun: dict[Key, Future[Result]] = {}
         self._stack = ExitStack()
+
+    @property
+    def results(self) -> dict[Key, Result]:
+        """The results of the calls so far that raised nothing, by what these are known by."""
+        ended = {key: call for key, call in self._begun.items() if call.done()}
+        return {key: call.result() for key, call in ended.items() if call.exception() is None}
 
     def begin(self, calls: Mapping[Key, Callable[[], Result]]) -> None:
         """
         Have more calls made, after those before; each as of ``as_they_end``.
 
-        Where the process was killed, as for want of memory, no more are made.
+        Where a process is killed, as for want of memory, what was begun before is given up.
         """
+        try:
+            self._submit(calls)
+        except BrokenProcessPool:
+            self._executor = None
+            self._submit(calls)
+
+    def _submit(self, calls: Mapping[Key, Callable[[], Result]]) -> None:
         if not calls:
             return
         self._executor = self._executor or ProcessPoolExecutor(
-            1, initializer=_give_way, initargs=(os.getpid(),), env=_ONE_THREAD
+            len(os.sched_getaffinity(0)),
+            initializer=_give_way,
+            initargs=(os.getpid(),),
+            env=_ONE_THREAD,
         )
-        with suppress(BrokenProcessPool), _started_without_interrupts():
+        with _started_without_interrupts():
             for key, call in calls.items():
-                self._executor.submit(call).add_done_callback(partial(self._keep, key))
+                self._begun[key] = self._executor.submit(call)
 
-    def _keep(self, key: Key, call: Future[Result]) -> None:
-        if not call.cancelled() and call.exception() is None:
-            self.results[key] = call.result()
+    def all_of(
+        self,
+        calls: Mapping[Key, Callable[[], Result]],
+        names: Sequence[str],
+        costs: Sequence[float],
+        report: Callable[[float, float, str], object],
+    ) -> list[Result]:
+        """
+        Return the result of each call, in order, now that nothing goes first.
 
-    def end(self) -> dict[Key, Result]:
-        """Give up what is still under way, and return the results."""
-        if self._executor is not None:
-            self._executor.shutdown(kill_workers=True)
-        self._executor = None
-        return self.results
+        What is under way goes on. What waits begins again, in the order of the costs. Parameters
+        are those of the function ``all_of``.
+        """
+        under_way = {key: call for key, call in self._begun.items() if not call.cancel()}
+        lost = {key for key, call in under_way.items() if _is_lost(call)}
+        self._begun = {key: call for key, call in under_way.items() if key not in lost}
+        dearest = sorted(zip(calls, costs), key=lambda call: -call[1])
+        self.begin({key: calls[key] for key, _ in dearest if key not in self._begun})
+        begun = {self._begun[key]: name for key, name in zip(calls, names)}
+        for ended, call in enumerate(as_completed(begun), 1):
+            call.result()
+            report(ended, len(calls), begun[call])
+        return [call.result() for call in begun]
 
     def __enter__(self) -> Self:
         self._stack.enter_context(_quiet_thread())
@@ -123,7 +149,13 @@ class Meanwhile(Generic[Key, Result]):
 
     def __exit__(self, *_: object) -> None:
         with self._stack:
-            self.end()
+            if self._executor is not None:
+                self._executor.shutdown(kill_workers=True)
+
+
+def _is_lost(call: Future[Any]) -> bool:
+    """Return whether a call that began came to nothing, as its process was killed."""
+    return call.done() and isinstance(call.exception(), BrokenProcessPool)
 
 
 def _give_way(parent: int) -> None:

@@ -18,9 +18,12 @@ from humanopts_env.domains.capabilities import Abstraction, BatchGames
 from humanopts_env.domains.pacman.features import (
     DIRECTIONS,
     FeatureReader,
+    FIRST,
     nearest_key,
+    NUMBER,
     safety_after,
     SOUGHT,
+    STEPS,
 )
 from humanopts_env.domains.pacman.paths import HAS_MOVE, MOVES, Paths, STAY
 from humanopts_env.domains.pacman.rules import DRAWS, PacManBatch, Rules
@@ -36,8 +39,8 @@ AFAR = 1000  # above all distances; stands for the distance of what is not there
 N_DIRECTIONS = len(DIRECTIONS)
 # For primitive actions: the first distance of each bucket but the nearest. In the last bucket the
 # direction is left out, but for food.
-NEAR_DANGER, NEAR_SECOND = np.array((2, 3, 4, 5, 7)), np.array((3, 5))
-NEAR_PREY, NEAR_PILL, NEAR_FOOD = np.array((3, 6, 13)), np.array((3, 9)), np.array((2, 3, 5, 9))
+NEAR = {'danger': (2, 3, 4, 5, 7), 'second': (3, 5), 'prey': (3, 6, 13), 'pill': (3, 9)}
+NEAR_FOOD = (2, 3, 5, 9)
 LONGEST = 300  # steps that are played before a state is drawn
 CHANGES = 0.1  # probability of a new aim at a step
 WANTS = ('food', 'food', 'pill', 'prey', None)  # aims, each equally likely; None: random moves
@@ -69,6 +72,15 @@ _BUCKETS = np.array(  # (P, AFAR + 2) bucket of each number from -1 to AFAR
 )
 _BUCKET_OF_0 = np.arange(len(_BUCKETS))[:, None] * _BUCKETS.shape[1] + 1
 CONTEXT = ('food_left', 'pills_left')  # remaining points, not things nearby
+_BUCKET_OF_FOOD = np.searchsorted(NEAR_FOOD, range(AFAR + 1), side='right')
+_WAYS = {  # (AFAR + 1) * N_DIRECTIONS numbers of a distance and a direction
+    thing: np.minimum(
+        np.searchsorted(edges, range(AFAR + 1), side='right')[:, None] * N_DIRECTIONS
+        + range(N_DIRECTIONS),
+        len(edges) * N_DIRECTIONS,
+    ).ravel()
+    for thing, edges in NEAR.items()
+}
 
 
 class PacManGames(BatchGames):
@@ -127,8 +139,7 @@ class PacManGames(BatchGames):
         For options, the context is the remaining points, and the mixture the things nearby.
         """
         if fine:
-            near = (NEAR_DANGER, NEAR_SECOND, NEAR_PREY, NEAR_PILL)
-            ways = [len(edges) * N_DIRECTIONS + 1 for edges in near]
+            ways = [len(edges) * N_DIRECTIONS + 1 for edges in NEAR.values()]
             return Abstraction((16, N_DIRECTIONS, len(NEAR_FOOD) + 1, *ways))
         return Abstraction(
             sizes=tuple(len(edges) + 1 for edges in ABSTRACT_FEATURES.values()),
@@ -145,54 +156,43 @@ class PacManGames(BatchGames):
             return abstract_features(batch)
         if not self.domain.has_all_features:
             rows = self._read_all(batch)
-        values: list[NDArray[Any]] = [
-            self._of(rows, 'legal_moves'),
-            self._of(rows, 'food_direction'),
-            NEAR_FOOD.searchsorted(self._of(rows, 'food_distance'), side='right'),
-            *self._dangers(batch, rows),
-            self._prey(batch, rows),
-            self._way(rows, 'pill', NEAR_PILL),
-        ]
-        return np.stack(values, axis=1).astype(np.int32)
+        values = np.empty((7, len(rows)), dtype=np.int32)
+        values[0] = self._of(rows, 'legal_moves')
+        values[1] = self._of(rows, 'food_direction')
+        values[2] = _BUCKET_OF_FOOD.take(self._of(rows, 'food_distance'))
+        values[3:5] = self._dangers(batch, rows)
+        values[5] = self._way(rows, 'prey', self._prey(batch, rows))
+        values[6] = self._way(rows, 'pill', self._of(rows, 'pill_distance'))
+        return values.T
 
     def _of(self, rows: NDArray[np.int32], name: str) -> NDArray[np.int32]:
         return rows[:, self._column[name]]
 
-    def _way(self, rows: NDArray[np.int32], thing: str, near: Ints) -> Ints:
+    def _way(self, rows: NDArray[np.int32], thing: str, away: NDArray[Any]) -> Ints:
         """Return the direction of a thing and the bucket of its distance as one number (N,)."""
-        direction = self._of(rows, f'{thing}_direction')
-        return _near(direction, self._of(rows, f'{thing}_distance'), near)
+        key = away * N_DIRECTIONS + self._of(rows, f'{thing}_direction')
+        found: Ints = _WAYS[thing].take(key)
+        return found
 
-    def _prey(self, batch: PacManBatch, rows: NDArray[np.int32]) -> Ints:
-        """Return the way to the nearest scared ghost that can be reached while it is scared."""
+    def _prey(self, batch: PacManBatch, rows: NDArray[np.int32]) -> NDArray[Any]:
+        """Return steps (N,) to the nearest scared ghost that can be reached while it is scared."""
         away = self._of(rows, 'prey_distance')
-        fear = batch.scared.max(axis=0, initial=0)
-        return _near(
-            self._of(rows, 'prey_direction'), np.where(away > fear, AFAR, away), NEAR_PREY
-        )
+        return np.where(away > batch.scared.max(axis=0, initial=0), AFAR, away)
 
-    def _dangers(self, batch: PacManBatch, rows: NDArray[np.int32]) -> tuple[Ints, Ints]:
+    def _dangers(self, batch: PacManBatch, rows: NDArray[np.int32]) -> list[Ints]:
         """Return the ways to the nearest and the second nearest dangerous ghost."""
-        ghosts = [f'ghost_{number + 1}' for number in range(len(batch.ghosts))]
-        away = np.full((len(rows), len(ghosts) + 2), AFAR)
-        direction = np.zeros((len(rows), len(ghosts) + 2), dtype=np.int32)
-        for column, (ghost, scared) in enumerate(zip(ghosts, batch.scared)):
-            away[:, column] = np.where(scared > 0, AFAR, self._of(rows, f'{ghost}_distance'))
-            direction[:, column] = self._of(rows, f'{ghost}_direction')
-        first, second = np.argsort(away, axis=1, kind='stable')[:, :2].T
-        game = np.arange(len(rows))
-        return (
-            _near(direction[game, first], away[game, first], NEAR_DANGER),
-            _near(direction[game, second], away[game, second], NEAR_SECOND),
-        )
-
-
-def _near(direction: NDArray[Any], away: NDArray[Any], near: Ints) -> Ints:
-    """Return direction and bucket as one number, without the direction in the last bucket."""
-    bucket = near.searchsorted(away, side='right')
-    return np.where(
-        bucket < len(near), bucket * N_DIRECTIONS + direction, len(near) * N_DIRECTIONS
-    )
+        keys = np.empty(batch.ghosts.shape, dtype=np.int32)
+        for ghost, (key, scared) in enumerate(zip(keys, batch.scared)):
+            name = f'ghost_{ghost + 1}'
+            np.left_shift(self._of(rows, f'{name}_distance'), STEPS, out=key)
+            key |= ghost << NUMBER | self._of(rows, f'{name}_direction')
+            np.copyto(key, AFAR << STEPS, where=scared > 0)
+        found = []
+        for thing in ('danger', 'second'):
+            least = keys.min(axis=0, initial=AFAR << STEPS)
+            found.append(_WAYS[thing].take((least >> STEPS) * N_DIRECTIONS + (least & FIRST)))
+            np.copyto(keys, AFAR << STEPS, where=keys == least)
+        return found
 
 
 def abstract_features(batch: PacManBatch) -> NDArray[np.int32]:

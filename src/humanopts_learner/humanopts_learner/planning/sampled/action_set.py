@@ -109,7 +109,7 @@ class StateAbstraction:
         features = self.games.abstract_features(batch, rows, fine=self._fine)
         if self._mixture:
             coarse = self.games.abstract_features(batch, rows, fine=False)
-            features = np.concatenate([coarse[:, list(self._mixture)], features], axis=1)
+            features = np.concatenate([coarse.T[list(self._mixture)], features.T]).T
         # Products of floats are exact below LARGEST_CODE, and faster than those of integers.
         return rows, (features.astype(np.float64) @ self._radix).astype(np.int64)
 
