@@ -372,9 +372,7 @@ def evaluate_games(
         for key, (name, way) in left.items()
     }
     of_curve = _key(variant, Baseline(CURVE, PLAN, HUMAN, options), seed, games)
-    calls[*of_curve, *budgets] = partial(
-        _curve_of_options, variant, options, budgets, seed, games
-    )
+    calls[*of_curve, *budgets] = partial(_curve_of_options, variant, options, budgets, seed, games)
     names = [*(f'{name}: {way.name}' if name else way.name for name, way in left.values()), CURVE]
     costs = [*(_cost(way) for _, way in left.values()), math.inf]
     progress(0, len(calls), f'{len(calls)} parts, side by side')
