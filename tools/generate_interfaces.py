@@ -5,6 +5,7 @@ make would run one after the other, and each would parse all interfaces again, w
 their work. Here they are parsed once, and all cores generate. make finds everything up to date.
 """
 
+from concurrent.futures import ProcessPoolExecutor
 import functools
 import multiprocessing
 from pathlib import Path
@@ -38,11 +39,16 @@ def generate(folder: Path, name: str, *arguments: str) -> None:
 
 
 def main(folder: Path) -> None:
-    """Run them all."""
+    """Run them all; one that is not known here would leave its part out of what others write."""
+    described = folder.glob('rosidl_*__arguments.json')
+    names = {path.name.removesuffix('__arguments.json') for path in described}
+    if names - {'rosidl_adapter'} != {FIRST, *OTHERS}:
+        sys.exit(f'{__file__} knows {FIRST}, {", ".join(OTHERS)}; found are {", ".join(names)}')
     parser.parse_idl_string = functools.cache(parser.parse_idl_string)
     generate(folder, FIRST)
-    with multiprocessing.get_context('fork').Pool() as pool:
-        pool.starmap(generate, [(folder, name, *args) for name, args in OTHERS.items()], 1)
+    with ProcessPoolExecutor(mp_context=multiprocessing.get_context('fork')) as pool:
+        for each in [pool.submit(generate, folder, name, *args) for name, args in OTHERS.items()]:
+            each.result()
 
 
 if __name__ == '__main__':

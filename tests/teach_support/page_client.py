@@ -6,6 +6,7 @@ from functools import partial
 from html import unescape
 import json
 import re
+import threading
 import time
 from typing import Any
 from urllib.request import urlopen
@@ -29,6 +30,8 @@ class PageClient:
         mine = {'tab_id': str(uuid.uuid4()), 'document_id': str(uuid.uuid4())}
         self.query = {**ast.literal_eval(query), **mine, 'implicit_handshake': 'true'}
         self.opened: list[str] = []
+        self._newest: dict[str, int] = {}  # number of the last message about each element
+        self._lock = threading.Lock()
         self.address = address
         self.socket = self.connect()
 
@@ -50,8 +53,12 @@ class PageClient:
         self.socket.disconnect()
 
     def _update(self, changed: dict[str, Any]) -> None:
-        elements = {name: new for name, new in changed.items() if isinstance(new, dict)}
-        self.elements.update(elements)
+        """Take an update, unless a later one came first: each comes in a thread of its own."""
+        number = changed.pop('_id')
+        with self._lock:
+            for name, new in changed.items():
+                if isinstance(new, dict) and number >= self._newest.get(name, 0):
+                    self.elements[name], self._newest[name] = new, number
 
     def _run(self, connection: socketio.Client, asked: dict[str, Any]) -> None:
         if 'request_id' in asked:

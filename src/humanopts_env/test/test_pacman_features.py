@@ -8,6 +8,9 @@ from humanopts_env.domains.pacman.games import (
     abstract_features,
     arrival_steps,
     CONTEXT,
+    N_DIRECTIONS,
+    NEAR,
+    NEAR_FOOD,
     sample_games,
 )
 from humanopts_env.domains.pacman.paths import STAY
@@ -262,6 +265,19 @@ def test_abstract_features_are_within_their_buckets(maze: str) -> None:
     assert (
         (values >= 0) & (values < [len(edges) + 1 for edges in ABSTRACT_FEATURES.values()])
     ).all()
+
+
+def test_in_a_long_maze_things_are_in_the_last_bucket() -> None:
+    turns = ['%' * side + ' ' + '%' * (65 - side) for side in (64, 1)] * 10
+    corridor = [row for turn in turns for row in (f'%{" " * 64}%', turn)]
+    maze = ['%' * 66, f'%P{" " * 63}%', *corridor[1:], f'%.oG{" " * 61}%', '%' * 66]
+    domain = PacMan('\n'.join(maze))
+    games = domain.batch_games()
+    batch = games.batch_of([domain.reset(generator(0, 'start'))])
+    assert domain.rules.paths.longest > 1000
+    found = games.abstract_features(batch, games.batch_features(batch), fine=True)[0].tolist()
+    ways = [len(NEAR[thing]) * N_DIRECTIONS for thing in ('danger', 'second', 'prey', 'pill')]
+    assert found[2:] == [len(NEAR_FOOD), *ways]
 
 
 def test_pac_mans_features_are_grouped_by_the_thing_that_they_are_about() -> None:

@@ -103,12 +103,12 @@ def run_demo(
             options = [option for option, _ in taught]
             if compares and options:
                 earlier.begin(earlier_calls(domain, options, setup.seed, games, game_steps))
-            here = exact or compares  # the bag is evaluated by this process
-            live = _plan_and_play(running, domain, taught, played, judged, here, progress)
+            learns = exact or compares  # this process, not others, as they have enough to do
+            live = _plan_and_play(running, domain, taught, played, judged, learns, progress)
         progress.stage('evaluating the bag')
         try:
             bag = open_bag(running.bags[-1])
-            evaluation = evaluate_bag(bag, progress.evaluating, judged, jobs=int(here))
+            evaluation = evaluate_bag(bag, progress.evaluating, judged, jobs=1 if learns else 0)
             if compares:
                 progress.stage(f'playing {games} games with each')
                 evaluation = with_games(evaluation, games, progress.comparing, earlier)
@@ -171,7 +171,7 @@ def _plan_and_play(
     taught: Sequence[tuple[LearnedOption, Any]],
     episodes: int,
     judged: int,
-    here: bool,
+    learns: bool,
     progress: DemoProgress,
 ) -> Live:
     graph, setup = running.graph, running.setup
@@ -186,7 +186,7 @@ def _plan_and_play(
         for name in (HUMAN, PRIMITIVE)
     ]
     progress.stage(f'playing {episodes} episodes')
-    importing = threading.Thread(target=_import_what_follows, args=(here,), daemon=True)
+    importing = threading.Thread(target=_import_what_follows, args=(learns,), daemon=True)
     importing.start()
     played = graph.retry(partial(graph.play, HUMAN, episodes, setup.seed, setup.game_steps))
     graph.wait(graph.all_recorded, NEWS_SECONDS, 'what was shown to be in the newest bag')

@@ -353,7 +353,7 @@ def evaluate_games(
     :param budgets: of the curves, game steps, ascending.
     :param progress: called as the work goes on; what it raises passes through.
     :param jobs: processes that do the work; 0: one for each core; 1: this one.
-    :param known: results of some of ``earlier_calls``.
+    :param known: what ``earlier_calls`` or ``judged_plan`` came to, some of it.
     :param earlier: has begun some of them, and does what is left; None: ``jobs`` do.
     :raises PlanError: the domain cannot play many games, or the options are of another one.
     """
@@ -371,8 +371,7 @@ def evaluate_games(
         key: partial(play_baseline, variants[name], way, seed, games)
         for key, (name, way) in left.items()
     }
-    of_curve = _key(variant, Baseline(CURVE, PLAN, HUMAN, options), seed, games)
-    calls[*of_curve, *budgets] = partial(_curve_of_options, variant, options, budgets, seed, games)
+    calls |= _curve_of_options(variant, options, budgets, seed, games)
     names = [*(f'{name}: {way.name}' if name else way.name for name, way in left.values()), CURVE]
     costs = [*(_cost(way) for _, way in left.values()), math.inf]
     progress(0, len(calls), f'{len(calls)} parts, side by side')
@@ -405,7 +404,7 @@ def earlier_calls(
     games: int = GAMES,
     game_steps: int = 0,
     budgets: Sequence[int] = BUDGETS,
-) -> dict[PlayKey, Callable[[], ComparisonRow]]:
+) -> dict[PlayKey, Callable[[], Any]]:
     """
     Return calls of ``evaluate_games`` that can be made before it, the costliest first.
 
@@ -415,10 +414,12 @@ def earlier_calls(
     :param options: the calls need all of them, or some; none: calls that need no options.
     """
     variants, steps = _variants(domain), game_steps or GAME_STEPS
-    curve = _primitive_plans(next(iter(variants.values())), budgets, steps)
+    first = next(iter(variants.values()))
+    curve = _primitive_plans(first, budgets, steps)
     plays = _plays(variants, _compared(variants, options, steps), curve, seed, games)
     plays.pop(_key(domain, Baseline('', PLAN, HUMAN, options, steps), seed, games), None)
-    return {
+    calls = _curve_of_options(first, options, budgets, seed, games) if options else {}
+    return calls | {
         key: partial(play_baseline, variants[name], way, seed, games)
         for key, (name, way) in sorted(plays.items(), key=lambda play: -_cost(play[1][1]))
         if way.needs_options == bool(options)
@@ -501,14 +502,14 @@ def _primitive_plans(
 
 def _curve_of_options(
     domain: Domain[Any], options: Options, budgets: Sequence[int], seed: int, games: int
-) -> Curve:
-    """Return the curve of all options, which goes on for as long as anyone wants to wait."""
+) -> dict[PlayKey, Callable[[], Curve]]:
+    """Return the call that measures the curve of all options, by what its result depends on."""
     moved = [carried_over(option, domain) for option in options]
     of_options = Baseline(f'human, {_counted(options)}', PLAN, HUMAN, moved)
+    key = *_key(domain, of_options, seed, games), *budgets
     target = _target(baselines_of(domain))
-    return planning_curve(
-        domain, of_options, budgets, seed, games, target=target, enough_seconds=PATIENCE
-    )
+    curve = partial(planning_curve, target=target, enough_seconds=PATIENCE)
+    return {key: partial(curve, domain, of_options, budgets, seed, games)}
 
 
 def every_baseline(domain: Domain[Any], options: Options, steps: int) -> list[Baseline]:

@@ -9,13 +9,13 @@ import os
 import signal
 import threading
 import time
-from typing import Any, Generic, Self, TypeVar
+from typing import Generic, Self, TypeVar
 
 from joblib import delayed, Parallel, parallel_config
 from joblib.externals.loky import ProcessPoolExecutor
 from joblib.externals.loky.backend import resource_tracker as loky_tracker
 
-NICE = 5  # of a process whose work can wait, but not for as long as others have any
+NICE = 5  # of a process that lets a graph go first, and still has a share of a busy core
 _LOOK = 1.0  # s between looks at whether the process that began this one is still there
 _ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _ONE_THREAD = {'OMP_NUM_THREADS': '1', 'OPENBLAS_NUM_THREADS': '1'}  # as joblib's processes
@@ -110,7 +110,7 @@ class Meanwhile(Generic[Key, Result]):
         if not calls:
             return
         self._executor = self._executor or ProcessPoolExecutor(
-            len(os.sched_getaffinity(0)),
+            min(len(os.sched_getaffinity(0)), len(calls)),
             initializer=_give_way,
             initargs=(os.getpid(),),
             env=_ONE_THREAD,
@@ -129,12 +129,17 @@ class Meanwhile(Generic[Key, Result]):
         """
         Return the result of each call, in order, now that nothing goes first.
 
-        What is under way goes on. What waits begins again, in the order of the costs. Parameters
-        are those of the function ``all_of``.
+        What is under way goes on, and so do a few calls that come next. The others begin in the
+        order of the costs, and those that are not asked for are given up. Parameters are those of
+        the function ``all_of``.
+
+        :raises BrokenProcessPool: a process was killed meanwhile.
         """
-        under_way = {key: call for key, call in self._begun.items() if not call.cancel()}
-        lost = {key for key, call in under_way.items() if _is_lost(call)}
-        self._begun = {key: call for key, call in under_way.items() if key not in lost}
+        self._begun = {
+            key: call
+            for key, call in self._begun.items()
+            if not (call.cancel() or (call.done() and call.exception()))
+        }
         dearest = sorted(zip(calls, costs), key=lambda call: -call[1])
         self.begin({key: calls[key] for key, _ in dearest if key not in self._begun})
         begun = {self._begun[key]: name for key, name in zip(calls, names)}
@@ -151,11 +156,6 @@ class Meanwhile(Generic[Key, Result]):
         with self._stack:
             if self._executor is not None:
                 self._executor.shutdown(kill_workers=True)
-
-
-def _is_lost(call: Future[Any]) -> bool:
-    """Return whether a call that began came to nothing, as its process was killed."""
-    return call.done() and isinstance(call.exception(), BrokenProcessPool)
 
 
 def _give_way(parent: int) -> None:

@@ -35,7 +35,7 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     from humanopts_env.domains.pacman.domain import PacMan
 
-AFAR = 1000  # above all distances; stands for the distance of what is not there
+AFAR = 1000  # stands for the distance of what is not there, or farther away
 N_DIRECTIONS = len(DIRECTIONS)
 # For primitive actions: the first distance of each bucket but the nearest. In the last bucket the
 # direction is left out, but for food.
@@ -159,7 +159,7 @@ class PacManGames(BatchGames):
         values = np.empty((7, len(rows)), dtype=np.int32)
         values[0] = self._of(rows, 'legal_moves')
         values[1] = self._of(rows, 'food_direction')
-        values[2] = _BUCKET_OF_FOOD.take(self._of(rows, 'food_distance'))
+        values[2] = _BUCKET_OF_FOOD.take(self._of(rows, 'food_distance'), mode='clip')
         values[3:5] = self._dangers(batch, rows)
         values[5] = self._way(rows, 'prey', self._prey(batch, rows))
         values[6] = self._way(rows, 'pill', self._of(rows, 'pill_distance'))
@@ -171,7 +171,7 @@ class PacManGames(BatchGames):
     def _way(self, rows: NDArray[np.int32], thing: str, away: NDArray[Any]) -> Ints:
         """Return the direction of a thing and the bucket of its distance as one number (N,)."""
         key = away * N_DIRECTIONS + self._of(rows, f'{thing}_direction')
-        found: Ints = _WAYS[thing].take(key)
+        found: Ints = _WAYS[thing].take(key, mode='clip')
         return found
 
     def _prey(self, batch: PacManBatch, rows: NDArray[np.int32]) -> NDArray[Any]:
