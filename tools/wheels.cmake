@@ -19,9 +19,11 @@ function(humanopts_drop_missing_includes)
 endfunction()
 
 function(humanopts_generate_interfaces)
+  set(script "${CMAKE_CURRENT_FUNCTION_LIST_DIR}/generate_interfaces.py")
+  set_property(DIRECTORY APPEND PROPERTY CMAKE_CONFIGURE_DEPENDS "${script}")
   execute_process(
-    COMMAND "${Python3_EXECUTABLE}" "${CMAKE_CURRENT_FUNCTION_LIST_DIR}/generate_interfaces.py"
-    "${CMAKE_CURRENT_BINARY_DIR}" COMMAND_ERROR_IS_FATAL ANY)
+    COMMAND "${Python3_EXECUTABLE}" "${script}" "${CMAKE_CURRENT_BINARY_DIR}"
+    COMMAND_ERROR_IS_FATAL ANY)
 endfunction()
 
 cmake_language(DEFER CALL humanopts_drop_missing_includes)
