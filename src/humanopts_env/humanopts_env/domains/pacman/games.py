@@ -181,17 +181,18 @@ class PacManGames(BatchGames):
 
     def _dangers(self, batch: PacManBatch, rows: NDArray[np.int32]) -> list[Ints]:
         """Return the ways to the nearest and the second nearest dangerous ghost."""
+        none = AFAR << STEPS
         keys = np.empty(batch.ghosts.shape, dtype=np.int32)
         for ghost, (key, scared) in enumerate(zip(keys, batch.scared)):
             name = f'ghost_{ghost + 1}'
             np.left_shift(self._of(rows, f'{name}_distance'), STEPS, out=key)
             key |= ghost << NUMBER | self._of(rows, f'{name}_direction')
-            np.copyto(key, AFAR << STEPS, where=scared > 0)
+            np.copyto(key, none, where=scared > 0)
         found = []
         for thing in ('danger', 'second'):
-            least = keys.min(axis=0, initial=AFAR << STEPS)
+            least = keys.min(axis=0, initial=none)
             found.append(_WAYS[thing].take((least >> STEPS) * N_DIRECTIONS + (least & FIRST)))
-            np.copyto(keys, AFAR << STEPS, where=keys == least)
+            np.copyto(keys, none, where=keys == least)
         return found
 
 
