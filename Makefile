@@ -25,7 +25,10 @@ COMPILE := build/lock/bin/uv pip compile --universal --python-version 3.11 --gen
   --no-emit-index-url --no-header --quiet
 SHELL := /bin/bash
 
-unexport PYTHONPATH PYTHONDONTWRITEBYTECODE
+# Nothing of another ROS that the shell has sourced, nor of a person's own settings of colcon.
+unexport PYTHONDONTWRITEBYTECODE COLCON_DEFAULTS_FILE
+unexport $(shell sed -n 's/^unset //p' tools/environment.sh)
+export COLCON_HOME := $(CURDIR)/build/colcon
 
 .PHONY: help setup checked demo test test-quick test-whole test-slow test-browser test-hosts test-stress soak lint docs screens format lock clean
 

@@ -216,3 +216,60 @@ def test_the_python_of_the_set_up_finds_the_packages_with_nothing_sourced(tmp_pa
 
 def test_no_plugin_tries_a_failed_test_again() -> None:
     assert find_spec('pytest_rerunfailures') is None
+
+
+@pytest.fixture
+def other_ros(tmp_path: Path) -> dict[str, str]:
+    """
+    Return the environment of a shell that has sourced another ROS, for another Python.
+
+    Whatever Python imports of it first says so and fails.
+    """
+    prefix = tmp_path / 'opt/ros/humble'
+    for folder in ('lib/python3.10/site-packages', 'here'):
+        for package in ('rclpy', 'humanopts_teach', 'numpy'):
+            (prefix / folder / package).mkdir(parents=True)
+            fault = f'raise ImportError("{package} of another ROS")\n'
+            (prefix / folder / package / '__init__.py').write_text(fault)
+    (prefix / 'lib/librcl.so').write_text('of another ROS')
+    other = str(prefix)
+    return {
+        **{name: os.environ[name] for name in ('HOME', 'LANG') if name in os.environ},
+        'ROS_VERSION': '2',
+        'ROS_PYTHON_VERSION': '3',
+        'ROS_DISTRO': 'humble',
+        'PATH': f'{prefix}/bin:{os.environ["PATH"]}',
+        'PYTHONPATH': f'{prefix}/lib/python3.10/site-packages',
+        **dict.fromkeys(('LD_LIBRARY_PATH', 'PYTHONHOME', 'VIRTUAL_ENV'), f'{other}/lib'),
+        **dict.fromkeys(('AMENT_PREFIX_PATH', 'CMAKE_PREFIX_PATH', 'COLCON_PREFIX_PATH'), other),
+        '_ROS_WHEELS_BOOTSTRAP_COMPLETE': '1',
+    }
+
+
+def test_commands_work_in_a_shell_that_has_sourced_another_ros(
+    tmp_path: Path, other_ros: dict[str, str], domain_id: int
+) -> None:
+    def run(*command: str | Path) -> 'subprocess.CompletedProcess[str]':
+        return subprocess.run(
+            command,
+            cwd=tmp_path / 'opt/ros/humble/here',
+            env={**other_ros, 'ROS_DOMAIN_ID': str(domain_id)},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+
+    status = run(ROOT / 'humanopts', 'status')
+    assert (status.returncode, status.stderr) == (2, '')
+    assert status.stdout.startswith('no node of humanopts is in')
+    out = tmp_path / 'out'
+    played = run(ROOT / 'humanopts', 'demo', '--episodes', '1', '--out', out)
+    assert (played.returncode, played.stderr) == (0, '')
+    # What a person's own programs and make start.
+    told = run('bash', '-c', f'root={ROOT}; . $root/tools/environment.sh; env')
+    made = run('make', '--silent', '-C', ROOT, '--eval', 'told: ; @env', 'told')
+    for environment in (told.stdout, made.stdout):
+        assert 'HOME=' in environment
+        theirs = [line for line in environment.splitlines() if str(tmp_path) in line]
+        assert [line for line in theirs if not line.startswith(('PATH=', 'OLDPWD=', 'PWD='))] == []
+        assert 'humble\n' not in environment

@@ -1,4 +1,8 @@
-# Sourced with $root set: what install/setup.bash would set, in a millisecond.
+# Sourced with $root set: what install/setup.bash would set, in a millisecond, and nothing that the
+# shell has of another ROS or another Python. make leaves the same variables out.
+unset PYTHONHOME PYTHONPATH PYTHONPLATLIBDIR VIRTUAL_ENV LD_LIBRARY_PATH
+unset AMENT_PREFIX_PATH AMENT_CURRENT_PREFIX CMAKE_PREFIX_PATH COLCON_PREFIX_PATH
+unset ROS_DISTRO ROS_VERSION ROS_PYTHON_VERSION ROS_PACKAGE_PATH _ROS_WHEELS_BOOTSTRAP_COMPLETE
 for prefix in "$root"/install/humanopts_*; do
   AMENT_PREFIX_PATH="$prefix${AMENT_PREFIX_PATH:+:$AMENT_PREFIX_PATH}"
   for site in "$prefix"/lib/python3.*/site-packages; do
@@ -6,9 +10,8 @@ for prefix in "$root"/install/humanopts_*; do
   done
 done
 export PYTHONPATH AMENT_PREFIX_PATH="$AMENT_PREFIX_PATH:$root/.venv"
-export LD_LIBRARY_PATH="$root/install/humanopts_interfaces/lib${LD_LIBRARY_PATH:+:$LD_LIBRARY_PATH}"
+export LD_LIBRARY_PATH="$root/install/humanopts_interfaces/lib"
 export PATH="$root/.venv/bin:$PATH"
-# Another ROS installation's bootstrap must not keep ours from finding its libraries.
-unset _ROS_WHEELS_BOOTSTRAP_COMPLETE
+export ROS_DISTRO=jazzy ROS_VERSION=2 ROS_PYTHON_VERSION=3
 # Graphs stay on this machine unless the user says otherwise.
 export ROS_AUTOMATIC_DISCOVERY_RANGE="${ROS_AUTOMATIC_DISCOVERY_RANGE:-LOCALHOST}"
