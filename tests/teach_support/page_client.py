@@ -26,6 +26,7 @@ class PageClient:
             self.page = response.read().decode()
         (text,) = re.findall(r'parseElements\(String\.raw`(.*?)`\)', self.page, re.DOTALL)
         self.elements: dict[str, Any] = json.loads(unescape(text))
+        (self.prefix,) = re.findall(r'prefix: "(.*)"', self.page)
         (query,) = re.findall(r'query: (\{.*\}),', self.page)
         mine = {'tab_id': str(uuid.uuid4()), 'document_id': str(uuid.uuid4())}
         self.query = {**ast.literal_eval(query), **mine, 'implicit_handshake': 'true'}
@@ -40,9 +41,9 @@ class PageClient:
         connection = socketio.Client()
         connection.on('update', self._update)
         connection.on('run_javascript', partial(self._run, connection))
-        connection.on('open', lambda message: self.opened.append(message['path']))
+        connection.on('open', lambda message: self.opened.append(self.prefix + message['path']))
         asked = '&'.join(f'{name}={value}' for name, value in self.query.items())
-        path = '/_nicegui_ws/socket.io'
+        path = f'{self.prefix}/_nicegui_ws/socket.io'
         connection.connect(f'{self.address}?{asked}', socketio_path=path, wait_timeout=PATIENCE)
         return connection
 

@@ -2,13 +2,16 @@
 
 import asyncio
 from collections.abc import AsyncIterator, Callable, Iterator
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
+from pathlib import Path
 import re
 import socket
+import statistics
 import threading
 import time
 from typing import Any
 from urllib.error import HTTPError
+from urllib.parse import quote
 from urllib.request import urlopen
 
 from humanopts_env.domains.registry import make_domain
@@ -19,11 +22,18 @@ from humanopts_teach.dialogue.entry import Item, ListScreen
 from humanopts_teach.dialogue.panel import view
 from humanopts_teach.lesson.requests import LessonView, Phase
 import pytest
+from teach_support.flood import Flood, PROMPT
 from teach_support.page_client import PageClient
 
 TOKEN = 'a-token'
 NASTY = '<img src=x onerror=alert(1)>'
 PATIENCE = 10.0  # s
+UPGRADE = (
+    'Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n'
+    'Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n'
+)
+STRANGERS = 2000
+FLOODED = 3.0  # s
 
 
 @asynccontextmanager
@@ -63,7 +73,7 @@ def address(stop: threading.Event) -> Iterator[str]:
         from humanopts_teach.browser.pages import serve  # NiceGUI is slow to import
 
         seats = Seats('taxi', game, linger=PATIENCE)
-        await serve(seats, listening, TOKEN, 'p1', stop.is_set)
+        await serve(seats, listening, TOKEN, 'p1', stop.is_set, ['lab.example'])
 
     thread = threading.Thread(target=asyncio.run, args=(serving(),))
     thread.start()
@@ -72,13 +82,79 @@ def address(stop: threading.Event) -> Iterator[str]:
     thread.join()
 
 
+def ask(address: str, path: str, host: str = 'localhost', more: str = '') -> str:
+    """Return all that the server answers before it closes the connection."""
+    port = int(address.rpartition(':')[2])
+    with socket.create_connection(('127.0.0.1', port), timeout=PATIENCE) as connection:
+        asked = f'GET {path} HTTP/1.1\r\nHost: {host}:{port}\r\nConnection: close\r\n{more}\r\n'
+        connection.sendall(asked.replace('PORT', str(port)).encode())
+        return b''.join(iter(lambda: connection.recv(65536), b'')).decode()
+
+
 @pytest.mark.parametrize(
-    'path', ['/wrong', '/wrong/anna', f'/{TOKEN}x/anna', f'/{TOKEN}/a%20b', '/']
+    'path',
+    [
+        *('/', '/wrong', '/wrong/anna', f'/{TOKEN}x/anna', f'//{TOKEN}', f'/x/../{TOKEN}'),
+        *('/favicon.ico', '/_nicegui_ws/socket.io/?EIO=4&transport=polling', '/%ff%00'),
+        *(f'/?token={TOKEN}', f'http://localhost/{TOKEN}', f'/{TOKEN[:-1]}%6e'),
+    ],
 )
-def test_without_the_token_and_a_code_there_is_no_page(address: str, path: str) -> None:
-    with pytest.raises(HTTPError, match='404') as error:
-        urlopen(f'{address}{path}')
-    assert 'parseElements' not in error.value.read().decode() or path == '/'
+@pytest.mark.parametrize('more', ['', UPGRADE], ids=['page', 'socket'])
+def test_a_stranger_gets_a_plain_404_and_no_client(address: str, path: str, more: str) -> None:
+    from nicegui import Client
+
+    before = set(Client.instances)
+    head, _, body = ask(address, path, more=more).partition('\r\n\r\n')
+    assert re.match(r'HTTP/1.1 404 ', head), head
+    assert 'text/plain' in head
+    assert 'cookie' not in head.lower()
+    assert body == (
+        'This address is not complete. Open the one that was printed where the game runs.\n'
+    )
+    assert set(Client.instances) <= before
+
+
+def test_what_is_no_code_has_no_page(address: str) -> None:
+    answer = ask(address, f'/{TOKEN}/a%20b')
+    assert answer.startswith('HTTP/1.1 404 ')
+    assert 'a b is not a code' in answer
+
+
+@pytest.mark.parametrize('more', ['', UPGRADE], ids=['page', 'socket'])
+@pytest.mark.parametrize(
+    ('host', 'origin', 'words'),
+    [
+        ('localhost', '', ''),
+        ('127.0.0.1', 'http://127.0.0.1:PORT', ''),
+        ('[::1]', '', ''),
+        ('192.168.7.8', 'http://192.168.7.8:PORT', ''),
+        (socket.gethostname(), '', ''),
+        ('lab.example', 'https://lab.example', ''),  # through a proxy
+        ('localhost', 'https://LAB.example', ''),
+        ('rebound.example', '', 'does not know this name'),
+        ('localhost.rebound.example', '', 'does not know this name'),
+        ('localhost@rebound.example', '', 'does not know this name'),
+        ('[', '', 'does not know this name'),
+        ('localhost', 'http://rebound.example', 'another site'),
+        ('localhost', 'http://localhost:1', 'another site'),
+        ('localhost', 'http://localhost:PORT.rebound.example', 'another site'),
+        ('localhost', 'null', 'another site'),
+        ('localhost', 'http://[', 'another site'),
+    ],
+)
+def test_host_and_origin_are_those_of_the_page(
+    address: str, host: str, origin: str, words: str, more: str
+) -> None:
+    path = f'/{TOKEN}/_nicegui_ws/socket.io/?EIO=5' if more else f'/{TOKEN}'
+    given = f'Origin: {origin}\r\n' if origin else ''
+    answer = ask(address, path, host, more + given)
+    if words:
+        assert answer.startswith('HTTP/1.1 404 ')
+        assert words in answer
+    elif more:  # engine.io itself refuses such a version
+        assert answer.startswith('HTTP/1.1 403 ')
+    else:
+        assert answer.startswith('HTTP/1.1 200 ')
 
 
 def test_nothing_is_asked_of_another_server(address: str) -> None:
@@ -125,7 +201,7 @@ def test_a_connection_that_is_noticed_late_to_be_gone_takes_nothing_from_the_new
         before.disconnect()
         for name, key in (('one', '1'), ('&lt;img', '2'), ('one', '1')):
             page.press(key)
-            page.until('said', f'{name}')
+            page.until('said', name)
 
 
 def test_a_second_page_of_a_participant_asks_first(address: str) -> None:
@@ -149,6 +225,68 @@ def test_what_no_page_sends_is_ignored(address: str, given: dict[str, Any]) -> N
         browser.press('2')
         browser.until('said', 'is picked')
         assert 'one is picked' not in browser.shows('said')
+
+
+def test_what_a_page_logs_does_not_reach_the_terminal(
+    address: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    with PageClient(address, f'/{TOKEN}/hal') as page:
+        page.until('panel', 'Which?')
+        for level in ('error', 'warning', 'x\n'):
+            named = {'client_id': page.query['client_id'], 'level': level, 'message': PROMPT}
+            page.socket.emit('log', named)
+        page.socket.emit('event', {'client_id': page.query['client_id'], 'id': PROMPT})
+        page.socket.emit(PROMPT, PROMPT)
+        with suppress(HTTPError):
+            urlopen(f'{address}/{TOKEN}/{quote(PROMPT)}/x')
+        page.press('2')
+        page.until('said', 'is picked')
+    told = ''.join(capfd.readouterr())
+    assert '\x1b' not in told
+    assert not any(line.startswith('[sudo]') for line in told.splitlines())
+
+
+def test_two_people_teach_while_strangers_keep_2000_connections_open(
+    address: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    with PageClient(address, f'/{TOKEN}/ida') as ida, PageClient(address, f'/{TOKEN}/jo') as jo:
+        flood = Flood(int(address.rpartition(':')[2]), STRANGERS)
+        try:
+            flood.opened()
+            waits = []
+            end = time.monotonic() + FLOODED
+            while time.monotonic() < end:
+                for page in (ida, jo):
+                    for key, name in (('1', '>one is'), ('2', '&lt;img')):
+                        pressed = time.monotonic()
+                        page.press(key)
+                        page.until('said', name)
+                        waits.append(time.monotonic() - pressed)
+            with PageClient(address, f'/{TOKEN}/kim') as kim:  # comes in meanwhile
+                kim.until('panel', 'Which?')
+            assert ida.socket.connected
+            assert jo.socket.connected
+            open_files = len(list(Path('/proc/self/fd').iterdir()))
+        finally:
+            flood.close()
+    told = ''.join(capfd.readouterr())
+    print(f'{len(waits)} keys: median {statistics.median(waits):.3f} s, last {max(waits):.3f} s')
+    assert statistics.median(waits) < 0.1
+    assert max(waits) < 2.0
+    assert open_files < 1000
+    assert len(told) < 100_000
+    assert '\x1b' not in told
+
+
+def test_a_connection_without_a_whole_request_ends(address: str) -> None:
+    port = int(address.rpartition(':')[2])
+    sent = (b'', b'GET / HTTP/1.1\r\n', f'POST /{TOKEN} HTTP/1.1\r\nContent-Le'.encode())
+    connections = [socket.create_connection(('127.0.0.1', port), 15.0) for _ in sent]
+    for connection, text in zip(connections, sent):
+        connection.sendall(text)
+    for connection in connections:
+        with connection:
+            assert connection.recv(1) == b''
 
 
 def test_a_page_has_its_farewell_before_the_server_is_gone(

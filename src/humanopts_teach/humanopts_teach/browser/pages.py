@@ -1,26 +1,26 @@
 """The pages that are served: who teaches, and the seat of a participant; made with NiceGUI."""
 
 import asyncio
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Collection
+from contextlib import suppress
 from html import escape
-from secrets import compare_digest
 import socket
 from typing import Any
 
 from fastapi import FastAPI
 from fastapi.responses import HTMLResponse
+from humanopts_teach.browser.connections import Server, settings, Strangers
+from humanopts_teach.browser.guard import Guard
 from humanopts_teach.browser.markup import head_html, PARTS, parts
 from humanopts_teach.browser.seats import Press, Seats, Window
+from humanopts_teach.browser.server_log import limited_log
 from humanopts_teach.dialogue.app import App, MOST_KEYS
 from humanopts_teach.dialogue.entry import TextScreen
 from humanopts_teach.dialogue.menu import opening
 from humanopts_teach.dialogue.panel import Line, panel, Tone, View
 from humanopts_teach.lesson.store import CODE, CODE_RULE
-from nicegui import Client, ui
-import uvicorn
+from nicegui import Client, core, ui
 
-_STRANGER = 'This address is not complete. Open the one that was printed where the game runs.'
 _RECONNECTING = 10.0  # s that a page which lost its connection is kept as it is
 _ANSWER = 1.0  # s that a page has to say that it has everything
 _LOOK = 0.1  # s between looks whether the server is to end
@@ -57,7 +57,7 @@ class PageWindow(Window):
                 await self._client.run_javascript('0', timeout=_ANSWER)
 
     def go_to(self, path: str) -> None:
-        """Open another page."""
+        """Open another page, below the token."""
         self._client.open(path)
 
     def _on_press(self, event: Any) -> None:
@@ -68,29 +68,19 @@ class PageWindow(Window):
             self._press([key for key in keys if isinstance(key, str) and len(key) <= 9], frame)
 
 
-def add_pages(seats: Seats, token: str, proposed: str) -> None:
+def add_pages(seats: Seats, proposed: str) -> None:
     """
     Define the pages.
 
-    :param token: without which nothing is served.
     :param proposed: code that is proposed to who teaches.
     """
 
-    def refused(given: str) -> HTMLResponse | None:
-        if compare_digest(given.encode(), token.encode()):
-            return None
-        return HTMLResponse(f'<!doctype html><title>humanopts</title><p>{_STRANGER}</p>', 404)
+    @ui.page('/')
+    def who() -> None:
+        _ask_code(PageWindow(), seats.domain, proposed)
 
-    @ui.page('/{given}')
-    def who(given: str) -> HTMLResponse | None:
-        if (answer := refused(given)) is None:
-            _ask_code(PageWindow(), seats.domain, token, proposed)
-        return answer
-
-    @ui.page('/{given}/{participant}')
-    def lesson(given: str, participant: str, client: Client) -> HTMLResponse | None:
-        if (answer := refused(given)) is not None:
-            return answer
+    @ui.page('/{participant}')
+    def lesson(participant: str, client: Client) -> HTMLResponse | None:
         if not CODE.fullmatch(participant):
             text = f'{escape(participant)} is not a code: {CODE_RULE}.'
             return HTMLResponse(f'<!doctype html><title>humanopts</title><p>{text}</p>', 404)
@@ -105,12 +95,12 @@ def add_pages(seats: Seats, token: str, proposed: str) -> None:
         return None
 
 
-def _ask_code(window: PageWindow, domain: str, token: str, proposed: str) -> None:
+def _ask_code(window: PageWindow, domain: str, proposed: str) -> None:
     """Ask who teaches, and go to the page of their seat."""
 
     def go(code: str, app: App) -> None:
         if CODE.fullmatch(code):
-            window.go_to(f'/{token}/{code}')
+            window.go_to(f'/{code}')
         else:
             app.say(f'{code!r} is not a code: {CODE_RULE}.', bad=True)
 
@@ -132,22 +122,22 @@ def _ask_code(window: PageWindow, domain: str, token: str, proposed: str) -> Non
     show()
 
 
-class _Server(uvicorn.Server):
-    @contextmanager
-    def capture_signals(self) -> Iterator[None]:
-        """Leave the signals to the command."""
-        yield
-
-
 async def serve(
-    seats: Seats, listening: socket.socket, token: str, proposed: str, stop: Callable[[], bool]
+    seats: Seats,
+    listening: socket.socket,
+    token: str,
+    proposed: str,
+    stop: Callable[[], bool],
+    hosts: Collection[str] = (),
 ) -> None:
     """
     Serve the pages until ``stop`` returns True, then end all games.
 
     :param listening: socket on which browsers connect.
+    :param token: first part of each address, without which nothing is served.
+    :param hosts: names by which browsers may call this machine, besides its own.
     """
-    add_pages(seats, token, proposed)
+    add_pages(seats, proposed)
     web = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
     ui.run_with(
         web,
@@ -158,15 +148,17 @@ async def serve(
         show_welcome_message=False,
         viewport='width=device-width, initial-scale=1, viewport-fit=cover',
     )
-    settings = uvicorn.Config(
-        web, log_level='warning', ws='wsproto', timeout_graceful_shutdown=1, server_header=False
-    )
-    server = _Server(settings)
-    serving = asyncio.create_task(server.serve(sockets=[listening]))
-    try:
-        while not (stop() or serving.done()):
-            await asyncio.sleep(_LOOK)
-        await seats.close('The game was stopped where it runs. Everything taught is saved.')
-    finally:
-        server.should_exit = True
-        await serving
+    core.sio.on('log', lambda *_: None)  # a page has nothing to write into the terminal
+    strangers = Strangers()
+    guard = Guard(web, token, hosts, strangers.admitted)
+    with limited_log():
+        server = Server(settings(guard, strangers))
+        serving = asyncio.create_task(server.serve(sockets=[listening]))
+        try:
+            while not (stop() or serving.done()):
+                strangers.end_old()
+                await asyncio.sleep(_LOOK)
+            await seats.close('The game was stopped where it runs. Everything taught is saved.')
+        finally:
+            server.should_exit = True
+            await serving

@@ -74,9 +74,9 @@ def _serve_seats(name: str, open_game: OpenGame, pages: PageOptions, participant
             seats = Seats(name, partial(open_game, thread), pages.linger)
             print(f'Open http://{host}:{port}/{token} in a browser; Ctrl-C stops everything.')
             sys.stdout.flush()
-            asyncio.run(
-                serve(seats, listening, token, participant, lambda: interrupts.came), debug=False
-            )
+            hosts = (pages.host, *pages.allow_host)
+            serving = serve(seats, listening, token, participant, lambda: interrupts.came, hosts)
+            asyncio.run(serving, debug=False)
             interrupts.came = False  # it is answered
     finally:
         thread.stop()

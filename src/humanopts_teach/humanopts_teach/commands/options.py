@@ -103,6 +103,14 @@ class PageOptions:
         int,
         typer.Option(min=0, max=65535, metavar='N', help='with --browser; 0: any that is free'),
     ] = 8080
+    allow_host: Annotated[
+        list[str],
+        typer.Option(
+            metavar='NAME',
+            help='with --browser: a name of this machine in browsers, such as that of a reverse '
+            'proxy; may be repeated',
+        ),
+    ] = field(default_factory=list)
     linger: Annotated[
         float,
         typer.Option(
