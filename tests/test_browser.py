@@ -13,6 +13,7 @@ from humanopts_teach.bags.contents import read_demonstrations
 from humanopts_teach.bags.reader import open_bag
 from humanopts_teach.cli import main
 import pytest
+from teach_support.flood import PROMPT
 from teach_support.page_client import PageClient
 
 NAME = 'go <b>west</b>'
@@ -82,6 +83,9 @@ def test_two_people_teach_at_once_and_nothing_that_was_finished_is_lost(served: 
     anna.press('left')
     anna.until('panel', 'start 1, step 1')
     assert NAME not in anna.shows('panel')  # it is escaped
+    named = {'client_id': anna.query['client_id'], 'level': 'error', 'message': PROMPT}
+    anna.socket.emit('log', named)
+    anna.socket.emit('event', {'client_id': anna.query['client_id'], 'id': PROMPT, 'args': PROMPT})
     ben.until('panel', 'What next?')
     assert 'you drive' not in ben.shows('head')
 
@@ -111,6 +115,8 @@ def test_two_people_teach_at_once_and_nothing_that_was_finished_is_lost(served: 
     assert served.command.ended(60) == 0, served.command.errors
     served.command.gone(10)
     assert served.command.output.endswith('stopped\n')
+    assert '\x1b' not in served.command.output + served.command.errors
+    assert '\n[sudo]' not in served.command.errors
 
 
 def test_a_port_that_is_taken_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
