@@ -9,6 +9,7 @@ from pathlib import Path
 import sys
 from typing import Annotated
 
+from humanopts_ros.middleware import check_settings
 from humanopts_teach.commands import CommandError
 from humanopts_teach.commands.bag import progress_bar
 from humanopts_teach.commands.options import PLAIN
@@ -79,10 +80,13 @@ def bench(
     """
     Measure the chosen sections, and show and write what was found.
 
+    :raises MiddlewareError: ROS, which the last two need, cannot start.
     :raises LaunchError: a process of the graph died, or is not done in time.
     """
     chosen = _sections(only)
     _check(chosen, json, figure)
+    if {'graph', 'recording'} & {*chosen}:
+        check_settings(thorough=True)
     larger = _larger_sides(chosen, quick, largest)
     measured: dict[str, list[Row]] = {}
     with progress_bar(lines=True) as bar:

@@ -10,15 +10,13 @@ import tempfile
 import time
 from typing import Any
 
-from humanopts_ros.environment import prepare_discovery
+from humanopts_ros.node_base import start_ros
 from humanopts_teach.launching import LaunchError
 from humanopts_teach.launching.launcher import Launcher
 from humanopts_teach.launching.processes import ProcessSpec, Value
 import numpy as np
-import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import try_shutdown
 
 from benchmarks.measure import Times
@@ -92,8 +90,7 @@ def launched(specs: Sequence[ProcessSpec], folder: Path) -> Iterator[Launcher]:
     """
     launcher = Launcher(specs, folder, NAMESPACE)
     arguments = ['--ros-args', '-r', f'__ns:={NAMESPACE}', '--disable-stdout-logs']
-    prepare_discovery()
-    rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+    start_ros(arguments)
     try:
         launcher.start()
         yield launcher

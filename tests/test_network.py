@@ -15,7 +15,8 @@ from types import SimpleNamespace
 
 from graph_support.live import GAME, Graph, LEARNER
 from humanopts_ros import environment
-from humanopts_ros.environment import PEERS, prepare_discovery, PROFILES, RANGE, READ_PROFILES
+from humanopts_ros.environment import prepare_discovery, READ_PROFILES
+from humanopts_ros.middleware import address_towards, PEERS, PROFILES, RANGE
 import psutil
 import pytest
 
@@ -23,7 +24,8 @@ import pytest
 def test_every_socket_of_a_node_is_bound_to_the_loopback_interface(
     live: Graph, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.delenv(PROFILES[0])
+    for name in PROFILES:
+        monkeypatch.delenv(name)
     monkeypatch.setenv(RANGE, 'LOCALHOST')
     nodes = live.spawn(GAME), live.spawn(LEARNER, directory=tmp_path)
     live.ready('/game', '/learner')
@@ -83,6 +85,19 @@ LOOPBACK = str(files('humanopts_ros') / 'loopback_discovery.xml')
         ({RANGE: 'SUBNET'}, 'quick_discovery.xml', 'SUBNET'),
         ({}, 'quick_discovery.xml', None),
         ({RANGE: 'LOCALHOST', PROFILES[1]: 'own.xml'}, None, 'LOCALHOST'),
+        ({RANGE: 'LOCALHOST', 'ROS_DISTRO': 'kilted'}, 'quick_discovery.xml', 'LOCALHOST'),
+        ({RANGE: 'LOCALHOST', 'ROS_DISTRO': ''}, 'quick_discovery.xml', 'LOCALHOST'),
+        (
+            {RANGE: 'LOCALHOST', 'RMW_IMPLEMENTATION': 'rmw_cyclonedds_cpp'},
+            'quick_discovery.xml',
+            'LOCALHOST',
+        ),
+        (
+            {RANGE: 'LOCALHOST', 'RMW_IMPLEMENTATION': 'rmw_fastrtps_cpp'},
+            'loopback_discovery.xml',
+            'SYSTEM_DEFAULT',
+        ),
+        ({RANGE: 'SUBNET', 'ROS_LOCALHOST_ONLY': '1'}, 'loopback_discovery.xml', 'SYSTEM_DEFAULT'),
         ({RANGE: 'LOCALHOST', PROFILES[0]: LOOPBACK}, 'loopback_discovery.xml', 'SYSTEM_DEFAULT'),
         (
             {RANGE: 'SYSTEM_DEFAULT', PROFILES[0]: LOOPBACK},
@@ -93,10 +108,14 @@ LOOPBACK = str(files('humanopts_ros') / 'loopback_discovery.xml')
 )
 def test_the_profile_follows_from_the_range(
     monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
     given: dict[str, str],
     profile: str | None,
     kept: str | None,
 ) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / 'own.xml').write_text('<profiles/>')
+    monkeypatch.setenv('ROS_DISTRO', 'jazzy')
     for name in (*PROFILES, READ_PROFILES, RANGE, PEERS):
         monkeypatch.delenv(name, raising=False)
     for name, value in given.items():
@@ -104,9 +123,11 @@ def test_the_profile_follows_from_the_range(
     monkeypatch.setattr(environment, '_await_network', lambda: None)
     prepare_discovery()
     found = os.environ.get(PROFILES[0])
+    assert os.environ.get(PROFILES[1]) == (found or given.get(PROFILES[1]))
     assert (Path(found).name if found else None, os.environ.get(RANGE)) == (profile, kept)
     assert os.environ.get(READ_PROFILES) == (profile and '1')
-    monkeypatch.setenv(PROFILES[0], 'restored')  # so that the test leaves nothing behind
+    for name in PROFILES:
+        monkeypatch.setenv(name, 'restored')  # so that the test leaves nothing behind
     monkeypatch.setenv(READ_PROFILES, 'restored')
     monkeypatch.setenv(RANGE, 'restored')
 
@@ -130,7 +151,7 @@ def cable(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[bool]]:
         looks.append(next(carrier))
         return {'cable': SimpleNamespace(isup=looks[-1])}
 
-    address = environment._address_towards(OTHER)
+    address = address_towards(OTHER)
     entry = SimpleNamespace(family=socket.AF_INET, address=address)
     monkeypatch.setattr(psutil, 'net_if_stats', stats)
     monkeypatch.setattr(psutil, 'net_if_addrs', lambda: {'cable:1': [entry]})
@@ -167,8 +188,99 @@ def test_a_loopback_address_is_no_network_of_others(
     assert 'no network is up towards other machines:' in capfd.readouterr().err
 
 
-@pytest.mark.parametrize('chosen', ['LOCALHOST', 'OFF'])
-def test_a_graph_on_one_machine_needs_no_network(cable: list[bool], chosen: str) -> None:
-    os.environ[RANGE] = chosen
+def test_a_graph_on_one_machine_needs_no_network(cable: list[bool]) -> None:
+    os.environ[RANGE] = 'LOCALHOST'
     prepare_discovery()
     assert not cable
+
+
+FAULTS = {
+    'RMW_IMPLEMENTATION': [('rmw_cyclonedds_cpp', 'which is not installed; unset it, or choose')],
+    RANGE: [('OFF', 'no node finds another'), ('localhost', 'choose from LOCALHOST, SUBNET')],
+    PEERS: [('10.0.0.1 10.0.0.2', 'no known machine'), ('10.0.0.1;fe80::1', 'no IPv4 address')],
+    PROFILES[0]: [
+        ('/nowhere.xml', 'which is no file'),
+        ('text.xml', 'which is not XML'),
+        ('typo.xml', 'which Fast DDS cannot use'),
+    ],
+    PROFILES[1]: [('page.xml', 'which holds <html>')],
+    'ROS_DOMAIN_ID': [('233', 'must be from 0 to 232')],
+    'ROS_LOG_DIR': [('/proc/none', 'ROS cannot start')],
+}
+WRONG = [(name, value, words) for name, given in FAULTS.items() for value, words in given]
+COMMANDS = (('status',), ('up', 'rooms'), ('demo',), ('study', 'plan.yaml', '--simulate', '1'))
+
+
+@pytest.fixture
+def shell(tmp_path: Path) -> dict[str, str]:
+    """A shell with none of these variables, in a folder with the files that they name."""
+    (tmp_path / 'text.xml').write_text('profiles')
+    (tmp_path / 'page.xml').write_text('<html/>')
+    typo = Path(LOOPBACK).read_text('utf-8').replace('receiveBufferSize', 'receiveBuffer')
+    (tmp_path / 'typo.xml').write_text(typo)
+    plan = 'study: s\nseed: 1\nall: {domain: rooms, teach: 1}\nconditions: [{name: a}]\n'
+    (tmp_path / 'plan.yaml').write_text(plan)
+    mine = {*FAULTS, READ_PROFILES}
+    return {name: text for name, text in os.environ.items() if name not in mine}
+
+
+def refused(shell: dict[str, str], folder: Path, *command: str) -> str:
+    """Run what cannot start; return the one line that says why."""
+    done = subprocess.run(
+        [sys.executable, '-m', *command],
+        cwd=folder,
+        env=shell,
+        capture_output=True,
+        text=True,
+        timeout=30,
+        check=False,
+    )
+    assert (done.returncode, done.stdout, done.stderr.count('\n')) == (2, '', 1), done.stderr
+    return done.stderr
+
+
+@pytest.mark.parametrize(('name', 'value', 'words'), WRONG)
+def test_a_setting_with_which_ros_cannot_start_is_named_in_one_line(
+    tmp_path: Path, shell: dict[str, str], name: str, value: str, words: str
+) -> None:
+    shell[name] = value
+    said = refused(shell, tmp_path, 'humanopts_teach.cli', 'status')
+    assert said.startswith('humanopts status: ')
+    assert words in said
+    if name != PROFILES[0]:
+        said = refused(shell, tmp_path, 'humanopts_env.ros.game_node')
+        assert words in said
+
+
+@pytest.mark.parametrize('command', COMMANDS, ids=' '.join)
+def test_every_command_that_needs_ros_refuses_it_before_anything_is_there(
+    tmp_path: Path, shell: dict[str, str], command: tuple[str, ...]
+) -> None:
+    before = sorted(tmp_path.iterdir())
+    shell['RMW_IMPLEMENTATION'] = 'rmw_cyclonedds_cpp'
+    assert 'rmw_cyclonedds_cpp' in refused(shell, tmp_path, 'humanopts_teach.cli', *command)
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_commands_that_need_no_ros_do_not_mind(tmp_path: Path, shell: dict[str, str]) -> None:
+    shell['RMW_IMPLEMENTATION'] = 'rmw_cyclonedds_cpp'
+    command = [sys.executable, '-m', 'humanopts_teach.cli', 'study', 'status', 'plan.yaml']
+    assert subprocess.run(command, cwd=tmp_path, env=shell, check=False).returncode == 0
+
+
+def test_a_machine_without_a_loopback_interface_is_told_so(
+    tmp_path: Path, shell: dict[str, str]
+) -> None:
+    apart = ['unshare', '--map-root-user', '--net']
+    if subprocess.run([*apart, 'true'], capture_output=True, check=False).returncode:
+        pytest.skip('network namespaces cannot be made here')
+    done = subprocess.run(
+        [*apart, sys.executable, '-m', 'humanopts_teach.cli', 'status'],
+        env={**shell, RANGE: 'LOCALHOST'},
+        capture_output=True,
+        text=True,
+        timeout=30,
+        check=False,
+    )
+    assert (done.returncode, done.stdout, done.stderr.count('\n')) == (2, '', 1), done.stderr
+    assert 'the loopback interface of this machine is down' in done.stderr

@@ -1,21 +1,29 @@
-"""Environment variables that humanopts processes share."""
+"""Environment variables that humanopts processes share, and how they find each other."""
 
 from importlib.resources import files
 import os
+from pathlib import Path
 import socket
 import sys
 import time
 
+from humanopts_ros.middleware import (
+    address_towards,
+    check_settings,
+    PROFILES,
+    RANGE,
+    static_peers,
+    stays_here,
+)
 import psutil
 
 LAUNCHER_PID = 'HUMANOPTS_LAUNCHER_PID'  # of the process that started a node; it ends with it
 INSTANCE = 'HUMANOPTS_INSTANCE'  # how the publisher_id of a node ends that a launcher started
-PROFILES = ('FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_DEFAULT_PROFILES_FILE')  # Jazzy reads [0]
 READ_PROFILES = 'RMW_FASTRTPS_USE_QOS_FROM_XML'  # '1': what a profile says of memory, too
-RANGE, PEERS = 'ROS_AUTOMATIC_DISCOVERY_RANGE', 'ROS_STATIC_PEERS'
+_READERS = 'jazzy', 'rmw_fastrtps_cpp'  # distribution and middleware that read both profiles
+_USUAL_PROFILES = Path('DEFAULT_FASTRTPS_PROFILES.xml')  # of the working folder: read, too
 _NETWORK_WAIT = 10.0  # s
 _LOOK_PERIOD = 0.05  # s
-_ANY_PORT = 7400  # nothing is sent to it
 
 
 def prepare_discovery() -> None:
@@ -27,21 +35,26 @@ def prepare_discovery() -> None:
 
     Where the graph is to stay on this machine (LOCALHOST, and no peers elsewhere), sockets are
     bound to the loopback interface. The profile says all that the range would, so the middleware
-    is told to change nothing of it: with LOCALHOST it binds to every interface.
+    is told to change nothing of it: with LOCALHOST it binds to every interface. The range stays
+    where another ROS or another middleware may not read the profile.
+
+    :raises MiddlewareError: ROS cannot start with the settings of the shell.
     """
+    check_settings()
     _await_network()
     quick, loopback = (
         str(files('humanopts_ros') / name)
         for name in ('quick_discovery.xml', 'loopback_discovery.xml')
     )
-    given = [os.environ[name] for name in PROFILES if name in os.environ]
-    if given not in ([], [loopback]):  # the last: by the process that started this one
-        return
-    stays = os.environ.get(RANGE) == 'LOCALHOST' and not os.environ.get(PEERS)
+    given = {os.environ[name] for name in PROFILES if name in os.environ}
+    if given - {loopback} or (not given and _USUAL_PROFILES.exists()):
+        return  # profiles of the user; the loopback's are by the process that started this one
+    rmw = os.environ.get('RMW_IMPLEMENTATION') or _READERS[1]
+    stays = stays_here() and (os.environ.get('ROS_DISTRO'), rmw) == _READERS
     if stays:
         os.environ[RANGE] = 'SYSTEM_DEFAULT'
     os.environ[READ_PROFILES] = '1'
-    os.environ[PROFILES[0]] = loopback if stays or given else quick
+    os.environ.update(dict.fromkeys(PROFILES, loopback if stays or given else quick))
 
 
 def _await_network() -> None:
@@ -61,11 +74,8 @@ def _await_network() -> None:
 
 def _absent_networks() -> list[str]:
     """Return the other machines that no interface leads to which is up and has a carrier."""
-    chosen, peers = os.environ.get(RANGE), os.environ.get(PEERS, '')
-    if chosen not in ('SUBNET', 'LOCALHOST'):
-        return []
-    wanted = [peer for each in peers.split(';') if (peer := each.strip())]
-    if not wanted and chosen == 'LOCALHOST':
+    wanted = static_peers()
+    if stays_here() or os.environ.get(RANGE) not in ('SUBNET', 'LOCALHOST'):
         return []
     # An address and a route are there before the carrier, for a second or as long as no cable is.
     stats = psutil.net_if_stats()
@@ -78,14 +88,4 @@ def _absent_networks() -> list[str]:
     }
     if not wanted:
         return [] if any(not a.startswith('127.') for a in own) else ['other machines']
-    return [peer for peer in wanted if _address_towards(peer) not in own]
-
-
-def _address_towards(peer: str) -> str:
-    """Return this machine's address on the way to another; empty: there is no way."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        try:
-            probe.connect((peer, _ANY_PORT))
-        except (OSError, UnicodeError):  # no route, or no such name
-            return ''
-        return str(probe.getsockname()[0])
+    return [peer for peer in wanted if address_towards(peer) not in own]

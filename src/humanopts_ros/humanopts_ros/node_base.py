@@ -1,7 +1,7 @@
 """The base class of all nodes: parameters, recorded endpoints, readiness, waits, a clean end."""
 
-from collections.abc import Callable, Collection, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 import functools
 from itertools import chain
@@ -13,18 +13,27 @@ import uuid
 import weakref
 
 from humanopts_interfaces.msg import NodeStatus
-from humanopts_ros.environment import INSTANCE
+from humanopts_ros.environment import INSTANCE, prepare_discovery
 from humanopts_ros.guard import Guard
-from humanopts_ros.publisher import M, PublishError, signer, StampedPublisher
+from humanopts_ros.middleware import MiddlewareError
+from humanopts_ros.publisher import (
+    M,
+    PublishError,
+    signer,
+    StampedPublisher,
+    without_source,
+)
 from humanopts_ros.qos import ACTION, LATCHED, SERVICE, STREAM
 from humanopts_ros.recording import Selection
 from humanopts_ros.time_of_day import TimeOfDay
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+import rclpy
 from rclpy.action.server import ActionServer, CancelResponse, ServerGoalHandle
 from rclpy.callback_groups import CallbackGroup, ReentrantCallbackGroup
 from rclpy.client import Client
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
+from rclpy.context import Context
 from rclpy.exceptions import InvalidHandle, ParameterException
 from rclpy.executors import Executor, ExternalShutdownException
 from rclpy.impl.rcutils_logger import RcutilsLogger
@@ -33,6 +42,7 @@ from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from rclpy.service import Service
 from rclpy.service_introspection import ServiceIntrospectionState
+from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 from rclpy.task import Future
 from rclpy.timer import Timer
@@ -61,6 +71,33 @@ Range = tuple[float, float]  # least and largest value
 
 class StartError(RuntimeError):
     """A node cannot start with these parameters; the text says which and why."""
+
+
+@contextmanager
+def starting_ros() -> Iterator[None]:
+    """
+    Say in one line why ROS cannot start.
+
+    :raises MiddlewareError: in place of the error of rclpy.
+    """
+    try:
+        yield
+    except RuntimeError as error:  # such as invalid arguments
+        raise MiddlewareError(f'ROS cannot start: {without_source(error)}') from error
+
+
+def start_ros(args: list[str] | None = None, context: Context | None = None) -> None:
+    """
+    Start ROS with the settings of the shell; signals stay with the caller.
+
+    :param args: of the command line.
+    :param context: None: that of the process.
+    :raises MiddlewareError: it cannot start.
+    """
+    prepare_discovery()
+    with starting_ros():
+        options = SignalHandlerOptions.NO
+        rclpy.init(args=args, context=context, signal_handler_options=options)
 
 
 class Waiting:
@@ -135,10 +172,12 @@ class NodeBase(Node):
         :param monotonic: the clock of the node's deadlines, s.
         :param options: as of rclpy's Node, such as context and namespace.
         :raises StartError: a parameter is wrong.
+        :raises MiddlewareError: the middleware cannot join the graph.
         """
         ends = StartError, ExternalShutdownException
         self.guard = Guard(self.get_logger, monotonic, self._publish_remark, ends)
-        super().__init__(name, **options)
+        with starting_ros():
+            super().__init__(name, **options)
         self.monotonic = monotonic
         instance = os.environ.pop(INSTANCE, '') or uuid.uuid4().hex[:8]
         self.publisher_id = f'{self.get_fully_qualified_name()}#{instance}'

@@ -11,15 +11,14 @@ import time
 from types import FrameType
 
 from humanopts_interfaces.msg import NodeStatus
-from humanopts_ros.environment import LAUNCHER_PID, prepare_discovery
-from humanopts_ros.node_base import NodeBase, StartError
-from humanopts_ros.publisher import PublishError, without_source
-import rclpy
+from humanopts_ros.environment import LAUNCHER_PID
+from humanopts_ros.middleware import MiddlewareError
+from humanopts_ros.node_base import NodeBase, start_ros, StartError
+from humanopts_ros.publisher import PublishError
 from rclpy.exceptions import InvalidHandle
 from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import try_shutdown
 
 # s to leave the graph after a clean end. Where all participants leave at once, Fast DDS hangs now
@@ -135,11 +134,10 @@ def run_node(
         give_back()
         return stop()
 
-    prepare_discovery()
     try:
-        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
-    except RuntimeError as error:  # such as invalid arguments
-        print(f'humanopts: ROS cannot start: {without_source(error)}', file=sys.stderr)
+        start_ros(args)
+    except MiddlewareError as error:
+        print(f'humanopts: {error}', file=sys.stderr)
         return 2
     executor: Executor = EventsExecutor() if by_events else SingleThreadedExecutor()
     node: NodeBase | None = None
@@ -159,7 +157,7 @@ def run_node(
             print(f'humanopts: {_PAUSED.format(stop.paused)}', file=sys.stderr)
             node.failed = True
         signal.alarm(0 if node.failed else _LEAVING)
-    except StartError as error:
+    except (StartError, MiddlewareError) as error:
         print(f'humanopts: {error}', file=sys.stderr)
         return 2
     except PublishError as error:

@@ -15,6 +15,7 @@ import sys
 from typing import Annotated, Any
 
 from humanopts_ros.limits import printable
+from humanopts_ros.middleware import MiddlewareError
 from humanopts_teach.bags import BagError
 from humanopts_teach.commands import CommandError, interruptible
 from humanopts_teach.commands.bag import app as bag_app
@@ -281,7 +282,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         path = usage.command_path if usage else NAME
         text = ' '.join(error.format_message().split()).rstrip('.')
         return _complain(path, f'{text[:1].lower()}{text[1:]}; see {path} --help', 2)
-    except (CommandError, BagError) as error:
+    except (CommandError, BagError, MiddlewareError) as error:
         return _complain(_named(context), str(error), 2)
     except LaunchError as error:
         return _complain(_named(context), str(error), 1)

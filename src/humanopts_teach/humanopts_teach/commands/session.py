@@ -18,6 +18,7 @@ from humanopts_env.domains.capabilities import HasTeachingDefaults, THRESHOLDS
 from humanopts_env.domains.registry import make_domain, reference_options
 from humanopts_learner.demonstrations import check_method
 from humanopts_learner.options.criteria import usual_thresholds
+from humanopts_ros.middleware import check_settings
 from humanopts_ros.recording import Selection
 from humanopts_teach.bags.writer import parts
 from humanopts_teach.commands import CommandError, Interrupts, noticed_interrupts
@@ -36,7 +37,6 @@ from humanopts_teach.launching.restarts import MOST, NodeExit
 from humanopts_teach.ros.graph_client import GraphClient
 
 _NAMESPACE = re.compile(r'/|(/[A-Za-z_][A-Za-z0-9_]*)+')  # of nodes, as ROS 2 allows them
-_LAST_DOMAIN_ID = 232
 _TEACHING_SECONDS = 600.0  # longest time in which the simulated teacher does nothing
 WATCHED = 0.15  # s between steps of the machine, while a person looks on
 NEWS_SECONDS = 10.0  # for what was published to come here
@@ -52,7 +52,7 @@ def setup_from(
     :param own: fields that the command sets itself; ``directory`` and ``step_period`` where the
         user gives none.
     :raises CommandError: a domain parameter is not NAME=VALUE, the domain or its thresholds are
-        not valid, the namespace or ROS_DOMAIN_ID cannot be used, the bag would not hold what an
+        not valid, the namespace cannot be used, the bag would not hold what an
         evaluation needs, or a node that is to run here is none of the launch.
     """
     check_place(launch.namespace)
@@ -132,13 +132,12 @@ def check_place(namespace: str) -> None:
     """
     Check where nodes are to run, or run.
 
-    :raises CommandError: the namespace or ROS_DOMAIN_ID cannot be used.
+    :raises CommandError: the namespace cannot be used.
+    :raises MiddlewareError: ROS cannot start with the settings of the shell.
     """
     if not _NAMESPACE.fullmatch(namespace):
         raise CommandError(f'{namespace!r} is not a namespace; one reads / or /room_1/left')
-    number = os.environ.get('ROS_DOMAIN_ID') or '0'
-    if not (number.isascii() and number.isdigit() and int(number) <= _LAST_DOMAIN_ID):
-        raise CommandError(f'ROS_DOMAIN_ID is {number!r}, and must be from 0 to {_LAST_DOMAIN_ID}')
+    check_settings(thorough=True)
 
 
 @dataclass(frozen=True)

@@ -60,8 +60,10 @@ def run(
     pages: PageOptions,
 ) -> int:
     """Take one participant through the study in this terminal, or several in browsers."""
+    from humanopts_teach.commands.session import check_place
     from humanopts_teach.commands.study_session import Study
 
+    check_place(namespace)
     study = Study(*_open(plan, folder), namespace)
     if simulate:
         for number in range(1, simulate + 1):

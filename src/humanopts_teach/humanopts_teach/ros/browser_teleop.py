@@ -6,14 +6,11 @@ import traceback
 from typing import Any
 
 from humanopts_interfaces.msg import NodeStatus
-from humanopts_ros.environment import prepare_discovery
-from humanopts_ros.node_base import NodeBase
+from humanopts_ros.node_base import NodeBase, start_ros
 from humanopts_teach.dialogue.panel import View, view
 from humanopts_teach.ros.teleop import POLL_SECONDS, TeleopNode
-import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
-from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import try_shutdown
 
 _IDLE_SECONDS = 0.1  # between looks at what is due where nothing happens
@@ -61,9 +58,7 @@ class TeleopThread:
     """Runs the nodes of all participants, from one context of ROS."""
 
     def __init__(self) -> None:
-        prepare_discovery()
-        quiet = ['--ros-args', '--disable-stdout-logs']
-        rclpy.init(args=quiet, signal_handler_options=SignalHandlerOptions.NO)
+        start_ros(['--ros-args', '--disable-stdout-logs'])
         self._executor = SingleThreadedExecutor()
         self._nodes: dict[BrowserTeleopNode, Callable[[], object] | None] = {}  # called when gone
         self._ending = False

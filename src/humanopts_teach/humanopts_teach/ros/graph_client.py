@@ -13,8 +13,7 @@ from humanopts_env.ros.game_subscriber import GameSubscriber, Observed
 from humanopts_interfaces import msg
 from humanopts_interfaces.action import Plan, RunPolicy
 from humanopts_learner.ros import LEARNER
-from humanopts_ros.environment import prepare_discovery
-from humanopts_ros.node_base import NodeBase
+from humanopts_ros.node_base import NodeBase, start_ros
 from humanopts_ros.publisher import signer
 from humanopts_ros.qos import ACTION, CURRENT
 from humanopts_teach.launching import LaunchError
@@ -23,10 +22,8 @@ from humanopts_teach.launching.processes import RECORDER, Value
 from humanopts_teach.launching.restarts import NodeExit
 from humanopts_teach.launching.status import restarts_text
 from humanopts_teach.lesson.simulated_teacher import FINISHED
-import rclpy
 from rclpy.action.client import ActionClient
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import try_shutdown
 
 LESSON = 'lesson'
@@ -70,8 +67,7 @@ class GraphClient(NodeBase):
         arguments = ['--ros-args', '-r', f'__ns:={namespace}', '--disable-stdout-logs']
         for name, value in parameters.items():
             arguments += ['-p', f'{name}:={json.dumps(value)}']
-        prepare_discovery()
-        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+        start_ros(arguments)
         super().__init__(CONDUCTOR)
         self.statuses: dict[str, msg.NodeStatus] = {}
         self.duplicates: set[str] = set()

@@ -9,7 +9,7 @@ from typing import Any
 
 from humanopts_env.ros.game_subscriber import GAME
 from humanopts_interfaces import msg
-from humanopts_ros.environment import prepare_discovery
+from humanopts_ros.node_base import start_ros, starting_ros
 from humanopts_ros.publisher import signer
 from humanopts_ros.qos import CURRENT
 from humanopts_teach.launching.launcher import CONDUCTOR, processes_of_launch
@@ -22,12 +22,10 @@ from humanopts_teach.launching.status import (
 )
 import psutil
 from rcl_interfaces.srv import GetParameters
-import rclpy
 from rclpy.client import Client
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
 _SEARCH = 1.5  # s in which nodes are found; less where all of a launch on this machine are
@@ -42,12 +40,12 @@ _STATES = {
 
 def probe_graph(namespace: str) -> GraphReport:
     """Look at the nodes of a namespace in this ROS_DOMAIN_ID; takes about two seconds."""
-    prepare_discovery()
     context = Context()
-    rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
+    start_ros(context=context)
     executor = SingleThreadedExecutor(context=context)
     try:
-        probe = _Probe(namespace, context, executor)
+        with starting_ros():
+            probe = _Probe(namespace, context, executor)
         return probe.report()
     finally:
         executor.shutdown()

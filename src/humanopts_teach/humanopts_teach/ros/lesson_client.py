@@ -14,7 +14,7 @@ from humanopts_env.game import Transition
 from humanopts_env.ros.game_subscriber import GAME, GameSubscriber, Observed
 from humanopts_interfaces import msg, srv
 from humanopts_ros.environment import prepare_discovery
-from humanopts_ros.node_base import NodeBase
+from humanopts_ros.node_base import NodeBase, starting_ros
 from humanopts_ros.node_restarts import NodeRestarts
 from humanopts_ros.qos import CURRENT, DISPLAY
 from humanopts_teach.lesson.requests import (
@@ -336,9 +336,11 @@ def run_with_lesson(
 
     :param program: gets the client; what it raises is raised here.
     :param name: of the program's node.
+    :raises MiddlewareError: ROS cannot start with the settings of the shell.
     """
     prepare_discovery()
-    rclpy.init()
+    with starting_ros():
+        rclpy.init()
     executor = SingleThreadedExecutor()
     node = NodeBase(name)
     client = LessonClient(node)

@@ -1,0 +1,175 @@
+"""
+Whether ROS can start with the settings of the shell; works without ROS.
+
+What is wrong with them is said in one line, before anything is started: the middleware would end
+the process, ignore the setting, or find no other node and say nothing.
+"""
+
+import ipaddress
+import os
+from pathlib import Path
+import re
+import socket
+import subprocess
+import sys
+from xml.etree import ElementTree
+
+RANGE, PEERS = 'ROS_AUTOMATIC_DISCOVERY_RANGE', 'ROS_STATIC_PEERS'
+PROFILES = ('FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_DEFAULT_PROFILES_FILE')  # Jazzy reads [0]
+LAST_DOMAIN_ID = 232
+LOOPBACK = '127.0.0.1'
+_RANGES = 'LOCALHOST', 'SUBNET', 'SYSTEM_DEFAULT'  # in which nodes find each other
+_RMW, _LOCALHOST_ONLY, _DOMAIN_ID = 'RMW_IMPLEMENTATION', 'ROS_LOCALHOST_ONLY', 'ROS_DOMAIN_ID'
+_INSTALLED = 'share/ament_index/resource_index/rmw_typesupport'
+_ANY_PORT = 7400  # nothing is sent to it
+_LOADS_PROFILES = """
+import rclpy
+rclpy.init(domain_id=0)
+rclpy.create_node('reads_profiles')
+"""
+_FAULT = re.compile(r'XMLPARSER.* Error\S* (.+?) -> Function')
+_COLOUR = re.compile(r'\x1b\[[\d;]*m')
+_absent = ''  # what RMW_IMPLEMENTATION was set to, and is not installed
+
+
+class MiddlewareError(RuntimeError):
+    """ROS cannot start with the settings of the shell; the text says which, and what to do."""
+
+
+def set_aside_absent() -> None:
+    """
+    Take a middleware that is not installed out of the environment, for ``check_settings``.
+
+    Otherwise the process ends where it imports rclpy.
+    """
+    global _absent
+    chosen, there = os.environ.get(_RMW, ''), _installed()
+    if chosen and there and chosen not in there:
+        _absent = os.environ.pop(_RMW)
+
+
+def _installed() -> list[str]:
+    """Return the middlewares that can be loaded; none: not known."""
+    # The wheels of ROS lie in the environment of Python, and load none but their own.
+    for prefix in (sys.prefix, *os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep)):
+        found = Path(prefix, _INSTALLED)
+        if prefix and found.is_dir():
+            return sorted({path.name for path in found.iterdir()} - {'rmw_implementation'})
+    return []
+
+
+def check_settings(*, thorough: bool = False) -> None:
+    """
+    Check what the variables of the shell say of the middleware.
+
+    :param thorough: let Fast DDS read a file of profiles that the shell names: half a second.
+    :raises MiddlewareError: ROS cannot start with them, or no node would find another.
+    """
+    if _absent and not os.environ.get(_RMW):
+        raise MiddlewareError(
+            f'{_RMW} is {_absent!r}, which is not installed; unset it, or choose '
+            f'{" or ".join(_installed())}'
+        )
+    number = os.environ.get(_DOMAIN_ID) or '0'
+    if not (number.isascii() and number.isdigit() and int(number) <= LAST_DOMAIN_ID):
+        raise MiddlewareError(
+            f'{_DOMAIN_ID} is {number!r}, and must be from 0 to {LAST_DOMAIN_ID}'
+        )
+    if os.environ.pop(_LOCALHOST_ONLY, '') == '1':  # how ROS said it before Iron; it comes first
+        os.environ[RANGE] = 'LOCALHOST'
+        os.environ.pop(PEERS, None)
+    chosen = os.environ.get(RANGE)
+    if chosen == 'OFF':
+        raise MiddlewareError(
+            f'{RANGE} is OFF, and no node finds another; unset it, or choose LOCALHOST for this '
+            'machine or SUBNET for the network'
+        )
+    if chosen and chosen not in _RANGES:
+        raise MiddlewareError(f'{RANGE} is {chosen!r}; choose from {", ".join(_RANGES)}')
+    if os.environ.get(PEERS):
+        peers = [peer.strip() for peer in os.environ[PEERS].split(';')]
+        os.environ[PEERS] = ';'.join(filter(None, peers))
+    for peer in static_peers():
+        if fault := _fault_of_address(peer):
+            raise MiddlewareError(
+                f'{PEERS} names {peer!r}, {fault}; give addresses as 192.168.1.20, separated by ;'
+            )
+    for name in PROFILES:
+        if not os.environ.get(name):
+            os.environ.pop(name, None)  # Fast DDS would look for a file without a name
+            continue
+        if Path(os.environ[name]).parent == Path(__file__).parent:
+            continue
+        fault = _fault_of_profile(Path(os.environ[name]))
+        if fault or (thorough and (fault := _fault_that_fast_dds_finds())):
+            raise MiddlewareError(
+                f'{name} is {os.environ[name]!r}, {fault}; unset it, or name a file of profiles'
+            )
+    if stays_here() and not address_towards(LOOPBACK):
+        raise MiddlewareError(
+            'the loopback interface of this machine is down, and nodes cannot find each other; '
+            'switch it on: sudo ip link set lo up'
+        )
+
+
+def static_peers() -> list[str]:
+    """Return the other machines that the shell names."""
+    return [peer for each in os.environ.get(PEERS, '').split(';') if (peer := each.strip())]
+
+
+def stays_here() -> bool:
+    """Return whether the graph is to stay on this machine."""
+    return os.environ.get(RANGE) == 'LOCALHOST' and not static_peers()
+
+
+def address_towards(peer: str) -> str:
+    """Return this machine's address on the way to another; empty: there is no way."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect((peer, _ANY_PORT))
+        except (OSError, UnicodeError):  # no route, or no such name
+            return ''
+        return str(probe.getsockname()[0])
+
+
+def _fault_of_address(peer: str) -> str:
+    """Return what is wrong with the address or name of a machine; empty: nothing that lasts."""
+    try:
+        if ipaddress.ip_address(peer).version != 4:
+            return 'which is no IPv4 address'
+    except ValueError:
+        try:
+            socket.getaddrinfo(peer, None, socket.AF_INET)
+        except (OSError, UnicodeError) as error:
+            # Without a network no name is known; there may soon be one.
+            if not (isinstance(error, socket.gaierror) and error.errno == socket.EAI_AGAIN):
+                return 'which is no known machine'
+    return ''
+
+
+def _fault_of_profile(path: Path) -> str:
+    """Return why Fast DDS would ignore a file of profiles; empty: it would not."""
+    if not path.is_file():
+        return 'which is no file'
+    try:
+        root = ElementTree.parse(path).getroot()
+    except OSError as error:
+        return f'which cannot be read ({error.strerror})'
+    except (ElementTree.ParseError, ValueError, LookupError) as error:
+        return f'which is not XML ({error})'
+    tag = root.tag.rpartition('}')[2]
+    return '' if tag in ('dds', 'profiles') else f'which holds <{tag}> where <profiles> is due'
+
+
+def _fault_that_fast_dds_finds() -> str:
+    """Return the first fault that Fast DDS finds in its file of profiles; empty: none."""
+    said = subprocess.run(
+        [sys.executable, '-c', _LOADS_PROFILES],
+        env={**os.environ, RANGE: 'OFF'},
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        check=False,
+    ).stdout.decode('utf-8', 'replace')
+    found = _FAULT.search(_COLOUR.sub('', said))
+    return f'which Fast DDS cannot use ({found[1]})' if found else ''
