@@ -5,6 +5,7 @@ from itertools import permutations
 import json
 import os
 from pathlib import Path
+import pwd
 import resource
 import signal
 import time
@@ -24,7 +25,8 @@ from humanopts_teach.bags.reader import open_bag
 from humanopts_teach.cli import main
 from humanopts_teach.launching import LaunchError
 from humanopts_teach.launching.fork_server import prepare
-from humanopts_teach.launching.launcher import Launcher, only_launch
+from humanopts_teach.launching.launcher import Launcher
+from humanopts_teach.launching.place import holder, only_launch
 from humanopts_teach.launching.processes import processes, ProcessSpec, Setup, Value
 from humanopts_teach.launching.restarts import NodeExit
 from humanopts_teach.ros.graph_client import GraphClient
@@ -157,18 +159,19 @@ def test_a_bag_that_is_short_is_told_though_another_recorder_took_over(
 ) -> None:
     def check() -> None:
         live.spin()
-        looks.append(bool(conductor.duplicates))
-        if looks.count(True) > 1:
+        if len(said) > 1:
             raise LaunchError('the other is there')
 
-    looks: list[bool] = []
     said: list[str] = []
     monkeypatch.setenv('ROS_DOMAIN_ID', str(live.domain_id))
-    live.start(RECORDER, path=tmp_path / 'first', max_seconds=0.2)
+    first = live.start(RECORDER, path=tmp_path / 'first', max_seconds=0.2)
     parameters = {'expect_recorder': True}
     conductor = GraphClient('/', parameters, tmp_path / 'first', watch=live.spin)
+    conductor.note_start('recorder', first.publisher_id.partition('#')[2])
+    conductor.report = said.append
     try:
         conductor.wait_ready(['/recorder'])
+        conductor.starting = False
         assert conductor.unrecorded() == ''
         (tmp_path / 'first' / 'metadata.yaml.new').mkdir()
         with pytest.raises(LaunchError, match='recording stopped: cannot write in'):
@@ -178,40 +181,44 @@ def test_a_bag_that_is_short_is_told_though_another_recorder_took_over(
             conductor.stay(check, said.append)
         assert conductor.unrecorded().startswith('recording stopped: cannot write in')
         assert conductor.unrecorded().endswith(f'humanopts bag info {tmp_path}/first')
-        assert [line.partition(':')[0] for line in said] == ['/recorder is paused']
+        assert {line.partition(':')[0] for line in said} == {
+            '/recorder is paused',
+            'another process runs /recorder in this ROS_DOMAIN_ID and namespace; end it',
+        }
     finally:
         conductor.close()
 
 
-def test_a_terminal_that_died_and_is_started_again_does_not_end_up(
+def test_a_launch_that_runs_goes_on_whatever_has_or_claims_the_names_of_its_nodes(
     live: Graph, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    out = live.node.create_publisher(NodeStatus, 'node_status', CURRENT)
-    live.start(GAME)
-    live.ready('/game')
-
-    def check() -> None:
-        live.spin()
-        if '/keyboard_teleop' in conductor.duplicates:
-            raise LaunchError('it goes on')
-        for number in (1, 2):  # the first was killed: it has not said that it stops
-            terminal = {'node': '/keyboard_teleop', 'publisher_id': f'/keyboard_teleop#{number}'}
-            out.publish(NodeStatus(state=NodeStatus.STATE_READY, **terminal))
-
+    """What is claimed by a message alone is not even told, also after a node has ended."""
     monkeypatch.setenv('ROS_DOMAIN_ID', str(live.domain_id))
-    conductor = GraphClient('/', {'expect_recorder': False}, tmp_path, watch=live.spin)
+    out = live.node.create_publisher(NodeStatus, 'node_status', CURRENT)
+    live.watch('/')
+
+    def forge(state: int) -> None:
+        out.publish(NodeStatus(node='/game', publisher_id='/game#another', state=state))
+
+    command = Command(words('/', tmp_path), tmp_path, live.domain_id)
     try:
-        conductor.wait_ready(['/game'])
-        with pytest.raises(LaunchError, match='it goes on'):
-            conductor.stay(check, lambda line: None)
-        game = {'node': '/game', 'publisher_id': '/game#another'}
-        out.publish(NodeStatus(state=NodeStatus.STATE_READY, **game))
-        live.until(lambda: conductor.catch_up() or conductor.duplicates, 'what somebody claims')
+        command.until(lambda: 'ready: /game' in command.output, 'the nodes')
+        live.ready('/game')
+        forge(NodeStatus.STATE_READY)
+        command.kill('game', signal.SIGKILL)
+        forge(NodeStatus.STATE_PAUSED)
+        live.until(lambda: starts(live) == 3, 'the restart', 30.0)  # the forged one, too
+        forge(NodeStatus.STATE_STOPPING)
         live.start(GAME)
-        with pytest.raises(LaunchError, match='/game runs already'):
-            conductor.stay(live.spin, lambda line: None)
+        live.until(lambda: starts(live) == 4, 'a game beside it')
+        command.kill('game', signal.SIGKILL)
+        live.until(lambda: starts(live) == 5, 'another restart', 30.0)
+        assert 'runs' not in command.errors.replace('another process runs /game', '')
+        command.send(signal.SIGINT)
+        assert command.ended(30.0) == 1  # as nodes were started again
+        assert command.output.endswith('stopped\n')
     finally:
-        conductor.close()
+        command.close()
 
 
 def test_a_node_that_was_started_again_is_known_from_what_others_sign_with_its_name(
@@ -233,10 +240,12 @@ def test_a_node_that_was_started_again_is_known_from_what_others_sign_with_its_n
         assert conductor.statuses.get('/game', NodeStatus()).text == kept
 
     try:
+        conductor.note_start('game', 'first')
+        say('somebody', 'of no node', '')
         say('first', 'ready', 'ready')
         conductor.note_end(NodeExit('game', 'exit status 1', '', 0, again=True), 'first')
-        conductor.note_end(NodeExit('game', 'exit status 1', '', 0, again=True), 'unheard')
-        say('unheard', 'sent before it ended', '')
+        say('first', 'sent before it ended', '')
+        conductor.note_start('game', 'second')
         say('second', 'ready again', 'ready again')
         say('first', 'still sent', 'ready again')
         say('somebody', 'of no node', 'ready again')
@@ -397,14 +406,12 @@ def test_a_log_folder_that_cannot_be_written_is_named(tmp_path: Path) -> None:
 
 def test_a_place_is_free_again_after_its_launch(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv('ROS_DOMAIN_ID', '231')
-    with only_launch('/a'):
-        with only_launch('/b'):
-            pass
-        said = f'process {os.getpid()} runs humanopts already in ROS_DOMAIN_ID 231, namespace /a'
-        with pytest.raises(LaunchError, match=said), only_launch('/a'):
-            pass
-    with only_launch('/a'):
-        pass
+    with only_launch('/a', ['game']):
+        with only_launch('/b', ['game']), only_launch('/a', ['game', 'lesson']):
+            pass  # what it has stays its own
+        assert holder('/a', 'game') == (os.getpid(), pwd.getpwuid(os.getuid()).pw_name)
+        assert holder('/a', 'lesson') is None
+    assert holder('/a', 'game') is None
 
 
 def test_a_run_waits_longer_for_a_game_that_takes_its_time() -> None:
@@ -419,6 +426,17 @@ def test_a_run_waits_longer_for_a_game_that_takes_its_time() -> None:
     assert patience == {0.0: 5.0, 60.0: 65.0}
 
 
+def words(namespace: str, out: Path, only: str = 'game') -> list[str]:
+    """Return the words of a launch."""
+    options = ['--no-record', '--only', only, '--out', str(out), '--namespace', namespace]
+    return ['up', 'taxi', *options]
+
+
+def contents(folder: Path) -> dict[Path, bytes]:
+    """Return all files of a folder."""
+    return {path: path.read_bytes() for path in folder.rglob('*') if path.is_file()}
+
+
 def test_a_launch_refuses_another_in_its_place_and_one_beside_it_where_a_game_runs_already(
     live: Graph,
     tmp_path: Path,
@@ -426,32 +444,70 @@ def test_a_launch_refuses_another_in_its_place_and_one_beside_it_where_a_game_ru
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     """Launches side by side are in test_browser.py: a graph for each participant."""
-
-    def words(namespace: str) -> list[str]:
-        out = tmp_path / namespace.strip('/') / 'out'
-        options = ['--no-record', '--only', 'game', '--out', str(out), '--namespace', namespace]
-        return ['up', 'taxi', *options]
-
     monkeypatch.setenv('ROS_DOMAIN_ID', str(live.domain_id))
     (tmp_path / 'east').mkdir()
     game = live.start(GAME, '/west')
-    east = Command(words('/east'), tmp_path, live.domain_id)
+    east = Command(words('/east', tmp_path / 'east/out'), tmp_path, live.domain_id)
+    beside = None
     try:
         east.until(lambda: 'ready: /east/game' in east.output, 'the nodes')
+        before = contents(tmp_path / 'east')
+        monkeypatch.setenv('TMPDIR', str(tmp_path / 'west'))  # no other place for it
+        monkeypatch.setenv('XDG_RUNTIME_DIR', str(tmp_path / 'none'))
         live.watch('/east')
         live.ready('/west/game', '/east/game')
-        for namespace, why in (
-            ('/east', 'runs humanopts already'),
-            ('/west', '/west/game runs already in this ROS_DOMAIN_ID and namespace'),
+        for namespace, out, only, why in (
+            ('/east', 'east/out', 'game', 'runs humanopts already'),
+            ('/east', 'new', 'lesson,game', 'namespace /east: game; stop it'),
+            ('/west', 'new', 'game', '/west/game runs already in ROS_DOMAIN_ID'),
+            ('/room', 'east/out', 'game', 'out/log/game.log; stop it, or choose another --out'),
         ):
-            assert main(words(namespace)) == 1
+            assert main(words(namespace, tmp_path / out, only)) == 2
             (line,) = capsys.readouterr().err.splitlines()
             assert why in line
+        assert contents(tmp_path / 'east') == before
+        assert not (tmp_path / 'new').exists()
         assert live.node_called('/west/game') is game
-        assert east.running()
-        east.send(signal.SIGINT)
-        assert east.ended(30.0) == 0
-        assert east.output.endswith('stopped\n')
-        assert (east.errors, east.running()) == ('', {})
+        (tmp_path / 'beside').mkdir()
+        beside = Command(
+            words('/east', tmp_path / 'east/out', 'lesson'), tmp_path / 'beside', live.domain_id
+        )
+        beside.until(lambda: 'ready: /east/lesson' in beside.output, 'another part of it')
+        for part in (beside, east):
+            assert part.running()
+            part.send(signal.SIGINT)
+            assert part.ended(30.0) == 0
+            assert part.output.endswith('stopped\n')
+            assert (part.errors, part.running()) == ('', {})
     finally:
         east.close()
+        if beside is not None:
+            beside.close()
+
+
+def test_of_launches_that_come_at_once_one_stays(domain_id: int, tmp_path: Path) -> None:
+    folders = [tmp_path / str(number) for number in range(4)]
+    for folder in folders:
+        folder.mkdir()
+    commands = [Command(words('/', f / 'out'), f, domain_id) for f in folders]
+    try:
+        (winner,) = [c for c in commands if not _refused(c)]
+        winner.until(lambda: 'ready: /game' in winner.output, 'the nodes')
+        winner.send(signal.SIGINT)
+        assert winner.ended(30.0) == 0
+        assert len(list(tmp_path.glob('*/out'))) == 1
+    finally:
+        for command in commands:
+            command.close()
+
+
+def _refused(command: Command) -> bool:
+    """Wait until a launch is ready or ends; return whether it was refused."""
+    deadline = time.monotonic() + 60.0
+    while 'ready' not in command.output and 'already' not in command.errors:
+        assert time.monotonic() < deadline, command.errors
+        time.sleep(0.05)
+    if 'ready' in command.output:
+        return False
+    assert command.ended(30.0) == 2
+    return True

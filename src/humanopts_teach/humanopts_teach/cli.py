@@ -32,7 +32,7 @@ from humanopts_teach.commands.options import (
     with_options,
 )
 from humanopts_teach.commands.study import app as study_app
-from humanopts_teach.launching import LaunchError
+from humanopts_teach.launching import LaunchError, OccupiedError
 from humanopts_teach.launching.fork_server import discard, prepare
 import typer
 from typer.core import TyperCommand
@@ -166,7 +166,7 @@ def up(
 ) -> int:
     """Launch the nodes and stay until Ctrl-C."""
     prepare()
-    from humanopts_teach.commands.session import check_folder, new_name, session, setup_from
+    from humanopts_teach.commands.session import new_name, session, setup_from
 
     setup = setup_from(
         domain,
@@ -175,7 +175,6 @@ def up(
         record=not no_record,
         only=node_names(only),
     )
-    check_folder(setup)
     running = None
     try:
         with session(setup, launch.namespace) as running:
@@ -231,10 +230,10 @@ def teach(
         step_period=WATCHED,
         only=node_names(only),
     )
-    check_folder(setup)
     if pages.browser:
         from humanopts_teach.commands.browser import teach_in_browser
 
+        check_folder(setup)
         return teach_in_browser(setup, launch.namespace, pages, participant)
 
     def say_where(running: Session) -> None:
@@ -282,7 +281,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         path = usage.command_path if usage else NAME
         text = ' '.join(error.format_message().split()).rstrip('.')
         return _complain(path, f'{text[:1].lower()}{text[1:]}; see {path} --help', 2)
-    except (CommandError, BagError, MiddlewareError) as error:
+    except (CommandError, BagError, MiddlewareError, OccupiedError) as error:
         return _complain(_named(context), str(error), 2)
     except LaunchError as error:
         return _complain(_named(context), str(error), 1)

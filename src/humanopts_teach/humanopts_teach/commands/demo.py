@@ -27,7 +27,6 @@ from humanopts_teach.commands import CommandError
 from humanopts_teach.commands.options import LaunchOptions
 from humanopts_teach.commands.progress import DemoProgress
 from humanopts_teach.commands.session import (
-    check_folder,
     domain_parameters,
     new_name,
     NEWS_SECONDS,
@@ -93,12 +92,11 @@ def run_demo(
     exact = is_enumerable(domain)
     played = episodes or (EPISODES if exact else LONG_EPISODES)
     judged = played if exact else games or judged_by(domain)
-    check_folder(setup, new=True)
     compares = games > 0 and not exact  # in games; some can be played before their turn
     with DemoProgress() as progress, Meanwhile[PlayKey, Any]() as earlier:
         if compares:
             earlier.begin(earlier_calls(domain, (), setup.seed, games, game_steps))
-        with session(setup, launch.namespace, progress) as running:
+        with session(setup, launch.namespace, progress, new=True) as running:
             taught = _teach(running, progress)
             options = [option for option, _ in taught]
             if compares and options:

@@ -9,6 +9,7 @@ import json
 import select
 import sys
 
+from humanopts_teach.commands import CommandError
 from humanopts_teach.commands.session import print_line, session
 from humanopts_teach.launching import LaunchError
 from humanopts_teach.launching.processes import Setup
@@ -35,7 +36,7 @@ def main() -> int:
         with session(setup, namespace, check, report) as running:
             say('')
             running.stay(report, check)
-    except LaunchError as error:
+    except (LaunchError, CommandError) as error:
         say(str(error).splitlines()[0])
         report(str(error))
         return 1

@@ -24,7 +24,8 @@ from humanopts_teach.bags.writer import parts
 from humanopts_teach.commands import CommandError, Interrupts, noticed_interrupts
 from humanopts_teach.commands.options import LaunchOptions
 from humanopts_teach.launching import LaunchError
-from humanopts_teach.launching.launcher import Launcher, only_launch
+from humanopts_teach.launching.launcher import Launcher
+from humanopts_teach.launching.place import only_launch
 from humanopts_teach.launching.processes import (
     common_parameters,
     processes,
@@ -35,6 +36,7 @@ from humanopts_teach.launching.processes import (
 )
 from humanopts_teach.launching.restarts import MOST, NodeExit
 from humanopts_teach.ros.graph_client import GraphClient
+from humanopts_teach.ros.graph_probe import check_free
 
 _NAMESPACE = re.compile(r'/|(/[A-Za-z_][A-Za-z0-9_]*)+')  # of nodes, as ROS 2 allows them
 _TEACHING_SECONDS = 600.0  # longest time in which the simulated teacher does nothing
@@ -258,7 +260,7 @@ def wait_until_taught(running: Session) -> None:
 
 def check_folder(setup: Setup, *, new: bool = False) -> None:
     """
-    Refuse an output folder that cannot be used, before anything is started.
+    Refuse an output folder that cannot be used.
 
     :param new: it must be empty or not there.
     :raises CommandError: it cannot be used; the text says why.
@@ -296,23 +298,41 @@ def print_line(line: str) -> None:
 
 
 @contextmanager
+def place(setup: Setup, namespace: str) -> Iterator[None]:
+    """
+    Hold the place of the nodes of a launch, which nobody runs yet.
+
+    :raises OccupiedError: some of them run already.
+    """
+    names = [spec.name for spec in processes(setup) if not spec.terminal]
+    with only_launch(namespace, names):
+        check_free(namespace, names)
+        yield
+
+
+@contextmanager
 def session(
     setup: Setup,
     namespace: str,
     progress: Callable[[GraphClient], None] = lambda _: None,
     report: Callable[[str], object] = print_line,
     restarts: int = MOST,
+    *,
+    new: bool = False,
 ) -> Iterator[Session]:
     """
     Launch a graph, wait until it is ready, and stop it whatever happens, the recorder last.
 
     A node that ends meanwhile is started again; that is told here, on the graph and in its log.
+    Nothing is written before it is known that no other launch runs these nodes.
 
     :param progress: called about twenty times a second while something is waited for.
     :param restarts: times in a row that a node is started again.
     :param report: called with a line about a node that ended, was stopped or goes on.
-    :raises LaunchError: a node ended and is not started again, or does not become ready, or
-        another launch is in the way.
+    :param new: the output folder must be empty or not there.
+    :raises OccupiedError: nodes of the launch run already, or another launch has the folder.
+    :raises CommandError: the output folder cannot be used.
+    :raises LaunchError: a node ended and is not started again, or does not become ready.
     :raises KeyboardInterrupt: SIGINT, SIGTERM or SIGHUP has come; everything is stopped.
     """
     specs, logs = processes(setup), setup.directory / 'log'
@@ -323,7 +343,9 @@ def session(
         launcher.check()
         progress(graph)
 
-    with only_launch(namespace), noticed_interrupts() as interrupts:
+    with place(setup, namespace), noticed_interrupts() as interrupts:
+        check_folder(setup, new=new)
+        interrupts.check()
         graph = GraphClient(namespace, common_parameters(setup), setup.bag, watch=watch)
         running = Session(setup, launcher, graph, interrupts)
 
@@ -332,11 +354,13 @@ def session(
             if end.again:  # the other is an error of the session
                 report(end.text)
 
-        launcher.on_end, launcher.report = on_end, report
+        launcher.on_start, launcher.on_end = graph.note_start, on_end
+        launcher.report = graph.report = report
         try:
             for late in (False, True):
                 launcher.start(late=late)
                 graph.wait_ready(launcher.node_names)
+            graph.starting = False
             yield running
         finally:
             try:

@@ -16,3 +16,7 @@ MODULES = {  # that run the nodes, in the order in which they are started
 
 class LaunchError(RuntimeError):
     """The graph cannot be started, or a node of it died; the text says which and why."""
+
+
+class OccupiedError(LaunchError):
+    """A node of the launch, or its log, is another launch's; the text says which and whose."""

@@ -7,6 +7,7 @@ begins as a process of its own does: with its own environment, log, session of R
 """
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 import gc
 from importlib import import_module
 from itertools import count
@@ -216,10 +217,16 @@ def _run(
     os.setpgid(0, 0)
     os.environ.clear()
     os.environ.update({**environment, LAUNCHER_PID: str(os.getppid())})
-    os.chdir(directory)
-    with open(log, 'ab') as output:
-        for standard in (sys.stdout, sys.stderr):
-            os.dup2(output.fileno(), standard.fileno())
+    with suppress(OSError):  # it was removed meanwhile
+        os.chdir(directory)
+    try:
+        output = os.open(log, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o666)
+    except OSError:  # it was removed, and the disk is full, say
+        output = os.open(os.devnull, os.O_WRONLY)
+    for standard in (1, 2):
+        os.dup2(output, standard)
+    if output not in (1, 2):
+        os.close(output)
     sys.argv = [module, *arguments]
     setproctitle(' '.join([sys.executable, '-m', *sys.argv]))
     status = 1
@@ -228,8 +235,9 @@ def _run(
     except BaseException:
         traceback.print_exc()
     finally:
-        sys.stdout.flush()
-        sys.stderr.flush()
+        with suppress(OSError):  # a full disk
+            sys.stdout.flush()
+            sys.stderr.flush()
         os._exit(status)
 
 

@@ -7,22 +7,23 @@ A node that ends without being asked is started again, while the others go on.
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+import errno
 import fcntl
-import hashlib
 import json
 import os
 from pathlib import Path
 import signal
+import stat
 import subprocess
 import sys
-import tempfile
 import termios
 import time
 import uuid
 
 from humanopts_ros.environment import INSTANCE, LAUNCHER_PID
-from humanopts_teach.launching import LaunchError
+from humanopts_teach.launching import LaunchError, MODULES, OccupiedError
 from humanopts_teach.launching.fork_server import ForkedProcess, ForkServer, server_for
+from humanopts_teach.launching.place import answer, holder
 from humanopts_teach.launching.processes import ProcessSpec, RECORDER
 from humanopts_teach.launching.restarts import how, MOST, NodeExit, RestartPolicy, said_last
 import psutil
@@ -40,59 +41,29 @@ _ENDS_AS_ASKED = (
 )
 
 
-def _lock_file(namespace: str) -> tuple[int, Path]:
-    """Return the ROS_DOMAIN_ID, and the file that is locked by a launch in it."""
-    domain = int(os.environ.get('ROS_DOMAIN_ID') or 0)
-    key = hashlib.sha256(f'{domain} {namespace}'.encode()).hexdigest()[:12]
-    return domain, Path(tempfile.gettempdir()) / f'humanopts-{os.getuid()}-{key}.lock'
-
-
 def processes_of_launch(namespace: str) -> dict[str, psutil.Process | None]:
     """
-    Return the processes of the launch in this place, if it is on this machine.
+    Return the processes of the launches in a namespace on this machine.
 
     :return: by name of the node; None: it has ended and is to be started again.
     """
     found: dict[str, psutil.Process | None] = {}
-    try:
-        launcher = psutil.Process(int(_lock_file(namespace)[1].read_text('utf-8')))
-        found[CONDUCTOR] = launcher
-        began = launcher.create_time()
-        for process in launcher.children(recursive=True):
-            with suppress(psutil.Error):  # it ends just now
-                words = ' '.join(process.cmdline()).rstrip()  # of a fork: one, and empty ones
-                file = Path(words.partition(f'{_PARAMETERS} ')[2])
-                if file.suffix:
-                    # Beside its parameters there are those of the others.
-                    new = [f for f in file.parent.glob('*.yaml') if f.stat().st_mtime > began]
-                    found |= {f.stem: found.get(f.stem) for f in new} | {file.stem: process}
-    except (OSError, ValueError, psutil.Error):
-        pass  # there is none, or it ends just now
+    launchers = set()
+    for name in MODULES:
+        if (who := holder(namespace, name)) is not None:
+            found[name] = None
+            launchers.add(who[0])
+    for number in sorted(launchers):
+        with suppress(psutil.Error, ValueError):  # it ends just now, or is in another container
+            launcher = psutil.Process(number)
+            found[CONDUCTOR] = launcher
+            for process in launcher.children(recursive=True):
+                with suppress(psutil.Error):
+                    words = ' '.join(process.cmdline()).rstrip()  # of a fork: one, and empty ones
+                    name = Path(words.partition(f'{_PARAMETERS} ')[2]).stem
+                    if name in MODULES:
+                        found[name] = process
     return found
-
-
-@contextmanager
-def only_launch(namespace: str) -> Iterator[None]:
-    """
-    Hold the place of the one launch in this ROS_DOMAIN_ID and namespace.
-
-    :raises LaunchError: another one holds it; the text names its process.
-    """
-    domain, path = _lock_file(namespace)
-    with path.open('a+', encoding='utf-8') as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            file.seek(0)
-            raise LaunchError(
-                f'process {file.read().strip() or "?"} runs humanopts already in ROS_DOMAIN_ID '
-                f'{domain}, namespace {namespace}; stop it, or choose another --namespace or '
-                'ROS_DOMAIN_ID'
-            ) from None
-        file.truncate(0)
-        file.write(str(os.getpid()))
-        file.flush()
-        yield
 
 
 Process = subprocess.Popen[bytes] | ForkedProcess
@@ -125,7 +96,9 @@ class Launcher:
     the terminal's, a limited number of times in a row and after a pause that grows.
 
     :ivar ends: of nodes that nobody asked to end, in order.
-    :ivar on_end: called with each of them, and with how the publisher_id of its process ended.
+    :ivar on_start: called with the name of each node but the terminal's, before a process of it
+        is started, and with how the publisher_id of that process ends.
+    :ivar on_end: called with each of those ``ends``, and with how its publisher_id ended.
     :ivar report: called with a line about a process that is stopped, and when it goes on.
     """
 
@@ -147,11 +120,13 @@ class Launcher:
         self._namespace = namespace
         self._restarts = restarts
         self.ends: list[NodeExit] = []
+        self.on_start: Callable[[str, str], object] = lambda name, instance: None
         self.on_end: Callable[[NodeExit, str], object] = lambda ended, instance: None
         self.report: Callable[[str], object] = lambda line: None
         self._checked = 0.0  # when it was last looked for stopped processes, s
         self._running: list[_Running] = []
         self._server: ForkServer | None = None  # None: nothing is started
+        self._logs: dict[str, int] = {}  # locked descriptors, by node
 
     @property
     def node_names(self) -> list[str]:
@@ -173,18 +148,25 @@ class Launcher:
         Start every process but the terminal's.
 
         :param late: those that come when the others are ready, in place of the others.
+        :raises OccupiedError: another launch writes to a log there.
         :raises LaunchError: the log directory cannot be written.
         """
         try:
             self._directory.mkdir(parents=True, exist_ok=True)
+            self._lock_logs()
             if self._server is None:
                 self._server = server_for([s.module for s in self._specs if not s.terminal])
             for spec in self._specs:
                 if not spec.terminal and spec.late == late:
                     self._start(spec)
-        except OSError as error:
+        except (OSError, OccupiedError) as error:
             self.stop()
-            raise LaunchError(f'cannot write logs in {self._directory}: {error}') from error
+            raise self._refusal(error) from error
+
+    def _refusal(self, error: Exception) -> LaunchError:
+        if isinstance(error, LaunchError):
+            return error
+        return LaunchError(f'cannot write logs in {self._directory}: {error}')
 
     def run_terminal(self, watch: Callable[[], object]) -> int:
         """
@@ -199,7 +181,10 @@ class Launcher:
         (spec,) = [spec for spec in self._specs if spec.terminal]
         with _terminal_restored():
             try:
-                running = self._start(spec)
+                try:
+                    running = self._start(spec)
+                except OSError as error:
+                    raise self._refusal(error) from error
                 while running.process.poll() is None:
                     watch()
                     self.check(RECORDER)
@@ -222,16 +207,21 @@ class Launcher:
             holds its last lines.
         """
         now = time.monotonic()
+        answer()
         for running in self._running:
             if running.spec.terminal:
                 continue
             if running.due is not None and now >= running.due:
-                running.instance = _new_instance()
-                running.process = self._process(running.spec, running.log, running.instance)
                 running.due, running.stopped = None, False
-                running.policy.begin(time.monotonic())
+                running.instance = _new_instance()
+                try:
+                    running.process = self._process(running.spec, running.log, running.instance)
+                except OSError as error:  # the machine has no process for it, say
+                    self._ended(running, 1, f'cannot be started: {error}', now)
+                else:
+                    running.policy.begin(time.monotonic())
             elif running.runs and (status := running.process.poll()) is not None:
-                self._ended(running, status, now)
+                self._ended(running, status, how(status), now)
             if running.given_up is not None and running.spec.name not in besides:
                 raise LaunchError(running.given_up.text)
         if now - self._checked > _STOPPED_PERIOD:
@@ -252,11 +242,41 @@ class Launcher:
         if self._server is not None:
             self._server.close()
             self._server = None
+        while self._logs:
+            os.close(self._logs.popitem()[1])
         return problems
 
+    def _log(self, name: str) -> Path:
+        return self._directory / f'{name}.log'
+
+    def _lock_logs(self) -> None:
+        """
+        Lock the log of each node, and change none.
+
+        :raises OccupiedError: another launch has locked one.
+        :raises OSError: one cannot be written.
+        """
+        paths = {spec.name: self._log(spec.name) for spec in self._specs}
+        # Those that are there first: what is refused leaves no new file.
+        for name in sorted(paths.keys() - self._logs.keys(), key=lambda n: not paths[n].exists()):
+            path = paths[name]
+            # A pipe that nobody reads would hold up what opens it.
+            flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_NONBLOCK
+            log = self._logs[name] = os.open(path, flags, 0o666)
+            if not stat.S_ISREG(os.fstat(log).st_mode):
+                raise OSError(errno.EINVAL, 'it is no regular file', str(path))
+            try:
+                fcntl.flock(log, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise OccupiedError(
+                    f'another launch writes to {path}; stop it, or choose another --out'
+                ) from None
+            except OSError:  # a file system without locks
+                pass
+
     def _start(self, spec: ProcessSpec) -> _Running:
-        log = self._directory / f'{spec.name}.log'
-        log.write_bytes(b'')  # of an earlier launch
+        log = self._log(spec.name)
+        os.truncate(self._logs[spec.name], 0)  # of an earlier launch
         instance, policy = _new_instance(), RestartPolicy(self._restarts)
         running = _Running(spec, self._process(spec, log, instance), instance, log, policy)
         running.policy.begin(time.monotonic())
@@ -267,28 +287,36 @@ class Launcher:
         path = self._directory / f'{spec.name}.yaml'
         tree = {'/**': {'ros__parameters': dict(spec.parameters)}}
         # JSON, as YAML whose strings are quoted: rcl takes a bare y for true.
-        path.write_text(json.dumps(tree, ensure_ascii=False), encoding='utf-8')
+        if (problem := _write(path, json.dumps(tree, ensure_ascii=False).encode())) is not None:
+            if not any(entry.spec is spec for entry in self._running):
+                raise problem
+            self.report(f'{path} cannot be written: {problem.strerror}; it stays as it was')
+        if not spec.terminal:  # of which there may be several
+            self.on_start(spec.name, instance)
         arguments = ['--ros-args', '-r', f'__ns:={self._namespace}', _PARAMETERS, str(path)]
         if spec.terminal or self._server is None:
-            with log.open('wb') as errors:  # it has the terminal; only its errors go to the log
-                return subprocess.Popen(
-                    [sys.executable, '-m', spec.module, *arguments, '--disable-stdout-logs'],
-                    stderr=errors,
-                    env={**os.environ, INSTANCE: instance, LAUNCHER_PID: str(os.getpid())},
-                )
+            return subprocess.Popen(  # it has the terminal; only its errors go to the log
+                [sys.executable, '-m', spec.module, *arguments, '--disable-stdout-logs'],
+                stderr=self._logs[spec.name],
+                env={**os.environ, INSTANCE: instance, LAUNCHER_PID: str(os.getpid())},
+            )
         return self._server.start(spec.module, arguments, {**os.environ, INSTANCE: instance}, log)
 
-    def _ended(self, running: _Running, status: int, now: float) -> None:
-        """Plan when a node that ended is started again, and tell that it ended."""
+    def _ended(self, running: _Running, status: int, what: str, now: float) -> None:
+        """
+        Plan when a node that ended is started again, and tell that it ended.
+
+        :param what: how it ended, in words.
+        """
         spec, policy = running.spec, running.policy
         if self._server is not None and not self._server.ended:
             running.due = policy.end(now, status)
         again = running.due is not None
-        end = NodeExit(spec.name, how(status), _last_lines(running.log), policy.restarts, again)
+        end = NodeExit(spec.name, what, _last_lines(running.log), policy.restarts, again)
         if not again:
             running.given_up = end
-        with running.log.open('a', encoding='utf-8') as log:
-            log.write(f'humanopts: {end.sentence}\n')
+        with suppress(OSError):  # a full disk ends no launch
+            os.write(self._logs[spec.name], f'humanopts: {end.sentence}\n'.encode())
         self.ends.append(end)
         self.on_end(end, running.instance)
 
@@ -327,6 +355,24 @@ class Launcher:
             if entry.process.wait() not in _ENDS_AS_ASKED:
                 problems.append(_end_of(entry))
         return problems
+
+
+def _write(path: Path, data: bytes) -> OSError | None:
+    """
+    Write a file, unless it has these bytes; whatever happens, it is whole.
+
+    :return: why it could not be written, and is as it was.
+    """
+    new = path.with_name(f'{path.name}.new')
+    try:
+        if not path.is_file() or path.read_bytes() != data:
+            new.write_bytes(data)
+            new.replace(path)
+    except OSError as error:
+        with suppress(OSError):
+            new.unlink()
+        return error
+    return None
 
 
 def _new_instance() -> str:

@@ -16,7 +16,7 @@ from humanopts_learner.ros import LEARNER
 from humanopts_ros.node_base import NodeBase, start_ros
 from humanopts_ros.publisher import signer
 from humanopts_ros.qos import ACTION, CURRENT
-from humanopts_teach.launching import LaunchError
+from humanopts_teach.launching import LaunchError, OccupiedError
 from humanopts_teach.launching.launcher import CONDUCTOR
 from humanopts_teach.launching.processes import RECORDER, Value
 from humanopts_teach.launching.restarts import NodeExit
@@ -44,7 +44,9 @@ class GraphClient(NodeBase):
     meanwhile: it checks the processes, and shows progress.
 
     :ivar statuses: by full name of the node, of its newest process.
-    :ivar duplicates: names of nodes that two processes use.
+    :ivar starting: whether the launch is not ready yet; then another process that has the name of
+        one of its nodes ends it. Nothing that comes later does.
+    :ivar report: called with a line about a process that has the name of a node of the launch.
     :ivar restarts: how often each node has ended and was to be started again, by full name.
     :ivar feedback: of the action under way; None: none has come.
     """
@@ -70,9 +72,13 @@ class GraphClient(NodeBase):
         start_ros(arguments)
         super().__init__(CONDUCTOR)
         self.statuses: dict[str, msg.NodeStatus] = {}
-        self.duplicates: set[str] = set()
+        self.starting = True
+        self.report: Callable[[str], object] = lambda line: None
+        self._own: dict[str, str] = {}  # publisher_id of the newest process of each of our nodes
+        self._strangers: set[str] = set()  # our nodes in the name of which others publish
+        self._reported: set[str] = set()  # those of them that are told
         self.restarts: Counter[str] = Counter()
-        self._ended: dict[str, float] = {}  # when each node ended last, s
+        self._ends: dict[str, list[float]] = {}  # when processes of each node ended, s
         self._gone: set[str] = set()  # publisher_ids of processes that have ended
         self._resent = 0  # sequence of the lesson's status from which all is in the newest bag
         self._awaited: set[str] = set()  # nodes of this launch; others may be started again
@@ -128,6 +134,7 @@ class GraphClient(NodeBase):
                 if self.domain is not None:
                     self.state = self._current_state.take() or self.state
                 self._watch()
+                self._check_names()
                 self._check_statuses()
             if (newest := progress()) != last:
                 last, deadline = newest, now + seconds
@@ -224,13 +231,13 @@ class GraphClient(NodeBase):
 
         :param check: called all the while, to look after the processes.
         :param report: called with a line when a node pauses, and when it goes on.
-        :raises LaunchError: another launch has come to the same place; or from ``check``.
+        :raises LaunchError: from ``check``.
         """
         reported: dict[str, str] = {}
         while True:
             self.take(0.05)
             check()
-            self._check_duplicates(self.full_name(RECORDER))  # a new one takes over from ours
+            self._check_names()
             paused = self._paused()
             for name in sorted(reported.keys() - paused.keys()):
                 status = self.statuses.get(name)
@@ -318,6 +325,16 @@ class GraphClient(NodeBase):
                     raise
                 self.wait_ready(sorted(self._awaited))
 
+    def note_start(self, name: str, instance: str) -> None:
+        """
+        Note that a process of a node of this launch is about to be started.
+
+        :param instance: how its publisher_id will end; only that process speaks for the node.
+        """
+        node = self.full_name(name)
+        self._own[node] = f'{node}#{instance}'
+        self.statuses.pop(node, None)
+
     def note_end(self, end: NodeExit, instance: str) -> None:
         """
         Publish that a node ended; the next process of that name is then no other node.
@@ -326,7 +343,7 @@ class GraphClient(NodeBase):
         """
         node = self.full_name(end.node)
         self.restarts[node] += end.again
-        self._ended[node] = time.monotonic()
+        self._ends.setdefault(node, []).append(time.monotonic())
         self.statuses.pop(node, None)
         self._gone.add(f'{node}#{instance}')
         lesson = self.statuses.get(self.full_name(LESSON))
@@ -340,16 +357,18 @@ class GraphClient(NodeBase):
         self.set_status(msg.NodeStatus.STATE_READY, f'{end.sentence}{told}')
 
     def _keep_status(self, status: msg.NodeStatus) -> None:
-        node = status.node
-        known = self.statuses.get(node, status)
+        node, own = status.node, self._own.get(status.node)
         if status.publisher_id in self._gone or signer(status.publisher_id) != node:
             return
-        if status.publisher_id != known.publisher_id:
-            if known.state != known.STATE_STOPPING:
-                # Two processes sign with the name, or somebody claims to be it.
-                self.duplicates.add(node)
+        if own is not None and status.publisher_id != own:
+            self._strangers.add(node)  # another process has the name, or somebody claims it
+            return
+        known = self.statuses.get(node, status)
+        if status.publisher_id != known.publisher_id:  # a node of another launch of this graph
+            if status.state == status.STATE_STOPPING:
                 return
-            self._gone.add(known.publisher_id)
+            if known.state == known.STATE_STOPPING:
+                self._gone.add(known.publisher_id)
         self.statuses[node] = status
 
     def _stopped(self) -> str:
@@ -387,7 +406,6 @@ class GraphClient(NodeBase):
         }
 
     def _check_statuses(self) -> None:
-        self._check_duplicates()
         if stopped := self._stopped():
             raise LaunchError(stopped)
         mine = self._awaited | {self.full_name(RECORDER)}
@@ -395,15 +413,29 @@ class GraphClient(NodeBase):
         now = time.monotonic()
         if not paused:
             self._fine = now
-        elif now - max([self._fine, *(t + _LEASE for t in self._ended.values())]) > _PATIENCE:
+        elif now - max([self._fine, *(t[-1] + _LEASE for t in self._ends.values())]) > _PATIENCE:
             name, text = next(iter(paused.items()))
             raise LaunchError(f'{name} cannot go on: {text}')
 
-    def _check_duplicates(self, besides: str = '') -> None:
-        suspects = self.duplicates & self._awaited - {besides}
-        there = Counter(self.nodes_there()) if suspects else Counter()
-        if found := sorted(name for name in suspects if there[name] > 1):
-            raise LaunchError(
-                f'{", ".join(found)} runs already in this ROS_DOMAIN_ID and namespace; stop the '
-                'other launch, or choose another --namespace or ROS_DOMAIN_ID'
+    def _check_names(self) -> None:
+        """
+        Look whether other processes have names of nodes of this launch.
+
+        :raises OccupiedError: one has while the launch starts.
+        """
+        suspects = set(self._own) if self.starting else self._strangers - self._reported
+        if not suspects:
+            return
+        there = Counter(self.nodes_there())
+        # One that was killed is there until the others miss it.
+        since = time.monotonic() - _LEASE - _PATIENCE
+        left = {name: sum(t > since for t in times) for name, times in self._ends.items()}
+        found = sorted(name for name in suspects if there[name] > 1 + left.get(name, 0))
+        if found and self.starting:
+            raise OccupiedError(
+                f'{", ".join(found)} runs already in this ROS_DOMAIN_ID and namespace; stop it, '
+                'or choose another --namespace or ROS_DOMAIN_ID'
             )
+        for name in found:
+            self._reported.add(name)
+            self.report(f'another process runs {name} in this ROS_DOMAIN_ID and namespace; end it')

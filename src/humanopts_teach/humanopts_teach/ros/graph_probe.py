@@ -1,18 +1,22 @@
-"""Looks at a running graph from outside, for ``humanopts status``: it publishes nothing."""
+"""Looks at a graph from outside, before a launch and for ``status``: it publishes nothing."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from functools import partial
-import os
+from pathlib import Path
 import shutil
 import time
 from typing import Any
 
 from humanopts_env.ros.game_subscriber import GAME
 from humanopts_interfaces import msg
+from humanopts_ros.environment import on_loopback, prepare_discovery
 from humanopts_ros.node_base import start_ros, starting_ros
 from humanopts_ros.publisher import signer
 from humanopts_ros.qos import CURRENT
+from humanopts_teach.launching import OccupiedError
 from humanopts_teach.launching.launcher import CONDUCTOR, processes_of_launch
+from humanopts_teach.launching.place import domain_id
 from humanopts_teach.launching.processes import RECORDER
 from humanopts_teach.launching.status import (
     GraphReport,
@@ -29,6 +33,11 @@ from rclpy.node import Node
 from rclpy.task import Future
 
 _SEARCH = 1.5  # s in which nodes are found; less where all of a launch on this machine are
+_LOOK_PERIOD = 0.02  # s between looks for nodes
+_SETTLING = 0.3  # s from when every process here is found until its nodes surely are
+_REMOTE = 1.5  # s in which processes of other machines are found
+_LONGEST = 5.0  # s, where a process here is never found, as one that is stopped
+_LEAVING = 3.0  # s for nodes to leave whose launcher was killed
 _WINDOW = 1.2  # s for them to answer, and between the two looks from which rates are
 _STATES = {
     msg.NodeStatus.STATE_STARTING: 'starting',
@@ -40,32 +49,101 @@ _STATES = {
 
 def probe_graph(namespace: str) -> GraphReport:
     """Look at the nodes of a namespace in this ROS_DOMAIN_ID; takes about two seconds."""
+    with _listener(namespace, 'status') as node:
+        return _Probe(namespace, node).report()
+
+
+def check_free(namespace: str, names: Iterable[str]) -> None:
+    """
+    Check that nodes of a launch are not on the graph, whoever has started them.
+
+    It waits until every process of this ROS_DOMAIN_ID on this machine is found, and a moment for
+    those of other machines where the graph spans some.
+
+    :param names: of the nodes, without the namespace.
+    :raises OccupiedError: some are there, and do not leave in a while.
+    """
+    prepare_discovery()
+    if on_loopback() and not _participants_here():
+        return
+    wanted = {f'{namespace.rstrip("/")}/{name}' for name in names}
+    with _listener(namespace, 'newcomer') as node:
+        began = now = time.monotonic()
+        earliest = began if on_loopback() else began + _REMOTE
+        complete = leaving = 0.0  # since when all are found, and some are in the way; 0: not now
+        while True:
+            spaces = node.get_node_names_and_namespaces()
+            there = sorted(wanted & {f'{space.rstrip("/")}/{name}' for name, space in spaces})
+            leaving = (leaving or now) if there else 0.0
+            if there and now > leaving + _LEAVING:
+                raise OccupiedError(
+                    f'{", ".join(there)} runs already in ROS_DOMAIN_ID {domain_id()}, namespace '
+                    f'{namespace}, started by no launch of this machine; stop it, or choose '
+                    'another --namespace or ROS_DOMAIN_ID'
+                )
+            all_found = len(spaces) >= _found(node) >= len(_participants_here())
+            complete = (complete or now) if all_found else 0.0
+            done = 0.0 < complete < now - _SETTLING or now > began + _LONGEST
+            if done and now > earliest and not there:
+                return
+            time.sleep(_LOOK_PERIOD)
+            now = time.monotonic()
+
+
+def _participants_here() -> set[str]:
+    """
+    Return the addresses on this machine where processes of this ROS_DOMAIN_ID hear of others.
+
+    The ports follow from the RTPS specification: 250 for each domain from 7400 on, and of those,
+    from the tenth on, two for each process.
+    """
+    first, found = 7400 + 250 * domain_id(), set[str]()
+    for table in ('udp', 'udp6'):
+        try:
+            lines = Path('/proc/net', table).read_text('ascii').splitlines()[1:]
+        except OSError:
+            continue
+        for line in lines:
+            address = line.split()[1]
+            port = int(address.rpartition(':')[2], 16) - first
+            if 10 <= port < 250 and port % 2 == 0:
+                found.add(address)
+    return found
+
+
+def _found(node: Node) -> int:
+    """Return how many processes a node has found, its own among them."""
+    told = node.get_publishers_info_by_topic('ros_discovery_info', no_mangle=True)
+    return len({bytes(each.endpoint_gid[:12]) for each in told})
+
+
+@contextmanager
+def _listener(namespace: str, name: str) -> Iterator[Node]:
+    """Join the graph with a node that publishes nothing."""
     context = Context()
     start_ros(context=context)
-    executor = SingleThreadedExecutor(context=context)
     try:
         with starting_ros():
-            probe = _Probe(namespace, context, executor)
-        return probe.report()
+            node = Node(
+                name,
+                namespace=namespace,
+                context=context,
+                enable_rosout=False,
+                start_parameter_services=False,
+            )
+        yield node
+        node.destroy_node()
     finally:
-        executor.shutdown()
         context.try_shutdown()
 
 
 class _Probe:
     """A node that listens, asks every other node for a parameter, and takes the time."""
 
-    def __init__(self, namespace: str, context: Context, executor: SingleThreadedExecutor) -> None:
-        self._namespace = namespace
-        self._node = Node(
-            'status',
-            namespace=namespace,
-            context=context,
-            enable_rosout=False,
-            start_parameter_services=False,
-        )
-        self._executor = executor
-        executor.add_node(self._node)
+    def __init__(self, namespace: str, node: Node) -> None:
+        self._namespace, self._node = namespace, node
+        self._executor = SingleThreadedExecutor(context=node.context)
+        self._executor.add_node(node)
         self._statuses: dict[str, msg.NodeStatus] = {}  # the newest of each node
         self._newest: dict[str, Any] = {}  # message by topic
         self._sent: dict[str, float] = {}  # when each node was asked, s
@@ -83,6 +161,12 @@ class _Probe:
 
     def report(self) -> GraphReport:
         """Find the nodes, ask them, and look twice."""
+        try:
+            return self._report()
+        finally:
+            self._executor.shutdown()
+
+    def _report(self) -> GraphReport:
         self._processes = processes_of_launch(self._namespace)
         there = set(self._processes)
         self._serve(lambda: bool(there) and self._statuses.keys() >= there, _SEARCH)
@@ -110,7 +194,7 @@ class _Probe:
         control = self._newest.get('control')
         steps = rate('current_state', lambda message: int(message.sequence))
         return GraphReport(
-            domain_id=int(os.environ.get('ROS_DOMAIN_ID') or 0),
+            domain_id=domain_id(),
             namespace=self._namespace,
             nodes=[self._node_report(name, restarts[name]) for name in nodes],
             recorder=self._recorder(
