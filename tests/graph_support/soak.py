@@ -36,7 +36,7 @@ from humanopts_ros.environment import prepare_discovery
 from humanopts_teach.bags.check import check_bag
 from humanopts_teach.bags.reader import open_bag
 from humanopts_teach.commands.session import Session, session
-from humanopts_teach.launching import LaunchError, MODULES
+from humanopts_teach.launching import LaunchError, MODULES, OccupiedError
 from humanopts_teach.launching.processes import Setup
 from humanopts_teach.launching.restarts import RestartPolicy
 from humanopts_teach.lesson.store import entry_from_line
@@ -279,7 +279,10 @@ class Soak:
                     print(f'{time.monotonic() - began:7.2f} s  {name}{detail}', flush=True)
                 return
             except LaunchError as error:
-                self._outcome.remarks[f'after {name}{detail}: {str(error)[:300]}'] += 1
+                text = f'after {name}{detail}: {str(error)[:300]}'
+                if isinstance(error, OccupiedError):  # a restart was taken for another launch
+                    self._violate(text)
+                self._outcome.remarks[text] += 1
                 self._help_teacher()
                 self.serve(0.5)
         self._violate(f'{name}{detail}: the lesson did not go on within {RECOVERY:.0f} s')
@@ -459,6 +462,7 @@ def lesson(
         finally:
             soak.stranger.close()
     outcome.violations += [f'at the end: {problem}' for problem in running.unclean]
+    outcome.violations += [line for line in said if line.startswith('another process runs')]
     for bag in running.bags:
         real = [
             stream

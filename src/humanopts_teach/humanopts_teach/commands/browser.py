@@ -22,12 +22,14 @@ from humanopts_teach.browser.seats import (
 )
 from humanopts_teach.commands import CommandError, noticed_interrupts
 from humanopts_teach.commands.options import PageOptions
-from humanopts_teach.commands.session import check_folder, new_name
+from humanopts_teach.commands.session import new_name
 from humanopts_teach.commands.study_session import Study
 from humanopts_teach.dialogue.panel import View
+from humanopts_teach.launching.place import only_launch
 from humanopts_teach.launching.processes import processes, Setup
 from humanopts_teach.ros.browser_teleop import BrowserTeleopNode, TeleopThread
 
+_SERVER = 'browser'  # the place of the server: its graphs are in namespaces seat_1, seat_2, ...
 _TOKEN_BYTES = 12
 _STOPPING_SECONDS = 40.0  # for the processes of a graph to end; each has less
 
@@ -41,6 +43,7 @@ def teach_in_browser(setup: Setup, namespace: str, pages: PageOptions, participa
 
     :param setup: of each participant's graph, besides its folder and bag.
     :param namespace: in which each graph has one of its own.
+    :raises OccupiedError: another server has the namespace.
     """
 
     def open_game(thread: TeleopThread, seat: Seat) -> AbstractAsyncContextManager[Press]:
@@ -53,8 +56,9 @@ def teach_in_browser(setup: Setup, namespace: str, pages: PageOptions, participa
         )
         return _game(own, namespace, thread, seat)
 
-    print(f'Each participant has a folder in {setup.directory}.')
-    return _serve_seats(setup.domain, open_game, pages, participant)
+    with only_launch(namespace, [_SERVER]):
+        print(f'Each participant has a folder in {setup.directory}.')
+        return _serve_seats(setup.domain, open_game, pages, participant)
 
 
 def _serve_seats(name: str, open_game: OpenGame, pages: PageOptions, participant: str) -> int:
@@ -147,10 +151,6 @@ async def _game(
 @asynccontextmanager
 async def _graph(setup: Setup, namespace: str, seat: Seat | ConditionSeat) -> AsyncIterator[None]:
     """Run a graph in processes of its own until the end; the seat ends if it does."""
-    try:
-        check_folder(setup)
-    except CommandError as error:
-        raise GameError(f'The game cannot be started: {error}.') from error
     process = await asyncio.create_subprocess_exec(
         *(sys.executable, '-m', 'humanopts_teach.commands.seat_graph'),
         stdin=asyncio.subprocess.PIPE,
@@ -192,8 +192,9 @@ async def _graph(setup: Setup, namespace: str, seat: Seat | ConditionSeat) -> As
 
 def study_in_browser(study: Study, pages: PageOptions, participant: str) -> int:
     """Serve pages of a study; other parameters and errors are those of ``_serve_seats``."""
-    print(f'{study.plan.name}: everything is kept in {study.folder.path}.')
-    return _serve_seats(study.plan.name, partial(_all_turns, study), pages, participant)
+    with only_launch(study.namespace, [_SERVER]):
+        print(f'{study.plan.name}: everything is kept in {study.folder.path}.')
+        return _serve_seats(study.plan.name, partial(_all_turns, study), pages, participant)
 
 
 @asynccontextmanager

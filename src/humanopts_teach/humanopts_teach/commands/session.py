@@ -1,7 +1,7 @@
 """A launch for the length of one command: what is asked for, checked, and the graph that runs."""
 
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 import json
@@ -23,7 +23,7 @@ from humanopts_ros.recording import Selection
 from humanopts_teach.bags.writer import parts
 from humanopts_teach.commands import CommandError, Interrupts, noticed_interrupts
 from humanopts_teach.commands.options import LaunchOptions
-from humanopts_teach.launching import LaunchError
+from humanopts_teach.launching import LaunchError, USUAL
 from humanopts_teach.launching.launcher import Launcher
 from humanopts_teach.launching.place import only_launch
 from humanopts_teach.launching.processes import (
@@ -298,13 +298,12 @@ def print_line(line: str) -> None:
 
 
 @contextmanager
-def place(setup: Setup, namespace: str) -> Iterator[None]:
+def place(namespace: str, names: Sequence[str] = USUAL) -> Iterator[None]:
     """
-    Hold the place of the nodes of a launch, which nobody runs yet.
+    Hold the places of nodes that nobody runs yet.
 
     :raises OccupiedError: some of them run already.
     """
-    names = [spec.name for spec in processes(setup) if not spec.terminal]
     with only_launch(namespace, names):
         check_free(namespace, names)
         yield
@@ -343,7 +342,8 @@ def session(
         launcher.check()
         progress(graph)
 
-    with place(setup, namespace), noticed_interrupts() as interrupts:
+    names = [spec.name for spec in specs if not spec.terminal]
+    with place(namespace, names), noticed_interrupts() as interrupts:
         check_folder(setup, new=new)
         interrupts.check()
         graph = GraphClient(namespace, common_parameters(setup), setup.bag, watch=watch)

@@ -10,9 +10,9 @@ from humanopts_env.seeding import generator
 from humanopts_teach.commands import CommandError
 from humanopts_teach.commands.options import LaunchOptions
 from humanopts_teach.commands.session import (
-    check_folder,
     new_name,
     NEWS_SECONDS,
+    place,
     run_in_terminal,
     Session,
     session,
@@ -66,7 +66,10 @@ class Study:
 
     def run(self, code: str) -> int:
         """Take a person through all conditions that are left, in this terminal."""
-        participant = self.enter(code)
+        with place(self.namespace):
+            return self._run(self.enter(code))
+
+    def _run(self, participant: Participant) -> int:
         while (turn := self.next_turn(participant)) is not None:
             ended, status = run_in_terminal(turn.setup, self.namespace)
             if left := self.farewell(participant, turn):
@@ -77,7 +80,11 @@ class Study:
 
     def simulate(self, code: str) -> None:
         """Let a simulated teacher take part, whose other answers are drawn by the seed."""
-        participant = self.enter(code, simulated=True)
+        with place(self.namespace):
+            self._simulate(self.enter(code, simulated=True))
+
+    def _simulate(self, participant: Participant) -> None:
+        code = participant.code
         while (turn := self.next_turn(participant, simulated=True)) is not None:
             print(f'{code}: {turn.condition.name}', flush=True)
             with session(turn.setup, self.namespace) as running:
@@ -113,7 +120,7 @@ class Study:
         """
         Return the next condition of which a participant has parts left; None: there is none.
 
-        :raises CommandError: its folder cannot be written.
+        :raises CommandError: it cannot be launched.
         """
         record = Record(participant.path)
         for condition, parts in self.plan.turns_of(participant.number):
@@ -163,7 +170,7 @@ class Study:
             own = {'taught': taught_options(domain), 'teacher_error_rate': _ERROR_RATE}
         parts = json.dumps([part.to_dict() for part in left or ()])
         turn = StudyTurn(self.plan.name, condition.name, parts, participant.path.absolute())
-        setup = setup_from(
+        return setup_from(
             condition.domain,
             launch,
             bag_name=new_name('bags/study'),
@@ -172,8 +179,6 @@ class Study:
             study=turn,
             **own,
         )
-        check_folder(setup)
-        return setup
 
 
 def simulated_part(

@@ -12,6 +12,7 @@ MODULES = {  # that run the nodes, in the order in which they are started
     'simulated_teacher': 'humanopts_teach.ros.simulated_teacher',
     'keyboard_teleop': 'humanopts_teach.ros.keyboard_teleop',
 }
+USUAL = 'recorder', 'game', 'learner', 'lesson', 'option_server', 'planner'  # of a launch
 
 
 class LaunchError(RuntimeError):

@@ -24,10 +24,9 @@ import traceback
 from typing import Any, NoReturn
 
 from humanopts_ros.environment import LAUNCHER_PID
-from humanopts_teach.launching import MODULES
+from humanopts_teach.launching import MODULES, USUAL
 from setproctitle import setproctitle
 
-_USUAL = 'recorder', 'game', 'learner', 'lesson', 'option_server', 'planner'  # of a launch
 _LAST_SECONDS = 1.0  # that the server has to end
 _MESSAGE_BYTES = 1 << 20  # at most; an order holds an environment
 
@@ -147,7 +146,7 @@ _prepared: list[ForkServer] = []  # one at most
 
 def prepare() -> None:
     """Start the server of the launch that follows: it imports while this process does."""
-    _prepared.append(ForkServer([MODULES[name] for name in _USUAL]))
+    _prepared.append(ForkServer([MODULES[name] for name in USUAL]))
 
 
 def server_for(modules: Sequence[str]) -> ForkServer:
