@@ -31,6 +31,7 @@ KEYS = {
     'pandas': 'python3-pandas',
     'prompt_toolkit': 'python3-prompt-toolkit',
     'psutil': 'python3-psutil',
+    'pydantic': 'python3-pydantic-pip',
     'rich': 'python3-rich',
     'scipy': 'python3-scipy',
     'setproctitle': 'python3-setproctitle',

@@ -5,11 +5,14 @@ from contextlib import suppress
 import errno
 import os
 from pathlib import Path
+import stat
 from typing import TypeVar
 
 from humanopts_ros.limits import parse_json
 
 T = TypeVar('T')
+_APPENDING = os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_NOFOLLOW | os.O_NONBLOCK
+MAX_NAMED = 20  # problems of one file that are named; the others are counted
 
 
 class AppendOnlyLog:
@@ -24,7 +27,7 @@ class AppendOnlyLog:
         """
         Open the file, which need not exist, and repair its end.
 
-        :raises OSError: it is a symbolic link, cannot be read, or its end cannot be repaired.
+        :raises OSError: it is no regular file, cannot be read, or its end cannot be repaired.
         """
         self.path = path
         self.problems: list[str] = []  # what was repaired or left out, in words
@@ -41,15 +44,8 @@ class AppendOnlyLog:
             cannot be used; then the line is left out and named in ``problems``.
         :raises OSError: the file cannot be read.
         """
-        entries = []
-        lines = self._content().decode(errors='replace').split('\n')[:-1]
-        for number, line in enumerate(lines, start=1):
-            try:
-                entries.append(entry_of(line))
-            except ValueError as error:
-                problem = f'line {number} of {self.path} is left out: {error}'
-                if problem not in self.problems:
-                    self.problems.append(problem)
+        entries, problems = read_lines(self.path, entry_of)
+        self.problems += [each for each in problems if each not in self.problems]
         return entries
 
     def append(self, *lines: str) -> None:
@@ -61,8 +57,10 @@ class AppendOnlyLog:
         append_bytes(self.path, ''.join(f'{line}\n' for line in lines).encode())
 
     def _content(self) -> bytes:
-        refuse_link(self.path)
-        return self.path.read_bytes() if self.path.exists() else b''
+        try:
+            return read_regular(self.path)
+        except FileNotFoundError:
+            return b''
 
     def _mend(self, size: int, torn: bytes) -> None:
         """Complete a last line that lacks only its end; move any other aside."""
@@ -81,6 +79,61 @@ class AppendOnlyLog:
             append_bytes(self.path, b'\n')
 
 
+def read_lines(
+    path: Path, entry_of: Callable[[str], T], most: int | None = None
+) -> tuple[list[T], list[str]]:
+    """
+    Read a file of lines, and change nothing in it: another process may be writing it.
+
+    :param entry_of: returns the entry of a line, or raises a ValueError that says why it cannot be
+        used; then the line is left out.
+    :param most: bytes that the file may have; None: any number.
+    :return: the entries, and what was left out, in words.
+    :raises OSError: it is no regular file, is larger, or cannot be read; there may be none.
+    """
+    try:
+        content = read_regular(path, most)
+    except FileNotFoundError:
+        return [], []
+    entries, problems, unnamed = [], list[str](), 0
+    for number, line in enumerate(content.removesuffix(b'\n').split(b'\n') if content else (), 1):
+        try:
+            entries.append(entry_of(line.decode()))
+        except ValueError as error:
+            utf8 = isinstance(error, UnicodeDecodeError)
+            why = 'it is not a text in UTF-8' if utf8 else str(error)
+            if len(problems) < MAX_NAMED:
+                problems.append(f'line {number} of {path} is left out: {why}')
+            else:
+                unnamed += 1
+    if unnamed:
+        problems.append(f'{unnamed:,} more lines of {path} are left out')
+    return entries, problems
+
+
+def read_regular(path: Path, most: int | None = None) -> bytes:
+    """
+    Return the content of a file, which has to be one: a pipe in its place would never end.
+
+    :param most: bytes that it may have; None: any number.
+    :raises OSError: it is a symbolic link, a folder, a pipe or a device, is larger, or cannot be
+        read.
+    """
+    refuse_link(path)
+    handle = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+    try:
+        found = os.fstat(handle)
+        if not stat.S_ISREG(found.st_mode):
+            raise OSError(errno.EINVAL, 'it is not a regular file; move it away', str(path))
+        if most is not None and found.st_size > most:
+            text = f'it has {found.st_size:,} bytes, and {most:,} are allowed'
+            raise OSError(errno.EFBIG, text, str(path))
+        with open(handle, 'rb', closefd=False) as file:
+            return file.read()
+    finally:
+        os.close(handle)
+
+
 def append_bytes(path: Path, content: bytes) -> None:
     """
     Append and fsync.
@@ -88,7 +141,7 @@ def append_bytes(path: Path, content: bytes) -> None:
     :raises OSError: it could not be written; the file is cut back to what it was.
     """
     refuse_link(path)
-    handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_NOFOLLOW, 0o644)
+    handle = os.open(path, _APPENDING, 0o644)
     try:
         size = append_whole(handle, content, os.fsync)
     finally:

@@ -8,6 +8,7 @@ finite gets any further, and nothing of it reaches a log or a terminal as it cam
 import json
 import math
 from typing import Any
+from unicodedata import normalize
 
 MOST_JSON = 64 * 2**20  # characters of a JSON text, such as an option with its demonstrations
 MOST_DEPTH = 40  # levels of lists and objects in a JSON text
@@ -65,6 +66,16 @@ def _check(value: Any) -> None:
             elif type(each) is float and not math.isfinite(each):
                 raise JsonError(f'it holds the number {each}, which is not finite')
         level = below
+
+
+def composed(text: str) -> str:
+    """Return a text in Unicode's composed form (NFC): é is one character, however it was typed."""
+    return normalize('NFC', text)
+
+
+def caseless(text: str) -> str:
+    """Return a text for comparisons in which neither case nor the form of letters counts."""
+    return normalize('NFC', normalize('NFD', text).casefold())
 
 
 def printable(text: str) -> str:

@@ -20,6 +20,7 @@ from humanopts_teach.lesson.requests import (
     RequestStatus,
     World,
 )
+from humanopts_teach.study.events import ParticipantEnded
 from humanopts_teach.study.plan import (
     balanced_latin_square,
     Kind,
@@ -29,7 +30,7 @@ from humanopts_teach.study.plan import (
     read_plan,
     StudyPlan,
 )
-from humanopts_teach.study.record import Record, StudyError, StudyFolder
+from humanopts_teach.study.record import OpenRecord, StudyError, StudyFolder
 from humanopts_teach.study.tables import CODEBOOK, status_table, tables
 from humanopts_teach.terminal.drawing import frame
 from hypothesis import given
@@ -147,7 +148,7 @@ def test_a_code_is_used_once_and_goes_on_until_its_end(plan: StudyPlan, tmp_path
     anna = folder.enter(plan, 'anna')
     assert (anna.number, folder.enter(plan, 'ben').number) == (0, 1)
     assert folder.enter(plan, 'anna') == anna
-    Record(anna.path).note('ended')
+    OpenRecord(anna.path).note(ParticipantEnded)
     with pytest.raises(StudyError, match="'anna' has ended this study already"):
         folder.enter(plan, 'anna')
     with pytest.raises(StudyError, match='not a code'):
@@ -170,9 +171,11 @@ def test_another_plan_or_too_many_people_are_refused(
 class Guest:
     """Takes part: presses keys, and answers requests as a graph would."""
 
-    def __init__(self, parts: list[Part], record: Path, domain: Domain[Any]) -> None:
+    def __init__(
+        self, parts: list[Part], record: Path, domain: Domain[Any], now: float = 0.0
+    ) -> None:
         self.published: list[str] = []
-        self.now, self.record = 0.0, Record(record, self.published.append, lambda: self.now)
+        self.now, self.record = now, OpenRecord(record, self.published.append, lambda: self.now)
         self.world = World()
         self.world.domain, self.world.me = domain, 'me'
         self.world.game = Transition(episode=1, step=0, state=START)
@@ -202,8 +205,9 @@ class Guest:
         """Return the events of a kind, without the time."""
         left = ('time', 'event', 'condition')
         return [
-            tuple(value for key, value in sorted(event.items()) if key not in left)
-            for event in self.record.of(what)
+            tuple(value for key, value in sorted(values.items()) if key not in left)
+            for values in (event.model_dump(mode='json') for event in self.record.events)
+            if values['event'] == what
         ]
 
 
@@ -253,6 +257,33 @@ def test_free_play_ends_by_the_person_or_by_its_time(tmp_path: Path, taxi: Domai
     slow.look()
     assert 'Read this.' in slow.seen
     assert slow.events('part ended') == [('play', 'a/play', 'time is over')]
+
+
+def taught_for(
+    path: Path, taxi: Domain[Any], start: float, seconds: float, *, crash: bool = False
+) -> Guest:
+    """Teach in one sitting, looking each second, and leave; a crash leaves no word."""
+    guest = Guest([TEACH, PAGE], path, taxi, start)
+    option = OptionStatus('fetch', 'anna', n_demonstrations=1)
+    while guest.now < start + seconds and 'Read this.' not in guest.seen:
+        guest.now += 1.0
+        guest.world.progress = [option]
+        guest.app.advance(guest.now)
+    if not crash:
+        guest.app.last_requests()
+    return guest
+
+
+def test_the_time_of_teaching_goes_on_where_it_was_left(tmp_path: Path, taxi: Domain[Any]) -> None:
+    path = tmp_path / 'a.jsonl'
+    taught_for(path, taxi, 1000.0, 250.0)
+    crashed = taught_for(path, taxi, 2000.0, 209.0, crash=True)  # its last sign is of second 205
+    assert crashed.events('part ended') == []
+    last = taught_for(path, taxi, 3000.0, 600.0)
+    assert last.events('part ended') == [('teach', 'a/teach', 'time is over')]
+    assert OpenRecord(path).seconds_in('a/teach') == pytest.approx(600.0, abs=1.0)
+    assert last.now == pytest.approx(3000.0 + 600.0 - 250.0 - 205.0, abs=2.0)
+    assert len(last.events('learned')) == 3  # one for each sitting
 
 
 def test_buttons_are_kept_as_they_are_typed(tmp_path: Path, taxi: Domain[Any]) -> None:
@@ -330,7 +361,7 @@ def test_ctrl_c_leaves_a_part_that_is_begun_again(tmp_path: Path, taxi: Domain[A
     guest.press('y', 'ctrl-c')
     assert guest.app.ended
     again = Guest(
-        [part for part in (CONSENT, PAGE) if part.key not in Record(path).done], path, taxi
+        [part for part in (CONSENT, PAGE) if part.key not in OpenRecord(path).done], path, taxi
     )
     assert 'Read this.' in again.seen
 
@@ -349,12 +380,14 @@ def test_a_simulated_study_makes_tables_that_the_codebook_explains(
     option = OptionStatus('fetch', 's', n_demonstrations=4, criteria_met=True)
     for code in ('s1', 's2'):
         who = folder.enter(plan, code, simulated=True)
-        record = Record(who.path)
+        record = OpenRecord(who.path)
         for part in plan.parts_of(who.number):
             simulated_part(part, record, plan.seed, who.number, lambda: [option])
-        record.note('ended')
+        record.note(ParticipantEnded)
     folder.enter(plan, 'late')
-    found = tables(folder)
+    records, problems = folder.records()
+    assert problems == []
+    found = tables(records)
     for name, columns in CODEBOOK.items():
         assert list(found[name].columns) == list(columns)
     book = found['codebook.csv']
@@ -383,5 +416,5 @@ def test_a_simulated_study_makes_tables_that_the_codebook_explains(
         ('s2', 'goal'): 1,
         ('s2', 'trees'): 2,
     }
-    status = status_table(plan, folder).set_index('participant')
+    status = status_table(plan, records).set_index('participant')
     assert status['next'].to_dict() == {'s1': '-', 's2': '-', 'late': 'consent'}

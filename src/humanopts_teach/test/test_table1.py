@@ -152,7 +152,7 @@ def test_a_merge_file_that_is_not_there_and_a_bag_of_no_domain_are_refused(
 
 def test_what_is_taken_back_is_named_and_not_taught(bags: list[str], taxi: Domain[Any]) -> None:
     found = {
-        (each.participant, each.name): each.taught for each in named_options(open_bag(bags[0]))
+        (each.participant, each.name): each.taught for each in named_options([open_bag(bags[0])])
     }
     assert found[('ben', 'Fetch him')] is False
     assert found[('anna', PICKUP)] is True

@@ -290,7 +290,7 @@ def table1(
         raise CommandError(f'{merge}: {error}') from error
     with progress_bar() as show:
         opened = [open_bag(path, show) for path in bags]
-        named = [option for each in opened for option in named_options(each)]
+        named = named_options(opened)
     tables = count_named(named, canonical)
     _print(_json([each.to_dict() for each in tables]) if json else table_text(tables))
     for each in opened:

@@ -9,6 +9,7 @@ import json
 import secrets
 import socket
 import sys
+import traceback
 from typing import Any
 
 from humanopts_teach.browser.pages import serve
@@ -192,6 +193,7 @@ async def _graph(setup: Setup, namespace: str, seat: Seat | ConditionSeat) -> As
 
 def study_in_browser(study: Study, pages: PageOptions, participant: str) -> int:
     """Serve pages of a study; other parameters and errors are those of ``_serve_seats``."""
+    study.warn()
     with only_launch(study.namespace, [_SERVER]):
         print(f'{study.plan.name}: everything is kept in {study.folder.path}.')
         return _serve_seats(study.plan.name, partial(_all_turns, study), pages, participant)
@@ -219,6 +221,9 @@ async def _all_turns(study: Study, thread: TeleopThread, seat: Seat) -> AsyncIte
             seat.end(study.finish(participant))
         except (CommandError, GameError) as error:
             seat.end(str(error))
+        except Exception:  # nobody foresaw it; the page is not left waiting
+            traceback.print_exc()
+            seat.end('The study cannot go on: see the terminal where it runs.')
 
     playing = asyncio.create_task(play())
     try:

@@ -1,5 +1,6 @@
 """``humanopts study``: participants one after the other, how far the study is, and its tables."""
 
+from collections.abc import Iterable
 import json
 from pathlib import Path
 import sys
@@ -91,7 +92,9 @@ def status(
     from humanopts_teach.study.tables import status_table
 
     study, there = _open(plan, folder)
-    table = status_table(study, there)
+    records, problems = there.records()
+    _warn('status', problems)
+    table = status_table(study, records)
     if as_json:
         print(json.dumps(table.to_dict('records'), indent=2))
     else:
@@ -139,22 +142,37 @@ def _export(folder: 'StudyFolder', out: Path) -> None:
     :raises CommandError: the folder cannot be written.
     """
     from humanopts_teach.bags.reader import open_bag
-    from humanopts_teach.evaluation.table1 import count_named, named_options, table_text
+    from humanopts_teach.evaluation.table1 import (
+        count_named,
+        domain_of,
+        named_options,
+        table_text,
+    )
     from humanopts_teach.study.tables import tables
 
-    named = []
+    bags = []
     for path in sorted(folder.path.glob('*/*/bags/*')):
         try:
-            named += named_options(open_bag(path))
+            bag = open_bag(path)
+            domain_of(bag)
+            bags.append(bag)
         except BagError as error:
-            print(printable(f'humanopts study export: left out: {error}'), file=sys.stderr)
-    table_1 = table_text(count_named(named, {}))
+            _warn('export', [f'left out: {error}'])
+    table_1 = table_text(count_named(named_options(bags), {}))
+    records, problems = folder.records()
+    _warn('export', problems)
     try:
         out.mkdir(parents=True, exist_ok=True)
-        for name, table in tables(folder).items():
+        for name, table in tables(records).items():
             table.to_csv(out / name, index=False)
             print(out / name)
         (out / 'table1.txt').write_text(f'{table_1}\n', encoding='utf-8')
     except OSError as error:
         raise CommandError(f'cannot write in {out}: {error.strerror}') from error
     print(printable(f'{out / "table1.txt"}\n\n{table_1}'))
+
+
+def _warn(command: str, problems: Iterable[str]) -> None:
+    """Print what was left out."""
+    for problem in problems:
+        print(printable(f'humanopts study {command}: {problem}'), file=sys.stderr)

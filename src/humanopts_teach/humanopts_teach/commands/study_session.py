@@ -3,10 +3,12 @@
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 import json
+import sys
 from typing import Any
 
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.seeding import generator
+from humanopts_ros.limits import printable
 from humanopts_teach.commands import CommandError
 from humanopts_teach.commands.options import LaunchOptions
 from humanopts_teach.commands.session import (
@@ -25,25 +27,32 @@ from humanopts_teach.launching.processes import Setup, StudyTurn
 from humanopts_teach.lesson.requests import OptionStatus
 from humanopts_teach.ros.convert import option_status_from_message
 from humanopts_teach.ros.teleop import published_record
+from humanopts_teach.study.events import (
+    Answered,
+    ButtonSuggested,
+    Event,
+    FINISHED,
+    OptionsLearned,
+    PartBegan,
+    PartEnded,
+    ParticipantEnded,
+    REFUSED,
+    TIME,
+)
 from humanopts_teach.study.plan import Condition, Kind, Part, StudyPlan
 from humanopts_teach.study.record import (
-    ANSWER,
-    BUTTON,
-    ENDED,
-    FINISHED,
-    LEARNED,
     learned_rows,
     left_of,
-    PART_BEGAN,
-    PART_ENDED,
+    OpenRecord,
     Participant,
     Record,
-    REFUSED,
+    SimilarCodeError,
     StudyError,
     StudyFolder,
     TOPIC,
 )
 
+_LEAST_SECONDS = 1.0  # that a part needs left to be taken up again
 _ERROR_RATE = 0.02  # share of a simulated participant's steps that are wrong
 
 
@@ -67,7 +76,8 @@ class Study:
     def run(self, code: str) -> int:
         """Take a person through all conditions that are left, in this terminal."""
         with place(self.namespace):
-            return self._run(self.enter(code))
+            self.warn()
+            return self._run(self.enter(self.settled(code)))
 
     def _run(self, participant: Participant) -> int:
         while (turn := self.next_turn(participant)) is not None:
@@ -103,6 +113,24 @@ class Study:
                     simulated_part(part, record, self.plan.seed, participant.number, teach)
         self.finish(participant)
 
+    def settled(self, code: str) -> str:
+        """
+        Return the code of a person, whom this terminal asks where another differs only in case.
+
+        :raises CommandError: the person is another one, and needs another code.
+        """
+        if (similar := self.folder.similar(code)) is None:
+            return code
+        print(f'{similar} has taken part. Go on as {similar}? [y/N] ', end='', flush=True)
+        if sys.stdin.readline().strip().lower() in ('y', 'yes'):
+            return similar
+        raise CommandError(str(SimilarCodeError(code, similar)))
+
+    def warn(self) -> None:
+        """Print what is left out of the records."""
+        for problem in self.folder.records()[1]:
+            print(printable(f'humanopts study: {problem}'), file=sys.stderr)
+
     def enter(self, code: str, *, simulated: bool = False) -> Participant:
         """
         Return who takes part.
@@ -122,27 +150,57 @@ class Study:
 
         :raises CommandError: it cannot be launched.
         """
-        record = Record(participant.path)
-        for condition, parts in self.plan.turns_of(participant.number):
+        turns = self.plan.turns_of(participant.number)
+        record = self._close_spent(participant, [part for _, parts in turns for part in parts])
+        for condition, parts in turns:
             if left := left_of(parts, record):
                 setup = self._setup(participant, condition, None if simulated else left)
                 return Turn(condition, left, setup)
         return None
 
     def farewell(self, participant: Participant, turn: Turn) -> str:
-        """Return why a participant does not go on after a turn; empty: the next one follows."""
-        record = Record(participant.path)
+        """
+        Return why a participant does not go on after a turn; empty: the next one follows.
+
+        :raises CommandError: the record cannot be read or written.
+        """
+        record = self._record(participant)
         if record.refused:
-            record.note(ENDED, why=REFUSED)
+            self._note(participant, ParticipantEnded, why=REFUSED)
             return f'{participant.code} does not take part; nothing more is asked'
         if left_of(turn.left, record):
             return f'{participant.code} has not finished; the same code goes on'
         return ''
 
     def finish(self, participant: Participant) -> str:
-        """Note that a participant has finished, and return it in words."""
-        Record(participant.path).note(ENDED)
+        """
+        Note that a participant has finished, and return it in words.
+
+        :raises CommandError: the record cannot be written.
+        """
+        self._note(participant, ParticipantEnded)
         return f'{participant.code} has finished; everything is in {self.folder.path}'
+
+    def _record(self, participant: Participant) -> Record:
+        try:
+            return Record.read(participant.path)
+        except OSError as error:
+            raise CommandError(f'cannot read {participant.path}: {error.strerror}') from error
+
+    def _close_spent(self, participant: Participant, parts: Sequence[Part]) -> Record:
+        """Note the end of parts that were left when hardly any of their time was left."""
+        record = self._record(participant)
+        for part in left_of(parts, record):
+            if part.minutes and record.seconds_in(part.key) > 60 * part.minutes - _LEAST_SECONDS:
+                where = {'part': part.key, 'condition': part.condition}
+                self._note(participant, PartEnded, kind=part.kind, why=TIME, **where)
+        return self._record(participant)
+
+    def _note(self, participant: Participant, kind: type[Event], /, **values: Any) -> None:
+        try:
+            OpenRecord(participant.path).note(kind, **values)
+        except OSError as error:
+            raise CommandError(f'cannot write {participant.path}: {error.strerror}') from error
 
     def _setup(
         self,
@@ -183,7 +241,7 @@ class Study:
 
 def simulated_part(
     part: Part,
-    record: Record,
+    record: OpenRecord,
     seed: int,
     number: int,
     teach: Callable[[], Iterable[OptionStatus]],
@@ -201,15 +259,15 @@ def simulated_part(
 
     rng = generator(seed, 'simulated participant', number, part.key)
     where = {'part': part.key, 'condition': part.condition}
-    record.note(PART_BEGAN, kind=part.kind.value, **where)
+    record.note(PartBegan, kind=part.kind, **where)
     if part.kind is Kind.TEACH:
-        record.note(LEARNED, options=learned_rows(teach()), **where)
+        record.note(OptionsLearned, options=learned_rows(teach()), **where)
     elif part.kind is Kind.BUTTONS:
         shares = TABLE_1.get(part.domain, {})
         named = [name for name, share in shares.items() if rng.random() < share]
         for rank, text in enumerate(named[: part.most], start=1):
-            record.note(BUTTON, domain=part.domain, rank=rank, text=text, **where)
+            record.note(ButtonSuggested, domain=part.domain, rank=rank, text=text, **where)
     for question in part.questions:
         value = int(rng.integers(1, question.points + 1))
-        record.note(ANSWER, item=question.name, value=value, points=question.points, **where)
-    record.note(PART_ENDED, kind=part.kind.value, why=FINISHED, **where)
+        record.note(Answered, item=question.name, value=value, points=question.points, **where)
+    record.note(PartEnded, kind=part.kind, why=FINISHED, **where)

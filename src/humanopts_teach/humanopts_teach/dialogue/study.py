@@ -2,8 +2,10 @@
 
 from collections import deque
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import ClassVar
+import math
+from typing import Any, ClassVar
 
 from humanopts_teach.dialogue.app import App, Keys, Screen
 from humanopts_teach.dialogue.driving import PlayScreen
@@ -11,20 +13,23 @@ from humanopts_teach.dialogue.entry import TextScreen
 from humanopts_teach.dialogue.keys import Command, ENTER, label, LEFT, RIGHT
 from humanopts_teach.dialogue.menu import opening
 from humanopts_teach.lesson.requests import CancelRun, Phase, Request, SetControl, World
-from humanopts_teach.study.plan import Kind, Part, Question
-from humanopts_teach.study.record import (
-    ANSWER,
-    BUTTON,
+from humanopts_teach.study.events import (
+    Answered,
+    ButtonSuggested,
     FINISHED,
-    LEARNED,
-    learned_rows,
-    PART_BEGAN,
-    PART_ENDED,
-    Record,
+    OptionsLearned,
+    PartBegan,
+    PartEnded,
+    PartEvent,
+    PartLeft,
     REFUSED,
+    SignOfLife,
     TIME,
 )
+from humanopts_teach.study.plan import Kind, Part, Question
+from humanopts_teach.study.record import learned_rows, OpenRecord
 
+SIGN_SECONDS = 5.0  # between signs of life: what a crash can take of the time at a part
 _LAST = 'The time for this part is over: this demonstration is the last.'
 
 
@@ -34,7 +39,13 @@ class StudyApp(App):
     leaving = ('Finish teaching', 'go on with the study')
 
     def __init__(
-        self, parts: Sequence[Part], record: Record, participant: str, world: World, *, seed: int
+        self,
+        parts: Sequence[Part],
+        record: OpenRecord,
+        participant: str,
+        world: World,
+        *,
+        seed: int,
     ) -> None:
         """
         Stand before the first part.
@@ -44,20 +55,35 @@ class StudyApp(App):
         super().__init__(Screen(), world, seed=seed)
         self._parts, self._record, self._code = list(parts), record, participant
         self._part: Part | None = None
-        self._began = 0.0  # s, of the part
+        self._ends = math.inf  # s, when the time of the part is over
+        self._signed = 0.0  # s, when the last sign of life was noted
+        self._taught: list[dict[str, Any]] = []  # what was noted last of what was learned
         self._announced = False  # that its time is over
 
     def advance(self, now: float) -> Request | None:
         """Carry out what can be carried out now; end a part whose time is over."""
         if self._part is None and not self.ended:
             self._begin(now)
-        part = self._part
-        if part is not None and part.minutes and now - self._began >= 60 * part.minutes:
-            if self.world.lesson.phase is Phase.DEMONSTRATING:
-                self._announce_last()
-            elif self.waits_for is None:
-                self._end_part(TIME)
+        if self._part is not None:
+            if now >= self._signed + SIGN_SECONDS:
+                self._signed = now
+                with suppress(OSError):  # no more than the time since the last one is lost
+                    self._note_taught()
+                    self._note(SignOfLife)
+            if now >= self._ends:
+                if self.world.lesson.phase is Phase.DEMONSTRATING:
+                    self._announce_last()
+                elif self.waits_for is None:
+                    self._end_part(TIME)
         return super().advance(now)
+
+    def last_requests(self) -> list[Request]:
+        """Note that a part is left in its middle, too."""
+        if self._part is not None:
+            self._note_taught()
+            self._note(PartLeft)
+            self._part = None
+        return super().last_requests()
 
     def end(self) -> None:
         """Go on with the next part; Ctrl-C leaves the study, to be gone on with later."""
@@ -69,19 +95,22 @@ class StudyApp(App):
         self.ended = True
 
     def answer(self, question: Question, value: int) -> None:
-        self._note(ANSWER, item=question.name, value=value, points=question.points)
+        self._note(Answered, item=question.name, value=value, points=question.points)
 
     def suggest(self, rank: int, text: str) -> None:
         """Note a button that the person suggests."""
-        self._note(BUTTON, domain=self.domain.name, rank=rank, text=text)
+        self._note(ButtonSuggested, domain=self.domain.name, rank=rank, text=text)
 
     def _begin(self, now: float) -> None:
         """Begin the next part; after the last, end."""
         if not self._parts:
             self.ended = True
             return
-        self._part, self._began, self._announced = self._parts.pop(0), now, False
-        self._note(PART_BEGAN, kind=self._part.kind.value)
+        part = self._part = self._parts.pop(0)
+        left = 60 * part.minutes - self._record.seconds_in(part.key)
+        self._ends = now + left if part.minutes else math.inf
+        self._signed, self._announced, self._taught = now, False, []
+        self._note(PartBegan, kind=part.kind)
         self.show(_first_screen(self._part, self._code))
 
     def _announce_last(self) -> None:
@@ -98,19 +127,26 @@ class StudyApp(App):
             self.ask(CancelRun())
         if self.world.i_drive:
             self.ask(SetControl(hold=False))
-        if self._part.kind is Kind.TEACH:
-            mine = [each for each in self.world.progress if each.participant == self._code]
-            self._note(LEARNED, options=learned_rows(mine))
-        self._note(PART_ENDED, kind=self._part.kind.value, why=why)
+        self._note_taught()
+        self._note(PartEnded, kind=self._part.kind, why=why)
         self._part = None
         self._keys.clear()  # typed for what was shown
         self._outbox = deque(each for each in self._outbox if not self._is_others(each))
         self.show(Screen())
 
-    def _note(self, what: str, **values: object) -> None:
+    def _note_taught(self) -> None:
+        """Note what was taught so far, if there is anything new."""
+        mine = [each for each in self.world.progress if each.participant == self._code]
+        if self._part is not None and self._part.kind is Kind.TEACH:
+            rows = learned_rows(mine)
+            if rows != self._taught:  # none are known yet right after a return
+                self._taught = rows
+                self._note(OptionsLearned, options=rows)
+
+    def _note(self, kind: type[PartEvent], /, **values: object) -> None:
         assert self._part is not None, 'something was noted between two parts'
         where = {'part': self._part.key, 'condition': self._part.condition}
-        self._record.note(what, **where, **values)
+        self._record.note(kind, **where, **values)
 
 
 @dataclass

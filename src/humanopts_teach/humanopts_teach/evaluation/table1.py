@@ -12,12 +12,13 @@ from typing import Any
 
 from humanopts_learner.demonstrations import demonstration_from_message, Kind
 from humanopts_learner.intervals import Interval
+from humanopts_ros.limits import caseless
 from humanopts_teach.bags import BagError
 from humanopts_teach.bags.contents import DEMONSTRATION, domains_played, LESSON_STATE
 from humanopts_teach.bags.reader import Bag
 from humanopts_teach.bags.rosbag2 import load
 from humanopts_teach.evaluation.measures import finite_parts
-from humanopts_teach.study.record import BUTTON, event_of
+from humanopts_teach.study.events import ButtonSuggested, Event, event_of, last_attempts
 from humanopts_teach.text_table import aligned
 import numpy as np
 
@@ -45,8 +46,8 @@ class MergeError(ValueError):
 
 
 def _plain(name: str) -> str:
-    """Return a name without the differences that mean nothing: case and spaces."""
-    return ' '.join(name.casefold().split())
+    """Return a name without the differences that mean nothing: case, spaces, and Unicode form."""
+    return ' '.join(caseless(name).split())
 
 
 def read_merge(text: str) -> dict[str, str]:
@@ -86,28 +87,48 @@ class NamedOption:
     taught: bool  # it was demonstrated
 
 
-def named_options(bag: Bag) -> list[NamedOption]:
+def named_options(bags: Sequence[Bag]) -> list[NamedOption]:
     """
-    Return what people named in a bag, and who was there.
+    Return what people named in bags, and who was there.
+
+    Of a part of a study that was left and begun again, which may be in another bag, the buttons of
+    the last attempt count.
+
+    :raises BagError: a bag does not say which domain was played, or has several.
+    """
+    found: dict[tuple[str, str, str], bool] = {}
+    suggested: dict[tuple[str, str, str], list[Event]] = {}  # by domain, study and participant
+    for bag in bags:
+        domain = domain_of(bag)
+        for lesson in bag.converted(LESSON_STATE, lambda m: (m.participant, m.option_name)):
+            if lesson[0]:
+                found.setdefault((domain, *lesson), False)
+        for participant, event in bag.converted(
+            STUDY_EVENT, lambda m: (m.participant, event_of(m.event))
+        ):
+            key = domain, str(bag.facts.get('study', '')), participant
+            suggested.setdefault(key, []).append(event)
+        for demo in bag.converted(DEMONSTRATION, demonstration_from_message):
+            taught = demo.kind is Kind.TRAJECTORY and not demo.withdrawn
+            of = domain, demo.participant, demo.option_name
+            found[of] = found.get(of, False) or taught
+    for (domain, _, participant), events in suggested.items():
+        for event in last_attempts(sorted(events, key=lambda event: event.time)):
+            if isinstance(event, ButtonSuggested):
+                found.setdefault((domain, participant, event.text), False)
+    return [NamedOption(*key, taught) for key, taught in found.items()]
+
+
+def domain_of(bag: Bag) -> str:
+    """
+    Return the name of the domain of a bag.
 
     :raises BagError: the bag does not say which domain was played, or has several.
     """
     domains = {name for name, _ in domains_played(bag)}
     if len(domains) != 1:
         raise BagError(f'{bag.path} holds games of {len(domains)} domains; give bags of one')
-    (domain,) = domains
-    found: dict[tuple[str, str], bool] = {}
-    for lesson in bag.converted(LESSON_STATE, lambda m: (m.participant, m.option_name)):
-        if lesson[0]:
-            found.setdefault(lesson, False)
-    for participant, line in bag.converted(STUDY_EVENT, lambda m: (m.participant, m.event)):
-        if (event := event_of(line))['event'] == BUTTON:
-            found.setdefault((participant, event['text']), False)
-    for demo in bag.converted(DEMONSTRATION, demonstration_from_message):
-        taught = demo.kind is Kind.TRAJECTORY and not demo.withdrawn
-        key = (demo.participant, demo.option_name)
-        found[key] = found.get(key, False) or taught
-    return [NamedOption(domain, *key, taught) for key, taught in found.items()]
+    return domains.pop()
 
 
 @dataclass(frozen=True)

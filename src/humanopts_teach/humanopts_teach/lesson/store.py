@@ -166,6 +166,8 @@ class DemonstrationStore(AbstractContextManager['DemonstrationStore']):
             for path in sorted(directory.glob(f'*{_SUFFIX}')):
                 if path.is_symlink():
                     self.damage.append(f'{path} is left out: it is a symbolic link')
+                elif not path.is_file():
+                    self.damage.append(f'{path} is left out: it is not a regular file')
                 else:
                     log = self._logs[path.stem] = AppendOnlyLog(path)
                     log.read(partial(_entry_of, path.stem))

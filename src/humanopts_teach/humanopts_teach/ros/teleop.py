@@ -50,7 +50,7 @@ from humanopts_teach.ros.convert import (
 )
 from humanopts_teach.ros.lesson_client import LessonClient
 from humanopts_teach.study.plan import Part
-from humanopts_teach.study.record import Record, TOPIC
+from humanopts_teach.study.record import left_of, OpenRecord, TOPIC
 from rclpy.action.client import ActionClient
 from rclpy.task import Future
 
@@ -115,7 +115,7 @@ class TeleopNode(NodeBase):
         if not parts:
             return None
         record = published_record(self, Path(path), participant)
-        left = [Part.from_dict(part) for part in json.loads(parts)]
+        left = left_of([Part.from_dict(part) for part in json.loads(parts)], record)
         return StudyApp(left, record, participant, self._world, seed=seed)
 
     def waits_for(self) -> str | None:
@@ -228,7 +228,7 @@ class TeleopNode(NodeBase):
         self._news = True
 
 
-def published_record(node: NodeBase, path: Path, participant: str) -> Record:
+def published_record(node: NodeBase, path: Path, participant: str) -> OpenRecord:
     """
     Return the record of a participant; a node publishes each of its new events.
 
@@ -239,7 +239,7 @@ def published_record(node: NodeBase, path: Path, participant: str) -> Record:
     def publish(line: str) -> None:
         publisher.publish(StudyEvent(participant=participant, event=line))
 
-    return Record(path, publish)
+    return OpenRecord(path, publish)
 
 
 def _progress(message: LearningStatus) -> list[OptionStatus]:

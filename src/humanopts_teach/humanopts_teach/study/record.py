@@ -6,102 +6,53 @@ so that the bag of a condition holds it. Nothing that identifies a person is kep
 the person was given, and what the person types.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
 import fcntl
-import json
 import math
+import os
 from pathlib import Path
+import re
 import time
-from typing import Any
+from typing import Any, TypeVar
 
-from humanopts_learner.append_only_log import AppendOnlyLog
-from humanopts_ros.limits import parse_json
+from humanopts_learner.append_only_log import AppendOnlyLog, read_lines, read_regular
+from humanopts_ros.limits import caseless
 from humanopts_teach.lesson.requests import OptionStatus
 from humanopts_teach.lesson.store import CODE, CODE_RULE
+from humanopts_teach.study.events import (
+    Event,
+    event_of,
+    last_attempts,
+    PartEnded,
+    ParticipantBegan,
+    ParticipantEnded,
+    REFUSED,
+    times_in,
+)
 from humanopts_teach.study.plan import Part, StudyPlan
 
-TOPIC = 'study_events'  # std_msgs/String, each an event as JSON
-BEGAN, ENDED = 'began', 'ended'  # of a participant
-PART_BEGAN, PART_ENDED = 'part began', 'part ended'
-ANSWER, BUTTON, LEARNED = 'answer', 'button', 'learned'
-FINISHED, TIME, REFUSED = 'finished', 'time is over', 'not agreed'  # why a part ended
-
-Event = Mapping[str, Any]
+TOPIC = 'study_events'  # StudyEvent, each an event as JSON
+MAX_BYTES = 64 * 2**20  # of a record
+MAX_NUMBER = 999_999  # of a participant
+_NAME = re.compile(rf'([0-9]{{3,6}})-({CODE.pattern})\.jsonl')  # of a record
+E_ = TypeVar('E_', bound=Event)
 
 
 class StudyError(ValueError):
     """A participant cannot take part; the text says why."""
 
 
-class Record:
-    """
-    The events of one participant.
+class SimilarCodeError(StudyError):
+    """A code differs from a known one in case only: it is hardly another person's."""
 
-    :ivar events: from the first.
-    """
-
-    def __init__(
-        self,
-        path: Path,
-        publish: Callable[[str], object] = lambda line: None,
-        clock: Callable[[], float] = time.time,
-    ) -> None:
-        """
-        Open the file, which need not exist.
-
-        :param publish: called with each new line.
-        :param clock: s since 1970.
-        :raises OSError: it cannot be read.
-        """
-        self._log, self._publish, self._clock = AppendOnlyLog(path), publish, clock
-        self.events: list[Event] = self._log.read(event_of)
-
-    def note(self, what: str, **values: Any) -> None:
-        """
-        Add an event.
-
-        :raises OSError: it could not be written.
-        """
-        event = {'event': what, 'time': round(self._clock(), 3), **values}
-        line = json.dumps(event, sort_keys=True)
-        self._log.append(line)
-        self.events.append(event)
-        self._publish(line)
-
-    def of(self, what: str) -> list[Event]:
-        """Return the events of one kind."""
-        return [event for event in self.events if event['event'] == what]
-
-    @property
-    def done(self) -> set[str]:
-        """Keys of the parts that are over."""
-        return {event['part'] for event in self.of(PART_ENDED)}
-
-    @property
-    def refused(self) -> bool:
-        """Whether the participant did not agree to take part."""
-        return any(event['why'] == REFUSED for event in self.of(PART_ENDED))
-
-    @property
-    def over(self) -> bool:
-        """Whether the participant has ended the study."""
-        return bool(self.of(ENDED))
-
-
-def event_of(line: str) -> Event:
-    """
-    Return the event of a line.
-
-    :raises ValueError: it is no event.
-    """
-    values = parse_json(line)
-    known = isinstance(values, dict) and isinstance(values.get('event'), str)
-    if not known or not isinstance(values.get('time'), int | float):
-        raise ValueError('it is no event of a study')
-    event: dict[str, Any] = values
-    return event
+    def __init__(self, code: str, known: str) -> None:
+        self.known = known
+        super().__init__(
+            f'{code!r} differs only in case from {known!r}, who has taken part: give {known!r} '
+            'to go on, or another code'
+        )
 
 
 @dataclass(frozen=True)
@@ -113,25 +64,151 @@ class Participant:
     path: Path  # of the record
 
 
+@dataclass
+class Record:
+    """The events of one participant, from the first; those that did not fit are left out."""
+
+    path: Path
+    events: list[Event]
+    problems: list[str] = field(default_factory=list)  # what was left out, in words
+
+    @classmethod
+    def read(cls, path: Path) -> 'Record':
+        """
+        Read a record, and change nothing in it.
+
+        :raises OSError: it is no regular file, too large, or cannot be read.
+        """
+        return cls(path, *read_lines(path, event_of, MAX_BYTES))
+
+    @classmethod
+    def read_head(cls, path: Path) -> 'Record':
+        """Read a record up to how the participant began; the errors are those of ``read``."""
+        events: list[Event] = []
+        for line in read_regular(path, MAX_BYTES).split(b'\n'):
+            with suppress(ValueError):
+                events.append(event_of(line.decode()))
+                if isinstance(events[-1], ParticipantBegan):
+                    break
+        return cls(path, events)
+
+    def of(self, kind: type[E_]) -> list[E_]:
+        """Return the events of one kind."""
+        return [event for event in self.events if isinstance(event, kind)]
+
+    @property
+    def counting(self) -> list[Event]:
+        """The events that count: those of the last attempt at each part."""
+        return last_attempts(self.events)
+
+    @property
+    def began(self) -> ParticipantBegan | None:
+        """How the participant began; None: the line is damaged."""
+        return next(iter(self.of(ParticipantBegan)), None)
+
+    @property
+    def done(self) -> set[str]:
+        """Keys of the parts that are over."""
+        return {event.part for event in self.counting if isinstance(event, PartEnded)}
+
+    @property
+    def refused(self) -> bool:
+        """Whether the participant did not agree to take part."""
+        return any(event.why == REFUSED for event in self.of(PartEnded))
+
+    @property
+    def over(self) -> bool:
+        """Whether the participant has ended the study."""
+        return bool(self.of(ParticipantEnded))
+
+    @property
+    def minutes(self) -> float:
+        """From the first event to the last, pauses included."""
+        times = [event.time for event in self.events]
+        return (max(times) - min(times)) / 60 if times else 0.0
+
+    def seconds_in(self, part: str) -> float:
+        """Return how long the participant was at a part so far, over all sittings."""
+        time_in = times_in(self.events).get(part)
+        return time_in.seconds if time_in is not None else 0.0
+
+
+def steady_clock() -> Callable[[], float]:
+    """
+    Return a clock of s since 1970 that goes on evenly when the time of day is set.
+
+    The time between two events of one sitting is then the time that passed.
+    """
+    ahead = time.time() - time.monotonic()
+    return lambda: ahead + time.monotonic()
+
+
+class OpenRecord(Record):
+    """A record to which events are added."""
+
+    def __init__(
+        self,
+        path: Path,
+        publish: Callable[[str], object] = lambda line: None,
+        clock: Callable[[], float] | None = None,
+    ) -> None:
+        """
+        Open the file, which need not exist.
+
+        :param publish: called with each new line.
+        :param clock: s since 1970; None: a steady one.
+        :raises OSError: it cannot be read.
+        """
+        self._log, self._publish = AppendOnlyLog(path), publish
+        self._clock = clock or steady_clock()
+        events = self._log.read(event_of)
+        super().__init__(path, events, self._log.problems)
+
+    def note(self, kind: type[Event], /, **values: Any) -> None:
+        """
+        Add an event.
+
+        :param values: all of its fields but the time.
+        :raises OSError: it could not be written.
+        """
+        event = kind(time=round(self._clock(), 3), **values)
+        line = event.line()
+        self._log.append(line)
+        self.events.append(event)
+        self._publish(line)
+
+
 class StudyFolder:
     """The folder of a study: records of its participants, and a folder for each with bags."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
 
-    def participants(self) -> list[Participant]:
-        """Return all, in the order of arrival."""
-        found = []
-        for path in sorted(self.path.glob('[0-9][0-9][0-9]-*.jsonl')):
-            number, code = path.stem.split('-', 1)
-            found.append(Participant(code, int(number), path))
-        return found
+    def participants(self) -> tuple[list[Participant], list[str]]:
+        """Return all, in the order of arrival, and which files are left out, in words."""
+        records, problems = self._records(Record.read_head)
+        return [participant for participant, _ in records], problems
+
+    def records(self) -> tuple[list[tuple[Participant, Record]], list[str]]:
+        """
+        Return what all participants did, in the order of arrival.
+
+        :return: also what is left out, in words: files that are no record of a participant, and
+            lines that are no event.
+        """
+        records, problems = self._records(Record.read)
+        return records, [*problems, *(text for _, each in records for text in each.problems)]
+
+    def similar(self, code: str) -> str | None:
+        """Return the code of a participant that differs only in case; None: there is none."""
+        return similar_code(code, [each.code for each in self.participants()[0]])
 
     def enter(self, plan: StudyPlan, code: str, *, simulated: bool = False) -> Participant:
         """
         Return a participant: a new one, or one who has not finished and goes on.
 
         :param simulated: nobody is there: a simulated teacher takes part.
+        :raises SimilarCodeError: somebody's code differs in case only.
         :raises StudyError: the code cannot be used, it is somebody's who has finished, the plan
             is another one, or has no room.
         :raises OSError: the folder cannot be written.
@@ -140,43 +217,141 @@ class StudyFolder:
             raise StudyError(f'{code!r} is not a code: {CODE_RULE}')
         self.path.mkdir(parents=True, exist_ok=True)
         with self._locked():
-            there = self.participants()
+            there, _ = self.participants()
             known = next((each for each in there if each.code == code), None)
             if known is not None:
-                self._check_known(plan, known)
-                return known
-            if plan.participants and len(there) >= plan.participants:
-                raise StudyError(
-                    f'all {plan.participants} participants of the plan are there; {code!r} is new'
-                )
-            number = there[-1].number + 1 if there else 0
-            entered = Participant(code, number, self.path / f'{number:03d}-{code}.jsonl')
-            order = [condition.name for condition in plan.order_of(number)]
-            who = {'participant': code, 'number': number, 'simulated': simulated}
-            Record(entered.path).note(BEGAN, study=plan.name, order=order, **who)
+                record = Record.read(known.path)
+                _check_known(plan, known, record)
+                if record.began is not None:
+                    return known
+            else:
+                _check_new(plan, code, there)
+            entered = known or self._new(code)
+            order = [condition.name for condition in plan.order_of(entered.number)]
+            who = {'participant': code, 'number': entered.number, 'simulated': simulated}
+            OpenRecord(entered.path).note(ParticipantBegan, study=plan.name, order=order, **who)
             return entered
 
     def directory(self, participant: Participant, condition: str) -> Path:
         """Return the folder of a participant's bags and options in a condition."""
         return self.path / participant.code / condition
 
-    def _check_known(self, plan: StudyPlan, known: Participant) -> None:
-        record = Record(known.path)
-        if record.over:
-            raise StudyError(f'{known.code!r} has ended this study already; give another code')
-        order = [condition.name for condition in plan.order_of(known.number)]
-        if [event for event in record.of(BEGAN) if event.get('order') != order]:
-            raise StudyError(
-                f'{known.code!r} began with another plan, whose conditions were '
-                f'{", ".join(record.of(BEGAN)[0].get("order", []))}; put that plan back'
-            )
+    def _new(self, code: str) -> Participant:
+        """Return a new participant; one whose record is still empty keeps the number."""
+        named = self._named()[0]
+        for each in named:
+            if each.code == code and each.path.is_file() and not each.path.stat().st_size:
+                return each
+        number = max((each.number for each in named), default=-1) + 1
+        if number > MAX_NUMBER:
+            raise StudyError(f'{named[-1].path} has the last number; give it a smaller one')
+        return Participant(code, number, self.path / _file_name(number, code))
+
+    def _named(self) -> tuple[list[Participant], list[str]]:
+        """Return whom the names of files stand for, by number, and which name no record."""
+        found, problems = [], []
+        for path in sorted(self.path.glob('*.jsonl')):
+            match = _NAME.fullmatch(path.name)
+            if match is not None and _file_name(int(match[1]), match[2]) == path.name:
+                found.append(Participant(match[2], int(match[1]), path))
+            else:
+                problems.append(
+                    f'{path} is left out: its name is not that of a record, such as '
+                    f'{_file_name(0, "p1")}; it may be a copy that another program made'
+                )
+        return sorted(found, key=lambda each: (each.number, each.code)), problems
+
+    def _records(
+        self, read: Callable[[Path], Record]
+    ) -> tuple[list[tuple[Participant, Record]], list[str]]:
+        """
+        Return the records of participants, each once: copies are left out.
+
+        :param read: reads a record up to how it began, or further.
+        :return: also which files are left out, in words.
+        """
+        named, problems = self._named()
+        found: dict[str, tuple[Participant, Record]] = {}
+        for each in named:
+            try:
+                record = read(each.path)
+            except OSError as error:
+                problems.append(f'{each.path} is left out: {error.strerror}')
+                continue
+            began, why = record.began, ''
+            if not record.events:
+                why = 'it holds no event'
+                problems += record.problems
+            elif began is not None and (began.number, began.participant) != (
+                each.number,
+                each.code,
+            ):
+                own = _file_name(began.number, began.participant)
+                why = f'it is the record of {began.participant!r}, whose file is {own}'
+            elif each.code in found:
+                why = f'{found[each.code][0].path.name} is a record of {each.code!r} too'
+            elif began is None and (of := _copied(each, [p for p, _ in found.values()])):
+                why = f'it seems to be a copy of {of.path.name}'
+            if why:
+                problems.append(f'{each.path} is left out: {why}')
+            else:
+                found[each.code] = each, record
+        return list(found.values()), problems
 
     @contextmanager
     def _locked(self) -> Iterator[None]:
         """Keep other terminals from entering a participant at the same time."""
-        with (self.path / '.lock').open('w') as lock:
+        how = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+        lock = os.open(self.path / '.lock', how, 0o644)
+        try:
             fcntl.flock(lock, fcntl.LOCK_EX)
             yield
+        finally:
+            os.close(lock)
+
+
+def _check_known(plan: StudyPlan, known: Participant, record: Record) -> None:
+    """Refuse a participant who cannot go on."""
+    if record.over:
+        raise StudyError(f'{known.code!r} has ended this study already; give another code')
+    order = [condition.name for condition in plan.order_of(known.number)]
+    if (began := record.began) is not None and list(began.order) != order:
+        raise StudyError(
+            f'{known.code!r} began with another plan, whose conditions were '
+            f'{", ".join(began.order)}; put that plan back'
+        )
+
+
+def _check_new(plan: StudyPlan, code: str, there: Sequence[Participant]) -> None:
+    """Refuse a participant who cannot begin."""
+    if (similar := similar_code(code, [each.code for each in there])) is not None:
+        raise SimilarCodeError(code, similar)
+    if plan.participants and len(there) >= plan.participants:
+        raise StudyError(
+            f'all {plan.participants} participants of the plan are there; {code!r} is new'
+        )
+
+
+def similar_code(code: str, known: Sequence[str]) -> str | None:
+    """Return a known code that differs only in case; None: there is none, or the code is known."""
+    alike = (each for each in known if caseless(each) == caseless(code))
+    return None if code in known else next(alike, None)
+
+
+def _file_name(number: int, code: str) -> str:
+    return f'{number:03d}-{code}.jsonl'
+
+
+def _copied(one: Participant, others: Iterable[Participant]) -> Participant | None:
+    """Return whose record, by its name, a file of the same number is a copy of; None: nobody's."""
+    return next(
+        (
+            each
+            for each in others
+            if each.number == one.number and one.code.startswith(f'{each.code}-')
+        ),
+        None,
+    )
 
 
 def learned_rows(options: Iterable[OptionStatus]) -> list[dict[str, Any]]:
@@ -201,4 +376,5 @@ def _finite(value: float) -> float | None:
 
 def left_of(parts: Sequence[Part], record: Record) -> list[Part]:
     """Return what a participant has still to do."""
-    return [part for part in parts if part.key not in record.done]
+    done = record.done
+    return [part for part in parts if part.key not in done]

@@ -1,32 +1,32 @@
 """What a study has found so far: how far each participant is, and tidy tables with a codebook."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
-from humanopts_teach.study.plan import Kind, StudyPlan
-from humanopts_teach.study.record import (
-    ANSWER,
-    BUTTON,
-    ENDED,
+from humanopts_teach.study.events import (
+    Answered,
+    ButtonSuggested,
     Event,
     FINISHED,
-    LEARNED,
-    left_of,
-    PART_BEGAN,
-    PART_ENDED,
-    Record,
+    OptionsLearned,
+    PartBegan,
+    PartEnded,
     REFUSED,
-    StudyFolder,
     TIME,
+    times_in,
+    WHOLE,
 )
+from humanopts_teach.study.plan import Kind, StudyPlan
+from humanopts_teach.study.record import left_of, Participant, Record
 import pandas as pd
 
+Records = Sequence[tuple[Participant, Record]]
 
-def status_table(plan: StudyPlan, folder: StudyFolder) -> pd.DataFrame:
+
+def status_table(plan: StudyPlan, records: Records) -> pd.DataFrame:
     """Return one row for each participant: how far the study is."""
     rows = []
-    for each in folder.participants():
-        record = Record(each.path)
+    for each, record in records:
         left = [] if record.over else left_of(plan.parts_of(each.number), record)
         rows.append(
             {
@@ -34,7 +34,7 @@ def status_table(plan: StudyPlan, folder: StudyFolder) -> pd.DataFrame:
                 'order': ', '.join(condition.name for condition in plan.order_of(each.number)),
                 'parts done': len(record.done),
                 'next': left[0].key if left else '-',
-                'minutes': round((record.events[-1]['time'] - record.events[0]['time']) / 60, 1),
+                'minutes': round(record.minutes, 1),
             }
         )
     return pd.DataFrame(rows, columns=['participant', 'order', 'parts done', 'next', 'minutes'])
@@ -55,9 +55,12 @@ CODEBOOK = {  # file: column: what it holds
         'condition': 'name in the plan; empty: the part belongs to none',
         'part': 'consent, page, play, buttons, teach or questions',
         'place': 'of the condition in the order of this person, from 1; empty: none',
-        'began': 's since 1970, when the part began; where it was begun again, the last time',
-        'seconds': 'from then to its end',
-        'why': f'{FINISHED}: by the person; {TIME}: by the limit of the plan; {REFUSED}',
+        'began': 's since 1970, when the part began first; empty: that line is damaged',
+        'seconds': 'at the part, over all sittings. A sitting that a crash ended lasts until the '
+        'last sign of life, which is noted every five seconds',
+        'sittings': 'times that the part was begun, or taken up again after it was left',
+        'why': f'how it ended; {FINISHED}: by the person; {TIME}: by the limit of the plan; '
+        f'{REFUSED}; empty: it has not ended',
     },
     'answers.csv': {
         'participant': 'code that the person was given',
@@ -87,22 +90,27 @@ CODEBOOK = {  # file: column: what it holds
 }
 
 
-_FILES = {ANSWER: 'answers.csv', BUTTON: 'buttons.csv'}
+def tables(records: Records) -> dict[str, pd.DataFrame]:
+    """
+    Return tidy tables by file name, one row for each observation, and the codebook.
 
-
-def tables(folder: StudyFolder) -> dict[str, pd.DataFrame]:
-    """Return tidy tables by file name, one row for each observation, and the codebook."""
+    Of a part that was left and begun again, what was answered and suggested last counts.
+    """
     rows: dict[str, list[dict[str, Any]]] = {name: [] for name in CODEBOOK}
-    for each in folder.participants():
-        events = Record(each.path).events
-        _add_participant(rows, each.code, events)
-        for event in events:
-            common = {'participant': each.code, 'condition': event.get('condition', '')}
-            if event['event'] == LEARNED:
-                rows['options.csv'] += [{**common, **option} for option in event['options']]
-            elif event['event'] in _FILES:  # of whose fields the table has its columns
-                rows[_FILES[event['event']]].append({**event, **common})
-    found = {
+    for each, record in records:
+        events = record.counting
+        answers = [event.model_dump() for event in events if isinstance(event, Answered)]
+        buttons = [event.model_dump() for event in events if isinstance(event, ButtonSuggested)]
+        mine = {
+            'participants.csv': [_person(each, record, events)],
+            'parts.csv': _parts(record, events),
+            'answers.csv': answers,
+            'buttons.csv': buttons,
+            'options.csv': _options(events),
+        }
+        for name, found in mine.items():
+            rows[name] += [{**row, 'participant': each.code} for row in found]
+    frames = {
         name: pd.DataFrame(rows[name], columns=list(columns)) for name, columns in CODEBOOK.items()
     }
     book = [
@@ -110,31 +118,50 @@ def tables(folder: StudyFolder) -> dict[str, pd.DataFrame]:
         for name, columns in CODEBOOK.items()
         for column, meaning in columns.items()
     ]
-    return {**found, 'codebook.csv': pd.DataFrame(book)}
+    return {**frames, 'codebook.csv': pd.DataFrame(book)}
 
 
-def _add_participant(
-    rows: dict[str, list[dict[str, Any]]], code: str, events: Sequence[Event]
-) -> None:
-    if not events:
-        return
-    order, agreed = events[0].get('order', []), ''
-    began: dict[str, float] = {}
+def _person(participant: Participant, record: Record, events: Iterable[Event]) -> dict[str, Any]:
+    """Return the row of a participant."""
+    began, agreed = record.began, ''
     for event in events:
-        if event['event'] == PART_BEGAN:
-            began[event['part']] = event['time']
-        elif event['event'] == PART_ENDED:
-            if event['kind'] == Kind.CONSENT.value:
-                agreed = 'no' if event['why'] == REFUSED else 'yes'
-            condition = event['condition']
-            place = order.index(condition) + 1 if condition in order else ''
-            since = began.get(event['part'], event['time'])
-            seconds = round(event['time'] - since, 3)
-            values = code, condition, event['kind'], place, since, seconds, event['why']
-            rows['parts.csv'].append(dict(zip(CODEBOOK['parts.csv'], values)))
-    simulated = 'yes' if events[0].get('simulated') else 'no'
-    ended = 'yes' if events[-1]['event'] == ENDED else 'no'
-    minutes = round((events[-1]['time'] - events[0]['time']) / 60, 2)
-    number = events[0].get('number', '')
-    person = code, number, simulated, ' '.join(order), agreed, ended, minutes
-    rows['participants.csv'].append(dict(zip(CODEBOOK['participants.csv'], person)))
+        if isinstance(event, PartEnded) and event.kind is Kind.CONSENT:
+            agreed = 'no' if event.why == REFUSED else 'yes'
+    return {
+        'number': participant.number,
+        'simulated': '' if began is None else 'yes' if began.simulated else 'no',
+        'order': '' if began is None else ' '.join(began.order),
+        'agreed': agreed,
+        'ended': 'yes' if record.over else 'no',
+        'minutes': round(record.minutes, 2),
+    }
+
+
+def _options(events: Iterable[Event]) -> list[dict[str, Any]]:
+    """Return a row for each option that was taught."""
+    return [
+        {**row, 'condition': event.condition}
+        for event in events
+        if isinstance(event, OptionsLearned)
+        for row in {option.option: option.model_dump() for option in event.options}.values()
+    ]
+
+
+def _parts(record: Record, events: Sequence[Event]) -> list[dict[str, Any]]:
+    """Return a row for each part that was begun, in the order in which they began."""
+    order = record.began.order if record.began is not None else ()
+    kinds = {e.part: e.kind.value for e in record.events if isinstance(e, PartBegan | PartEnded)}
+    conditions = {e.part: e.condition for e in record.events if not isinstance(e, WHOLE)}
+    why = {event.part: event.why for event in events if isinstance(event, PartEnded)}
+    return [
+        {
+            'condition': conditions[part],
+            'part': kinds.get(part, ''),
+            'place': order.index(conditions[part]) + 1 if conditions[part] in order else '',
+            'began': time.began,
+            'seconds': round(time.seconds, 3),
+            'sittings': time.sittings,
+            'why': why.get(part, ''),
+        }
+        for part, time in times_in(record.events).items()
+    ]
