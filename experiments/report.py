@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from humanopts_learner.intervals import Interval
+from humanopts_learner.spreadsheet import csv_of
 from humanopts_teach.evaluation.summary import write_text
 from humanopts_teach.report.figures import Drawing, drawing, file_settings
 from humanopts_teach.report.pages import Finding, number
@@ -217,7 +218,7 @@ def write_reproduction(folder: Path, data: Reproduction) -> None:
                 work.figure.savefig(folder / f'{picture.name}.png', dpi=DPI)
                 work.figure.savefig(folder / f'{picture.name}.svg', metadata={'Date': None})
         for table in section.tables:
-            write_text(folder / f'{table.name}.csv', table.frame.to_csv(index=False))
+            write_text(folder / f'{table.name}.csv', csv_of(table.frame))
         write_text(folder / f'{section.name}.json', section_json(section))
     write_text(folder / PAGE, render(data))
 

@@ -16,7 +16,8 @@ column                  what it holds
 ``can_start_at_end``    optional, read in the last row: the option could start again there (true)
 ======================  =========================================================================
 
-Rows may be in any order. A feature is written as the domain words its value, or as its index.
+Rows may be in any order. A feature is written as the domain words its value, or as its index. The
+apostrophe before text that a spreadsheet would take for a formula is not part of the text.
 """
 
 from collections.abc import Mapping, Sequence
@@ -25,6 +26,7 @@ from typing import Any, TYPE_CHECKING
 
 from humanopts_env.domains.base import Domain, DomainError, EnumerableDomain, is_enumerable
 from humanopts_learner.demonstrations import Demonstration, DemonstrationError, make_demonstration
+from humanopts_learner.spreadsheet import from_cell
 import numpy as np
 
 if TYPE_CHECKING:
@@ -119,7 +121,7 @@ def _rows(table: 'pd.DataFrame | Path | str') -> list[Row]:
         raise DemonstrationError('the table has no rows')
     text = table.astype(object).where(table.notna(), '').astype(str)
     return [
-        {str(column).strip(): value.strip() for column, value in row.items()}
+        {from_cell(str(column)).strip(): from_cell(value).strip() for column, value in row.items()}
         for row in text.to_dict('records')
     ]
 

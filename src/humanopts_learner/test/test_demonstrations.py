@@ -21,6 +21,7 @@ from humanopts_learner.demonstrations import (
     Kind,
     make_demonstration,
 )
+from humanopts_learner.spreadsheet import csv_of
 import numpy as np
 import pandas as pd
 import pytest
@@ -236,6 +237,14 @@ def test_rewards_are_those_of_the_rules_where_the_table_has_none() -> None:
 def test_a_csv_file_is_read_as_a_data_frame_is(tmp_path: Path) -> None:
     TABLE.to_csv(tmp_path / 'own.csv', index=False)
     assert demonstrations_from_table(tmp_path / 'own.csv', ROOMS, 'go east') == read(TABLE)
+
+
+def test_text_that_was_kept_from_being_run_is_read_as_it_was(tmp_path: Path) -> None:
+    path = tmp_path / 'own.csv'
+    path.write_text(csv_of(TABLE.assign(option='=go', participant='+1')), 'utf-8-sig')
+    for table in (path, pd.read_csv(path)):
+        found = demonstrations_from_table(table, ROOMS)
+        assert {(each.option_name, each.participant) for each in found} == {('=go', '+1')}
 
 
 def test_a_table_of_demonstrations_reads_back_to_the_same_option(

@@ -303,3 +303,14 @@ def test_attached_files_that_are_all_damaged_are_refused(
     assert main(['bag', 'export', str(tmp_path / 'bag'), '--to', 'files', '--out', str(out)]) == 2
     assert 'all files attached' in capsys.readouterr().err
     assert not out.exists()
+
+
+def test_text_that_a_spreadsheet_would_run_is_text_in_csv_alone(tmp_path: Path) -> None:
+    parquet = pytest.importorskip('pyarrow.parquet')
+    table = Table('steps', ('option', 'reward'), [('=1+1', -5.0), ('größer', None)])
+    (path,) = write_csv([table], tmp_path)
+    assert path.read_text('utf-8').splitlines() == ['option,reward', "'=1+1,-5.0", 'größer,']
+    (path,) = write_csv([table], tmp_path, excel=True)
+    assert path.read_bytes().startswith(b'\xef\xbb\xbfoption')
+    (path,) = write_parquet([table], tmp_path)
+    assert parquet.read_table(path).to_pydict()['option'] == ['=1+1', 'größer']

@@ -17,7 +17,14 @@ from typing import Annotated, Any, Literal, TextIO, TYPE_CHECKING
 
 from humanopts_ros.limits import printable
 from humanopts_teach.commands import CommandError
-from humanopts_teach.commands.options import CommandGroup, number, PLAIN, several_games, whole
+from humanopts_teach.commands.options import (
+    CommandGroup,
+    ExcelOption,
+    number,
+    PLAIN,
+    several_games,
+    whole,
+)
 import typer
 
 if TYPE_CHECKING:
@@ -311,12 +318,15 @@ def export(
         ),
     ],
     out: Annotated[Path, typer.Option(metavar='DIR', help='folder for the files')],
+    excel: ExcelOption = False,
 ) -> int:
     """Write tables or a dataset for other tools."""
     from humanopts_env.domains.base import StateError
     from humanopts_teach.bags.reader import open_bag
     from humanopts_teach.export import minari_dataset, tables
 
+    if excel and to != 'csv':
+        raise CommandError('--excel is for --to csv')
     try:
         with progress_bar() as show:
             opened = open_bag(bag, show)
@@ -329,7 +339,8 @@ def export(
             elif to == 'files':
                 written = list(map(str, tables.write_attached(opened, out)))
             else:
-                write = {'csv': tables.write_csv, 'parquet': tables.write_parquet}[to]
+                write_csv = partial(tables.write_csv, excel=excel)
+                write = {'csv': write_csv, 'parquet': tables.write_parquet}[to]
                 written = list(map(str, write(tables.bag_tables(opened), out)))
     except (tables.ExportError, StateError) as error:
         raise CommandError(str(error)) from error

@@ -17,6 +17,9 @@ PLAIN: dict[str, Any] = {  # settings of every Typer app: plain help that fits 8
     'add_completion': False,
     'context_settings': {'help_option_names': ['-h', '--help'], 'max_content_width': 80},
 }
+ExcelOption = Annotated[
+    bool, typer.Option('--excel', help='begin CSV files with a byte order mark, as Excel needs')
+]
 _UNITS = {'': 1, 'k': 10**3, 'M': 10**6, 'G': 10**9}
 
 

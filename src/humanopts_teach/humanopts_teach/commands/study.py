@@ -9,7 +9,7 @@ from typing import Annotated, Any, TYPE_CHECKING
 from humanopts_ros.limits import printable
 from humanopts_teach.bags import BagError
 from humanopts_teach.commands import CommandError
-from humanopts_teach.commands.options import PageOptions, PLAIN, whole, with_options
+from humanopts_teach.commands.options import ExcelOption, PageOptions, PLAIN, whole, with_options
 import typer
 from typer.core import TyperGroup
 
@@ -112,10 +112,11 @@ def export(
         typer.Option(metavar='DIR', help='for the tables; default: tables in the folder'),
     ] = None,
     folder: StudyOption = None,
+    excel: ExcelOption = False,
 ) -> int:
     """Write tidy CSV tables with a codebook, and the buttons as in Table 1 of the paper."""
     _, there = _open(plan, folder)
-    _export(there, out or there.path / 'tables')
+    _export(there, out or there.path / 'tables', excel=excel)
     return 0
 
 
@@ -135,12 +136,13 @@ def _open(path: Path, folder: Path | None) -> 'tuple[StudyPlan, StudyFolder]':
     return plan, StudyFolder(folder or Path('runs') / plan.name)
 
 
-def _export(folder: 'StudyFolder', out: Path) -> None:
+def _export(folder: 'StudyFolder', out: Path, *, excel: bool = False) -> None:
     """
     Write the tables, and Table 1 from the bags.
 
     :raises CommandError: the folder cannot be written.
     """
+    from humanopts_learner.spreadsheet import csv_of, EXCEL
     from humanopts_teach.bags.reader import open_bag
     from humanopts_teach.evaluation.table1 import (
         count_named,
@@ -164,7 +166,7 @@ def _export(folder: 'StudyFolder', out: Path) -> None:
     try:
         out.mkdir(parents=True, exist_ok=True)
         for name, table in tables(records).items():
-            table.to_csv(out / name, index=False)
+            (out / name).write_bytes(csv_of(table).encode(EXCEL if excel else 'utf-8'))
             print(out / name)
         (out / 'table1.txt').write_text(f'{table_1}\n', encoding='utf-8')
     except OSError as error:

@@ -8,13 +8,14 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 import csv
 from dataclasses import asdict, dataclass, fields
-from itertools import islice
+from itertools import chain, islice
 import json
 import math
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 from humanopts_learner.demonstrations import Demonstration, each_once
+from humanopts_learner.spreadsheet import EXCEL, to_cell
 from humanopts_teach.bags.contents import (
     actor_of,
     Actors,
@@ -135,20 +136,21 @@ def _table(name: str, head: Sequence[str], rows: Iterable[Mapping[str, Any]]) ->
     return Table(name, tuple(head), (tuple(_plain(row[key]) for key in head) for row in rows))
 
 
-def write_csv(tables: Sequence[Table], out: Path) -> list[Path]:
+def write_csv(tables: Sequence[Table], out: Path, *, excel: bool = False) -> list[Path]:
     """
     Write a UTF-8 file for each table, with a head; unknown values are empty.
 
+    :param excel: write a byte order mark.
     :raises OSError: the folder cannot be written to.
     """
     out.mkdir(parents=True, exist_ok=True)
     paths = []
     for table in tables:
         paths.append(out / f'{table.name}.csv')
-        with paths[-1].open('w', encoding='utf-8', newline='') as file:
+        encoding = EXCEL if excel else 'utf-8'
+        with paths[-1].open('w', encoding=encoding, newline='') as file:
             writer = csv.writer(file)
-            writer.writerow(table.head)
-            writer.writerows(table.rows)
+            writer.writerows(map(to_cell, row) for row in chain([table.head], table.rows))
     return paths
 
 

@@ -10,6 +10,7 @@ import json
 from typing import Annotated, Any, ClassVar, Literal
 
 from humanopts_ros.limits import composed, parse_json, shown
+from humanopts_teach.lesson.store import CODE
 from humanopts_teach.study.plan import Kind, MOST_POINTS
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
@@ -54,7 +55,7 @@ class ParticipantBegan(_Event):
     """The participant came for the first time."""
 
     event: Literal['began'] = 'began'
-    participant: Word  # code
+    participant: Annotated[str, Field(pattern=f'^{CODE.pattern}$')]
     number: Count  # in the order of arrival, from 0
     study: Text
     order: tuple[Text, ...] = Field(strict=False)  # names of the conditions

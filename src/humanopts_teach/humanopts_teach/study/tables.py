@@ -40,6 +40,10 @@ def status_table(plan: StudyPlan, records: Records) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=['participant', 'order', 'parts done', 'next', 'minutes'])
 
 
+_APOSTROPHE = (
+    '; an apostrophe before =, +, -, @, a tab or a line break is not part of it: it keeps '
+    'spreadsheets from running the text as a formula'
+)
 CODEBOOK = {  # file: column: what it holds
     'participants.csv': {
         'participant': 'code that the person was given',
@@ -74,12 +78,12 @@ CODEBOOK = {  # file: column: what it holds
         'condition': 'in which the buttons were asked for',
         'domain': 'game that they are for',
         'rank': 'in the order of suggestion, from 1',
-        'text': 'in the words of the person',
+        'text': f'in the words of the person{_APOSTROPHE}',
     },
     'options.csv': {
         'participant': 'code that the person was given',
         'condition': 'in which the option was taught',
-        'option': 'its name, in the words of the person',
+        'option': f'its name, in the words of the person{_APOSTROPHE}',
         'method': 'of learning: trees or goal',
         'demonstrations': 'that were shown and count',
         'not_here': 'start states in which the option cannot start, by the person',
