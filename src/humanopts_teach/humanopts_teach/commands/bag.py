@@ -339,9 +339,12 @@ def export(
             elif to == 'files':
                 written = list(map(str, tables.write_attached(opened, out)))
             else:
-                write_csv = partial(tables.write_csv, excel=excel)
-                write = {'csv': write_csv, 'parquet': tables.write_parquet}[to]
-                written = list(map(str, write(tables.bag_tables(opened), out)))
+                found = tables.bag_tables(opened)
+                if to == 'csv':
+                    paths = tables.write_csv(found, out, excel=excel)
+                else:
+                    paths = tables.write_parquet(found, out)
+                written = list(map(str, paths))
     except (tables.ExportError, StateError) as error:
         raise CommandError(str(error)) from error
     except OSError as error:
