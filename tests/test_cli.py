@@ -96,6 +96,72 @@ def test_strategies_on_offer_are_those_of_the_learner() -> None:
     assert get_args(hints['strategy']) == tuple(STRATEGIES)
 
 
+@pytest.mark.parametrize(
+    ('term', 'says'),
+    [
+        ('dumb', 'can move its cursor'),
+        ('', 'TERM is not set'),
+        ('xterm-of-mars', 'not known here'),
+    ],
+)
+@pytest.mark.parametrize('command', ['teach rooms', 'study plan.yaml --participant p1'])
+def test_a_terminal_that_cannot_be_drawn_on_is_refused_before_anything_is_started(
+    tmp_path: Path, command: str, term: str, says: str
+) -> None:
+    plan = 'study: s\nseed: 1\nall: {domain: rooms, teach: 1}\nconditions: [{name: a}]\n'
+    (tmp_path / 'plan.yaml').write_text(plan)
+    with pexpect.spawn(
+        sys.executable,
+        ['-m', 'humanopts_teach.cli', *command.split()],
+        cwd=tmp_path,
+        env={**os.environ, 'TERM': term},
+        encoding='utf-8',
+        timeout=30,
+    ) as terminal:
+        terminal.expect(pexpect.EOF)
+    assert terminal.before is not None
+    assert (terminal.exitstatus, terminal.before.count('\n')) == (2, 1), terminal.before
+    assert says in terminal.before
+    assert [path.name for path in tmp_path.iterdir()] == ['plan.yaml']
+
+
+OLD_LOCALE = {'PYTHONUTF8': '0', 'PYTHONCOERCECLOCALE': '0', 'LC_ALL': 'C'}
+
+
+@pytest.mark.parametrize(
+    'settings',
+    [{'PYTHONIOENCODING': 'ascii'}, {'PYTHONIOENCODING': 'cp1252'}, OLD_LOCALE],
+    ids=['ascii', 'cp1252', 'C'],
+)
+def test_any_output_stream_takes_all_that_is_printed(
+    tmp_path: Path, domain_id: int, settings: dict[str, str]
+) -> None:
+    environment = {**os.environ, **settings, 'ROS_DOMAIN_ID': str(domain_id)}
+
+    def out(*words: Any, status: int = 0) -> str:
+        done = subprocess.run(
+            [sys.executable, '-m', 'humanopts_teach.cli', *map(str, words)],
+            cwd=tmp_path,
+            env=environment,
+            capture_output=True,
+            check=False,
+        )
+        assert (done.returncode, b'Traceback' in done.stderr) == (status, False), done.stderr
+        return (done.stdout + done.stderr).decode('cp1252')
+
+    assert 'step' in out('bag', 'play', EARLIER)
+    merge = tmp_path / 'merge.yaml'
+    merge.write_text('"größte \u2192 \u201cBeere\u201d": [go to passenger and pickup]\n', 'utf-8')
+    assert 'gr' in out('bag', 'table1', EARLIER, '--merge', merge)
+    missing = tmp_path / 'größe \u2192'
+    assert '\\u' in out('bag', 'check', missing, status=2)
+    plan = 'study: s\nseed: 1\nall: {domain: rooms, teach: 1}\nconditions: [{name: a}]\n'
+    (tmp_path / 'plan.yaml').write_text(plan, 'utf-8')
+    folder = tmp_path / '\u2192'
+    assert '\\u' in out('study', 'export', 'plan.yaml', '--study', folder)
+    assert '\\u' in out('up', 'rooms', '--namespace', '/\u2192', status=2)
+
+
 def test_help_is_quick_and_fits_a_terminal() -> None:
     """What takes long is imported by the commands that need it."""
     slow = ('numpy', 'pandas', 'sklearn', 'matplotlib', 'rclpy', 'rich')

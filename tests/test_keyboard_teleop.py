@@ -383,5 +383,5 @@ def test_without_a_terminal_it_says_so_in_one_line(
     monkeypatch.setattr(sys, 'stdin', StringIO())
     assert keyboard_teleop.main() == 2
     out, err = capsys.readouterr()
-    said = 'humanopts: the teaching terminal needs a terminal as standard input and output\n'
+    said = 'humanopts: no lesson at this terminal: it needs a terminal for input and output\n'
     assert (out, err) == ('', said)

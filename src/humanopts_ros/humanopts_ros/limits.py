@@ -5,8 +5,10 @@ Code that reads them uses the functions here, so that nothing nested too deeply,
 finite gets any further, and nothing of it reaches a log or a terminal as it came.
 """
 
+from io import TextIOWrapper
 import json
 import math
+import sys
 from typing import Any
 from unicodedata import normalize
 
@@ -95,3 +97,18 @@ def shown(text: str, most: int = MOST_SHOWN) -> str:
         text = f'{text[:half]} ... {text[-half:]}'
     line = printable(text.replace('\n', ' '))
     return line if len(line) <= 2 * most else f'{line[:most]} ...'
+
+
+def accept_any_text() -> None:
+    """
+    Let standard output take every text, and standard input give every byte, whatever the locale.
+
+    To be called once where a process begins: what the locale does not have becomes an escape.
+    """
+    for stream, errors in (
+        (sys.stdin, 'replace'),
+        (sys.stdout, 'backslashreplace'),
+        (sys.stderr, 'backslashreplace'),
+    ):
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors=errors)

@@ -12,6 +12,7 @@ from types import FrameType
 
 from humanopts_interfaces.msg import NodeStatus
 from humanopts_ros.environment import LAUNCHER_PID
+from humanopts_ros.limits import accept_any_text
 from humanopts_ros.middleware import MiddlewareError
 from humanopts_ros.node_base import NodeBase, start_ros, StartError
 from humanopts_ros.publisher import PublishError
@@ -128,6 +129,7 @@ def run_node(
     :return: the process's exit status: 0 after a clean end, 2 when it cannot start, 1 when it
         cannot go on.
     """
+    accept_any_text()
     stop, give_back, served = _Stop(), MemoryReturn(), threading.Event()
 
     def ended() -> bool:

@@ -14,7 +14,7 @@ import os
 import sys
 from typing import Annotated, Any
 
-from humanopts_ros.limits import printable
+from humanopts_ros.limits import accept_any_text, printable
 from humanopts_ros.middleware import MiddlewareError
 from humanopts_teach.bags import BagError
 from humanopts_teach.commands import CommandError, interruptible
@@ -213,12 +213,13 @@ def teach(
         WATCHED,
     )
     from humanopts_teach.lesson.store import CODE, CODE_RULE
+    from humanopts_teach.terminal.device import why_not
 
     given: dict[str, Any] = {'participant': participant, 'ask_participant': False}
     if participant and not CODE.fullmatch(participant):
         raise CommandError(f'--participant {participant!r} is not a code: {CODE_RULE}')
-    if not pages.browser and not (sys.stdin.isatty() and sys.stdout.isatty()):
-        raise CommandError('teaching needs a terminal for input and output, or --browser')
+    if not pages.browser and (fault := why_not()):
+        raise CommandError(f'{fault}; or teach in a browser: --browser')
     if pages.browser and only:
         raise CommandError('--only is not for --browser, where each page has nodes of its own')
     setup = setup_from(
@@ -265,6 +266,7 @@ def status(
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command; return its exit status: 0, 1 for a failure, 2 for bad input."""
+    accept_any_text()
     words = list(sys.argv[1:] if argv is None else argv)
     command = typer.main.get_command(app)
     if COMPLETE in os.environ:

@@ -9,6 +9,7 @@ import json
 import select
 import sys
 
+from humanopts_ros.limits import accept_any_text
 from humanopts_teach.commands import CommandError
 from humanopts_teach.commands.session import print_line, session
 from humanopts_teach.launching import LaunchError
@@ -18,6 +19,7 @@ from humanopts_teach.ros.graph_client import GraphClient
 
 def main() -> int:
     """Run the graph that standard input describes, until its end or a signal."""
+    accept_any_text()
     namespace, setup = sys.stdin.readline().rstrip('\n'), Setup.from_json(sys.stdin.readline())
 
     def check(*_: GraphClient) -> None:

@@ -63,6 +63,7 @@ def run(
     """Take one participant through the study in this terminal, or several in browsers."""
     from humanopts_teach.commands.session import check_place
     from humanopts_teach.commands.study_session import Study
+    from humanopts_teach.terminal.device import why_not
 
     check_place(namespace)
     study = Study(*_open(plan, folder), namespace)
@@ -75,10 +76,8 @@ def run(
         from humanopts_teach.commands.browser import study_in_browser
 
         return study_in_browser(study, pages, participant)
-    if not (sys.stdin.isatty() and sys.stdout.isatty()):
-        raise CommandError(
-            'a study needs a terminal for input and output, or --browser, or --simulate N'
-        )
+    if fault := why_not():
+        raise CommandError(f'{fault}; or take --browser, or --simulate N')
     return study.run(participant or input('code of the participant: ').strip())
 
 

@@ -34,7 +34,7 @@ class KeyboardTeleopNode(TeleopNode):
 def main(args: list[str] | None = None) -> int:
     """Run the node."""
     if fault := why_not():
-        print(f'humanopts: {fault}', file=sys.stderr)
+        print(f'humanopts: no lesson at this terminal: {fault}', file=sys.stderr)
         return 2
     return run_node(KeyboardTeleopNode, args)
 

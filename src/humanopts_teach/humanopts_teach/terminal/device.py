@@ -1,6 +1,7 @@
 """The terminal itself: raw keys in, lines out, and everything put back at the end."""
 
 from collections.abc import Callable, Mapping, Sequence
+import curses
 import os
 import select
 import sys
@@ -30,15 +31,22 @@ _NAMED: Mapping[str, str] = {
     Keys.ControlD: keys.END_OF_FILE,
     Keys.ControlU: keys.CLEAR,
 }
+_USUAL_TERM = 'where it can do what most can: export TERM=xterm-256color'
 _HUNG_UP = select.POLLHUP | select.POLLERR | select.POLLNVAL
 
 
 def why_not() -> str:
     """Return why standard input and output cannot be drawn on; empty: they can."""
     if not sys.stdin.isatty() or not sys.stdout.isatty():
-        return 'the teaching terminal needs a terminal as standard input and output'
-    if os.environ.get('TERM', '') in ('', 'dumb'):
-        return 'the teaching terminal needs a terminal that can move its cursor; TERM is not set'
+        return 'it needs a terminal for input and output'
+    if not (name := os.environ.get('TERM', '')):
+        return f'it needs to know your terminal, and TERM is not set; {_USUAL_TERM}'
+    try:
+        curses.setupterm(name, 1)
+    except curses.error:
+        return f'TERM is {name!r}, a terminal that is not known here; {_USUAL_TERM}'
+    if name == 'dumb' or curses.tigetstr('cup') is None:
+        return f'it needs a terminal that can move its cursor, and TERM is {name!r}; {_USUAL_TERM}'
     return ''
 
 
