@@ -18,7 +18,7 @@ from humanopts_env.domains.registry import make_domain, reference_options
 from humanopts_learner.demonstrations import Demonstration, GOAL, METHODS, TREES
 from humanopts_learner.intervals import all_hold, Interval
 from humanopts_learner.options.accuracy import policy_accuracy
-from humanopts_learner.options.criteria import judge, usual_thresholds
+from humanopts_learner.options.criteria import judge, Thresholds
 from humanopts_learner.options.option import LearnedOption
 from humanopts_teach.lesson.in_process import teach
 from humanopts_teach.lesson.seeded_starts import LessonRules
@@ -92,13 +92,13 @@ def _lesson(parameters: Mapping[str, Any], name: str) -> list[tuple[int, float, 
         demonstration and "not here" answer.
     """
     domain, person = make_domain(parameters['domain']), Participant(**parameters['person'])
-    reference, thresholds = reference_options(domain)[name], usual_thresholds(domain)
+    reference = reference_options(domain)[name]
     past: list[tuple[int, float, bool]] = []
 
     def enough(shown: Sequence[Demonstration], option: LearnedOption) -> bool:
-        judgement = judge(shown, domain, thresholds, person.seed, option)
+        judgement = judge(shown, domain, Thresholds(), person.seed, option)
         accuracy, count = policy_accuracy(option, domain, reference), option.n_demonstrations
-        past.append((count, accuracy, judgement.criteria_met))
+        past.append((count, accuracy, judgement.settled))
         stays = all(right == 1.0 for at, right, _ in past if at > count - LONGER)
         return stays and any(met and count >= at + LONGER for at, _, met in past)
 

@@ -310,14 +310,14 @@ def test_demo_refuses_a_folder_that_holds_something(
     assert [path.read_text() for path in tmp_path.iterdir()] == ['precious']
 
 
-def test_thresholds_are_those_of_the_domain_but_for_those_given() -> None:
+def test_thresholds_are_the_usual_ones_but_for_those_given() -> None:
     def chosen(domain: str, given: LaunchOptions) -> Thresholds:
         return setup_from(domain, given).thresholds
 
     assert chosen('taxi', LaunchOptions()) == Thresholds()
-    assert chosen('pacman', LaunchOptions()) == Thresholds(return_delta=10.0)
+    assert chosen('pacman', LaunchOptions()) == Thresholds()
     given = LaunchOptions(termination_error=0.1)
-    assert chosen('pacman', given) == Thresholds(10.0, 0.05, 0.1)
+    assert chosen('pacman', given) == Thresholds(None, 0.05, 0.1)
 
 
 @pytest.mark.parametrize(

@@ -65,7 +65,7 @@ SCHEMA = {
     'teaching': {
         'strategy': str,
         'thresholds': {
-            'return_delta': float,
+            'return_delta': type(None),  # a tenth of the range
             'initiation_error': float,
             'termination_error': float,
         },

@@ -41,9 +41,10 @@ def learn_options(
         option = learn_option(shown, domain, seed=1)
         judgement = judge(shown, domain, Thresholds(), seed=1, option=option)
         for criterion in judgement.criteria:
-            value = f'{criterion.value:.3f}' if criterion.measurable else 'not measurable yet'
-            met = 'met' if criterion.met else 'not yet known' if criterion.undecided else 'not met'
-            print(f'{name}: {criterion.name} {value} (at most {criterion.threshold}): {met}')
+            value = ''
+            if criterion.measurable:
+                value = f' {criterion.value:.3f} (at most {criterion.threshold:.3g})'
+            print(f'{name}: {criterion.name}{value}: {criterion.verdict}')
         options.append(option)
     return options
 

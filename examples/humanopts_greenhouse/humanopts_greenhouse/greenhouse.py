@@ -16,7 +16,6 @@ from humanopts_env.domains.capabilities import (
     Baselines,
     move_effect,
     StepEffect,
-    TeachingDefaults,
 )
 from humanopts_env.domains.search_space import SearchSpace, space_by_features
 from humanopts_env.domains.table_domain import TableDomain
@@ -59,7 +58,6 @@ class Greenhouse(TableDomain[GreenhouseState]):
     begins with the can empty and every bed dry, the gardener anywhere.
     """
 
-    teaching = TeachingDefaults(thresholds={'return_delta': 3.0})  # three steps
     glyph_styles = {GARDENER: f'bold {ORANGE}', TAP: f'bold {BLUE}', DRY: RED, WET: GREEN}
 
     def __init__(self, size: int = 4) -> None:

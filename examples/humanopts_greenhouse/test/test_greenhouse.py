@@ -1,6 +1,5 @@
 """The greenhouse keeps the contract of every domain, and plays as its rules say."""
 
-from dataclasses import replace
 from typing import Any
 
 from humanopts_env.contract import DomainContract
@@ -12,7 +11,6 @@ from humanopts_greenhouse.greenhouse import Greenhouse, GreenhouseState
 from humanopts_greenhouse.reference import reference_options
 from humanopts_learner.automatic.extract import find_options
 from humanopts_learner.automatic.subgoals import Extraction
-from humanopts_learner.options.criteria import Thresholds, usual_thresholds
 from humanopts_learner.options.option import options_from_references
 from humanopts_teach.evaluation.games import Baseline, HEURISTIC, PLAN, play_baseline, RANDOM
 import numpy as np
@@ -126,12 +124,6 @@ def test_subgoals_are_events_at_the_tap_and_the_beds() -> None:
     found = find_options(HOUSE, 1, config)
     assert {option.target.event for option in found.options} <= {'fill', 'pour', ''}
     assert 'fill at cell 3,0' in [option.name for option in found.options]
-
-
-def test_a_reward_may_fall_short_by_three_steps() -> None:
-    """The other criteria are as in every domain."""
-    thresholds = usual_thresholds(HOUSE)
-    assert thresholds == replace(Thresholds(), return_delta=3.0)
 
 
 def test_a_plan_with_options_plays_like_the_rule_written_by_hand() -> None:

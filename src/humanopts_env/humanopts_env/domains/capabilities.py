@@ -7,7 +7,7 @@ A domain has a capability by having the method or attribute; nothing is register
   ``DrawsAhead``: their chance can be drawn before they are played.
 - ``HasStateSamples``: it draws several samples of states in less time than one after another.
 - ``HasSearchSpace``: it defines where subgoals of automatic options are searched for.
-- ``HasTeachingDefaults``: it names the options to teach and the thresholds of the criteria.
+- ``HasTeachingDefaults``: it names the options to teach.
 - ``HasBaselines``: it names the baselines of plans, and the variants of the game to compare in.
 - ``HasActionMask``: it tells which actions can change something, where states cannot be listed.
 - ``HasStepEffects``: it tells in words what a step did.
@@ -26,8 +26,6 @@ from humanopts_env.domains.base import Domain, Parameter
 from humanopts_env.domains.search_space import SearchSpace
 import numpy as np
 from numpy.typing import NDArray
-
-THRESHOLDS = ('return_delta', 'initiation_error', 'termination_error')
 
 
 @dataclass(frozen=True)
@@ -173,14 +171,9 @@ class HasSearchSpace(Protocol):
 
 @dataclass(frozen=True)
 class TeachingDefaults:
-    """The options that are taught by default, and the default thresholds of the criteria."""
+    """What is taught by default."""
 
     options: tuple[str, ...] = ()  # names of the reference options that a demo teaches; empty: all
-    thresholds: Mapping[str, float] = field(default_factory=dict)
-    """
-    Thresholds of the stopping criteria by name, one of THRESHOLDS; the learner has defaults for
-    others. ``return_delta`` is in reward units, about the smallest reward of the game.
-    """
 
 
 @runtime_checkable

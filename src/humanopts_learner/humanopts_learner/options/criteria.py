@@ -8,6 +8,12 @@ return is held out as well: each option runs from the start of the demonstration
 see. Where chance plays a part, returns differ by luck: the criterion is met when the upper
 confidence limit of the shortfall is small enough, so few or noisy demonstrations do not meet it.
 
+How small is small enough depends on the game: a shortfall of two is much where all returns are
+between 0 and 1. Unless a number is asked for, the threshold is a tenth of the range between the
+demonstrated return and that of random actions, which run from the same starts as the held-out
+option does, with the same ends and as many steps. Where random actions return as much as was
+shown, there is no range: the criterion cannot be measured, and is not met.
+
 Start states that were chosen because the option fails there make the held-out return worse than it
 is. Where all states can be listed and there is no chance, it is known in the end: the return
 criterion is met, too, if from every state where the option can start it comes to an end that was
@@ -15,13 +21,12 @@ shown, and nowhere falls shorter of the best way there than the threshold (``fai
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import math
 from typing import Any
 
-from humanopts_env.arrays import Flags, Ints, Rows
+from humanopts_env.arrays import Flags, Floats, Ints, Rows
 from humanopts_env.domains.base import action_index, Domain
-from humanopts_env.domains.capabilities import HasTeachingDefaults
 from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import Demonstration, GOAL, Kind
 from humanopts_learner.intervals import Interval
@@ -29,7 +34,7 @@ from humanopts_learner.options.conflicts import find_conflicts
 from humanopts_learner.options.failures import find_failures
 from humanopts_learner.options.learn import Dataset, Examples, fit_option, make_dataset
 from humanopts_learner.options.option import LearnedOption, MEMBER
-from humanopts_learner.options.rollout import is_deterministic, rollouts
+from humanopts_learner.options.rollout import is_deterministic, random_rollouts, rollouts
 import numpy as np
 from numpy.typing import NDArray
 
@@ -38,15 +43,21 @@ FEWEST = FOLDS  # trajectories without which nothing is measurable
 FEWEST_TO_A_GOAL = 3  # where the policy is planned, and only I, beta and the goal are learned
 LEVEL = 0.9  # two-sided: the shortfall is above the upper limit in 5 of 100 cases
 CUT_OFF = 2  # a held-out run may take so many times the steps of its demonstration
+SHARE = 0.1  # of the range of returns: how much the return may fall short
+RANDOM_RUNS = 200  # at least, from all starts together
+FEWEST_RANDOM_RUNS = 10  # from each start
 NO_GAIN = Interval(math.nan, math.nan, math.nan)
 RETURN, INITIATION, TERMINATION = 'return', 'initiation', 'termination'
+ONE_SIDED = 1.645  # standard errors below the range with 5 % confidence
+ROUNDING = 1e-9  # reward units
+NO_RANGE = 'random actions from the same starts return as much as the demonstrations'
 
 
 @dataclass(frozen=True, slots=True)
 class Thresholds:
     """The largest values with which the criteria are met."""
 
-    return_delta: float = 2.0  # shortfall of the return, reward units
+    return_delta: float | None = None  # shortfall of the return, reward units; None: by the range
     initiation_error: float = 0.05  # balanced error, 0..1
     termination_error: float = 0.05  # balanced error, 0..1
 
@@ -57,7 +68,7 @@ class Thresholds:
         :raises ValueError: one is not finite, or an error is not in 0..1.
         """
         errors = self.initiation_error, self.termination_error
-        if not math.isfinite(self.return_delta) or not all(0 <= e <= 1 for e in errors):
+        if not math.isfinite(self.return_delta or 0.0) or not all(0 <= e <= 1 for e in errors):
             raise ValueError(
                 'thresholds are a number of reward units and two errors from 0 to 1, '
                 f'not {self.return_delta}, {errors[0]}, {errors[1]}'
@@ -70,13 +81,14 @@ class Criterion:
 
     name: str  # RETURN, INITIATION or TERMINATION
     value: float | None  # None: not measurable yet
-    threshold: float
+    threshold: float | None  # None: that of the return, as long as its range is not measured
     met: bool
     high: float | None = None  # upper confidence limit of the value, where there is one
+    no_range: bool = False  # the return cannot be measured: ``NO_RANGE``
 
     @classmethod
     def of(
-        cls, name: str, value: float | None, threshold: float, high: float | None = None
+        cls, name: str, value: float | None, threshold: float | None, high: float | None = None
     ) -> 'Criterion':
         """
         Return a criterion, which is met when the upper limit is at most the threshold.
@@ -84,7 +96,8 @@ class Criterion:
         :param high: None: the value is taken as it is.
         """
         decides = value if high is None else high
-        return cls(name, value, threshold, decides is not None and decides <= threshold, high)
+        met = decides is not None and threshold is not None and decides <= threshold
+        return cls(name, value, threshold, met, high)
 
     @property
     def measurable(self) -> bool:
@@ -94,24 +107,25 @@ class Criterion:
     @property
     def undecided(self) -> bool:
         """Whether the value would do, but is not known well enough to say that it is met."""
-        return self.value is not None and self.value <= self.threshold and not self.met
+        if self.value is None or self.threshold is None:
+            return False
+        return self.value <= self.threshold and not self.met
 
     @property
     def verdict(self) -> str:
         """The standing of the criterion, in the words of every screen and report."""
         if self.value is None:
-            return 'not yet measurable'
+            return 'not measurable' if self.no_range else 'not yet measurable'
         return 'met' if self.met else 'not yet known' if self.undecided else 'not met'
 
 
-def usual_thresholds(domain: Domain[Any]) -> Thresholds:
+def all_settled(criteria: Sequence[Criterion]) -> bool:
     """
-    Return the default thresholds of a domain.
+    Return whether nothing is left to be met: every criterion is met, or cannot be measured.
 
-    :raises ValueError: the domain's own are out of range.
+    Demonstrations then settle no more; that all criteria hold is another matter.
     """
-    own = domain.teaching.thresholds if isinstance(domain, HasTeachingDefaults) else {}
-    return Thresholds(**own)
+    return bool(criteria) and all(criterion.met or criterion.no_range for criterion in criteria)
 
 
 @dataclass(frozen=True)
@@ -130,6 +144,11 @@ class Judgement:
     def criteria_met(self) -> bool:
         """Whether all three criteria are met."""
         return all(criterion.met for criterion in self.criteria)
+
+    @property
+    def settled(self) -> bool:
+        """Whether all criteria that can be measured are met."""
+        return all_settled(self.criteria)
 
 
 def judge(
@@ -153,7 +172,7 @@ def judge(
     uuids = [demo.uuid for demo in data.trajectories]
     in_sample = rollouts(option, domain, starts, seed, [f'in-sample {uuid}' for uuid in uuids])
     known = _known_shortfall(option, domain, demonstrations)
-    criteria = _criteria(data, domain, thresholds, seed, known)
+    criteria = _criteria(data, domain, thresholds, seed, option, known)
     waits = known is not None and not criteria[0].met  # that it becomes known follows no law
     conflicts = find_conflicts(data, domain)
     return Judgement(
@@ -216,6 +235,7 @@ def _times_needed(criterion: Criterion) -> float:
     """Return how many times as many demonstrations a criterion takes; infinity: unknown."""
     if criterion.value is None:
         return math.inf
+    assert criterion.threshold is not None  # where there is a value
     width = (criterion.value if criterion.high is None else criterion.high) - criterion.value
     falling, staying = max(criterion.value, 0.0), min(criterion.value, 0.0)
     room = criterion.threshold - staying
@@ -226,30 +246,40 @@ def _times_needed(criterion: Criterion) -> float:
 
 
 def _criteria(
-    data: Dataset, domain: Domain[Any], thresholds: Thresholds, seed: int, known: float | None
+    data: Dataset,
+    domain: Domain[Any],
+    thresholds: Thresholds,
+    seed: int,
+    option: LearnedOption,
+    known: float | None,
 ) -> tuple[Criterion, ...]:
     """
     Return the three criteria.
 
+    :param option: learned from all of the data.
     :param known: the largest shortfall from any state; None: it cannot be known.
     """
+    delta, no_range = thresholds.return_delta, False
     if len(data.trajectories) < fewest(data.method):
         shortfall, initiation_error, termination_error = None, None, None
     else:
+        if delta is None:
+            found = return_range(data, domain, option, seed)
+            no_range, delta = found is None, None if found is None else SHARE * found
         folds = fold_of(data, seed)
         options = fit_leave_fold_out(data, folds, domain, seed)
         initiation = [option.can_start for option in options]
         termination = [option.ends for option in options]
-        shortfall = held_out_shortfall(data, domain, options, folds, seed)
+        shortfall = None if no_range else held_out_shortfall(data, domain, options, folds, seed)
         asked = [demo.can_start_at_end for demo in data.trajectories if not demo.terminated]
         anywhere = bool(asked) and all(asked) and bool((data.initiation.labels == MEMBER).all())
         initiation_error = balanced_error(data.initiation, initiation, folds, anywhere)
         termination_error = balanced_error(data.termination, termination, folds)
     mean, high = (shortfall.mean, shortfall.high) if shortfall else (None, None)
-    if shortfall and known is not None and known <= thresholds.return_delta:
+    if shortfall and known is not None and delta is not None and known <= delta:
         mean = high = known
     return (
-        Criterion.of(RETURN, mean, thresholds.return_delta, high),
+        replace(Criterion.of(RETURN, mean, delta, high), no_range=no_range),
         Criterion.of(INITIATION, initiation_error, thresholds.initiation_error),
         Criterion.of(TERMINATION, termination_error, thresholds.termination_error),
     )
@@ -300,14 +330,13 @@ def held_out_shortfall(
     As long as a run takes the actions that were demonstrated, chance gives it the same outcomes
     (common random numbers), so that luck makes no difference between steps that are the same: it
     goes its own way from where the option first acts or ends otherwise. The limits are those of
-    the mean over demonstrations by Student's t. Without chance nothing is left to luck, and they
-    are the mean itself.
+    the mean over demonstrations by Student's t. Without chance nothing is left to luck: the limits
+    are the mean itself, and doing better than one demonstration does not make up for another.
     """
-    demos = data.trajectories
+    demos, limit = data.trajectories, held_out_limits(data, options[0])
     fold = folds[[demo.kind is Kind.TRAJECTORY for demo in data.demonstrations]]
     held_out = [options[f] for f in fold.tolist()]
     lengths = np.array([len(demo.actions) for demo in demos])
-    limit = np.minimum(options[0].max_steps, CUT_OFF * lengths)
     steps, reached = _follow(held_out, demos, domain)
     over = reached & (steps == lengths) & [demo.terminated for demo in demos]
     returns = np.array([math.fsum(demo.rewards[:n]) for demo, n in zip(demos, steps.tolist())])
@@ -324,14 +353,69 @@ def held_out_shortfall(
         returns[on] += runs.total_reward
         steps[on] += runs.steps
         reached[on], over[on] = runs.reached, runs.over
-    other_end = reached & (over != np.array([demo.terminated for demo in demos]))
-    worst = np.array([min(0.0, *demo.rewards) for demo in demos])
-    missing = [demo.total_reward for demo in demos] - (
-        returns + other_end * (limit - steps) * worst
-    )
+    returns += _cost_of_other_end(demos, reached, over, limit - steps)
+    missing = [demo.total_reward for demo in demos] - returns
     if is_deterministic(domain):
-        return Interval(*[float(missing.mean())] * 3)
+        return Interval(*[float(np.maximum(missing, 0.0).mean())] * 3)
     return Interval.of(missing, LEVEL)
+
+
+def held_out_limits(data: Dataset, option: LearnedOption) -> NDArray[np.int64]:
+    """Return (D,): the steps after which a run from the start of a demonstration is cut off."""
+    lengths = np.array([len(demo.actions) for demo in data.trajectories], dtype=np.int64)
+    return np.minimum(option.max_steps, CUT_OFF * lengths)
+
+
+def _cost_of_other_end(
+    demos: Sequence[Demonstration], reached: Flags, over: Flags, left: NDArray[np.int64]
+) -> Floats:
+    """
+    Return what is added to the returns of runs that came to another end than the demonstrations.
+
+    :param demos: (N,) whose start each run began in.
+    :param left: (N,) steps that each run has left.
+    """
+    other_end = reached & (over != np.array([demo.terminated for demo in demos]))
+    worst: Floats = np.array([min(0.0, *demo.rewards) for demo in demos])
+    cost: Floats = worst * other_end * left
+    return cost
+
+
+def return_range(
+    data: Dataset, domain: Domain[Any], option: LearnedOption, seed: int
+) -> float | None:
+    """
+    Return the mean of demonstrated return - return of random actions from the same start.
+
+    Random actions run as a held-out option does: to an end of the option, the end of the task, or
+    twice the steps of the demonstration. So the range is what a policy that is worth nothing would
+    fall short by, and neither grows with the steps that an option may take in the end, nor
+    vanishes where random actions come to the same end at last.
+
+    :param option: says where the runs end.
+    :return: None: random actions return as much, as far as these runs tell.
+    """
+    demos = data.trajectories
+    runs = max(FEWEST_RANDOM_RUNS, math.ceil(RANDOM_RUNS / len(demos)))
+    key = (option.name, *(demo.uuid for demo in demos))
+    limit = np.tile(held_out_limits(data, option), runs)
+    played = random_rollouts(
+        option,
+        domain,
+        [domain.decode(demo.states[0]) for demo in demos] * runs,
+        limit,
+        generator(seed, 'random actions', *key),
+        generator(seed, 'chance of random actions', *key),
+    )
+    left = limit - played.steps
+    total = played.total_reward
+    total += _cost_of_other_end(demos * runs, played.reached, played.over, left)
+    total = total.reshape(runs, len(demos))
+    found = Interval.of([demo.total_reward for demo in demos] - total.mean(axis=0), LEVEL)
+    if is_deterministic(domain):  # the demonstrations owe nothing to luck
+        error = math.sqrt(float(total.var(axis=0, ddof=1).sum()) / runs) / len(demos)
+        found = replace(found, low=found.mean - ONE_SIDED * error)
+    return found.mean if found.low > ROUNDING else None
 
 
 def _follow(

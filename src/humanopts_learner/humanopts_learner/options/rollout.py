@@ -8,6 +8,7 @@ from humanopts_env.arrays import Flags, Floats, Ints, Rows
 from humanopts_env.domains.base import Domain, DomainError, EnumerableDomain, is_enumerable
 from humanopts_env.domains.capabilities import BatchGames, feature_rows, HasBatchGames
 from humanopts_env.domains.tabular import TabularSimulator
+from humanopts_env.domains.tabular_games import TabularGames
 from humanopts_env.seeding import generator
 from humanopts_learner.options.option import LearnedOption, TabularOption, tabulate
 import numpy as np
@@ -118,6 +119,42 @@ def _step_by_step(
     return Rollouts(total, steps, reached, over)
 
 
+def random_rollouts(
+    option: LearnedOption,
+    domain: Domain[Any],
+    starts: Sequence[Any],
+    limits: NDArray[np.integer],
+    actions: np.random.Generator,
+    chance: np.random.Generator,
+) -> Rollouts:
+    """
+    Take random actions from every start state, all in step, where an option would take its own.
+
+    The runs end as in ``rollouts``.
+
+    :param starts: (N,) states, not over.
+    :param limits: (N,) steps after which a run is cut off, 1 or more.
+    :param actions: draws the actions.
+    :param chance: draws their outcomes.
+    """
+    games = TabularGames(domain) if is_enumerable(domain) else games_of(domain)
+    count, n_actions = len(starts), len(domain.actions)
+    total, steps = np.zeros(count), np.zeros(count, dtype=np.int64)
+    reached, over = np.zeros(count, dtype=np.bool_), np.zeros(count, dtype=np.bool_)
+    going, batch = np.arange(count), games.batch_of(starts)
+    while going.size:
+        chosen = actions.integers(n_actions, size=len(going))
+        total[going] += games.batch_step(batch, chosen, chance)
+        steps[going] += 1
+        over[going] = ended = games.batch_over(batch)
+        ended = ended | option.ends(games.batch_features(batch))
+        reached[going] = ended
+        on = np.flatnonzero(~ended & (steps[going] < limits[going]))
+        if len(on) < len(going):
+            going, batch = going[on], games.batch_take(batch, on)
+    return Rollouts(total, steps, reached, over)
+
+
 def games_of(domain: Domain[Any]) -> 'BatchGames | StateGames':
     """Return what plays many games of a domain: at once where it can, else one by one."""
     return domain.batch_games() if isinstance(domain, HasBatchGames) else StateGames(domain)
@@ -147,6 +184,9 @@ class StateGames:
         ]
         batch[:] = [outcome.state for outcome in outcomes]
         return np.array([outcome.reward for outcome in outcomes], dtype=np.float64)
+
+    def batch_step(self, batch: list[Any], actions: Ints, rng: np.random.Generator) -> Floats:
+        return self.batch_step_each(batch, actions, [rng] * len(batch))
 
     def batch_over(self, batch: list[Any]) -> Flags:
         return np.array([self._domain.is_over(state) for state in batch], dtype=np.bool_)

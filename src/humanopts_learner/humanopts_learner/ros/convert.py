@@ -54,9 +54,10 @@ def status_to_message(progress: 'OptionProgress') -> msg.OptionStatus:
             msg.Criterion(
                 name=criterion.name,
                 value=math.nan if criterion.value is None else criterion.value,
-                threshold=criterion.threshold,
+                threshold=math.nan if criterion.threshold is None else criterion.threshold,
                 measurable=criterion.measurable,
                 met=criterion.met,
+                no_range=criterion.no_range,
             )
             for criterion in judgement.criteria
         ]

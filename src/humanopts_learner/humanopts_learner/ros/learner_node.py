@@ -1,6 +1,7 @@
 """The node ``learner``, which fits and judges an option after every demonstration."""
 
 from functools import partial
+import math
 from pathlib import Path
 import sys
 from typing import Any
@@ -34,15 +35,22 @@ class LearnerNode(NodeBase):
             self.setting('directory', 'options', 'folder of option files and of the data set')
         )
         self._seed = self.setting('seed', 0, 'of every random draw', SEEDS)
+        delta = self.setting(
+            'return_delta',
+            math.nan,
+            'largest shortfall, reward units; NaN: a tenth of the range from random actions to '
+            'the demonstrations',
+        )
+        if delta < 0 or math.isinf(delta):
+            raise StartError(f'parameter return_delta: {delta} is below 0 or not finite')
+        usual = Thresholds(return_delta=None if math.isnan(delta) else delta)
         self._thresholds = self.settings(
-            Thresholds(),
+            usual,
             {
-                'return_delta': 'largest shortfall, reward units',
                 'initiation_error': 'largest balanced error of I',
                 'termination_error': 'largest balanced error of beta',
             },
             {
-                'return_delta': (0.0, 1e9),
                 'initiation_error': (0.0, 1.0),
                 'termination_error': (0.0, 1.0),
             },

@@ -106,7 +106,7 @@ class CriterionRow:
     participant: str
     option: str
     criterion: str  # return, initiation or termination
-    threshold: float = 0.0
+    threshold: float = math.nan  # the last; NaN: not measured yet
     points: list[CriterionPoint] = field(default_factory=list)
 
     @property
@@ -264,7 +264,8 @@ def _criterion(row: CriterionRow) -> tuple[object, ...]:
     if (met := row.first_met) is not None:
         shown = f'{met.demonstrations} shown, {met.not_here} not here'
         first = (shown, f'{met.seconds:.1f}', measured(met))
-    named = (row.participant, row.option, row.criterion, row.threshold)
+    threshold = '-' if math.isnan(row.threshold) else f'{row.threshold:.3g}'
+    named = (row.participant, row.option, row.criterion, threshold)
     return (*named, *first, measured(row.points[-1]))
 
 

@@ -53,7 +53,7 @@ from humanopts_teach.evaluation.summary import (
     SummaryError,
     write_json,
 )
-from humanopts_teach.evaluation.text import games_text
+from humanopts_teach.evaluation.text import criteria_text, games_text
 from humanopts_teach.launching import LaunchError
 
 EPISODES, LONG_EPISODES = 100, 5  # to play live; the second where plans are made from samples
@@ -211,7 +211,9 @@ def _problems(
     learned = {block.name for block in live.options}
     found = [f'{name!r} was not learned' for name in taught if name not in learned]
     found += [
-        f'the criteria of {b.name!r} are not met' for b in live.options if not b.criteria_met
+        f'the criteria of {option.last.block.name!r} are not met'
+        for option in evaluation.options
+        if not option.last.judgement.settled
     ]
     found += [f'{topic.lost} messages of {topic.name} are lost' for topic in topics if topic.lost]
     found += differences(live, evaluation)
@@ -223,9 +225,9 @@ def _problems(
 
 def _print_results(live: Live, evaluation: BagEvaluation) -> None:
     played = live.execution
-    for block in live.options:
-        met = 'met' if block.criteria_met else 'not met'
-        print(f'{block.name}: {block.n_demonstrations} demonstrations, criteria {met}')
+    for option in evaluation.options:
+        block = option.last.block
+        print(f'{block.name}: {block.n_demonstrations} demonstrations, {criteria_text(option)}')
     for row in live.planning:
         print(
             f'planning with {row.action_set}: {row.sweeps} sweeps, {1000 * row.seconds:.1f} ms, '

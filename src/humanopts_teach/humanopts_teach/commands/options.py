@@ -88,7 +88,7 @@ def node_names(text: str) -> tuple[str, ...]:
 
 def _threshold(parser: Callable[[str], Any], metavar: str, what: str) -> Any:
     """Return the option of a criterion's threshold."""
-    text = f'of an option: {what}; default: usual in the domain'
+    text = f'of an option: {what}'
     return typer.Option(parser=parser, metavar=metavar, help=text)
 
 
@@ -155,13 +155,20 @@ class LaunchOptions:
     ] = BUDGET
     return_delta: Annotated[
         float | None,
-        _threshold(any_number, 'UNITS', 'reward units by which its return may fall short'),
+        _threshold(
+            any_number,
+            'UNITS',
+            'reward units by which its return may fall short; default: a tenth of the range from '
+            'random actions to the demonstrations',
+        ),
     ] = None
     initiation_error: Annotated[
-        float | None, _threshold(share, 'SHARE', 'share that its held-out I may get wrong')
+        float | None,
+        _threshold(share, 'SHARE', 'share that its held-out I may get wrong; default: 0.05'),
     ] = None
     termination_error: Annotated[
-        float | None, _threshold(share, 'SHARE', 'share that its held-out β may get wrong')
+        float | None,
+        _threshold(share, 'SHARE', 'share that its held-out β may get wrong; default: 0.05'),
     ] = None
     parameter: Annotated[
         list[str],

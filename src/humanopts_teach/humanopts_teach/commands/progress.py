@@ -3,6 +3,7 @@
 from typing import Any
 
 from humanopts_env.colours import GREEN
+from humanopts_learner.options.criteria import NO_RANGE
 from humanopts_ros.limits import printable
 from humanopts_teach.lesson.requests import OptionStatus
 from humanopts_teach.ros.convert import option_status_from_message
@@ -97,10 +98,12 @@ class DemoProgress:
 
 def _criteria_words(option: OptionStatus) -> str:
     measured = [
-        f'{c.name} {c.value:.3g} (target {c.threshold:g}{f", {c.verdict}" if c.undecided else ""})'
+        f'{c.name} {c.value:.3g} (target {c.threshold:.3g}{", " * c.undecided}'
+        f'{c.verdict * c.undecided})'
         for c in option.criteria
-        if c.measurable
+        if c.value is not None and c.threshold is not None
     ]
     met = 'criteria met' if option.criteria_met else 'criteria not met yet'
+    measured += [f'{c.name} {c.verdict}: {NO_RANGE}' for c in option.criteria if c.no_range]
     shown = f'{option.n_demonstrations} shown, {option.n_not_here} not here'
     return '; '.join([shown, ', '.join(measured) or 'criteria not yet measurable', met])

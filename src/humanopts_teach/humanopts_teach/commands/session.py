@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 import json
 import os
 from pathlib import Path
@@ -14,10 +14,10 @@ import time
 from typing import Any
 
 from humanopts_env.domains.base import Domain, DomainError, Parameter
-from humanopts_env.domains.capabilities import HasTeachingDefaults, THRESHOLDS
+from humanopts_env.domains.capabilities import HasTeachingDefaults
 from humanopts_env.domains.registry import make_domain, reference_options
 from humanopts_learner.demonstrations import check_method
-from humanopts_learner.options.criteria import usual_thresholds
+from humanopts_learner.options.criteria import Thresholds
 from humanopts_ros.middleware import check_settings
 from humanopts_ros.recording import Selection
 from humanopts_teach.bags.writer import parts
@@ -59,11 +59,11 @@ def setup_from(
     """
     check_place(launch.namespace)
     parameters = domain_parameters(launch)
-    given = {name: getattr(launch, name) for name in THRESHOLDS}
+    usual = Thresholds()
+    given = {name: getattr(launch, name) for name in asdict(usual)}
     try:
         game = make_domain(domain, parameters)
         check_method(launch.learn, game)
-        usual = usual_thresholds(game)
         thresholds = replace(usual, **{n: v for n, v in given.items() if v is not None})
     except ValueError as error:
         raise CommandError(str(error)) from error

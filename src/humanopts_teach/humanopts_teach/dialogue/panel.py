@@ -14,7 +14,7 @@ import math
 from humanopts_env.domains.capabilities import feature_groups
 from humanopts_learner.demonstrations import GOAL, METHODS
 from humanopts_learner.options.conflicts import NO_START
-from humanopts_learner.options.criteria import Criterion, fewest, likely_range, RETURN
+from humanopts_learner.options.criteria import Criterion, fewest, likely_range, NO_RANGE, RETURN
 from humanopts_learner.planning.request import MODULAR
 from humanopts_teach.dialogue.app import App, Keys, Screen
 from humanopts_teach.dialogue.driving import EXECUTIONS, PlayScreen, WatchScreen
@@ -378,17 +378,17 @@ def _criterion(criterion: Criterion) -> CriterionShown:
         now = (
             f'{abs(value):.2f} {"worse" if value >= 0 else "better"}' if value is not None else ''
         )
-        needs = f'{threshold:.2f}'
+        needs = '?' if threshold is None else f'{threshold:.2f}'
     else:
         now = f'{100 * value:.1f} % wrong' if value is not None else ''
-        needs = f'{100 * threshold:.1f} %'
+        needs = '?' if threshold is None else f'{100 * threshold:.1f} %'
     return CriterionShown(
         '✓' if criterion.met else '?' if criterion.undecided else '·',
         criterion.name,
         now or 'not measured',  # shorter than the verdict: a window has 80 columns
         f'≤ {needs}',
         Tone.GOOD if criterion.met else Tone.WARNING,
-        None if value is None else _share(value, threshold),
+        None if value is None or threshold is None else _share(value, threshold),
     )
 
 
@@ -405,6 +405,9 @@ def _estimate(lesson: LessonView, progress: OptionStatus) -> Line:
         return Line('All criteria hold.', Tone.GOOD)
     if progress.n_demonstrations < (least := fewest(lesson.method)):
         return Line(f'Measured from {least} demonstrations on.')
+    if any(c.no_range for c in progress.criteria):
+        others = ' The other criteria hold.' if progress.settled else ''
+        return Line(f'The return cannot be measured: {NO_RANGE}.{others}', Tone.WARNING)
     undecided = [c.name for c in progress.criteria if c.undecided]
     why = f': {", ".join(undecided)} is not yet known well enough' if undecided else ''
     if progress.more_needed < 0 or progress.method == GOAL:

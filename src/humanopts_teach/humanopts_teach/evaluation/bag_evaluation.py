@@ -90,7 +90,7 @@ class CurvePoint:
                 c.name: {
                     'value': finite(c.value),
                     'high': finite(c.high),
-                    'threshold': c.threshold,
+                    'threshold': finite(c.threshold),
                     'met': c.met,
                 }
                 for c in self.judgement.criteria

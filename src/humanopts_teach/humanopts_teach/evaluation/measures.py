@@ -52,6 +52,7 @@ def settings_from_facts(facts: Mapping[str, str]) -> tuple[Settings, list[str]]:
     parsers: dict[str, Callable[[str], Any]] = {
         'seed': int,
         **dict.fromkeys(limits, float),
+        'return_delta': lambda text: None if text == 'None' else float(text),
         'strategy': str,
         'budget': int,
         'teacher_error_rate': lambda text: None if text == 'None' else float(text),

@@ -4,12 +4,13 @@ from collections.abc import Sequence
 
 from humanopts_learner.demonstrations import METHODS
 from humanopts_learner.intervals import Interval
-from humanopts_learner.options.criteria import Criterion, likely_range
+from humanopts_learner.options.criteria import Criterion, likely_range, NO_RANGE, Thresholds
 from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, OptionEvaluation
 from humanopts_teach.evaluation.games import GamesEvaluation, PLAN, RANDOM
 from humanopts_teach.evaluation.measures import PlanningRow
 from humanopts_teach.text_table import aligned
 
+A_TENTH = 'a tenth of the range from random actions to the demonstrations'
 MOST_POINTS = 12  # of a learning curve that are printed
 REPRODUCED = {
     True: 'equal to its option file in the bag, to the last digit',
@@ -31,7 +32,7 @@ def evaluation_text(evaluation: BagEvaluation) -> str:
     limits = settings.thresholds
     lines = [
         f'domain {domain.name}, seed {settings.seed}; criteria: return <= '
-        f'{limits.return_delta:g}, initiation <= {limits.initiation_error:g}, '
+        f'{return_limit(limits)}, initiation <= {limits.initiation_error:g}, '
         f'termination <= {limits.termination_error:g}',
     ]
     for option in evaluation.options:
@@ -49,6 +50,21 @@ def evaluation_text(evaluation: BagEvaluation) -> str:
         whose = f' with the options of {person}' if len(evaluation.games) > 1 else ''
         lines += ['', f'{games.games} games each{whose}', *games_text(games)]
     return '\n'.join(lines)
+
+
+def return_limit(limits: Thresholds) -> str:
+    """Return how much the return may fall short."""
+    return A_TENTH if limits.return_delta is None else f'{limits.return_delta:g}'
+
+
+def criteria_text(option: OptionEvaluation) -> str:
+    """Return whether the criteria of an option are met."""
+    judgement = option.last.judgement
+    if judgement.criteria_met:
+        return 'criteria met'
+    if judgement.settled:
+        return 'the return cannot be measured, the other criteria are met'
+    return 'criteria not met'
 
 
 def games_text(games: GamesEvaluation) -> list[str]:
@@ -99,7 +115,6 @@ def share(value: float | None) -> str:
 
 def _option(option: OptionEvaluation) -> list[str]:
     block, judgement = option.last.block, option.last.judgement
-    met = 'all criteria met' if block.criteria_met else 'criteria not met'
     points = option.curve
     chosen = sorted({round(i * (len(points) - 1) / (MOST_POINTS - 1)) for i in range(MOST_POINTS)})
     rows = [
@@ -115,7 +130,7 @@ def _option(option: OptionEvaluation) -> list[str]:
         for point in (points[i] for i in chosen)
     ]
     lines = [
-        f'{block.name} (by {option.participant or "-"}): {met}',
+        f'{block.name} (by {option.participant or "-"}): {criteria_text(option)}',
         f'features: {", ".join(block.features)}',
         f'policy: {METHODS[block.method]}',
     ]
@@ -137,7 +152,10 @@ def _unmet(criterion: Criterion) -> str:
     if criterion.undecided:
         limit = f'at most {number(criterion.high)} with 95 % confidence'
         is_now = f'{criterion.verdict}: about {is_now}, {limit}'
-    return f'{criterion.name} is {is_now}, needs {number(criterion.threshold)} or less'
+    if criterion.no_range:
+        return f'{criterion.name} is {is_now}: {NO_RANGE}'
+    needs = A_TENTH if criterion.threshold is None else number(criterion.threshold)
+    return f'{criterion.name} is {is_now}, needs {needs} or less'
 
 
 def _plan(name: str, row: PlanningRow) -> list[str]:

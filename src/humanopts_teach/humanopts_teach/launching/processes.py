@@ -175,7 +175,7 @@ def _own_parameters(setup: Setup) -> dict[str, dict[str, Value]]:
         'learner': {
             'directory': str(setup.options),
             'seed': setup.seed,
-            **asdict(setup.thresholds),
+            **{n: v for n, v in asdict(setup.thresholds).items() if v is not None},
         },
         'lesson': {
             'directory': str(setup.directory / 'demonstrations'),

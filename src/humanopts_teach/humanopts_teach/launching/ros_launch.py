@@ -9,7 +9,6 @@ from typing import Any
 
 from humanopts_env.domains.registry import make_domain
 from humanopts_learner.demonstrations import check_method
-from humanopts_learner.options.criteria import usual_thresholds
 from humanopts_teach.launching.processes import processes, Recording, Setup, UnknownNodeError
 
 
@@ -89,12 +88,10 @@ def setup_from_launch(texts: Mapping[str, str]) -> Setup:
     try:
         domain = make_domain(values['domain'], values['domain_parameters'])
         check_method(values['learn'], domain)
-        thresholds = usual_thresholds(domain)
     except ValueError as error:
         raise LaunchArgumentError(str(error)) from error
     setup = Setup(
         directory=Path(values.pop('out')).absolute(),
-        thresholds=thresholds,
         recording=Recording(*(values.pop(name) for name in recording)),
         bag_name=time.strftime('bags/launch-%Y%m%d-%H%M%S'),
         **values,

@@ -14,7 +14,7 @@ from typing import Any
 from humanopts_env.domains.base import Domain
 from humanopts_env.game import Accepted, Command, Game, Source, Transition
 from humanopts_learner.demonstrations import Demonstration, Kind
-from humanopts_learner.options.criteria import judge, usual_thresholds
+from humanopts_learner.options.criteria import judge, Thresholds
 from humanopts_learner.options.files import option_to_json
 from humanopts_learner.options.learn import learn_option
 from humanopts_learner.options.option import LearnedOption
@@ -77,21 +77,21 @@ def teach(
     Have a simulated teacher teach options, one after another.
 
     :param rules: of the lesson; its seed is the learner's too. None: the defaults.
-    :param enough: None: the three criteria hold, with the usual thresholds of the domain.
+    :param enough: None: all criteria that can be measured hold, with the usual thresholds.
     :raises TeacherError: there is no such option to teach, or a setting is wrong.
     :raises LessonError: an act of the teacher was refused.
     """
     rules = rules or LessonRules()
-    seed, thresholds = rules.seed, usual_thresholds(domain)
+    seed = rules.seed
 
-    def criteria_met(shown: Sequence[Demonstration], option: LearnedOption) -> bool:
-        return judge(shown, domain, thresholds, seed, option).criteria_met
+    def settled(shown: Sequence[Demonstration], option: LearnedOption) -> bool:
+        return judge(shown, domain, Thresholds(), seed, option).settled
 
     with (
         tempfile.TemporaryDirectory(prefix='humanopts-') as folder,
         DemonstrationStore(Path(folder)) as store,
     ):
-        return _InProcess(domain, teacher, rules, enough or criteria_met, store).run()
+        return _InProcess(domain, teacher, rules, enough or settled, store).run()
 
 
 class _InProcess:

@@ -22,6 +22,7 @@ from humanopts_learner.demonstrations import (
     option_name_fault,
 )
 from humanopts_learner.options.conflicts import contradiction
+from humanopts_learner.options.criteria import NO_RANGE
 from humanopts_teach.lesson.attempt import Attempt, with_uuid
 from humanopts_teach.lesson.history import History, OptionHistory
 from humanopts_teach.lesson.requests import (
@@ -80,7 +81,7 @@ _HINTS = {
     Phase.LEARNING: 'The learner works on the demonstration.',
     Phase.FINISHED: 'Name the next option to teach.',
 }
-_FAILS = 'All criteria hold, but from some starts it still fails.'
+_FAILS = ', but from some starts it still fails.'
 _GOES_ON = (Phase.DEMONSTRATING, Phase.LEARNING)  # also while the lesson is paused
 
 
@@ -147,18 +148,24 @@ class Lesson:
         return self._awaited.uuid if self._awaited is not None else ''
 
     @property
-    def criteria_met(self) -> bool:
-        """Whether the learner reports that they hold, with the features and method of now."""
+    def _settled(self) -> OptionStatus | None:
+        """The learner's report that all criteria that can be measured hold, as taught now."""
         if self._option is None:
-            return False
+            return None
         known = self._learned.get((self._participant, self._option.name))
-        return (
+        holds = (
             known is not None
-            and known.criteria_met
+            and known.settled
             and self._counts_nothing_withdrawn(known, self._option)
             and known.method == self._method(self._option)
             and set(known.features) == set(self._option.questions.chosen)
         )
+        return known if holds else None
+
+    @property
+    def criteria_met(self) -> bool:
+        """Whether the learner reports that they hold, with the features and method of now."""
+        return self._settled is not None and self._settled.criteria_met
 
     @property
     def view(self) -> LessonView:
@@ -193,8 +200,11 @@ class Lesson:
                 criteria_met=self.criteria_met,
             )
         goes_on = view.phase in (Phase.READY, Phase.DEMONSTRATING) and not self._done
-        why = _FAILS if goes_on and view.criteria_met else ''
-        return replace(view, text=' '.join(filter(None, (self._notice, why, _hint(view)))))
+        reached = _reached(self._settled)
+        why = f'{reached[:-1]}{_FAILS}' if goes_on and self._settled is not None else ''
+        return replace(
+            view, text=' '.join(filter(None, (self._notice, why, _hint(view, reached))))
+        )
 
     def demonstrations(self) -> list[Demonstration]:
         """
@@ -365,7 +375,7 @@ class Lesson:
         option = self._option
         self._done = (
             option is not None
-            and self.criteria_met
+            and self._settled is not None
             and self._starts.exhausted(self._participant, option)
         )
 
@@ -505,7 +515,7 @@ class Lesson:
         if option is None or self.phase not in (Phase.READY, Phase.FINISHED) or self._spent:
             spent = self._spent and self.phase is Phase.FINISHED
             status = RequestStatus.BUDGET_SPENT if spent else RequestStatus.WRONG_PHASE
-            raise RefusalError(status, _hint(self.view))
+            raise RefusalError(status, _hint(self.view, _reached(self._settled)))
         state = self._start_state(request.start_state, option)
         self._attempt = Attempt(state, request.watch)
         seed = self._starts.episode_seed(self._participant, option)
@@ -667,13 +677,25 @@ def _wrong_phase(detail: str) -> RefusalError:
     return RefusalError(RequestStatus.WRONG_PHASE, detail)
 
 
-def _hint(view: LessonView) -> str:
-    """Return what to do next, in words; where an option is finished, why."""
+def _reached(settled: OptionStatus | None) -> str:
+    """Return which criteria hold, in words."""
+    if settled is None:
+        return 'Not all criteria hold.'
+    if settled.criteria_met:
+        return 'All criteria hold.'
+    return f'The return cannot be measured: {NO_RANGE}. The other criteria hold.'
+
+
+def _hint(view: LessonView, reached: str) -> str:
+    """
+    Return what to do next, in words; where an option is finished, why.
+
+    :param reached: which criteria hold.
+    """
     still = view.paused and view.phase not in _GOES_ON
     words = 'The lesson is paused.' if still else _HINTS[view.phase]
     if view.phase is not Phase.FINISHED:
         return words
     given = view.n_demonstrations + view.n_not_here
     spent = f'The budget of {view.budget} is spent. ' if given >= view.budget else ''
-    reached = 'All criteria hold.' if view.criteria_met else 'Not all criteria hold.'
     return f'{spent}{reached} {words}'

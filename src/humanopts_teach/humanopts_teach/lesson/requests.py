@@ -16,7 +16,7 @@ from humanopts_env.domains.base import Domain
 from humanopts_env.domains.capabilities import StepEffect
 from humanopts_env.game import effect_between, Source, Transition
 from humanopts_learner.demonstrations import Demonstration, TREES
-from humanopts_learner.options.criteria import Criterion
+from humanopts_learner.options.criteria import all_settled, Criterion
 
 
 class Phase(Enum):
@@ -306,6 +306,11 @@ class OptionStatus:
     more_needed: int = -1  # demonstrations; -1: not known yet
     conflicts: tuple[str, ...] = ()
     suggested_feature: str = ''
+
+    @property
+    def settled(self) -> bool:
+        """Whether all criteria that can be measured are met."""
+        return self.criteria_met or all_settled(self.criteria)
 
 
 @dataclass(frozen=True, slots=True)

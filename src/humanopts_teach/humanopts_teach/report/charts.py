@@ -120,11 +120,23 @@ def learning_curves(points: Sequence[CurvePoint], name: str, option: str) -> lis
             'upper limit': {n: c.high for n, c in known.items() if c.high != c.value},
         }
         with chart(criterion, title, unit, curves) as axes:
-            threshold = list(known.values())[-1].threshold
-            least = min([0.0, threshold, *_known(*curves.values())])
-            style: dict[str, Any] = {'color': SERIES[2], 'label': f'met at or below {threshold:g}'}
-            axes.axhline(threshold, ls='--', lw=1.4, **style)
-            axes.axhspan(least, threshold, color=SERIES[2], alpha=0.13, lw=0)
+            limits = {n: c.threshold for n, c in known.items() if c.threshold is not None}
+            if not limits:
+                continue
+            last, constant = list(limits.values())[-1], len(set(limits.values())) == 1
+            least = min([0.0, *limits.values(), *_known(*curves.values())])
+            style: dict[str, Any] = {'color': SERIES[2]}
+            label = f'met at or below {last:.3g}' + ('' if constant else ' in the end')
+            if constant:
+                axes.axhline(last, ls='--', lw=1.4, label=label, **style)
+                axes.axhspan(least, last, alpha=0.13, lw=0, **style)
+            else:
+                axes.plot(
+                    list(limits), list(limits.values()), ls='--', lw=1.4, label=label, **style
+                )
+                axes.fill_between(
+                    list(limits), least, list(limits.values()), alpha=0.13, lw=0, **style
+                )
     curves = {
         part: {n: getattr(p.block, field) for n, p in drawn.items()}
         for part, field in ACCURACIES.items()

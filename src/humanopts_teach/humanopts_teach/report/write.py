@@ -7,13 +7,14 @@ from pathlib import Path
 from humanopts_env.domains.base import is_enumerable
 from humanopts_env.domains.registry import reference_options
 from humanopts_learner.demonstrations import METHODS
+from humanopts_learner.options.criteria import NO_RANGE
 from humanopts_learner.planning.exact import ExactPlan
 from humanopts_teach.bags.info import summarise, TopicRow
 from humanopts_teach.bags.provenance import OWN_VERSION, software, UNKNOWN
 from humanopts_teach.bags.reader import Bag
 from humanopts_teach.evaluation.bag_evaluation import BagEvaluation
 from humanopts_teach.evaluation.summary import Live, write_text
-from humanopts_teach.evaluation.text import REPRODUCED
+from humanopts_teach.evaluation.text import REPRODUCED, return_limit
 from humanopts_teach.report.boards import board_figures
 from humanopts_teach.report.charts import (
     games_figures,
@@ -117,6 +118,8 @@ def render_report(data: ReportData) -> str:
         'measures': MEASURES,
         'methods': METHODS,
         'reproduced': REPRODUCED,
+        'return_limit': return_limit,
+        'NO_RANGE': NO_RANGE,
         'boards': board_figures(exact, 'board'),
         'planning': planning,
         'evaluation': evaluation,

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import fields, replace
 from enum import Enum
+import math
 from typing import Any, TypeVar
 
 from humanopts_interfaces import msg, srv
@@ -93,7 +94,11 @@ def option_status_from_message(message: msg.OptionStatus) -> OptionStatus:
     """Decode how far an option is learned."""
     criteria = tuple(
         Criterion(
-            found.name, found.value if found.measurable else None, found.threshold, found.met
+            found.name,
+            found.value if found.measurable else None,
+            None if math.isnan(found.threshold) else found.threshold,
+            found.met,
+            no_range=found.no_range,
         )
         for found in message.criteria
     )

@@ -56,7 +56,6 @@ MOST_LIVES, MOST_STEPS = 9, 1_000_000
 # The options that the participants of the paper taught (section 7), and one more.
 DEMO_OPTIONS = (CLOSEST_FOOD, AVOID_GHOST, NEAREST_PILL, EAT_GHOST)
 DEMO_OPTIONS_WITH_FRUIT = (*DEMO_OPTIONS, TO_FRUIT)
-ONE_DOT = 10.0  # points
 MEALS = {'food': 'food', 'power pill': 'a power pill', 'fruit': 'the fruit', 'ghost': 'a ghost'}
 
 
@@ -131,9 +130,7 @@ class PacMan(Domain[PacManState]):
         self.glyph_styles: Mapping[str, str] = GLYPH_STYLES
         self.explanation = EXPLANATION
         all_fruit = len(self.rules.maze.food) > max(FRUIT_AFTER)  # else it is there too seldom
-        self.teaching = TeachingDefaults(
-            DEMO_OPTIONS_WITH_FRUIT if all_fruit else DEMO_OPTIONS, {'return_delta': ONE_DOT}
-        )
+        self.teaching = TeachingDefaults(DEMO_OPTIONS_WITH_FRUIT if all_fruit else DEMO_OPTIONS)
 
     def reset(self, rng: np.random.Generator) -> PacManState:
         """Return the only start state: Pac-Man and all ghosts in their first cells."""
