@@ -1,6 +1,7 @@
 """Launching: what dies is named, the recorder is the last to go, and places are kept apart."""
 
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from itertools import permutations
 import json
 import os
@@ -8,6 +9,8 @@ from pathlib import Path
 import pwd
 import resource
 import signal
+import subprocess
+import sys
 import time
 from typing import Any
 
@@ -30,6 +33,7 @@ from humanopts_teach.launching.place import holder, only_launch
 from humanopts_teach.launching.processes import processes, ProcessSpec, Setup, Value
 from humanopts_teach.launching.restarts import NodeExit
 from humanopts_teach.ros.graph_client import GraphClient
+import psutil
 import pytest
 
 Launch = Callable[..., Launcher]
@@ -102,6 +106,53 @@ def test_a_node_that_was_killed_is_started_again_in_a_limited_number(
     assert [end.again for end in launcher.ends] == [True, True, False]
     assert launcher.pids == []
     assert gone == list(dict.fromkeys(s.publisher_id for s in live.statuses['/game']))
+
+
+@pytest.mark.parametrize('output', ['full', 'unread'])
+def test_a_launch_goes_on_though_nothing_it_writes_can_be_written(
+    live: Graph, tmp_path: Path, output: str
+) -> None:
+    out = tmp_path / 'out'
+    with unwritable(output) as write:
+        command = subprocess.Popen(
+            [sys.executable, '-m', 'humanopts_teach.cli', *words('/', out)],
+            stdin=subprocess.DEVNULL,
+            stdout=write,
+            stderr=write,
+            env={**os.environ, 'ROS_DOMAIN_ID': str(live.domain_id)},
+        )
+    try:
+        live.watch('/')
+        live.ready('/game')
+        live.until(lambda: '/conductor' in live.statuses, 'the launch')
+        live.ready('/conductor')
+        resource.prlimit(command.pid, resource.RLIMIT_FSIZE, (0, 0))
+        (out / 'log/game.yaml').write_text((out / 'log/game.yaml').read_text() + ' ')
+        for count in (2, 3):
+            (game,) = [
+                c
+                for c in psutil.Process(command.pid).children(recursive=True)
+                if 'game.yaml' in ' '.join(c.cmdline())
+            ]
+            game.kill()
+            live.until(lambda n=count: starts(live) == n, 'the restart', 30.0)
+        command.send_signal(signal.SIGINT)
+        assert command.wait(30.0) == 1
+    finally:
+        command.kill()
+        command.wait()
+
+
+@contextmanager
+def unwritable(output: str) -> Iterator[int]:
+    """Return a descriptor where nothing can be written."""
+    if output == 'full':
+        write = os.open('/dev/full', os.O_WRONLY)
+    else:
+        read, write = os.pipe()
+        os.close(read)
+    yield write
+    os.close(write)
 
 
 def starts(live: Graph) -> int:

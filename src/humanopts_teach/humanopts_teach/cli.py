@@ -5,6 +5,7 @@ The work is imported when a command runs, so that help and completion are quick.
 """
 
 from collections.abc import Sequence
+import errno
 from functools import partial
 import gc
 import importlib
@@ -31,6 +32,7 @@ from humanopts_teach.commands.options import (
     whole,
     with_options,
 )
+from humanopts_teach.commands.output import open_streams, silence
 from humanopts_teach.commands.study import app as study_app
 from humanopts_teach.launching import LaunchError, OccupiedError
 from humanopts_teach.launching.fork_server import discard, prepare
@@ -39,6 +41,7 @@ from typer.core import TyperCommand
 
 NAME = 'humanopts'
 COMPLETE = '_HUMANOPTS_COMPLETE'  # set by the shell, for a list of completions
+_UNWRITABLE = errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO  # of standard output
 OUTSIDE = {  # commands of the repository: the module that has the Typer app, and a line of help
     'bench': ('benchmarks.command', 'how long things take, each beside a yardstick'),
     'reproduce': ('experiments.command', "the paper's figures and tables, computed again"),
@@ -266,6 +269,7 @@ def status(
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command; return its exit status: 0, 1 for a failure, 2 for bad input."""
+    open_streams()
     accept_any_text()
     words = list(sys.argv[1:] if argv is None else argv)
     command = typer.main.get_command(app)
@@ -290,8 +294,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         return _complain(_named(context), 'interrupted; everything is stopped', 130)
     except BrokenPipeError:  # nobody reads on, as in "humanopts bag info BAG | head"
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        silence(sys.stdout)
         return 1
+    except OSError as error:
+        if error.errno not in _UNWRITABLE or error.filename is not None:
+            raise
+        silence(sys.stdout)
+        return _complain(_named(context), f'cannot write its output: {error.strerror}', 1)
     finally:
         discard()
     return status
@@ -304,7 +313,10 @@ def _named(context: Any) -> str:
 
 
 def _complain(path: str, text: str, status: int) -> int:
-    print(printable(f'{path}: {text}'), file=sys.stderr)
+    try:
+        print(printable(f'{path}: {text}'), file=sys.stderr, flush=True)
+    except OSError:  # nobody reads it, or the disk is full; the status says it
+        silence(sys.stderr)
     return status
 
 

@@ -23,6 +23,7 @@ from humanopts_ros.recording import Selection
 from humanopts_teach.bags.writer import parts
 from humanopts_teach.commands import CommandError, Interrupts, noticed_interrupts
 from humanopts_teach.commands.options import LaunchOptions
+from humanopts_teach.commands.output import unfailing_output
 from humanopts_teach.launching import LaunchError, USUAL
 from humanopts_teach.launching.launcher import Launcher
 from humanopts_teach.launching.place import only_launch
@@ -343,7 +344,7 @@ def session(
         progress(graph)
 
     names = [spec.name for spec in specs if not spec.terminal]
-    with place(namespace, names), noticed_interrupts() as interrupts:
+    with unfailing_output(), place(namespace, names), noticed_interrupts() as interrupts:
         check_folder(setup, new=new)
         interrupts.check()
         graph = GraphClient(namespace, common_parameters(setup), setup.bag, watch=watch)

@@ -387,7 +387,8 @@ def _terminal_restored() -> Iterator[None]:
         yield
     finally:
         if before is not None:
-            termios.tcsetattr(sys.stdin, termios.TCSADRAIN, before)
+            with suppress(termios.error):  # it was closed
+                termios.tcsetattr(sys.stdin, termios.TCSADRAIN, before)
             if sys.stdout.isatty():
                 # 47, not 1049: the cursor stays below what the node said at a clean end
                 sys.stdout.write('\x1b[?47l\x1b[?25h\x1b[0m')
