@@ -354,16 +354,18 @@ def test_the_status_tells_of_nothing_that_others_signed(
     live: Graph, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv('ROS_DOMAIN_ID', str(live.domain_id))
+    live.start(GAME)
+    live.ready('/game')
     statuses = live.node.create_publisher(NodeStatus, 'node_status', CURRENT)
     infos = live.node.create_publisher(DomainInfo, 'domain_info', CURRENT)
     recorders = live.node.create_publisher(RecorderStatus, 'recorder_status', CURRENT)
     statuses.publish(NodeStatus(publisher_id='/recorder#1', node='/recorder', text='its own'))
-    for signed in ('/game#1', '/stranger#1'):
-        statuses.publish(NodeStatus(publisher_id=signed, node='/game', text=f'of {signed}'))
+    for signed in ('/learner#1', '/stranger#1'):
+        statuses.publish(NodeStatus(publisher_id=signed, node='/learner', text=f'of {signed}'))
         infos.publish(DomainInfo(publisher_id=signed, domain=f'of {signed}'))
         recorders.publish(RecorderStatus(publisher_id=signed))
     report = probe_graph('/')
-    assert report.game == 'of /game#1'
+    assert report.game == 'taxi'
     texts = {node.name: node.text for node in report.nodes}
-    assert (texts['game'], texts['recorder']) == ('of /game#1', 'its own')
+    assert (texts['learner'], texts['recorder']) == ('of /learner#1', 'its own')
     assert report.recorder is None

@@ -426,9 +426,7 @@ class Listener(NodeBase):
     def __init__(self, **options: object) -> None:
         super().__init__('listener', **options)
         self.kept: list[LearningStatus] = []
-        self.create_subscription(
-            LearningStatus, 'learning_status', self.kept.append, CURRENT, sender='learner'
-        )
+        self.create_subscription(LearningStatus, 'learning_status', self.kept.append, CURRENT)
 
 
 def test_what_a_stranger_publishes_displaces_no_current_value_of_the_owner(live: Graph) -> None:

@@ -8,13 +8,12 @@ from graph_support.live import GAME, Goal, Graph, PLANNER
 from graph_support.planning import Planning, start_planning
 from graph_support.player import PERSON
 from graph_support.scripted import FETCH, taught, TAXI
-from humanopts_env.ros.convert import domain_to_info
 from humanopts_interfaces.action import Plan, RunPolicy
-from humanopts_interfaces.msg import DomainInfo, NodeStatus, PlanResult, PolicyResult
+from humanopts_interfaces.msg import NodeStatus, PlanResult, PolicyResult
 from humanopts_learner.planning.evaluate import episode_starts, find_coverage, play
 from humanopts_learner.planning.plan import judge_plan, make_plan
 from humanopts_learner.planning.request import PlanRequest
-from humanopts_ros.qos import CURRENT, LATCHED
+from humanopts_ros.qos import CURRENT
 import pytest
 
 OPTIONS = taught()
@@ -266,10 +265,7 @@ def test_a_goal_that_comes_before_the_game_waits_for_it_a_while(live: Graph) -> 
     assert refused.status == PlanResult.STATUS_FAILED
     assert refused.detail == 'game has not announced itself'
     second = live.act(Plan, 'plan', action_set='primitive')
-    publisher = live.node.create_publisher(DomainInfo, 'domain_info', LATCHED)
-    info = domain_to_info(TAXI)
-    info.publisher_id = '/game#1'
-    publisher.publish(info)
+    live.start(GAME)
     assert second.result()[1].status == PlanResult.STATUS_CONVERGED
 
 

@@ -1,5 +1,7 @@
 """The recorder on a real graph: everything is in the bag, whatever ends it."""
 
+from functools import partial
+import json
 import os
 import resource
 import signal
@@ -155,7 +157,7 @@ def test_what_was_latched_before_the_recorder_came_is_recorded(recording: Record
 def test_nodes_that_come_later_are_recorded_from_their_first_message(
     recording: Recording,
 ) -> None:
-    recording.record()
+    recording.record(record_topics=['late', 'other'])
     for topic, text in (('late', 'first'), ('other', 'first'), ('late', 'again')):
         publisher = recording.node.create_publisher(String, topic, STREAM)
         recording.graph.until(lambda p=publisher: p.get_subscription_count() > 0, 'the recorder')
@@ -172,7 +174,7 @@ def test_nodes_that_come_later_are_recorded_from_their_first_message(
 
 def test_publishers_that_promise_less_are_matched(recording: Recording) -> None:
     first = recording.node.create_publisher(String, 'mixed', LATCHED)
-    recording.record()
+    recording.record(record_topics=['mixed'])
     second = recording.node.create_publisher(String, 'mixed', BEST_EFFORT)
     for publisher in (second, first):
         recording.graph.until(lambda p=publisher: p.get_subscription_count() > 0, 'the recorder')
@@ -200,34 +202,48 @@ def test_the_log_the_parameters_and_the_recorder_itself_are_recorded(
         events = recording.recorded('/parameter_events')
         return [p.name for event in events for p in event.changed_parameters]
 
-    recording.node.declare_parameter('colour', 'red')
     recording.record(metadata='{"seed": 7, "strategy": "failures"}')
-    recording.node.get_logger().info('a line of the log')
-    recording.node.set_parameters([Parameter('colour', value='blue')])
-    recording.graph.until(lambda: 'a line of the log' in logged(), 'the log')
+    own = recording.graph.start(GAME)
+    own.declare_parameter('colour', 'red')
+    for node in (recording.node, own):  # of another node, and of the graph
+        node.get_logger().info(f'a line of the log of {node.get_name()}')
+    own.set_parameters([Parameter('colour', value='blue')])
+    recording.graph.until(lambda: 'a line of the log of game' in logged(), 'the log')
     recording.graph.until(lambda: changed() == ['colour'], 'the change of a parameter')
     bag = recording.stop()
-    assert 'a line of the log' in logged()
+    assert 'a line of the log of person' not in logged()
     assert changed() == ['colour']
     assert {'/recorder_status', '/node_status'} <= {r.topic for r in bag.messages()}
-    facts = {'seed': '7', 'strategy': 'failures', 'record_include': '["*"]', **software()}
+    facts = {'seed': '7', 'strategy': 'failures', 'record_topics': '[]', 'namespace': '/'}
+    facts |= software()
     assert facts.items() <= bag.metadata['humanopts'].items()
 
 
-def test_a_namespace_is_recorded_without_its_neighbours(live: Graph) -> None:
-    ours = live.node.create_publisher(String, '/a/chatter', LATCHED)
-    theirs = live.node.create_publisher(String, '/ab/chatter', LATCHED)
-    for publisher in (ours, theirs):
-        publisher.publish(String(data='x'))
-    said = live.listen(RecorderStatus, '/a/recorder_status', CURRENT)
-    recorder = live.start(RECORDER, '/a', path=live.folder / 'bag')
-    live.until(lambda: said and said[-1].complete, 'the recorder')
-    live.until(lambda: ours.get_subscription_count() == 1, 'a match')
-    live.until(lambda: list(open_bag(live.folder / 'bag').messages(['/a/chatter'])), 'a message')
-    live.stop(recorder)
-    topics = set(open_bag(live.folder / 'bag').topics)
-    assert '/a/chatter' in topics
-    assert all(t.startswith('/a/') or t in ('/rosout', '/parameter_events') for t in topics)
+def test_a_graph_is_recorded_without_its_neighbours_and_other_software(live: Graph) -> None:
+    state = partial(GameState, publisher_id='/game#1', sequence=1)
+    of_all = [
+        (live.node.create_publisher(kind, topic, LATCHED), kind)
+        for topic, kind in (
+            *((f'{space}/current_state', state) for space in ('/a', '/ab', '/a/b', '')),
+            *((topic, String) for topic in ('/a/odom', '/a/scan', '/a/camera/raw', '/tf')),
+        )
+        for kind in [GameState if kind is state else kind]
+    ]
+    for publisher, kind in of_all:
+        publisher.publish(kind())
+    for namespace, added in (('/a', ['scan']), ('/', ['/tf', '/ab/*'])):
+        prefix = namespace.rstrip('/')
+        said = live.listen(RecorderStatus, f'{prefix}/recorder_status', CURRENT)
+        path = live.folder / f'bag{prefix[1:]}'
+        recorder = live.start(RECORDER, namespace, path=path, record_topics=added)
+        live.until(lambda s=said: s and s[-1].complete, 'the recorder')
+        live.until(lambda p=path: open_bag(p).n_messages > 3, 'messages')
+        live.stop(recorder)
+    names = ('current_state', 'node_status', 'recorder_status')
+    shared = {'/rosout', '/parameter_events'}
+    both = [set(open_bag(live.folder / name).topics) - shared for name in ('baga', 'bag')]
+    assert both[0] == {*(f'/a/{name}' for name in names), '/a/scan'}
+    assert both[1] == {*(f'/{name}' for name in names), '/tf', '/ab/current_state'}
 
 
 def test_a_gap_is_said_while_recording_with_its_topic_and_sender(recording: Recording) -> None:
@@ -326,10 +342,11 @@ def test_a_recording_goes_on_in_other_files_and_loses_nothing(recording: Recordi
     assert check_bag(bag).findings == ()
 
 
-def test_only_chosen_topics_are_recorded_and_nobody_waits_for_others(
+def test_what_patterns_add_or_leave_out_is_kept_and_no_node_waits_for_what_is_left_out(
     recording: Recording,
 ) -> None:
-    patterns = {'record_include': ['*_state', 'recorder_*'], 'record_exclude': ['c*']}
+    left_out = ['current_state', 'domain_info', 'control', 'action_*', '*_status', '*_event']
+    patterns = {'record_topics': ['chatter_*'], 'record_exclude': left_out}
     other = recording.node.create_publisher(String, 'chatter_state', LATCHED)
     other.publish(String(data='x'))
     recorder = recording.graph.start(RECORDER, path=recording.path, **patterns)
@@ -340,15 +357,15 @@ def test_only_chosen_topics_are_recorded_and_nobody_waits_for_others(
     recording.holds('/game_state', 1)
     recording.graph.stop(recorder)
     bag = open_bag(recording.path)
-    assert set(bag.topics) == {'/game_state', '/recorder_status'}
+    assert set(bag.topics) - {'/parameter_events'} == {'/game_state', '/chatter_state'}
     facts = bag.metadata['humanopts']
-    assert facts['record_include'] == '["*_state", "recorder_*"]'
-    assert facts['record_exclude'] == '["c*"]'
-    assert 'demonstrations and domain_info will not be recorded' in recording.said[0].text
+    assert facts['record_topics'] == '["chatter_*"]'
+    assert facts['record_exclude'] == json.dumps(left_out)
+    assert 'domain_info will not be recorded' in recording.said[0].text
 
 
 def test_patterns_that_leave_nothing_are_said(recording: Recording) -> None:
-    recording.graph.start(RECORDER, path=recording.path, record_include=['nothing'])
+    recording.graph.start(RECORDER, path=recording.path, record_exclude=['*'])
     recording.graph.until(lambda: recording.status.complete, 'the recorder')
     assert recording.status.text == 'the patterns leave no topic to record'
 
@@ -357,7 +374,7 @@ def test_a_bag_names_a_topic_before_the_next_flush_is_due(
     recording: Recording, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(recorder, '_FLUSH_PERIOD', 3600.0)
-    recording.record()
+    recording.record(record_topics=['chatter'])
     recording.node.create_publisher(String, 'chatter', STREAM)
     recording.graph.until(lambda: '/chatter' in open_bag(recording.path).topics, 'the topic')
 
@@ -375,7 +392,7 @@ def test_option_files_are_kept_as_they_are_at_the_end(recording: Recording) -> N
 
 
 def test_a_full_disk_is_said_and_holds_nobody_back(recording: Recording) -> None:
-    recorder, until = recording.spawn(), recording.graph.until
+    recorder, until = recording.spawn(record_topics=['chatter']), recording.graph.until
     publisher = recording.node.create_publisher(String, 'chatter', STREAM)
     until(lambda: publisher.get_subscription_count() > 0, 'the recorder')
     publisher.publish(String(data='before'))

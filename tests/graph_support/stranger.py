@@ -6,8 +6,8 @@ import random
 from typing import Any
 
 from humanopts_interfaces.msg import GameState, NodeStatus
-from humanopts_ros.publisher import signer
 from humanopts_ros.qos import ACTION, CURRENT, DISPLAY, LATCHED, SERVICE, STREAM
+from humanopts_ros.senders import signer
 from humanopts_teach.ros.raw_subscriber import load_type
 import rclpy
 from rclpy.action import ActionClient

@@ -14,17 +14,13 @@ import weakref
 
 from humanopts_interfaces.msg import NodeStatus
 from humanopts_ros.environment import INSTANCE, prepare_discovery
+from humanopts_ros.graph import node_names
 from humanopts_ros.guard import Guard
 from humanopts_ros.middleware import MiddlewareError
-from humanopts_ros.publisher import (
-    M,
-    PublishError,
-    signer,
-    StampedPublisher,
-    without_source,
-)
+from humanopts_ros.publisher import M, PublishError, StampedPublisher, without_source
 from humanopts_ros.qos import ACTION, LATCHED, SERVICE, STREAM
 from humanopts_ros.recording import Selection
+from humanopts_ros.senders import check_sender, sender_of
 from humanopts_ros.time_of_day import TimeOfDay
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 import rclpy
@@ -190,7 +186,7 @@ class NodeBase(Node):
         )
         self.selection = Selection(
             self.get_namespace(),
-            self._patterns('record_include', 'topics to record, as lesson/*; none: all'),
+            self._patterns('record_topics', 'topics to record beside those of the graph'),
             self._patterns('record_exclude', 'topics not to record'),
         )
         self._status = self.stamped_publisher(NodeStatus, 'node_status', LATCHED)
@@ -232,16 +228,17 @@ class NodeBase(Node):
         callback: Callable[..., Any],
         qos_profile: QoSProfile | int,
         *,
-        sender: str = '',
+        anybody: bool = False,
         **options: Any,
     ) -> Subscription:
         """
         Create a subscription as rclpy does, with a guarded callback.
 
-        :param sender: name of the node of this namespace whose topic it is: what others publish
-            there is refused; empty: anybody may.
+        :param anybody: take messages from any node also where only one may publish, by
+            ``senders``; usually, what others publish there is refused.
         """
-        use = self._only_from(sender, topic, callback) if sender else callback
+        sender = sender_of(self.resolve_topic_name(topic), self.get_namespace())
+        use = self._only_from(sender, topic, callback) if sender and not anybody else callback
         guarded = self.guard.guarded(use)
         return super().create_subscription(msg_type, topic, guarded, qos_profile, **options)
 
@@ -253,7 +250,7 @@ class NodeBase(Node):
         @functools.wraps(use)
         def on_message(message: Any) -> None:
             try:
-                self.check_sender(message.publisher_id, sender)
+                check_sender(message.publisher_id, sender)
             except ValueError as error:
                 self.refuse(topic, message, error)
             else:
@@ -279,7 +276,6 @@ class NodeBase(Node):
         read: Callable[[T], V | None],
         use: Callable[[V], object],
         qos: QoSProfile = STREAM,
-        sender: str = '',
     ) -> Subscription:
         """
         Subscribe to a topic whose messages are checked where they become values.
@@ -287,7 +283,6 @@ class NodeBase(Node):
         :param read: returns the value of a message, or raises a ValueError that says why it
             cannot be used; then the message is counted, named and dropped. None: it is of no use.
         :param use: called with each value.
-        :param sender: as of ``create_subscription``.
         """
 
         @functools.wraps(use)
@@ -296,17 +291,7 @@ class NodeBase(Node):
             if value is not None:
                 use(value)
 
-        return self.create_subscription(kind, topic, on_message, qos, sender=sender)
-
-    def check_sender(self, publisher_id: str, name: str) -> None:
-        """
-        Check that a message is of the node of that name in this namespace.
-
-        :raises ValueError: another node has published it.
-        """
-        sender = self.full_name(name)
-        if signer(publisher_id) != sender:
-            raise ValueError(f'it is not from {sender}')
+        return self.create_subscription(kind, topic, on_message, qos)
 
     def full_name(self, name: str) -> str:
         """Return the full name of a node of this namespace."""
@@ -314,8 +299,7 @@ class NodeBase(Node):
 
     def nodes_there(self) -> list[str]:
         """Return the full names of all nodes on the graph; any process may use any name."""
-        names = self.get_node_names_and_namespaces()
-        return [f'{namespace.rstrip("/")}/{name}' for name, namespace in names]
+        return node_names(self)
 
     def accepted(self, topic: str, read: Callable[[T], V | None], message: T) -> V | None:
         """Return the value of a message; None: it cannot be used, and is refused."""
@@ -446,7 +430,7 @@ class NodeBase(Node):
 
     def is_recorded(self, topic: str, recorders: int = 1) -> bool:
         """Return whether that many recorders subscribe to a topic, or it is not to be recorded."""
-        if not self.selection.wants(self.resolve_topic_name(topic)):
+        if not self.selection.wants_own(self.resolve_topic_name(topic)):
             return True
         readers = self.get_subscriptions_info_by_topic(topic)
         return len([1 for reader in readers if reader.node_name == RECORDER]) >= recorders

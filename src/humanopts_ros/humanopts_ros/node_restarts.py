@@ -5,8 +5,8 @@ from collections.abc import Callable
 
 from humanopts_interfaces.msg import NodeStatus
 from humanopts_ros.node_base import NodeBase
-from humanopts_ros.publisher import signer
 from humanopts_ros.qos import CURRENT
+from humanopts_ros.senders import signer
 
 
 class NodeRestarts:

@@ -86,12 +86,6 @@ class StampedPublisher(Generic[M]):
             time.sleep(_ACKNOWLEDGED_PERIOD)
 
 
-def signer(publisher_id: str) -> str:
-    """Return the full name of the node that signs so; empty: it is no signature."""
-    name, mark, _ = publisher_id.partition('#')
-    return name if mark else ''
-
-
 def without_source(error: Exception) -> str:
     """Return the text of an error without the places in the source of rcl."""
     return str(error).split(', at /')[0]

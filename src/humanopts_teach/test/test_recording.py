@@ -19,11 +19,11 @@ import pytest
 import typer
 
 
-def launch(evaluated: bool = False, record: bool = True, **options: Any) -> Setup:
+def launch(evaluated: bool = False, recorded: bool = True, **options: Any) -> Setup:
     """Return the setup of a launch with these options."""
     launch_options = LaunchOptions(**options)
     return setup_from(
-        'taxi', launch_options, directory=Path('x'), evaluated=evaluated, record=record
+        'taxi', launch_options, directory=Path('x'), evaluated=evaluated, record=recorded
     )
 
 
@@ -106,7 +106,7 @@ def test_every_node_of_a_launch_is_told_what_is_recorded() -> None:
     expected = {'record_exclude': ['rosout', 'lesson/*']}
     for spec in processes(setup):
         assert expected.items() <= spec.parameters.items()
-        assert 'record_include' not in spec.parameters
+        assert 'record_topics' not in spec.parameters
     assert common_parameters(setup) == {'expect_recorder': True, **expected}
 
 
@@ -126,8 +126,8 @@ def test_what_is_no_size_is_refused(text: str) -> None:
 def test_a_bag_that_could_not_be_evaluated_is_said_or_refused(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    launch(record_include=['game_state'])
-    assert Selection(include=['game_state']).unevaluable in capsys.readouterr().err
+    launch(record_exclude=['demo*'])
+    assert Selection(exclude=['demo*']).unevaluable in capsys.readouterr().err
     with pytest.raises(CommandError, match='domain_info will not be recorded'):
         launch(record_exclude=['domain_info'], evaluated=True)
 
@@ -135,7 +135,7 @@ def test_a_bag_that_could_not_be_evaluated_is_said_or_refused(
 def test_where_nothing_is_recorded_nothing_is_said_of_a_bag(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    setup = launch(record_include=['game_state'], record=False)
+    setup = launch(record_exclude=['demo*'], recorded=False)
     assert setup.recording == Recording()
     assert capsys.readouterr().err == ''
 

@@ -67,7 +67,7 @@ def test_every_argument_reaches_a_parameter() -> None:
         'strategy': 'coverage',
         'learn': 'goal',
         'budget': '9',
-        'record_include': 'lesson/*; action',
+        'record_topics': '/odom; camera/*',
         'record_exclude': 'rosout',
         'split_bytes': '500000',
         'split_seconds': '60',
@@ -90,7 +90,7 @@ def test_every_argument_reaches_a_parameter() -> None:
     assert str(specs['recorder']['path']).startswith('/data/study/bags/launch-')
     assert specs['simulated_teacher']['options'] == ['go up', 'go down']
     for parameters in specs.values():
-        assert parameters['record_include'] == ['lesson/*', 'action']
+        assert parameters['record_topics'] == ['/odom', 'camera/*']
         assert parameters['record_exclude'] == ['rosout']
     limits = (specs['recorder']['max_bytes'], specs['recorder']['max_seconds'])
     assert limits == (500_000, 60.0)

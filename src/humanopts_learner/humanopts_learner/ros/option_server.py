@@ -15,7 +15,7 @@ from humanopts_learner.execution import Run
 from humanopts_learner.library import OptionLibrary, taught_nothing, UnknownOptionError
 from humanopts_learner.options.files import load_options
 from humanopts_learner.options.option import LearnedOption, Mode, OptionError
-from humanopts_learner.ros import LEARNER, OPTION_SERVER, PLANNER
+from humanopts_learner.ros import OPTION_SERVER
 from humanopts_learner.ros.convert import OptionsReader
 from humanopts_learner.ros.runner import Runner, RunRequest
 from humanopts_ros.node_base import end_goal, NodeBase, PATIENCE, SEEDS
@@ -61,11 +61,8 @@ class OptionServerNode(NodeBase):
         self._results = self.stamped_publisher(OptionResult, 'option_results')
         game = GameSubscriber(self, self._on_domain)
         self._runner = Runner(self, game, Mode(mode), seed, deadline)
-        for sender, topic, use in (
-            (LEARNER, 'learned_options', self._on_learned),
-            (PLANNER, 'automatic_options', self._on_automatic),
-        ):
-            self.create_subscription(LearnedOptions, topic, use, CURRENT, sender=sender)
+        self.create_subscription(LearnedOptions, 'learned_options', self._on_learned, CURRENT)
+        self.create_subscription(LearnedOptions, 'automatic_options', self._on_automatic, CURRENT)
         group = ReentrantCallbackGroup()
         self.recorded_service(RunOption, 'run_option', self._on_run, group)
         self.recorded_service(ListOptions, 'list_options', self._on_list, group)

@@ -7,7 +7,7 @@ from typing import Any
 from humanopts_env.domains.base import Domain
 from humanopts_env.ros.game_subscriber import GameSubscriber
 from humanopts_interfaces.msg import LearnedOptions
-from humanopts_learner.ros import LEARNER, PLANNER
+from humanopts_learner.ros import PLANNER
 from humanopts_learner.ros.convert import OptionsReader
 from humanopts_learner.ros.planner_actions import ExtractionAction, PlanAction, PlannerState
 from humanopts_learner.ros.policy_server import PolicyServer
@@ -27,9 +27,7 @@ class PlannerNode(NodeBase):
         self._state = PlannerState()
         GameSubscriber(self, self._on_domain)
         self._reader = OptionsReader()
-        self.create_subscription(
-            LearnedOptions, 'learned_options', self._on_options, CURRENT, sender=LEARNER
-        )
+        self.create_subscription(LearnedOptions, 'learned_options', self._on_options, CURRENT)
         shared = self, ReentrantCallbackGroup(), self._state
         self._policies = PolicyServer(*shared)
         self._actions = PlanAction(*shared), ExtractionAction(*shared)

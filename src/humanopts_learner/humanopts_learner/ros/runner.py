@@ -36,11 +36,10 @@ from humanopts_learner.library import OptionLibrary, RunnableOption, UnknownOpti
 from humanopts_learner.options.option import Mode
 from humanopts_learner.planning.interruption import OptionValues as PlanValues
 from humanopts_learner.planning.request import Execution, MODULAR, PlanError
-from humanopts_learner.ros import PLANNER
 from humanopts_learner.ros.convert import end_to_message, option_values_from_message
 from humanopts_ros.limits import shown
 from humanopts_ros.node_base import NodeBase
-from humanopts_ros.qos import CURRENT, STREAM
+from humanopts_ros.qos import CURRENT
 from rclpy.task import Future
 
 _STOPS = 'option_server stops'
@@ -96,10 +95,8 @@ class PolicySubscriber:
         self._state: ExecutionState | None = None
         self._arbiters: dict[Execution, Arbiter] = {}  # of the newest values, for these options
         self._options: dict[str, RunnableOption] = {}
-        node.subscribe(
-            OptionValues, 'option_values', self._read, self._on_values, CURRENT, PLANNER
-        )
-        node.subscribe(ExecutionState, 'execution', _checked, self._on_execution, CURRENT, PLANNER)
+        node.subscribe(OptionValues, 'option_values', self._read, self._on_values, CURRENT)
+        node.subscribe(ExecutionState, 'execution', _checked, self._on_execution, CURRENT)
 
     def has(self, plan_id: str) -> bool:
         return self._message is not None and self._message.plan_id == plan_id
@@ -196,7 +193,7 @@ class Runner:
         self._goals = node.stamped_publisher(OptionGoal, 'option_goals')
         game.follow('game_state', self._on_state)
         self._current = game.newest()  # what game published before it was heard on the stream
-        node.create_subscription(ActionRefusal, 'action_refused', self._on_refusal, STREAM)
+        game.follow_refusals(self._on_refusal)
         self._pace = ControlState()  # the newest
         game.follow_control(self._on_control)
         node.create_timer(_CHECK_PERIOD, self._check)

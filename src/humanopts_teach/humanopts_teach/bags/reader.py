@@ -306,10 +306,12 @@ def open_bag(path: Path | str, on_read: ReadCallback = ignore_progress) -> Bag:
         raise errors[0]
     bag = Bag(path, files, information, [*damage, *map(str, errors)])
     bag.on_read = on_read
-    if not bag.topics and RECORD not in bag.metadata:  # ours may have been killed at once
+    if RECORD in bag.metadata:  # our recorder may have been killed at once
+        return bag
+    if not bag.topics:
         reason = f' ({bag.damage})' if bag.damage else ''
         raise BagError(f'{path} holds no messages{reason}')
-    if bag.topics and not any(t.type.startswith(INTERFACES) for t in bag.topics.values()):
+    if not any(t.type.startswith(INTERFACES) for t in bag.topics.values()):
         raise BagError(f'{path} holds no humanopts topics: it is a recording of something else')
     return bag
 

@@ -6,7 +6,7 @@ import inspect
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from humanopts_ros.recording import MOST_BYTES
+from humanopts_ros.recording import MAX_BYTES
 from humanopts_teach.lesson import BUDGET, METHOD, STRATEGY
 import typer
 from typer.core import TyperCommand, TyperGroup
@@ -53,7 +53,7 @@ def size(text: str) -> int:
     digits = text.rstrip('kMG')
     unit = _UNITS.get(text[len(digits) :])
     value = int(digits) * unit if unit and digits.isascii() and digits.isdigit() else 0
-    if not 0 < value <= MOST_BYTES:
+    if not 0 < value <= MAX_BYTES:
         raise typer.BadParameter(f'{text!r} is not a size such as 500M')
     return value
 
@@ -178,11 +178,11 @@ class LaunchOptions:
         ),
     ] = field(default_factory=list)
     namespace: Annotated[str, typer.Option(metavar='NAME', help='of the nodes')] = '/'
-    record_include: Annotated[
+    record: Annotated[
         list[str],
         typer.Option(
             metavar='PATTERN',
-            help='record only topics like this, such as lesson/*; may be repeated',
+            help='also record topics like this, such as /odom or /camera/*; may be repeated',
         ),
     ] = field(default_factory=list)
     record_exclude: Annotated[

@@ -94,12 +94,12 @@ def setup_from(
 
 def _recording(launch: LaunchOptions, evaluated: bool) -> Recording:
     """Return what goes into the bag; warn, or refuse, where it could not be evaluated."""
-    include, exclude = tuple(launch.record_include), tuple(launch.record_exclude)
-    if lacking := Selection(launch.namespace, include, exclude).unevaluable:
+    topics, exclude = tuple(launch.record), tuple(launch.record_exclude)
+    if lacking := Selection(launch.namespace, topics, exclude).unevaluable:
         if evaluated:
             raise CommandError(lacking)
         print(f'humanopts: {lacking}', file=sys.stderr)
-    return Recording(include, exclude, launch.split_bytes or 0, launch.split_seconds or 0.0)
+    return Recording(topics, exclude, launch.split_bytes or 0, launch.split_seconds or 0.0)
 
 
 def domain_parameters(launch: LaunchOptions) -> dict[str, Parameter]:

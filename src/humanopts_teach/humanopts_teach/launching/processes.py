@@ -47,8 +47,8 @@ class ProcessSpec:
 class Recording:
     """What goes into the bag, and in how many files."""
 
-    include: tuple[str, ...] = ()  # patterns of topics; none: all
-    exclude: tuple[str, ...] = ()
+    topics: tuple[str, ...] = ()  # patterns of topics beside those of the graph
+    exclude: tuple[str, ...] = ()  # patterns of topics that are left out
     split_bytes: int = 0  # size at which the next file is begun; 0: never
     split_seconds: float = 0.0  # time after which it is; 0: never
 
@@ -110,7 +110,7 @@ class Setup:
         """Return the setup of ``to_json``."""
         values = json.loads(text)
         turn, recording = values['study'], values['recording']
-        patterns = {name: tuple(recording[name]) for name in ('include', 'exclude')}
+        patterns = {name: tuple(recording[name]) for name in ('topics', 'exclude')}
         nested = {
             'directory': Path(values['directory']),
             'thresholds': Thresholds(**values['thresholds']),
@@ -227,6 +227,6 @@ def recorded_facts(setup: Setup) -> dict[str, str]:
 def common_parameters(setup: Setup) -> dict[str, Value]:
     """Return what every node but the recorder has to know about the recording."""
     given = setup.recording
-    patterns = {'record_include': given.include, 'record_exclude': given.exclude}  # none: all
+    patterns = {'record_topics': given.topics, 'record_exclude': given.exclude}
     some = {name: list(values) for name, values in patterns.items() if values}
     return {'expect_recorder': setup.record, **some}

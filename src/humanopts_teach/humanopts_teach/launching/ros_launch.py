@@ -37,7 +37,7 @@ _OWN: dict[str, Any] = {  # what is usual here; the rest is as in other launches
     'domain_parameters': {},
     'out': 'runs/launch',
     'seed': 1,
-    'record_include': Recording.include,
+    'record_topics': Recording.topics,
     'record_exclude': Recording.exclude,
     'split_bytes': Recording.split_bytes,
     'split_seconds': Recording.split_seconds,
@@ -51,8 +51,8 @@ _DESCRIPTIONS = {
     'learn': 'how options are learned: trees or goal',
     'budget': 'most start states shown for an option',
     'teach': 'whether lesson and learner run: true or false',
-    'record': 'whether everything goes into a new bag: true or false',
-    'record_include': 'topics to record, as "lesson/*;action"; empty: all',
+    'record': 'whether the graph goes into a new bag: true or false',
+    'record_topics': 'other topics to record as well, as "/odom;/camera/*"',
     'record_exclude': 'topics not to record, in the same form',
     'split_bytes': 'size at which the bag goes on in another file; 0: never',
     'split_seconds': 'and time after which it does; 0: never',
@@ -84,7 +84,7 @@ def setup_from_launch(texts: Mapping[str, str]) -> Setup:
     :raises LaunchArgumentError: one of them cannot be used.
     """
     values = {argument.name: _read(argument, texts[argument.name]) for argument in ARGUMENTS}
-    recording = ('record_include', 'record_exclude', 'split_bytes', 'split_seconds')
+    recording = ('record_topics', 'record_exclude', 'split_bytes', 'split_seconds')
     try:
         domain = make_domain(values['domain'], values['domain_parameters'])
         check_method(values['learn'], domain)

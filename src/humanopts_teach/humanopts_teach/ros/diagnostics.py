@@ -14,6 +14,7 @@ from humanopts_interfaces.msg import NodeStatus, RecorderStatus
 from humanopts_ros.node_base import NodeBase, RECORDER
 from humanopts_ros.process import run_node
 from humanopts_ros.qos import CURRENT, STREAM
+from humanopts_ros.senders import check_sender
 
 TOPIC = '/diagnostics'
 _PERIOD = 1.0  # s
@@ -36,12 +37,12 @@ class DiagnosticsNode(NodeBase):
         self._out = self.create_publisher(DiagnosticArray, TOPIC, STREAM)
         self.subscribe(NodeStatus, 'node_status', self._read, self._keep, CURRENT)
         keep = partial(setattr, self, '_recorder')
-        self.create_subscription(RecorderStatus, 'recorder_status', keep, CURRENT, sender=RECORDER)
+        self.create_subscription(RecorderStatus, 'recorder_status', keep, CURRENT)
         self.create_timer(_PERIOD, self._publish)
 
     def _read(self, status: NodeStatus) -> NodeStatus:
         """Check that a status is of the node that it names."""
-        self.check_sender(status.publisher_id, status.node.rpartition('/')[2])
+        check_sender(status.publisher_id, self.full_name(status.node.rpartition('/')[2]))
         return status
 
     def _keep(self, status: NodeStatus) -> None:

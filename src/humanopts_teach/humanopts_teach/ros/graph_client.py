@@ -12,10 +12,9 @@ from humanopts_env.domains.base import Domain
 from humanopts_env.ros.game_subscriber import GameSubscriber, Observed
 from humanopts_interfaces import msg
 from humanopts_interfaces.action import Plan, RunPolicy
-from humanopts_learner.ros import LEARNER
 from humanopts_ros.node_base import NodeBase, start_ros
-from humanopts_ros.publisher import signer
 from humanopts_ros.qos import ACTION, CURRENT
+from humanopts_ros.senders import signer
 from humanopts_teach.launching import LaunchError, OccupiedError
 from humanopts_teach.launching.launcher import CONDUCTOR
 from humanopts_teach.launching.processes import RECORDER, Value
@@ -87,14 +86,13 @@ class GraphClient(NodeBase):
         self._watch = watch
         self._fine = time.monotonic()  # when no node was paused last
         self.create_subscription(msg.NodeStatus, 'node_status', self._keep_status, CURRENT)
-        for sender, kind, topic, name in (
-            (LESSON, msg.LessonState, 'lesson_state', 'lesson'),
-            (LEARNER, msg.LearningStatus, 'learning_status', 'learning'),
-            (LEARNER, msg.LearnedOptions, 'learned_options', 'options'),
-            (RECORDER, msg.RecorderStatus, 'recorder_status', 'recorder'),
+        for kind, topic, name in (
+            (msg.LessonState, 'lesson_state', 'lesson'),
+            (msg.LearningStatus, 'learning_status', 'learning'),
+            (msg.LearnedOptions, 'learned_options', 'options'),
+            (msg.RecorderStatus, 'recorder_status', 'recorder'),
         ):
-            keep = partial(setattr, self, name)
-            self.create_subscription(kind, topic, keep, CURRENT, sender=sender)
+            self.create_subscription(kind, topic, partial(setattr, self, name), CURRENT)
         game = GameSubscriber(self, partial(setattr, self, 'domain'))
         self._current_state = game.newest()
         self._plan_client = ActionClient(self, Plan, 'plan', **ACTION)

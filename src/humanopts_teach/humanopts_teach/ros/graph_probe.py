@@ -8,12 +8,12 @@ import shutil
 import time
 from typing import Any
 
-from humanopts_env.ros.game_subscriber import GAME
 from humanopts_interfaces import msg
 from humanopts_ros.environment import on_loopback, prepare_discovery
+from humanopts_ros.graph import serves
 from humanopts_ros.node_base import start_ros, starting_ros
-from humanopts_ros.publisher import signer
 from humanopts_ros.qos import CURRENT
+from humanopts_ros.senders import GAME_SERVICE, sender_of, signer
 from humanopts_teach.launching import OccupiedError
 from humanopts_teach.launching.launcher import CONDUCTOR, processes_of_launch
 from humanopts_teach.launching.place import domain_id
@@ -39,6 +39,7 @@ _REMOTE = 1.5  # s in which processes of other machines are found
 _LONGEST = 5.0  # s, where a process here is never found, as one that is stopped
 _LEAVING = 3.0  # s for nodes to leave whose launcher was killed
 _WINDOW = 1.2  # s for them to answer, and between the two looks from which rates are
+_MAX_PUBLISHERS = 100  # of a topic, of which the newest message is kept
 _STATES = {
     msg.NodeStatus.STATE_STARTING: 'starting',
     msg.NodeStatus.STATE_READY: 'ready',
@@ -145,19 +146,18 @@ class _Probe:
         self._executor = SingleThreadedExecutor(context=node.context)
         self._executor.add_node(node)
         self._statuses: dict[str, msg.NodeStatus] = {}  # the newest of each node
-        self._newest: dict[str, Any] = {}  # message by topic
+        self._newest: dict[str, dict[str, Any]] = {}  # message by topic and publisher
         self._sent: dict[str, float] = {}  # when each node was asked, s
         self._answers: dict[str, float] = {}  # s, by node
         self._processes: dict[str, psutil.Process | None] = {}
         self._node.create_subscription(msg.NodeStatus, 'node_status', self._keep_status, CURRENT)
-        for kind, topic, owner in (
-            (msg.RecorderStatus, 'recorder_status', RECORDER),
-            (msg.GameState, 'current_state', GAME),
-            (msg.DomainInfo, 'domain_info', GAME),
-            (msg.ControlState, 'control', GAME),
+        for kind, topic in (
+            (msg.RecorderStatus, 'recorder_status'),
+            (msg.GameState, 'current_state'),
+            (msg.DomainInfo, 'domain_info'),
+            (msg.ControlState, 'control'),
         ):
-            keep = partial(self._keep, topic, f'{namespace.rstrip("/")}/{owner}')
-            self._node.create_subscription(kind, topic, keep, CURRENT)
+            self._node.create_subscription(kind, topic, partial(self._keep, topic), CURRENT)
 
     def report(self) -> GraphReport:
         """Find the nodes, ask them, and look twice."""
@@ -173,7 +173,7 @@ class _Probe:
         found = self._node.get_publishers_info_by_topic('node_status')
         publish = (str(each.node_name) for each in found if '_NODE' not in each.node_name)
         nodes = sorted({*self._statuses, *publish, *there})
-        began, before = time.monotonic(), dict(self._newest)
+        began, before = time.monotonic(), self._taken()
         asked = {
             name: self._node.create_client(GetParameters, f'{name}/get_parameters')
             for name in nodes
@@ -181,24 +181,24 @@ class _Probe:
         }
         self._serve(lambda: self._ask(asked), _WINDOW if nodes else 0.0)
         self._serve(lambda: False, _WINDOW - (time.monotonic() - began) if nodes else 0.0)
-        passed = time.monotonic() - began
+        passed, newest = time.monotonic() - began, self._taken()
 
         def rate(topic: str, count: Callable[[Any], int]) -> float | None:
-            first, last = before.get(topic), self._newest.get(topic)
+            first, last = before.get(topic), newest.get(topic)
             if first is None or last is None or first.publisher_id != last.publisher_id:
                 return None
             return max(0, count(last) - count(first)) / passed
 
         restarts = restarts_in(self._status(CONDUCTOR).text)
-        state, info = self._newest.get('current_state'), self._newest.get('domain_info')
-        control = self._newest.get('control')
+        state, info = newest.get('current_state'), newest.get('domain_info')
+        control = newest.get('control')
         steps = rate('current_state', lambda message: int(message.sequence))
         return GraphReport(
             domain_id=domain_id(),
             namespace=self._namespace,
             nodes=[self._node_report(name, restarts[name]) for name in nodes],
             recorder=self._recorder(
-                'recorder' in self._statuses,
+                newest.get('recorder_status') if RECORDER in self._statuses else None,
                 rate('recorder_status', lambda status: int(status.messages)),
             ),
             game=info.domain if info is not None else '',
@@ -225,9 +225,23 @@ class _Probe:
     def _answered(self, name: str, done: Future) -> None:
         self._answers[name] = time.monotonic() - self._sent[name]
 
-    def _keep(self, topic: str, owner: str, message: Any) -> None:
-        if signer(message.publisher_id) == owner:
-            self._newest[topic] = message
+    def _keep(self, topic: str, message: Any) -> None:
+        """Keep the newest message of each publisher."""
+        newest = self._newest.setdefault(topic, {})
+        if len(newest) < _MAX_PUBLISHERS or message.publisher_id in newest:
+            newest.pop(message.publisher_id, None)
+            newest[message.publisher_id] = message
+
+    def _taken(self) -> dict[str, Any]:
+        """Return the newest message by topic, of the nodes that may publish there."""
+        found = {}
+        for topic, newest in self._newest.items():
+            owner = sender_of(self._node.resolve_topic_name(topic), self._namespace)
+            for publisher_id, message in newest.items():
+                sender = signer(publisher_id)
+                if sender == owner or (not owner and serves(self._node, sender, GAME_SERVICE)):
+                    found[topic] = message
+        return found
 
     def _keep_status(self, status: msg.NodeStatus) -> None:
         if signer(status.publisher_id) != status.node:
@@ -266,9 +280,10 @@ class _Probe:
             **found,
         )
 
-    def _recorder(self, present: bool, rate: float | None) -> RecorderReport | None:
-        status = self._newest.get('recorder_status')
-        if status is None or not present:
+    def _recorder(
+        self, status: msg.RecorderStatus | None, rate: float | None
+    ) -> RecorderReport | None:
+        if status is None:
             return None
         try:
             left = shutil.disk_usage(status.path).free

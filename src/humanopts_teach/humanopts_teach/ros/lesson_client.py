@@ -11,7 +11,7 @@ from typing import Any
 
 from humanopts_env.domains.base import Domain
 from humanopts_env.game import Transition
-from humanopts_env.ros.game_subscriber import GAME, GameSubscriber, Observed
+from humanopts_env.ros.game_subscriber import GameSubscriber, Observed
 from humanopts_interfaces import msg, srv
 from humanopts_ros.environment import prepare_discovery
 from humanopts_ros.node_base import NodeBase, starting_ros
@@ -108,9 +108,7 @@ class LessonClient:
                 msg.LessonState, 'lesson_state', self._read_lesson, self._on_lesson, CURRENT
             ),
             self._game.follow_control(self._on_control),
-            node.create_subscription(
-                msg.ActionRefusal, 'action_refused', self._on_refusal, DISPLAY
-            ),
+            self._game.follow_refusals(self._on_refusal, DISPLAY),
         ]
 
     @property
@@ -133,7 +131,7 @@ class LessonClient:
         for topic, found in (('domain_info', self.domain), ('lesson_state', self.lesson)):
             if found is None:
                 return topic
-        if not self._action.is_matched_by('game'):
+        if not self._action.is_matched_by(self._game.name):
             return 'game'
         clients = self._clients.values()
         return next((c.srv_name for c in clients if not c.service_is_ready()), None)
@@ -214,7 +212,7 @@ class LessonClient:
     def is_ready(self, request: ServiceRequest | Drive) -> bool:
         """Return whether the receiver is matched: a request sent before would be lost."""
         if isinstance(request, Drive):
-            return self._action.is_matched_by('game')
+            return self._action.is_matched_by(self._game.name)
         return bool(self._clients[type(request)].service_is_ready())
 
     def send(self, request: ServiceRequest | Drive) -> Future:
@@ -263,14 +261,15 @@ class LessonClient:
 
     def _lives(self) -> tuple[int, int]:
         """Return how often the nodes were started again that change what requests have changed."""
-        return self._restarts.counts[GAME], self._restarts.counts[LESSON]
+        return self._restarts.counts[self._game.name], self._restarts.counts[LESSON]
 
     def _on_restart(self, name: str) -> None:
         """Answer what a node that was started again has not answered, and never will."""
-        if name == GAME:
+        game = name == self._game.name
+        if game:
             self._answer_driven(lambda drive, sequence: True, _LOST)
         for asked, answer in self._asked:
-            if asked == name and not answer.done():
+            if asked == ('game' if game else name) and not answer.done():
                 answer.set_result(_LOST)
         self._changed()
 
@@ -279,7 +278,6 @@ class LessonClient:
         self._changed()
 
     def _read_lesson(self, message: msg.LessonState) -> LessonView:
-        self._node.check_sender(message.publisher_id, LESSON)
         return decode(LessonView, message)
 
     def _on_lesson(self, lesson: LessonView) -> None:

@@ -16,7 +16,6 @@ from humanopts_interfaces.srv import ResetGame
 from humanopts_learner.demonstrations import Demonstration, METHODS
 from humanopts_learner.options.option import OptionError
 from humanopts_learner.options.start_states import STRATEGIES
-from humanopts_learner.ros import LEARNER
 from humanopts_learner.ros.convert import demonstration_to_message
 from humanopts_ros.node_base import NodeBase, PATIENCE, RECORDER, SEEDS, StartError
 from humanopts_ros.node_restarts import NodeRestarts
@@ -101,13 +100,15 @@ class LessonNode(NodeBase):
         self.create_timer(_TICK, self._tick)
         self._contested = False  # somebody else has published a state of the lesson
         self.create_timer(_SAY_AGAIN, self._say_again)
-        game = GameSubscriber(self, self._on_domain)
+        self._game = GameSubscriber(self, self._on_domain)
         NodeRestarts(self, self._on_restart)
-        self._game_states = game.follow('game_state', self._on_game_state)
+        self._game_states = self._game.follow('game_state', self._on_game_state)
         self._recorder_status = self.create_subscription(
-            msg.RecorderStatus, 'recorder_status', self._on_recorder, CURRENT, sender=RECORDER
+            msg.RecorderStatus, 'recorder_status', self._on_recorder, CURRENT
         )
-        self.create_subscription(msg.LessonState, 'lesson_state', self._on_lesson_state, CURRENT)
+        self.create_subscription(
+            msg.LessonState, 'lesson_state', self._on_lesson_state, CURRENT, anybody=True
+        )
 
     def _read_rules(self) -> LessonRules:
         what, usual = f'of start states: {", ".join(STRATEGIES)}', LessonRules().strategy
@@ -174,7 +175,7 @@ class LessonNode(NodeBase):
             (msg.LearningStatus, 'learning_status', self._on_status, CURRENT),
             (msg.LearnedOptions, 'learned_options', self._on_options, CURRENT),
         ):
-            self.create_subscription(kind, topic, use, qos, sender=LEARNER)
+            self.create_subscription(kind, topic, use, qos)
 
     # What the person asks for.
 
@@ -239,7 +240,7 @@ class LessonNode(NodeBase):
     # What game, the learner and the recorder publish.
 
     def _on_restart(self, name: str) -> None:
-        if name == 'game' and self._opened is not None and self._opened.game_restarted():
+        if name == self._game.name and self._opened and self._opened.game_restarted():
             self._show()
 
     def _on_game_state(self, observed: Observed) -> None:

@@ -2,13 +2,15 @@
 
 from collections.abc import Collection
 from dataclasses import dataclass
+from functools import partial
 from importlib import import_module
 from operator import attrgetter
 import time
 from typing import Any, NamedTuple
 
+from humanopts_ros.graph import publishers_of
 from humanopts_ros.polled import never_called, Polled
-from humanopts_ros.recording import Selection
+from humanopts_ros.recording import INTERFACES, is_own, prefix_of, Selection, SHARED
 from humanopts_ros.time_of_day import TimeOfDay
 from humanopts_teach.bags.arrival_times import ArrivalTimes
 from rclpy.duration import Duration
@@ -56,6 +58,7 @@ class RawSubscriber:
     of what an executor does with them.
 
     :ivar times: of the arrivals.
+    :ivar own_nodes: full names of the nodes that have published their status in the namespace.
     """
 
     def __init__(self, node: Node, selection: Selection) -> None:
@@ -64,6 +67,7 @@ class RawSubscriber:
         self._selection = selection
         self._group = Polled()
         self._subscriptions: dict[str, TopicSubscription] = {}
+        self.own_nodes: set[str] = set()
         self._left: list[Taken] = []  # from subscriptions that were replaced
         self.unknown: dict[str, str] = {}  # type by topic, of topics that cannot be recorded
         self.complete = False  # at the last look every publisher to record was matched
@@ -72,8 +76,11 @@ class RawSubscriber:
         """Subscribe to what is new on the graph, as its publishers offer it; return that."""
         added: list[TopicSubscription] = []
         self.complete = True
+        status = prefix_of(self._selection.namespace) + 'node_status'
+        self.own_nodes |= set(publishers_of(self._node, status))
         for topic, types in self._node.get_topic_names_and_types():
-            if topic in self.unknown or not self._selection.wants(topic):
+            kind = next((each for each in types if each.startswith(INTERFACES)), types[0])
+            if topic in self.unknown or not self._wants(topic, kind):
                 continue
             publishers = self._node.count_publishers(topic)
             if not publishers:
@@ -83,11 +90,19 @@ class RawSubscriber:
                 offers = self._node.get_publishers_info_by_topic(topic)
                 if offers and known is not None:
                     self._adapt(known, offers)
-                elif offers and (known := self._subscribe(topic, types[0], offers)) is not None:
+                elif offers and (known := self._subscribe(topic, kind, offers)) is not None:
                     added.append(known)
             if known is None or known.subscription.get_publisher_count() < publishers:
                 self.complete = False
         return added
+
+    def _wants(self, topic: str, kind: str) -> bool:
+        """Return whether a topic is recorded; where it may change, it is asked for again."""
+        if topic in self._subscriptions or topic in SHARED:
+            return self._selection.wants(topic, own=True)
+        publishers = partial(publishers_of, self._node, topic)
+        own = is_own(topic, kind, self._selection.namespace, self.own_nodes, publishers)
+        return self._selection.wants(topic, own)
 
     def take(self) -> list[Taken]:
         """Return all that has arrived, in order of arrival."""

@@ -1,5 +1,6 @@
 """The node ``recorder``: writes everything on the graph to a bag."""
 
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -14,18 +15,29 @@ import time
 from typing import Any
 
 from humanopts_interfaces.msg import NodeStatus, RecorderStatus, StreamLoss
+from humanopts_ros.graph import publishers_of, serves
 from humanopts_ros.limits import shown
 from humanopts_ros.node_base import NodeBase, StartError
 from humanopts_ros.process import run_node
 from humanopts_ros.publisher import PublishError
 from humanopts_ros.qos import LATCHED
-from humanopts_ros.recording import MOST_BYTES
+from humanopts_ros.recording import MAX_BYTES, SHARED
+from humanopts_ros.senders import GAME_SERVICE
 from humanopts_teach.bags import BagWriteError, SchemaError
 from humanopts_teach.bags.provenance import attachments, software
 from humanopts_teach.bags.sequence_numbers import is_stamped, LossCounter, read_stamp
-from humanopts_teach.bags.writer import BagWriter, Limits, next_part, parts
+from humanopts_teach.bags.writer import (
+    BagWriter,
+    GAME_NODES,
+    GAME_NODES_KEY,
+    Limits,
+    next_part,
+    parts,
+)
 from humanopts_teach.launching.usage import usage_of
 from humanopts_teach.ros.raw_subscriber import RawSubscriber, Taken, TopicSubscription
+from rcl_interfaces.msg import Log, ParameterEvent
+from rclpy.serialization import deserialize_message
 
 _NS = 10**9
 _PERIOD = 0.02  # s between takes
@@ -39,6 +51,8 @@ LONGEST_WAIT = 0.5  # s; a recorder that lets a message wait longer does not kee
 _MOST_MISSING = 2**64 - 1  # that a status can say
 _MOST_LOSSES = 100  # streams in a status
 _MOST_TEXT = 2000  # characters in a status
+_HELD = 5.0  # s that a log line waits for its node to be found
+_MAX_HELD = 1000  # log lines and the like that wait so
 _RECOVERY = 1.0  # s without such a message after which it keeps up again
 _BEHIND = (
     f'the recorder does not keep up: messages wait for it longer than {LONGEST_WAIT} s; '
@@ -82,7 +96,9 @@ class Lag:
 
 class Recorder(NodeBase):
     """
-    Records the topics of its namespace, service events and actions included, or some of them.
+    Records the graph of its namespace, service events and actions included, and what is asked for.
+
+    Of the log and the changes of parameters, which all nodes share, it records those of its graph.
 
     Where the bag cannot be written any more it reports so on ``recorder_status`` and goes on
     taking messages, so that no publisher is held back.
@@ -98,6 +114,8 @@ class Recorder(NodeBase):
         self._lag = Lag()
         self._numbered: dict[str, bool] = {}  # recorded topics: whether messages carry numbers
         self._latched: set[str] = set()  # recorded topics of current values
+        self._held: deque[tuple[float, Taken]] = deque()  # since when; of nodes not known yet
+        self._game_nodes: list[str] = []  # full names of the nodes that were the game
         self._complete = False  # every publisher was matched at the last two looks
         self._stopped = ''  # why nothing is written any more; empty: it is
         self._text = self.selection.unevaluable
@@ -126,6 +144,7 @@ class Recorder(NodeBase):
             if self._record(self._subscriber.take()):
                 quiet = time.monotonic() + _QUIET
             time.sleep(_PERIOD)
+        self._record_held()
         self._attempt(self._attach)
         self._attempt(self._bag.close)
         self.failed = self._stopped != before  # the status reaches no reader any more
@@ -142,7 +161,7 @@ class Recorder(NodeBase):
         )
         facts = self.setting('metadata', '{}', 'JSON object of facts to keep in the bag')
         limits = Limits(
-            self.setting('max_bytes', 0, 'size of a file; 0: any', (0, MOST_BYTES)),
+            self.setting('max_bytes', 0, 'size of a file; 0: any', (0, MAX_BYTES)),
             self.setting('max_seconds', 0.0, 'time in a file; 0: any', (0.0, 1e9)),
         )
         if not path:
@@ -153,7 +172,8 @@ class Recorder(NodeBase):
             known = {
                 **_facts(facts),
                 **software(),
-                'record_include': json.dumps(selection.include or ['*']),
+                'namespace': selection.namespace,
+                'record_topics': json.dumps(selection.record),
                 'record_exclude': json.dumps(selection.exclude),
             }
             if before:
@@ -183,7 +203,22 @@ class Recorder(NodeBase):
             self._unflushed = self._unflushed or bool(added)
             for subscription in added:
                 self._attempt(partial(self._add_topic, subscription))
+            self._find_game()
+            self._record_held()
         self._publish_status()
+
+    def _find_game(self) -> None:
+        """Keep in the bag which node is the game, as the other nodes see it."""
+        known = self._game_nodes[-1:]
+        there = publishers_of(self, 'domain_info')
+        if known and (known[0] in there or not there):
+            return
+        for name in there:
+            if serves(self, name, GAME_SERVICE):
+                self._game_nodes.append(name)
+                names = {GAME_NODES_KEY: json.dumps(self._game_nodes)}
+                self._attempt(partial(self._bag.note, GAME_NODES, names))
+                return
 
     def _add_topic(self, added: TopicSubscription) -> None:
         """Add a topic to the bag, where its type is installed."""
@@ -212,6 +247,10 @@ class Recorder(NodeBase):
             stamped = self._numbered.get(taken.topic)
             if stamped is None:
                 continue
+            if taken.topic in SHARED and not self._is_own(taken):
+                if len(self._held) < _MAX_HELD:
+                    self._held.append((time.monotonic(), taken))
+                continue
             stamp = read_stamp(taken.data) if stamped else None
             if stamp is not None:
                 self._losses.add(taken.topic, stamp, latched=taken.topic in self._latched)
@@ -221,6 +260,28 @@ class Recorder(NodeBase):
                 except BagWriteError as error:
                     self._stop(error)
         return len(batch)
+
+    def _is_own(self, taken: Taken) -> bool:
+        """Return whether a log line or a change of parameters is recorded: its node is known."""
+        if self.selection.adds(taken.topic):
+            return True
+        own = self._subscriber.own_nodes
+        try:
+            if taken.topic == '/rosout':
+                logger = deserialize_message(taken.data, Log).name
+                return logger in {name[1:].replace('/', '.') for name in own}
+            return deserialize_message(taken.data, ParameterEvent).node in own
+        except (RuntimeError, ValueError, MemoryError):  # no bytes of a message
+            return False
+
+    def _record_held(self) -> None:
+        """Record what waited for its node, and forget what other software has said."""
+        held, self._held = self._held, deque()
+        self._record([taken for _, taken in held if self._is_own(taken)])
+        now = time.monotonic()
+        self._held.extend(
+            each for each in held if now - each[0] < _HELD and not self._is_own(each[1])
+        )
 
     def _attempt(self, write: Callable[[], object]) -> None:
         """Write to the bag, unless it was given up; give it up where it cannot be written."""

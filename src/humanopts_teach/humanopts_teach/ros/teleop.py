@@ -22,7 +22,6 @@ from humanopts_interfaces.msg import (
     PlanResult,
     StudyEvent,
 )
-from humanopts_learner.ros import LEARNER, OPTION_SERVER, PLANNER
 from humanopts_ros.node_base import NodeBase, SEEDS
 from humanopts_ros.node_restarts import NodeRestarts
 from humanopts_ros.publisher import PublishError
@@ -99,13 +98,13 @@ class TeleopNode(NodeBase):
         self.last_answers: list[Future] | None = None  # that are awaited; None: it goes on
         self._parted_at = 0.0
         execution, running = attrgetter('execution'), attrgetter('option_name')
-        for sender, kind, topic, shown, read, qos in (
-            (LEARNER, LearningStatus, 'learning_status', 'progress', _progress, CURRENT),
-            (PLANNER, ExecutionState, 'execution', 'execution', execution, CURRENT),
-            (OPTION_SERVER, OptionGoal, 'option_goals', 'running', running, DISPLAY),
+        for kind, topic, shown, read, qos in (
+            (LearningStatus, 'learning_status', 'progress', _progress, CURRENT),
+            (ExecutionState, 'execution', 'execution', execution, CURRENT),
+            (OptionGoal, 'option_goals', 'running', running, DISPLAY),
         ):
             show = partial(self._show, shown, read)
-            self.create_subscription(kind, topic, show, qos, sender=sender)
+            self.create_subscription(kind, topic, show, qos)
         self.create_subscription(ActionCommand, 'action', self._on_action, DISPLAY)
 
     def _study(self, participant: str, seed: int) -> App | None:

@@ -14,7 +14,6 @@ from humanopts_env.domains.base import BoardSlice, Domain, is_enumerable
 from humanopts_env.ros.game_subscriber import GameSubscriber, Observed
 from humanopts_interfaces.msg import OptionGoal, OptionResult, OptionValues
 from humanopts_learner.planning.interruption import OptionValues as PlanValues
-from humanopts_learner.ros import PLANNER
 from humanopts_learner.ros.convert import option_values_from_message
 from humanopts_ros.node_base import NodeBase
 from humanopts_ros.process import run_node
@@ -51,8 +50,8 @@ class ViewsNode(NodeBase):
     def __init__(self, **options: Any) -> None:
         super().__init__('views', **options)
         self.frame = self.full_name(FRAME).lstrip('/')
-        self._board = self.create_publisher(OccupancyGrid, 'views/board', LATCHED)
-        self._markers = self.create_publisher(MarkerArray, 'views/markers', LATCHED)
+        self._board = self.create_publisher(OccupancyGrid, '~/board', LATCHED)
+        self._markers = self.create_publisher(MarkerArray, '~/markers', LATCHED)
         self._game = GameSubscriber(self, self._begin)
         self._newest = self._game.newest()
         self._state: Observed | None = None
@@ -64,7 +63,7 @@ class ViewsNode(NodeBase):
         self.create_subscription(OptionGoal, 'option_goals', self._on_goal, DISPLAY)
         self.create_subscription(OptionResult, 'option_results', self._on_result, DISPLAY)
         read, use = option_values_from_message, self._on_values
-        self.subscribe(OptionValues, 'option_values', read, use, CURRENT, PLANNER)
+        self.subscribe(OptionValues, 'option_values', read, use, CURRENT)
         self._timer = self.create_timer(_PERIOD, self._draw_newest, autostart=False)
 
     def waits_for(self) -> str | None:
