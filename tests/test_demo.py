@@ -16,8 +16,8 @@ from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import GOAL, Kind, METHODS
 from humanopts_learner.options.files import option_from_json
 from humanopts_teach.bags.check import check_bag
-from humanopts_teach.bags.contents import DEMONSTRATION, Episode, read_episodes
-from humanopts_teach.bags.reader import Bag, open_bag
+from humanopts_teach.bags.contents import Episode, read_episodes
+from humanopts_teach.bags.reader import Bag, DEMONSTRATION, open_bag
 from humanopts_teach.bags.sequence_numbers import count_loss
 from humanopts_teach.cli import main
 import numpy as np

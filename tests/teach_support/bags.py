@@ -8,6 +8,7 @@ from typing import Any
 from humanopts_env.domains.base import Domain
 from humanopts_env.game import Command, Game, Source, Transition
 from humanopts_interfaces.msg import GameState
+from humanopts_ros.senders import SENDERS
 from humanopts_teach.bags.reader import Bag, open_bag
 from humanopts_teach.bags.writer import BagWriter, Limits, NO_LIMITS
 from mcap.reader import make_reader
@@ -54,8 +55,8 @@ def steps(path: Path) -> list[int]:
     return [recorded.message.step for recorded in open_bag(path).messages()]
 
 
-def write_messages(path: Path, entries: Iterable[tuple[str, Any]], publisher: str = '/n#1') -> Bag:
-    """Write (topic, message) pairs, numbered per topic, and open the bag."""
+def write_messages(path: Path, entries: Iterable[tuple[str, Any]]) -> Bag:
+    """Write (topic, message) pairs, signed and numbered per topic, and open the bag."""
     numbers: dict[str, int] = {}
     with BagWriter(path) as writer:
         for time, (topic, message) in enumerate(entries, start=1):
@@ -63,7 +64,9 @@ def write_messages(path: Path, entries: Iterable[tuple[str, Any]], publisher: st
             writer.add_topic(topic, f'{package}/{kind}/{type(message).__name__}')
             if hasattr(message, 'publisher_id') and not message.sequence:
                 numbers[topic] = numbers.get(topic, 0) + 1
-                message.publisher_id, message.sequence = publisher, numbers[topic]
+                sender = SENDERS.get(topic.rpartition('/')[2], 'game')
+                message.publisher_id = f'{topic.rpartition("/")[0]}/{sender}#1'
+                message.sequence = numbers[topic]
             writer.write(topic, serialize_message(message), time * 10**9)
     return open_bag(path)
 

@@ -27,7 +27,7 @@ from humanopts_teach.bags.contents import (
     read_episodes,
 )
 from humanopts_teach.bags.info import summarise
-from humanopts_teach.bags.reader import MOST_NOTES
+from humanopts_teach.bags.reader import MOST_NOTES, open_bag
 from humanopts_teach.bags.sequence_numbers import MOST_GAPS, read_stamp, Stamp, Stream
 from humanopts_teach.cli import main
 from humanopts_teach.commands.bag import ranges
@@ -94,10 +94,12 @@ def test_a_domain_that_is_missing_unknown_or_not_the_only_one_is_named(tmp_path:
         domain_to_info(make_domain('taxi')),
     )
     unknown.domain = 'chess'
+    other.publisher_id, other.sequence = '/game#2', 1
     cases = [
         ([('/game_state', numbered(1))], 'does not say which domain'),
         ([('/domain_info', unknown)], "no domain 'chess'"),
-        ([('/a/domain_info', taxi), ('/b/domain_info', other)], 'several domains'),
+        ([('/domain_info', taxi), ('/domain_info', other)], 'several domains'),
+        ([('/a/domain_info', taxi), ('/b/domain_info', other)], 'several namespaces: /a, /b'),
     ]
     for number, (entries, reason) in enumerate(cases):
         bag = write_messages(tmp_path / f'bag{number}', entries)
@@ -124,7 +126,7 @@ def test_a_restarted_game_makes_new_episodes(tmp_path: Path, taxi: Domain[Any]) 
         message.publisher_id, message.sequence = '/game#2', number
     bag = write_messages(tmp_path / 'bag', [('/game_state', m) for m in [*transitions, *again]])
     assert [(e.publisher_id, len(e.transitions)) for e in read_episodes(bag)] == [
-        ('/n#1', 2),
+        ('/game#1', 2),
         ('/game#2', 2),
     ]
 
@@ -157,7 +159,7 @@ def test_a_stream_counts_like_a_set(numbers: list[int]) -> None:
     assert stream.missing == len(gaps)
 
 
-def test_the_last_episode_is_of_the_last_game_even_where_two_count_alike(
+def test_the_last_episode_is_of_the_chosen_game_even_where_two_count_alike(
     tmp_path: Path, taxi: Domain[Any]
 ) -> None:
     refused = OptionResult(option_name='unknown', status=OptionResult.STATUS_UNKNOWN_OPTION)
@@ -168,7 +170,10 @@ def test_the_last_episode_is_of_the_last_game_even_where_two_count_alike(
         entries += [(f'/{where}/game_state', state) for state in states]
         run = OptionResult(option_name=where, episode=1, step_count=len(actions), terminated=True)
         entries.append((f'/{where}/option_results', run))
-    frames = read_last_episode(write_messages(tmp_path / 'bag', entries))
+    bag = write_messages(tmp_path / 'bag', entries)
+    with pytest.raises(BagError, match='choose one with --namespace'):
+        read_last_episode(bag)
+    frames = read_last_episode(open_bag(bag.path, namespace='/right'))
     assert [frame.action for frame in frames] == ['', 'south', 'south', 'west']
     assert [frame.option for frame in frames] == ['', 'right', 'right', 'right']
     assert [frame.ends_run for frame in frames] == [False, False, False, True]

@@ -73,7 +73,12 @@ def entries(
         '/plan_results',
         f'{MESSAGES}PlanResult',
         PlanResult(
-            plan_id='p', status=1, option_names=['eat', 'flee'], mean_return=float('nan'), sweeps=3
+            publisher_id='/planner#1',
+            plan_id='p',
+            status=1,
+            option_names=['eat', 'flee'],
+            mean_return=float('nan'),
+            sweeps=3,
         ),
     )
 

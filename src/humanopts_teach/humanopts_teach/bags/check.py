@@ -25,6 +25,7 @@ class Check:
     recording: bool  # it is being recorded, and was read as far as it was on the disk
     damage: tuple[str, ...]  # of the files, in words
     streams: tuple[Stream, ...]
+    strangers: tuple[str, ...] = ()  # messages of nodes that may not publish there, in words
 
     @property
     def findings(self) -> tuple[str, ...]:
@@ -55,6 +56,7 @@ class Check:
             'recording': self.recording,
             'whole': self.whole,
             'findings': list(self.findings),
+            'strangers': list(self.strangers),
         }
 
     def to_text(self) -> str:
@@ -68,7 +70,8 @@ class Check:
             verdict = f'{self.path} is whole: {self.messages} messages, none missing'
         else:
             verdict = f'{self.path} is damaged or incomplete: {self.messages} messages were read'
-        return '\n'.join([verdict, *(f'- {text}' for text in self.findings), '', numbers])
+        lines = *self.findings, *(f'not counted: {text}' for text in self.strangers)
+        return '\n'.join([verdict, *(f'- {text}' for text in lines), '', numbers])
 
 
 def _columns(stream: Stream) -> dict[str, str | int]:
@@ -111,6 +114,7 @@ def check_bag(bag: Bag) -> Check:
         bag.recording,
         tuple(bag.damage.splitlines()),
         tuple(sorted(streams, key=lambda stream: (stream.topic, stream.publisher))),
+        tuple(bag.strangers),
     )
 
 

@@ -1,7 +1,7 @@
 """What was recorded of a study: its domain, demonstrations, episodes, and who acted in them."""
 
 from bisect import bisect_right
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
@@ -15,12 +15,15 @@ from humanopts_learner.demonstrations import (
     PRIMITIVE_PREFIX,
 )
 from humanopts_teach.bags import BagError
-from humanopts_teach.bags.reader import ALWAYS, Bag, Recorded
+from humanopts_teach.bags.reader import (
+    ALWAYS,
+    Bag,
+    DEMONSTRATION,
+    DOMAIN_INFO,
+    GAME_STATE,
+    Recorded,
+)
 from humanopts_teach.bags.sequence_numbers import has_step, read_stamp
-
-DEMONSTRATION = 'humanopts_interfaces/msg/Demonstration'
-DOMAIN_INFO = 'humanopts_interfaces/msg/DomainInfo'
-LESSON_STATE = 'humanopts_interfaces/msg/LessonState'
 
 
 def read_demonstrations(bag: Bag) -> list[Demonstration]:
@@ -38,8 +41,37 @@ def read_demonstrations(bag: Bag) -> list[Demonstration]:
 
 
 def domains_played(bag: Bag) -> list[tuple[str, str]]:
-    """Return name and parameters (JSON) of the domains that were played, sorted."""
-    return sorted(set(bag.converted(DOMAIN_INFO, lambda info: (info.domain, info.parameters))))
+    """
+    Return name and parameters (JSON) of the domains that were played, sorted.
+
+    As for the nodes of the graph, what a process announces first is its game. Where several
+    processes announced different games, those count that published states of theirs.
+    """
+    games: dict[str, dict[tuple[str, str], None]] = {}  # by publisher_id, in order
+    announced: list[tuple[Recorded, str, tuple[str, str]]] = []
+    for recorded in bag.genuine(DOMAIN_INFO):
+        game = bag.convert(recorded.topic, recorded.data, lambda i: (i.domain, i.parameters))
+        stamp = read_stamp(recorded.data)
+        if game is None or stamp is None:
+            continue
+        known = games.setdefault(stamp.publisher_id, {})
+        if not known or not stamp.publisher_id:  # older programs do not sign
+            known[game] = None
+        announced.append((recorded, stamp.publisher_id, game))
+    if len({game for known in games.values() for game in known}) > 1:
+        stamps = (read_stamp(recorded.data) for recorded in bag.genuine(GAME_STATE))
+        players = {stamp.publisher_id for stamp in stamps if stamp is not None}
+        if not players.isdisjoint(games):
+            games = {name: known for name, known in games.items() if name in players}
+    played = {game for known in games.values() for game in known}
+    for recorded, publisher, game in announced:
+        if game not in played:
+            bag.leave_out(recorded, f'another game than {_named(played)}', publisher)
+    return sorted(played)
+
+
+def _named(games: Collection[tuple[str, str]]) -> str:
+    return ', '.join(f'{name} {parameters}' for name, parameters in sorted(games))
 
 
 def read_domain(bag: Bag) -> Domain[Any]:
@@ -53,15 +85,13 @@ def read_domain(bag: Bag) -> Domain[Any]:
         reasons = '; '.join(['no domain_info', *bag.notes])
         raise BagError(f'{bag.path} does not say which domain was played ({reasons})')
     if len(played) > 1:
-        names = ', '.join(f'{name} {parameters}' for name, parameters in played)
-        raise BagError(f'{bag.path} holds games of several domains: {names}')
+        raise BagError(f'{bag.path} holds games of several domains: {_named(played)}')
     try:
         return domain_from_json(*played[0])
     except DomainError as error:
         raise BagError(f'{bag.path}: {error}') from error
 
 
-GAME_STATE = 'humanopts_interfaces/msg/GameState'
 STATE_COPY = 'current_state'  # the latched topic that repeats the last state
 
 
@@ -193,7 +223,7 @@ def is_ended(bag: Bag, group: EpisodeMessages) -> bool:
 
 def _groups(bag: Bag, between: tuple[int, int]) -> Iterator[EpisodeMessages]:
     games = EpisodeGrouping(bag)
-    for recorded in bag.messages(games.topics, between):
+    for recorded in filter(bag.is_genuine, bag.messages(games.topics, between)):
         if (over := games.add(recorded)) is not None:
             yield over
     yield from games.unfinished()

@@ -19,14 +19,18 @@ from humanopts_learner.demonstrations import (
 )
 from humanopts_ros.limits import shown
 from humanopts_teach.bags.contents import (
-    DEMONSTRATION,
-    DOMAIN_INFO,
+    domains_played,
     EpisodeGrouping,
     EpisodeMessages,
     is_ended,
-    LESSON_STATE,
 )
-from humanopts_teach.bags.reader import Bag, BEING_RECORDED, Recorded
+from humanopts_teach.bags.reader import (
+    Bag,
+    BEING_RECORDED,
+    DEMONSTRATION,
+    LESSON_STATE,
+    Recorded,
+)
 from humanopts_teach.bags.rosbag2 import Topic
 from humanopts_teach.bags.schemas import constants
 from humanopts_teach.bags.sequence_numbers import MessageCounter, Stream
@@ -122,6 +126,7 @@ class BagInfo:
     path: str
     recording: bool = False  # it is being recorded; what follows is so far
     damage: str = ''  # what is wrong with the bag, a line each; empty: nothing
+    left_out: Sequence[str] = ()  # what does not count, as it is not of the graph, in words
     start: int = 0  # of the first message, ns since the epoch
     duration: int = 0  # to the last message, ns
     files: int = 0  # MCAP files
@@ -215,6 +220,7 @@ class BagInfo:
             ('bag', self.path),
             *([('recording', BEING_RECORDED)] if self.recording else []),
             *(('DAMAGED', line) for line in self.damage.splitlines()),
+            *(('left out', line) for line in self.left_out),
             ('begun', begun if self.messages else 'nothing was recorded'),
             ('duration', f'{self.duration / 1e9:.1f} s'),
             ('messages', f'{self.messages} on {len(self.topics)} topics'),
@@ -281,6 +287,8 @@ def summarise(bag: Bag, topics: Collection[str] | None = None) -> BagInfo:
     :param topics: that are read; None: all.
     """
     info, counter, games = BagInfo(str(bag.path)), MessageCounter(bag), EpisodeGrouping(bag)
+    if topics is None:
+        info.domains = [f'{name} {parameters}' for name, parameters in domains_played(bag)]
     demonstrations: list[Demonstration] = []
     met: dict[tuple[str, str], bool] = {}  # all criteria, by participant and option
     criteria: dict[tuple[str, str, str], CriterionRow] = {}
@@ -326,20 +334,14 @@ def summarise(bag: Bag, topics: Collection[str] | None = None) -> BagInfo:
         if message.participant and opened not in info.open_sessions:
             info.open_sessions.append(opened)
 
-    def domain(_: Recorded, message: Any) -> None:
-        played = f'{message.domain} {message.parameters}'
-        if played not in info.domains:
-            info.domains.append(played)
-
     handlers: dict[str, Callable[[Recorded, Any], None]] = {
         DEMONSTRATION: lambda _, m: demonstrations.append(demonstration_from_message(m)),
-        DOMAIN_INFO: domain,
         LESSON_STATE: lesson,
         _STATUS: status,
         **dict.fromkeys(results, result),
     }
     for recorded in bag.messages(topics):
-        if not counter.add(recorded):
+        if not counter.add(recorded) or not bag.is_genuine(recorded):
             continue
         if recorded.topic in games.topics and (group := games.add(recorded)) is not None:
             episode(group)
@@ -354,6 +356,7 @@ def summarise(bag: Bag, topics: Collection[str] | None = None) -> BagInfo:
         info,
         recording=bag.recording,
         damage=bag.damage,
+        left_out=bag.left_out,
         start=counter.extent.first if counter.extent.messages else 0,
         duration=counter.extent.duration,
         files=len(bag.files),

@@ -1,12 +1,17 @@
 """Opens rosbag2 directories and MCAP files, whole or damaged."""
 
 from bisect import bisect_left
+from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import ExitStack
-from functools import partial
+from functools import cached_property, partial
+import json
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
+from humanopts_ros.limits import shown
+from humanopts_ros.recording import INTERFACES, own_name
+from humanopts_ros.senders import GAME_TOPICS, sender_of, signer
 from humanopts_teach.bags import BagError
 from humanopts_teach.bags.mcap_file import (
     DAMAGE,
@@ -19,14 +24,28 @@ from humanopts_teach.bags.mcap_file import (
 )
 from humanopts_teach.bags.rosbag2 import FILE, find_files, load, Topic
 from humanopts_teach.bags.schemas import Decoder, make_decoder
-from humanopts_teach.bags.writer import is_being_written, RECORD, SELF, SELF_TEXT
+from humanopts_teach.bags.sequence_numbers import read_stamp
+from humanopts_teach.bags.writer import (
+    GAME_NODES,
+    GAME_NODES_KEY,
+    is_being_written,
+    NAMESPACE,
+    RECORD,
+    SELF,
+    SELF_TEXT,
+)
 from mcap.records import Attachment, Message
 
-INTERFACES = 'humanopts_interfaces/'
 ALWAYS = (0, 2**64)  # first and last log time
 MOST_WAITING = 64 << 20  # bytes of messages that are held to be put in order of time
 _MESSAGE_MEMORY = 500  # bytes that a message takes in memory apart from its data
 BEING_RECORDED = 'the bag is being recorded: this is what it holds so far'
+MAX_STRANGERS = 1000  # publishers that are counted, topic by topic, of messages left out
+MAX_LEFT_OUT = 100_000  # messages of one publisher on a topic that are counted
+DEMONSTRATION = f'{INTERFACES}msg/Demonstration'
+DOMAIN_INFO = f'{INTERFACES}msg/DomainInfo'
+GAME_STATE = f'{INTERFACES}msg/GameState'
+LESSON_STATE = f'{INTERFACES}msg/LessonState'
 MOST_NOTES = 1000  # kinds of damage that are kept
 _UNDECODABLE = (*DAMAGE, IndexError, TypeError, AttributeError)  # what bytes of another type raise
 ReadCallback = Callable[[int, int], object]  # takes how many bytes are read, and of how many
@@ -66,6 +85,7 @@ class Bag:
     :ivar attachments: the attached files by name, of which ``attached`` has the contents.
     :ivar numbered: our recorder wrote the bag, which numbers the messages of a topic from 1.
     :ivar topics: the topics by name, sorted.
+    :ivar chosen: the namespace to read, where somebody has chosen one; empty: the bag's own.
     """
 
     def __init__(
@@ -83,6 +103,9 @@ class Bag:
         self._damage = dict.fromkeys([*damage, *(text for file in files for text in file.damage)])
         self._decoders: dict[str, Decoder] = {}
         self.topics = self._find_topics()
+        self.chosen = ''
+        self._allowed: dict[str, tuple[str, ...]] = {}  # by topic; see ``_allowed_on``
+        self._left_out: dict[tuple[str, str, str], set[int]] = {}  # log times; see ``leave_out``
         if self.numbered:
             self._compare_facts()
 
@@ -93,8 +116,17 @@ class Bag:
 
     @property
     def notes(self) -> list[str]:
-        """What its reader must know, in words: that it is being recorded, and its damage."""
-        return [*([BEING_RECORDED] if self.recording else []), *self._damage]
+        """What its reader must know: that it is being recorded, what is left out, its damage."""
+        return [
+            *([BEING_RECORDED] if self.recording else []),
+            *(f'left out: {text}' for text in self.left_out),
+            *self._damage,
+        ]
+
+    @property
+    def left_out(self) -> list[str]:
+        """What was not read because it is not of the graph, in words, as far as it was read."""
+        return [*self._other_graphs(), *self.strangers]
 
     @property
     def facts(self) -> dict[str, str]:
@@ -122,9 +154,118 @@ class Bag:
             if not data_fits(file, partial(report, number)):
                 self.note(f'{file.name}: its bytes do not fit the checksum over all of them')
 
+    @property
+    def namespaces(self) -> list[str]:
+        """The namespaces of the graphs in the bag, sorted."""
+        kinds = (DOMAIN_INFO, GAME_STATE, DEMONSTRATION, LESSON_STATE)
+        names = [topic.name for topic in self.topics.values() if topic.type in kinds]
+        return sorted({name.rpartition('/')[0] or '/' for name in names})
+
+    @cached_property
+    def namespace(self) -> str:
+        """
+        The namespace of the graph that is read; a bag of another program may hold several.
+
+        :raises BagError: there is none of that name, or there are several and none is chosen.
+        """
+        found, own = self.namespaces, self.facts.get(NAMESPACE, '')
+        if self.chosen:
+            if self.chosen not in found:
+                there = ', '.join(found) or 'none'
+                raise BagError(f'{self.path} holds no graph of namespace {self.chosen}: {there}')
+            return self.chosen
+        if own or len(found) < 2:
+            return own or next(iter(found), '/')
+        raise BagError(
+            f'{self.path} holds the graphs of several namespaces: {", ".join(found)}; '
+            'choose one with --namespace'
+        )
+
     def of_type(self, type_name: str) -> list[str]:
-        """Return the names of the topics of a type, sorted."""
-        return sorted(topic.name for topic in self.topics.values() if topic.type == type_name)
+        """Return the names of the topics of a type in the bag's namespace, sorted."""
+        return sorted(
+            topic.name
+            for topic in self.topics.values()
+            if topic.type == type_name and own_name(topic.name, self.namespace)
+        )
+
+    @cached_property
+    def game_nodes(self) -> tuple[str, ...]:
+        """
+        Full names of the nodes that were the game; none: the bag does not tell.
+
+        Our recorder keeps them. In bags of other programs, it is the node that announced a game
+        and published most states.
+        """
+        kept = self.metadata.get(GAME_NODES, {}).get(GAME_NODES_KEY, '')
+        try:
+            names = json.loads(kept) if kept else []
+        except ValueError:
+            names = []
+        if names:
+            return tuple(map(str, names))
+        announced = dict.fromkeys(self._signers(DOMAIN_INFO))
+        played = Counter(self._signers(GAME_STATE))
+        games = [name for name in announced if name in played or not played]
+        # Of equal ones, the first in the bag; without a signature, any node may be the game.
+        best = max(games, key=played.__getitem__, default='')
+        return (best,) if best else ()
+
+    def is_genuine(self, recorded: Recorded) -> bool:
+        """
+        Return whether a message counts: the nodes of the graph would take it.
+
+        It is in the bag's namespace, and from the node that may publish there. ``left_out`` says
+        what does not count because of its publisher.
+        """
+        if self.is_strange(recorded):
+            return False
+        return own_name(recorded.topic, self.namespace) != ''
+
+    def is_strange(self, recorded: Recorded) -> bool:
+        """
+        Return whether a message is from a node that may not publish on its topic.
+
+        Where the bag holds several graphs and none is chosen, none is known to be so.
+        """
+        if recorded.topic not in self._allowed:
+            self._allowed[recorded.topic] = self._allowed_on(recorded.topic)
+        allowed = self._allowed[recorded.topic]
+        stamp = read_stamp(recorded.data) if allowed else None
+        if stamp is None or (sender := signer(stamp.publisher_id)) in allowed:
+            return False
+        why = f'not from {" or ".join(allowed)}'
+        self.leave_out(recorded, why, sender or stamp.publisher_id)
+        return True
+
+    def _allowed_on(self, topic: str) -> tuple[str, ...]:
+        """Return the nodes that may publish on a topic; (): any, or it is of another graph."""
+        try:
+            name = own_name(topic, self.namespace)
+        except BagError:
+            return ()
+        if name in GAME_TOPICS:
+            return self.game_nodes
+        owner = sender_of(topic, self.namespace)
+        return (owner,) if owner else ()
+
+    def leave_out(self, recorded: Recorded, why: str, sender: str) -> None:
+        """Count a message that does not count, once, however often the bag is read."""
+        key = recorded.topic, why, shown(sender, 80)
+        if key in self._left_out or len(self._left_out) < MAX_STRANGERS:
+            times = self._left_out.setdefault(key, set())
+            if len(times) < MAX_LEFT_OUT:
+                times.add(recorded.log_time)
+
+    def genuine(self, type_name: str, between: tuple[int, int] = ALWAYS) -> Iterator[Recorded]:
+        """Yield the messages of a type that count, in order of log time."""
+        return filter(self.is_genuine, self.messages(self.of_type(type_name), between))
+
+    def _signers(self, type_name: str) -> Iterator[str]:
+        """Yield the full name of the node that published each message of a type."""
+        for recorded in self.messages(self.of_type(type_name)):
+            stamp = read_stamp(recorded.data)
+            yield '' if stamp is None else signer(stamp.publisher_id)
 
     def messages(
         self,
@@ -230,7 +371,7 @@ class Bag:
         self, type_name: str, convert: Callable[[Any], T], between: tuple[int, int] = ALWAYS
     ) -> Iterator[T]:
         """Yield what ``convert`` makes of the messages of a type, where it can, in order."""
-        for recorded in self.messages(self.of_type(type_name), between):
+        for recorded in self.genuine(type_name, between):
             made = self.convert(recorded.topic, recorded.data, convert)
             if made is not None:
                 yield made
@@ -238,6 +379,27 @@ class Bag:
     def note(self, damage: str) -> None:
         """Keep a description of damage, once."""
         self._damage[damage if len(self._damage) < MOST_NOTES else 'and more of the kind'] = None
+
+    def _other_graphs(self) -> list[str]:
+        """Say which graphs are in the bag and not read."""
+        others = [name for name in self.namespaces if name != self.namespace]
+        there = f'the graph of {", ".join(others)}: the graph of {self.namespace} is read'
+        return [there] if others else []
+
+    @property
+    def strangers(self) -> list[str]:
+        """Messages that do not count because of their publisher, in words."""
+        found: dict[tuple[str, str], list[tuple[str, int]]] = {}
+        for (topic, why, sender), times in self._left_out.items():
+            found.setdefault((topic, why), []).append((sender, len(times)))
+        told = []
+        for (topic, why), senders in found.items():
+            count = sum(number for _, number in senders)
+            names = ', '.join(sender or 'no node' for sender, _ in senders[:3])
+            more = ', ...' if len(senders) > 3 else ''
+            what = f'{count} message{"s"[: count > 1]} on {topic}'
+            told.append(f'{what}: from {names}{more}, {why}')
+        return told
 
     def _find_topics(self) -> dict[str, Topic]:
         """Return the topics of the files, sorted by name; note those of several types."""
@@ -280,7 +442,9 @@ class Bag:
                 self.note(f'{place} and the record {RECORD} differ: one of them is damaged')
 
 
-def open_bag(path: Path | str, on_read: ReadCallback = ignore_progress) -> Bag:
+def open_bag(
+    path: Path | str, on_read: ReadCallback = ignore_progress, namespace: str = ''
+) -> Bag:
     """
     Open a rosbag2 directory or an MCAP file.
 
@@ -289,6 +453,7 @@ def open_bag(path: Path | str, on_read: ReadCallback = ignore_progress) -> Bag:
 
     :param on_read: is called with the bytes read so far in every pass over the bag, the first of
         which finds the messages of a file without an index.
+    :param namespace: of the graph to read, where the bag holds several; empty: the bag's own.
     :raises BagError: there is nothing, it is empty, was written by another program, or holds no
         humanopts topics and was not begun by our recorder.
     """
@@ -305,13 +470,12 @@ def open_bag(path: Path | str, on_read: ReadCallback = ignore_progress) -> Bag:
     if not files:
         raise errors[0]
     bag = Bag(path, files, information, [*damage, *map(str, errors)])
-    bag.on_read = on_read
-    if RECORD in bag.metadata:  # our recorder may have been killed at once
-        return bag
-    if not bag.topics:
+    bag.on_read, bag.chosen = on_read, namespace
+    if not bag.topics and RECORD not in bag.metadata:  # ours may have been killed at once
         reason = f' ({bag.damage})' if bag.damage else ''
         raise BagError(f'{path} holds no messages{reason}')
-    if not any(t.type.startswith(INTERFACES) for t in bag.topics.values()):
+    foreign = bag.topics and NAMESPACE not in bag.facts
+    if foreign and not any(t.type.startswith(INTERFACES) for t in bag.topics.values()):
         raise BagError(f'{path} holds no humanopts topics: it is a recording of something else')
     return bag
 

@@ -174,7 +174,8 @@ class MessageCounter:
             if stamp is None:
                 self._bag.note(f'a message on {recorded.topic} does not decode')
                 return False
-            self.losses.add(recorded.topic, stamp, latched=recorded.topic in self._latched)
+            if not self._bag.is_strange(recorded):  # whose numbers may be made up
+                self.losses.add(recorded.topic, stamp, latched=recorded.topic in self._latched)
         return True
 
 

@@ -28,6 +28,7 @@ from mcap.writer import CompressionType, Writer
 CHUNK_BYTES = 256 * 1024
 LIBRARY = 'humanopts'  # the program that wrote the file, in its header
 RECORD = 'humanopts'  # name of the MCAP metadata record with the recorder's facts
+NAMESPACE = 'namespace'  # name of the fact that says which graph was recorded
 GAME_NODES = 'humanopts_game'  # name of the record with the nodes that were the game ...
 GAME_NODES_KEY = 'nodes'  # ... as a JSON list under this key
 SELF = 'rosbag2'  # name of the record with a copy of metadata.yaml ...

@@ -42,6 +42,14 @@ BagArguments = Annotated[
         metavar='BAG', help='rosbag2 folders or .mcap files; each of several by itself'
     ),
 ]
+Namespace = Annotated[
+    str,
+    typer.Option(
+        metavar='NAME',
+        show_default=False,
+        help='of the graph to read, where the bag holds several; default: the one recorded',
+    ),
+]
 Json = Annotated[bool, typer.Option('--json', help='print JSON')]
 speed_factor = number('from 1/16 to 64', lambda value: 1 / 16 <= value <= 64)
 
@@ -78,13 +86,13 @@ def bag() -> None:
 
 
 @app.command()
-def info(bags: BagArguments, json: Json = False) -> int:
+def info(bags: BagArguments, namespace: Namespace = '', json: Json = False) -> int:
     """Show what bags hold, and what of it was lost."""
     from humanopts_teach.bags.info import summarise
     from humanopts_teach.bags.reader import open_bag
 
     with progress_bar() as show:
-        found = [summarise(open_bag(path, show)) for path in bags]
+        found = [summarise(open_bag(path, show, namespace)) for path in bags]
     if json:
         listed = [each.to_dict() for each in found]
         _print(_json(listed if len(bags) > 1 else listed[0]))
@@ -142,6 +150,7 @@ def evaluate(
             'each, where plans are made from samples; takes minutes; default: not',
         ),
     ] = 0,
+    namespace: Namespace = '',
     json: Json = False,
 ) -> int:
     """Learn every option again from the bag alone, and plan with it."""
@@ -156,7 +165,7 @@ def evaluate(
     if html:
         _check_report(html, len(bags))
     with progress_bar() as show:
-        opened = [open_bag(path, show) for path in bags]
+        opened = [open_bag(path, show, namespace) for path in bags]
         for each in opened if games else ():
             check_games(read_domain(each))
         found = []
@@ -229,6 +238,7 @@ def play(
             parser=speed_factor, metavar='X', help='1 is two steps a second, 2 is twice as fast'
         ),
     ] = 1.0,
+    namespace: Namespace = '',
 ) -> int:
     """Play an episode again in this terminal; as plain text where this is no terminal."""
     from humanopts_env.domains.base import StateError
@@ -245,7 +255,7 @@ def play(
     if episode is not None and option:
         raise CommandError('give --episode or --option, not both')
     with progress_bar() as show:
-        opened = open_bag(bag, show)
+        opened = open_bag(bag, show, namespace)
         domain, episodes = read_domain(opened), find_episodes(opened)
         if option:
             episode = _first_with(option, episode_options(opened), opened.path)
@@ -277,6 +287,7 @@ def table1(
             help='YAML: each name with the list of its wordings, which are one option',
         ),
     ] = None,
+    namespace: Namespace = '',
     json: Json = False,
 ) -> int:
     """Count the options that people named, beside Table 1 of the paper."""
@@ -296,7 +307,7 @@ def table1(
     except (MergeError, UnicodeDecodeError) as error:
         raise CommandError(f'{merge}: {error}') from error
     with progress_bar() as show:
-        opened = [open_bag(path, show) for path in bags]
+        opened = [open_bag(path, show, namespace) for path in bags]
         named = named_options(opened)
     tables = count_named(named, canonical)
     _print(_json([each.to_dict() for each in tables]) if json else table_text(tables))
@@ -318,6 +329,7 @@ def export(
         ),
     ],
     out: Annotated[Path, typer.Option(metavar='DIR', help='folder for the files')],
+    namespace: Namespace = '',
     excel: ExcelOption = False,
 ) -> int:
     """Write tables or a dataset for other tools."""
@@ -329,7 +341,7 @@ def export(
         raise CommandError('--excel is for --to csv')
     try:
         with progress_bar() as show:
-            opened = open_bag(bag, show)
+            opened = open_bag(bag, show, namespace)
             if to == 'minari':
                 dataset_id, count = minari_dataset.write_dataset(opened, out)
                 written = [

@@ -14,8 +14,8 @@ from humanopts_learner.demonstrations import demonstration_from_message, Kind
 from humanopts_learner.intervals import Interval
 from humanopts_ros.limits import caseless
 from humanopts_teach.bags import BagError
-from humanopts_teach.bags.contents import DEMONSTRATION, domains_played, LESSON_STATE
-from humanopts_teach.bags.reader import Bag
+from humanopts_teach.bags.contents import domains_played
+from humanopts_teach.bags.reader import Bag, DEMONSTRATION, LESSON_STATE
 from humanopts_teach.bags.rosbag2 import load
 from humanopts_teach.evaluation.measures import finite_parts
 from humanopts_teach.study.events import ButtonSuggested, Event, event_of, last_attempts

@@ -19,7 +19,6 @@ from humanopts_learner.spreadsheet import EXCEL, to_cell
 from humanopts_teach.bags.contents import (
     actor_of,
     Actors,
-    DEMONSTRATION,
     read_actors,
     read_demonstrations,
     read_domain,
@@ -27,7 +26,7 @@ from humanopts_teach.bags.contents import (
     source_of,
 )
 from humanopts_teach.bags.info import option_rows, OptionRow, PLAN_RESULT
-from humanopts_teach.bags.reader import Bag
+from humanopts_teach.bags.reader import Bag, DEMONSTRATION
 from humanopts_teach.bags.schemas import constants
 
 BATCH = 50_000  # rows of a Parquet table that are held in memory
@@ -113,7 +112,7 @@ def _demonstration(demo: Demonstration) -> dict[str, Any]:
 
 def _plans(bag: Bag) -> Iterator[dict[str, Any]]:
     """Yield the results of plans; bags of older versions lack some fields."""
-    for recorded in bag.messages(bag.of_type(PLAN_RESULT)):
+    for recorded in bag.genuine(PLAN_RESULT):
         if (result := recorded.message) is not None:
             names = constants(bag.topics[recorded.topic].schema, 'STATUS_')
             status = names.get(result.status, str(result.status)).lower()

@@ -11,7 +11,6 @@ from humanopts_teach.bags.contents import (
     Actors,
     actors_in,
     Episode,
-    namespace,
     read_episodes,
 )
 from humanopts_teach.bags.reader import Bag
@@ -39,19 +38,18 @@ class Frame:
 
 def read_last_episode(bag: Bag) -> list[Frame]:
     """Return the last episode that learned options brought to its end; empty: there is none."""
-    under_way: dict[str, tuple[int, list[Any]]] = {}  # episode and its results, of each game
-    game, number, runs = '', 0, list[Any]()
-    for recorded in bag.messages(bag.of_type(_OPTION_RESULT)):
+    under_way, results = 0, list[Any]()  # an episode and its results
+    number, runs = 0, list[Any]()
+    for recorded in bag.genuine(_OPTION_RESULT):
         message = recorded.message
         if message is None or not message.episode:  # damaged, or refused
             continue
-        topic_game = namespace(recorded.topic)
-        if under_way.get(topic_game, (0,))[0] != message.episode:
-            under_way[topic_game] = (message.episode, [])
-        under_way[topic_game][1].append(message)
+        if under_way != message.episode:
+            under_way, results = message.episode, []
+        results.append(message)
         if message.terminated and not message.option_name.startswith(PRIMITIVE_PREFIX):
-            game, (number, runs) = topic_game, under_way[topic_game]
-    found = read_episodes(bag, chosen=lambda g: (namespace(g.topic), g.number) == (game, number))
+            number, runs = under_way, results
+    found = read_episodes(bag, chosen=lambda group: group.number == number)
     played = [episode for episode in found if episode.complete]
     if not played:
         return []

@@ -31,6 +31,7 @@ from humanopts_teach.bags.writer import (
     GAME_NODES,
     GAME_NODES_KEY,
     Limits,
+    NAMESPACE,
     next_part,
     parts,
 )
@@ -172,7 +173,7 @@ class Recorder(NodeBase):
             known = {
                 **_facts(facts),
                 **software(),
-                'namespace': selection.namespace,
+                NAMESPACE: selection.namespace,
                 'record_topics': json.dumps(selection.record),
                 'record_exclude': json.dumps(selection.exclude),
             }

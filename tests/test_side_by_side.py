@@ -1,0 +1,190 @@
+"""Several graphs, other software and strangers in one ROS_DOMAIN_ID: each bag holds its own."""
+
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from graph_support.live import (
+    GAME,
+    Graph,
+    LEARNER,
+    LESSON,
+    module_of,
+    OPTION_SERVER,
+    RECORDER,
+    TEACHER,
+)
+from graph_support.player import Player
+from graph_support.scripted import TAXI
+from humanopts_env.domains.registry import make_domain
+from humanopts_env.ros.convert import domain_to_info
+from humanopts_interfaces.msg import (
+    ControlState,
+    DomainInfo,
+    GameState,
+    LearnedOptions,
+    LessonState,
+    OptionResult,
+)
+from humanopts_interfaces.srv import RunOption
+from humanopts_ros.qos import LATCHED
+from humanopts_teach.bags.check import check_bag
+from humanopts_teach.bags.info import summarise
+from humanopts_teach.bags.reader import open_bag
+from humanopts_teach.bags.writer import BagWriter
+from humanopts_teach.cli import main
+from humanopts_teach.lesson.simulated_teacher import FINISHED
+import pytest
+
+PICKUP, NORTH = 'go to passenger and pickup', 'north-west room to north doorway'
+START = 'taxi 2,2 passenger aboard destination G'
+FORGED = {  # that a stranger publishes in the place of the nodes
+    'domain_info': domain_to_info(make_domain('rooms')),
+    'game_state': GameState(episode=9, state='nowhere'),
+    'control': ControlState(holder=ControlState.HOLDER_PERSON, holder_id='/stranger#1'),
+    'lesson_state': LessonState(participant='somebody', session='s'),
+    'learned_options': LearnedOptions(),
+    'option_results': OptionResult(status=OptionResult.STATUS_REACHED),
+}
+READING = ('info', 'eval', 'table1', 'check', 'play', 'export')
+
+
+def read(command: str, bag: Path, out: Path, *options: str) -> int:
+    """Run a command that reads a bag."""
+    more = ['--to', 'csv', '--out', str(out)] if command == 'export' else []
+    return main(['bag', command, str(bag), *more, *options])
+
+
+class Lesson:
+    """A simulated person who teaches an option in a namespace, and the bag of it."""
+
+    def __init__(self, graph: Graph, namespace: str, participant: str) -> None:
+        self.graph, self.bag = graph, graph.folder / participant / 'bag'
+        self._teacher = f'{namespace.rstrip("/")}/simulated_teacher'
+        self._recorder = graph.start(RECORDER, namespace, path=self.bag)
+        self._start = partial(graph.start, expect_recorder=True)
+        folder = self.bag.parent
+        self._start(LEARNER, namespace, directory=folder / 'options')
+        self._start(LESSON, namespace, directory=folder / 'lesson', budget=2)
+        self._namespace, self._participant = namespace, participant
+
+    def taught(self, option: str, game: str = GAME, **parameters: Any) -> Path:
+        """Teach an option to the end; return the bag."""
+        if game:
+            self._start(game, self._namespace, **parameters)
+        who = {'options': [option], 'participant': self._participant}
+        self._start(TEACHER, self._namespace, **who)
+        statuses = self.graph.statuses
+
+        def finished() -> bool:
+            told = statuses.get(self._teacher, [])
+            return any(status.text.startswith(FINISHED) for status in told)
+
+        self.graph.until(finished, 'the lesson', 60.0)
+        self.graph.stop(self._recorder)
+        return self.bag
+
+
+def test_a_bag_with_forged_messages_is_read_as_the_nodes_saw_it(
+    live: Graph, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for topic, message in FORGED.items():  # before the nodes are there
+        message.publisher_id = '/stranger#1'
+        live.node.create_publisher(type(message), topic, LATCHED).publish(message)
+    bag = Lesson(live, '/', 'p1').taught(PICKUP)
+    for command in READING:
+        assert read(command, bag, tmp_path / 'out') == 0, capsys.readouterr().err
+        said = capsys.readouterr()
+        assert 'somebody' not in said.out
+        assert 'rooms' not in said.out
+        if command == 'eval':
+            assert (
+                'left out: 1 message on /domain_info: from /stranger, not from /game' in said.err
+            )
+    found = summarise(open_bag(bag))
+    assert (found.participants, found.option_runs) == (('p1',), {})
+    assert open_bag(bag).game_nodes == ('/game',)
+
+
+def test_the_game_may_have_any_name_and_a_stranger_of_its_usual_name_is_none(
+    live: Graph, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    stranger = live.node.create_publisher(DomainInfo, 'domain_info', LATCHED)
+    forged = domain_to_info(make_domain('rooms'))
+    forged.publisher_id = '/game#1'
+    stranger.publish(forged)
+    lesson = Lesson(live, '/', 'p1')
+    options = ['-r', '__node:=simulator', '-p', 'expect_recorder:=true']
+    live.run(['-m', module_of(GAME), '--ros-args', *options], 'simulator')
+    bag = lesson.taught(PICKUP, game='')
+    assert open_bag(bag).game_nodes == ('/simulator',)
+    assert read('eval', bag, tmp_path) == 0
+    assert 'from /game, not from /simulator' in capsys.readouterr().err
+
+
+def test_a_node_that_announces_a_game_and_does_not_serve_it_is_named(
+    live: Graph, tmp_path: Path
+) -> None:
+    learner = live.start(LEARNER, directory=tmp_path)
+    info = domain_to_info(TAXI)
+    info.publisher_id = '/person#1'
+    live.node.create_publisher(DomainInfo, 'domain_info', LATCHED).publish(info)
+    with live.hurried():
+        live.until(lambda: learner.guard.refused, 'the refusal')
+    assert '/person does not serve reset_game, so it is not the game' in learner.guard.remark
+    assert not learner.ready
+    live.start(GAME)
+    live.ready('/learner')
+
+
+def test_another_node_may_take_the_place_of_a_game_that_has_ended(
+    live: Graph, tmp_path: Path
+) -> None:
+    game, learner = live.start(GAME), live.start(LEARNER, directory=tmp_path)
+    live.ready('/game', '/learner')
+    live.stop(game)
+    live.run(['-m', module_of(GAME), '--ros-args', '-r', '__node:=simulator'], 'simulator')
+    player = Player(live)
+    live.until(lambda: player.state.publisher_id.startswith('/simulator#'), 'its state')
+    live.start(OPTION_SERVER)
+    live.ready('/option_server')
+    state = player.fresh(START)
+    result = live.ask(
+        RunOption, 'run_option', option_name='action:north', episode=state.episode, step=0
+    ).result
+    assert result.status == OptionResult.STATUS_REACHED, result.detail
+    assert learner.guard.refused == 0
+
+
+def test_a_bag_of_another_program_with_several_graphs_is_read_one_at_a_time(
+    live: Graph, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bags = [
+        Lesson(live, '/', 'p1').taught(PICKUP),
+        Lesson(live, '/b', 'p2').taught(NORTH, domain='rooms'),
+    ]
+    for bag, who in zip(bags, ('p1', 'p2')):
+        assert summarise(open_bag(bag)).participants == (who,)
+        assert check_bag(open_bag(bag)).whole
+    everything = tmp_path / 'all'
+    with BagWriter(everything) as writer:
+        for each in map(open_bag, bags):
+            for recorded in each.messages():
+                schema = each.topics[recorded.topic].schema
+                writer.add_topic(recorded.topic, recorded.type, schema=schema)
+                writer.write(recorded.topic, recorded.data, recorded.log_time)
+    assert read('check', everything, tmp_path) == 0
+    for command in ('info', 'eval', 'table1', 'play', 'export'):
+        capsys.readouterr()
+        assert read(command, everything, tmp_path / 'out') == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        assert 'holds the graphs of several namespaces: /, /b; choose one' in line
+        for place, who in (('/', 'p1'), ('/b', 'p2')):
+            out = tmp_path / f'{who}-{command}'
+            assert read(command, everything, out, '--namespace', place) == 0
+            said = capsys.readouterr()
+            if command in ('info', 'eval', 'table1'):
+                assert who in said.out
+                assert ({'p1': 'p2', 'p2': 'p1'}[who] in said.out) is False
+    assert read('info', everything, tmp_path, '--namespace', '/c') == 2
+    assert 'no graph of namespace /c: /, /b' in capsys.readouterr().err
