@@ -357,7 +357,7 @@ def test_what_patterns_add_or_leave_out_is_kept_and_no_node_waits_for_what_is_le
     recording.holds('/game_state', 1)
     recording.graph.stop(recorder)
     bag = open_bag(recording.path)
-    assert set(bag.topics) - {'/parameter_events'} == {'/game_state', '/chatter_state'}
+    assert set(bag.topics) - {'/parameter_events', '/rosout'} == {'/game_state', '/chatter_state'}
     facts = bag.metadata['humanopts']
     assert facts['record_topics'] == '["chatter_*"]'
     assert facts['record_exclude'] == json.dumps(left_out)

@@ -31,6 +31,9 @@ VIEWERS = ROOT / 'src' / 'humanopts_teach' / 'viewers'
 LAYERS = {'board', 'notes', 'option', 'signs', 'values'}
 
 
+SERVER = '/room/option_server#1'
+
+
 def texts(array: MarkerArray, layer: str) -> list[str]:
     return [marker.text for marker in array.markers if marker.ns == layer and marker.text]
 
@@ -69,10 +72,10 @@ def test_a_game_is_shown_in_its_namespace(live: Graph) -> None:
     plans = live.node.create_publisher(OptionValues, '/room/option_values', LATCHED)
     live.until(lambda: goals.get_subscription_count() == 1, 'the reader of goals')
     live.until(lambda: results.get_subscription_count() == 1, 'the reader of results')
-    goals.publish(OptionGoal(run_id='1', option_name='to the hallway'))
+    goals.publish(OptionGoal(publisher_id=SERVER, run_id='1', option_name='to the hallway'))
     live.until(lambda: texts(late[-1], 'option') == ['to the hallway'], 'the option')
-    results.publish(OptionResult(run_id='0'))  # of another run
-    results.publish(OptionResult(run_id='1'))
+    results.publish(OptionResult(publisher_id=SERVER, run_id='0'))  # of another run
+    results.publish(OptionResult(publisher_id=SERVER, run_id='1'))
     live.until(lambda: not texts(late[-1], 'option'), 'the end of the option')
 
     plan: dict[str, Any] = {'action_set': 'human', 'names': ['a', 'b'], 'states': [0, 1]}

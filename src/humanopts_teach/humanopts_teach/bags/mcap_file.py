@@ -16,6 +16,7 @@ import struct
 import zlib
 
 from humanopts_teach.bags import BagError
+from humanopts_teach.bags.rosbag2 import convert, unpack
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile, McapError
 from mcap.opcode import Opcode
@@ -38,6 +39,16 @@ import zstandard
 
 LARGEST = 1 << 28  # bytes of a chunk; one that claims more is damaged
 OffsetCallback = Callable[[int], object]  # takes the offset up to which a file was read
+ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'
+_PACKED_MAGIC = {
+    '.zst': ZSTD_MAGIC,
+    '.gz': b'\x1f\x8b',
+    '.bz2': b'BZh',
+    '.xz': b'\xfd7zXZ\0',
+    '.lz4': b'\x04\x22\x4d\x18',
+}
+_SQLITE, _ROS_1 = b'SQLite format 3\0', b'#ROSBAG V'
+_LONGEST_MAGIC = len(_SQLITE)
 _HEAD = struct.Struct('<BQ')  # opcode of a record, length of its content
 _TIMES = struct.Struct('<QQ')  # first and last log time, at the beginning of a chunk's content
 _DATA_END = struct.Struct('<BQI')  # a whole DataEnd record: opcode, length, checksum
@@ -141,8 +152,9 @@ def read_index(
         with McapStream(path) as stream:
             if stream.size == 0:
                 raise BagError(f'{path} is empty')
-            if stream.peek(MAGIC_SIZE)[:MAGIC_SIZE] != MCAP0_MAGIC:
-                raise BagError(f'{path} is not an MCAP file: it was written by another program')
+            head = stream.peek(_LONGEST_MAGIC)[:_LONGEST_MAGIC]
+            if not head.startswith(MCAP0_MAGIC):
+                raise BagError(f'{path} is not an MCAP file: {_what(path, head)}')
             damage, index = '', FileIndex(path, growing=growing)
             try:
                 found = not growing and _read_summary(index, stream)
@@ -157,6 +169,18 @@ def read_index(
             return index
     except OSError as error:
         raise BagError(f'cannot read {path}: {error.strerror}') from error
+
+
+def _what(path: Path, head: bytes) -> str:
+    """Say what a file is, by its first bytes, and how to make an MCAP file of it."""
+    for suffix, magic in _PACKED_MAGIC.items():
+        if head.startswith(magic):
+            return unpack(path, suffix)
+    if head.startswith(_SQLITE):
+        return f'it was written by another program, as sqlite3; {convert(path.parent)}'
+    if head.startswith(_ROS_1):
+        return f'it is a bag of ROS 1; {convert(path)}'
+    return 'it was written by another program'
 
 
 def data_fits(path: Path, on_offset: OffsetCallback = lambda _: None) -> bool:

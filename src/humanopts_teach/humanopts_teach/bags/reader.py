@@ -21,8 +21,9 @@ from humanopts_teach.bags.mcap_file import (
     read_attachment,
     read_block,
     read_index,
+    ZSTD_MAGIC,
 )
-from humanopts_teach.bags.rosbag2 import FILE, find_files, load, Topic
+from humanopts_teach.bags.rosbag2 import convert, FILE, find_files, load, Topic
 from humanopts_teach.bags.schemas import Decoder, make_decoder
 from humanopts_teach.bags.sequence_numbers import read_stamp
 from humanopts_teach.bags.writer import (
@@ -438,7 +439,8 @@ class Bag:
         except ValueError:
             self.note(f'the record {SELF} is damaged')
         for place, copy in copies.items():
-            if (copy.get('custom_data') or {}) != facts:
+            told = copy.get('custom_data')
+            if told and told != facts:  # other programs leave it out, which loses nothing
                 self.note(f'{place} and the record {RECORD} differ: one of them is damaged')
 
 
@@ -470,13 +472,17 @@ def open_bag(
     if not files:
         raise errors[0]
     bag = Bag(path, files, information, [*damage, *map(str, errors)])
-    bag.on_read, bag.chosen = on_read, namespace
+    bag.chosen = namespace
     if not bag.topics and RECORD not in bag.metadata:  # ours may have been killed at once
-        reason = f' ({bag.damage})' if bag.damage else ''
+        reason = f' ({bag.damage})'.replace('\n', '; ') if bag.damage else ''
         raise BagError(f'{path} holds no messages{reason}')
     foreign = bag.topics and NAMESPACE not in bag.facts
     if foreign and not any(t.type.startswith(INTERFACES) for t in bag.topics.values()):
         raise BagError(f'{path} holds no humanopts topics: it is a recording of something else')
+    first = next(bag.messages(), None) if foreign else None
+    if first is not None and first.data.startswith(ZSTD_MAGIC):
+        raise BagError(f'each message of {path} is compressed; {convert(path)}')
+    bag.on_read = on_read
     return bag
 
 

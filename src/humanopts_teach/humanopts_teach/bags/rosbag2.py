@@ -4,6 +4,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from shlex import quote
 from textwrap import indent
 from typing import Any
 
@@ -167,6 +168,14 @@ def profiles(text: str) -> list[dict[str, Any]]:
     return found if known else []
 
 
+PACKED = {  # what decompresses a file, by its suffix
+    '.zstd': 'zstd -d',
+    '.zst': 'zstd -d',
+    '.gz': 'gzip -d',
+    '.bz2': 'bzip2 -d',
+    '.xz': 'xz -d',
+    '.lz4': 'lz4 -d',
+}
 MOST_FILES = 100_000  # larger numbers in a file's name are not taken for its place
 _MOST_NAMED = 3  # bags below a folder that are named in an error message
 
@@ -185,11 +194,12 @@ def find_files(path: Path) -> tuple[list[Path], dict[str, Any], list[str]]:
         raise BagError(f'there is no bag at {path}')
     found = sorted(path.glob('*.mcap'), key=_place)
     information, damage = _information(path / FILE)
-    storage = information.get('storage_identifier', 'mcap')
-    if storage != 'mcap' and not found:
-        raise BagError(f'{path} is a bag in {storage} format; convert it to mcap first')
+    if not found:
+        _check_storage(path, information)
     listed = [path / Path(str(name)).name for name in information.get('relative_file_paths', [])]
-    missing = [file for file in listed if file not in found]
+    packed = [file for file in listed if file.suffix in PACKED and file.exists()]
+    damage += [f'{file.name} is left out: {unpack(file, file.suffix)}' for file in packed]
+    missing = [file for file in listed if file not in [*found, *packed]]
     unlisted = [file for file in found if file not in listed] if listed else []
     damage += [f'{file.name} is in {FILE} but is not there' for file in missing]
     damage += [f'{file.name} is not in {FILE}, and is read too' for file in unlisted]
@@ -198,6 +208,46 @@ def find_files(path: Path) -> tuple[list[Path], dict[str, Any], list[str]]:
     if not files:
         raise BagError(f'{path} is not a bag: there is no MCAP file in it{_below(path)}')
     return files, information, damage
+
+
+def _check_storage(path: Path, information: Mapping[str, Any]) -> None:
+    """
+    Refuse a bag whose messages are not in MCAP files, or in compressed ones.
+
+    :raises BagError: the text says what it is, and how to convert it.
+    """
+    files = sorted(file for file in path.iterdir() if file.is_file())
+    packed = [file.name for file in files if file.suffix in PACKED]
+    storage = str(information.get('storage_identifier', 'mcap'))
+    if any('.db3' in file.suffixes for file in files):
+        storage = 'sqlite3'
+    compressed = f', with compressed files such as {packed[0]}' if packed else ''
+    if storage != 'mcap':
+        raise BagError(f'{path} is a bag in {storage} format{compressed}; {convert(path)}')
+    if packed:
+        raise BagError(f'the files of {path} are compressed, such as {packed[0]}; {convert(path)}')
+    if any(file.suffix == '.bag' for file in files):
+        raise BagError(f'{path} holds a bag of ROS 1; {convert(path)}')
+
+
+def convert(path: Path) -> str:
+    """Say how to make a bag that can be read of one that another program wrote."""
+    new = path.with_name(f'{path.resolve().name}-mcap')
+    return (
+        'pip install rosbags, and convert it: '
+        f'rosbags-convert --src {quote(str(path))} --dst {quote(str(new))} --dst-storage mcap'
+    )
+
+
+def unpack(path: Path, suffix: str) -> str:
+    """
+    Say how to decompress a file.
+
+    :param suffix: of ``PACKED``, of the files that are compressed as this one.
+    """
+    new = path.with_suffix('') if path.suffix in PACKED else path.with_name(f'new-{path.name}')
+    command = f'{PACKED[suffix]} -c < {quote(str(path))} > {quote(str(new))}'
+    return f'it is compressed; decompress it: {command}'
 
 
 def _below(path: Path) -> str:
