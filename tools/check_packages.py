@@ -37,6 +37,7 @@ KEYS = {
     'setproctitle': 'python3-setproctitle',
     'sklearn': 'python3-sklearn',
     'typer': 'python3-typer-pip',
+    'starlette': 'python3-nicegui-pip',
     'uvicorn': 'python3-nicegui-pip',
     'yaml': 'python3-yaml',
     'zstandard': 'python3-zstandard',
