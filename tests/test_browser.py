@@ -25,9 +25,9 @@ pytestmark = pytest.mark.timeout(300)  # on a busy machine
 class Served:
     """``humanopts teach taxi --browser``, and its pages."""
 
-    def __init__(self, folder: Path, domain_id: int) -> None:
+    def __init__(self, folder: Path, domain_id: int, *more: object) -> None:
         self.data = folder / 'data'
-        arguments = ('--port', 0, '--learn', 'goal', '--linger', LINGER, '--out', self.data)
+        arguments = ('--port', 0, '--learn', 'goal', '--linger', LINGER, '--out', self.data, *more)
         self.command = Command(('teach', 'taxi', '--browser', *arguments), folder, domain_id)
         self.command.until(lambda: 'Open ' in self.command.output, 'the address')
         self._pages: list[PageClient] = []
@@ -117,6 +117,23 @@ def test_two_people_teach_at_once_and_nothing_that_was_finished_is_lost(served: 
     assert served.command.output.endswith('stopped\n')
     assert '\x1b' not in served.command.output + served.command.errors
     assert '\n[sudo]' not in served.command.errors
+
+
+@pytest.mark.whole
+def test_with_one_seat_the_next_one_waits_for_it(
+    tmp_path: Path, domain_id: int, short_lease: None
+) -> None:
+    served = Served(tmp_path, domain_id, '--seats', 1)
+    try:
+        anna, ben = served.page('anna'), served.page('ben')
+        anna.until('panel', 'What next?')
+        ben.until('panel', 'You are number 1 in line')
+        assert len(served.graphs()) == 1
+        anna.socket.disconnect()
+        ben.until('panel', 'What next?')
+        assert len(served.graphs()) == 1
+    finally:
+        served.close()
 
 
 def test_a_port_that_is_taken_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

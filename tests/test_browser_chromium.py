@@ -15,6 +15,7 @@ import signal
 import statistics
 import time
 from typing import Any
+from urllib.parse import urlsplit
 
 from graph_support.command import Command
 from graph_support.live import free_domain_id
@@ -29,6 +30,7 @@ from selenium.webdriver.chrome.service import Service
 from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
+from teach_support.flood import Flood
 
 pytestmark = [pytest.mark.chromium, pytest.mark.live, pytest.mark.timeout(300)]
 
@@ -45,6 +47,8 @@ ARROWS = {
 LINGER = 4  # s
 KEYS = 100  # that are measured
 MEDIAN = 60.0  # ms that a key may take to the screen; the slowest depend on who else computes
+STRANGERS = 2000
+COUNT = 'return window.waits.length'
 REQUEST = 'Network.requestWillBeSent'
 STALE = StaleElementReferenceException
 # Key to screen: from the key press to the next change of the board, in the page itself.
@@ -286,6 +290,47 @@ def test_two_people_teach_at_once_by_keys_and_by_buttons(
         assert {demonstration.participant for demonstration in shown} == {code}
 
 
+def test_two_people_teach_while_strangers_flood_the_server(
+    server: Served, windows: Callable[..., Window]
+) -> None:
+    flood = Flood(urlsplit(server.address).port or 0, STRANGERS)
+    try:
+        flood.opened()
+        people = [
+            Person(windows(DESKTOP), server.address, code, keys=code == 'hal')
+            for code in ('hal', 'ida')
+        ]
+        for person in people:
+            person.name_option()
+        waits = []
+        for start in range(1, 4):
+            for person in people:
+                person.show(start)
+                person.window.see(f'next: start {start + 1} ')
+        for person in people:
+            person.window.driver.execute_script(MEASURE)
+            for key in (Keys.ARROW_LEFT, Keys.ARROW_RIGHT) * 10:
+                before = person.window.driver.execute_script(COUNT)
+                person.window.press(key)
+                person.window.until(
+                    lambda window=person.window, seen=before: (
+                        window.driver.execute_script(COUNT) > seen
+                    ),
+                    'the step',
+                    5.0,
+                )
+            waits += person.window.driver.execute_script('return window.waits')
+            errors = [e for e in person.window.driver.get_log('browser') if e['level'] == 'SEVERE']
+            assert errors == []
+    finally:
+        flood.close()
+    print(f'{len(waits)} keys: median {statistics.median(waits):.0f}, last {max(waits):.0f} ms')
+    print(f'{len(server.command.errors)} bytes of log')
+    assert statistics.median(waits) < 2 * MEDIAN
+    assert len(server.command.errors) < 100_000
+    assert '\x1b' not in server.command.errors
+
+
 def test_closing_in_mid_demonstration_loses_nothing_that_was_finished(
     server: Served, windows: Callable[..., Window]
 ) -> None:
@@ -344,12 +389,11 @@ def test_key_to_screen_is_quick_and_no_other_server_is_asked(
     window.press(*[Keys.ARROW_DOWN] * 4)  # to the lower edge: no wall is above
     window.until(lambda: 'step 4' in window.text(), 'the way there')
     window.driver.execute_script(MEASURE)
-    count = 'return window.waits.length'
     for number in range(KEYS):
-        before = window.driver.execute_script(count)
+        before = window.driver.execute_script(COUNT)
         window.press(Keys.ARROW_DOWN if number % 2 else Keys.ARROW_UP)
         window.until(
-            lambda seen=before: window.driver.execute_script(count) > seen, f'step {number}', 5.0
+            lambda seen=before: window.driver.execute_script(COUNT) > seen, f'step {number}', 5.0
         )
     waits = sorted(window.driver.execute_script('return window.waits'))
     late = waits[int(0.99 * len(waits))]

@@ -4,8 +4,17 @@ import asyncio
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 
-from humanopts_teach.browser.seats import FAREWELL, GameError, message, Press, Seat, Seats
+from humanopts_teach.browser.seats import (
+    another_fits,
+    FAREWELL,
+    GameError,
+    message,
+    Press,
+    Seat,
+    Seats,
+)
 from humanopts_teach.dialogue.panel import Line, View
+import pytest
 
 LINGER = 0.05  # s
 PATIENCE = 5.0  # s
@@ -72,12 +81,16 @@ class Games:
             self.open.remove(place)
 
 
-def run(story: Callable[[Seats, Games], Awaitable[None]], linger: float = PATIENCE) -> None:
+def run(
+    story: Callable[[Seats, Games], Awaitable[None]],
+    linger: float = PATIENCE,
+    most: int = 9,
+) -> None:
     """Tell a story with seats."""
 
     async def told() -> None:
         games = Games()
-        seats = Seats('taxi', games, linger)
+        seats = Seats('taxi', games, linger, lambda count: count < most)
         await story(seats, games)
         await seats.close('stopped')
         assert games.open == []
@@ -207,3 +220,63 @@ def test_all_games_end_with_the_server_once_each_page_has_its_farewell() -> None
         await closing
 
     run(story)
+
+
+def test_who_finds_no_seat_is_told_the_position_and_comes_in_when_one_is_free() -> None:
+    async def story(seats: Seats, games: Games) -> None:
+        pages = {name: Page() for name in ('anna', 'ben', 'cleo', 'dora')}
+        for name, page in pages.items():
+            seats.enter(name, page)
+            await until(lambda shown=page: shown.shown[0] == 'begun' or 'line' in shown.shown[0])
+        for number, name in enumerate(('cleo', 'dora'), start=1):
+            assert f'You are number {number} in line' in pages[name].shown[0]
+        assert [who for who, _ in games.open] == ['anna', 'ben']
+        pages['anna'].press(['q'], 1)
+        await until(lambda: pages['cleo'].shown[0] == 'begun')
+        await until(lambda: 'You are number 1 in line' in pages['dora'].shown[0])
+        assert ('cleo', 1) in games.open
+
+    run(story, most=2)
+
+
+def test_a_place_in_line_outlives_its_page_for_a_while_and_lets_others_pass() -> None:
+    async def story(seats: Seats, games: Games) -> None:
+        pages = {name: Page() for name in ('anna', 'ben', 'cleo')}
+        for name, page in pages.items():
+            seats.enter(name, page)
+            await until(lambda shown=page: shown.shown[0] == 'begun' or 'line' in shown.shown[0])
+        seats.leave('ben', pages['ben'])
+        await until(lambda: 'You are number 1 in line' in pages['cleo'].shown[0])
+        again = Page()
+        seats.enter('ben', again)  # loaded again
+        await until(lambda: 'You are number 2 in line' in pages['cleo'].shown[0])
+        assert 'You are number 1 in line' in again.shown[0]
+        seats.leave('ben', again)
+        pages['anna'].press(['q'], 1)
+        await until(lambda: ('cleo', 1) in games.open)
+        assert games.opened == 2
+
+    run(story, most=1)
+
+
+GB = 10**9
+
+
+@pytest.mark.parametrize(
+    ('available', 'taken', 'games', 'fits'),
+    [
+        (0.1, (), 0, True),  # nobody plays: one may always try
+        (3.0, (0.3,), 1, True),
+        (1.3, (0.3,), 1, False),  # the second one needs 0.35, and 1 is spare
+        (1.41, (0.3,), 1, True),
+        (1.41, (0.1,), 1, False),  # the first one has yet to grow
+        (2.0, (), 3, False),  # three are about to begin
+        (2.6, (0.8, 0.3), 2, True),  # such a game may take 0.8
+        (2.1, (0.8, 0.3), 2, False),
+    ],
+)
+def test_games_are_let_in_while_the_memory_holds_them(
+    available: float, taken: tuple[float, ...], games: int, fits: bool
+) -> None:
+    measured = [int(share * GB) for share in taken]
+    assert another_fits(int(available * GB), 16 * GB, measured, games) is fits

@@ -5,14 +5,34 @@ A seat outlives its window for a while: a page that is loaded again goes on wher
 """
 
 import asyncio
-from collections.abc import Callable
-from contextlib import AbstractAsyncContextManager
+from collections.abc import Callable, Sequence
+from contextlib import AbstractAsyncContextManager, suppress
+from itertools import count
 from typing import Protocol
 
 from humanopts_teach.dialogue.panel import Line, Panel, Tone, View
 
 FAREWELL = 'Everything taught is saved.'
+_STARTING = 'Starting the game of {} ...'
+_IN_LINE = 'All games are taken. You are number {} in line: keep this page open, your game starts by itself.'
+_GAME_BYTES = 350_000_000  # of a game's processes, until one is measured that has more
+_SPARE_BYTES = 1_000_000_000  # that are left to other programs; a tenth where memory is small
+_LOOK = 0.5  # s between looks whether another game may begin
 Press = Callable[[list[str], int], None]  # keys, and the number of the frame they were pressed on
+
+
+def another_fits(available: int, total: int, taken: Sequence[int], games: int) -> bool:
+    """
+    Return whether the memory of a machine holds another game; the first one is always let in.
+
+    :param available: bytes that programs may still take, without swapping.
+    :param total: bytes of the machine.
+    :param taken: bytes of each game that is measured; it may have begun just now, and grows.
+    :param games: number of all games, some of which may have no process yet.
+    """
+    each = max([_GAME_BYTES, *taken])
+    to_come = each * games - sum(taken)
+    return not games or available - to_come - min(_SPARE_BYTES, total // 10) >= each
 
 
 class Window(Protocol):
@@ -43,17 +63,17 @@ class Seat:
     """
     The place of one participant.
 
-    :ivar number: from 1; no other seat has it meanwhile.
+    :ivar number: from 1; no other game has it meanwhile. 0: it is in line for a game.
     :ivar window: on which it is shown; None: none is open.
     """
 
-    def __init__(self, participant: str, number: int, domain: str) -> None:
-        self.participant, self.number = participant, number
+    def __init__(self, participant: str, domain: str) -> None:
+        self.participant, self.number = participant, 0
         self.window: Window | None = None
         self.over = asyncio.Event()
         self.farewell = FAREWELL
         self.head = ('humanopts', domain, participant)
-        self._shown = message(self.head, f'Starting the game of {participant} ...'), 0
+        self._shown = message(self.head, _STARTING.format(participant)), 0
         self._press: Press = lambda keys, frame: None
         self._leaving: asyncio.TimerHandle | None = None
 
@@ -123,9 +143,23 @@ class Seats:
     :ivar linger: how long a seat is kept without a window, s.
     """
 
-    def __init__(self, domain: str, open_game: OpenGame, linger: float) -> None:
+    def __init__(
+        self,
+        domain: str,
+        open_game: OpenGame,
+        linger: float,
+        fits: Callable[[int], bool] = lambda games: True,
+    ) -> None:
+        """
+        Have no participant yet.
+
+        :param fits: whether there may be another game beside that many; called in a thread.
+        """
         self.domain, self.linger = domain, linger
-        self._open_game = open_game
+        self._open_game, self._fits = open_game, fits
+        self._line: list[Seat] = []  # whose game has yet to begin
+        self._playing: set[Seat] = set()
+        self._door = asyncio.Lock()  # through which one goes at a time
         self._seats: dict[str, Seat] = {}  # by participant
         self._tasks: dict[str, asyncio.Task[None]] = {}
         self._waiting: dict[str, list[Window]] = {}  # at a seat that another window shows
@@ -158,29 +192,61 @@ class Seats:
         await asyncio.gather(*self._tasks.values())
 
     def _begin(self, participant: str, window: Window) -> Seat:
-        taken = {seat.number for seat in self._seats.values()}
-        number = next(n for n in range(1, len(taken) + 2) if n not in taken)
         before = self._tasks.get(participant)
-        seat = self._seats[participant] = Seat(participant, number, self.domain)
+        seat = self._seats[participant] = Seat(participant, self.domain)
         self._tasks[participant] = asyncio.create_task(self._play(seat, before))
         return seat
 
     async def _play(self, seat: Seat, before: 'asyncio.Task[None] | None') -> None:
-        """Keep a game from its begin to its end."""
+        """Keep a game from its begin, once it may begin, to its end."""
         if before is not None:
             await before  # of the same participant, whose files are still in use
         try:
-            async with self._open_game(seat) as press:
-                seat.listen(press)
-                await seat.over.wait()
-                seat.listen(lambda keys, frame: None)
-                seat.show(message(seat.head, 'The game ends ...'), 0)
+            if await self._gets_turn(seat):
+                async with self._open_game(seat) as press:
+                    seat.listen(press)
+                    await seat.over.wait()
+                    seat.listen(lambda keys, frame: None)
+                    seat.show(message(seat.head, 'The game ends ...'), 0)
         except GameError as error:
             seat.end(f'{error} {FAREWELL}')
         finally:
+            self._playing.discard(seat)
             await seat.closed()
             if self._seats.get(seat.participant) is seat:
                 del self._seats[seat.participant], self._tasks[seat.participant]
+
+    async def _gets_turn(self, seat: Seat) -> bool:
+        """
+        Wait in line, and show the position, until there may be a game.
+
+        Who has no page keeps the place for as long as a seat, and lets others pass.
+
+        :return: whether the game may begin; else the seat is over.
+        """
+        self._line.append(seat)
+        shown = ''
+        try:
+            while not seat.over.is_set():
+                ahead = [s for s in self._line[: self._line.index(seat)] if s.window is not None]
+                async with self._door:
+                    fits = not ahead and await asyncio.to_thread(self._fits, len(self._playing))
+                    if fits and seat.window is not None and not seat.over.is_set():
+                        taken = {other.number for other in self._playing}
+                        seat.number = next(n for n in count(1) if n not in taken)
+                        self._playing.add(seat)
+                        if shown:
+                            seat.show(message(seat.head, _STARTING.format(seat.participant)), 0)
+                        return True
+                text = _IN_LINE.format(len(ahead) + 1)
+                if text != shown:
+                    seat.show(message(seat.head, text), 0)
+                    shown = text
+                with suppress(TimeoutError):
+                    await asyncio.wait_for(seat.over.wait(), _LOOK)
+            return False
+        finally:
+            self._line.remove(seat)
 
     def _ask(self, seat: Seat, window: Window) -> None:
         """Ask whether to go on here; the other window keeps the seat until then."""

@@ -14,6 +14,7 @@ from typing import Any
 
 from humanopts_teach.browser.pages import serve
 from humanopts_teach.browser.seats import (
+    another_fits,
     ConditionSeat,
     GameError,
     message,
@@ -28,7 +29,9 @@ from humanopts_teach.commands.study_session import Study
 from humanopts_teach.dialogue.panel import View
 from humanopts_teach.launching.place import only_launch
 from humanopts_teach.launching.processes import processes, Setup
+from humanopts_teach.launching.usage import memory_of_children
 from humanopts_teach.ros.browser_teleop import BrowserTeleopNode, TeleopThread
+import psutil
 
 _SERVER = 'browser'  # the place of the server: its graphs are in namespaces seat_1, seat_2, ...
 _TOKEN_BYTES = 12
@@ -76,7 +79,7 @@ def _serve_seats(name: str, open_game: OpenGame, pages: PageOptions, participant
     thread = TeleopThread()
     try:
         with noticed_interrupts() as interrupts:
-            seats = Seats(name, partial(open_game, thread), pages.linger)
+            seats = Seats(name, partial(open_game, thread), pages.linger, partial(_fits, pages))
             print(f'Open http://{host}:{port}/{token} in a browser; Ctrl-C stops everything.')
             sys.stdout.flush()
             hosts = (pages.host, *pages.allow_host)
@@ -87,6 +90,14 @@ def _serve_seats(name: str, open_game: OpenGame, pages: PageOptions, participant
         thread.stop()
     print('stopped')
     return 0
+
+
+def _fits(pages: PageOptions, games: int) -> bool:
+    """Return whether there may be another game; each is a child of this process."""
+    if pages.seats is not None and games >= pages.seats:
+        return False
+    memory = psutil.virtual_memory()
+    return another_fits(memory.available, memory.total, memory_of_children(), games)
 
 
 def _listen(pages: PageOptions) -> socket.socket:

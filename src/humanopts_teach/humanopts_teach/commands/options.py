@@ -114,6 +114,15 @@ class PageOptions:
             'proxy; may be repeated',
         ),
     ] = field(default_factory=list)
+    seats: Annotated[
+        int | None,
+        typer.Option(
+            parser=whole(1),
+            metavar='N',
+            help='with --browser: games at once at most; further people wait in line; default: '
+            'as many as fit into the memory',
+        ),
+    ] = None
     linger: Annotated[
         float,
         typer.Option(

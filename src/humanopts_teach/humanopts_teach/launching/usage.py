@@ -31,3 +31,16 @@ def usage_of(pid: int) -> Usage:
     if peak is None:
         raise psutil.NoSuchProcess(pid)
     return Usage(time.monotonic(), cpu.user + cpu.system, memory, 1024 * int(peak[1]))
+
+
+def memory_of_children() -> list[int]:
+    """Return the bytes of each child of this process with all below it; shared ones count once."""
+    return [_memory_of_tree(child) for child in psutil.Process().children()]
+
+
+def _memory_of_tree(process: psutil.Process) -> int:
+    try:
+        own = int(process.memory_full_info().pss)
+        return own + sum(map(_memory_of_tree, process.children()))
+    except psutil.Error:
+        return 0  # it has ended just now
