@@ -14,7 +14,10 @@ from humanopts_teach.dialogue.panel import Line, Panel, Tone, View
 
 FAREWELL = 'Everything taught is saved.'
 _STARTING = 'Starting the game of {} ...'
-_IN_LINE = 'All games are taken. You are number {} in line: keep this page open, your game starts by itself.'
+_IN_LINE = (
+    'All games are taken. You are number {} in line. Keep this page open: your game starts '
+    'by itself.'
+)
 _GAME_BYTES = 350_000_000  # of a game's processes, until one is measured that has more
 _SPARE_BYTES = 1_000_000_000  # that are left to other programs; a tenth where memory is small
 _LOOK = 0.5  # s between looks whether another game may begin
