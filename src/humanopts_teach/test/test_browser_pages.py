@@ -280,13 +280,26 @@ def test_two_people_teach_while_strangers_keep_2000_connections_open(
 
 def test_a_connection_without_a_whole_request_ends(address: str) -> None:
     port = int(address.rpartition(':')[2])
-    sent = (b'', b'GET / HTTP/1.1\r\n', f'POST /{TOKEN} HTTP/1.1\r\nContent-Le'.encode())
+    begun = f'POST /{TOKEN} HTTP/1.1\r\nHost: localhost\r\nContent-Le'
+    sent = ('', 'GET /', f'GET /{TOKEN}', 'GET / HTTP/1.1\r\nHo', begun, f'GET /{"x" * 9000}')
     connections = [socket.create_connection(('127.0.0.1', port), 15.0) for _ in sent]
     for connection, text in zip(connections, sent):
-        connection.sendall(text)
+        connection.sendall(text.encode())
     for connection in connections:
-        with connection:
-            assert connection.recv(1) == b''
+        with connection, suppress(ConnectionError):
+            while connection.recv(65536):
+                pass
+
+
+def test_each_request_of_a_connection_names_the_token(address: str) -> None:
+    port = int(address.rpartition(':')[2])
+    asked = 'GET /{} HTTP/1.1\r\nHost: localhost\r\n\r\n'
+    with socket.create_connection(('127.0.0.1', port), timeout=PATIENCE) as connection:
+        connection.sendall((asked.format(f'{TOKEN}/a%20b') + asked.format('wrong')).encode())
+        answers = b''.join(iter(lambda: connection.recv(65536), b'')).decode()
+    assert answers.count('HTTP/1.1 404 ') == 2
+    assert 'is not a code' in answers
+    assert answers.endswith('Open the one that was printed where the game runs.\n')
 
 
 def test_a_page_has_its_farewell_before_the_server_is_gone(

@@ -14,12 +14,12 @@ from urllib.parse import urlsplit
 
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-_NO_TOKEN = 'This address is not complete. Open the one that was printed where the game runs.'
+NO_TOKEN = 'This address is not complete. Open the one that was printed where the game runs.\n'
 _NO_NAME = (
     'The server does not know this name of its machine. Open the address that was printed where '
-    'the game runs, or start it there with --allow-host and the name.'
+    'the game runs, or start it there with --allow-host and the name.\n'
 )
-_FOREIGN = 'A page of another site has asked for this one. Open its address in a window.'
+_FOREIGN = 'A page of another site has asked for this one. Open its address in a window.\n'
 _PREFIX = b'x-forwarded-prefix'  # what NiceGUI puts before each path that it writes into a page
 
 
@@ -72,7 +72,7 @@ class Guard:
         """Return why a request is refused; empty: it is not."""
         given = [*scope['raw_path'].split(b'/', 2), b''][1]
         if not (scope['raw_path'].startswith(b'/') and compare_digest(given, self._token)):
-            return _NO_TOKEN
+            return NO_TOKEN
         hosts = [v.decode('latin-1').lower() for name, v in scope['headers'] if name == b'host']
         if len(hosts) != 1 or not self._knows(_host(f'//{hosts[0]}')):
             return _NO_NAME
@@ -102,7 +102,7 @@ def _host(url: str) -> str:
 async def _refuse(scope: Scope, send: Send, reason: str) -> None:
     """Answer with a text, and end the connection: what else it sends is not read."""
     kind = 'http' if scope['type'] == 'http' else 'websocket.http'  # uvicorn has this extension
-    body = reason.encode() + b'\n'
+    body = reason.encode()
     headers = [
         (b'content-type', b'text/plain; charset=utf-8'),
         (b'content-length', str(len(body)).encode()),

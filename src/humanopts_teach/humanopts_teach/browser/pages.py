@@ -9,7 +9,7 @@ from typing import Any
 
 from fastapi import FastAPI
 from fastapi.responses import HTMLResponse
-from humanopts_teach.browser.connections import Server, settings, Strangers
+from humanopts_teach.browser.connections import Gate, Idle, Server
 from humanopts_teach.browser.guard import Guard
 from humanopts_teach.browser.markup import head_html, PARTS, parts
 from humanopts_teach.browser.seats import Press, Seats, Window
@@ -149,16 +149,20 @@ async def serve(
         viewport='width=device-width, initial-scale=1, viewport-fit=cover',
     )
     core.sio.on('log', lambda *_: None)  # a page has nothing to write into the terminal
-    strangers = Strangers()
-    guard = Guard(web, token, hosts, strangers.admitted)
+    idle = Idle()
+    server = Server(Guard(web, token, hosts, idle.admitted), idle)
     with limited_log():
-        server = Server(settings(guard, strangers))
-        serving = asyncio.create_task(server.serve(sockets=[listening]))
+        serving = asyncio.create_task(server.serve(sockets=[]))
+        while not (server.started or serving.done()):
+            await asyncio.sleep(_LOOK / 10)
+        gate = Gate(listening, token, server)
         try:
             while not (stop() or serving.done()):
-                strangers.end_old()
+                gate.end_old()
+                idle.end_old()
                 await asyncio.sleep(_LOOK)
             await seats.close('The game was stopped where it runs. Everything taught is saved.')
         finally:
+            gate.close()
             server.should_exit = True
             await serving
