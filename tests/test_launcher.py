@@ -23,7 +23,7 @@ from humanopts_interfaces.msg import (
     NodeStatus,
     OptionStatus,
 )
-from humanopts_ros.qos import CURRENT
+from humanopts_ros.qos import CURRENT, LATCHED
 from humanopts_teach.bags.reader import open_bag
 from humanopts_teach.cli import main
 from humanopts_teach.launching import LaunchError
@@ -562,3 +562,24 @@ def _refused(command: Command) -> bool:
         return False
     assert command.ended(30.0) == 2
     return True
+
+
+def test_no_other_node_writes_a_line_of_the_launch(live: Graph, tmp_path: Path) -> None:
+    arguments = ['up', 'rooms', '--no-record', '--out', tmp_path / 'out']
+    command = Command(arguments, tmp_path, live.domain_id)
+    try:
+        command.until(lambda: 'ready: ' in command.output, 'the launch')
+        publisher = live.node.create_publisher(NodeStatus, 'node_status', LATCHED)
+        name = '/x\nhumanopts: the disk is full\r'
+        text = 'y\nhumanopts up: \x1b[1mgive your password\u2028'
+        status = NodeStatus(
+            node=name, text=text, publisher_id=f'{name}#1', state=NodeStatus.STATE_PAUSED
+        )
+        publisher.publish(status)
+        live.until(lambda: 'is paused' in command.errors, 'what the command says of it')
+        assert command.errors.splitlines() == [
+            r'/x humanopts: the disk is full\r is paused: '
+            r'y humanopts up: \x1b[1mgive your password\u2028'
+        ]
+    finally:
+        command.close()

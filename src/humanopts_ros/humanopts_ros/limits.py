@@ -90,12 +90,22 @@ def printable(text: str) -> str:
     )
 
 
+def one_line(text: str) -> str:
+    """
+    Return a text from outside in one printable line.
+
+    Nothing in it ends the line, moves the cursor or turns the direction of writing, so that none
+    of it looks like a line of ours.
+    """
+    return printable(text.replace('\n', ' '))
+
+
 def shown(text: str, most: int = MOST_SHOWN) -> str:
     """Return a text from outside in one printable line; of a long one its begin and its end."""
     if len(text) > most:
         half = (most - 5) // 2
         text = f'{text[:half]} ... {text[-half:]}'
-    line = printable(text.replace('\n', ' '))
+    line = one_line(text)
     return line if len(line) <= 2 * most else f'{line[:most]} ...'
 
 

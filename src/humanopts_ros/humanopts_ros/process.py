@@ -12,7 +12,7 @@ from types import FrameType
 
 from humanopts_interfaces.msg import NodeStatus
 from humanopts_ros.environment import LAUNCHER_PID
-from humanopts_ros.limits import accept_any_text
+from humanopts_ros.limits import accept_any_text, one_line
 from humanopts_ros.middleware import MiddlewareError
 from humanopts_ros.node_base import NodeBase, start_ros, StartError
 from humanopts_ros.publisher import PublishError
@@ -139,7 +139,7 @@ def run_node(
     try:
         start_ros(args)
     except MiddlewareError as error:
-        print(f'humanopts: {error}', file=sys.stderr)
+        print(f'humanopts: {one_line(str(error))}', file=sys.stderr)
         return 2
     executor: Executor = EventsExecutor() if by_events else SingleThreadedExecutor()
     node: NodeBase | None = None
@@ -160,10 +160,10 @@ def run_node(
             node.failed = True
         signal.alarm(0 if node.failed else _LEAVING)
     except (StartError, MiddlewareError) as error:
-        print(f'humanopts: {error}', file=sys.stderr)
+        print(f'humanopts: {one_line(str(error))}', file=sys.stderr)
         return 2
     except PublishError as error:
-        print(f'humanopts: {error}', file=sys.stderr)
+        print(f'humanopts: {one_line(str(error))}', file=sys.stderr)
         return 1
     except ExternalShutdownException:
         pass

@@ -15,7 +15,7 @@ import os
 import sys
 from typing import Annotated, Any
 
-from humanopts_ros.limits import accept_any_text, printable
+from humanopts_ros.limits import accept_any_text, one_line, printable
 from humanopts_ros.middleware import MiddlewareError
 from humanopts_teach.bags import BagError
 from humanopts_teach.commands import CommandError, interruptible
@@ -263,7 +263,7 @@ def status(
 
     check_place(namespace)
     report = probe_graph(namespace)
-    print(json_text.dumps(report.to_dict(), indent=2) if json else printable(report.to_text()))
+    print(json_text.dumps(report.to_dict(), indent=2) if json else report.to_text())
     return report.status
 
 
@@ -287,7 +287,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         path = usage.command_path if usage else NAME
         text = ' '.join(error.format_message().split()).rstrip('.')
         return _complain(path, f'{text[:1].lower()}{text[1:]}; see {path} --help', 2)
-    except (CommandError, BagError, MiddlewareError, OccupiedError) as error:
+    except (BagError, MiddlewareError, OccupiedError) as error:
+        return _complain(_named(context), one_line(str(error)), 2)
+    except CommandError as error:  # some show what differs, in several lines
         return _complain(_named(context), str(error), 2)
     except LaunchError as error:
         return _complain(_named(context), str(error), 1)

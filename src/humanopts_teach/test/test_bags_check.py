@@ -11,7 +11,8 @@ import subprocess
 import sys
 from typing import Any
 
-from humanopts_interfaces.msg import GameState
+from humanopts_env.domains.registry import make_domain
+from humanopts_interfaces.msg import DomainInfo, GameState, LessonState
 from humanopts_teach.bags import BagError, BagWriteError
 from humanopts_teach.bags.check import check_bag, RECORDER, REPAIR, repair
 from humanopts_teach.bags.reader import open_bag
@@ -352,3 +353,24 @@ def test_a_file_that_metadata_does_not_list_is_read_and_named(bag: Path) -> None
     assert opened.n_messages == 200
     assert 'gone.mcap is in metadata.yaml but is not there' in opened.damage
     assert 'bag_0.mcap is not in metadata.yaml' in opened.damage
+
+
+@pytest.mark.parametrize('end', ['\n', '\r', '\u2028', '\x1b[1A', '\u202e'])
+def test_no_text_in_a_bag_ends_its_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], end: str
+) -> None:
+    fake = f'x{end}FAKE'
+    domain = make_domain('rooms')
+    info = DomainInfo(domain=fake, features=[], actions=[])
+    lesson = LessonState(participant=fake, option_name=fake, paused=fake)
+    messages = [('/domain_info', info), ('/lesson_state', lesson), ('/game_state', GameState())]
+    with BagWriter(tmp_path / 'bag', {fake: fake, 'domain': domain.name}) as writer:
+        for number, (topic, message) in enumerate([*messages, *messages], start=1):
+            message.publisher_id, message.sequence = f'/{fake}#1', 5 * number
+            writer.add_topic(topic, f'humanopts_interfaces/msg/{type(message).__name__}')
+            writer.write(topic, serialize_message(message), number * 10**9)
+    for command in ('info', 'check', 'eval', 'play', 'table1'):
+        main(['bag', command, str(tmp_path / 'bag')])
+        text = ''.join(capsys.readouterr())
+        assert [line for line in text.splitlines() if line.startswith('FAKE')] == []
+        assert [c for c in text if not c.isprintable() and c != '\n'] == [], command

@@ -121,3 +121,14 @@ def test_a_node_that_cannot_start_is_not_started_again() -> None:
 )  # fmt: skip
 def test_an_end_is_told_in_words(restarts: int, again: bool, said: str) -> None:
     assert NodeExit('game', 'exit status 1', '', restarts, again).sentence == said
+
+
+@pytest.mark.parametrize('end', ['\n', '\r', '\u2028', '\x1b[1A', '\u202e'])
+def test_no_text_of_another_node_ends_its_line(end: str) -> None:
+    fake = f'x{end}all is well'
+    node = replace(GAME, name=fake, state='paused', text=fake)
+    bag = replace(BAG, path=fake, stopped=True, text=fake)
+    text = replace(GRAPH, nodes=[node], recorder=bag, game=fake, holder=fake).to_text()
+    assert 'all is well' not in text.splitlines()
+    assert [c for c in text if not c.isprintable() and c != '\n'] == []
+    assert text.count('\n') == 6

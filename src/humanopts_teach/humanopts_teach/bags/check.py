@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from humanopts_ros.limits import one_line
 from humanopts_teach.bags import BagError
 from humanopts_teach.bags.reader import Bag
 from humanopts_teach.bags.rosbag2 import Extent, FILE, profiles
@@ -71,7 +72,8 @@ class Check:
         else:
             verdict = f'{self.path} is damaged or incomplete: {self.messages} messages were read'
         lines = *self.findings, *(f'not counted: {text}' for text in self.strangers)
-        return '\n'.join([verdict, *(f'- {text}' for text in lines), '', numbers])
+        told = [verdict, *(f'- {text}' for text in lines)]
+        return '\n'.join([*map(one_line, told), '', numbers])
 
 
 def _columns(stream: Stream) -> dict[str, str | int]:

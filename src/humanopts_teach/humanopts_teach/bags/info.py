@@ -17,7 +17,7 @@ from humanopts_learner.demonstrations import (
     each_once,
     Kind,
 )
-from humanopts_ros.limits import shown
+from humanopts_ros.limits import one_line, shown
 from humanopts_teach.bags.contents import (
     domains_played,
     EpisodeGrouping,
@@ -237,7 +237,7 @@ class BagInfo:
         for name in ('option_runs', 'plans', 'policy_runs'):
             if counts := getattr(self, name):
                 each = ', '.join(f'{status} {count}' for status, count in sorted(counts.items()))
-                lines.append(f'{name.replace("_", " ")}: {each}')
+                lines.append(one_line(f'{name.replace("_", " ")}: {each}'))
         if self.policy_runs:
             lines.append(
                 f'in policy runs: {self.interruptions} options stopped by the plan, '

@@ -15,7 +15,7 @@ import sys
 import time
 from typing import Annotated, Any, Literal, TextIO, TYPE_CHECKING
 
-from humanopts_ros.limits import printable
+from humanopts_ros.limits import one_line, printable
 from humanopts_teach.commands import CommandError
 from humanopts_teach.commands.options import (
     CommandGroup,
@@ -127,7 +127,7 @@ def check(
                 opened.on_read = partial(show, text='writing')
                 count = write_repaired(opened, repair)
         except BagWriteError as error:
-            raise CommandError(str(error)) from error
+            raise CommandError(one_line(str(error))) from error
         print(f'{repair}: {count} messages, all that could be saved', file=sys.stderr)
     _print(_json(found.to_dict()) if json else found.to_text())
     return 0 if found.whole else 1
@@ -187,7 +187,7 @@ def evaluate(
             try:
                 write_evaluation_report(html, found[0], opened[0])
             except (StateError, SummaryError) as error:
-                raise CommandError(f'no report: {error}') from error
+                raise CommandError(one_line(f'no report: {error}')) from error
         print(f'report: {html}', file=sys.stderr)
     return 0
 
@@ -273,7 +273,7 @@ def play(
             with Device() as device:
                 _play(replay, device)
     except StateError as error:
-        raise CommandError(f'{opened.path}: {error}') from error
+        raise CommandError(one_line(f'{opened.path}: {error}')) from error
     return 0
 
 
@@ -349,7 +349,7 @@ def export(
                     f'minari.load_dataset({dataset_id!r})'
                 ]
             elif to == 'files':
-                written = list(map(str, tables.write_attached(opened, out)))
+                written = [one_line(str(path)) for path in tables.write_attached(opened, out)]
             else:
                 found = tables.bag_tables(opened)
                 if to == 'csv':
@@ -358,7 +358,7 @@ def export(
                     paths = tables.write_parquet(found, out)
                 written = list(map(str, paths))
     except (tables.ExportError, StateError) as error:
-        raise CommandError(str(error)) from error
+        raise CommandError(one_line(str(error))) from error
     except OSError as error:
         raise CommandError(f'cannot write in {out}: {error.strerror or error}') from error
     _print('\n'.join(written))
@@ -415,7 +415,7 @@ def _warn(command: str, bag: 'Bag | None', warnings: Sequence[str]) -> None:
     """Print what was assumed or left out; of one of several bags, with its path."""
     whose = f'{bag.path}: ' if bag is not None else ''
     for warning in warnings:
-        _print(f'humanopts bag {command}: {whose}{warning}', sys.stderr)
+        _print(one_line(f'humanopts bag {command}: {whose}{warning}'), sys.stderr)
 
 
 def _check_report(path: Path, bags: int) -> None:

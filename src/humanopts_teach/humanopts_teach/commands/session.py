@@ -18,6 +18,7 @@ from humanopts_env.domains.capabilities import HasTeachingDefaults
 from humanopts_env.domains.registry import make_domain, reference_options
 from humanopts_learner.demonstrations import check_method
 from humanopts_learner.options.criteria import Thresholds
+from humanopts_ros.limits import printable
 from humanopts_ros.middleware import check_settings
 from humanopts_ros.recording import Selection
 from humanopts_teach.bags.writer import parts
@@ -295,7 +296,7 @@ def _try_writing(folder: Path) -> None:
 
 def print_line(line: str) -> None:
     """Print a line of the command on standard error, at once."""
-    print(f'humanopts: {line}', file=sys.stderr, flush=True)
+    print(printable(f'humanopts: {line}'), file=sys.stderr, flush=True)
 
 
 @contextmanager

@@ -12,7 +12,7 @@ from typing import Any
 
 from humanopts_learner.demonstrations import demonstration_from_message, Kind
 from humanopts_learner.intervals import Interval
-from humanopts_ros.limits import caseless
+from humanopts_ros.limits import caseless, one_line
 from humanopts_teach.bags import BagError
 from humanopts_teach.bags.contents import domains_played
 from humanopts_teach.bags.reader import Bag, DEMONSTRATION, LESSON_STATE
@@ -209,7 +209,8 @@ def table_text(tables: Sequence[ButtonTable]) -> str:
             for row in found.rows
         ]
         right = [False, True, True, True, True, True, False]
-        parts.append('\n'.join([f'{found.domain}: {who}', '', *aligned([head, *rows], right)]))
+        lines = [f'{found.domain}: {who}', '', *aligned([head, *rows], right)]
+        parts.append('\n'.join(map(one_line, lines)))
     return '\n\n\n'.join(parts)
 
 

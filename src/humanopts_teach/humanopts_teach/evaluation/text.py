@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from humanopts_learner.demonstrations import METHODS
 from humanopts_learner.intervals import Interval
 from humanopts_learner.options.criteria import Criterion, likely_range, NO_RANGE, Thresholds
+from humanopts_ros.limits import one_line
 from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, OptionEvaluation
 from humanopts_teach.evaluation.games import GamesEvaluation, PLAN, RANDOM
 from humanopts_teach.evaluation.measures import PlanningRow
@@ -49,7 +50,7 @@ def evaluation_text(evaluation: BagEvaluation) -> str:
     for person, games in evaluation.games.items():
         whose = f' with the options of {person}' if len(evaluation.games) > 1 else ''
         lines += ['', f'{games.games} games each{whose}', *games_text(games)]
-    return '\n'.join(lines)
+    return '\n'.join(map(one_line, lines))
 
 
 def return_limit(limits: Thresholds) -> str:

@@ -21,6 +21,7 @@ import time
 import uuid
 
 from humanopts_ros.environment import INSTANCE, LAUNCHER_PID
+from humanopts_ros.limits import one_line, printable
 from humanopts_teach.launching import LaunchError, MODULES, OccupiedError
 from humanopts_teach.launching.fork_server import ForkedProcess, ForkServer, server_for
 from humanopts_teach.launching.place import answer, holder
@@ -193,7 +194,8 @@ class Launcher:
                 if status < 0:
                     raise LaunchError(_end_of(running))
                 if status:
-                    sys.stderr.write(running.log.read_text(encoding='utf-8', errors='replace'))
+                    said = running.log.read_text(encoding='utf-8', errors='replace')
+                    sys.stderr.write(printable(said))
                 return status
             finally:
                 self._end([entry for entry in self._running if entry.spec.terminal])
@@ -408,4 +410,4 @@ def _last_lines(log: Path) -> str:
     except OSError:
         return ''
     tail = [line for line in lines if line.strip()][-TAIL_LINES:]
-    return ''.join(f'\n  {line}' for line in tail)
+    return ''.join(f'\n  {one_line(line)}' for line in tail)

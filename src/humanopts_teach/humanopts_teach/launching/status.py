@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass
 import re
 from typing import Any
 
-from humanopts_ros.limits import shown
+from humanopts_ros.limits import one_line, shown
 from humanopts_teach.text_table import aligned
 
 NO_GRAPH = 2  # exit status: there is nothing in this ROS_DOMAIN_ID and namespace
@@ -141,7 +141,7 @@ class GraphReport:
             )
         lines.append('nothing is recorded' if self.recorder is None else self.recorder.to_text())
         lines += [f'fault: {fault}' for fault in self.faults] or ['all is well']
-        return '\n'.join(lines)
+        return '\n'.join(map(one_line, lines))
 
 
 def _row(node: NodeReport) -> tuple[str, ...]:

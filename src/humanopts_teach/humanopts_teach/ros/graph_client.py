@@ -12,6 +12,7 @@ from humanopts_env.domains.base import Domain
 from humanopts_env.ros.game_subscriber import GameSubscriber, Observed
 from humanopts_interfaces import msg
 from humanopts_interfaces.action import Plan, RunPolicy
+from humanopts_ros.limits import one_line, shown
 from humanopts_ros.node_base import NodeBase, start_ros
 from humanopts_ros.qos import ACTION, CURRENT
 from humanopts_ros.senders import signer
@@ -180,7 +181,7 @@ class GraphClient(NodeBase):
         )
         result: msg.PlanResult = self._act(self._plan_client, goal, f'the {action_set} plan')
         if result.status not in (result.STATUS_CONVERGED, result.STATUS_NOT_CONVERGED):
-            raise LaunchError(f'planning with {action_set} failed: {result.detail}')
+            raise LaunchError(f'planning with {action_set} failed: {shown(result.detail)}')
         return result
 
     def play(
@@ -200,7 +201,7 @@ class GraphClient(NodeBase):
             self.plan(action_set, 0, seed, game_steps)
             result = self._act(self._policy_client, goal, 'the episodes')
         if result.status != msg.PolicyResult.STATUS_DONE:
-            raise LaunchError(f'playing by the {action_set} plan failed: {result.detail}')
+            raise LaunchError(f'playing by the {action_set} plan failed: {shown(result.detail)}')
         return result
 
     def all_recorded(self) -> bool:
@@ -240,10 +241,10 @@ class GraphClient(NodeBase):
             for name in sorted(reported.keys() - paused.keys()):
                 status = self.statuses.get(name)
                 if status is not None and status.state == msg.NodeStatus.STATE_READY:
-                    report(f'{name} goes on')
+                    report(one_line(f'{name} goes on'))
             for name, text in paused.items():
                 if reported.get(name) != text:
-                    report(f'{name} is paused: {text}')
+                    report(one_line(f'{name} is paused: {text}'))
             reported = paused
 
     def take(self, seconds: float) -> None:
@@ -257,7 +258,7 @@ class GraphClient(NodeBase):
 
     def unrecorded(self) -> str:
         """Return why the bag is short, or nothing is recorded now; empty: neither is known."""
-        return self._stopped() or (self.lesson.paused if self.lesson is not None else '')
+        return self._stopped() or (shown(self.lesson.paused) if self.lesson is not None else '')
 
     def teacher_finished(self) -> bool:
         """Return whether the simulated teacher has taught everything."""
@@ -367,6 +368,7 @@ class GraphClient(NodeBase):
                 return
             if known.state == known.STATE_STOPPING:
                 self._gone.add(known.publisher_id)
+        status.text = one_line(status.text)
         self.statuses[node] = status
 
     def _stopped(self) -> str:

@@ -6,6 +6,7 @@ from io import StringIO
 from typing import Literal
 
 from humanopts_env.colours import GREEN, ORANGE, RED, TEAL
+from humanopts_ros.limits import one_line
 from humanopts_teach.dialogue import panel
 from humanopts_teach.dialogue.app import App
 from humanopts_teach.dialogue.entry import PAGE
@@ -100,14 +101,14 @@ def _too_small(width: int, height: int) -> Text:
 
 
 def _head(view: panel.View, width: int) -> Text:
-    return Text(set_cell_size(f' {" · ".join(view.head)}', width), 'reverse')
+    return Text(set_cell_size(one_line(f' {" · ".join(view.head)}'), width), 'reverse')
 
 
 def _pause(view: panel.View, height: int) -> list[RenderableType]:
     """Return why nothing new can be taught now; in a low window its beginning."""
     if not view.paused:
         return []
-    why = Text.assemble(('PAUSED: ', 'bold'), view.paused, overflow='ellipsis')
+    why = Text.assemble(('PAUSED: ', 'bold'), one_line(view.paused), overflow='ellipsis')
     why.no_wrap = height < _ROOMY
     return [Padding(why, (0, 1), style=f'color(231) on {RED}')]
 
@@ -165,9 +166,9 @@ def _page(page: panel.Page) -> RenderableType:
 
 @drawn.register
 def _line(line: panel.Line) -> RenderableType:
-    text = Text(line.text, _style(line))
+    text = Text(one_line(line.text), _style(line))
     for piece in line.more:
-        text.append(piece.text, _style(piece))
+        text.append(one_line(piece.text), _style(piece))
     return text
 
 
@@ -186,8 +187,8 @@ def _choices(choices: panel.Choices) -> RenderableType:
     for number, item in enumerate(choices.items[first : first + PAGE]):
         chosen = first + number == choices.at
         mark = Text('> ' if chosen else '  ', KEY, no_wrap=True)
-        name = (f'{number + 1} {item.text}', 'bold' if chosen else '')
-        table.add_row(mark, Text.assemble(name, (f'  {item.note}', 'dim')))
+        name = (one_line(f'{number + 1} {item.text}'), 'bold' if chosen else '')
+        table.add_row(mark, Text.assemble(name, (one_line(f'  {item.note}'), 'dim')))
     return table
 
 

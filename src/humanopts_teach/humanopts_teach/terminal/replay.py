@@ -6,6 +6,7 @@ from typing import Any
 
 from humanopts_env.domains.base import Domain
 from humanopts_env.game import effect_between
+from humanopts_ros.limits import one_line
 from humanopts_teach.bags.contents import actor_of, Actors, Episode, source_of
 from humanopts_teach.dialogue.keys import END_OF_FILE, ESCAPE, INTERRUPT, LEFT, RIGHT, SPACE
 from humanopts_teach.state_drawing import draw_state
@@ -141,7 +142,7 @@ class Replay:
             parts.append(f'reward {at.reward:g}, in all {gained:g}')
         if self._step == self._last:
             parts.append(_ending(episode))
-        return ' · '.join(parts)
+        return one_line(' · '.join(parts))
 
 
 def _ending(episode: Episode) -> str:
