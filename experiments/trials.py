@@ -7,6 +7,7 @@ stopped, and what was computed by other code is computed anew.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cache, partial
@@ -20,7 +21,6 @@ from typing import Any
 
 from humanopts_teach.evaluation.side_by_side import as_they_end, processes
 from humanopts_teach.evaluation.summary import write_text
-from joblib import parallel_config
 
 PACKAGES = ('humanopts_env', 'humanopts_learner', 'humanopts_teach', 'experiments')
 LIBRARIES = ('numpy', 'scipy', 'scikit-learn')  # that results may depend on to the last digit
@@ -137,10 +137,9 @@ def run_trials(
     if not outcome.missing:
         return outcome
     calls = [partial(_compute, trial.compute, dict(trial.parameters)) for trial in outcome.missing]
-    with _backend(jobs, dask):
-        for number, (result, seconds, error) in as_they_end(
-            calls, [t.cost for t in outcome.missing]
-        ):
+    with _executor(jobs, dask) as executor:
+        costs = [trial.cost for trial in outcome.missing]
+        for number, (result, seconds, error) in as_they_end(calls, costs, executor):
             trial = outcome.missing[number]
             if error:
                 outcome.failures[trial.key] = f'{trial}: {error}'
@@ -165,10 +164,10 @@ def _compute(compute: Compute, parameters: dict[str, Any]) -> tuple[Any, float, 
 
 
 @contextmanager
-def _backend(jobs: int, dask: str) -> Iterator[None]:
+def _executor(jobs: int, dask: str) -> Iterator[Executor | None]:
     if not dask:
-        with processes(jobs):
-            yield
+        with processes(jobs) as executor:
+            yield executor
         return
     try:
         from distributed import Client
@@ -182,8 +181,7 @@ def _backend(jobs: int, dask: str) -> Iterator[None]:
         raise ClusterError(f'no Dask scheduler answers at {dask}: {error}') from error
     with client:
         _check_cluster(client, dask)
-        with parallel_config(backend='dask', client=client):
-            yield
+        yield client.get_executor(pure=False)  # type: ignore[no-untyped-call]
 
 
 def _check_cluster(client: Any, dask: str) -> None:

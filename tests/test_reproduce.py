@@ -94,6 +94,6 @@ def test_ctrl_c_says_how_to_go_on_and_leaves_no_process(
         assert command.ended(30) == 130, command.errors
         assert 'goes on from here' in command.errors
         assert 'Traceback' not in command.errors
-        command.gone(20)  # a helper of joblib ends after the others
+        command.gone(20)  # the tracker of resources ends after the others
     finally:
         command.close()

@@ -20,7 +20,6 @@ KEYS = {
     'gymnasium': 'python3-gymnasium-pip',
     'jinja2': 'python3-jinja2',
     'lazy_loader': 'python3-lazy-loader',
-    'joblib': 'python3-joblib',
     'markupsafe': 'python3-jinja2',
     'matplotlib': 'python3-matplotlib',
     'mcap': 'mcap-ros2-support',  # needs mcap, which has no key of its own

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 import pytest
 from random_rules import random_rules
-from scipy.sparse import csr_array, eye_array
+from scipy.sparse import csr_array, eye
 from scipy.sparse.linalg import spsolve
 
 Flags = NDArray[np.bool_]
@@ -67,7 +67,8 @@ def policy_values(model: MultiTimeModel, policy: NDArray[np.integer]) -> NDArray
         shape=(model.n_states, model.n_states),
     )
     reward = np.where(going, model.reward[states, policy], 0.0)
-    values: NDArray[np.float64] = spsolve((eye_array(model.n_states) - follow).tocsc(), reward)
+    one = csr_array(eye(model.n_states))
+    values: NDArray[np.float64] = spsolve((one - follow).tocsc(), reward)
     return values
 
 

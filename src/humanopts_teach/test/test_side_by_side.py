@@ -20,7 +20,7 @@ import pytest
 def at_work() -> list[psutil.Process]:
     """Return the processes that make calls for this one."""
     children = psutil.Process().children(recursive=True)
-    return [child for child in children if 'popen_loky' in ' '.join(child.cmdline())]
+    return [child for child in children if 'spawn_main' in ' '.join(child.cmdline())]
 
 
 def test_calls_are_made_in_processes_that_others_go_before_until_their_end_or_ours() -> None:

@@ -120,7 +120,9 @@ def _regions(space: SearchSpace) -> Ints:
     rules, count = space.transitions, len(space.over)
     possible = (rules.probability > 0) & ~space.over[:, None, None]
     here, there = np.nonzero(possible)[0], rules.successor[possible]
-    edges = coo_array((np.ones(len(here)), (here, there)), shape=(count, count))
+    # csgraph of SciPy 1.11 takes indices of 32 bits only
+    ends = here.astype(np.int32), there.astype(np.int32)
+    edges = coo_array((np.ones(len(here)), ends), shape=(count, count))
     region: Ints = connected_components(edges.tocsr(), connection='strong')[1].astype(np.intp)
     return region
 

@@ -25,7 +25,7 @@ from humanopts_learner.planning.request import Execution, PlanError
 from humanopts_learner.planning.smdp import look_ahead
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import eye_array
+from scipy.sparse import csr_array, eye
 
 ROUNDING = 1e-9  # relative to the largest value: differences of values that are rounding
 
@@ -183,7 +183,7 @@ def policy_values(plan: ExactPlan) -> Floats:
     rows = model.rows[chosen * model.n_states + live][:, live]
     values = np.zeros(model.n_states)
     try:
-        values[live] = splu((eye_array(len(live)) - rows).tocsc()).solve(
+        values[live] = splu((csr_array(eye(len(live))) - rows).tocsc()).solve(
             model.reward[live, chosen]
         )
     except RuntimeError as error:

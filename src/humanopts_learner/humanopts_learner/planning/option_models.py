@@ -27,7 +27,7 @@ from humanopts_learner.planning.request import PlanError
 from humanopts_learner.planning.smdp import Rows
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array, eye_array
+from scipy.sparse import csr_array, eye
 
 NEGLIGIBLE = 1e-14  # discounted probability that is taken for 0
 BLOCK = 256  # columns that are dense at once
@@ -237,7 +237,7 @@ def _unlimited_successors(on: Rows, end: Rows, can_end: Flags) -> Rows:
     rows = np.flatnonzero(can_end)
     if not end.nnz:
         return end
-    solve = splu((eye_array(len(rows)) - on[rows][:, rows]).tocsc()).solve
+    solve = splu((csr_array(eye(len(rows))) - on[rows][:, rows]).tocsc()).solve
     columns = np.unique(end.indices)
     blocks = []
     for begin in range(0, len(columns), BLOCK):

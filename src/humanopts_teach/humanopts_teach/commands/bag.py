@@ -5,7 +5,7 @@ What a command needs is imported when it runs, so that help and completion are q
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import asdict
 from functools import partial
 import json as json_text
@@ -67,7 +67,9 @@ def progress_bar(lines: bool = False) -> Iterator[Callable[..., None]]:
     from rich.progress import Progress
 
     console = Console(stderr=True)
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
+    progress = Progress(console=console, transient=True, disable=not console.is_terminal)
+    # Where Rich before version 14 shows no bar, it still ends it with an empty line.
+    with progress if console.is_terminal else nullcontext():
         task = progress.add_task('reading', total=None)
         said = set[str]()
 

@@ -1,59 +1,60 @@
 """Work done side by side by processes of this machine, which end with the one that began them."""
 
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
-from concurrent.futures import as_completed, Future
+from concurrent.futures import as_completed, Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import closing, contextmanager, ExitStack
+from contextlib import contextmanager
+import multiprocessing
 from multiprocessing import resource_tracker
+from multiprocessing.connection import wait
 import os
 import signal
 import threading
-import time
 from typing import Generic, Self, TypeVar
 
-from joblib import delayed, Parallel, parallel_config
-from joblib.externals.loky import ProcessPoolExecutor
-from joblib.externals.loky.backend import resource_tracker as loky_tracker
-
 NICE = 5  # of a process that lets a graph go first, and still has a share of a busy core
-_LOOK = 1.0  # s between looks at whether the process that began this one is still there
 _ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-_ONE_THREAD = {'OMP_NUM_THREADS': '1', 'OPENBLAS_NUM_THREADS': '1'}  # as joblib's processes
+_ONE_THREAD = {'OMP_NUM_THREADS': '1', 'OPENBLAS_NUM_THREADS': '1'}  # of each process
 Key = TypeVar('Key', bound=Hashable)
 Result = TypeVar('Result')
 
 
 @contextmanager
-def processes(jobs: int = 0) -> Iterator[None]:
+def processes(jobs: int = 0) -> Iterator[Executor | None]:
     """
-    Have ``as_they_end`` use processes.
+    Return what ``as_they_end`` has calls made by; they end with the context.
 
-    :param jobs: number of processes; 1: this one alone. 0: one for each core.
+    :param jobs: number of processes; 1: this one alone, None. 0: one for each core.
     """
     count = jobs or len(os.sched_getaffinity(0))
-    with parallel_config(backend='loky', n_jobs=count), _quiet_thread():
-        yield
+    if count == 1:  # processes would take longer to start than a small task
+        yield None
+        return
+    executor = _executor(count, 0)
+    try:
+        yield executor
+    finally:
+        _kill_workers(executor)
 
 
 def as_they_end(
-    calls: Sequence[Callable[[], Result]], costs: Sequence[float]
+    calls: Sequence[Callable[[], Result]], costs: Sequence[float], executor: Executor | None
 ) -> Iterator[tuple[int, Result]]:
     """
     Yield the number of each call and its result as it ends; the costliest are begun first.
 
     :param calls: partial calls of functions of modules, so that another process can make them.
-        What one raises passes through, and the others are given up.
+        What one raises passes through.
+    :param executor: makes the calls; None: they are made here, one after the other.
     """
-    parallel = Parallel(return_as='generator_unordered', pre_dispatch='all', batch_size=1)
     order = sorted(range(len(calls)), key=lambda number: -costs[number])
-    if parallel.n_jobs == 1:  # the trackers of processes would take longer than a small task
-        yield from (_numbered(number, calls[number]) for number in order)
+    if executor is None:
+        yield from ((number, calls[number]()) for number in order)
         return
-    tasks = (delayed(_numbered)(number, calls[number]) for number in order)
-    with ExitStack() as stack:
-        with _started_without_interrupts():
-            results = stack.enter_context(closing(parallel(tasks)))
-        yield from results
+    with _started_without_interrupts():
+        numbers = {executor.submit(calls[number]): number for number in order}
+    for ended in as_completed(numbers):
+        yield numbers.pop(ended), ended.result()  # which is kept no longer than needed
 
 
 def all_of(
@@ -69,8 +70,8 @@ def all_of(
     :param report: called with how many have ended, of how many, and the name of the last one.
     """
     results: dict[int, Result] = {}
-    with processes(jobs):
-        for number, result in as_they_end(calls, costs):
+    with processes(jobs) as executor:
+        for number, result in as_they_end(calls, costs, executor):
             results[number] = result
             report(len(results), len(calls), names[number])
     return [results[number] for number in range(len(calls))]
@@ -86,7 +87,6 @@ class Meanwhile(Generic[Key, Result]):
     def __init__(self) -> None:
         self._executor: ProcessPoolExecutor | None = None
         self._begun: dict[Key, Future[Result]] = {}
-        self._stack = ExitStack()
 
     @property
     def results(self) -> dict[Key, Result]:
@@ -109,12 +109,8 @@ class Meanwhile(Generic[Key, Result]):
     def _submit(self, calls: Mapping[Key, Callable[[], Result]]) -> None:
         if not calls:
             return
-        self._executor = self._executor or ProcessPoolExecutor(
-            min(len(os.sched_getaffinity(0)), len(calls)),
-            initializer=_give_way,
-            initargs=(os.getpid(),),
-            env=_ONE_THREAD,
-        )
+        if self._executor is None:
+            self._executor = _executor(min(len(os.sched_getaffinity(0)), len(calls)), NICE)
         with _started_without_interrupts():
             for key, call in calls.items():
                 self._begun[key] = self._executor.submit(call)
@@ -149,41 +145,57 @@ class Meanwhile(Generic[Key, Result]):
         return [call.result() for call in begun]
 
     def __enter__(self) -> Self:
-        self._stack.enter_context(_quiet_thread())
         return self
 
     def __exit__(self, *_: object) -> None:
-        with self._stack:
-            if self._executor is not None:
-                self._executor.shutdown(kill_workers=True)
+        if self._executor is not None:
+            _kill_workers(self._executor)
 
 
-def _give_way(parent: int) -> None:
+def _executor(count: int, niceness: int) -> ProcessPoolExecutor:
+    """Return an executor of new processes, as a fork of this one would have its locks."""
+    context = multiprocessing.get_context('spawn')
+    return ProcessPoolExecutor(count, context, initializer=_begin, initargs=(niceness,))
+
+
+def _begin(niceness: int) -> None:
     """Let other processes go first, and end with the one that began this one."""
-    os.nice(NICE)
+    os.nice(niceness)
+    parent = multiprocessing.parent_process()
+    assert parent is not None
 
     def watch() -> None:
-        while os.getppid() == parent:
-            time.sleep(_LOOK)
+        wait([parent.sentinel])
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
 
 
-def _numbered(number: int, call: Callable[[], Result]) -> tuple[int, Result]:
-    return number, call()
+def _kill_workers(executor: ProcessPoolExecutor) -> None:
+    """End the processes of an executor at once, as Python 3.14's method of this name does."""
+    workers = [*executor._processes.values()]
+    executor.shutdown(wait=False, cancel_futures=True)
+    for worker in workers:
+        worker.kill()
+    for worker in workers:
+        worker.join()
 
 
 @contextmanager
 def _started_without_interrupts() -> Iterator[None]:
     """Have processes that are started meanwhile not hear Ctrl-C; this process ends them."""
     with _signals_held_back():
-        for tracker in (resource_tracker, loky_tracker):  # each hears it again once it has started
-            tracker.ensure_running()
+        resource_tracker.ensure_running()  # hears it again once it has started
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        threads = {name: os.environ.get(name) for name in _ONE_THREAD}
+        os.environ.update(_ONE_THREAD)
         try:
             yield
         finally:
+            for name, value in threads.items():
+                os.environ.pop(name)
+                if value is not None:
+                    os.environ[name] = value
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
@@ -192,7 +204,7 @@ def _signals_held_back() -> Iterator[None]:
     """
     Let what ends this process wait, whichever of its threads the signal came to.
 
-    A start of joblib that is interrupted in its middle raises another error.
+    A start of a process that is interrupted in its middle leaves it without its work.
     """
     came: list[int] = []
     handlers = {}
@@ -208,20 +220,3 @@ def _signals_held_back() -> Iterator[None]:
             signal.signal(each, handler)
         if came:
             signal.raise_signal(came[0])
-
-
-@contextmanager
-def _quiet_thread() -> Iterator[None]:
-    """Silence joblib's manager thread, which raises KeyError when its work is given up."""
-    before = threading.excepthook
-
-    def hook(error: threading.ExceptHookArgs) -> None:
-        name = error.thread.name if error.thread is not None else ''
-        if error.exc_type is not KeyError or name != 'ExecutorManagerThread':
-            before(error)
-
-    threading.excepthook = hook
-    try:
-        yield
-    finally:
-        threading.excepthook = before

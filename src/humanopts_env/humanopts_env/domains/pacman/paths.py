@@ -73,7 +73,9 @@ def _distances(step: Ints, passable: Flags) -> NDArray[np.unsignedinteger]:
     """Return all distances, as bytes where these hold them and two numbers above."""
     count = len(step)
     here, move = np.nonzero(passable)
-    graph = coo_array((np.ones(len(here)), (here, step[here, move])), shape=(count, count))
+    # csgraph of SciPy 1.11 takes indices of 32 bits only
+    edges = here.astype(np.int32), step[here, move].astype(np.int32)
+    graph = coo_array((np.ones(len(here)), edges), shape=(count, count))
     exact = shortest_path(graph.tocsr(), unweighted=True)
     steps: NDArray[np.unsignedinteger] = exact.astype(
         np.uint8 if float(exact.max()) < 254 else np.uint16

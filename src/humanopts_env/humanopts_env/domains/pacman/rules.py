@@ -461,6 +461,6 @@ class PacManBatch:
         if ghost.size:
             masks[ghost, game] = tables.away[where[ghost, game] * count + pacman[game]]
             moving = live & (self.scared & 1 == 0)
-        move = tables.picks.take(masks * np.intp(DRAWS) + draws)
+        move = tables.picks.take(np.multiply(masks, DRAWS, dtype=np.intp) + draws)
         np.copyto(self.headings, move, where=moving)
         np.copyto(self.ghosts, tables.step.take(cells + move), where=moving)
