@@ -30,13 +30,14 @@ unexport PYTHONDONTWRITEBYTECODE COLCON_DEFAULTS_FILE
 unexport $(shell sed -n 's/^unset //p' tools/environment.sh)
 export COLCON_HOME := $(CURDIR)/build/colcon
 
-.PHONY: help setup checked demo test test-quick test-whole test-slow test-browser test-hosts test-stress soak lint docs screens format lock clean
+.PHONY: help setup checked demo test test-quick test-floor test-whole test-slow test-browser test-hosts test-stress soak lint docs screens format lock clean
 
 help:
 	@echo 'make demo    teach a simulated agent two options for Taxi, plan, drive, report (OUT=, SEED=)'
 	@echo 'make test    run the tests, four at a time (ARGS=), first those that need no graph'
 	@echo 'make test-quick  run the quick ones of pure code; make test-slow  those that take minutes'
 	@echo 'make test-whole  run those of whole commands: the demo of Pac-Man, studies, nodes that die'
+	@echo 'make test-floor  run those of pure code with the oldest packages that everything works with'
 	@echo 'make test-browser  run those that teach in Chromium'
 	@echo 'make test-hosts  run those over two hosts, in namespaces of this machine, whose cable is pulled'
 	@echo 'make test-stress  run the tests of the graph ten times while all cores are busy and nodes are'
@@ -69,6 +70,12 @@ $(VENV)/.test-locked: requirements-test.lock $(VENV)/.locked
 	$(STEP) 'Installing the packages of the tests' tools/install_packages.sh $(VENV) $<
 	@touch $@
 
+# The oldest packages that everything works with, in a folder that goes before those of the others.
+build/floor/.locked: requirements-floor.lock $(VENV)/.locked tools/install_packages.sh
+	@rm -rf $(@D)
+	$(STEP) 'Installing the oldest packages that it runs on' tools/install_packages.sh $(VENV) $< $(@D)
+	@touch $@
+
 build/.interfaces: $(VENV)/.build-locked $(INTERFACES) tools/build_interfaces.sh tools/wheels.cmake tools/generate_interfaces.py
 	$(STEP) 'Building the ROS interfaces' tools/build_interfaces.sh $(VENV)
 	@touch $@
@@ -96,6 +103,14 @@ test: checked
 
 test-quick: checked
 	@$(WITH_ROS) $(SIDE_BY_SIDE) -m 'not slow and not live and not heavy' $(or $(ARGS),src)
+
+# Left out is what takes long and computes little.
+test-floor: checked build/floor/.locked
+	@$(WITH_ROS); export PYTHONPATH=$(CURDIR)/build/floor:$$PYTHONPATH; \
+	  $(VENV)/bin/python tools/check_floor.py requirements-floor.lock && \
+	  $(SIDE_BY_SIDE) -n 2 -q -m 'not slow and not live and not heavy' \
+	  $(foreach name,browser_pages difference lesson_requests seeded_starts side_by_side, \
+	    --ignore=src/humanopts_teach/test/test_$(name).py) $(or $(ARGS),src)
 
 test-whole: checked
 	@$(WITH_ROS) $(SIDE_BY_SIDE) -m 'whole and not slow' $(or $(ARGS),tests)
@@ -143,6 +158,7 @@ lock:
 	@$(COMPILE) requirements.in -o requirements.lock
 	@$(COMPILE) requirements-build.in -c requirements.lock -o requirements-build.lock
 	@$(COMPILE) requirements-test.in -c requirements.lock -o requirements-test.lock
+	@$(COMPILE) requirements-floor.in -o requirements-floor.lock
 
 clean:
 	@rm -rf $(VENV) build install log .mypy_cache .ruff_cache .pytest_cache .hypothesis

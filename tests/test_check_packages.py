@@ -13,7 +13,7 @@ MANIFEST = """<?xml version="1.0"?>
   <description>A package of one module.</description>
   <maintainer email="toy@example.org">toy</maintainer>
   <license>Apache-2.0</license>
-  <exec_depend>python3-numpy</exec_depend>
+  <exec_depend version_gte="1.26.4">python3-numpy</exec_depend>
   <exec_depend>python3-zstandard</exec_depend>
   <test_depend>python3-pytest</test_depend>
 </package>
@@ -31,12 +31,16 @@ CODE = """import json
 import numpy
 import zstandard
 """
+SETUP = """setup(name='humanopts_toy', install_requires=['numpy>=1.26.4'])
+"""
 RULES = 'python3-zstandard: {debian: [python3-zstandard], ubuntu: [python3-zstandard]}\n'
 FILES = {
     'src/humanopts_toy/package.xml': MANIFEST,
     'src/humanopts_toy/README.md': '# humanopts_toy\n',
     'src/humanopts_toy/CHANGELOG.rst': CHANGELOG,
     'src/humanopts_toy/humanopts_toy/__init__.py': CODE,
+    'src/humanopts_toy/setup.py': SETUP,
+    'requirements-floor.in': '# oldest\nnumpy==1.26.4.post1\n',
     'rosdep/rosdistro_keys.txt': '# copied\npython3-numpy\n\npython3-pytest\n',
     'rosdep/humanopts.yaml': RULES,
 }
@@ -85,7 +89,7 @@ def test_an_import_alone_makes_no_key_known(workspace: Path) -> None:
 def test_packages_of_the_workspace_are_known(workspace: Path) -> None:
     other = workspace / 'src/humanopts_other'
     other.mkdir()
-    for name in ('README.md', 'CHANGELOG.rst', 'package.xml'):
+    for name in ('README.md', 'CHANGELOG.rst', 'package.xml', 'setup.py'):
         text = FILES[f'src/humanopts_toy/{name}'].replace('humanopts_toy', 'humanopts_other')
         (other / name).write_text(text, encoding='utf-8')
     line = '<test_depend>humanopts_other</test_depend></package>'
@@ -99,6 +103,9 @@ def test_packages_of_the_workspace_are_known(workspace: Path) -> None:
         ('rosdep/humanopts.yaml', 'debian', 'fedora', 'no rule for python3-zstandard on debian'),
         ('rosdep/rosdistro_keys.txt', '# copied', 'python3-zstandard', 'as rosdistro does'),
         ('rosdep/rosdistro_keys.txt', '# copied', 'rclpy', 'rclpy, which no package.xml lists'),
+        ('src/humanopts_toy/package.xml', '1.26.4', '1.26', 'version_gte="1.26.4"'),
+        ('src/humanopts_toy/setup.py', '1.26.4', '1.25', 'does not require numpy>=1.26.4'),
+        ('requirements-floor.in', '1.26.4', '2.1', 'does not require numpy>=2.1'),
         ('src/humanopts_toy/package.xml', 'format="3"', 'format="2"', 'not format 3'),
         ('src/humanopts_toy/package.xml', '<license>', '<licence>', 'package.xml'),
         (

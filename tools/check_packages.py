@@ -3,12 +3,14 @@ Checks the packages of src/ as ROS tools see them, and names what is wrong.
 
 Every package.xml is valid, lists what its code imports and nothing else, and lists only keys that
 rosdep knows: those copied from rosdistro (rosdep/rosdistro_keys.txt), our own
-(rosdep/humanopts.yaml), and the packages of src/. Every package has a README.md, and a
-CHANGELOG.rst with a section of its version.
+(rosdep/humanopts.yaml), and the packages of src/. The least versions in package.xml and setup.py
+are those that make test-floor tests with (requirements-floor.in). Every package has a README.md,
+and a CHANGELOG.rst with a section of its version.
 """
 
 import ast
 from pathlib import Path
+import re
 import sys
 
 from catkin_pkg.package import InvalidPackage, Package, parse_package
@@ -41,6 +43,7 @@ KEYS = {
     'yaml': 'python3-yaml',
     'zstandard': 'python3-zstandard',
 }
+FLOOR_KEYS = {'markdown-it-py': 'markdown-it', 'pyyaml': 'yaml', 'scikit-learn': 'sklearn'}
 OPTIONAL = {'distributed', 'minari', 'numba', 'pyarrow', 'quantecon'}  # where installed
 UNIMPORTED = {'std_msgs', 'launch', 'launch_ros'}  # fields of messages; launch files
 SYSTEMS = ('debian', 'ubuntu')  # that a rule of our own is for
@@ -120,10 +123,25 @@ def key_problems(root: Path, manifests: dict[Path, Package]) -> list[str]:
     ]
 
 
+def floor_problems(package: Path, manifest: Package, floor: str) -> list[str]:
+    """Return which least versions are missing or are not those that are tested with, in words."""
+    setup = (package / 'setup.py').read_text('utf-8') if (package / 'setup.py').exists() else ''
+    declared = {depend.name: depend.version_gte for depend in manifest.exec_depends}
+    found = []
+    for name, pin in re.findall(r'^([a-z0-9-]+)==(\d+(?:\.\d+)*)', floor, re.MULTILINE):
+        key = f'python3-{FLOOR_KEYS.get(name, name)}'
+        if key in declared and declared[key] != pin:
+            found.append(f'{package}/package.xml does not list {key} with version_gte="{pin}"')
+        if key in declared and f"'{name}>={pin}'" not in setup:
+            found.append(f'{package}/setup.py does not require {name}>={pin}')
+    return found
+
+
 def problems(root: Path) -> list[str]:
     """Return what is wrong with the packages in src/ of a folder, in words."""
     found: list[str] = []
     manifests: dict[Path, Package] = {}
+    floor = (root / 'requirements-floor.in').read_text(encoding='utf-8')
     for package in sorted((root / 'src').glob('humanopts_*')):
         try:
             manifest = manifests[package] = parse_package(str(package))
@@ -133,6 +151,7 @@ def problems(root: Path) -> list[str]:
         if manifest.package_format != 3:
             found.append(f'{package}: package.xml is not format 3')
         found += import_problems(package, manifest) + page_problems(package, manifest.version)
+        found += floor_problems(package, manifest, floor)
     return found + key_problems(root, manifests)
 
 

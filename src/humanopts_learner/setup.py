@@ -5,6 +5,13 @@ NAME = 'humanopts_learner'
 setup(
     name=NAME,
     version='0.1.0',
+    install_requires=[
+        'lazy-loader>=0.3',
+        'numpy>=1.26.4',
+        'pandas>=2.1.4',
+        'scikit-learn>=1.4.1',
+        'scipy>=1.11.4',
+    ],
     packages=find_packages(exclude=['test']),
     package_data={NAME: ['py.typed', '__init__.pyi']},
     data_files=[

@@ -7,6 +7,20 @@ NAME = 'humanopts_teach'
 setup(
     name=NAME,
     version='0.1.0',
+    install_requires=[
+        'jinja2>=3.1.2',
+        'lazy-loader>=0.3',
+        'markdown-it-py>=3.0.0',
+        'matplotlib>=3.6.3',
+        'numpy>=1.26.4',
+        'pandas>=2.1.4',
+        'prompt-toolkit>=3.0.43',
+        'psutil>=5.9.8',
+        'pyyaml>=6.0.1',
+        'rich>=13.7.1',
+        'setproctitle>=1.3.3',
+        'zstandard>=0.22.0',
+    ],
     packages=find_packages(exclude=['test']),
     package_data={
         NAME: [

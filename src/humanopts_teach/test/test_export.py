@@ -187,7 +187,7 @@ def test_csv_files_hold_the_tables(tmp_path: Path, bag: Bag) -> None:
 def test_parquet_files_hold_the_tables(
     tmp_path: Path, bag: Bag, monkeypatch: pytest.MonkeyPatch, rows: int
 ) -> None:
-    parquet = pytest.importorskip('pyarrow.parquet')
+    parquet = pytest.importorskip('pyarrow.parquet', exc_type=ImportError)
     monkeypatch.setattr(export_tables, 'BATCH', rows)
     found = columns(bag_tables(bag))
     for path in write_parquet(bag_tables(bag), tmp_path):
@@ -197,7 +197,7 @@ def test_parquet_files_hold_the_tables(
 def test_a_parquet_column_may_begin_with_many_unknown_values(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    parquet = pytest.importorskip('pyarrow.parquet')
+    parquet = pytest.importorskip('pyarrow.parquet', exc_type=ImportError)
     monkeypatch.setattr(export_tables, 'BATCH', 2)
     options = [None, None, None, 'flee']
     (path,) = write_parquet([Table('steps', ('option',), [(name,) for name in options])], tmp_path)
@@ -222,7 +222,7 @@ def test_episodes_of_a_minari_dataset_step_through_our_environments(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, parameters: dict[str, Any]
 ) -> None:
     minari = pytest.importorskip('minari')
-    pytest.importorskip('pyarrow')
+    pytest.importorskip('pyarrow', exc_type=ImportError)
     recorded = record(tmp_path / 'b', make_domain(name, parameters), 4)
     dataset_id, count = write_dataset(recorded, tmp_path)
     assert (dataset_id, count) == (f'humanopts/{name}/b-v0', 4)
@@ -246,7 +246,7 @@ def test_episodes_with_gaps_are_left_out_and_counted(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     pytest.importorskip('minari')
-    pytest.importorskip('pyarrow')
+    pytest.importorskip('pyarrow', exc_type=ImportError)
     with BagWriter(tmp_path / 'gap') as bag:
         for time, (topic, kind, message) in enumerate(entries(taxi, 2, []), start=1):
             lost = topic == '/game_state' and (message.episode, message.step) == (1, 5)
