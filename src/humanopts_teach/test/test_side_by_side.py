@@ -85,7 +85,8 @@ def test_where_a_process_is_killed_the_results_so_far_stay_and_the_others_are_ma
         for process in at_work():
             process.kill()
             process.wait(timeout=30.0)
-        _wait_until(lambda: 'ExecutorManagerThread' not in {t.name for t in threading.enumerate()})
+        manager = '_ExecutorManagerThread'
+        _wait_until(lambda: manager not in {type(t).__name__ for t in threading.enumerate()})
         other.begin({'second': os.getpid})
         calls = {'first': os.getpid, 'lost': os.getpid, 'second': os.getpid}
         first, *others = other.all_of(calls, list(calls), [1.0] * 3, lambda *_: None)
