@@ -19,6 +19,7 @@ from humanopts_env.domains.pacman.reference import (
     EAT_GHOST,
     NEAREST_PILL,
     reference_options,
+    TO_FRUIT,
 )
 from humanopts_env.domains.pacman.rules import GHOST_RULES, PacManBatch
 from humanopts_env.seeding import generator
@@ -86,31 +87,48 @@ def play_heuristic(domain: 'PacMan', games: int, seed: int, *, to_end: bool) -> 
         seen = look_around(batch)
         said = [option.judge(batch, seen) for option in options]
         ended = np.stack([judgement.termination for judgement in said])[running, each]
-        chosen = _by_rule(names, seen, np.stack([judgement.initiation for judgement in said]))
+        can_start = np.stack([judgement.initiation for judgement in said])
+        chosen = _by_rule(names, batch, seen, can_start, to_end=to_end)
         running = np.where(ended | (running < 0) | (not to_end), chosen, running)
         moves: Ints = np.stack([j.optimal for j in said])[running, each].argmax(axis=1)
         batch.step(moves, batch.draws(rng))
     return Scores(batch.score, domain.batch_games().batch_outcome(batch))
 
 
-def _by_rule(names: Sequence[str], seen: Surroundings, available: Flags) -> Ints:
+def _by_rule(
+    names: Sequence[str],
+    batch: PacManBatch,
+    seen: Surroundings,
+    available: Flags,
+    *,
+    to_end: bool,
+) -> Ints:
     """
     Return (N,): the index of the option that the hand-written rule chooses, by their names (O,).
 
     The rule is: eat a scared ghost that can be caught in time, unless a dangerous one is near;
-    else, where a dangerous ghost is too near, go to a power pill that is nearer, or avoid the
-    ghost; else go to the closest food.
+    else, where a dangerous ghost is too near, go to a power pill that is nearer; else go to fruit
+    that can be reached in time, unless a dangerous ghost is near; else avoid a ghost that is too
+    near; else go to the closest food. A way to fruit that is gone to its end, whatever comes, is
+    begun only where a dangerous ghost is more than twice as far.
+
+    Of 26 places and conditions of the clause for fruit, this scored best over both kinds of
+    ghosts, with a choice at every step and with options that run to their end.
 
     :param available: (O, N) whether each option can start.
     """
-    food, avoid, pill, eat = map(names.index, (CLOSEST_FOOD, AVOID_GHOST, NEAREST_PILL, EAT_GHOST))
+    order = (CLOSEST_FOOD, AVOID_GHOST, NEAREST_PILL, EAT_GHOST, TO_FRUIT)
+    food, avoid, pill, eat, fruit = map(names.index, order)
     threatened = seen.danger <= TOO_NEAR
+    steps = batch.rules.paths.distance[batch.pacman, batch.fruit_at].astype(np.intp)
+    safe = seen.danger > (2 * steps if to_end else 2)
     return np.select(
         [
             available[eat] & (seen.prey <= seen.fear) & (seen.danger > 2),
             available[pill] & threatened & (seen.pill < TOO_NEAR),
+            available[fruit] & (steps <= batch.fruit) & safe,
             available[avoid] & threatened,
         ],
-        [eat, pill, avoid],
+        [eat, pill, fruit, avoid],
         food,
     )
