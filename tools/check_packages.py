@@ -37,7 +37,6 @@ KEYS = {
     'scipy': 'python3-scipy',
     'setproctitle': 'python3-setproctitle',
     'sklearn': 'python3-sklearn',
-    'starlette': 'python3-nicegui-pip',
     'typer': 'python3-typer-pip',
     'starlette': 'python3-nicegui-pip',
     'uvicorn': 'python3-nicegui-pip',

@@ -122,8 +122,7 @@ def test_better_players_score_more() -> None:
         by_rule, every_step = (play_heuristic(domain, 60, 1, to_end=end) for end in (True, False))
         means = [s.mean() for s in (random_moves(domain, 60), by_rule.total, every_step.total)]
         assert means == sorted(means)
-        assert max(by_rule.total) <= 2280
-        assert 2080 < max(every_step.total) <= 2280, 'without fruit it is at most 2080'
+        assert max(by_rule.total) <= 2080
         assert (every_step.outcomes['lives left'][every_step.outcomes['cleared']] > 0).all()
 
 
@@ -132,3 +131,9 @@ def test_the_same_seed_plays_the_same_baseline_games() -> None:
     runs = [play_heuristic(domain, 20, seed, to_end=True).total for seed in (1, 1, 2)]
     assert np.array_equal(runs[0], runs[1])
     assert not np.array_equal(runs[0], runs[2])
+
+
+def test_the_rule_goes_for_fruit_as_plans_may() -> None:
+    """It scored about 1,905 while it ate fruit only where it was the closest food."""
+    played = play_heuristic(PacMan(ghosts='random'), 200, 1, to_end=False)
+    assert played.total.mean() > 1930
