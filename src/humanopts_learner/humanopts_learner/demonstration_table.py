@@ -27,6 +27,7 @@ from typing import Any, TYPE_CHECKING
 from humanopts_env.domains.base import Domain, DomainError, EnumerableDomain, is_enumerable
 from humanopts_learner.demonstrations import Demonstration, DemonstrationError, make_demonstration
 from humanopts_learner.spreadsheet import from_cell
+from humanopts_ros.limits import composed
 import numpy as np
 
 if TYPE_CHECKING:
@@ -62,7 +63,8 @@ def demonstrations_from_table(
         raise DemonstrationError('the table has no column option: give option_name')
     groups: dict[tuple[str, str, str], list[Row]] = {}
     for row in rows:
-        who, option = row.get('participant', participant), row.get('option', option_name)
+        who = row.get('participant', participant)
+        option = composed(row.get('option', option_name))
         groups.setdefault((who, option, row['demonstration']), []).append(row)
     numbers: dict[tuple[str, str], int] = {}
     found = []

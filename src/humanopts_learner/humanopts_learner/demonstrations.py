@@ -20,7 +20,7 @@ from humanopts_env.domains.base import (
 )
 from humanopts_env.domains.capabilities import feature_rows
 from humanopts_env.domains.registry import MOST_PARAMETERS, parameters_json
-from humanopts_ros.limits import JsonError, parse_json
+from humanopts_ros.limits import composed, JsonError, parse_json
 import numpy as np
 
 
@@ -131,6 +131,7 @@ class Demonstration:
         missing = [name for name in needed if name not in values]
         if missing:
             raise DemonstrationError(f'the demonstration has no {", ".join(missing)}')
+        values = {**values, 'option_name': composed(str(values['option_name']))}
         try:
             return cls(
                 **{
@@ -187,7 +188,7 @@ def make_demonstration(
         domain_parameters=parameters_json(domain),
         participant=participant,
         session=session,
-        option_name=option_name,
+        option_name=composed(option_name),
         number=number,
         chosen_features=names if features is None else tuple(features),
         feature_names=names,

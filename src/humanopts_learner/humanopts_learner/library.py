@@ -8,6 +8,7 @@ from humanopts_env.arrays import Flags, Floats, Rows
 from humanopts_env.domains.base import Domain
 from humanopts_learner.demonstrations import PRIMITIVE_PREFIX
 from humanopts_learner.options.option import LearnedOption, Mode, OptionError
+from humanopts_ros.limits import composed
 import numpy as np
 
 
@@ -121,6 +122,7 @@ class OptionLibrary:
         :raises UnknownOptionError: no option has this name.
         :raises AmbiguousOptionError: several participants taught it and none is given.
         """
+        name = composed(name)
         if name in self._primitives:
             return self._primitives[name]
         found = [option for option in self.options(participant) if option.name == name]

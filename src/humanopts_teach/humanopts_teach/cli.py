@@ -12,13 +12,14 @@ import importlib
 from importlib.metadata import version
 from importlib.util import find_spec
 import os
+from pathlib import Path
 import sys
 from typing import Annotated, Any
 
 from humanopts_ros.limits import accept_any_text, one_line, printable
 from humanopts_ros.middleware import MiddlewareError
 from humanopts_teach.bags import BagError
-from humanopts_teach.commands import CommandError, interruptible
+from humanopts_teach.commands import agreed, CommandError, interruptible
 from humanopts_teach.commands.bag import app as bag_app
 from humanopts_teach.commands.options import (
     CommandGroup,
@@ -209,6 +210,7 @@ def teach(
     """Launch, and teach from this terminal's keyboard, or from browsers."""
     from humanopts_teach.commands.session import (
         check_folder,
+        default_folder,
         new_name,
         run_in_terminal,
         Session,
@@ -225,6 +227,8 @@ def teach(
         raise CommandError(f'{fault}; or teach in a browser: --browser')
     if pages.browser and only:
         raise CommandError('--only is not for --browser, where each page has nodes of its own')
+    if participant and not pages.browser:
+        given['participant'] = _settled(participant, launch.out or default_folder(domain))
     setup = setup_from(
         domain,
         launch,
@@ -265,6 +269,24 @@ def status(
     report = probe_graph(namespace)
     print(json_text.dumps(report.to_dict(), indent=2) if json else report.to_text())
     return report.status
+
+
+def _settled(participant: str, folder: Path) -> str:
+    """
+    Return the code of a person, who is asked where a known one differs only in case.
+
+    :raises CommandError: the person is another one, and needs another code.
+    """
+    from humanopts_teach.lesson.store import similar_code
+
+    known = [each.stem for each in (folder / 'demonstrations').glob('*.jsonl')]
+    similar = similar_code(participant, known)
+    if similar and not agreed(f'{similar} has taught here. Go on as {similar}?'):
+        raise CommandError(
+            f'--participant {participant!r} differs only in case from {similar!r}, who has taught '
+            f'here: give {similar!r} to go on, or another code'
+        )
+    return similar or participant
 
 
 def main(argv: Sequence[str] | None = None) -> int:

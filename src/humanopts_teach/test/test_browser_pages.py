@@ -177,6 +177,17 @@ def test_a_code_leads_to_the_page_of_its_seat(address: str) -> None:
         assert browser.opened == [f'/{TOKEN}/anna']
 
 
+def test_a_code_that_differs_only_in_case_is_asked_about(address: str) -> None:
+    with PageClient(address, f'/{TOKEN}/gil') as gil, PageClient(address, f'/{TOKEN}/GIL') as page:
+        gil.until('panel', 'Which?')
+        page.until('panel', 'gil is known here. Are you gil?')
+        page.press('enter')
+        deadline = time.monotonic() + PATIENCE
+        while not page.opened and time.monotonic() < deadline:
+            time.sleep(0.005)
+        assert page.opened == [f'/{TOKEN}/gil']
+
+
 def test_two_participants_and_one_who_loads_the_page_again(address: str) -> None:
     with PageClient(address, f'/{TOKEN}/ben') as ben:
         with PageClient(address, f'/{TOKEN}/cleo') as cleo:

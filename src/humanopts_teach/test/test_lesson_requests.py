@@ -513,3 +513,21 @@ def test_a_lesson_that_is_started_again_goes_on_where_the_other_was(table: Table
     again.learned()  # the newest, of which the lesson does not know whether it is counted in
     assert again.lesson.phase is Phase.READY
     assert again.shown().lesson.view.n_demonstrations == 2
+
+
+def test_a_name_is_the_same_however_its_letters_were_typed(table: Table) -> None:
+    assert table.ask(OpenSession('p1')).ok
+    assert table.ask(DefineOption('abhängen')).ok
+    again = table.ask(DefineOption('abha\u0308ngen'))
+    assert again.resumed
+    assert table.ask(ChangeOption('abha\u0308ngen', 'höher')).known_options == ('höher',)
+    assert table.ask(ListDemonstrations('ho\u0308her')).ok
+
+
+def test_a_code_that_differs_only_in_case_is_refused(table: Table) -> None:
+    assert table.ask(OpenSession('p1')).ok
+    assert table.ask(OpenSession('p2')).ok
+    answer = table.ask(OpenSession('P1'))
+    assert answer.status is RequestStatus.BAD_NAME
+    assert "'P1' differs only in case from 'p1'" in answer.detail
+    assert table.ask(OpenSession('p1')).ok

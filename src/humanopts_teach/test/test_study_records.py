@@ -2,9 +2,11 @@
 
 from collections.abc import Iterable, Mapping
 import csv
+import io
 import json
 import os
 from pathlib import Path
+import sys
 import time
 from typing import Any
 
@@ -322,3 +324,26 @@ def test_a_byte_order_mark_is_written_for_excel_alone(files: Files) -> None:
 @given(st.text())
 def test_text_of_a_cell_is_read_back_as_it_was(text: str) -> None:
     assert from_cell(to_cell(text)) == text
+
+
+def test_a_code_that_differs_only_in_case_is_asked_about_or_refused(
+    files: Files, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    files.write('000-Simulated-1.jsonl', began('Simulated-1'))
+    plan = ['study', str(files.path / 'plan.yaml'), '--study', str(files.study)]
+    assert main([*plan, '--simulate', '1']) == 2
+    assert "'simulated-1' differs only in case from 'Simulated-1'" in capsys.readouterr().err
+    monkeypatch.setattr(sys, 'stdin', Terminal('n\n'))
+    monkeypatch.setattr(sys.stdout, 'isatty', lambda: True)
+    assert main([*plan, '--participant', 'SIMULATED-1']) == 2
+    said = capsys.readouterr()
+    assert 'Go on as Simulated-1? [y/N]' in said.out
+    assert "give 'Simulated-1' to go on, or another code" in said.err
+    assert len(list(files.study.glob('*.jsonl'))) == 1
+
+
+class Terminal(io.StringIO):
+    """Standard input that is a terminal."""
+
+    def isatty(self) -> bool:
+        return True

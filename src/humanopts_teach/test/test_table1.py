@@ -7,7 +7,7 @@ from typing import Any
 from humanopts_env.domains.base import Domain
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.ros.convert import domain_to_info
-from humanopts_interfaces.msg import Demonstration, LessonState
+from humanopts_interfaces.msg import Demonstration, LessonState, StudyEvent
 from humanopts_teach.bags.reader import open_bag
 from humanopts_teach.cli import main
 from humanopts_teach.evaluation.table1 import (
@@ -62,6 +62,37 @@ def bags(tmp_path: Path, taxi: Domain[Any]) -> list[str]:
     for name, entries in (('a', first), ('b', second), ('c', third)):
         write_messages(tmp_path / name, entries)
     return [str(tmp_path / name) for name in 'abc']
+
+
+def test_a_word_is_one_button_however_its_letters_were_typed(
+    tmp_path: Path, taxi: Domain[Any], capsys: pytest.CaptureFixture[str]
+) -> None:
+    names = 'weiter fa\u0308hren', 'Weiter f\xe4hren', 'WEITER FA\u0308HREN'
+    entries = [lesson(f'p{n}', name) for n, name in enumerate(names)]
+    write_messages(tmp_path / 'a', [('/domain_info', domain_to_info(taxi)), *entries])
+    assert main(['bag', 'table1', str(tmp_path / 'a'), '--json']) == 0
+    (table,) = json.loads(capsys.readouterr().out)
+    (row,) = [row for row in table['rows'] if row['people']]
+    assert (row['option'], row['people']) == ('weiter f\xe4hren', 3)
+
+
+def event(seconds: float, what: str, **values: Any) -> tuple[str, StudyEvent]:
+    """Return an event of a study."""
+    where = {'event': what, 'time': seconds, 'part': 'a/buttons', 'condition': 'a'}
+    return '/study_events', StudyEvent(participant='p1', event=json.dumps({**where, **values}))
+
+
+def test_buttons_of_a_part_that_was_begun_again_in_the_next_bag_count_no_longer(
+    tmp_path: Path, taxi: Domain[Any], capsys: pytest.CaptureFixture[str]
+) -> None:
+    for n, name in enumerate(('fetch', 'wave')):
+        began = event(10.0 * n, 'part began', kind='buttons')
+        named = event(10.0 * n + 1, 'button', domain='taxi', rank=1, text=name)
+        entries = [('/domain_info', domain_to_info(taxi)), began, named]
+        write_messages(tmp_path / f'{n}', entries)
+    assert main(['bag', 'table1', str(tmp_path / '1'), str(tmp_path / '0'), '--json']) == 0
+    (table,) = json.loads(capsys.readouterr().out)
+    assert [row['option'] for row in table['rows'] if row['people']] == ['wave']
 
 
 def test_people_are_counted_once_beside_the_paper(

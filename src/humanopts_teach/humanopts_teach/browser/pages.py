@@ -12,7 +12,7 @@ from fastapi.responses import HTMLResponse
 from humanopts_teach.browser.connections import Gate, Idle, Server
 from humanopts_teach.browser.guard import Guard
 from humanopts_teach.browser.markup import head_html, PARTS, parts
-from humanopts_teach.browser.seats import Press, Seats, Window
+from humanopts_teach.browser.seats import message, Press, prompt, Seats, Window
 from humanopts_teach.browser.server_log import limited_log
 from humanopts_teach.dialogue.app import App, MOST_KEYS
 from humanopts_teach.dialogue.entry import TextScreen
@@ -85,6 +85,13 @@ def add_pages(seats: Seats, proposed: str) -> None:
             text = f'{escape(participant)} is not a code: {CODE_RULE}.'
             return HTMLResponse(f'<!doctype html><title>humanopts</title><p>{text}</p>', 404)
         window = PageWindow()
+        if similar := seats.similar(participant):
+            text = (
+                f'{similar} is known here. Are you {similar}? If not, go back: give another code.'
+            )
+            asked = message(('humanopts', seats.domain), text, f'go on as {similar}')
+            prompt(window, asked, lambda: window.go_to(f'/{similar}'))
+            return None
 
         def leave() -> None:
             if not client.has_socket_connection:  # an old one may end after a new one came

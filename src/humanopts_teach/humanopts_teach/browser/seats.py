@@ -11,6 +11,7 @@ from itertools import count
 from typing import Protocol
 
 from humanopts_teach.dialogue.panel import Line, Panel, Tone, View
+from humanopts_teach.lesson.store import similar_code
 
 FAREWELL = 'Everything taught is saved.'
 _STARTING = 'Starting the game of {} ...'
@@ -152,13 +153,15 @@ class Seats:
         open_game: OpenGame,
         linger: float,
         fits: Callable[[int], bool] = lambda games: True,
+        known: Callable[[], Sequence[str]] = tuple,
     ) -> None:
         """
         Have no participant yet.
 
         :param fits: whether there may be another game beside that many; called in a thread.
+        :param known: returns the codes of those who have taught before.
         """
-        self.domain, self.linger = domain, linger
+        self.domain, self.linger, self._known = domain, linger, known
         self._open_game, self._fits = open_game, fits
         self._line: list[Seat] = []  # whose game has yet to begin
         self._playing: set[Seat] = set()
@@ -176,6 +179,10 @@ class Seats:
             self._ask(seat, window)
             return
         seat.enter(window)
+
+    def similar(self, participant: str) -> str:
+        """Return a code in use that differs only in case; empty: there is none."""
+        return similar_code(participant, (*self._seats, *self._known()))
 
     def leave(self, participant: str, window: Window) -> None:
         """Note that a window is gone; one that waits for its seat gets it."""

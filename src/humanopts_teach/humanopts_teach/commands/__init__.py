@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 import signal
+import sys
 from types import FrameType
 
 _ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -10,6 +11,12 @@ _ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 class CommandError(Exception):
     """Bad input: the command ends with status 2 and this one line."""
+
+
+def agreed(question: str) -> bool:
+    """Ask the person at this terminal; only yes is yes."""
+    print(f'{question} [y/N] ', end='', flush=True)
+    return sys.stdin.readline().strip().lower() in ('y', 'yes')
 
 
 @contextmanager

@@ -1,7 +1,7 @@
 """What ``--browser`` serves: a page for each participant, and a graph, or those of a study."""
 
 import asyncio
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import AbstractAsyncContextManager, asynccontextmanager, suppress
 from dataclasses import replace
 from functools import partial
@@ -60,18 +60,28 @@ def teach_in_browser(setup: Setup, namespace: str, pages: PageOptions, participa
         )
         return _game(own, namespace, thread, seat)
 
+    def known() -> list[str]:
+        return [each.parent.name for each in setup.directory.glob('*/demonstrations')]
+
     with only_launch(namespace, [_SERVER]):
         print(f'Each participant has a folder in {setup.directory}.')
-        return _serve_seats(setup.domain, open_game, pages, participant)
+        return _serve_seats(setup.domain, open_game, pages, participant, known)
 
 
-def _serve_seats(name: str, open_game: OpenGame, pages: PageOptions, participant: str) -> int:
+def _serve_seats(
+    name: str,
+    open_game: OpenGame,
+    pages: PageOptions,
+    participant: str,
+    known: Callable[[], Sequence[str]],
+) -> int:
     """
     Serve pages, each with a seat, until Ctrl-C.
 
     :param name: of the game, or the study.
     :param open_game: returns the game of a seat.
     :param participant: code that is proposed; empty: none.
+    :param known: returns the codes of those who have taught before.
     :raises CommandError: the address cannot be used.
     """
     listening, token = _listen(pages), secrets.token_urlsafe(_TOKEN_BYTES)
@@ -79,7 +89,8 @@ def _serve_seats(name: str, open_game: OpenGame, pages: PageOptions, participant
     thread = TeleopThread()
     try:
         with noticed_interrupts() as interrupts:
-            seats = Seats(name, partial(open_game, thread), pages.linger, partial(_fits, pages))
+            fits = partial(_fits, pages)
+            seats = Seats(name, partial(open_game, thread), pages.linger, fits, known)
             print(f'Open http://{host}:{port}/{token} in a browser; Ctrl-C stops everything.')
             sys.stdout.flush()
             hosts = (pages.host, *pages.allow_host)
@@ -207,7 +218,8 @@ def study_in_browser(study: Study, pages: PageOptions, participant: str) -> int:
     study.warn()
     with only_launch(study.namespace, [_SERVER]):
         print(f'{study.plan.name}: everything is kept in {study.folder.path}.')
-        return _serve_seats(study.plan.name, partial(_all_turns, study), pages, participant)
+        turns, known = partial(_all_turns, study), study.folder.codes
+        return _serve_seats(study.plan.name, turns, pages, participant, known)
 
 
 @asynccontextmanager

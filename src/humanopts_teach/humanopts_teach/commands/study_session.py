@@ -9,7 +9,7 @@ from typing import Any
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.seeding import generator
 from humanopts_ros.limits import printable
-from humanopts_teach.commands import CommandError
+from humanopts_teach.commands import agreed, CommandError
 from humanopts_teach.commands.options import LaunchOptions
 from humanopts_teach.commands.session import (
     new_name,
@@ -119,12 +119,10 @@ class Study:
 
         :raises CommandError: the person is another one, and needs another code.
         """
-        if (similar := self.folder.similar(code)) is None:
-            return code
-        print(f'{similar} has taken part. Go on as {similar}? [y/N] ', end='', flush=True)
-        if sys.stdin.readline().strip().lower() in ('y', 'yes'):
-            return similar
-        raise CommandError(str(SimilarCodeError(code, similar)))
+        similar = self.folder.similar(code)
+        if similar and not agreed(f'{similar} has taken part. Go on as {similar}?'):
+            raise CommandError(str(SimilarCodeError(code, similar)))
+        return similar or code
 
     def warn(self) -> None:
         """Print what is left out of the records."""

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 from humanopts_env.domains.capabilities import explanation
+from humanopts_ros.limits import composed
 from humanopts_teach.dialogue import keys
 from humanopts_teach.dialogue.app import App, Keys, Screen
 from humanopts_teach.lesson.requests import Answer, Request
@@ -29,14 +30,14 @@ class TextScreen(Screen):
     def press(self, key: str, app: App) -> None:
         kept, self._edited = self.typed if self._edited else '', True
         if key == keys.ENTER and self.typed.strip():
-            self.submit(self.typed.strip(), app)
+            self.submit(composed(self.typed.strip()), app)
         elif key == keys.ESCAPE and self.back is not None:
             self.back(app)
         elif key == keys.BACKSPACE:
             self.typed = self.typed[:-1]
         elif key == keys.CLEAR:
             self.typed = ''
-        elif len(key) == 1 and len(kept) < MOST_CHARACTERS:
+        elif len(key) == 1 and key.isprintable() and len(kept) < MOST_CHARACTERS:
             self.typed = kept + key
 
     def replied(self, request: Request, answer: Answer, app: App) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 
 from humanopts_learner.demonstrations import demonstration_from_message, Kind
 from humanopts_learner.intervals import Interval
-from humanopts_ros.limits import caseless, one_line
+from humanopts_ros.limits import caseless, composed, one_line
 from humanopts_teach.bags import BagError
 from humanopts_teach.bags.contents import domains_played
 from humanopts_teach.bags.reader import Bag, DEMONSTRATION, LESSON_STATE
@@ -100,7 +100,9 @@ def named_options(bags: Sequence[Bag]) -> list[NamedOption]:
     suggested: dict[tuple[str, str, str], list[Event]] = {}  # by domain, study and participant
     for bag in bags:
         domain = domain_of(bag)
-        for lesson in bag.converted(LESSON_STATE, lambda m: (m.participant, m.option_name)):
+        for lesson in bag.converted(
+            LESSON_STATE, lambda m: (m.participant, composed(m.option_name))
+        ):
             if lesson[0]:
                 found.setdefault((domain, *lesson), False)
         for participant, event in bag.converted(

@@ -23,6 +23,7 @@ from humanopts_learner.demonstrations import (
 )
 from humanopts_learner.options.conflicts import contradiction
 from humanopts_learner.options.criteria import NO_RANGE
+from humanopts_ros.limits import composed
 from humanopts_teach.lesson.attempt import Attempt, with_uuid
 from humanopts_teach.lesson.history import History, OptionHistory
 from humanopts_teach.lesson.requests import (
@@ -54,6 +55,7 @@ from humanopts_teach.lesson.store import (
     OptionDefined,
     OptionDeleted,
     SessionOpened,
+    similar_code,
     StoreError,
 )
 
@@ -430,6 +432,12 @@ class Lesson:
             if not CODE.fullmatch(code):
                 detail = f'{what} {code!r} is not a code: {CODE_RULE}'
                 raise RefusalError(RequestStatus.BAD_NAME, detail)
+        if similar := similar_code(participant, self._store.participants()):
+            detail = (
+                f'participant {participant!r} differs only in case from {similar!r}, who is '
+                f'known here: give {similar!r}, or another code'
+            )
+            raise RefusalError(RequestStatus.BAD_NAME, detail)
         history = History(self._domain, self._entries(participant))
         codes = (f'{self._today()}-{number}' for number in count(1))
         session = session or next(code for code in codes if code not in history.sessions)
@@ -448,7 +456,7 @@ class Lesson:
         self._check_free()
         if not self._participant:
             raise _wrong_phase('open a session first')
-        name = request.name.strip()
+        name = composed(request.name.strip())
         if fault := option_name_fault(name):
             raise RefusalError(RequestStatus.BAD_NAME, fault)
         known = self._history.options.get(name)
@@ -632,7 +640,7 @@ class Lesson:
         )
 
     def _known(self, option_name: str) -> OptionHistory:
-        option = self._history.options.get(option_name)
+        option = self._history.options.get(composed(option_name))
         if option is None:
             detail = f'{self._participant or "nobody"} has no option {option_name!r}'
             raise RefusalError(RequestStatus.NO_OPTION, detail)
@@ -643,7 +651,7 @@ class Lesson:
         self._check_free()
         if self._awaited is not None:
             raise _wrong_phase('the learner still works on a demonstration; wait for it')
-        option, new = self._known(request.name), request.new_name.strip()
+        option, new = self._known(request.name), composed(request.new_name.strip())
         begun: list[Entry] = []
         moved: list[Demonstration] = []
         if request.new_name:

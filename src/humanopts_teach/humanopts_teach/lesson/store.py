@@ -4,7 +4,7 @@ The entries of a lesson on disk: for each participant one file of answers and de
 A line of JSON is one entry. It is durable (fsync) before the lesson goes on.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import AbstractContextManager, suppress
 from dataclasses import asdict, dataclass, fields
 import errno
@@ -18,7 +18,7 @@ from typing import Any, TextIO
 
 from humanopts_learner.append_only_log import AppendOnlyLog, link_remark
 from humanopts_learner.demonstrations import Demonstration, DemonstrationError
-from humanopts_ros.limits import JsonError, parse_json
+from humanopts_ros.limits import caseless, composed, JsonError, parse_json
 import psutil
 
 VERSION = 1  # of the line format
@@ -27,6 +27,12 @@ _SUFFIX = '.jsonl'
 _LOCK = '.lock'
 CODE = re.compile(r'[A-Za-z0-9_-]{1,60}')  # of participants, who name files, and sessions
 CODE_RULE = 'letters, digits, - and _, at most 60 of them'
+
+
+def similar_code(code: str, known: Iterable[str]) -> str:
+    """Return a known code that differs only in case; empty: none does, or it is known itself."""
+    alike = [each for each in known if caseless(each) == caseless(code)]
+    return '' if code in alike else next(iter(alike), '')
 
 
 class EntryError(ValueError):
@@ -132,7 +138,7 @@ def entry_from_line(line: str) -> Entry:
         value = values.get(field.name, field.default)
         if type(value) is not field.type:
             raise EntryError(f'its field {field.name} is missing or wrong')
-        found[field.name] = value
+        found[field.name] = composed(value) if field.name == 'option_name' else value
     return kind(**found)
 
 

@@ -18,9 +18,8 @@ import time
 from typing import Any, TypeVar
 
 from humanopts_learner.append_only_log import AppendOnlyLog, read_lines, read_regular
-from humanopts_ros.limits import caseless
 from humanopts_teach.lesson.requests import OptionStatus
-from humanopts_teach.lesson.store import CODE, CODE_RULE
+from humanopts_teach.lesson.store import CODE, CODE_RULE, similar_code
 from humanopts_teach.study.events import (
     Event,
     event_of,
@@ -199,9 +198,13 @@ class StudyFolder:
         records, problems = self._records(Record.read)
         return records, [*problems, *(text for _, each in records for text in each.problems)]
 
-    def similar(self, code: str) -> str | None:
-        """Return the code of a participant that differs only in case; None: there is none."""
-        return similar_code(code, [each.code for each in self.participants()[0]])
+    def similar(self, code: str) -> str:
+        """Return the code of a participant that differs only in case; empty: there is none."""
+        return similar_code(code, self.codes())
+
+    def codes(self) -> list[str]:
+        """Return the codes of all participants."""
+        return [each.code for each in self.participants()[0]]
 
     def enter(self, plan: StudyPlan, code: str, *, simulated: bool = False) -> Participant:
         """
@@ -324,18 +327,12 @@ def _check_known(plan: StudyPlan, known: Participant, record: Record) -> None:
 
 def _check_new(plan: StudyPlan, code: str, there: Sequence[Participant]) -> None:
     """Refuse a participant who cannot begin."""
-    if (similar := similar_code(code, [each.code for each in there])) is not None:
+    if similar := similar_code(code, [each.code for each in there]):
         raise SimilarCodeError(code, similar)
     if plan.participants and len(there) >= plan.participants:
         raise StudyError(
             f'all {plan.participants} participants of the plan are there; {code!r} is new'
         )
-
-
-def similar_code(code: str, known: Sequence[str]) -> str | None:
-    """Return a known code that differs only in case; None: there is none, or the code is known."""
-    alike = (each for each in known if caseless(each) == caseless(code))
-    return None if code in known else next(alike, None)
 
 
 def _file_name(number: int, code: str) -> str:
