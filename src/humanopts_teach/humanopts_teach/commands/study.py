@@ -6,7 +6,7 @@ from pathlib import Path
 import sys
 from typing import Annotated, Any, TYPE_CHECKING
 
-from humanopts_ros.limits import printable
+from humanopts_ros.limits import one_line, printable
 from humanopts_teach.bags import BagError
 from humanopts_teach.commands import CommandError
 from humanopts_teach.commands.options import ExcelOption, PageOptions, PLAIN, whole, with_options
@@ -176,4 +176,4 @@ def _export(folder: 'StudyFolder', out: Path, *, excel: bool = False) -> None:
 def _warn(command: str, problems: Iterable[str]) -> None:
     """Print what was left out."""
     for problem in problems:
-        print(printable(f'humanopts study {command}: {problem}'), file=sys.stderr)
+        print(one_line(f'humanopts study {command}: {problem}'), file=sys.stderr)

@@ -8,7 +8,7 @@ from typing import Any
 
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.seeding import generator
-from humanopts_ros.limits import printable
+from humanopts_ros.limits import one_line
 from humanopts_teach.commands import agreed, CommandError
 from humanopts_teach.commands.options import LaunchOptions
 from humanopts_teach.commands.session import (
@@ -127,7 +127,7 @@ class Study:
     def warn(self) -> None:
         """Print what is left out of the records."""
         for problem in self.folder.records()[1]:
-            print(printable(f'humanopts study: {problem}'), file=sys.stderr)
+            print(one_line(f'humanopts study: {problem}'), file=sys.stderr)
 
     def enter(self, code: str, *, simulated: bool = False) -> Participant:
         """
