@@ -29,9 +29,8 @@ from humanopts_teach.commands.study_session import Study
 from humanopts_teach.dialogue.panel import View
 from humanopts_teach.launching.place import only_launch
 from humanopts_teach.launching.processes import processes, Setup
-from humanopts_teach.launching.usage import memory_of_children
+from humanopts_teach.launching.usage import memory_left, memory_of_children
 from humanopts_teach.ros.browser_teleop import BrowserTeleopNode, TeleopThread
-import psutil
 
 _SERVER = 'browser'  # the place of the server: its graphs are in namespaces seat_1, seat_2, ...
 _TOKEN_BYTES = 12
@@ -107,8 +106,7 @@ def _fits(pages: PageOptions, games: int) -> bool:
     """Return whether there may be another game; each is a child of this process."""
     if pages.seats is not None and games >= pages.seats:
         return False
-    memory = psutil.virtual_memory()
-    return another_fits(memory.available, memory.total, memory_of_children(), games)
+    return another_fits(*memory_left(), memory_of_children(), games)
 
 
 def _listen(pages: PageOptions) -> socket.socket:
