@@ -3,6 +3,7 @@
 from functools import partial
 import json
 import os
+from pathlib import Path
 import resource
 import signal
 import time
@@ -434,3 +435,23 @@ def test_a_recording_that_cannot_begin_says_why(
 ) -> None:
     (live.folder / 'bag').mkdir()
     assert reason in live.refused(RECORDER, **{'path': live.folder / 'bag', **parameters})
+
+
+def test_a_recorder_that_outlasts_a_node_records_its_end_though_both_are_ended_at_once(
+    live: Graph, tmp_path: Path
+) -> None:
+    statuses = live.listen(RecorderStatus, 'recorder_status', CURRENT)
+    recorder = live.spawn(RECORDER, path=tmp_path / 'bag', outlasts=['game', 'absent'])
+    game = live.spawn(GAME, expect_recorder=True)
+    live.ready('/recorder', '/game')
+    game.pause()  # it is busy
+    for node in (recorder, game):
+        node.process.send_signal(signal.SIGINT)
+    before = len(statuses)
+    live.until(lambda: len(statuses) > before + 2, 'the recorder to go on')
+    game.go_on()
+    assert (game.ended(), recorder.ended()) == (0, 0)
+    bag = open_bag(tmp_path / 'bag')
+    ends = [r.message for r in bag.messages(['/node_status']) if r.message.node == '/game']
+    assert ends[-1].state == NodeStatus.STATE_STOPPING
+    assert bag.damage == ''

@@ -7,9 +7,14 @@ The whole graph, where ROS 2 is installed: ``ros2 launch humanopts_teach humanop
 
 from collections.abc import Callable
 
-from humanopts_teach.launching.processes import processes, ProcessSpec
+from humanopts_teach.launching.processes import ProcessSpec
 from humanopts_teach.launching.restarts import CANNOT_START, MOST
-from humanopts_teach.launching.ros_launch import ARGUMENTS, setup_from_launch
+from humanopts_teach.launching.ros_launch import (
+    ARGUMENTS,
+    launched,
+    setup_from_launch,
+    stop_seconds,
+)
 from launch import LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
 from launch.events.process import ProcessExited
@@ -34,7 +39,9 @@ def generate_launch_description() -> LaunchDescription:
 
 def _nodes(context: LaunchContext) -> list[Node]:
     values = {a.name: LaunchConfiguration(a.name).perform(context) for a in ARGUMENTS}
-    return [_node(spec) for spec in processes(setup_from_launch(values))]
+    setup = setup_from_launch(values)
+    namespace = LaunchConfiguration('namespace').perform(context)
+    return [_node(spec) for spec in launched(setup, namespace)]
 
 
 def _node(spec: ProcessSpec) -> Node:
@@ -42,6 +49,7 @@ def _node(spec: ProcessSpec) -> Node:
         name: ParameterValue(value, value_type=str) if isinstance(value, str) else value
         for name, value in spec.parameters.items()
     }
+    sigterm, sigkill = map(str, stop_seconds(spec.name))
     return Node(
         package=spec.package,
         executable=spec.name,
@@ -50,6 +58,8 @@ def _node(spec: ProcessSpec) -> Node:
         output='screen',
         respawn=True,
         respawn_delay=_RESPAWN_DELAY,
+        sigterm_timeout=sigterm,
+        sigkill_timeout=sigkill,
         on_exit=_give_up(spec.name),
     )
 

@@ -4,6 +4,8 @@ import ast
 from collections.abc import Iterator
 from importlib.metadata import entry_points
 from pathlib import Path
+import subprocess
+import sys
 from typing import Any
 
 from humanopts_learner.options.criteria import Thresholds
@@ -19,7 +21,9 @@ from humanopts_teach.launching.processes import (
 from humanopts_teach.launching.ros_launch import (
     ARGUMENTS,
     LaunchArgumentError,
+    launched,
     setup_from_launch,
+    stop_seconds,
 )
 import pytest
 
@@ -27,14 +31,14 @@ FILE = Path(__file__).parents[1] / 'launch/humanopts.launch.py'
 DEFAULTS = {argument.name: argument.default for argument in ARGUMENTS}
 
 
-def launched(**values: str) -> list[ProcessSpec]:
+def specs_of(**values: str) -> list[ProcessSpec]:
     """Return the processes of a launch."""
     return processes(setup_from_launch({**DEFAULTS, **values}))
 
 
 def names(**values: str) -> list[str]:
     """Return their names."""
-    return [spec.name for spec in launched(**values)]
+    return [spec.name for spec in specs_of(**values)]
 
 
 def test_defaults_launch_every_node_but_the_teachers() -> None:
@@ -77,7 +81,7 @@ def test_every_argument_reaches_a_parameter() -> None:
         'taught': 'go up; go down',
     }
     assert {*values, 'teach', 'record', 'only'} == set(DEFAULTS)
-    specs = {spec.name: spec.parameters for spec in launched(**values)}
+    specs = {spec.name: spec.parameters for spec in specs_of(**values)}
     assert specs['game']['domain'] == 'rooms'
     assert specs['game']['domain_parameters'] == '{"goal": "G2"}'
     assert specs['game']['step_period'] == 2.0
@@ -117,11 +121,50 @@ def test_every_argument_reaches_a_parameter() -> None:
 )
 def test_bad_value_is_refused_by_name(name: str, value: str) -> None:
     with pytest.raises(LaunchArgumentError, match=f'^{name}:='):
-        launched(**{name: value})
+        specs_of(**{name: value})
+
+
+def test_the_recorder_ends_last_and_has_more_time_than_the_others(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv('ROS_DOMAIN_ID', '229')
+    specs = launched(setup_from_launch({**DEFAULTS, 'only': 'recorder; game; lesson'}), 'room')
+    recorder, *others = specs
+    assert recorder.parameters['outlasts'] == [spec.name for spec in others] == ['game', 'lesson']
+    assert all('outlasts' not in spec.parameters for spec in others)
+    term, kill = map(sum, zip(*(stop_seconds(spec.name) for spec in others), strict=True))
+    assert stop_seconds('recorder')[0] > table.OUTLASTING > term / 2 + kill / 2
+
+
+def test_a_launch_file_keeps_the_places_of_its_nodes_as_long_as_it_runs(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv('ROS_DOMAIN_ID', '230')
+    code = (
+        'import sys\n'
+        'from humanopts_teach.launching.ros_launch import ARGUMENTS, launched, setup_from_launch\n'
+        'texts = {a.name: a.default for a in ARGUMENTS}\n'
+        "launched(setup_from_launch({**texts, 'only': sys.argv[1]}), '')\n"
+        'print(flush=True)\n'
+        'sys.stdin.read()\n'
+    )
+    words = [sys.executable, '-c', code]
+    pipes: Any = {'stdin': subprocess.PIPE, 'stdout': subprocess.PIPE, 'stderr': subprocess.PIPE}
+    with subprocess.Popen([*words, 'game'], **pipes) as first:
+        assert first.stdout is not None
+        assert first.stdout.readline()
+        for only, refused in (('game;lesson', True), ('lesson', False)):
+            ended = subprocess.run(
+                [*words, only], stdin=subprocess.DEVNULL, capture_output=True, check=False
+            )
+            said = ended.stderr.decode()
+            assert (f'process {first.pid} of ' in said) == refused == bool(ended.returncode)
+        first.communicate()
+    assert subprocess.run([*words, 'game'], stdin=subprocess.DEVNULL, check=False).returncode == 0
 
 
 def test_executables_are_installed_under_the_names_of_the_nodes() -> None:
-    specs: list[ProcessSpec] = launched(taught='go up')
+    specs: list[ProcessSpec] = specs_of(taught='go up')
     scripts = {point.name: point.value for point in entry_points(group='console_scripts')}
     for spec in [*specs, *processes(Setup('taxi', Path('/x'), keyboard=True))]:
         assert scripts[spec.name] == f'{spec.module}:main'
@@ -134,7 +177,8 @@ def test_launch_file_declares_every_argument_and_uses_what_there_is() -> None:
     assert ours == {
         'ARGUMENTS': ros_launch,
         'setup_from_launch': ros_launch,
-        'processes': table,
+        'launched': ros_launch,
+        'stop_seconds': ros_launch,
         'ProcessSpec': table,
         'CANNOT_START': restarts,
         'MOST': restarts,

@@ -57,13 +57,12 @@ def processes_of_launch(namespace: str) -> dict[str, psutil.Process | None]:
     for number in sorted(launchers):
         with suppress(psutil.Error, ValueError):  # it ends just now, or is in another container
             launcher = psutil.Process(number)
-            found[CONDUCTOR] = launcher
             for process in launcher.children(recursive=True):
                 with suppress(psutil.Error):
                     words = ' '.join(process.cmdline()).rstrip()  # of a fork: one, and empty ones
                     name = Path(words.partition(f'{_PARAMETERS} ')[2]).stem
-                    if name in MODULES:
-                        found[name] = process
+                    if name in MODULES:  # "ros2 launch" names its files otherwise
+                        found |= {name: process, CONDUCTOR: launcher}
     return found
 
 

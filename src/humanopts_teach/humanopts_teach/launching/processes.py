@@ -12,6 +12,7 @@ from humanopts_teach.lesson import BUDGET, METHOD, STRATEGY
 
 Value = Parameter | list[str]
 RECORDER = 'recorder'
+OUTLASTING = 20.0  # s that a recorder waits for the end of those whom it outlasts
 _PATIENCE = 5.0  # s that a run waits for game, beside the time that game takes for a step
 
 

@@ -1,7 +1,8 @@
 """What the launch file for ``ros2 launch`` offers: arguments, and the setup they ask for."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
 import json
 from pathlib import Path
 import time
@@ -9,7 +10,16 @@ from typing import Any
 
 from humanopts_env.domains.registry import make_domain
 from humanopts_learner.demonstrations import check_method
-from humanopts_teach.launching.processes import processes, Recording, Setup, UnknownNodeError
+from humanopts_teach.launching.place import only_launch
+from humanopts_teach.launching.processes import (
+    OUTLASTING,
+    processes,
+    ProcessSpec,
+    RECORDER,
+    Recording,
+    Setup,
+    UnknownNodeError,
+)
 
 
 class LaunchArgumentError(ValueError):
@@ -74,6 +84,9 @@ _WANTED = {
 }
 
 
+_places = ExitStack()  # until this process ends
+
+
 def setup_from_launch(texts: Mapping[str, str]) -> Setup:
     """
     Return what the launch arguments ask for.
@@ -101,6 +114,32 @@ def setup_from_launch(texts: Mapping[str, str]) -> Setup:
     except UnknownNodeError as error:
         raise LaunchArgumentError(f'only:={texts["only"].strip()}: {error}') from error
     return setup
+
+
+def launched(setup: Setup, namespace: str) -> list[ProcessSpec]:
+    """
+    Return the processes of a launch, whose places this process holds from now on.
+
+    ``ros2 launch`` ends all at once, so the recorder waits for the others.
+
+    :param namespace: as given, with or without a slash at its beginning.
+    :raises OccupiedError: another launch of this machine runs some of them.
+    """
+    specs = processes(setup)
+    names = [spec.name for spec in specs]
+    _places.enter_context(only_launch(f'/{namespace.strip("/")}', names))
+    others = [name for name in names if name != RECORDER]
+    return [
+        replace(spec, parameters={**spec.parameters, 'outlasts': others})
+        if spec.name == RECORDER and others
+        else spec
+        for spec in specs
+    ]
+
+
+def stop_seconds(name: str) -> tuple[float, float]:
+    """Return when ``ros2 launch`` sends SIGTERM to a node that is to end, and then SIGKILL, s."""
+    return (OUTLASTING + 40.0, 20.0) if name == RECORDER else (10.0, 5.0)
 
 
 def _read(argument: LaunchArgument, text: str) -> Any:

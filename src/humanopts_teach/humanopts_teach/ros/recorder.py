@@ -35,9 +35,11 @@ from humanopts_teach.bags.writer import (
     next_part,
     parts,
 )
+from humanopts_teach.launching.processes import OUTLASTING
 from humanopts_teach.launching.usage import usage_of
 from humanopts_teach.ros.raw_subscriber import RawSubscriber, Taken, TopicSubscription
 from rcl_interfaces.msg import Log, ParameterEvent
+from rclpy.executors import Executor
 from rclpy.serialization import deserialize_message
 
 _NS = 10**9
@@ -110,6 +112,8 @@ class Recorder(NodeBase):
         self._bag = self._begin()
         attach = self.setting('attach', [''], 'files and folders to keep in the bag at its end')
         self._attached = [Path(path) for path in attach if path]
+        others = self.setting('outlasts', [''], 'nodes of the namespace to end after, if it can')
+        self._outlasts = {self.full_name(name) for name in others if name}
         self._subscriber = RawSubscriber(self, self.selection)
         self._losses = LossCounter()
         self._lag = Lag()
@@ -135,6 +139,13 @@ class Recorder(NodeBase):
     def waits_for(self) -> str | None:
         """Wait until every publisher is matched."""
         return self._stopped or (None if self._complete else 'the publishers on the graph')
+
+    def serve(self, executor: Executor, stop: Callable[[], bool]) -> None:
+        """Carry out callbacks until ``stop`` returns True, and those it outlasts have left."""
+        super().serve(executor, stop)
+        end = time.monotonic() + OUTLASTING
+        while self._outlasts.intersection(self.nodes_there()) and time.monotonic() < end:
+            self.turn(executor, _DISCOVERY_PERIOD)
 
     def close(self) -> None:
         """Take what is still on its way, and close the bag; fail where that stops it only now."""
