@@ -25,7 +25,11 @@ EPISODES = 5  # played in the demo that tests share
 
 
 class Command:
-    """``humanopts ARGUMENTS``, in a session of its own, without a terminal."""
+    """
+    ``humanopts ARGUMENTS``, in a session of its own, without a terminal.
+
+    :ivar folder: where its output goes.
+    """
 
     def __init__(
         self,
@@ -40,6 +44,7 @@ class Command:
         :param interrupt: what SIGINT does at its start: the default, as in a terminal, or
             nothing, as a shell starts ``command &`` in a script.
         """
+        self.folder = folder
         self._out, self._err = folder / 'stdout', folder / 'stderr'
         self._began = time.monotonic()
         with self._out.open('wb') as out, self._err.open('wb') as err:

@@ -54,8 +54,9 @@ LONGEST_WAIT = 0.5  # s; a recorder that lets a message wait longer does not kee
 _MOST_MISSING = 2**64 - 1  # that a status can say
 _MOST_LOSSES = 100  # streams in a status
 _MOST_TEXT = 2000  # characters in a status
-_HELD = 5.0  # s that a log line waits for its node to be found
-_MAX_HELD = 1000  # log lines and the like that wait so
+_HELD = 2.0  # s that a log line waits for its node to be found
+_MAX_SHARED = 10_000  # log lines and the like that wait so
+_MAX_FOREIGN = 10_000  # nodes of other software that are remembered
 _RECOVERY = 1.0  # s without such a message after which it keeps up again
 _BEHIND = (
     f'the recorder does not keep up: messages wait for it longer than {LONGEST_WAIT} s; '
@@ -119,7 +120,8 @@ class Recorder(NodeBase):
         self._lag = Lag()
         self._numbered: dict[str, bool] = {}  # recorded topics: whether messages carry numbers
         self._latched: set[str] = set()  # recorded topics of current values
-        self._held: deque[tuple[float, Taken]] = deque()  # since when; of nodes not known yet
+        self._shared: deque[tuple[float, Taken, str]] = deque()  # since when, and sender; waiting
+        self._foreign: set[str] = set()  # senders that are no nodes of the graph
         self._game_nodes: list[str] = []  # full names of the nodes that were the game
         self._complete = False  # every publisher was matched at the last two looks
         self._stopped = ''  # why nothing is written any more; empty: it is
@@ -156,7 +158,7 @@ class Recorder(NodeBase):
             if self._record(self._subscriber.take()):
                 quiet = time.monotonic() + _QUIET
             time.sleep(_PERIOD)
-        self._record_held()
+        self._record_shared()
         self._attempt(self._attach)
         self._attempt(self._bag.close)
         self.failed = self._stopped != before  # the status reaches no reader any more
@@ -216,7 +218,6 @@ class Recorder(NodeBase):
             for subscription in added:
                 self._attempt(partial(self._add_topic, subscription))
             self._find_game()
-            self._record_held()
         self._publish_status()
 
     def _find_game(self) -> None:
@@ -254,16 +255,42 @@ class Recorder(NodeBase):
             self._attempt(self._bag.flush)
 
     def _record(self, batch: list[Taken]) -> int:
-        """Write messages; return how many there were."""
+        """Record messages; return how many there were."""
+        due, now = list[Taken](), time.monotonic()
         for taken in batch:
-            stamped = self._numbered.get(taken.topic)
-            if stamped is None:
+            if taken.topic not in self._numbered:
                 continue
-            if taken.topic in SHARED and not self._is_own(taken):
-                if len(self._held) < _MAX_HELD:
-                    self._held.append((time.monotonic(), taken))
-                continue
-            stamp = read_stamp(taken.data) if stamped else None
+            if taken.topic not in SHARED or self.selection.adds(taken.topic):
+                due.append(taken)
+            elif len(self._shared) < _MAX_SHARED:
+                self._shared.append((now, taken, _sender(taken)))
+        self._write(due)
+        self._record_shared()
+        return len(batch)
+
+    def _record_shared(self) -> None:
+        """
+        Record what the nodes of the graph have said on topics that all nodes share.
+
+        What comes from a node that is not known yet waits a while, and what came after it, too.
+        """
+        own, now, due = self._subscriber.own_nodes, time.monotonic(), list[Taken]()
+        while self._shared:
+            since, taken, sender = self._shared[0]
+            if sender not in own and sender not in self._foreign:
+                if now - since < _HELD:
+                    break
+                if len(self._foreign) < _MAX_FOREIGN:
+                    self._foreign.add(sender)
+            self._shared.popleft()
+            if sender in own:
+                due.append(taken)
+        self._write(due)
+
+    def _write(self, batch: list[Taken]) -> None:
+        """Write messages, and count what is missing."""
+        for taken in batch:
+            stamp = read_stamp(taken.data) if self._numbered[taken.topic] else None
             if stamp is not None:
                 self._losses.add(taken.topic, stamp, latched=taken.topic in self._latched)
             if not self._stopped:
@@ -271,29 +298,6 @@ class Recorder(NodeBase):
                     self._bag.write(taken.topic, taken.data, taken.received, taken.sent)
                 except BagWriteError as error:
                     self._stop(error)
-        return len(batch)
-
-    def _is_own(self, taken: Taken) -> bool:
-        """Return whether a log line or a change of parameters is recorded: its node is known."""
-        if self.selection.adds(taken.topic):
-            return True
-        own = self._subscriber.own_nodes
-        try:
-            if taken.topic == '/rosout':
-                logger = deserialize_message(taken.data, Log).name
-                return logger in {name[1:].replace('/', '.') for name in own}
-            return deserialize_message(taken.data, ParameterEvent).node in own
-        except (RuntimeError, ValueError, MemoryError):  # no bytes of a message
-            return False
-
-    def _record_held(self) -> None:
-        """Record what waited for its node, and forget what other software has said."""
-        held, self._held = self._held, deque()
-        self._record([taken for _, taken in held if self._is_own(taken)])
-        now = time.monotonic()
-        self._held.extend(
-            each for each in held if now - each[0] < _HELD and not self._is_own(each[1])
-        )
 
     def _attempt(self, write: Callable[[], object]) -> None:
         """Write to the bag, unless it was given up; give it up where it cannot be written."""
@@ -365,6 +369,16 @@ class Recorder(NodeBase):
             stopped=bool(self._stopped),
             text=shown(text, _MOST_TEXT),
         )
+
+
+def _sender(taken: Taken) -> str:
+    """Return the full name of the node that a log line or a change of parameters is of."""
+    try:
+        if taken.topic == '/rosout':
+            return '/' + str(deserialize_message(taken.data, Log).name).replace('.', '/')
+        return str(deserialize_message(taken.data, ParameterEvent).node)
+    except (RuntimeError, ValueError, MemoryError):  # no bytes of a message
+        return ''
 
 
 def _facts(text: str) -> dict[str, str]:
