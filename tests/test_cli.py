@@ -472,3 +472,55 @@ def test_reader_that_stops_reading_ends_the_command_quietly() -> None:
     process.stdout.close()
     assert process.stderr is not None
     assert (process.stderr.read(), process.wait(30)) == (b'', 1)
+
+
+def test_ctrl_z_suspends_a_lesson_that_goes_on_when_it_is_back(
+    tmp_path: Path, domain_id: int
+) -> None:
+    """The shell has its terminal meanwhile; what was shown so far, and control, are kept."""
+    lesson = f'{sys.executable} -m humanopts_teach.cli teach rooms --participant p1 --out out'
+    terminal = pexpect.spawn(
+        'bash',
+        ['--norc', '-i'],
+        cwd=tmp_path,
+        env={**os.environ, 'ROS_DOMAIN_ID': str(domain_id), 'PS1': 'PROMPT ', 'HISTFILE': ''},
+        encoding='utf-8',
+        dimensions=(30, 100),
+        timeout=60,
+    )
+    with terminal:
+        terminal.expect('PROMPT')
+        terminal.sendline(lesson)
+        terminal.expect('What next')
+        terminal.send('1')
+        terminal.expect('>')
+        terminal.send('go up\r')
+        while terminal.expect(['Begin the next', pexpect.TIMEOUT], timeout=0.5):
+            terminal.send('y')  # to each question what the option depends on
+        terminal.send('\r')
+        terminal.expect('Show the option')
+        terminal.send('\x1b[D')
+        terminal.expect('step 1')
+        terminal.send('\x1a')
+        terminal.expect('Stopped')
+        terminal.expect('PROMPT')
+        terminal.sendline('stty -a; jobs; sleep 3; echo "mi"ne')  # longer than control is lent
+        terminal.expect(' icanon')
+        terminal.expect('Stopped')
+        terminal.expect('mine')
+        terminal.sendline('fg')
+        terminal.expect('step 1')
+        terminal.expect('Show the option')
+        terminal.send('\x1b[D')
+        terminal.expect('step 2')
+        terminal.send('\r')
+        terminal.expect('1 shown')
+        terminal.send('\x1a')
+        terminal.expect('PROMPT')
+        terminal.sendline('kill %1; fg; echo it ended with $?')
+        terminal.expect('it ended with 130', timeout=30)
+        terminal.expect('PROMPT')
+        terminal.sendline('exit')
+        terminal.expect(pexpect.EOF)
+    (shown,) = (tmp_path / 'out' / 'demonstrations').glob('*.jsonl')
+    assert json.loads(shown.read_text().splitlines()[-1])['actions'] == ['left', 'left']

@@ -10,7 +10,7 @@ from humanopts_env import colours
 from humanopts_env.domains.base import Action, Domain
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.seeding import generator
-from humanopts_teach.dialogue.keys import Command, key_table
+from humanopts_teach.dialogue.keys import Command, key_table, SUSPEND
 from humanopts_teach.lesson.requests import Drive, LessonView, Phase
 from humanopts_teach.terminal import drawing
 from humanopts_teach.terminal.device import key_of, usable_colours
@@ -170,7 +170,7 @@ def test_capitals_do_the_same_unless_they_have_a_meaning_of_their_own(taxi: Doma
         (Keys.ControlH, 'backspace'),
         (Keys.ControlC, 'ctrl-c'),
         ('é', 'é'),
-        (Keys.ControlZ, ''),
+        (Keys.ControlZ, SUSPEND),
         (Keys.F1, ''),
     ],
 )

@@ -434,12 +434,20 @@ def _check_report(path: Path, bags: int) -> None:
 
 def _play(replay: 'Replay', device: 'Device') -> None:
     """Draw until the person quits or the terminal is gone."""
+    from humanopts_teach.dialogue.keys import SUSPEND
+
     shown = time.monotonic()
     while not replay.over and not device.closed:
+        if not device.ours():  # suspended
+            time.sleep(_LONGEST_WAIT)
+            continue
         device.draw(replay.frame)
         due = shown + replay.seconds - time.monotonic()
         device.wait(min(max(due, 0.0), _LONGEST_WAIT) if replay.running else _LONGEST_WAIT)
         for key in device.read():
+            if key == SUSPEND:
+                device.suspend()
+                break
             replay.press(key)
             shown = time.monotonic()
         if replay.running and time.monotonic() >= shown + replay.seconds:

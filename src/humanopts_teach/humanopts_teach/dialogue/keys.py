@@ -8,7 +8,7 @@ import string
 from humanopts_env.domains.base import Action
 
 ENTER, ESCAPE, BACKSPACE, SPACE = 'enter', 'escape', 'backspace', ' '
-INTERRUPT, END_OF_FILE, CLEAR = 'ctrl-c', 'ctrl-d', 'ctrl-u'
+INTERRUPT, END_OF_FILE, CLEAR, SUSPEND = 'ctrl-c', 'ctrl-d', 'ctrl-u', 'ctrl-z'
 UP, DOWN, LEFT, RIGHT = 'up', 'down', 'left', 'right'
 _LABELS = {UP: '↑', DOWN: '↓', LEFT: '←', RIGHT: '→', ENTER: 'Enter', ESCAPE: 'Esc'}
 _LABELS |= {BACKSPACE: 'Backspace', SPACE: 'Space', INTERRUPT: 'Ctrl-C'}

@@ -24,6 +24,7 @@ from humanopts_ros.environment import INSTANCE, LAUNCHER_PID
 from humanopts_ros.limits import one_line, printable
 from humanopts_teach.launching import LaunchError, MODULES, OccupiedError
 from humanopts_teach.launching.fork_server import ForkedProcess, ForkServer, server_for
+from humanopts_teach.launching.job import in_foreground
 from humanopts_teach.launching.place import answer, holder
 from humanopts_teach.launching.processes import ProcessSpec, RECORDER
 from humanopts_teach.launching.restarts import how, MOST, NodeExit, RestartPolicy, said_last
@@ -387,7 +388,7 @@ def _terminal_restored() -> Iterator[None]:
     try:
         yield
     finally:
-        if before is not None:
+        if before is not None and in_foreground(sys.stdin.fileno()):
             with suppress(termios.error):  # it was closed
                 termios.tcsetattr(sys.stdin, termios.TCSADRAIN, before)
             if sys.stdout.isatty():

@@ -5,6 +5,7 @@ from functools import partial
 import sys
 
 from humanopts_ros.process import run_node
+from humanopts_teach.dialogue.keys import SUSPEND
 from humanopts_teach.ros.teleop import POLL_SECONDS, TeleopNode
 from humanopts_teach.terminal.device import Device, why_not
 from humanopts_teach.terminal.drawing import frame
@@ -21,9 +22,15 @@ class KeyboardTeleopNode(TeleopNode):
         with Device(_FAREWELL) as device:
             while not (stop() or self.app.ended or device.closed):
                 self.turn(executor, POLL_SECONDS)
-                self.press(device.read())
+                if not device.ours():  # suspended: what is held stays held
+                    self.go_on()
+                    continue
+                keys = device.read()
+                self.press([key for key in keys if key != SUSPEND])
                 self.go_on()
-                if self.frame_due() or device.resized():
+                if SUSPEND in keys:
+                    device.suspend()
+                elif self.frame_due() or device.resized():
                     device.draw(partial(frame, self.app))
                     self.drawn()
         self.send_last_requests()

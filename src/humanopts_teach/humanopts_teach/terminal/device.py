@@ -4,11 +4,13 @@ from collections.abc import Callable, Mapping, Sequence
 import curses
 import os
 import select
+import signal
 import sys
 import time
 from typing import Any, cast
 
 from humanopts_teach.dialogue import keys
+from humanopts_teach.launching.job import in_foreground
 from humanopts_teach.terminal.drawing import Colours
 from prompt_toolkit.input.vt100 import Vt100Input
 from prompt_toolkit.key_binding.key_processor import KeyPress
@@ -16,6 +18,8 @@ from prompt_toolkit.keys import Keys
 from rich.console import Console
 
 ESCAPE_SECONDS = 0.1  # after which an escape character was the key, not the head of a sequence
+_TAKEN_SECONDS = 1.0  # within which a shell takes the terminal of a job that is suspended
+_SETTLED_SECONDS = 0.1  # after which it has set the terminal of a job that goes on
 _ENTER = '\x1b[?1049h\x1b[?25l\x1b[2J'  # alternate screen, hidden cursor, cleared
 _LEAVE = '\x1b[0m\x1b[?25h\x1b[?1049l'
 _NAMED: Mapping[str, str] = {
@@ -30,6 +34,7 @@ _NAMED: Mapping[str, str] = {
     Keys.ControlC: keys.INTERRUPT,
     Keys.ControlD: keys.END_OF_FILE,
     Keys.ControlU: keys.CLEAR,
+    Keys.ControlZ: keys.SUSPEND,
 }
 _USUAL_TERM = 'where it can do what most can: export TERM=xterm-256color'
 _HUNG_UP = select.POLLHUP | select.POLLERR | select.POLLNVAL
@@ -65,7 +70,12 @@ def usable_colours(console: Console) -> Colours | None:
 
 
 class Device:
-    """Standard input in raw mode and the alternate screen, for the length of a ``with``."""
+    """
+    Standard input in raw mode and the alternate screen, for the length of a ``with``.
+
+    A job in the background leaves the terminal to the shell: nothing is read or drawn until
+    ``ours`` says that it is in the foreground.
+    """
 
     def __init__(self, farewell: str = '') -> None:
         """
@@ -76,6 +86,10 @@ class Device:
         self._farewell = farewell
         self._input = Vt100Input(sys.stdin)
         self._raw = self._input.raw_mode()
+        self._held = False  # raw, and on the alternate screen
+        self._asked_at = 0.0  # when it was suspended, s
+        self._taken = False  # by the shell, since then
+        self._since: float | None = None  # in the foreground, s; None: it is not
         self._poll = select.poll()
         self._poll.register(self._input.fileno(), select.POLLIN)
         self._drawn: list[str] = []
@@ -85,15 +99,47 @@ class Device:
         self._colours = usable_colours(Console())
 
     def __enter__(self) -> 'Device':
-        self._raw.__enter__()
-        self._write(_ENTER)
+        self._asked_at = time.monotonic()
+        if in_foreground(self._input.fileno()):
+            self._take()
         return self
 
     def __exit__(self, *error: Any) -> None:
-        self._write(_LEAVE)
-        self._raw.__exit__(*error)
+        self._give_back()
         if error == (None, None, None) and self._farewell:
             self._write(f'{self._farewell}\n')
+
+    def suspend(self) -> None:
+        """Give the terminal back and stop the job, as Ctrl-Z does elsewhere, if a shell can."""
+        self._give_back()
+        self._asked_at, self._taken, self._since = time.monotonic(), False, None
+        os.killpg(os.getpgrp(), signal.SIGTSTP)
+
+    def ours(self) -> bool:
+        """Return whether to read and draw; after ``suspend`` that is when the job is back."""
+        if self._held or self.closed:
+            return True
+        now = time.monotonic()
+        if not in_foreground(self._input.fileno()):
+            self._taken, self._since = True, None
+            return False
+        self._since = self._since if self._since is not None else now
+        settled = now - self._since > (_SETTLED_SECONDS if self._taken else _TAKEN_SECONDS)
+        if settled or now - self._asked_at > 2 * _TAKEN_SECONDS:
+            self._take()
+        return self._held
+
+    def _take(self) -> None:
+        self._raw = self._input.raw_mode()
+        self._raw.__enter__()
+        self._write(_ENTER)
+        self._held, self._drawn, self._size = True, [], (0, 0)
+
+    def _give_back(self) -> None:
+        if self._held:
+            self._write(_LEAVE)
+            self._raw.__exit__(None, None, None)
+            self._held = False
 
     def read(self) -> list[str]:
         """Return the keys that were pressed; waits for nothing."""
