@@ -74,7 +74,7 @@ def served(planning: Planning, participant: str, names: list[str]) -> Callable[[
 def test_options_are_those_of_the_library_call(
     extracted: ExtractionResult, found: AutomaticOptions
 ) -> None:
-    assert (extracted.status, extracted.participant) == (extracted.STATUS_DONE, 'automatic')
+    assert (extracted.status, extracted.participant) == (extracted.STATUS_DONE, 'automatic:1')
     assert list(extracted.option_names) == [option.name for option in found.options]
     assert list(extracted.reaches) == [option.reaches for option in found.options]
     assert (extracted.game_steps, extracted.episodes) == (found.game_steps, found.episodes)
@@ -89,7 +89,7 @@ def test_option_server_serves_them_beside_what_people_taught(
     at_work.teach(taught())
     theirs = [option.name for option in taught()]
     at_work.graph.until(served(at_work, taught()[0].participant, theirs), 'those of a person')
-    assert listed(at_work, 'automatic') == sorted(names)
+    assert listed(at_work, 'automatic:1') == sorted(names)
 
 
 def test_who_comes_late_gets_them_whole(
@@ -110,7 +110,9 @@ def test_an_episode_is_played_by_a_plan_of_automatic_options(
     assert result.status == PlanResult.STATUS_CONVERGED
     assert tuple(result.option_names) == plan.names
     assert result.sweeps == plan.solution.sweeps
-    at_work.graph.until(served(at_work, 'automatic', list(extracted.option_names)), 'the options')
+    at_work.graph.until(
+        served(at_work, 'automatic:1', list(extracted.option_names)), 'the options'
+    )
     played = at_work.play('automatic')
     assert (played.status, played.episodes) == (PolicyResult.STATUS_DONE, 1)
 
@@ -121,7 +123,7 @@ def test_a_search_leaves_the_plans_of_peoples_options_as_they_are(
     at_work.teach(taught())
     assert at_work.plan('human').status == PlanResult.STATUS_CONVERGED
     assert at_work.plan('automatic+primitive').status == PlanResult.STATUS_CONVERGED
-    other = extract(at_work, participant='automatic 2', max_options=1)
+    other = extract(at_work, participant='automatic:2', max_options=1)
     assert other.status == ExtractionResult.STATUS_DONE
     assert at_work.play('human').status == PolicyResult.STATUS_DONE
     refused = at_work.play('automatic+primitive')
@@ -129,8 +131,8 @@ def test_a_search_leaves_the_plans_of_peoples_options_as_they_are(
     assert 'the options changed' in refused.detail
     both = at_work.plan('automatic')
     assert both.status == PlanResult.STATUS_BAD_REQUEST
-    assert 'name one of automatic, automatic 2' in both.detail
-    named = at_work.plan('automatic', participant='automatic')
+    assert 'name one of automatic:1, automatic:2' in both.detail
+    named = at_work.plan('automatic', participant='automatic:1')
     assert named.status == PlanResult.STATUS_CONVERGED
 
 
@@ -154,7 +156,7 @@ def test_a_search_tells_how_far_it_is_and_refuses_another_meanwhile(at_work: Pla
     graph.until(lambda: len(results) == 2, 'both results')
     (accepted,) = goals
     assert accepted.extraction_id == result.extraction_id == results[-1].extraction_id
-    assert (accepted.participant, accepted.max_options, accepted.seed) == ('automatic', 25, SEED)
+    assert (accepted.participant, accepted.max_options, accepted.seed) == ('automatic:1', 25, SEED)
     assert (accepted.tasks, accepted.task_episodes) == (400, 100_000)
     assert accepted.option_episodes == 2000
 
@@ -162,7 +164,7 @@ def test_a_search_tells_how_far_it_is_and_refuses_another_meanwhile(at_work: Pla
 @pytest.mark.parametrize(
     ('fields', 'says'),
     [
-        ({'participant': 'ann'}, "must begin with 'automatic', not 'ann'"),
+        ({'participant': 'automatic-1'}, "must begin with 'automatic:', not 'automatic-1'"),
         ({'tasks': 2**31}, 'ask for fewer'),
     ],
 )

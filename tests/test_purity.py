@@ -24,6 +24,7 @@ PURE_OF_ROS = (
     'humanopts_ros.limits',
     'humanopts_ros.recording',
     'humanopts_ros.senders',
+    'humanopts_ros.text_files',
     'humanopts_ros.time_of_day',
 )
 PURE += [SOURCE / 'humanopts_ros' / f'{name.replace(".", "/")}.py' for name in PURE_OF_ROS]

@@ -104,7 +104,7 @@ def test_a_maze_is_read_from_a_file_and_named_in_errors(tmp_path: Path) -> None:
     with pytest.raises(MazeError, match=r'own\.lay: the maze has no food'):
         load_maze(str(path))
     path.write_bytes(b'\xff\xfe')
-    with pytest.raises(MazeError, match='it is not text'):
+    with pytest.raises(MazeError, match='is not a text in UTF-8'):
         load_maze(str(path))
 
 

@@ -42,6 +42,7 @@ METHODS = {  # of learning I, beta and policy from demonstrations; what the poli
     GOAL: 'planned: best ways to an end like the shown ones',
 }
 PRIMITIVE_PREFIX = 'action:'  # of the names of primitive actions as options
+MACHINE = 'automatic:'  # begins the codes of options that nobody taught; people's have no colon
 MOST_NAME = 60  # characters of the name of an option, and of the codes of people and sessions
 KIND_NUMBERS = {Kind.TRAJECTORY: 1, Kind.NOT_HERE: 2}  # KIND_* of Demonstration.msg
 
@@ -263,6 +264,11 @@ def check_demonstration(demonstration: Demonstration, domain: Domain[Any]) -> No
     faults = [option_name_fault(demo.option_name), *(_text_fault(*each) for each in texts)]
     if fault := next(filter(None, faults), ''):
         raise DemonstrationError(f'it cannot be kept: {fault}')
+    if demo.participant.startswith(MACHINE):
+        raise DemonstrationError(
+            f'its participant is {demo.participant!r}; codes that begin with {MACHINE} are those '
+            'of options that nobody taught'
+        )
     if not demo.chosen_features:
         raise DemonstrationError('it names no feature that the option depends on')
     check_method(demo.method, domain)

@@ -305,26 +305,26 @@ def test_a_file_keeps_an_automatic_option_without_demonstrations() -> None:
     again, demonstrations = option_from_json(option_to_json(option))
     assert again == option
     assert not demonstrations
-    assert (again.participant, again.n_demonstrations) == ('automatic', 0)
+    assert (again.participant, again.n_demonstrations) == ('automatic:1', 0)
 
 
 @pytest.mark.heavy
 def test_people_are_not_taken_for_machines() -> None:
-    with pytest.raises(PlanError, match="must begin with 'automatic', not 'ann'"):
-        to_learned_options(Rooms(), found('rooms'), 'ann')
+    with pytest.raises(PlanError, match="must begin with 'automatic:', not 'automatic-1'"):
+        to_learned_options(Rooms(), found('rooms'), 'automatic-1')
 
 
 @pytest.mark.heavy
 def test_sets_choose_between_what_people_taught_and_what_was_found() -> None:
     auto, other = options('rooms')[:2]
-    taught = replace(auto, name='out', participant='ann')
-    second = replace(other, participant='automatic 2')
+    taught = replace(auto, name='out', participant='automatic-1')
+    second = replace(other, participant='automatic:2')
     both = [taught, auto, other]
     assert select_options(both, 'human') == [taught]
     assert select_options(both, 'automatic') == [auto, other]
     assert select_options(both, 'automatic+primitive', names=[other.name]) == [other]
-    assert select_options([*both, second], 'automatic', 'automatic 2') == [second]
-    with pytest.raises(PlanError, match='name one of automatic, automatic 2'):
+    assert select_options([*both, second], 'automatic', 'automatic:2') == [second]
+    with pytest.raises(PlanError, match='name one of automatic:1, automatic:2'):
         select_options([*both, second], 'automatic')
     with pytest.raises(NoOptionsError, match='extract them first'):
         make_plan(Rooms(), select_options([taught], 'automatic'), PlanRequest('automatic'))

@@ -213,7 +213,7 @@ TOPICS = 'byte of the chunk that describes the topics'
         (['huge chunk'], 'a chunk claims', 180),
         (['huge index'], 'not where the end of the file says', 200),
         (['what the recorder was told'], 'differ: one of them is damaged', 200),
-        (['no metadata.yaml'], 'metadata.yaml cannot be read', 200),
+        (['no metadata.yaml'], 'metadata.yaml: No such file', 200),
         (['counts of metadata.yaml'], 'metadata.yaml tells of 99, 100 were read', 200),
     ],
     ids=str,

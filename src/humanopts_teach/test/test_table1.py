@@ -13,7 +13,6 @@ from humanopts_teach.cli import main
 from humanopts_teach.evaluation.table1 import (
     ButtonRow,
     count_named,
-    MergeError,
     named_options,
     NamedOption,
     read_merge,
@@ -124,7 +123,7 @@ def test_people_are_counted_once_beside_the_paper(
     assert [line[-15:] for line in lines if line.startswith('wave')] == ['say Hello, Wave']
 
 
-def test_without_a_merge_file_only_case_and_spaces_are_the_same(bags: list[str]) -> None:
+def test_without_a_merge_file_only_case_and_spaces_are_the_same(tmp_path: Path) -> None:
     named = [
         NamedOption('taxi', who, name, taught=True)
         for who, name in (
@@ -137,7 +136,8 @@ def test_without_a_merge_file_only_case_and_spaces_are_the_same(bags: list[str])
     (table,) = count_named(named, {})
     rows = {row.option: row.people for row in table.rows if row.people}
     assert rows == {'go to passenger': 1, 'fetch': 2}
-    (capitals,) = count_named(named, read_merge('Go to PASSENGER: [fetch]'))
+    (tmp_path / 'merge').write_text('Go to PASSENGER: [fetch]')
+    (capitals,) = count_named(named, read_merge(tmp_path / 'merge'))
     assert {row.option: row.people for row in capitals.rows if row.people} == {
         'go to passenger': 3
     }
@@ -155,8 +155,10 @@ def test_a_domain_that_the_paper_lacks_has_no_column_of_it() -> None:
         ('[a, b]', 'has to map'),
         ('', 'has to map'),
         ('a: b', "'a' needs a list"),
-        ('a: [1]', "'a' needs a list"),
-        ('3: [b]', '3 is not a name'),
+        ('a: [no]', "a wording of 'a' is false, not a text: put it in quotes"),
+        ('"": [b]', "'' is not a name"),
+        ('a: [b]\na: [c]', "the key 'a' is there twice"),
+        ('a: !!python/name:os.system []', 'remove tags'),
         ('a: [b]\nc: [B]', "'B' belongs to 'a' and to 'c'"),
         ('a: [', 'not YAML'),
     ],
@@ -164,8 +166,6 @@ def test_a_domain_that_the_paper_lacks_has_no_column_of_it() -> None:
 def test_a_merge_file_that_says_nothing_clear_is_refused(
     text: str, why: str, bags: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with pytest.raises(MergeError, match=why):
-        read_merge(text)
     (tmp_path / 'merge').write_text(text)
     assert main(['bag', 'table1', *bags, '--merge', str(tmp_path / 'merge')]) == 2
     assert why in capsys.readouterr().err

@@ -23,8 +23,9 @@ from humanopts_learner.automatic.subgoals import (
     USUAL,
     Values,
 )
+from humanopts_learner.demonstrations import MACHINE
 from humanopts_learner.options.option import LearnedOption, option_from_table, TabularOption
-from humanopts_learner.planning.request import MACHINE, PlanError
+from humanopts_learner.planning.request import PlanError
 import numpy as np
 
 
@@ -150,7 +151,7 @@ def find_options(
 
 
 def to_learned_options(
-    domain: Domain[Any], found: AutomaticOptions, participant: str = MACHINE
+    domain: Domain[Any], found: AutomaticOptions, participant: str = f'{MACHINE}1'
 ) -> list[LearnedOption]:
     """
     Return the options so that they can be saved, sent, served and planned with like others.

@@ -12,7 +12,8 @@ from humanopts_learner.append_only_log import link_remark, refuse_link, sync, un
 from humanopts_learner.demonstrations import Demonstration, DemonstrationError, TREES
 from humanopts_learner.options.decision_tree import EncodedFeature, Tree, TreeError
 from humanopts_learner.options.option import LearnedOption, OptionError
-from humanopts_ros.limits import JsonError, parse_json
+from humanopts_ros.limits import JsonError, MOST_JSON, parse_json
+from humanopts_ros.text_files import FileError, read_text
 
 FORMAT = 'humanopts-option'
 VERSION = 1
@@ -141,10 +142,10 @@ def load_option(path: Path) -> tuple[LearnedOption, list[Demonstration]]:
     :raises OptionFileError: it cannot be read, or is damaged.
     """
     try:
-        return option_from_json(path.read_text(encoding='utf-8'))
-    except OSError as error:
-        raise OptionFileError(f'cannot read {path}: {error.strerror}') from error
-    except (OptionFileError, UnicodeDecodeError) as error:
+        return option_from_json(read_text(path, MOST_JSON))
+    except FileError as error:
+        raise OptionFileError(str(error)) from error
+    except OptionFileError as error:
         raise OptionFileError(f'{path} cannot be used: {error}') from error
 
 

@@ -8,6 +8,7 @@ from typing import Any, Protocol
 
 from humanopts_env.domains.base import Domain, is_enumerable
 from humanopts_env.domains.capabilities import BatchGames, HasBatchGames
+from humanopts_learner.demonstrations import MACHINE
 from humanopts_learner.library import taught_nothing
 from humanopts_learner.options.option import LearnedOption, OptionError
 
@@ -16,7 +17,6 @@ AUTOMATIC, AUTOMATIC_AND_PRIMITIVE = 'automatic', 'automatic+primitive'
 ACTION_SETS = (HUMAN, PRIMITIVE, HUMAN_AND_PRIMITIVE, AUTOMATIC, AUTOMATIC_AND_PRIMITIVE)
 OPTIONS_ONLY = (HUMAN, AUTOMATIC)  # primitive actions only where no option can start
 OF_MACHINES = (AUTOMATIC, AUTOMATIC_AND_PRIMITIVE)  # sets of options that nobody taught
-MACHINE = 'automatic'  # participant codes of options that nobody taught begin with this
 
 TOLERANCE, SAMPLED_TOLERANCE = 1e-8, 1e-3  # reward units
 MAX_SWEEPS, GAME_STEPS = 10_000, 800_000

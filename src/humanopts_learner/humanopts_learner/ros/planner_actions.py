@@ -25,12 +25,12 @@ from humanopts_learner.automatic.extract import (
     to_learned_options,
 )
 from humanopts_learner.automatic.subgoals import Extraction, USUAL
+from humanopts_learner.demonstrations import MACHINE
 from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.planning.evaluate import Coverage, find_coverage
 from humanopts_learner.planning.exact import ExactPlan
 from humanopts_learner.planning.plan import AnyPlan, judge_plan, make_plan, Performance
 from humanopts_learner.planning.request import (
-    MACHINE,
     NoOptionsError,
     OF_MACHINES,
     OPTIONS_ONLY,
@@ -272,7 +272,7 @@ class ExtractionAction(LongAction[ExtractionResult]):
         self._found = node.stamped_publisher(LearnedOptions, 'automatic_options', LATCHED)
 
     def blank(self, goal: ExtractOptions.Goal) -> ExtractionResult:
-        return ExtractionResult(participant=goal.participant or MACHINE)
+        return ExtractionResult(participant=goal.participant or f'{MACHINE}1')
 
     async def work(
         self,

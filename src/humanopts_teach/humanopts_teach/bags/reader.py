@@ -12,6 +12,7 @@ from typing import Any, NamedTuple, TypeVar
 from humanopts_ros.limits import shown
 from humanopts_ros.recording import INTERFACES, own_name
 from humanopts_ros.senders import GAME_TOPICS, sender_of, signer
+from humanopts_ros.text_files import parse_yaml, YamlError
 from humanopts_teach.bags import BagError
 from humanopts_teach.bags.mcap_file import (
     DAMAGE,
@@ -23,7 +24,7 @@ from humanopts_teach.bags.mcap_file import (
     read_index,
     ZSTD_MAGIC,
 )
-from humanopts_teach.bags.rosbag2 import convert, FILE, find_files, load, Topic
+from humanopts_teach.bags.rosbag2 import convert, FILE, find_files, Topic
 from humanopts_teach.bags.schemas import Decoder, make_decoder
 from humanopts_teach.bags.sequence_numbers import read_stamp
 from humanopts_teach.bags.writer import (
@@ -434,9 +435,9 @@ class Bag:
                 self.note(f'{file.path.name} has other facts than the last file')
         copies = {FILE: self.information} if self.information else {}
         try:
-            own = load(self.metadata.get(SELF, {}).get(SELF_TEXT, ''))
+            own = parse_yaml(self.metadata.get(SELF, {}).get(SELF_TEXT, ''))
             copies.update({f'the record {SELF}': own} if isinstance(own, dict) else {})
-        except ValueError:
+        except YamlError:
             self.note(f'the record {SELF} is damaged')
         for place, copy in copies.items():
             told = copy.get('custom_data')

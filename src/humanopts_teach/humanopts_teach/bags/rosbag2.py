@@ -3,11 +3,13 @@
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import islice
 from pathlib import Path
 from shlex import quote
 from textwrap import indent
 from typing import Any
 
+from humanopts_ros.text_files import FileError, MAX_YAML, parse_yaml, read_text, YamlError
 from humanopts_teach.bags import BagError
 import yaml
 
@@ -16,16 +18,6 @@ ROOT = 'rosbag2_bagfile_information'
 VERSION = 9
 ROS_DISTRO = 'jazzy'
 _NEVER = 2**63 - 1  # starting time of a bag without messages, as rosbag2 writes it
-_LOADER = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)
-# What damaged text makes the loader raise, ValueError apart.
-_NO_YAML = (
-    yaml.YAMLError,
-    ArithmeticError,
-    AttributeError,
-    LookupError,
-    RecursionError,
-    TypeError,
-)
 
 
 class _Dumper(getattr(yaml, 'CSafeDumper', yaml.SafeDumper)):  # type: ignore[misc]
@@ -33,18 +25,6 @@ class _Dumper(getattr(yaml, 'CSafeDumper', yaml.SafeDumper)):  # type: ignore[mi
 
     def ignore_aliases(self, data: Any) -> bool:
         return True
-
-
-def load(text: str) -> Any:
-    """
-    Read YAML.
-
-    :raises ValueError: the text is not YAML.
-    """
-    try:
-        return yaml.load(text, Loader=_LOADER)
-    except _NO_YAML as error:
-        raise ValueError(str(error)) from error
 
 
 def dump(values: Any) -> str:
@@ -161,8 +141,8 @@ def _times(extent: Extent) -> dict[str, Any]:
 def profiles(text: str) -> list[dict[str, Any]]:
     """Return QoS profiles from YAML; none where it is damaged."""
     try:
-        found = load(text)
-    except ValueError:
+        found = parse_yaml(text)
+    except YamlError:
         return []
     known = isinstance(found, list) and all(isinstance(p, dict) for p in found)
     return found if known else []
@@ -177,6 +157,8 @@ PACKED = {  # what decompresses a file, by its suffix
     '.lz4': 'lz4 -d',
 }
 MOST_FILES = 100_000  # larger numbers in a file's name are not taken for its place
+_MOST_GAPS = 100  # missing files that are named
+_MOST_DIGITS = 9  # of a file's number
 _MOST_NAMED = 3  # bags below a folder that are named in an error message
 
 
@@ -265,31 +247,33 @@ def _below(path: Path) -> str:
 def _place(file: Path) -> tuple[str, int]:
     """Return the name of a file without its number, and the number: NAME_2.mcap is the third."""
     name, _, number = file.stem.rpartition('_')
-    return (name, int(number)) if number.isdecimal() else (file.stem, -1)
+    counted = number.isdecimal() and len(number) <= _MOST_DIGITS
+    return (name, int(number)) if counted else (file.stem, -1)
 
 
 def _gaps(files: Sequence[Path]) -> list[str]:
-    """Return the names of files whose numbers are missing among the others."""
+    """Return the names of files whose numbers are missing among the others, up to a limit."""
     found: dict[str, set[int]] = {}
     for name, number in map(_place, files):
         found.setdefault(name, set()).add(number)
-    return [
+    missing = (
         f'{name}_{number}.mcap'
         for name, numbers in found.items()
         if 0 in numbers
         for number in range(min(max(numbers), MOST_FILES))
         if number not in numbers
-    ]
+    )
+    return list(islice(missing, _MOST_GAPS))
 
 
 def _information(path: Path) -> tuple[dict[str, Any], list[str]]:
     """Return the contents of metadata.yaml, and what is wrong with it; {} if it is unusable."""
     try:
-        values = load(path.read_text('utf-8'))
-    except OSError as error:
-        return {}, [f'{path.name} cannot be read: {error.strerror}']
-    except ValueError:
-        return {}, [f'{path.name} is damaged']
+        values = parse_yaml(read_text(path, MAX_YAML))
+    except YamlError as error:
+        return {}, [f'{path.name} is damaged: {error}']
+    except FileError as error:
+        return {}, [str(error)]
     information = values.get(ROOT) if isinstance(values, dict) else None
     if not isinstance(information, dict):
         return {}, [f'{path.name} is not that of a bag']

@@ -16,6 +16,7 @@ import time
 from typing import Annotated, Any, Literal, TextIO, TYPE_CHECKING
 
 from humanopts_ros.limits import one_line, printable
+from humanopts_ros.text_files import FileError
 from humanopts_teach.commands import CommandError
 from humanopts_teach.commands.options import (
     CommandGroup,
@@ -303,10 +304,10 @@ def table1(
     )
 
     try:
-        canonical = read_merge(merge.read_text('utf-8')) if merge is not None else {}
-    except OSError as error:
-        raise CommandError(f'cannot read {merge}: {error.strerror}') from error
-    except (MergeError, UnicodeDecodeError) as error:
+        canonical = read_merge(merge) if merge is not None else {}
+    except FileError as error:
+        raise CommandError(str(error)) from error
+    except MergeError as error:
         raise CommandError(f'{merge}: {error}') from error
     with progress_bar() as show:
         opened = [open_bag(path, show, namespace) for path in bags]

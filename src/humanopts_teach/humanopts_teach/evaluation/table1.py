@@ -7,16 +7,18 @@ was counted. In a study, people are asked so too; in a lesson, they name what th
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+import json
 import math
+from pathlib import Path
 from typing import Any
 
 from humanopts_learner.demonstrations import demonstration_from_message, Kind
 from humanopts_learner.intervals import Interval
-from humanopts_ros.limits import caseless, composed, one_line
+from humanopts_ros.limits import caseless, composed, one_line, shown
+from humanopts_ros.text_files import read_yaml
 from humanopts_teach.bags import BagError
 from humanopts_teach.bags.contents import domains_played
 from humanopts_teach.bags.reader import Bag, DEMONSTRATION, LESSON_STATE
-from humanopts_teach.bags.rosbag2 import load
 from humanopts_teach.evaluation.measures import finite_parts
 from humanopts_teach.study.events import ButtonSuggested, Event, event_of, last_attempts
 from humanopts_teach.text_table import aligned
@@ -50,29 +52,34 @@ def _plain(name: str) -> str:
     return ' '.join(caseless(name).split())
 
 
-def read_merge(text: str) -> dict[str, str]:
+def read_merge(path: Path) -> dict[str, str]:
     """
     Read a merge file: YAML, each canonical name with the list of its wordings.
 
     :return: the canonical name of each wording, which is plain.
+    :raises FileError: it cannot be read, or is not YAML.
     :raises MergeError: it is something else, or a wording belongs to two names.
     """
-    try:
-        values = load(text)
-    except ValueError as error:
-        raise MergeError(f'it is not YAML: {error}') from error
+    values = read_yaml(path)
     if not isinstance(values, dict):
         raise MergeError('it has to map each name to the list of its wordings')
     canonical: dict[str, str] = {}
     for name, wordings in values.items():
-        if not isinstance(name, str) or not _plain(name):
-            raise MergeError(f'{name!r} is not a name')
-        if not isinstance(wordings, list) or not all(isinstance(each, str) for each in wordings):
-            raise MergeError(f'{name!r} needs a list of wordings, such as [fetch, get him]')
+        if not _plain(name):
+            raise MergeError(f'{shown(name)!r} is not a name')
+        if not isinstance(wordings, list):
+            raise MergeError(f'{shown(name)!r} needs a list of wordings, such as [fetch, get him]')
+        for wording in wordings:
+            if not isinstance(wording, str):
+                raise MergeError(
+                    f'a wording of {shown(name)!r} is {shown(json.dumps(wording))}, not a text: '
+                    'put it in quotes'
+                )
         for wording in (name, *wordings):
             if canonical.setdefault(_plain(wording), name) != name:
+                others = shown(canonical[_plain(wording)])
                 raise MergeError(
-                    f'{wording!r} belongs to {canonical[_plain(wording)]!r} and to {name!r}'
+                    f'{shown(wording)!r} belongs to {others!r} and to {shown(name)!r}'
                 )
     return canonical
 

@@ -11,6 +11,8 @@ from importlib.resources import files
 from pathlib import Path
 
 from humanopts_env.domains.base import DomainError
+from humanopts_ros.limits import shown
+from humanopts_ros.text_files import FileError, read_text
 
 WALL, FOOD, PILL, PACMAN, GHOST, BLANK = '%.oPG '
 NUMBERED = '1234'  # ghosts, in this order; G counts as 1
@@ -60,12 +62,11 @@ def load_maze(source: str) -> Maze:
     if source in maze_names():
         return parse_maze((files('humanopts_env') / 'mazes' / f'{source}.lay').read_text('utf-8'))
     try:
-        text = Path(source).expanduser().read_text('utf-8')
-    except (OSError, ValueError) as error:
-        reason = error.strerror if isinstance(error, OSError) else 'it is not text'
+        text = read_text(Path(source).expanduser())
+    except (FileError, RuntimeError) as error:  # RuntimeError: the home of ~ is not known
         raise MazeError(
-            f'no maze {source!r}: it is not one of {", ".join(maze_names())}, '
-            f'and cannot be read as a file ({reason})'
+            f'no maze {shown(source)!r}: it is not one of {", ".join(maze_names())}, '
+            f'and cannot be used as a file ({error})'
         ) from error
     try:
         return parse_maze(text)
