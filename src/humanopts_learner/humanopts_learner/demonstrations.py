@@ -19,7 +19,8 @@ from humanopts_env.domains.base import (
     is_enumerable,
 )
 from humanopts_env.domains.capabilities import feature_rows
-from humanopts_env.domains.registry import MOST_PARAMETERS, parameters_json
+from humanopts_env.domains.parameters import MOST_PARAMETERS
+from humanopts_env.domains.registry import parameters_json
 from humanopts_ros.limits import composed, JsonError, parse_json
 import numpy as np
 

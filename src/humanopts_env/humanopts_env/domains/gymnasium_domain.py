@@ -9,13 +9,13 @@ have.
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
-import json
 import re
 import string
 from typing import Any, ClassVar
 import warnings
 
 import gymnasium
+from gymnasium.envs.registration import load_env_creator
 from gymnasium.envs.toy_text.cliffwalking import CliffWalkingEnv
 from gymnasium.envs.toy_text.frozen_lake import FrozenLakeEnv
 from gymnasium.envs.toy_text.taxi import TaxiEnv
@@ -29,6 +29,7 @@ from humanopts_env.domains.base import (
     StateError,
 )
 from humanopts_env.domains.capabilities import move_effect, plain_effect, StepEffect
+from humanopts_env.domains.parameters import check_parameters
 from humanopts_env.domains.table_domain import TableDomain
 import numpy as np
 from numpy.typing import NDArray
@@ -325,8 +326,8 @@ def gymnasium_domain(env_id: str) -> type[GymnasiumDomain]:
 def _make(name: str, env_id: str, arguments: dict[str, Any]) -> Any:
     if 'render_mode' in arguments:
         raise DomainError(f'{name} is drawn as text: leave render_mode out')
+    _check_arguments(name, env_id, arguments)
     try:
-        json.dumps(arguments)
         with warnings.catch_warnings():
             warnings.simplefilter('ignore')  # about old versions: errors say what to do
             env = gymnasium.make(env_id, disable_env_checker=True, **arguments)
@@ -337,6 +338,25 @@ def _make(name: str, env_id: str, arguments: dict[str, Any]) -> Any:
             f'{name} with fickle_passenger changes the destination outside its table'
         )
     return env
+
+
+def _check_arguments(name: str, env_id: str, arguments: dict[str, Any]) -> None:
+    """
+    Check arguments against the types of the environment's constructor, and of what is registered.
+
+    :raises DomainError: one is unknown, or has another type.
+    """
+    try:
+        spec = gymnasium.spec(env_id)
+        entry = spec.entry_point
+        constructor = load_env_creator(entry) if isinstance(entry, str) else entry
+    except Exception:  # whatever importing a foreign environment raises: making it says why
+        return
+    common = {'max_episode_steps'}  # of gymnasium.make
+    own = {key: value for key, value in arguments.items() if key not in common}
+    if constructor is not None:
+        check_parameters(name, constructor, own, spec.kwargs)
+    check_parameters(name, gymnasium.make, {k: arguments[k] for k in common & arguments.keys()})
 
 
 def _read_table(name: str, env: Any) -> Table:

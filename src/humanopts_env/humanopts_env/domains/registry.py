@@ -3,19 +3,18 @@
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from importlib.metadata import EntryPoint
-import inspect
 import json
 from typing import Any, cast
 
 from humanopts_env.contract import check_domain
 from humanopts_env.domains.base import Domain, DomainError, Parameter
 from humanopts_env.domains.names import domain_names, DOMAINS, GYMNASIUM, registered
+from humanopts_env.domains.parameters import check_parameters, MOST_PARAMETERS
 from humanopts_env.domains.reference import ReferenceOption
 from humanopts_ros.limits import JsonError, parse_json
 
 REFERENCE_OPTIONS = 'humanopts.reference_options'
 OURS = 'humanopts_env.'
-MOST_PARAMETERS = 10**6  # characters of the JSON text of a domain's parameters
 
 
 def make_domain(name: str, parameters: Mapping[str, Parameter] | None = None) -> Domain[Any]:
@@ -25,17 +24,13 @@ def make_domain(name: str, parameters: Mapping[str, Parameter] | None = None) ->
     A domain of another package is checked by ``check_domain`` before it is returned.
 
     :param parameters: keyword arguments of the domain; its defaults where missing.
-    :raises DomainError: there is no such domain, it refuses the parameters, it cannot be loaded,
-        or it breaks the contract of domains.
+    :raises DomainError: there is no such domain, it does not take the parameters or their types,
+        it cannot be loaded, or it breaks the contract of domains.
     """
     factory, ours = _factory(name)
+    check_parameters(name, factory, parameters or {})
     with _explained(f'{name} cannot be made'):
-        try:
-            domain = cast(Domain[Any], factory(**(parameters or {})))
-        except TypeError as error:
-            known = ', '.join(inspect.signature(factory).parameters) or 'none'
-            text = f'{name} does not take the parameters {parameters}; it takes {known}'
-            raise DomainError(text) from error
+        domain = cast(Domain[Any], factory(**(parameters or {})))
     if not ours:
         check_domain(domain, name)
     return domain

@@ -27,7 +27,6 @@ from humanopts_teach.commands import CommandError
 from humanopts_teach.commands.options import LaunchOptions
 from humanopts_teach.commands.progress import DemoProgress
 from humanopts_teach.commands.session import (
-    domain_parameters,
     new_name,
     NEWS_SECONDS,
     Session,
@@ -140,7 +139,7 @@ def run_demo(
 def _demo_domain(name: str, launch: LaunchOptions, game_steps: int) -> Domain[Any]:
     """Return the domain; refuse one that cannot be planned in, or not so."""
     try:
-        domain = make_domain(name, domain_parameters(launch))
+        domain = make_domain(name, dict(launch.parameter))
         if not is_enumerable(domain):
             batch_games(domain)
     except DomainError as error:

@@ -58,6 +58,20 @@ def size(text: str) -> int:
     return value
 
 
+def name_and_value(text: str) -> tuple[str, Any]:
+    """Return the name and the value of a domain's parameter, such as rows=7."""
+    from humanopts_env.domains.base import DomainError  # slow to import
+    from humanopts_env.domains.parameters import parameter_from_text
+
+    name, equals, value = text.partition('=')
+    if not (name and equals):
+        raise typer.BadParameter(f'{text!r} is not NAME=VALUE')
+    try:
+        return name, parameter_from_text(value)
+    except DomainError as error:
+        raise typer.BadParameter(str(error)) from error
+
+
 def several_games(count: int) -> int:
     """Check a number of games: 0, or as many as have an interval."""
     if count == 1:
@@ -180,10 +194,11 @@ class LaunchOptions:
         _threshold(share, 'SHARE', 'share that its held-out β may get wrong; default: 0.05'),
     ] = None
     parameter: Annotated[
-        list[str],
+        list[Any],  # of pairs: a name and a value
         typer.Option(
+            parser=name_and_value,
             metavar='NAME=VALUE',
-            help='a parameter of the domain, such as rows=7; may be repeated',
+            help='a parameter of the domain, such as rows=7 or is_slippery=false; may be repeated',
         ),
     ] = field(default_factory=list)
     namespace: Annotated[str, typer.Option(metavar='NAME', help='of the nodes')] = '/'

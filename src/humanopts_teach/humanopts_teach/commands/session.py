@@ -4,7 +4,6 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field, replace
-import json
 import os
 from pathlib import Path
 import re
@@ -13,7 +12,7 @@ import tempfile
 import time
 from typing import Any
 
-from humanopts_env.domains.base import Domain, DomainError, Parameter
+from humanopts_env.domains.base import Domain, DomainError
 from humanopts_env.domains.capabilities import HasTeachingDefaults
 from humanopts_env.domains.registry import make_domain, reference_options
 from humanopts_learner.demonstrations import check_method
@@ -57,12 +56,12 @@ def setup_from(
     :param evaluated: the command needs a bag that can be evaluated.
     :param own: fields that the command sets itself; ``directory`` and ``step_period`` where the
         user gives none.
-    :raises CommandError: a domain parameter is not NAME=VALUE, the domain or its thresholds are
-        not valid, the namespace cannot be used, the bag would not hold what an
-        evaluation needs, or a node that is to run here is none of the launch.
+    :raises CommandError: the domain, its parameters or its thresholds are not valid, the namespace
+        cannot be used, the bag would not hold what an evaluation needs, or a node that is to run
+        here is none of the launch.
     """
     check_place(launch.namespace)
-    parameters = domain_parameters(launch)
+    parameters = dict(launch.parameter)
     usual = Thresholds()
     given = {name: getattr(launch, name) for name in asdict(usual)}
     try:
@@ -103,25 +102,6 @@ def _recording(launch: LaunchOptions, evaluated: bool) -> Recording:
             raise CommandError(lacking)
         print(f'humanopts: {lacking}', file=sys.stderr)
     return Recording(topics, exclude, launch.split_bytes or 0, launch.split_seconds or 0.0)
-
-
-def domain_parameters(launch: LaunchOptions) -> dict[str, Parameter]:
-    """
-    Return the domain's parameters.
-
-    :raises CommandError: one is not NAME=VALUE.
-    """
-    found: dict[str, Parameter] = {}
-    for text in launch.parameter:
-        name, equals, value = text.partition('=')
-        if not (name and equals):
-            raise CommandError(f'--parameter {text!r} is not NAME=VALUE')
-        try:
-            parsed = json.loads(value)
-        except json.JSONDecodeError:
-            parsed = value
-        found[name] = parsed if isinstance(parsed, int | float | bool) else value
-    return found
 
 
 def new_name(prefix: str) -> str:

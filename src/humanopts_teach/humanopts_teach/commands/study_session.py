@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-import json
 import sys
 from typing import Any
 
@@ -39,7 +38,7 @@ from humanopts_teach.study.events import (
     REFUSED,
     TIME,
 )
-from humanopts_teach.study.plan import Condition, Kind, Part, StudyPlan
+from humanopts_teach.study.plan import Condition, Kind, Part, parts_to_json, StudyPlan
 from humanopts_teach.study.record import (
     learned_rows,
     left_of,
@@ -217,14 +216,14 @@ class Study:
             strategy=condition.strategy,  # type: ignore[arg-type]  # the plan was checked
             learn=condition.learn,  # type: ignore[arg-type]
             budget=condition.budget,
-            parameter=[f'{name}={value}' for name, value in condition.parameters.items()],
+            parameter=[*condition.parameters.items()],
             namespace=self.namespace,
         )
         own: dict[str, Any] = {'taught': (), 'keyboard': True, 'step_period': WATCHED}
         if left is None:
             domain = make_domain(condition.domain, dict(condition.parameters))
             own = {'taught': taught_options(domain), 'teacher_error_rate': _ERROR_RATE}
-        parts = json.dumps([part.to_dict() for part in left or ()])
+        parts = parts_to_json(left or ())
         turn = StudyTurn(self.plan.name, condition.name, parts, participant.path.absolute())
         return setup_from(
             condition.domain,

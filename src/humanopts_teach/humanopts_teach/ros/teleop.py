@@ -6,7 +6,6 @@ Services and actions of a driver go through ``LessonClient``, the goals of runs 
 
 from collections.abc import Callable
 from functools import partial
-import json
 from operator import attrgetter
 from pathlib import Path
 import time
@@ -48,7 +47,7 @@ from humanopts_teach.ros.convert import (
     TERMINAL_SERVICES,
 )
 from humanopts_teach.ros.lesson_client import LessonClient
-from humanopts_teach.study.plan import Part
+from humanopts_teach.study.plan import parts_from_json
 from humanopts_teach.study.record import left_of, OpenRecord, TOPIC
 from rclpy.action.client import ActionClient
 from rclpy.task import Future
@@ -114,7 +113,7 @@ class TeleopNode(NodeBase):
         if not parts:
             return None
         record = published_record(self, Path(path), participant)
-        left = left_of([Part.from_dict(part) for part in json.loads(parts)], record)
+        left = left_of(parts_from_json(parts), record)
         return StudyApp(left, record, participant, self._world, seed=seed)
 
     def waits_for(self) -> str | None:

@@ -2,33 +2,127 @@
 The plan of a study: its conditions, what a participant does in each, and in which order.
 
 A plan is a YAML file; pages are Markdown files beside it. Every participant goes through all
-conditions. The order is counterbalanced by a rule, so that it can be told beforehand for each.
+conditions. The order is counterbalanced by a rule, so that it is known beforehand for each.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 from enum import Enum
+from functools import cache, partial
+from inspect import signature
+import json
 from pathlib import Path
 import re
-from typing import Any
+from typing import Annotated, Any, TypeVar
 
-from humanopts_env.domains.base import DomainError, Parameter
+from humanopts_env.domains.base import DomainError
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import check_method
 from humanopts_learner.options.start_states import STRATEGIES
+from humanopts_ros.limits import shown
+from humanopts_ros.text_files import FileError, read_text, read_yaml
 from humanopts_teach.lesson import BUDGET, METHOD, STRATEGY
-import yaml
+from pydantic import BeforeValidator, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic.dataclasses import dataclass
 
 QUESTIONNAIRES = Path(__file__).parent  # of those that are shipped
 SHIPPED = 'nasa-tlx'
 _NAME = re.compile(r'[A-Za-z0-9_-]{1,40}')
-_PLAN_KEYS = ('study', 'consent', 'welcome', 'thanks', 'order', 'participants', 'seed', 'all')
+_CONTROL = re.compile(r'[\x00-\x08\x0b-\x1f\x7f-\x9f]')  # but tabs and line breaks
 MOST_POINTS = 21
+MAX_CONDITIONS = 100
+MAX_ITEMS = 200  # of a questionnaire
+MAX_PAGES = 100  # of a file
+MAX_PAGE = 100_000  # characters of a file of pages
+MAX_LINE = 2000  # characters of a question, a label or another text of a plan
+MAX_MINUTES = 10**6
 
 
 class PlanFileError(ValueError):
     """A plan cannot be used; the text names the place and says why."""
+
+
+def _shown(value: Any) -> str:
+    return shown(json.dumps(value, ensure_ascii=False), 60)
+
+
+def _text(value: Any) -> str:
+    """Return a text; whole numbers are texts too, as they are written."""
+    if isinstance(value, bool):
+        raise ValueError(
+            f'is {_shown(value)}, as YAML reads words such as No and Yes: put it in quotes'
+        )
+    if isinstance(value, int):
+        return str(value)
+    if not isinstance(value, str):
+        number = isinstance(value, float)
+        raise ValueError(
+            f'is {_shown(value)}; it has to be a text{": put it in quotes" if number else ""}'
+        )
+    if not value.strip():
+        raise ValueError('is empty: give a text, or leave the key out')
+    if len(value) > MAX_LINE:
+        raise ValueError(f'has {len(value):,} characters, and {MAX_LINE:,} are allowed')
+    if _CONTROL.search(value):
+        raise ValueError('has characters that control terminals: remove them')
+    return value.strip()
+
+
+def _name(value: Any) -> str:
+    if not _NAME.fullmatch(text := _text(value)):
+        raise ValueError(
+            f'is {_shown(text)}; it has to be letters, digits, - and _, at most 40 of them'
+        )
+    return text
+
+
+def _whole(value: Any) -> int:
+    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < 2**31:
+        raise ValueError(f'is {_shown(value)}; it has to be a whole number from 0 on')
+    return value
+
+
+def _minutes(value: Any) -> float:
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    if not number or not 0 <= value < MAX_MINUTES:
+        raise ValueError(f'is {_shown(value)}; it has to be minutes, 0 or more')
+    return float(value)
+
+
+def _one_of(*known: str) -> BeforeValidator:
+    def check(value: Any) -> str:
+        if value not in known:
+            raise ValueError(f'is {_shown(value)}; it is one of {", ".join(known)}')
+        return str(value)
+
+    return BeforeValidator(check)
+
+
+def _mapping(value: Any) -> dict[str, Any]:
+    if not isinstance(value, dict):
+        raise ValueError(f'is {_shown(value)}; it has to map names to values')
+    return value
+
+
+def _listed(most: int) -> BeforeValidator:
+    def check(value: Any) -> list[Any]:
+        if not isinstance(value, list) or not value:
+            raise ValueError('has to be a list of one or more')
+        if len(value) > most:
+            raise ValueError(f'has {len(value):,} entries, and {most} are allowed')
+        return value
+
+    return BeforeValidator(check)
+
+
+Text = Annotated[str, BeforeValidator(_text)]
+Given = Annotated[str | None, BeforeValidator(_text)]  # None: the key is not there
+Name = Annotated[str, BeforeValidator(_name)]
+Whole = Annotated[int, BeforeValidator(_whole)]
+Minutes = Annotated[float, BeforeValidator(_minutes)]
+T = TypeVar('T')
+_STRICT = ConfigDict(strict=True, extra='forbid')
 
 
 class Order(Enum):
@@ -50,18 +144,18 @@ class Kind(Enum):
     QUESTIONS = 'questions'
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=_STRICT)
 class Question:
     """One item of a questionnaire, answered on a Likert scale of 1 to ``points``."""
 
-    name: str
-    text: str
-    low: str  # what 1 means
-    high: str  # what the last point means
+    name: Name
+    text: Text
+    low: Text  # what 1 means
+    high: Text  # what the last point means
     points: int = 7
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=_STRICT)
 class Part:
     """One thing that a participant does."""
 
@@ -74,36 +168,38 @@ class Part:
     most: int = 0  # buttons that can be suggested
     questions: tuple[Question, ...] = ()
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the part as JSON data."""
-        questions = [vars(question) for question in self.questions]
-        return {**vars(self), 'kind': self.kind.value, 'questions': questions}
 
-    @classmethod
-    def from_dict(cls, values: Mapping[str, Any]) -> 'Part':
-        """Return the part of ``to_dict``."""
-        questions = tuple(Question(**each) for each in values['questions'])
-        return cls(**{**values, 'kind': Kind(values['kind']), 'questions': questions})
+def parts_to_json(parts: Iterable[Part]) -> str:
+    """Return parts as one line of JSON."""
+    return _PARTS.dump_json(tuple(parts)).decode()
 
 
-@dataclass(frozen=True)
+def parts_from_json(text: str) -> tuple[Part, ...]:
+    """Return the parts of ``parts_to_json``."""
+    return _PARTS.validate_json(text)
+
+
+_PARTS = TypeAdapter(tuple[Part, ...])
+
+
+@dataclass(frozen=True, config=_STRICT)
 class Condition:
     """One way to teach that the study compares; times are minutes, and 0 leaves a part out."""
 
-    name: str
-    domain: str = ''
-    parameters: Mapping[str, Parameter] = field(default_factory=dict)
-    learn: str = METHOD
-    strategy: str = STRATEGY
-    budget: int = BUDGET
-    page: str = ''  # file in Markdown, shown first
-    free_play: float = 0.0
-    buttons: int = 0  # that are asked for at most; 0: none
-    teach: float = 20.0  # the most that teaching takes
-    questions: str = ''  # file, or the name of a questionnaire that is shipped
+    name: Name
+    domain: Text
+    parameters: Annotated[dict[str, Any], BeforeValidator(_mapping)] = Field(default_factory=dict)
+    learn: Text = METHOD
+    strategy: Annotated[str, _one_of(*STRATEGIES)] = STRATEGY
+    budget: Whole = BUDGET
+    page: Given = None  # file in Markdown, shown first
+    free_play: Minutes = 0.0
+    buttons: Whole = 0  # that are asked for at most; 0: none
+    teach: Minutes = 20.0  # the most that teaching takes
+    questions: Given = None  # file, or the name of a questionnaire that is shipped
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=_STRICT)
 class StudyPlan:
     """A whole study."""
 
@@ -168,43 +264,89 @@ def balanced_latin_square(count: int) -> list[list[int]]:
     return rows + [row[::-1] for row in rows] if count % 2 and count > 1 else rows
 
 
+@dataclass(frozen=True, config=_STRICT)
+class _PlanFile:
+    """What the file of a plan says, before the files that it names are read."""
+
+    conditions: Annotated[list[Any], _listed(MAX_CONDITIONS)]
+    study: Name
+    consent: Given = None
+    welcome: Given = None
+    thanks: Given = None
+    order: Annotated[str, _one_of(*(each.value for each in Order))] = Order.BALANCED.value
+    participants: Whole = 0
+    seed: Whole = 1
+    all: Annotated[dict[str, Any], BeforeValidator(_mapping)] = Field(default_factory=dict)
+
+
+@dataclass(frozen=True, config=_STRICT)
+class _QuestionsFile:
+    """What a questionnaire says."""
+
+    items: Annotated[list[Any], _listed(MAX_ITEMS)]
+    points: Whole = 7
+
+
 def read_plan(path: Path) -> StudyPlan:
     """
     Read a plan and the files that it names.
 
     :raises PlanFileError: a file cannot be read, or the plan cannot be carried out.
     """
-    values = _mapping(_load(path), 'the plan')
-    _refuse_unknown(values, (*_PLAN_KEYS, 'conditions'), 'the plan')
-    folder = path.parent
-    common = _mapping(values.get('all', {}), 'all')
-    listed = values.get('conditions')
-    if not isinstance(listed, list) or not listed:
-        raise PlanFileError('conditions has to be a list of one or more')
-    conditions = tuple(_condition(each, common) for each in listed)
+    try:
+        values = read_yaml(path)
+        if isinstance(values, dict):
+            values = {'study': path.stem, **values}
+        file = _validated(_PlanFile, values, 'the plan')
+        plan = _plan(file, path.parent)
+    except FileError as error:
+        raise PlanFileError(str(error)) from error
+    _check_balance(plan)
+    return plan
+
+
+def _plan(file: _PlanFile, folder: Path) -> StudyPlan:
+    conditions = []
+    for number, given in enumerate(file.conditions, start=1):
+        if not isinstance(given, dict):
+            raise PlanFileError(f'condition {number} has to map names to values')
+        name = given.get('name')
+        where = f'condition {name if isinstance(name, str) else number}'
+        conditions.append(_validated(Condition, {**file.all, **given}, shown(where, 60)))
     names = [condition.name for condition in conditions]
     if len(set(names)) < len(names):
         raise PlanFileError(f'two conditions have the same name: {", ".join(names)}')
-    try:
-        order = Order(values.get('order', Order.BALANCED.value))
-    except ValueError:
-        known = ', '.join(each.value for each in Order)
-        raise PlanFileError(f'order is {values["order"]!r}; it is one of {known}') from None
-    plan = StudyPlan(
-        name=_name(values.get('study', path.stem), 'study'),
-        conditions=conditions,
-        order=order,
-        participants=_whole(values.get('participants', 0), 'participants'),
-        seed=_whole(values.get('seed', 1), 'seed'),
+    _check_games(conditions)
+    pages, questions = cache(lambda name: _pages(folder, name)), cache(partial(_questions, folder))
+    return StudyPlan(
+        name=file.study,
+        conditions=tuple(conditions),
+        order=Order(file.order),
+        participants=file.participants,
+        seed=file.seed,
         before=(
-            *_page(folder, values.get('consent'), Kind.CONSENT, 'consent'),
-            *_page(folder, values.get('welcome'), Kind.PAGE, 'welcome'),
+            *_page(pages, file.consent, Kind.CONSENT, 'consent'),
+            *_page(pages, file.welcome, Kind.PAGE, 'welcome'),
         ),
-        after=_page(folder, values.get('thanks'), Kind.PAGE, 'thanks'),
-        during={condition.name: _parts(condition, folder) for condition in conditions},
+        after=_page(pages, file.thanks, Kind.PAGE, 'thanks'),
+        during={each.name: _parts(each, pages, questions) for each in conditions},
     )
-    _check_balance(plan)
-    return plan
+
+
+def _check_games(conditions: Iterable[Condition]) -> None:
+    """Refuse a condition that cannot be taught as it says; equal games are made once."""
+    made = cache(lambda domain, parameters: make_domain(domain, json.loads(parameters)))
+    for condition in conditions:
+        where = f'condition {condition.name}'
+        if condition.teach <= 0:
+            raise PlanFileError(f'teach of {where} has to be above 0 minutes')
+        if condition.budget < 1:
+            raise PlanFileError(f'budget of {where} has to be 1 or more')
+        try:
+            game = made(condition.domain, json.dumps(condition.parameters))
+            check_method(condition.learn, game)
+        except (DomainError, ValueError) as error:
+            raise PlanFileError(f'{where}: {shown(str(error))}') from error
 
 
 def _check_balance(plan: StudyPlan) -> None:
@@ -223,132 +365,95 @@ def _check_balance(plan: StudyPlan) -> None:
         )
 
 
-def _condition(given: Any, common: Mapping[str, Any]) -> Condition:
-    values = {**common, **_mapping(given, 'a condition')}
-    name = _name(values.get('name'), 'the name of a condition')
-    where, usual = f'condition {name}', vars(Condition(name))
-    _refuse_unknown(values, list(usual), where)
-    condition = Condition(
-        **{
-            key: _of_type(values[key], usual[key], f'{key} of {where}')
-            for key in usual
-            if key in values
-        }
-    )
-    if condition.strategy not in STRATEGIES:
-        raise PlanFileError(
-            f'strategy of {where} is {condition.strategy!r}; it is one of {", ".join(STRATEGIES)}'
-        )
-    if condition.teach <= 0:
-        raise PlanFileError(f'teach of {where} has to be above 0 minutes')
-    try:
-        check_method(condition.learn, make_domain(condition.domain, dict(condition.parameters)))
-    except (DomainError, ValueError) as error:
-        raise PlanFileError(f'{where}: {error}') from error
-    return condition
-
-
-def _parts(condition: Condition, folder: Path) -> tuple[Part, ...]:
+def _parts(
+    condition: Condition,
+    pages: Callable[[str], list[str]],
+    questions: Callable[[str], tuple[Question, ...]],
+) -> tuple[Part, ...]:
     """Return what a participant does in a condition, in the order of the paper's experiments."""
     name = condition.name
-    found = list(_page(folder, condition.page or None, Kind.PAGE, f'{name}/page'))
+    found = list(_page(pages, condition.page, Kind.PAGE, f'{name}/page'))
     if condition.free_play:
         found.append(Part(Kind.PLAY, f'{name}/play', minutes=condition.free_play))
     if condition.buttons:
         found.append(Part(Kind.BUTTONS, f'{name}/buttons', most=condition.buttons))
     found.append(Part(Kind.TEACH, f'{name}/teach', minutes=condition.teach))
-    if condition.questions:
-        asked = _questions(condition.questions, folder)
+    if condition.questions is not None:
+        asked = questions(condition.questions)
         found.append(Part(Kind.QUESTIONS, f'{name}/questions', questions=asked))
     return tuple(replace(part, condition=name, domain=condition.domain) for part in found)
 
 
-def _page(folder: Path, name: Any, kind: Kind, key: str) -> tuple[Part, ...]:
-    """Return the pages of a file, which a line of --- divides."""
+def _page(
+    pages: Callable[[str], list[str]], name: str | None, kind: Kind, key: str
+) -> tuple[Part, ...]:
+    """Return the parts of the pages of a file; only the last is of the kind."""
     if name is None:
         return ()
-    if not isinstance(name, str):
-        raise PlanFileError(f'{key} has to name a file in Markdown')
-    *first, last = re.split(r'^-{3,}\s*$', _text(folder / name), flags=re.MULTILINE)
-    pages = [Part(Kind.PAGE, f'{key}/{n}', text=text) for n, text in enumerate(first, start=1)]
-    return (*pages, Part(kind, key, text=last))
+    *first, last = pages(name)
+    before = [Part(Kind.PAGE, f'{key}/{n}', text=text) for n, text in enumerate(first, start=1)]
+    return (*before, Part(kind, key, text=last))
 
 
-def _questions(name: str, folder: Path) -> tuple[Question, ...]:
+def _pages(folder: Path, name: str) -> list[str]:
+    """Return the pages of a file, which a line of --- divides."""
+    text = read_text(folder / name, 4 * MAX_PAGE)
+    if len(text) > MAX_PAGE:
+        raise PlanFileError(f'{name} has {len(text):,} characters, and {MAX_PAGE:,} are allowed')
+    if found := _CONTROL.search(text):
+        line = text.count('\n', 0, found.start()) + 1
+        raise PlanFileError(f'{name} has a character that controls terminals in line {line}')
+    pages = re.split(r'^-{3,}[ \t]*$', text, flags=re.MULTILINE)
+    if len(pages) > MAX_PAGES:
+        raise PlanFileError(f'{name} has {len(pages):,} pages, and {MAX_PAGES} are allowed')
+    return pages
+
+
+def _questions(folder: Path, name: str) -> tuple[Question, ...]:
     path = QUESTIONNAIRES / 'nasa_tlx.yaml' if name == SHIPPED else folder / name
-    values = _mapping(_load(path), path.name)
-    _refuse_unknown(values, ('points', 'items'), path.name)
-    points, items = _whole(values.get('points', 7), f'points of {path.name}'), values.get('items')
-    if not 2 <= points <= MOST_POINTS:
-        raise PlanFileError(f'points of {path.name} is {points}, not from 2 to {MOST_POINTS}')
-    if not isinstance(items, list) or not items:
-        raise PlanFileError(f'items of {path.name} has to be a list of one or more')
-    found, where, parts = [], f'an item of {path.name}', ('name', 'text', 'low', 'high')
-    for item in items:
-        values = _mapping(item, where)
-        _refuse_unknown(values, parts, where)
-        if lacking := [key for key in parts if not values.get(key)]:
-            raise PlanFileError(f'{where} has no {", ".join(lacking)}')
-        _name(str(values['name']), f'the name of {where}')
-        found.append(Question(**{key: str(values[key]) for key in parts}, points=points))
-    if len({each.name for each in found}) < len(found):
+    file = _validated(_QuestionsFile, read_yaml(path), path.name)
+    if not 2 <= file.points <= MOST_POINTS:
+        raise PlanFileError(f'points of {path.name} is {file.points}, not 2 to {MOST_POINTS}')
+    found = []
+    for number, item in enumerate(file.items, start=1):
+        where = f'item {number} of {path.name}'
+        if isinstance(item, dict) and 'points' in item:
+            raise PlanFileError(f'{where} has unknown keys: points; all items share theirs')
+        found.append(replace(_validated(Question, item, where), points=file.points))
+    names = [each.name for each in found]
+    if len(set(names)) < len(names):
         raise PlanFileError(f'two items of {path.name} have the same name')
     return tuple(found)
 
 
-def _load(path: Path) -> Any:
-    try:
-        return yaml.safe_load(_text(path))
-    except yaml.YAMLError as error:
-        raise PlanFileError(f'{path.name} is not YAML: {" ".join(str(error).split())}') from error
+def _validated(kind: type[T], values: Any, where: str) -> T:
+    """
+    Return what the values of a file say.
 
-
-def _text(path: Path) -> str:
-    try:
-        return path.read_text(encoding='utf-8')
-    except OSError as error:
-        raise PlanFileError(f'cannot read {path}: {error.strerror}') from error
-    except UnicodeDecodeError:
-        raise PlanFileError(f'{path} is not a text in UTF-8') from None
-
-
-def _mapping(value: Any, where: str) -> dict[str, Any]:
-    if not isinstance(value, dict) or not all(isinstance(key, str) for key in value):
+    :param where: the place, in words.
+    :raises PlanFileError: they say something else.
+    """
+    if not isinstance(values, dict):
         raise PlanFileError(f'{where} has to map names to values')
-    return value
+    try:
+        return TypeAdapter(kind).validate_json(json.dumps(values))
+    except ValidationError as error:
+        found = error.errors(include_url=False, include_input=False)
+        raise PlanFileError(_fault(found, list(signature(kind).parameters), where)) from None
 
 
-def _refuse_unknown(values: Mapping[str, Any], known: Sequence[str], where: str) -> None:
-    if unknown := [key for key in values if key not in known]:
-        raise PlanFileError(
-            f'{where} has unknown keys: {", ".join(unknown)}; known are {", ".join(known)}'
-        )
-
-
-def _name(value: Any, where: str) -> str:
-    if not isinstance(value, str) or not _NAME.fullmatch(value):
-        raise PlanFileError(
-            f'{where} is {value!r}; it has to be letters, digits, - and _, at most 40 of them'
-        )
-    return value
-
-
-def _whole(value: Any, where: str) -> int:
-    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < 2**31:
-        raise PlanFileError(f'{where} is {value!r}; it has to be a whole number from 0 on')
-    return value
-
-
-def _of_type(value: Any, default: Any, where: str) -> Any:
-    """Return a value of the type that a key has, from its default."""
-    if isinstance(default, float):
-        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value < 1e6:
-            raise PlanFileError(f'{where} is {value!r}; it has to be minutes, 0 or more')
-        return float(value)
-    if isinstance(default, int):
-        return _whole(value, where)
-    if isinstance(default, str):
-        if not isinstance(value, str):
-            raise PlanFileError(f'{where} is {value!r}; it has to be a text')
-        return value
-    return _mapping(value, where)
+def _fault(found: Iterable[Any], known: Iterable[str], where: str) -> str:
+    """Return what is wrong, in one line: missing keys, unknown ones, or the first value."""
+    keys: dict[str, list[str]] = {}
+    for each in found:
+        keys.setdefault(each['type'], []).append(str(each['loc'][0]))
+    if missing := keys.get('missing'):
+        return f'{where} has no {", ".join(missing)}'
+    if unknown := keys.get('unexpected_keyword_argument'):
+        names = shown(', '.join(unknown))
+        return f'{where} has unknown keys: {names}; known are {", ".join(known)}'
+    first = next(iter(found))
+    place = '.'.join(str(each) for each in first['loc'] if isinstance(each, str))
+    error = first.get('ctx', {}).get('error')
+    words = f' {error}' if isinstance(error, ValueError) else f': {first["msg"]}'
+    return f'{shown(place)} of {where}{words}'
