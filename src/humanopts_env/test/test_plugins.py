@@ -94,7 +94,7 @@ def test_what_cannot_be_played_is_refused_by_name(name: str, text: str) -> None:
 
 
 def test_parameters_that_it_does_not_take_are_refused() -> None:
-    with pytest.raises(DomainError, match=r'cab does not take the parameters .* it takes '):
+    with pytest.raises(DomainError, match=r'cab does not take the parameter .* it takes '):
         make_domain('cab', {'wheels': 4})
 
 
