@@ -103,9 +103,17 @@ def test_a_participant_takes_part_by_keys_and_is_then_refused(
     assert [event['text'] for event in events(bag) if event['event'] == 'button'] == ['fetch']
 
 
-def test_a_page_leads_through_all_conditions(tmp_path: Path, domain_id: int) -> None:
+def test_a_page_leads_through_all_conditions_whatever_else_is_in_the_record(
+    tmp_path: Path, domain_id: int
+) -> None:
     plan = write_plan(tmp_path, 'a', 'b')
     study = tmp_path / 'study'
+    study.mkdir()
+    who = {'participant': 'anna', 'number': 0, 'simulated': False, 'study': 'small'}
+    began = {'event': 'began', 'time': 1.0, 'order': ['a', 'b'], **who}
+    spoilt = {'event': 'part ended', 'time': 2.0, 'condition': '', 'kind': 'consent'}
+    for name in ('000-anna.jsonl', '000-anna-DESKTOP.jsonl'):
+        (study / name).write_text(f'{json.dumps(began)}\n{json.dumps(spoilt)}\n')
     arguments = ['study', plan, '--browser', '--port', 0, '--study', study]
     command = Command(arguments, tmp_path, domain_id)
     try:
@@ -124,10 +132,12 @@ def test_a_page_leads_through_all_conditions(tmp_path: Path, domain_id: int) -> 
                 page.until('panel', 'prepared' if condition == 'a' else 'anna has finished')
         command.send(signal.SIGINT)
         assert command.ended(60.0) == 0, command.errors
+        assert f'line 2 of {study / "000-anna.jsonl"} is left out' in command.errors
+        assert f'{study / "000-anna-DESKTOP.jsonl"} is left out' in command.errors
     finally:
         command.close()
     noted = [json.loads(line) for line in (study / '000-anna.jsonl').read_text().splitlines()]
-    ended = [event['part'] for event in noted if event['event'] == 'part ended']
+    ended = [event['part'] for event in noted[2:] if event['event'] == 'part ended']
     assert ended == ['consent', 'a/buttons', 'a/teach', 'b/teach']
     assert noted[-1]['event'] == 'ended'
 

@@ -434,8 +434,8 @@ class Lesson:
                 raise RefusalError(RequestStatus.BAD_NAME, detail)
         if similar := similar_code(participant, self._store.participants()):
             detail = (
-                f'participant {participant!r} differs only in case from {similar!r}, who is '
-                f'known here: give {similar!r}, or another code'
+                f'{participant!r} differs only in case from {similar!r}: give {similar!r}, '
+                'or another code'
             )
             raise RefusalError(RequestStatus.BAD_NAME, detail)
         history = History(self._domain, self._entries(participant))
