@@ -20,6 +20,7 @@ from humanopts_env.domains.registry import make_domain
 from humanopts_env.ros.convert import domain_to_info
 from humanopts_interfaces.msg import (
     ControlState,
+    Demonstration,
     DomainInfo,
     GameState,
     LearnedOptions,
@@ -45,6 +46,14 @@ FORGED = {  # that a stranger publishes in the place of the nodes
     'lesson_state': LessonState(participant='somebody', session='s'),
     'learned_options': LearnedOptions(),
     'option_results': OptionResult(status=OptionResult.STATUS_REACHED),
+    'demonstrations': Demonstration(
+        kind=Demonstration.KIND_TRAJECTORY,
+        domain='rooms',
+        domain_parameters='{}',
+        participant='somebody',
+        option_name='go on',
+        method='trees',
+    ),
 }
 READING = ('info', 'eval', 'table1', 'check', 'play', 'export')
 

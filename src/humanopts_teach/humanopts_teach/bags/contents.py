@@ -14,6 +14,7 @@ from humanopts_learner.demonstrations import (
     demonstration_from_message,
     PRIMITIVE_PREFIX,
 )
+from humanopts_ros.limits import parse_json
 from humanopts_teach.bags import BagError
 from humanopts_teach.bags.reader import (
     ALWAYS,
@@ -30,14 +31,49 @@ def read_demonstrations(bag: Bag) -> list[Demonstration]:
     """
     Return the demonstrations in a bag as they were published, repetitions included.
 
-    One of an unknown kind is left out and noted in ``bag.damage``. ``check_demonstration`` tells
-    whether the others can be used.
+    One of another game is left out, and one of an unknown kind, which ``bag.damage`` notes.
+    ``check_demonstration`` tells whether the others can be used.
 
     :raises BagError: the bag has no topic of demonstrations.
     """
     if not bag.of_type(DEMONSTRATION):
         raise BagError(f'{bag.path} has no topic of demonstrations')
-    return list(bag.converted(DEMONSTRATION, demonstration_from_message))
+    is_of_game = of_the_game(bag)
+    found = []
+    for recorded in bag.genuine(DEMONSTRATION):
+        demo = bag.convert(recorded.topic, recorded.data, demonstration_from_message)
+        if demo is not None and is_of_game(recorded, demo):
+            found.append(demo)
+    return found
+
+
+def of_the_game(bag: Bag) -> Callable[[Recorded, Demonstration], bool]:
+    """
+    Return what tells whether a demonstration is of the game that was played, as learners ask.
+
+    One that is not is left out of everything that is read of the bag.
+    """
+    played = domains_played(bag)
+    known = [(name, _read_parameters(parameters)) for name, parameters in played]
+
+    def is_of_game(recorded: Recorded, demo: Demonstration) -> bool:
+        parameters = _read_parameters(demo.domain_parameters)
+        if not played or parameters is None or (demo.domain, parameters) in known:
+            return True
+        stamp = read_stamp(recorded.data)
+        sender = '' if stamp is None else stamp.publisher_id
+        bag.leave_out(recorded, f'of another game than {_named(played)}', sender)
+        return False
+
+    return is_of_game
+
+
+def _read_parameters(text: str) -> Any:
+    """Return the parameters of a game; None: they cannot be read, which is said elsewhere."""
+    try:
+        return parse_json(text)
+    except ValueError:
+        return None
 
 
 def domains_played(bag: Bag) -> list[tuple[str, str]]:

@@ -23,6 +23,7 @@ from humanopts_teach.bags.contents import (
     EpisodeGrouping,
     EpisodeMessages,
     is_ended,
+    of_the_game,
 )
 from humanopts_teach.bags.reader import (
     Bag,
@@ -334,8 +335,15 @@ def summarise(bag: Bag, topics: Collection[str] | None = None) -> BagInfo:
         if message.participant and opened not in info.open_sessions:
             info.open_sessions.append(opened)
 
+    is_of_game = of_the_game(bag)
+
+    def demonstration(recorded: Recorded, message: Any) -> None:
+        demo = demonstration_from_message(message)
+        if is_of_game(recorded, demo):
+            demonstrations.append(demo)
+
     handlers: dict[str, Callable[[Recorded, Any], None]] = {
-        DEMONSTRATION: lambda _, m: demonstrations.append(demonstration_from_message(m)),
+        DEMONSTRATION: demonstration,
         LESSON_STATE: lesson,
         _STATUS: status,
         **dict.fromkeys(results, result),

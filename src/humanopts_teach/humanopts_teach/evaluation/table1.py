@@ -12,12 +12,12 @@ import math
 from pathlib import Path
 from typing import Any
 
-from humanopts_learner.demonstrations import demonstration_from_message, Kind
+from humanopts_learner.demonstrations import Kind
 from humanopts_learner.intervals import Interval
 from humanopts_ros.limits import caseless, composed, one_line, shown
 from humanopts_ros.text_files import read_yaml
 from humanopts_teach.bags import BagError
-from humanopts_teach.bags.contents import domains_played
+from humanopts_teach.bags.contents import domains_played, read_demonstrations
 from humanopts_teach.bags.reader import Bag, DEMONSTRATION, LESSON_STATE
 from humanopts_teach.evaluation.measures import finite_parts
 from humanopts_teach.study.events import ButtonSuggested, Event, event_of, last_attempts
@@ -117,7 +117,7 @@ def named_options(bags: Sequence[Bag]) -> list[NamedOption]:
         ):
             key = domain, str(bag.facts.get('study', '')), participant
             suggested.setdefault(key, []).append(event)
-        for demo in bag.converted(DEMONSTRATION, demonstration_from_message):
+        for demo in read_demonstrations(bag) if bag.of_type(DEMONSTRATION) else ():
             taught = demo.kind is Kind.TRAJECTORY and not demo.withdrawn
             of = domain, demo.participant, demo.option_name
             found[of] = found.get(of, False) or taught
