@@ -273,15 +273,68 @@ def table_with(**cells: Any) -> pd.DataFrame:
         (TABLE.drop(columns='col'), r'demonstration a of .*: \d+ states have row 1, not one'),
         (TABLE[1:], 'steps are not 0 to 1'),
         (TABLE[:2], 'every row but the last names an action'),
-        (table_with(row=99), 'row has no value .99.'),
+        (table_with(row=99), 'row 0, column row: there is no value .99.'),
         (table_with(col=[1, 4, 3, 8]), 'action right does not lead from state 0'),
-        (table_with(action=['jump', 'right', '', '']), 'no action .jump.'),
-        (table_with(reward='much'), 'could not convert'),
+        (table_with(action=['jump', 'right', '', '']), 'row 0, column action: no action .jump.'),
+        (table_with(reward='much'), 'row 0, column reward: .much. is not a number'),
+        (table_with(reward=np.inf), 'row 0, column reward: .inf. is not a number'),
+        (table_with(step=['0', 'one', 2, 0]), 'row 1, column step: .one. is not a number'),
+        (table_with(can_start_at_end='perhaps'), 'row 0, column can_start_at_end: .perhaps.'),
+        (table_with(can_start_at_end=2.0), 'row 0, column can_start_at_end: .2. is neither'),
+        (table_with(can_start_at_end=[1, 0, 0, 0]), 'row 0, column can_start_at_end: it counts'),
+        (table_with(participant=[None, 'a', 'a', 'a']), 'row 0, column participant: it is empty'),
+        (table_with(**{'Can start at end': 1}), 'call it can_start_at_end'),
+        (pd.concat([TABLE, TABLE.step], axis=1), 'two columns step'),
     ],
 )
 def test_a_table_that_cannot_be_used_is_refused_in_words(table: pd.DataFrame, words: str) -> None:
     with pytest.raises(DemonstrationError, match=words):
         read(table)
+
+
+MISSING: Any = None
+FLAGS: dict[str, tuple[list[Any], Any, bool]] = {
+    'int': ([0, 0, 1, 0], 'int64', True),
+    'float with gaps': ([np.nan, np.nan, 1.0, np.nan], 'float64', True),
+    'float zero': ([np.nan, np.nan, 0.0, np.nan], 'float64', False),
+    'bool': ([False, False, True, False], 'bool', True),
+    'mixed': ([MISSING, 'no', 'TRUE', 0], object, True),
+    'numpy values': ([np.int8(0), np.bool_(False), np.bool_(True), np.float32(0)], object, True),
+    'spaces': (['', ' No', ' yes ', 'FALSE'], object, True),
+    'nullable int': ([MISSING, MISSING, 1, MISSING], 'Int64', True),
+    'nullable flag': ([MISSING, False, True, MISSING], 'boolean', True),
+    'nullable false': ([MISSING, MISSING, False, MISSING], 'boolean', False),
+    'category': (['no', 'no', 'yes', 'no'], 'category', True),
+    'text': (['', '', '1.0', ''], 'string', True),
+    'missing': ([np.nan] * 4, object, False),
+}
+
+
+@pytest.mark.parametrize(('cells', 'dtype', 'again'), FLAGS.values(), ids=FLAGS)
+def test_a_flag_means_what_it_says_whatever_its_type_and_way(
+    cells: list[Any], dtype: Any, again: bool, tmp_path: Path
+) -> None:
+    table = TABLE.assign(can_start_at_end=pd.Series(cells, dtype=dtype))
+    table.to_csv(path := tmp_path / 'own.csv', index=False)
+    ways = [read(table), read(path), read(pd.read_csv(path)), read(pd.read_csv(path, dtype=str))]
+    assert [demo.can_start_at_end for demo in ways[0]] == [again, False]
+    assert ways[1:] == ways[:1] * 3
+
+
+def test_numbers_of_any_type_are_the_same_table(tmp_path: Path) -> None:
+    floats = TABLE.astype({'step': float, 'row': float, 'col': float}).assign(
+        demonstration=[1.0] * 3 + [2.0]
+    )
+    nullable = floats.convert_dtypes()
+    floats.to_csv(path := tmp_path / 'own.csv', index=False, na_rep='NaN')
+    assert read(floats) == read(nullable) == read(path) == read(TABLE)
+
+
+def test_an_error_in_a_file_names_the_row_that_a_spreadsheet_shows(tmp_path: Path) -> None:
+    path = tmp_path / 'own.csv'
+    path.write_text('demonstration,step,row,col,action\n\n1,0,1,1,right\n1,1,1,x,\n')
+    with pytest.raises(DemonstrationError, match=r'row 4, column col: there is no value .x.'):
+        read(path)
 
 
 def test_a_file_that_is_no_table_is_refused(tmp_path: Path) -> None:
