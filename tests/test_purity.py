@@ -22,6 +22,7 @@ PURE = [path for path in MODULES if 'ros' not in path.relative_to(SOURCE).parts]
 PURE_OF_ROS = (
     'humanopts_ros.environment',
     'humanopts_ros.limits',
+    'humanopts_ros.middleware',
     'humanopts_ros.recording',
     'humanopts_ros.senders',
     'humanopts_ros.text_files',
