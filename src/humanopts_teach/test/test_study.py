@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Callable
 import itertools
+import json
 import os
 from pathlib import Path
 import time
@@ -10,6 +11,7 @@ from typing import Any
 
 from humanopts_env.domains.base import Domain
 from humanopts_env.game import Transition
+from humanopts_teach.cli import main
 from humanopts_teach.commands.study_session import simulated_part
 from humanopts_teach.dialogue.study import StudyApp
 from humanopts_teach.lesson.requests import (
@@ -283,17 +285,73 @@ def test_a_code_is_used_once_and_goes_on_until_its_end(plan: StudyPlan, tmp_path
         folder.enter(plan, '../x')
 
 
-def test_another_plan_or_too_many_people_are_refused(
-    write: Callable[[str], Path], tmp_path: Path
-) -> None:
+def test_too_many_people_are_refused(write: Callable[[str], Path], tmp_path: Path) -> None:
     folder = StudyFolder(tmp_path / 'study')
     two = read_plan(write('participants: 2' + PLAN))
     folder.enter(two, 'anna'), folder.enter(two, 'ben')
     with pytest.raises(StudyError, match=r"all 2 participants .* 'carl' is new"):
         folder.enter(two, 'carl')
-    other = read_plan(write(PLAN.replace('name: trees', 'name: forest')))
-    with pytest.raises(StudyError, match='another plan, whose conditions were trees, goal'):
-        folder.enter(other, 'anna')
+
+
+def test_a_changed_plan_is_refused_with_the_difference_or_accepted_and_kept(
+    write: Callable[[str], Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = write(PLAN)
+    place = [str(path), '--study', str(tmp_path / 'study')]
+    folder, plan = StudyFolder(tmp_path / 'study'), read_plan(path)
+    folder.enter(plan, 'anna'), folder.enter(plan, 'ben')
+    record = folder.participants()[0][0].path.read_bytes()
+
+    def status() -> list[dict[str, Any]]:
+        assert main(['study', 'status', *place, '--json']) == 0
+        found: list[dict[str, Any]] = json.loads(capsys.readouterr().out)
+        return found
+
+    before = status()
+    assert [row['order'] for row in before] == ['trees, goal', 'goal, trees']
+    swapped = PLAN.replace('{name: trees}', '{name: trees, learn: goal}').replace(
+        '{name: goal, learn: goal}', '{name: goal}'
+    )
+    third = f'{swapped}  - {{name: third}}\n'
+    for text in (swapped, third, PLAN.replace('teach: 10', 'teach: 9'), 'study: [', PLAN):
+        write(text)
+        if text == PLAN:
+            (tmp_path / 'welcome.md').write_text('First.\n\n---\n\nAnother.\n')
+        refused = main(['study', *place, '--participant', 'anna'])
+        errors = capsys.readouterr().err
+        assert refused == 2
+        if text != 'study: [':
+            assert 'accept the change with --accept-changes' in errors.splitlines()[-1]
+        assert status() == before  # what was kept, whatever the file says now
+    assert '-    "Second.",' in errors
+    assert '+    "Another.",' in errors
+    assert folder.participants()[0][0].path.read_bytes() == record
+    (tmp_path / 'welcome.md').write_text('First.\n\n---\n\nSecond.\n')
+    write(third)
+    assert main(['study', *place, '--accept-changes', '--participant', 'anna']) == 2
+    said = capsys.readouterr()
+    assert 'The changed plan is kept' in said.out
+    assert 'needs a terminal' in said.err
+    first, changed = folder.protocol().versions
+    assert (changed.event, changed.replaces) == ('protocol changed', first.digest)
+    assert '+   "name": "third",' in changed.diff
+    assert changed.time >= first.time
+    assert status() == before
+    anna, _ = folder.participants()[0]
+    assert folder.plan_of(changed.plan, anna) == first.plan == plan
+    assert folder.enter(changed.plan, 'anna') == anna  # goes on with what she began
+    carl = folder.enter(changed.plan, 'carl')
+    assert folder.plan_of(plan, carl) == changed.plan == read_plan(path)
+    assert status()[2]['order'].count(',') == 2
+    assert main(['study', 'export', *place]) == 0
+    versions = json.loads((tmp_path / 'study' / 'tables' / 'protocol.json').read_text())
+    assert [each['digest'] for each in versions] == [first.digest, changed.digest]
+    kept = tmp_path / 'study' / 'protocol.jsonl'
+    kept.write_text(kept.read_text().replace('Second', 'Third', 1))
+    capsys.readouterr()
+    assert main(['study', *place]) == 2
+    assert 'line 1' in (error := capsys.readouterr().err)
+    assert 'put the file back from a copy' in error
 
 
 class Guest:
@@ -544,5 +602,5 @@ def test_a_simulated_study_makes_tables_that_the_codebook_explains(
         ('s2', 'goal'): 1,
         ('s2', 'trees'): 2,
     }
-    status = status_table(plan, records).set_index('participant')
+    status = status_table(folder.protocol(), records).set_index('participant')
     assert status['next'].to_dict() == {'s1': '-', 's2': '-', 'late': 'consent'}

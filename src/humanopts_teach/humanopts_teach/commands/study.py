@@ -4,6 +4,7 @@ from collections.abc import Iterable
 import json
 from pathlib import Path
 import sys
+import time
 from typing import Annotated, Any, TYPE_CHECKING
 
 from humanopts_ros.limits import one_line, printable
@@ -15,6 +16,7 @@ from typer.core import TyperGroup
 
 if TYPE_CHECKING:
     from humanopts_teach.study.plan import StudyPlan
+    from humanopts_teach.study.protocol import Protocol
     from humanopts_teach.study.record import StudyFolder
 
 
@@ -57,6 +59,13 @@ def run(
     ] = 0,
     folder: StudyOption = None,
     namespace: Annotated[str, typer.Option(metavar='NAME', help='of the nodes')] = '/',
+    accept_changes: Annotated[
+        bool,
+        typer.Option(
+            '--accept-changes',
+            help='keep a plan that was changed since the study began, for those who begin now',
+        ),
+    ] = False,
     *,
     pages: PageOptions,
 ) -> int:
@@ -67,6 +76,7 @@ def run(
 
     check_place(namespace)
     study = Study(*_open(plan, folder), namespace)
+    study.check_plan(accept=accept_changes)
     if simulate:
         for number in range(1, simulate + 1):
             study.simulate(f'simulated-{number}')
@@ -88,17 +98,21 @@ def status(
     as_json: Annotated[bool, typer.Option('--json', help='print JSON')] = False,
 ) -> int:
     """Show how far each participant is."""
+    from humanopts_teach.study.protocol import SHOWN_DIGEST
     from humanopts_teach.study.tables import status_table
 
-    study, there = _open(plan, folder)
+    study, there, protocol = _kept('status', plan, folder)
     records, problems = there.records()
     _warn('status', problems)
-    table = status_table(study, records)
+    table = status_table(protocol, records)
     if as_json:
         print(json.dumps(table.to_dict('records'), indent=2))
     else:
         planned = f' of {study.participants}' if study.participants else ''
         print(f'{study.name}: {len(table)}{planned} participants, in {there.path}')
+        for version in protocol.versions:
+            when = time.strftime('%Y-%m-%d %H:%M', time.localtime(version.time))
+            print(f'{version.event} on {when}: {version.digest[:SHOWN_DIGEST]}')
         print(table.to_string(index=False) if len(table) else 'nobody has taken part yet')
     return 0
 
@@ -114,7 +128,7 @@ def export(
     excel: ExcelOption = False,
 ) -> int:
     """Write tidy CSV tables with a codebook, and the buttons as in Table 1 of the paper."""
-    _, there = _open(plan, folder)
+    _, there, _ = _kept('export', plan, folder)
     _export(there, out or there.path / 'tables', excel=excel)
     return 0
 
@@ -133,6 +147,37 @@ def _open(path: Path, folder: Path | None) -> 'tuple[StudyPlan, StudyFolder]':
     except PlanFileError as error:
         raise CommandError(f'{path}: {error}') from error
     return plan, StudyFolder(folder or Path('runs') / plan.name)
+
+
+def _kept(
+    command: str, path: Path, folder: Path | None
+) -> 'tuple[StudyPlan, StudyFolder, Protocol]':
+    """
+    Return the plan that is kept in the folder of a study, which counts whatever the file says now.
+
+    Before the first participant it is the plan of the file.
+
+    :raises CommandError: there is neither.
+    """
+    from humanopts_teach.study.plan import PlanFileError, read_name, read_plan
+    from humanopts_teach.study.record import StudyFolder
+
+    try:
+        there = StudyFolder(folder or Path('runs') / read_name(path))
+        protocol = there.protocol()
+    except PlanFileError as error:
+        raise CommandError(f'{path}: {error}') from error
+    except OSError as error:
+        raise CommandError(f'cannot read what is kept of the plan: {error.strerror}') from error
+    _warn(command, protocol.problems)
+    if protocol.plan is None:
+        return (*_open(path, there.path), protocol)
+    try:
+        if protocol.changes(read_plan(path)):
+            _warn(command, [f'{path} has been changed; what is kept in {there.path} counts'])
+    except PlanFileError as error:
+        _warn(command, [f'{path}: {error}; what is kept in {there.path} counts'])
+    return protocol.plan, there, protocol
 
 
 def _export(folder: 'StudyFolder', out: Path, *, excel: bool = False) -> None:
@@ -167,6 +212,9 @@ def _export(folder: 'StudyFolder', out: Path, *, excel: bool = False) -> None:
         for name, table in tables(records).items():
             (out / name).write_bytes(csv_of(table).encode(EXCEL if excel else 'utf-8'))
             print(out / name)
+        kept = [each.to_dict() for each in folder.protocol().versions]
+        (out / 'protocol.json').write_text(f'{json.dumps(kept, indent=1)}\n', encoding='utf-8')
+        print(out / 'protocol.json')
         (out / 'table1.txt').write_text(f'{table_1}\n', encoding='utf-8')
     except OSError as error:
         raise CommandError(f'cannot write in {out}: {error.strerror}') from error

@@ -40,6 +40,7 @@ from humanopts_teach.study.events import (
 )
 from humanopts_teach.study.plan import Condition, Kind, Part, parts_to_json, StudyPlan
 from humanopts_teach.study.record import (
+    ChangedPlanError,
     learned_rows,
     left_of,
     OpenRecord,
@@ -66,11 +67,48 @@ class Turn:
 
 @dataclass(frozen=True)
 class Study:
-    """A plan and the folder of those who take part."""
+    """A plan, for those who begin, and the folder of those who take part."""
 
     plan: StudyPlan
     folder: StudyFolder
     namespace: str
+
+    def check_plan(self, *, accept: bool) -> None:
+        """
+        Compare the plan with the one that is kept, and print the difference.
+
+        :param accept: keep it, if it has been changed.
+        :raises CommandError: it has been changed and is not accepted, or the folder cannot be
+            read or written.
+        """
+        try:
+            self.folder.check(self.plan)
+        except ChangedPlanError as error:
+            for line in error.diff:
+                print(one_line(line), file=sys.stderr)
+            if not accept:
+                raise CommandError(str(error)) from error
+            self._accept()
+        except (StudyError, OSError) as error:
+            raise CommandError(str(error)) from error
+
+    def _accept(self) -> None:
+        try:
+            self.folder.accept(self.plan)
+        except (StudyError, OSError) as error:
+            raise CommandError(f'the change cannot be kept: {error}') from error
+        print('The changed plan is kept; who has begun goes on with the one of that time.')
+
+    def plan_of(self, participant: Participant) -> StudyPlan:
+        """
+        Return the plan that a participant follows.
+
+        :raises CommandError: it cannot be read.
+        """
+        try:
+            return self.folder.plan_of(self.plan, participant)
+        except OSError as error:
+            raise CommandError(f'cannot read the plan of {participant.code}: {error}') from error
 
     def run(self, code: str) -> int:
         """Take a person through all conditions that are left, in this terminal."""
@@ -109,7 +147,8 @@ class Study:
                     running.graph.is_recorded_whole, NEWS_SECONDS, f'{TOPIC} to be recorded'
                 )
                 for part in turn.left:
-                    simulated_part(part, record, self.plan.seed, participant.number, teach)
+                    seed = self.plan_of(participant).seed
+                    simulated_part(part, record, seed, participant.number, teach)
         self.finish(participant)
 
     def settled(self, code: str) -> str:
@@ -147,11 +186,12 @@ class Study:
 
         :raises CommandError: it cannot be launched.
         """
-        turns = self.plan.turns_of(participant.number)
+        plan = self.plan_of(participant)
+        turns = plan.turns_of(participant.number)
         record = self._close_spent(participant, [part for _, parts in turns for part in parts])
         for condition, parts in turns:
             if left := left_of(parts, record):
-                setup = self._setup(participant, condition, None if simulated else left)
+                setup = self._setup(plan, participant, condition, None if simulated else left)
                 return Turn(condition, left, setup)
         return None
 
@@ -201,6 +241,7 @@ class Study:
 
     def _setup(
         self,
+        plan: StudyPlan,
         participant: Participant,
         condition: Condition,
         left: Sequence[Part] | None = None,
@@ -212,7 +253,7 @@ class Study:
         """
         launch = LaunchOptions(
             out=self.folder.directory(participant, condition.name),
-            seed=self.plan.seed + participant.number,
+            seed=plan.seed + participant.number,
             strategy=condition.strategy,  # type: ignore[arg-type]  # the plan was checked
             learn=condition.learn,  # type: ignore[arg-type]
             budget=condition.budget,
@@ -224,7 +265,7 @@ class Study:
             domain = make_domain(condition.domain, dict(condition.parameters))
             own = {'taught': taught_options(domain), 'teacher_error_rate': _ERROR_RATE}
         parts = parts_to_json(left or ())
-        turn = StudyTurn(self.plan.name, condition.name, parts, participant.path.absolute())
+        turn = StudyTurn(plan.name, condition.name, parts, participant.path.absolute())
         return setup_from(
             condition.domain,
             launch,

@@ -60,6 +60,7 @@ class ParticipantBegan(_Event):
     study: Text
     order: tuple[Text, ...] = Field(strict=False)  # names of the conditions
     simulated: bool
+    protocol: Text = ''  # digest of what the participant follows; empty: it was not kept
 
 
 class PartBegan(_OfPart):

@@ -305,6 +305,21 @@ def read_plan(path: Path) -> StudyPlan:
     return plan
 
 
+def read_name(path: Path) -> str:
+    """
+    Return the name of the study of a plan, whatever else the plan says.
+
+    :raises PlanFileError: the file cannot be read, or the name cannot be used.
+    """
+    try:
+        values = read_yaml(path)
+        return _name(values.get('study', path.stem) if isinstance(values, dict) else path.stem)
+    except FileError as error:
+        raise PlanFileError(str(error)) from error
+    except ValueError as error:
+        raise PlanFileError(f'study of the plan {error}') from error
+
+
 def _plan(file: _PlanFile, folder: Path) -> StudyPlan:
     conditions = []
     for number, given in enumerate(file.conditions, start=1):

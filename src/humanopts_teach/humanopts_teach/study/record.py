@@ -31,6 +31,7 @@ from humanopts_teach.study.events import (
     times_in,
 )
 from humanopts_teach.study.plan import Part, StudyPlan
+from humanopts_teach.study.protocol import digest_of, FILE, Protocol
 
 TOPIC = 'study_events'  # StudyEvent, each an event as JSON
 MAX_BYTES = 64 * 2**20  # of a record
@@ -51,6 +52,21 @@ class SimilarCodeError(StudyError):
         super().__init__(
             f'{code!r} differs only in case from {known!r}, who has taken part: give {known!r} '
             'to go on, or another code'
+        )
+
+
+class ChangedPlanError(StudyError):
+    """
+    The plan has been changed since it was kept.
+
+    :ivar diff: the lines that differ.
+    """
+
+    def __init__(self, diff: Sequence[str]) -> None:
+        self.diff = list(diff)
+        super().__init__(
+            'the plan is not the one with which the study began: put that back, or accept the '
+            'change with --accept-changes'
         )
 
 
@@ -212,6 +228,7 @@ class StudyFolder:
 
         :param simulated: nobody is there: a simulated teacher takes part.
         :raises SimilarCodeError: somebody's code differs in case only.
+        :raises ChangedPlanError: the plan is not the one that is kept.
         :raises StudyError: the code cannot be used, it is somebody's who has finished, the plan
             is another one, or has no room.
         :raises OSError: the folder cannot be written.
@@ -220,20 +237,80 @@ class StudyFolder:
             raise StudyError(f'{code!r} is not a code: {CODE_RULE}')
         self.path.mkdir(parents=True, exist_ok=True)
         with self._locked():
+            protocol = self._checked(plan)
             there, _ = self.participants()
             known = next((each for each in there if each.code == code), None)
             if known is not None:
                 record = Record.read(known.path)
-                _check_known(plan, known, record)
+                _check_known(self._followed(protocol, plan, record), known, record)
                 if record.began is not None:
                     return known
             else:
                 _check_new(plan, code, there)
             entered = known or self._new(code)
+            protocol.keep(plan)
             order = [condition.name for condition in plan.order_of(entered.number)]
-            who = {'participant': code, 'number': entered.number, 'simulated': simulated}
-            OpenRecord(entered.path).note(ParticipantBegan, study=plan.name, order=order, **who)
+            OpenRecord(entered.path).note(
+                ParticipantBegan,
+                participant=code,
+                number=entered.number,
+                study=plan.name,
+                order=order,
+                simulated=simulated,
+                protocol=digest_of(plan),
+            )
             return entered
+
+    def protocol(self) -> Protocol:
+        """
+        Return what is kept of the plan.
+
+        :raises OSError: it cannot be read.
+        """
+        return Protocol(self.path)
+
+    def accept(self, plan: StudyPlan) -> None:
+        """
+        Keep a changed plan: who begins from now on follows it.
+
+        :raises StudyError: what is kept is damaged.
+        :raises OSError: the folder cannot be read or written.
+        """
+        if (self.path / FILE).exists():
+            with self._locked():
+                protocol = self.protocol()
+                _refuse_damaged(protocol)
+                protocol.keep(plan)
+
+    def check(self, plan: StudyPlan) -> None:
+        """
+        Compare a plan with the one that is kept.
+
+        :raises ChangedPlanError: it has been changed.
+        :raises StudyError: what is kept is damaged.
+        :raises OSError: it cannot be read.
+        """
+        self._checked(plan)
+
+    def plan_of(self, plan: StudyPlan, participant: Participant) -> StudyPlan:
+        """
+        Return the plan that a participant follows: the one of when the participant began.
+
+        :param plan: of today, for participants of whom no version is kept.
+        :raises OSError: the record, or what is kept, cannot be read.
+        """
+        return self._followed(self.protocol(), plan, Record.read_head(participant.path))
+
+    def _followed(self, protocol: Protocol, plan: StudyPlan, record: Record) -> StudyPlan:
+        began = record.began
+        return (protocol.plan_of(began.protocol) if began is not None else None) or plan
+
+    def _checked(self, plan: StudyPlan) -> Protocol:
+        protocol = self.protocol()
+        _refuse_damaged(protocol)
+        if changes := protocol.changes(plan):
+            raise ChangedPlanError(changes)
+        return protocol
 
     def directory(self, participant: Participant, condition: str) -> Path:
         """Return the folder of a participant's bags and options in a condition."""
@@ -255,6 +332,8 @@ class StudyFolder:
         found, problems = [], []
         for path in sorted(self.path.glob('*.jsonl')):
             match = _NAME.fullmatch(path.name)
+            if path.name == FILE:
+                continue
             if match is not None and _file_name(int(match[1]), match[2]) == path.name:
                 found.append(Participant(match[2], int(match[1]), path))
             else:
@@ -311,6 +390,12 @@ class StudyFolder:
             yield
         finally:
             os.close(lock)
+
+
+def _refuse_damaged(protocol: Protocol) -> None:
+    """Refuse a protocol that has damaged lines: a participant's might be among them."""
+    if protocol.problems:
+        raise StudyError(f'{protocol.problems[0]}; put the file back from a copy')
 
 
 def _check_known(plan: StudyPlan, known: Participant, record: Record) -> None:

@@ -16,24 +16,32 @@ from humanopts_teach.study.events import (
     times_in,
     WHOLE,
 )
-from humanopts_teach.study.plan import Kind, StudyPlan
+from humanopts_teach.study.plan import Kind
+from humanopts_teach.study.protocol import Protocol, SHOWN_DIGEST
 from humanopts_teach.study.record import left_of, Participant, Record
 import pandas as pd
 
 Records = Sequence[tuple[Participant, Record]]
 
 
-def status_table(plan: StudyPlan, records: Records) -> pd.DataFrame:
-    """Return one row for each participant: how far the study is."""
+def status_table(protocol: Protocol, records: Records) -> pd.DataFrame:
+    """
+    Return one row for each participant: how far the study is, by what each one's record says.
+
+    :param protocol: what comes next is that of the version that the participant follows.
+    """
     rows = []
     for each, record in records:
-        left = [] if record.over else left_of(plan.parts_of(each.number), record)
+        began = record.began
+        plan = None if began is None else protocol.plan_of(began.protocol)
+        left = [] if plan is None or record.over else left_of(plan.parts_of(each.number), record)
+        unknown = '-' if plan is not None or record.over else '?'
         rows.append(
             {
                 'participant': each.code,
-                'order': ', '.join(condition.name for condition in plan.order_of(each.number)),
+                'order': '?' if began is None else ', '.join(began.order),
                 'parts done': len(record.done),
-                'next': left[0].key if left else '-',
+                'next': left[0].key if left else unknown,
                 'minutes': round(record.minutes, 1),
             }
         )
@@ -53,6 +61,8 @@ CODEBOOK = {  # file: column: what it holds
         'agreed': 'whether the person agreed to take part; empty: was not asked',
         'ended': 'whether the person came to the end of the study',
         'minutes': 'from the first event to the last, pauses included',
+        'protocol': 'begin of the digest of what this person follows, as in protocol.json; empty: '
+        'it was not kept',
     },
     'parts.csv': {
         'participant': 'code that the person was given',
@@ -138,6 +148,7 @@ def _person(participant: Participant, record: Record, events: Iterable[Event]) -
         'agreed': agreed,
         'ended': 'yes' if record.over else 'no',
         'minutes': round(record.minutes, 2),
+        'protocol': '' if began is None else began.protocol[:SHOWN_DIGEST],
     }
 
 
