@@ -21,7 +21,7 @@ from humanopts_env.domains.base import (
 from humanopts_env.domains.capabilities import feature_rows
 from humanopts_env.domains.parameters import MOST_PARAMETERS
 from humanopts_env.domains.registry import parameters_json
-from humanopts_ros.limits import composed, JsonError, parse_json
+from humanopts_ros.limits import composed, JsonError, MAX_WHOLE, parse_json
 import numpy as np
 
 
@@ -48,15 +48,27 @@ MOST_NAME = 60  # characters of the name of an option, and of the codes of peopl
 KIND_NUMBERS = {Kind.TRAJECTORY: 1, Kind.NOT_HERE: 2}  # KIND_* of Demonstration.msg
 
 
+def _of_type(value: Any, *types: type) -> Any:
+    if type(value) not in types:
+        raise TypeError(f'{value!r} is not {" or ".join(t.__name__ for t in types)}')
+    return value
+
+
+def _whole(value: Any, least: int = -MAX_WHOLE) -> int:
+    if type(value) is not int or not least <= value <= MAX_WHOLE:
+        raise ValueError(f'{value!r} is not a whole number from {least:,} to {MAX_WHOLE:,}')
+    return value
+
+
 _CONVERT: Mapping[Any, Callable[[Any], Any]] = {  # plain values into the types of the fields
     Kind: Kind,
-    bool: bool,
-    int: int,
-    float: float,
-    str: lambda text: intern(str(text)),  # states and names repeat; one of each takes memory
-    tuple[str, ...]: lambda texts: tuple(intern(str(text)) for text in texts),
-    tuple[float, ...]: lambda numbers: tuple(map(float, numbers)),
-    tuple[tuple[int, ...], ...]: lambda rows: tuple(tuple(map(int, row)) for row in rows),
+    bool: lambda flag: _of_type(flag, bool),
+    int: lambda number: _whole(number, least=0),
+    float: lambda number: float(_of_type(number, float, int)),
+    str: lambda text: intern(_of_type(text, str)),  # states and names repeat; each is kept once
+    tuple[str, ...]: lambda texts: tuple(intern(_of_type(text, str)) for text in texts),
+    tuple[float, ...]: lambda numbers: tuple(float(_of_type(n, float, int)) for n in numbers),
+    tuple[tuple[int, ...], ...]: lambda rows: tuple(tuple(map(_whole, row)) for row in rows),
 }
 
 

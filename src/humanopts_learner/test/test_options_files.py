@@ -1,6 +1,6 @@
 """Option files: they come back as they were, and a damaged one harms nothing."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 import json
@@ -20,8 +20,13 @@ from humanopts_learner.options.files import (
     save_option,
 )
 from humanopts_learner.options.learn import learn_option
-from humanopts_learner.options.option import LearnedOption
-from humanopts_learner.ros.convert import options_to_message, OptionsReader
+from humanopts_learner.options.option import LearnedOption, OptionError
+from humanopts_learner.options.rollout import rollouts
+from humanopts_learner.ros.convert import (
+    demonstration_to_message,
+    options_to_message,
+    OptionsReader,
+)
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import pytest
@@ -92,6 +97,53 @@ def test_a_damaged_file_is_refused(
     data = json.loads(option_to_json(option, fetching))
     damage(data)
     with pytest.raises(OptionFileError, match=message):
+        option_from_json(json.dumps(data))
+
+
+def numbers_in(value: Any, place: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    """Yield the keys that lead to each number of JSON data."""
+    if isinstance(value, dict | list):
+        for key, each in value.items() if isinstance(value, dict) else enumerate(value):
+            yield from numbers_in(each, (*place, key))
+    elif type(value) in (int, float):
+        yield place
+
+
+@pytest.mark.parametrize(
+    'wrong', [2**31, 2**32, 2**63, 2**64 - 1, -1, 1e300, 0.5, True, '1', None]
+)
+def test_a_file_with_any_number_replaced_is_refused_or_can_be_used(
+    option: LearnedOption, fetching: Shown, wrong: object
+) -> None:
+    small = learn_option(fetching[:3], TAXI, 0)
+    text = option_to_json(small, fetching[:3])
+    rows, loaded = TAXI.feature_table(), []
+    for *place, last in numbers_in(json.loads(text)):
+        data = json.loads(text)
+        at = data
+        for key in place:
+            at = at[key]
+        at[last] = wrong
+        with suppress(OptionError):
+            found, shown = option_from_json(json.dumps(data))
+            loaded.append((*place, last))
+            found.check_domain(TAXI)
+            assert found.termination_probability(rows).min() >= 0
+            assert found.greedy_action(rows).max() < len(TAXI.actions)
+            assert option_from_json(option_to_json(found, shown)) == (found, shown)
+            demonstration_to_message(shown[0]) if shown else None
+            rollouts(found, TAXI, [TAXI.decode(fetching[0].states[0])])
+    if wrong in (2**31, '1'):
+        free = {at for at in loaded if at[-1] == 'at_most' or 'rewards' in at or 'seconds' in at}
+        assert {at for at in loaded if 'domain_parameters' not in at} == (
+            free if wrong != '1' else set()
+        )
+
+
+def test_a_number_that_is_too_large_is_named(option: LearnedOption) -> None:
+    data = json.loads(option_to_json(option))
+    data['columns'][0]['value'] = 2**31
+    with pytest.raises(OptionFileError, match=r'columns\[0\].value is 2147483648, and at most'):
         option_from_json(json.dumps(data))
 
 

@@ -15,6 +15,7 @@ from unicodedata import normalize
 MOST_JSON = 64 * 2**20  # characters of a JSON text, such as an option with its demonstrations
 MOST_DEPTH = 40  # levels of lists and objects in a JSON text
 MOST_INTEGER = 2**64  # integers in a JSON text are smaller, and greater than its negative
+MAX_WHOLE = 2**31 - 1  # whole numbers of demonstrations and options, which fit int32 arrays
 MOST_STATE = 20_000  # characters of a state of a game, in its domain's notation
 MOST_SHOWN = 400  # characters of a text from outside in a log, a status or an answer
 

@@ -236,9 +236,12 @@ def test_episodes_of_a_minari_dataset_step_through_our_environments(
         seen += [env.step(int(action))[:4] for action in episode.actions]
         observations, *others = zip(*seen)
         assert np.array_equal(np.array(observations), episode.observations)
-        recorded = episode.rewards, episode.terminations, episode.truncations
-        for here, there in zip(others, recorded, strict=True):
+        kept_ends = episode.rewards, episode.terminations, episode.truncations
+        *same, (_, *truncated) = others
+        for here, there in zip(same, kept_ends, strict=False):
             assert list(here[1:]) == there.tolist()
+        truncated[-1] |= not episode.terminations[-1]  # it was broken off
+        assert truncated == kept_ends[-1].tolist()
 
 
 def test_episodes_with_gaps_are_left_out_and_counted(
@@ -264,7 +267,60 @@ def test_episodes_with_gaps_are_left_out_and_counted(
 
 
 def test_dataset_is_named_by_domain_and_bag(taxi: Domain[Any]) -> None:
-    assert dataset_name(taxi, Path('runs/up 2026.11.mcap')) == 'humanopts/taxi/up-2026-11-v0'
+    assert dataset_name(taxi, Path('runs/up-2026_11.mcap')) == 'humanopts/taxi/up-2026_11-v0'
+
+
+NAMES = ('2026.01.02', '2026.01.03', '2026-01-02', '!!!', '???', 'a b', 'a-b', 'ü', '-', 'x' * 200)
+
+
+def test_bags_of_different_names_have_different_datasets_that_minari_finds(
+    taxi: Domain[Any],
+) -> None:
+    names = [dataset_name(taxi, Path('runs') / name) for name in NAMES]
+    assert len(set(names)) == len(names)
+    minari_data = pytest.importorskip('minari.dataset.minari_dataset')
+    for name in names:
+        namespace, rest, version = minari_data.parse_dataset_id(name)
+        assert (namespace, f'{namespace}/{rest}-v{version}') == ('humanopts/taxi', name)
+
+
+def test_a_dataset_of_any_name_can_be_loaded_and_every_episode_has_an_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, taxi: Domain[Any]
+) -> None:
+    minari = pytest.importorskip('minari')
+    pytest.importorskip('pyarrow', exc_type=ImportError)
+    with BagWriter(tmp_path / '!!!') as bag:
+        for time, (topic, kind, message) in enumerate(entries(taxi, 2, []), start=1):
+            cut = topic == '/game_state' and (message.episode, message.step) > (1, 5)
+            if kind != EVENT and not cut:  # the second episode is broken off, and not over
+                bag.add_topic(topic, kind)
+                bag.write(topic, serialize_message(message), time)
+    name, count = write_dataset(open_bag(tmp_path / '!!!'), tmp_path / 'out')
+    monkeypatch.setenv(FOLDER, str(tmp_path / 'out'))
+    episodes = list(minari.load_dataset(name).iterate_episodes())
+    assert count == len(episodes) > 0
+    ends = [(e.terminations | e.truncations).tolist() for e in episodes]
+    assert all(each[-1] and not any(each[:-1]) for each in ends)
+    assert ends[-1] == [False] * 4 + [True]
+    assert [path.name for path in (tmp_path / 'out').iterdir()] == ['humanopts']
+
+
+def test_a_dataset_that_cannot_be_written_leaves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, taxi: Domain[Any]
+) -> None:
+    minari = pytest.importorskip('minari')
+    pytest.importorskip('pyarrow', exc_type=ImportError)
+    recorded = record(tmp_path / 'b', taxi, 2)
+
+    def full(*args: Any, **options: Any) -> None:
+        create(*args, **options)
+        raise OSError(28, 'No space left on device')
+
+    create = minari.create_dataset_from_buffers
+    monkeypatch.setattr(minari, 'create_dataset_from_buffers', full)
+    with pytest.raises(OSError, match='No space left'):
+        write_dataset(recorded, tmp_path / 'out')
+    assert not list((tmp_path / 'out').iterdir())
 
 
 @pytest.mark.parametrize(

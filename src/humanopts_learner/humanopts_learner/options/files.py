@@ -12,7 +12,7 @@ from humanopts_learner.append_only_log import link_remark, refuse_link, sync, un
 from humanopts_learner.demonstrations import Demonstration, DemonstrationError, TREES
 from humanopts_learner.options.decision_tree import EncodedFeature, Tree, TreeError
 from humanopts_learner.options.option import LearnedOption, OptionError
-from humanopts_ros.limits import JsonError, MOST_JSON, parse_json
+from humanopts_ros.limits import JsonError, MAX_WHOLE, MOST_JSON, parse_json
 from humanopts_ros.text_files import FileError, read_text
 
 FORMAT = 'humanopts-option'
@@ -63,6 +63,8 @@ def option_from_json(text: str) -> tuple[LearnedOption, list[Demonstration]]:
     try:
         data = parse_json(text)
         _check_form(data)
+        for part in (*COUNTS, 'columns', 'policy_columns', *PARTS):
+            _check_numbers(data.get(part), part)
         values: dict[str, Any] = {key: data[key] for key in (*TEXTS, *COUNTS)}
         values |= {key: tuple(data[key]) for key in NAMES}
         values |= {part: Tree.from_dict(data[part]) for part in PARTS}
@@ -186,6 +188,22 @@ def _check_form(data: Any) -> None:
             wrong.append(key)
     if wrong:
         raise OptionFileError(f'{", ".join(wrong)} of it has the wrong form')
+
+
+def _check_numbers(value: Any, place: str) -> None:
+    """
+    Check that the whole numbers of an option fit the arrays that they are put into.
+
+    :raises OptionFileError: one is too large; the text says where.
+    """
+    if isinstance(value, dict):
+        for key, each in value.items():
+            _check_numbers(each, f'{place}.{key}')
+    elif isinstance(value, list):
+        for index, each in enumerate(value):
+            _check_numbers(each, f'{place}[{index}]')
+    elif type(value) is int and abs(value) > MAX_WHOLE:
+        raise OptionFileError(f'{place} is {value}, and at most {MAX_WHOLE:,} is allowed')
 
 
 def _pretty(data: Mapping[str, Any]) -> str:

@@ -2,10 +2,13 @@
 
 from collections import Counter
 from collections.abc import Iterator
+from hashlib import sha256
 from itertools import chain
 import os
 from pathlib import Path
 import re
+import shutil
+from tempfile import TemporaryDirectory
 from typing import Any
 import warnings
 
@@ -26,6 +29,7 @@ import numpy as np
 FOLDER = 'MINARI_DATASETS_PATH'  # where Minari looks for datasets
 FORMAT = 'arrow'
 AUTHOR = 'humanopts'
+MAX_NAME = 64  # characters of a bag's name in the id of its dataset
 
 
 def write_dataset(bag: Bag, out: Path) -> tuple[str, int]:
@@ -33,7 +37,10 @@ def write_dataset(bag: Bag, out: Path) -> tuple[str, int]:
     Write the episodes that were recorded from their first state without a gap.
 
     Each carries ``options`` for ``reset``: with them, and the recorded actions, our environment
-    gives the recorded observations, rewards and ends again.
+    gives the recorded observations, rewards and ends again. An episode that was broken off, as a
+    demonstration is that is done, is truncated in its last step: Minari knows no other end.
+
+    The dataset is written whole or not at all.
 
     :param out: folder that Minari is to look in, from now on in this process.
     :return: id of the dataset, and how many episodes it has; ``Bag.damage`` says what is left out.
@@ -50,6 +57,9 @@ def write_dataset(bag: Bag, out: Path) -> tuple[str, int]:
             'a Minari dataset needs minari, which is not installed: pip install "minari[arrow]"'
         ) from error
     domain, counts = read_domain(bag), Counter[bool]()
+    name = dataset_name(domain, bag.path)
+    if (out / name).exists():
+        raise ExportError(f'{out / name} already exists; choose another folder, or remove it')
     whole = _whole_episodes(bag, counts)
     first = next(whole, None)
     if first is None:
@@ -66,29 +76,54 @@ def write_dataset(bag: Bag, out: Path) -> tuple[str, int]:
         )
         for number, one in enumerate(chain([first], whole))
     )
-    name = dataset_name(domain, bag.path)
     description = (
         f'Recorded episodes of {domain.name}. Begin each with '
         'env.reset(options=dataset.storage.get_episode_metadata([id])["options"]).'
     )
-    os.environ[FOLDER] = os.path.abspath(out)  # Minari cannot write in a relative one
-    with warnings.catch_warnings():
-        warnings.simplefilter('ignore', UserWarning)  # that no author is named, and the like
-        try:
-            minari.create_dataset_from_buffers(
-                name, buffers, env=spec, data_format=FORMAT, description=description
-            )
-        except ValueError as error:
-            raise ExportError(f'the dataset cannot be written: {error}') from error
+    out.mkdir(parents=True, exist_ok=True)
+    with TemporaryDirectory(prefix='.unfinished-', dir=out) as unfinished:
+        os.environ[FOLDER] = os.path.abspath(unfinished)  # Minari cannot write in a relative one
+        with warnings.catch_warnings():
+            warnings.simplefilter('ignore', UserWarning)  # that no author is named, and the like
+            try:
+                minari.create_dataset_from_buffers(
+                    name, buffers, env=spec, data_format=FORMAT, description=description
+                )
+            except ValueError as error:
+                raise ExportError(f'the dataset cannot be written: {error}') from error
+        _move_dataset(Path(unfinished), out, name)
+    os.environ[FOLDER] = os.path.abspath(out)
     if counts[False]:
         bag.note(f'{counts[False]} episodes are left out: of one state, or with steps missing')
     return name, counts[True]
 
 
 def dataset_name(domain: Domain[Any], bag: Path) -> str:
-    """Return the id of a bag's dataset."""
-    parts = (re.sub(r'\W+', '-', text).strip('-') for text in (domain.name, bag.resolve().stem))
-    return '/'.join([AUTHOR, *parts]) + '-v0'
+    """
+    Return the id of a bag's dataset, which no bag of another name has.
+
+    Minari takes letters, digits, - and _; a name with others is told apart by a digest.
+    """
+    place = bag.resolve()
+    name = place.name.removesuffix('.mcap')
+    readable = _readable(name)[:MAX_NAME]
+    if readable != name:
+        readable = f'{readable}-{sha256(os.fsencode(name)).hexdigest()[:8]}'.lstrip('-')
+    return f'{AUTHOR}/{_readable(domain.name)}/{readable}-v0'
+
+
+def _readable(name: str) -> str:
+    return re.sub(r'\W+', '-', name, flags=re.ASCII).strip('-')
+
+
+def _move_dataset(source: Path, target: Path, name: str) -> None:
+    """Move a finished dataset to the others, with what Minari knows of the folders above it."""
+    for above in (Path(name).parent.parent, Path(name).parent):
+        (target / above).mkdir(exist_ok=True)
+        for known in (source / above).glob('*.json'):
+            if not (target / above / known.name).exists():
+                shutil.copyfile(known, target / above / known.name)
+    (source / name).rename(target / name)
 
 
 def _whole_episodes(bag: Bag, counts: Counter[bool]) -> Iterator[Episode]:
@@ -117,10 +152,12 @@ def _columns(env: Any, episode: Episode) -> dict[str, Any]:
     domain: Domain[Any] = env.domain
     taken = episode.transitions[1:]
     states = [domain.decode(each.state) for each in episode.transitions]
+    truncations = [each.truncated for each in taken]
+    truncations[-1] |= not taken[-1].terminated
     return {
         'observations': np.array([env.observe(state) for state in states]),
         'actions': np.array([action_index(domain, each.previous_action) for each in taken]),
         'rewards': [each.reward for each in taken],
         'terminations': [each.terminated for each in taken],
-        'truncations': [each.truncated for each in taken],
+        'truncations': truncations,
     }
