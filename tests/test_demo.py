@@ -75,7 +75,7 @@ SCHEMA = {
     'planning': [PLAN],
     'execution': {'episodes': int, 'successes': int, 'fallbacks': int, 'mean_return': float},
     'bag': {'path': str, 'messages': int, 'topics': int},
-    'offline': {'options': [OPTION], 'planning': [PLAN]},
+    'offline': {'options': [OPTION], 'planning': [PLAN | {'exact_mean_return': float}]},
     'games': type(None),
     'ended_nodes': list,
 }
@@ -97,6 +97,7 @@ def test_demo_keeps_its_promises_and_says_so(demo: DemoRun) -> None:
     assert (demo.status, demo.errors) == (0, '')
     assert f'{PICKUP}: ' in demo.output
     assert f'{EPISODES} of {EPISODES} episodes done by running options, 0 fallbacks' in demo.output
+    assert demo.output.count(', over all starts -10.07\n') == 2  # of every plan that is optimal
     assert demo.output.endswith(f'report: {demo.folder / "report.html"}\n')
 
 

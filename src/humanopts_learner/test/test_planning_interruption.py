@@ -26,6 +26,7 @@ from humanopts_learner.planning.exact import ExactPlan, make_exact_plan
 from humanopts_learner.planning.interruption import (
     arbitrate,
     as_executed,
+    exact_mean_return,
     option_values,
     policy_values,
 )
@@ -285,13 +286,24 @@ def test_values_of_another_shape_are_refused() -> None:
         replace(table, states=table.states[1:])
 
 
+def test_the_exact_mean_return_is_that_of_episodes_from_every_start() -> None:
+    taxi = Taxi()
+    for options, action_set in (((), 'primitive'), (tabled(taxi, 4), 'human')):
+        plan = make_exact_plan(taxi, options, PlanRequest(action_set))
+        starts = taxi.start_states()
+        played = play(plan, starts, max_steps=2000).total
+        assert exact_mean_return(plan) == pytest.approx(played.mean())
+
+
 def test_a_policy_that_never_ends_has_no_undiscounted_value() -> None:
     taxi = Taxi()
     plan = make_exact_plan(taxi, [], PlanRequest('primitive', gamma=1.0))
     stuck = plan.solution.best.copy()
     stuck[stuck >= 0] = 1  # north for ever
+    plan = replace(plan, solution=replace(plan.solution, best=stuck))
     with pytest.raises(PlanError, match='gamma below 1'):
-        policy_values(replace(plan, solution=replace(plan.solution, best=stuck)))
+        policy_values(plan)
+    assert exact_mean_return(plan) is None
 
 
 TAXI_OPTIONS = ('go to passenger', 'go to destination', 'pickup/dropoff')

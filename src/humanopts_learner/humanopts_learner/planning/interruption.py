@@ -15,6 +15,7 @@ stopped only where that is right whatever is left, and the theorem holds.
 """
 
 from dataclasses import dataclass, replace
+import math
 
 from humanopts_env.arrays import Flags, Floats, Ints
 from humanopts_env.domains.base import Transitions
@@ -27,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array, eye
 
+MAX_EXACT_STATES = 20_000  # for which the exact return of a plan takes no longer than the plan
 ROUNDING = 1e-9  # relative to the largest value: differences of values that are rounding
 
 
@@ -191,6 +193,23 @@ def policy_values(plan: ExactPlan) -> Floats:
             'the policy does not end from everywhere: evaluate it with a gamma below 1'
         ) from error
     return values
+
+
+def exact_mean_return(plan: ExactPlan) -> float | None:
+    """
+    Return the expected return of an episode, undiscounted: the mean over all start states.
+
+    :return: None: the policy does not end from everywhere, or the states are more than
+        ``MAX_EXACT_STATES``.
+    """
+    if plan.domain.n_states > MAX_EXACT_STATES:
+        return None
+    try:
+        values = policy_values(replace(plan, gamma=1.0))
+    except PlanError:
+        return None
+    mean = float(values[plan.domain.start_states()].mean())
+    return mean if math.isfinite(mean) else None
 
 
 def _interruption_margin(plan: ExactPlan) -> float:

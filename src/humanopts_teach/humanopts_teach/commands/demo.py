@@ -227,10 +227,13 @@ def _print_results(live: Live, evaluation: BagEvaluation) -> None:
     for option in evaluation.options:
         block = option.last.block
         print(f'{block.name}: {block.n_demonstrations} demonstrations, {criteria_text(option)}')
+    exact = {plan.row.action_set: plan.exact_mean_return for plan in evaluation.plans}
     for row in live.planning:
+        known = exact.get(row.action_set)
         print(
             f'planning with {row.action_set}: {row.sweeps} sweeps, {1000 * row.seconds:.1f} ms, '
             f'mean return {row.mean_return:.2f}'
+            + ('' if known is None else f', over all starts {known:.2f}')
         )
     print(
         f'{played.successes} of {played.episodes} episodes done by running options, '

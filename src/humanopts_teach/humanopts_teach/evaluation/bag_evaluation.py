@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 import json
 import math
 from pathlib import Path
@@ -22,6 +22,8 @@ from humanopts_learner.options.criteria import judge, Judgement
 from humanopts_learner.options.files import FORMAT, option_to_json
 from humanopts_learner.options.learn import learn_option
 from humanopts_learner.options.option import LearnedOption
+from humanopts_learner.planning.exact import ExactPlan
+from humanopts_learner.planning.interruption import exact_mean_return
 from humanopts_learner.planning.plan import AnyPlan, judge_plan, make_plan, Performance
 from humanopts_learner.planning.request import (
     batch_games,
@@ -130,6 +132,11 @@ class PlanEvaluation:
     plan: AnyPlan
     row: PlanningRow
     judged: Performance = field(compare=False, repr=False)
+
+    @cached_property
+    def exact_mean_return(self) -> float | None:
+        """Undiscounted, over all start states; None where it is not known exactly."""
+        return exact_mean_return(self.plan) if isinstance(self.plan, ExactPlan) else None
 
 
 @dataclass(frozen=True)

@@ -54,7 +54,10 @@ def summary(live: Live, offline: BagEvaluation, bag: Mapping[str, Any]) -> dict[
         'bag': dict(bag),
         'offline': {
             'options': [asdict(block) for block in offline.blocks],
-            'planning': [asdict(row) for row in offline.planning],
+            'planning': [
+                {**asdict(plan.row), 'exact_mean_return': plan.exact_mean_return}
+                for plan in offline.plans
+            ],
         },
         'games': next((games.to_dict() for games in offline.games.values()), None),
     }

@@ -6,9 +6,12 @@ from humanopts_learner.demonstrations import METHODS
 from humanopts_learner.intervals import Interval
 from humanopts_learner.options.criteria import Criterion, likely_range, NO_RANGE, Thresholds
 from humanopts_ros.limits import one_line
-from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, OptionEvaluation
+from humanopts_teach.evaluation.bag_evaluation import (
+    BagEvaluation,
+    OptionEvaluation,
+    PlanEvaluation,
+)
 from humanopts_teach.evaluation.games import GamesEvaluation, PLAN, RANDOM
-from humanopts_teach.evaluation.measures import PlanningRow
 from humanopts_teach.text_table import aligned
 
 A_TENTH = 'a tenth of the range from random actions to the demonstrations'
@@ -23,7 +26,7 @@ CURVE_HEAD = (
 )
 PLAN_HEAD = (
     *('action set', 'gamma', 'game steps', 'planning ms', 'sweeps'),
-    *('episodes', 'mean return', '95 % interval', 'discounted'),
+    *('episodes', 'mean return', '95 % interval', 'all starts', 'discounted'),
 )
 
 
@@ -41,7 +44,7 @@ def evaluation_text(evaluation: BagEvaluation) -> str:
     if evaluation.plans:
         lines += ['', 'plans']
         plans = evaluation.named_plans.items()
-        lines += table(PLAN_HEAD, [_plan(name, plan.row) for name, plan in plans])
+        lines += table(PLAN_HEAD, [_plan(name, plan) for name, plan in plans])
         lines += [
             f'{name} uses options whose criteria do not hold: {", ".join(unready)}'
             for name, plan in plans
@@ -159,7 +162,8 @@ def _unmet(criterion: Criterion) -> str:
     return f'{criterion.name} is {is_now}, needs {needs} or less'
 
 
-def _plan(name: str, row: PlanningRow) -> list[str]:
+def _plan(name: str, plan: PlanEvaluation) -> list[str]:
+    row = plan.row
     return [
         name,
         number(row.gamma),
@@ -169,5 +173,6 @@ def _plan(name: str, row: PlanningRow) -> list[str]:
         str(row.episodes),
         number(row.mean_return),
         f'{number(row.mean_return_low)} to {number(row.mean_return_high)}',
+        number(plan.exact_mean_return),
         number(row.mean_discounted_return),
     ]
