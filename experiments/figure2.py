@@ -99,7 +99,6 @@ REACHED, HELD = 'first', 'for good'  # crossings of a level: the first, and the 
 CROSSINGS = tuple(f'{level:.0%}, {crossing}' for level in LEVELS for crossing in (REACHED, HELD))
 GOALS = {('failures', 0.95): 15, ('failures', 1.0): 30}  # demonstrations at most, careful, Taxi
 ROUNDING = 1e-9  # of an accuracy
-NEAR = 10  # demonstrations by which "about 40" may be missed
 STYLES = {'random': 'C1--', 'coverage': 'C3-.', 'failures': 'C0-'}
 ACTS = ('name of an option', 'answer', 'start state', 'step', 'end of a demonstration')
 PACE = dict(zip(ACTS, SECONDS.values(), strict=True))  # s, assumed
@@ -422,27 +421,26 @@ def _compare_needed(
 
     Those count after which the level held for good. Who did not reach it counts with all that
     were shown, so that their number can only be too low then: it may refute that few are needed,
-    and never shows it.
+    and never shows it. The paper names no level, so that nothing can be compared with its number.
     """
-    about = paper.DEMONSTRATIONS - NEAR, paper.DEMONSTRATIONS + NEAR
     for level in LEVELS:
-        claim, (least, most) = paper.SAID['forty'], about
-        if (strategy, level) in GOALS:
-            least, most = 0, GOALS[strategy, level]
-            text = f'{level:.0%} policy accuracy takes at most {most} demonstrations.'
-            claim = Statement(text, report.OURS)
-        elif (strategy, level) != ('random', LEVELS[0]):
-            continue
         said = {name: row[f'demonstrations for {level:.0%}, {name}'] for name in (REACHED, HELD)}
         demonstrations = members[f'demonstrations for {level:.0%}, {HELD}']
         needed = Interval.of(demonstrations.fillna(members['shown']).astype(float))
-        verdict = False if needed.at_most(most) is False else None
         if demonstrations.notna().all():
             said[HELD] = needed
-            verdict = all_hold([needed.at_least(least), needed.at_most(most)])
-        yield report.compared(
-            claim, report.listed(f'{case}, without errors', said, '.1f'), verdict
-        )
+        if (strategy, level) in GOALS:
+            most = GOALS[strategy, level]
+            text = f'{level:.0%} policy accuracy takes at most {most} demonstrations.'
+            verdict = False if needed.at_most(most) is False else None
+            if demonstrations.notna().all():
+                verdict = needed.at_most(most)
+            found = report.listed(f'{case}, without errors', said, '.1f')
+            yield report.compared(Statement(text, report.OURS), found, verdict)
+        elif (strategy, level) == ('random', LEVELS[0]):
+            shown = f'{case}, without errors; {paper.NO_LEVEL}; here for {level:.0%}'
+            found = report.listed(shown, said, '.1f')
+            yield report.compared(paper.SAID['forty'], found, report.Mark.NOT_COMPARABLE)
 
 
 def _game(domain: str, features: str) -> str:

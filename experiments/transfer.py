@@ -15,7 +15,7 @@ from typing import Any
 from humanopts_env.domains.pacman.random_mazes import random_maze
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.seeding import generator
-from humanopts_learner.intervals import Interval
+from humanopts_learner.intervals import Interval, level_of_each
 from humanopts_teach.evaluation.games import (
     baselines_of,
     every_baseline,
@@ -40,6 +40,7 @@ STEPS, GAMES = 100_000, 150  # game steps of a plan; games that each way to play
 COST = 60.0
 KEYS = ['game', 'way to play']
 INTERRUPTED = re.compile('human,.*interrupted')  # names of plans with options alone
+LARGER = re.compile('human.*interrupted, .*-fold steps')  # of plans from more game steps
 
 
 def trials(study: Study) -> list[Trial]:
@@ -139,21 +140,37 @@ def _by_maze(rows: pd.DataFrame) -> dict[str, pd.Series]:
 
 
 def _comparisons(scores: pd.DataFrame) -> list[report.Comparison]:
-    """Compare the plan with all options, interrupted, with each baseline."""
-    found = []
+    """
+    Compare the plan with all options, interrupted, with each baseline; larger ones with the rule.
+
+    The intervals of the differences hold for all of these at once.
+    """
+    asked = []
     for (game,), rows in report.grouped(scores, ['game']):
         by_way = _by_maze(rows)
         kinds = dict(zip(rows['way to play'], rows['kind']))
-        plans = [n for n in by_way if kinds[n] == PLAN and INTERRUPTED.fullmatch(n)]
-        for other in by_way if plans else ():
-            if kinds[other] in (RANDOM, HEURISTIC) or other.startswith('primitive'):
-                plan = plans[-1]  # with all options
-                more = Interval.of_difference(by_way[plan], by_way[other])
-                values = {name: Interval.of(by_way[name]) for name in (plan, other)}
-                case = f'{game}, {counted(len(by_way[plan]), "maze")}'
-                text = report.listed(case, {**values, 'more': more}, ',.0f')
-                said = f'Options that are planned with and interrupted score more than: {other}.'
-                found.append(report.compared(Statement(said, report.OURS), text, more.above()))
+        for plan in [n for n in by_way if kinds[n] == PLAN and INTERRUPTED.fullmatch(n)][-1:]:
+            asked += [
+                (game, by_way, plan, other)
+                for other in by_way
+                if kinds[other] in (RANDOM, HEURISTIC) or other.startswith('primitive')
+            ]
+        asked += [
+            (game, by_way, plan, rule)
+            for plan in by_way
+            if kinds[plan] == PLAN and LARGER.fullmatch(plan)
+            for rule in by_way
+            if kinds[rule] == HEURISTIC
+        ]
+    found = []
+    for game, by_way, plan, other in asked:
+        more = Interval.of_difference(by_way[plan], by_way[other], level_of_each(len(asked)))
+        values = {name: Interval.of(by_way[name]) for name in (plan, other)}
+        case = f'{game}, {counted(len(by_way[plan]), "maze")}'
+        text = report.listed(case, {**values, 'more': more}, ',.0f')
+        which = 'planned with from many steps' if LARGER.fullmatch(plan) else 'planned with'
+        said = f'Options that are {which} and interrupted score more than: {other}.'
+        found.append(report.compared(Statement(said, report.OURS), text, more.above()))
     return found
 
 

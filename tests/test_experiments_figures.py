@@ -262,11 +262,15 @@ def test_other_classifiers_are_compared_with_the_tree_within_people() -> None:
         assert (row['forest less tree'], row['low'], row['high']) == (0.1, 0.1, 0.1)
 
 
-def test_goals_that_are_reached_are_met_and_the_papers_forty_agrees(section: Section) -> None:
+def test_goals_that_are_reached_are_met_and_the_papers_forty_has_no_level(
+    section: Section,
+) -> None:
     goals = about(section, 'at most 15') + about(section, 'at most 30')
     assert [c.mark for c in goals] == [Mark.MET] * 4
     assert goals[0].found.endswith(' 10.0 (10.0 to 10.0)')
-    assert [c.mark for c in about(section, 'about 40')] == [Mark.AGREES] * 2
+    forty = about(section, 'over 40 trajectories')
+    assert [c.mark for c in forty] == [Mark.NOT_COMPARABLE] * 2
+    assert all('does not say which accuracy' in c.found for c in forty)
     minutes = about(section, 'minutes to show')
     assert [c.mark for c in minutes] == [Mark.NOT_COMPARABLE] * 3  # two lists of features
     assert all('assumed pace' in c.found for c in minutes)
@@ -276,23 +280,22 @@ def test_goals_that_are_missed_are_marked() -> None:
     section = figure_2(lambda _: lesson_of(*[0.5] * 60))
     assert len(about(section, 'at most')) == 4
     assert marks(section).count(Mark.MISSED) == 4
-    assert marks(section).count(Mark.DIFFERS) == 2  # about 40
     rises = about(section, 'Accuracy increases')
     assert [c.mark for c in rises] == [Mark.UNDECIDED] * 3  # nobody gained or lost anything
     assert all('not within 60' in c.found for c in about(section, '% policy accuracy'))
 
 
-def test_goals_and_forty_are_undecided_where_the_interval_holds_the_limit() -> None:
-    """Of two people one needs 5 and one 15 demonstrations; by random starts, 30 and 50."""
+def test_a_goal_is_undecided_where_the_interval_holds_the_limit() -> None:
+    """Of two people one needs 5 and one 15 demonstrations."""
 
     def result(parameters: Mapping[str, Any]) -> dict[str, Any]:
         few = parameters['person']['code'] == participants(CAREFUL, 2, 5)[0].code
-        good = {'random': (30, 50)}.get(parameters['strategy'], (5, 15))[not few] - 1
+        good = (5, 15)[not few] - 1
         return lesson_of(*[0.5] * good, *[0.96] * (60 - good))
 
     section = figure_2(result, 'taxi')
-    (goal, *_), (forty, *_) = about(section, 'at most 15'), about(section, 'about 40')
-    assert goal.mark is forty.mark is Mark.UNDECIDED
+    goal, *_ = about(section, 'at most 15')
+    assert goal.mark is Mark.UNDECIDED
     assert goal.found.endswith(' 10.0 (-53.5 to 73.5)')  # 5 * t(0.975, 1) on each side
 
 

@@ -86,6 +86,28 @@ def test_differences_are_paired_by_maze(differences: tuple[float, ...], mark: Ma
     assert f'ghosts=random, {mazes}: {PLAN}' in found.found
 
 
+def test_the_intervals_of_all_differences_hold_at_once() -> None:
+    """Alone, each of these differences would be distinguishable from 0; of many one often is."""
+    results = done(15.0, 35.0, 17.0, 30.0)
+    (alone,) = transfer.present(results).comparisons
+    assert alone.mark is Mark.MET
+    for _, rows in results:
+        rows += [{**rows[1], 'way to play': f'{RULE} {number}'} for number in range(40)]
+    marks = [c.mark for c in transfer.present(results).comparisons]
+    assert marks == [Mark.UNDECIDED] * 41
+
+
+def test_larger_plans_are_compared_with_the_rule_too() -> None:
+    results = done(10.0, 12.0, 11.0)
+    larger = f'{PLAN}, 4-fold steps'
+    for _, rows in results:
+        rows.append({**rows[0], 'way to play': larger, 'score': rows[0]['score'] + 100.0})
+    _, found = transfer.present(results).comparisons
+    assert found.mark is Mark.MET
+    assert f'{larger} 2,111' in found.found
+    assert '; more 111 (' in found.found
+
+
 def test_the_tables_hold_every_maze() -> None:
     summary, scores, mazes = transfer.present(done(10.0, 20.0)).tables
     assert summary.rows[0]['score'] == 1515.0
