@@ -40,7 +40,7 @@ def commands(tmp_path: Path, domain_id: int) -> Iterator[dict[str, Command]]:
     started: dict[str, Command] = {}
     for name, arguments in (
         ('taxi', ('up', 'taxi')),
-        ('rooms', ('up', 'rooms', '--namespace', '/b')),
+        ('rooms', ('up', 'rooms', '--namespace', '/b', '--record', '/scan')),
         ('pages', ('teach', 'taxi', '--browser', '--port', 0, '--learn', 'goal')),
     ):
         folder = tmp_path / name
@@ -140,8 +140,9 @@ def test_each_bag_is_whole_and_holds_the_people_of_its_own_graph(
         opened = open_bag(bag)
         names = {topic for topic in opened.topics if topic not in ('/rosout', '/parameter_events')}
         prefix = opened.facts['namespace'].rstrip('/') + '/'
+        assert ('/scan' in names) is (who == 'of-b')  # it was asked for there
+        names.discard('/scan')
         assert all(name.startswith(prefix) for name in names)
-        software = {'odom', 'scan', 'tf'}
-        assert not [name for name in names if name.rpartition('/')[2] in software]
+        assert not [name for name in names if name.rpartition('/')[2] in ('odom', 'scan', 'tf')]
         lines = [recorded.message for recorded in opened.messages(['/rosout'])]
         assert 'driving' not in [line.msg for line in lines]

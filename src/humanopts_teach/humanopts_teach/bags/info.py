@@ -38,7 +38,10 @@ from humanopts_teach.bags.sequence_numbers import MessageCounter, Stream
 from humanopts_teach.text_table import table
 from mcap.records import AttachmentIndex
 
-NO_TEACHER = 'none: a person taught'  # shown for the simulated teacher's error rate
+_FACT_TEXTS = {
+    ('teacher_error_rate', 'None'): 'none: a person taught',
+    ('return_delta', 'None'): 'none: a tenth of the range',
+}
 _MOST_ROWS = 50  # streams that are told in a text, the worst
 _STATUS = 'humanopts_interfaces/msg/LearningStatus'
 _OPTION_RESULT = 'humanopts_interfaces/msg/OptionResult'
@@ -191,7 +194,7 @@ class BagInfo:
     def to_text(self) -> str:
         """Return the facts as text for a person."""
         told = [
-            (name.replace('_', ' '), NO_TEACHER if value == 'None' else value)
+            (name.replace('_', ' '), _FACT_TEXTS.get((name, value), value))
             for name, value in sorted(self.facts.items())
         ]
         attached = [(file.name, file.data_size, file.media_type) for file in self.attached]
