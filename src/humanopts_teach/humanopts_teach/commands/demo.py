@@ -20,6 +20,7 @@ from humanopts_learner.planning.request import (
     PlanRequest,
     PRIMITIVE,
 )
+from humanopts_ros.limits import one_line
 from humanopts_teach.bags import BagError
 from humanopts_teach.bags.info import TopicRow
 from humanopts_teach.bags.reader import open_bag
@@ -132,7 +133,7 @@ def run_demo(
     print(f'report: {page}')
     problems = _problems(setup.taught, live, evaluation, topics) + running.restarts()
     for problem in problems:
-        print(f'humanopts demo: {problem}', file=sys.stderr)
+        print(one_line(f'humanopts demo: {problem}'), file=sys.stderr)
     return 1 if problems or running.unclean else 0
 
 

@@ -109,11 +109,12 @@ def status(
         print(json.dumps(table.to_dict('records'), indent=2))
     else:
         planned = f' of {study.participants}' if study.participants else ''
-        print(f'{study.name}: {len(table)}{planned} participants, in {there.path}')
+        print(one_line(f'{study.name}: {len(table)}{planned} participants, in {there.path}'))
         for version in protocol.versions:
             when = time.strftime('%Y-%m-%d %H:%M', time.localtime(version.time))
-            print(f'{version.event} on {when}: {version.digest[:SHOWN_DIGEST]}')
-        print(table.to_string(index=False) if len(table) else 'nobody has taken part yet')
+            print(one_line(f'{version.event} on {when}: {version.digest[:SHOWN_DIGEST]}'))
+        rows = table.to_string(index=False) if len(table) else 'nobody has taken part yet'
+        print(printable(rows))
     return 0
 
 
