@@ -277,15 +277,14 @@ def check_generated(files: Files, content: Iterable[bytes]) -> None:
     assert named == min(lost, 20) or f'{path} is left out: it is the record of' in errors
 
 
-def test_no_record_ends_in_a_traceback(files: Files) -> None:
+@pytest.mark.parametrize(
+    'count', [40, pytest.param(5000, marks=[pytest.mark.slow, pytest.mark.timeout(3600)])]
+)
+def test_no_record_ends_in_a_traceback(files: Files, count: int) -> None:
     files.write('000-p1.jsonl', began('p1'))
     files.export('answers.csv')  # what is imported once
 
-    @settings(
-        max_examples=int(os.environ.get('GENERATED_RECORDS', '150')),
-        deadline=None,
-        suppress_health_check=list(HealthCheck),
-    )
+    @settings(max_examples=count, deadline=None, suppress_health_check=list(HealthCheck))
     @given(st.lists(lines(), max_size=12))
     def generated(content: list[bytes]) -> None:
         check_generated(files, content)
