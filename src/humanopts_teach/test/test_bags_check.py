@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 import fcntl
+from itertools import pairwise
 import json
 import os
 from pathlib import Path
@@ -9,6 +10,7 @@ import resource
 import struct
 import subprocess
 import sys
+import time
 from typing import Any
 
 from humanopts_env.domains.registry import make_domain
@@ -18,6 +20,8 @@ from humanopts_teach.bags.check import check_bag, RECORDER, REPAIR, repair
 from humanopts_teach.bags.reader import open_bag
 from humanopts_teach.bags.writer import BagWriter, Limits, NO_LIMITS
 from humanopts_teach.cli import main
+from hypothesis import given, HealthCheck, settings
+from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap.writer import Writer
 import pytest
@@ -374,3 +378,57 @@ def test_no_text_in_a_bag_ends_its_line(
         text = ''.join(capsys.readouterr())
         assert [line for line in text.splitlines() if line.startswith('FAKE')] == []
         assert [c for c in text if not c.isprintable() and c != '\n'] == [], command
+
+
+ROOT = 'rosbag2_bagfile_information'
+_VALUE = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=12),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner),
+    max_leaves=5,
+) | st.sampled_from([[f'a_{"9" * 5000}.mcap', 'bag_0.mcap', 'bag_99999.mcap', '/', '\0'], {}])
+_TEXT = st.text(alphabet='[]{}:,-&*!<>| \n\tab0"', max_size=20)
+
+
+@given(st.data())
+@settings(
+    max_examples=int(os.environ.get('GENERATED', '100')),
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+)
+def test_a_bag_is_read_whatever_its_metadata_says(bag: Path, data: st.DataObject) -> None:
+    path = bag / 'metadata.yaml'
+    kept = path.with_suffix('.kept')
+    if not kept.exists():
+        kept.write_bytes(path.read_bytes())
+    text = kept.read_text()
+    if data.draw(st.booleans()):
+        values = yaml.safe_load(text)
+        keys = st.sampled_from(sorted(values[ROOT]))
+        values[ROOT] |= data.draw(st.dictionaries(keys, _VALUE, max_size=3))
+        text = yaml.safe_dump(values)
+    else:
+        at = data.draw(st.integers(0, len(text)))
+        text = text[:at] + data.draw(_TEXT) + text[at + data.draw(st.integers(0, 9)) :]
+    path.write_text(text, 'utf-8', errors='surrogatepass')
+    began = time.process_time()
+    try:
+        found = check_bag(open_bag(bag))
+    except BagError as error:
+        assert str(error).isprintable()  # noqa: PT017
+    else:
+        assert found.messages == 200
+    assert time.process_time() - began < 1
+
+
+def test_metadata_that_is_made_to_blow_up_is_damaged(bag: Path) -> None:
+    names = 'abcdefghi'
+    merges = [
+        f'{new}: &{new} {{<<: [{",".join([f"*{old}"] * 9)}]}}\n' for old, new in pairwise(names)
+    ]
+    path = bag / 'metadata.yaml'
+    path.write_text(f'a: &a {{k: v}}\n{"".join(merges)}{path.read_text()}')
+    began = time.process_time()
+    assert 'metadata.yaml is damaged: merge keys (<<)' in open_bag(bag).damage
+    path.unlink()
+    os.mkfifo(path)
+    assert 'it is not a regular file' in open_bag(bag).damage
+    assert time.process_time() - began < 1

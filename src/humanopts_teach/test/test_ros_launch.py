@@ -116,12 +116,23 @@ def test_every_argument_reaches_a_parameter() -> None:
         ('only', 'games'),
         ('only', 'simulated_teacher'),
         ('domain_parameters', '[7]'),
+        ('domain_parameters', '{"a": ' * 100_000),
+        ('seed', '9' * 5000),
+        ('step_period', 'NaN'),
         ('domain_parameters', 'rows=7'),
     ],
 )
 def test_bad_value_is_refused_by_name(name: str, value: str) -> None:
     with pytest.raises(LaunchArgumentError, match=f'^{name}:='):
         specs_of(**{name: value})
+
+
+def test_a_domain_parameter_of_another_type_is_refused() -> None:
+    firm = {'domain': 'gymnasium:FrozenLake-v1', 'domain_parameters': '{"is_slippery": false}'}
+    assert setup_from_launch({**DEFAULTS, **firm}).domain_parameters == {'is_slippery': False}
+    text = firm | {'domain_parameters': '{"is_slippery": "False"}'}
+    with pytest.raises(LaunchArgumentError, match='is "False", and has to be true or false'):
+        setup_from_launch({**DEFAULTS, **text})
 
 
 def test_the_recorder_ends_last_and_has_more_time_than_the_others(

@@ -283,6 +283,9 @@ def test_a_code_is_used_once_and_goes_on_until_its_end(plan: StudyPlan, tmp_path
         folder.enter(plan, 'anna')
     with pytest.raises(StudyError, match='not a code'):
         folder.enter(plan, '../x')
+    folder.enter(plan, 'simulated-1')
+    with pytest.raises(StudyError, match="'simulated-1' is a person of this study"):
+        folder.enter(plan, 'simulated-1', simulated=True)
 
 
 def test_too_many_people_are_refused(write: Callable[[str], Path], tmp_path: Path) -> None:

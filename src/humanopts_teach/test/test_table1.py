@@ -1,26 +1,34 @@
 """``bag table1``: what people named is counted as in Table 1 of the paper."""
 
 import json
+import os
 from pathlib import Path
+import time
 from typing import Any
 
 from humanopts_env.domains.base import Domain
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.ros.convert import domain_to_info
 from humanopts_interfaces.msg import Demonstration, LessonState, StudyEvent
+from humanopts_ros.limits import one_line
+from humanopts_ros.text_files import FileError
 from humanopts_teach.bags.reader import open_bag
 from humanopts_teach.cli import main
 from humanopts_teach.evaluation.table1 import (
     ButtonRow,
     count_named,
+    MergeError,
     named_options,
     NamedOption,
     read_merge,
     TABLE_1,
 )
+from hypothesis import given, HealthCheck, settings
+from hypothesis import strategies as st
 import pytest
 from scipy.stats import binomtest
 from teach_support.bags import write_messages
+import yaml
 
 PICKUP = 'go to passenger and pickup'
 MERGE = """
@@ -147,6 +155,31 @@ def test_a_domain_that_the_paper_lacks_has_no_column_of_it() -> None:
     (table,) = count_named([NamedOption('rooms', 'a', 'leave', taught=False)], {})
     assert [(row.option, row.people, row.paper) for row in table.rows] == [('leave', 1, None)]
     assert isinstance(table.rows[0], ButtonRow)
+
+
+_TEXT = st.text(max_size=12) | st.sampled_from(['fetch', 'No', '&a x', '*a', '<<', '!!int 1'])
+_MERGE = st.dictionaries(_TEXT, st.lists(_TEXT | st.none() | st.booleans() | st.floats()) | _TEXT)
+
+
+@given(
+    st.dictionaries(_TEXT, st.lists(_TEXT, max_size=4)).map(yaml.safe_dump)
+    | _MERGE.map(yaml.safe_dump)
+    | _MERGE.map(lambda values: '\n'.join(f'{key}: {value}' for key, value in values.items()))
+)
+@settings(
+    max_examples=int(os.environ.get('GENERATED', '200')),
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+)
+def test_any_merge_file_is_read_or_refused_in_one_line_at_once(tmp_path: Path, text: str) -> None:
+    path = tmp_path / 'merge'
+    path.write_text(text, encoding='utf-8', errors='surrogatepass')
+    began, said = time.process_time(), ''
+    try:
+        read_merge(path)
+    except (MergeError, FileError) as error:
+        said = str(error)
+    assert one_line(said) == said
+    assert time.process_time() - began < 1
 
 
 @pytest.mark.parametrize(

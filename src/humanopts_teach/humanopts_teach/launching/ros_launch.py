@@ -8,8 +8,10 @@ from pathlib import Path
 import time
 from typing import Any
 
+from humanopts_env.domains.parameters import MOST_PARAMETERS
 from humanopts_env.domains.registry import make_domain
 from humanopts_learner.demonstrations import check_method
+from humanopts_ros.limits import JsonError, parse_json, shown
 from humanopts_teach.launching.place import only_launch
 from humanopts_teach.launching.processes import (
     OUTLASTING,
@@ -150,11 +152,13 @@ def _read(argument: LaunchArgument, text: str) -> Any:
     if kind is tuple:
         return tuple(part.strip() for part in text.split(';') if part.strip())
     try:
-        value = json.loads(text.lower() if kind is bool else text)
-    except json.JSONDecodeError:
+        value = parse_json(text.lower() if kind is bool else text, MOST_PARAMETERS)
+    except JsonError:
         value = None
     if kind is float and type(value) is int:
         value = float(value)
     if type(value) is not kind:
-        raise LaunchArgumentError(f'{argument.name}:={text.strip()} is not {_WANTED[kind]}')
+        raise LaunchArgumentError(
+            f'{argument.name}:={shown(text.strip(), 60)} is not {_WANTED[kind]}'
+        )
     return value

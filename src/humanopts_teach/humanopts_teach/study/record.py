@@ -243,6 +243,7 @@ class StudyFolder:
             if known is not None:
                 record = Record.read(known.path)
                 _check_known(self._followed(protocol, plan, record), known, record)
+                _check_kind(code, record, simulated=simulated)
                 if record.began is not None:
                     return known
             else:
@@ -407,6 +408,15 @@ def _check_known(plan: StudyPlan, known: Participant, record: Record) -> None:
         raise StudyError(
             f'{known.code!r} began with another plan, whose conditions were '
             f'{", ".join(began.order)}; put that plan back'
+        )
+
+
+def _check_kind(code: str, record: Record, *, simulated: bool) -> None:
+    """Refuse to have a person and a simulated teacher share a record."""
+    if (began := record.began) is not None and began.simulated != simulated:
+        who = 'a simulated participant' if began.simulated else 'a person'
+        raise StudyError(
+            f'{code!r} is {who} of this study: give another code, or another folder with --study'
         )
 
 
