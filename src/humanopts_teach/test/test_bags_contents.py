@@ -29,6 +29,7 @@ from humanopts_teach.bags.contents import (
 from humanopts_teach.bags.info import summarise
 from humanopts_teach.bags.reader import MOST_NOTES, open_bag
 from humanopts_teach.bags.sequence_numbers import MOST_GAPS, read_stamp, Stamp, Stream
+from humanopts_teach.bags.writer import BagWriter, GAME_NODES, GAME_NODES_KEY
 from humanopts_teach.cli import main
 from humanopts_teach.commands.bag import ranges
 from humanopts_teach.report.episode import read_last_episode
@@ -357,3 +358,52 @@ def test_more_gaps_than_are_kept_hide_no_loss() -> None:
     stream.add(1)  # so late that its gap is not kept
     assert (stream.missing, stream.duplicates, stream.late) == (lost, 1, 0)
     assert len(stream._gaps) <= 2 * MOST_GAPS
+
+
+def forged(taxi: Domain[Any], publisher: str) -> list[tuple[str, Any]]:
+    """Return a game of Taxi, announced, and beside it what somebody else has announced."""
+    other, mine = domain_to_info(make_domain('rooms')), domain_to_info(taxi)
+    other.publisher_id, other.sequence = publisher, 1
+    mine.publisher_id, mine.sequence = '/game#1', 1
+    states = [transition_to_message(each) for each in play(taxi, ['north', 'east'])]
+    announced = ('/domain_info', mine)
+    return [('/domain_info', other), announced, *(('/game_state', state) for state in states)]
+
+
+@pytest.mark.parametrize(
+    ('publisher', 'told'),
+    [
+        ('/stranger#1', 'from /stranger, not from /game'),
+        ('stranger', 'from stranger, not from /game'),
+        ('', 'from no node, not from /game'),
+        ('/game#2', 'from /game#2, another game than taxi {"cols": 5, "rows": 5}'),
+        ('/game#1', 'from /game#1, another game than taxi {"cols": 5, "rows": 5}'),
+    ],
+)
+def test_a_game_that_another_node_announced_does_not_count_in_a_bag_of_another_program(
+    tmp_path: Path, taxi: Domain[Any], publisher: str, told: str
+) -> None:
+    entries = forged(taxi, publisher)
+    if publisher == '/game#1':  # what a process announces first is its game
+        entries[:2] = reversed(entries[:2])
+    bag = write_messages(tmp_path / 'bag', entries)
+    assert read_domain(bag).name == 'taxi'
+    assert [len(episode.transitions) for episode in read_episodes(bag)] == [3]
+    assert bag.notes == [f'left out: 1 message on /domain_info: {told}']
+    assert bag.damage == ''
+
+
+@pytest.mark.parametrize('kept', ['[', '5', '{}', '[' * 100_000, '[]'])
+def test_a_damaged_record_of_the_game_is_said_and_the_bag_is_read(
+    tmp_path: Path, taxi: Domain[Any], kept: str
+) -> None:
+    path = write_messages(tmp_path / 'bag', forged(taxi, '/stranger#1')).path
+    with BagWriter(tmp_path / 'kept') as writer:
+        writer.note(GAME_NODES, {GAME_NODES_KEY: kept})
+        opened = open_bag(path)
+        for recorded in opened.messages():
+            writer.add_topic(recorded.topic, recorded.type)
+            writer.write(recorded.topic, recorded.data, recorded.log_time)
+    bag = open_bag(tmp_path / 'kept')
+    assert read_domain(bag).name == 'taxi'
+    assert ('humanopts_game is damaged' in bag.damage) is (kept != '[]')

@@ -5,11 +5,10 @@ from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import ExitStack
 from functools import cached_property, partial
-import json
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
-from humanopts_ros.limits import shown
+from humanopts_ros.limits import parse_json, shown
 from humanopts_ros.recording import INTERFACES, own_name
 from humanopts_ros.senders import GAME_TOPICS, sender_of, signer
 from humanopts_ros.text_files import parse_yaml, YamlError
@@ -201,11 +200,13 @@ class Bag:
         """
         kept = self.metadata.get(GAME_NODES, {}).get(GAME_NODES_KEY, '')
         try:
-            names = json.loads(kept) if kept else []
+            names = parse_json(kept) if kept else []
         except ValueError:
-            names = []
-        if names:
+            names = None
+        if isinstance(names, list) and names:
             return tuple(map(str, names))
+        if names != []:
+            self.note(f'the record {GAME_NODES} is damaged')
         announced = dict.fromkeys(self._signers(DOMAIN_INFO))
         played = Counter(self._signers(GAME_STATE))
         games = [name for name in announced if name in played or not played]
