@@ -1,5 +1,6 @@
 """Looks at a graph from outside, before a launch and for ``status``: it publishes nothing."""
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from functools import partial
@@ -147,6 +148,7 @@ class _Probe:
         self._executor.add_node(node)
         self._statuses: dict[str, msg.NodeStatus] = {}  # the newest of each node
         self._newest: dict[str, dict[str, Any]] = {}  # message by topic and publisher
+        self._told: dict[str, str] = {}  # by each conductor: there is one for each part of a graph
         self._sent: dict[str, float] = {}  # when each node was asked, s
         self._answers: dict[str, float] = {}  # s, by node
         self._processes: dict[str, psutil.Process | None] = {}
@@ -189,7 +191,7 @@ class _Probe:
                 return None
             return max(0, count(last) - count(first)) / passed
 
-        restarts = restarts_in(self._status(CONDUCTOR).text)
+        restarts = sum(map(restarts_in, self._told.values()), Counter[str]())
         state, info = newest.get('current_state'), newest.get('domain_info')
         control = newest.get('control')
         steps = rate('current_state', lambda message: int(message.sequence))
@@ -247,6 +249,8 @@ class _Probe:
         if signer(status.publisher_id) != status.node:
             return
         name = status.node.rpartition('/')[2]
+        if name == CONDUCTOR:
+            self._told[status.publisher_id] = status.text
         known = self._statuses.get(name)
         same = known is None or status.publisher_id == known.publisher_id
         if same or status.state != status.STATE_STOPPING:  # another process has the name now
