@@ -127,7 +127,7 @@ def test_what_somebody_taught_is_read_again_when_they_go_on(
     kept = file.read_bytes()
     file.unlink()
     file.mkdir()
-    with pytest.raises(DataSetError, match=r'cannot read .*jsonl: Is a directory'):
+    with pytest.raises(DataSetError, match=r'cannot read .*jsonl: it is not a regular file'):
         trainer.take(withdrawn(two[0]))
     file.rmdir()
     file.write_bytes(kept)
@@ -350,9 +350,11 @@ def test_a_last_line_that_lacks_only_its_end_is_kept(path: Path) -> None:
     assert path.read_bytes() == b'{"a": 1}\n{"b": 2}\n'
 
 
-def test_a_line_that_is_no_text_is_given_as_it_can_be_read(path: Path) -> None:
+def test_a_line_that_is_not_utf8_is_left_out_and_named(path: Path) -> None:
     path.write_bytes(b'\xff\n{"a": 1}\n')
-    assert AppendOnlyLog(path).read(str) == ['\ufffd', '{"a": 1}']
+    log = AppendOnlyLog(path)
+    assert log.read(str) == ['{"a": 1}']
+    assert log.problems == [f'line 1 of {path} is left out: it is not a text in UTF-8']
 
 
 def test_a_write_that_fails_half_way_leaves_the_file_as_it_was(

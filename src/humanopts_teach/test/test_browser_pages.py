@@ -67,6 +67,9 @@ def stop() -> threading.Event:
 @pytest.fixture(scope='module')
 def address(stop: threading.Event) -> Iterator[str]:
     """Pages that are served meanwhile."""
+    # In this thread: two that import at once can disturb each other's syntax trees in Python 3.11.
+    import nicegui  # noqa: F401
+
     listening = socket.create_server(('127.0.0.1', 0))
 
     async def serving() -> None:
