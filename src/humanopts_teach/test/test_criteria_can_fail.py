@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from typing import Any
+import warnings
 
 from graph_support.scripted import show
 from humanopts_env.domains.registry import make_domain
@@ -9,9 +10,13 @@ from humanopts_env.domains.tabular import best_ways
 from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.options.criteria import judge, Thresholds
+from humanopts_learner.options.learn import learn_option
+from humanopts_teach.evaluation.bag_evaluation import CurvePoint
+from humanopts_teach.evaluation.measures import option_block
 from humanopts_teach.lesson.in_process import teach
 from humanopts_teach.lesson.seeded_starts import LessonRules
 from humanopts_teach.lesson.simulated_teacher import TeacherSettings
+from humanopts_teach.report.charts import learning_curves
 import numpy as np
 import pytest
 
@@ -81,13 +86,20 @@ def test_a_careful_teacher_meets_them_with_about_twenty_demonstrations(
 def test_where_no_reward_can_be_told_from_random_actions_the_return_is_not_measurable() -> None:
     """The lesson ends, but does not say that all criteria hold."""
     demonstrations = shown('rooms', SOUTH, 0.0, 1)
-    judgement = judge(demonstrations, make_domain('rooms'), Thresholds(), 1)
+    rooms = make_domain('rooms')
+    option = learn_option(demonstrations, rooms, 1)
+    judgement = judge(demonstrations, rooms, Thresholds(), 1, option)
     found, initiation, termination = judgement.criteria
     assert (found.value, found.threshold, found.met) == (None, None, False)
     assert found.verdict == 'not measurable'
     assert initiation.met
     assert termination.met
     assert (judgement.settled, judgement.criteria_met) == (True, False)
-    asked = judge(demonstrations, make_domain('rooms'), Thresholds(return_delta=0.5), 1)
+    with warnings.catch_warnings():
+        warnings.simplefilter('error')
+        point = CurvePoint(option, judgement, option_block(option, judgement, rooms), 0.0)
+        (figure, *_) = learning_curves([point], 'option', SOUTH)
+    assert 'not measurable' in figure
+    asked = judge(demonstrations, rooms, Thresholds(return_delta=0.5), 1)
     assert asked.criteria[0].threshold == 0.5
     assert asked.criteria_met  # as asked for

@@ -99,14 +99,17 @@ def learning_curves(points: Sequence[CurvePoint], name: str, option: str) -> lis
     figures = []
 
     @contextmanager
-    def chart(part: str, title: str, unit: str, curves: _Curves) -> Iterator[Axes]:
+    def chart(
+        part: str, title: str, unit: str, curves: _Curves, nothing: str = ''
+    ) -> Iterator[Axes]:
         axes_of: dict[str, Any] = {'title': title, 'xlabel': 'demonstrations', 'ylabel': unit}
         with _chart(f'{name}-{part}', f'{title}: {option}', **axes_of) as work:
-            _draw_curves(work.axes, curves)
+            _draw_curves(work.axes, curves, nothing)
             yield work.axes
             work.axes.set_xlim(0, max(drawn) + 0.6)
             work.axes.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=7))
-            work.axes.legend(loc='best')
+            if work.axes.get_legend_handles_labels()[0]:  # else nothing is measured
+                work.axes.legend(loc='best')
             work.figure.set_layout_engine(None)  # to lay out takes as long as to draw
             work.figure.subplots_adjust(**MARGINS)
         figures.append(work.svg)
@@ -119,7 +122,7 @@ def learning_curves(points: Sequence[CurvePoint], name: str, option: str) -> lis
             'measured': {n: c.value for n, c in known.items()},
             'upper limit': {n: c.high for n, c in known.items() if c.high != c.value},
         }
-        with chart(criterion, title, unit, curves) as axes:
+        with chart(criterion, title, unit, curves, list(known.values())[-1].verdict) as axes:
             limits = {n: c.threshold for n, c in known.items() if c.threshold is not None}
             if not limits:
                 continue
@@ -156,15 +159,19 @@ def learning_curves(points: Sequence[CurvePoint], name: str, option: str) -> lis
     return figures
 
 
-def _draw_curves(axes: Axes, curves: _Curves) -> None:
-    """Draw values by demonstrations, with so few markers that they do not overlap."""
+def _draw_curves(axes: Axes, curves: _Curves, nothing: str) -> None:
+    """
+    Draw values by demonstrations, with so few markers that they do not overlap.
+
+    :param nothing: to write where there is no value.
+    """
     for style, (label, curve) in zip(CURVES, curves.items()):
         known = {n: value for n, value in curve.items() if value is not None}
         if known:
             every = -(-len(known) // MOST_MARKERS)
             axes.plot(list(known), list(known.values()), markevery=every, label=label, **style)
     if not _known(*curves.values()):
-        axes.text(0.5, 0.7, 'not yet measurable', transform=axes.transAxes, ha='center')
+        axes.text(0.5, 0.7, nothing, transform=axes.transAxes, ha='center')
 
 
 def _known(*curves: Mapping[int, float | None]) -> list[float]:
