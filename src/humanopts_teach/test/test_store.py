@@ -236,6 +236,7 @@ OpenSessionFile(Path(sys.argv[1])).keep('p1', 's1')
 
 
 def test_a_process_of_the_same_parent_goes_on_with_what_was_open(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / 'open_session.json')  # nobody will ever write into it
     assert OpenSessionFile(tmp_path).left() is None
     OpenSessionFile(tmp_path).keep('p1', 's1')
     OpenSessionFile(tmp_path).keep('p1', 's2')

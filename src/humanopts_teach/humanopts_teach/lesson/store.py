@@ -19,6 +19,7 @@ from typing import Any, TextIO
 from humanopts_learner.append_only_log import AppendOnlyLog, link_remark
 from humanopts_learner.demonstrations import Demonstration, DemonstrationError
 from humanopts_ros.limits import caseless, composed, JsonError, parse_json
+from humanopts_ros.text_files import FileError, read_text
 import psutil
 
 VERSION = 1  # of the line format
@@ -264,10 +265,10 @@ class OpenSessionFile:
     def left(self) -> tuple[str, str] | None:
         """Return participant and session that a process before this one has left open."""
         try:
-            values = parse_json(self._path.read_text('utf-8'))
+            values = parse_json(read_text(self._path))
             if values['parent'] == self._parent:
                 return str(values['participant']), str(values['session'])
-        except (OSError, JsonError, UnicodeError, LookupError, TypeError):
+        except (FileError, JsonError, LookupError, TypeError):
             pass  # there is none, or it is not ours
         return None
 

@@ -23,6 +23,7 @@ from humanopts_ros.publisher import PublishError
 from humanopts_ros.qos import LATCHED
 from humanopts_ros.recording import MAX_BYTES, SHARED
 from humanopts_ros.senders import GAME_SERVICE
+from humanopts_ros.text_files import FileError, read_bytes
 from humanopts_teach.bags import BagWriteError, SchemaError
 from humanopts_teach.bags.provenance import attachments, software
 from humanopts_teach.bags.sequence_numbers import is_stamped, LossCounter, read_stamp
@@ -43,6 +44,7 @@ from rclpy.executors import Executor
 from rclpy.serialization import deserialize_message
 
 _NS = 10**9
+_MAX_ATTACHED = 2**31  # bytes of a file that is kept in the bag
 _PERIOD = 0.02  # s between takes
 _DISCOVERY_PERIOD = 0.05  # s between looks at the graph while it is not all matched
 _SKIPPED_LOOKS = 4  # looks that are left out while it is
@@ -200,9 +202,9 @@ class Recorder(NodeBase):
         """Keep files in the bag as they now are."""
         for name, path in attachments(self._attached):
             try:
-                data, changed = path.read_bytes(), path.stat().st_mtime_ns
-            except OSError as error:
-                self.get_logger().warning(f'{path} is not kept in the bag: {error.strerror}')
+                data, changed = read_bytes(path, _MAX_ATTACHED), path.stat().st_mtime_ns
+            except (OSError, FileError) as error:
+                self.get_logger().warning(f'{path} is not kept in the bag: {error}')
                 continue
             kind = guess_type(name)[0] or 'application/octet-stream'
             self._bag.attach(name, data, kind, (changed, self._subscriber.times.now))
