@@ -1,5 +1,6 @@
 """The command line: help, one plain line for any bad input, and two launches in one place."""
 
+from collections.abc import Iterator
 from importlib.metadata import EntryPoint, version
 import json
 import os
@@ -10,6 +11,7 @@ import subprocess
 import sys
 from typing import Any, get_args, get_type_hints
 
+from graph_support.live import free_domain_id
 from humanopts_env.domains import registry
 from humanopts_learner.options.criteria import Thresholds
 from humanopts_learner.options.start_states import STRATEGIES
@@ -46,6 +48,14 @@ HELP = {
     ('bag', 'table1'): ('BAG', '--merge', '--json'),
     ('bag', 'export'): ('BAG', '--to', 'csv', 'parquet', 'minari', '--out'),
 }
+
+
+@pytest.fixture(autouse=True)
+def own_domain_id(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Refuse and accept whatever else runs on this machine."""
+    with free_domain_id() as number:
+        monkeypatch.setenv('ROS_DOMAIN_ID', str(number))
+        yield
 
 
 def run(*arguments: Any) -> int:

@@ -37,6 +37,7 @@ from humanopts_teach.commands.output import open_streams, silence
 from humanopts_teach.commands.study import app as study_app
 from humanopts_teach.launching import LaunchError, OccupiedError
 from humanopts_teach.launching.fork_server import discard, prepare
+from humanopts_teach.launching.job import stand_in_front
 import typer
 from typer.core import TyperCommand
 
@@ -208,6 +209,16 @@ def teach(
     launch: LaunchOptions,
 ) -> int:
     """Launch, and teach from this terminal's keyboard, or from browsers."""
+    from humanopts_teach.lesson.store import CODE, CODE_RULE
+    from humanopts_teach.terminal.device import why_not
+
+    if participant and not CODE.fullmatch(participant):
+        raise CommandError(f'--participant {participant!r} is not a code: {CODE_RULE}')
+    if not pages.browser:
+        if fault := why_not():
+            raise CommandError(f'{fault}; or teach in a browser: --browser')
+        if (ended_with := stand_in_front()) is not None:
+            return ended_with
     from humanopts_teach.commands.session import (
         check_folder,
         default_folder,
@@ -217,14 +228,8 @@ def teach(
         setup_from,
         WATCHED,
     )
-    from humanopts_teach.lesson.store import CODE, CODE_RULE
-    from humanopts_teach.terminal.device import why_not
 
     given: dict[str, Any] = {'participant': participant, 'ask_participant': False}
-    if participant and not CODE.fullmatch(participant):
-        raise CommandError(f'--participant {participant!r} is not a code: {CODE_RULE}')
-    if not pages.browser and (fault := why_not()):
-        raise CommandError(f'{fault}; or teach in a browser: --browser')
     if pages.browser and only:
         raise CommandError('--only is not for --browser, where each page has nodes of its own')
     if participant and not pages.browser:

@@ -25,7 +25,7 @@ from humanopts_teach.commands import CommandError, Interrupts, noticed_interrupt
 from humanopts_teach.commands.options import LaunchOptions
 from humanopts_teach.commands.output import unfailing_output
 from humanopts_teach.launching import LaunchError, USUAL
-from humanopts_teach.launching.job import front_is_gone, stand_in_front
+from humanopts_teach.launching.job import front_is_gone
 from humanopts_teach.launching.launcher import Launcher
 from humanopts_teach.launching.place import only_launch
 from humanopts_teach.launching.processes import (
@@ -39,7 +39,6 @@ from humanopts_teach.launching.processes import (
 from humanopts_teach.launching.restarts import MOST, NodeExit
 from humanopts_teach.ros.graph_client import GraphClient
 from humanopts_teach.ros.graph_probe import check_free
-import typer
 
 _NAMESPACE = re.compile(r'/|(/[A-Za-z_][A-Za-z0-9_]*)+')  # of nodes, as ROS 2 allows them
 _TEACHING_SECONDS = 600.0  # longest time in which the simulated teacher does nothing
@@ -365,11 +364,8 @@ def run_in_terminal(
 
     :param done: called when the terminal is free again, before the recording is checked.
     :return: the session that has ended, and the exit status of the terminal's node.
-    :raises typer.Exit: in the process that stood in front, which Ctrl-Z stops.
     :raises LaunchError: as of ``session``, or not all was recorded.
     """
-    if (status := stand_in_front()) is not None:
-        raise typer.Exit(status)
     print('starting ...', flush=True)
     said: list[str] = []  # while the terminal is not ours
     try:

@@ -11,6 +11,7 @@ from humanopts_ros.limits import one_line, printable
 from humanopts_teach.bags import BagError
 from humanopts_teach.commands import CommandError
 from humanopts_teach.commands.options import ExcelOption, PageOptions, PLAIN, whole, with_options
+from humanopts_teach.launching.job import stand_in_front
 import typer
 from typer.core import TyperGroup
 
@@ -70,9 +71,13 @@ def run(
     pages: PageOptions,
 ) -> int:
     """Take one participant through the study in this terminal, or several in browsers."""
+    from humanopts_teach.terminal.device import why_not
+
+    fault = '' if simulate or pages.browser else why_not()
+    if not (simulate or pages.browser or fault) and (status := stand_in_front()) is not None:
+        return status
     from humanopts_teach.commands.session import check_place
     from humanopts_teach.commands.study_session import Study
-    from humanopts_teach.terminal.device import why_not
 
     check_place(namespace)
     study = Study(*_open(plan, folder), namespace)
@@ -86,7 +91,7 @@ def run(
         from humanopts_teach.commands.browser import study_in_browser
 
         return study_in_browser(study, pages, participant)
-    if fault := why_not():
+    if fault:
         raise CommandError(f'{fault}; or take --browser, or --simulate N')
     return study.run(participant or input('code of the participant: ').strip())
 

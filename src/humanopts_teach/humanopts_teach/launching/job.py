@@ -20,11 +20,12 @@ def stand_in_front() -> int | None:
     """
     Fork; the process that the shell waits for stays here until the launch behind it ends.
 
-    :return: its exit status; None: this is the launch, which goes on.
+    It comes before ROS is loaded, whose libraries start threads that a fork would not have.
+
+    :return: the exit status of the launch; None: this is the launch, which goes on.
     """
     global _front
-    if _front:
-        return None
+    assert 'rclpy' not in sys.modules, 'the fork comes too late'
     sys.stdout.flush()
     sys.stderr.flush()
     noticed = {*_FORWARDED, signal.SIGCHLD}
