@@ -178,8 +178,14 @@ def present(done: report.Done) -> report.Section:
 
 
 def _comparisons(episodes: pd.DataFrame) -> list[report.Comparison]:
-    """Compare the steps of all episodes; people and extractions are independent units."""
+    """
+    Compare the steps of all episodes; people and extractions are independent units.
+
+    Fewer steps alone do not say that anything was learned, so the first and the last episodes of
+    human options stand beside them.
+    """
     found = []
+    last = episodes['episode'].max()
     totals = episodes.groupby([*KEYS, 'member'], sort=False)['steps'].sum().reset_index()
     for (method,), rows in report.grouped(totals, ['method']):
         steps = {name: mine['steps'] for (name,), mine in report.grouped(rows, ['action set'])}
@@ -187,7 +193,13 @@ def _comparisons(episodes: pd.DataFrame) -> list[report.Comparison]:
             fewer = Interval.of_difference(steps['automatic'], steps['human'], paired=False)
             values = {name: Interval.of(each) for name, each in steps.items()}
             case = f'{method}, steps in all {paper.EPISODES} episodes'
+            own = episodes[(episodes['method'] == method) & (episodes['action set'] == 'human')]
+            means = {
+                'human in the first 10': own[own['episode'] <= 10]['steps'].mean(),
+                'in the last 10': own[own['episode'] > last - 10]['steps'].mean(),
+            }
             text = report.listed(case, {**values, 'automatic less human': fewer}, ',.0f')
+            text += report.listed('; steps of an episode', means, '.1f')
             found.append(report.compared(paper.SAID['learning'], text, fewer.above()))
     return found
 

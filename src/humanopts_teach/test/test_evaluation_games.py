@@ -273,6 +273,18 @@ def test_json_and_text_hold_every_number(games: GamesEvaluation) -> None:
         assert all(row.name in text for row in setting.rows)
 
 
+def test_the_best_plan_is_compared_with_the_best_rule_by_the_wider_interval(
+    games: GamesEvaluation,
+) -> None:
+    for setting, plain in zip(games.settings, games.to_dict()['settings'], strict=True):
+        assert setting.over_rule is not None
+        plan, rule, more = setting.over_rule
+        assert f'{plan.name} less {rule.name}, game by game: ' in '\n'.join(games_text(games))
+        assert plain['over_rule']['mean'] == more.mean == (plan.scores - rule.scores).mean()
+        alone = Interval.of_difference(plan.scores, rule.scores)
+        assert more.low < alone.low < alone.high < more.high
+
+
 def curve(name: str, *rows: tuple[float, float]) -> Curve:
     """Return a curve of planning seconds and lower bounds of scores."""
     return Curve(

@@ -73,7 +73,7 @@ def find_options(
     clock: Callable[[], float] = time.perf_counter,
 ) -> AutomaticOptions:
     """
-    Find options by the algorithm of Stolle and Precup (2002).
+    Find options by the algorithm of Stolle and Precup (2002), changed as the package says.
 
     :param domain: an enumerable domain, or one with a search space of its own.
     :param progress: called with the stages ``tasks`` and ``policies``.

@@ -24,7 +24,7 @@ from humanopts_env.arrays import Floats
 from humanopts_env.domains.base import Domain
 from humanopts_env.domains.capabilities import Baselines, HasBaselines, PlanSettings, Scores
 from humanopts_env.domains.registry import make_domain, parameters_json
-from humanopts_learner.intervals import Interval
+from humanopts_learner.intervals import Interval, level_of_each
 from humanopts_learner.options.files import option_to_json
 from humanopts_learner.options.option import LearnedOption, OptionError
 from humanopts_learner.planning.evaluate import Returns
@@ -291,6 +291,22 @@ class Setting:
         """What the plan with all options scores more than random choice among them, by game."""
         return Interval.of_difference(self.largest(PLAN).scores, self.largest(RANDOM).scores)
 
+    @property
+    def over_rule(self) -> tuple[ComparisonRow, ComparisonRow, Interval] | None:
+        """
+        Return the best plan with options alone, the best rule, and what the plan scores more.
+
+        Both are the best by their means, so the interval holds for every such plan and rule at
+        once. None: there is no rule.
+        """
+        plans = [row for row in self.rows if row.kind == PLAN and row.name.startswith(f'{HUMAN},')]
+        rules = [row for row in self.rows if row.kind == HEURISTIC]
+        if not plans or not rules:
+            return None
+        plan, rule = (max(rows, key=lambda row: row.score.mean) for rows in (plans, rules))
+        level = level_of_each(len(plans) * len(rules))
+        return plan, rule, Interval.of_difference(plan.scores, rule.scores, level)
+
 
 @dataclass(frozen=True)
 class GamesEvaluation:
@@ -308,6 +324,12 @@ class GamesEvaluation:
         targets = values.pop('targets')
         for setting, plain in zip(self.settings, values['settings']):
             plain['gain_over_chance'] = asdict(setting.gain)
+            over = setting.over_rule
+            plain['over_rule'] = over and {
+                'plan': over[0].name,
+                'rule': over[1].name,
+                **asdict(over[2]),
+            }
             for row in plain['rows']:
                 del row['scores'], row['n_states']
         for curve, plain in zip(self.curves, values['curves']):

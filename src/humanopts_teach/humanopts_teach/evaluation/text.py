@@ -88,6 +88,9 @@ def games_text(games: GamesEvaluation) -> list[str]:
         ]
         gain = f'{setting.largest(PLAN).name} less {setting.largest(RANDOM).name}, game by game'
         lines += ['', *table(head, rows), f'{gain}: {interval(setting.gain, 0)}']
+        if setting.over_rule is not None:
+            plan, rule, more = setting.over_rule
+            lines.append(f'{plan.name} less {rule.name}, game by game: {interval(more, 0)}')
     for target in games.targets:
         reached = [f'{curve.name} {curve.reached(target)}' for curve in games.curves]
         lines.append(f'planning to a score of {target:.0f}: {", ".join(reached)}')
