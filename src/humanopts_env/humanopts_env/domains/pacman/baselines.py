@@ -112,8 +112,9 @@ def _by_rule(
     near; else go to the closest food. A way to fruit that is gone to its end, whatever comes, is
     begun only where a dangerous ghost is more than twice as far.
 
-    Of 26 places and conditions of the clause for fruit, this scored best over both kinds of
-    ghosts, with a choice at every step and with options that run to their end.
+    Of 23 places and conditions of the clause for fruit, these scored best over both kinds of
+    ghosts in 1,000 games of a seed that no reported result uses, with a choice at every step, and
+    with options that run to their end.
 
     :param available: (O, N) whether each option can start.
     """
