@@ -5,10 +5,10 @@ from contextlib import suppress
 import errno
 import os
 from pathlib import Path
-import stat
 from typing import TypeVar
 
 from humanopts_ros.limits import parse_json
+from humanopts_ros.text_files import read_regular
 
 T = TypeVar('T')
 _APPENDING = os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_NOFOLLOW | os.O_NONBLOCK
@@ -58,7 +58,7 @@ class AppendOnlyLog:
 
     def _content(self) -> bytes:
         try:
-            return read_regular(self.path)
+            return read_in_place(self.path)
         except FileNotFoundError:
             return b''
 
@@ -92,7 +92,7 @@ def read_lines(
     :raises OSError: it is no regular file, is larger, or cannot be read; there may be none.
     """
     try:
-        content = read_regular(path, most)
+        content = read_in_place(path, most)
     except FileNotFoundError:
         return [], []
     entries, problems, unnamed = [], list[str](), 0
@@ -111,27 +111,16 @@ def read_lines(
     return entries, problems
 
 
-def read_regular(path: Path, most: int | None = None) -> bytes:
+def read_in_place(path: Path, most: int | None = None) -> bytes:
     """
-    Return the content of a file, which has to be one: a pipe in its place would never end.
+    Return the content of a regular file that lies here itself.
 
     :param most: bytes that it may have; None: any number.
     :raises OSError: it is a symbolic link, a folder, a pipe or a device, is larger, or cannot be
         read.
     """
     refuse_link(path)
-    handle = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
-    try:
-        found = os.fstat(handle)
-        if not stat.S_ISREG(found.st_mode):
-            raise OSError(errno.EINVAL, 'it is not a regular file; move it away', str(path))
-        if most is not None and found.st_size > most:
-            text = f'it has {found.st_size:,} bytes, and {most:,} are allowed'
-            raise OSError(errno.EFBIG, text, str(path))
-        with open(handle, 'rb', closefd=False) as file:
-            return file.read()
-    finally:
-        os.close(handle)
+    return read_regular(path, most, os.O_NOFOLLOW)
 
 
 def append_bytes(path: Path, content: bytes) -> None:

@@ -6,6 +6,7 @@ a device, an endless file nor a text made to blow up can stop or end a command.
 """
 
 from collections.abc import Iterator
+import errno
 import os
 from pathlib import Path
 import re
@@ -42,31 +43,39 @@ class YamlError(FileError):
     """A text is not YAML that can be used; the text says where and why."""
 
 
-def read_bytes(path: Path, most: int = MAX_TEXT) -> bytes:
+def read_regular(path: Path, most: int | None = None, flags: int = 0) -> bytes:
     """
     Return the contents of a regular file; devices, pipes and folders are refused unread.
 
-    :param most: bytes.
-    :raises FileError: it cannot be read, is no regular file, or is larger.
+    :param most: bytes; None: any number.
+    :param flags: of ``os.open``, besides those of reading.
+    :raises OSError: it cannot be read, is no regular file, or is larger.
+    """
+    handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC | flags)
+    try:
+        if not stat.S_ISREG(os.fstat(handle).st_mode):
+            raise OSError(errno.EINVAL, 'it is not a regular file', str(path))
+        with open(handle, 'rb', closefd=False) as file:
+            content = file.read(-1 if most is None else most + 1)
+    finally:
+        os.close(handle)
+    if most is not None and len(content) > most:
+        raise OSError(errno.EFBIG, f'it is larger than {most:,} bytes, the limit', str(path))
+    return content
+
+
+def read_bytes(path: Path, most: int = MAX_TEXT) -> bytes:
+    """
+    Return the contents of a regular file that a person named.
+
+    :raises FileError: as ``read_regular``, or the path cannot be one.
     """
     try:
-        handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY)
+        return read_regular(path, most)
     except OSError as error:
         raise FileError(f'cannot read {_named(path)}: {error.strerror}') from error
     except ValueError as error:  # a NUL, or a name that is not in the encoding of file names
         raise FileError(f'cannot read {_named(path)}: it is not a file name') from error
-    try:
-        if not stat.S_ISREG(os.fstat(handle).st_mode):
-            raise FileError(f'cannot read {_named(path)}: it is not a regular file')
-        with open(handle, 'rb', closefd=False) as file:
-            content = file.read(most + 1)
-    except OSError as error:
-        raise FileError(f'cannot read {_named(path)}: {error.strerror}') from error
-    finally:
-        os.close(handle)
-    if len(content) > most:
-        raise FileError(f'{_named(path)} is larger than {most:,} bytes, which is the limit')
-    return content
 
 
 def read_text(path: Path, most: int = MAX_TEXT) -> str:

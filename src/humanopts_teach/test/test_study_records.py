@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Mapping
 import csv
-import io
 import json
 import os
 from pathlib import Path
@@ -16,6 +15,7 @@ from humanopts_teach.study.events import event_of
 from hypothesis import given, HealthCheck, settings
 from hypothesis import strategies as st
 import pandas as pd
+import pexpect
 import pytest
 
 PLAN = """
@@ -326,23 +326,18 @@ def test_text_of_a_cell_is_read_back_as_it_was(text: str) -> None:
 
 
 def test_a_code_that_differs_only_in_case_is_asked_about_or_refused(
-    files: Files, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    files: Files, capsys: pytest.CaptureFixture[str]
 ) -> None:
     files.write('000-Simulated-1.jsonl', began('Simulated-1'))
     plan = ['study', str(files.path / 'plan.yaml'), '--study', str(files.study)]
     assert main([*plan, '--simulate', '1']) == 2
     assert "'simulated-1' differs only in case from 'Simulated-1'" in capsys.readouterr().err
-    monkeypatch.setattr(sys, 'stdin', Terminal('n\n'))
-    monkeypatch.setattr(sys.stdout, 'isatty', lambda: True)
-    assert main([*plan, '--participant', 'SIMULATED-1']) == 2
-    said = capsys.readouterr()
-    assert 'Go on as Simulated-1? [y/N]' in said.out
-    assert "give 'Simulated-1' to go on, or another code" in said.err
+    words = ['-m', 'humanopts_teach.cli', *plan, '--participant', 'SIMULATED-1']
+    terminal = pexpect.spawn(sys.executable, words, encoding='utf-8', timeout=60.0)
+    terminal.expect_exact('Go on as Simulated-1? [y/N]')
+    terminal.sendline('n')
+    terminal.expect_exact("give 'Simulated-1' to go on, or another code")
+    terminal.expect(pexpect.EOF)
+    terminal.close()
+    assert terminal.exitstatus == 2
     assert len(list(files.study.glob('*.jsonl'))) == 1
-
-
-class Terminal(io.StringIO):
-    """Standard input that is a terminal."""
-
-    def isatty(self) -> bool:
-        return True

@@ -17,7 +17,7 @@ import re
 import time
 from typing import Any, TypeVar
 
-from humanopts_learner.append_only_log import AppendOnlyLog, read_lines, read_regular
+from humanopts_learner.append_only_log import AppendOnlyLog, read_in_place, read_lines
 from humanopts_teach.lesson.requests import OptionStatus
 from humanopts_teach.lesson.store import CODE, CODE_RULE, similar_code
 from humanopts_teach.study.events import (
@@ -100,7 +100,7 @@ class Record:
     def read_head(cls, path: Path) -> 'Record':
         """Read a record up to how the participant began; the errors are those of ``read``."""
         events: list[Event] = []
-        for line in read_regular(path, MAX_BYTES).split(b'\n'):
+        for line in read_in_place(path, MAX_BYTES).split(b'\n'):
             with suppress(ValueError):
                 events.append(event_of(line.decode()))
                 if isinstance(events[-1], ParticipantBegan):
