@@ -74,7 +74,6 @@ def test_a_participant_takes_part_by_keys_and_is_then_refused(
     tmp_path: Path,
     domain_id: int,
     monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
 ) -> None:
     write_plan(tmp_path, 'only')
     words = ['study', 'plan.yaml', '--participant', 'anna']
@@ -92,10 +91,10 @@ def test_a_participant_takes_part_by_keys_and_is_then_refused(
         person.expect('anna has finished')
         person.expect(pexpect.EOF)
     assert person.exitstatus == 0
-    for stream in (sys.stdin, sys.stdout):
-        monkeypatch.setattr(stream, 'isatty', lambda: True)
-    assert main(words) == 2
-    assert "'anna' has ended this study already" in capsys.readouterr().err
+    with pexpect.spawn(sys.executable, program, timeout=60) as again:
+        again.expect_exact("'anna' has ended this study already")
+        again.expect(pexpect.EOF)
+    assert again.exitstatus == 2
     (record,) = (tmp_path / 'runs' / 'small').glob('000-anna.jsonl')
     noted = [json.loads(line) for line in record.read_text().splitlines()]
     assert [event['text'] for event in noted if event['event'] == 'button'] == ['fetch']
