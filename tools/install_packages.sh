@@ -6,6 +6,8 @@
 set -euo pipefail
 venv=$1 lock=$2
 into=(${3:+--target "$3"})
+compile=--compile-bytecode
+[ -z "${into[*]}" ] || compile=--no-compile-bytecode  # of a folder little is imported
 with_pip() {
   "$venv/bin/pip" install --disable-pip-version-check --quiet --no-deps --require-hashes \
     "${into[@]}" -r "$1" 2> >(grep -v -e '^WARNING: Location' -e DEPRECATION >&2)
@@ -14,5 +16,5 @@ if [ ! -x "$venv/bin/uv" ]; then
   awk '/^uv==/ {found = 1} found {print} found && !/\\$/ {exit}' "$lock" > "$venv/uv.lock"
   with_pip "$venv/uv.lock"
 fi
-VIRTUAL_ENV=$venv "$venv/bin/uv" pip install --quiet --no-deps --require-hashes --compile-bytecode \
+VIRTUAL_ENV=$venv "$venv/bin/uv" pip install --quiet --no-deps --require-hashes $compile \
   "${into[@]}" -r "$lock" 2> "$venv/uv.log" || with_pip "$lock"

@@ -367,7 +367,7 @@ def test_attached_files_that_are_all_damaged_are_refused(
 
 
 def test_text_that_a_spreadsheet_would_run_is_text_in_csv_alone(tmp_path: Path) -> None:
-    parquet = pytest.importorskip('pyarrow.parquet')
+    parquet = pytest.importorskip('pyarrow.parquet', exc_type=ImportError)
     table = Table('steps', ('option', 'reward'), [('=1+1', -5.0), ('größer', None)])
     (path,) = write_csv([table], tmp_path)
     assert path.read_text('utf-8').splitlines() == ['option,reward', "'=1+1,-5.0", 'größer,']
