@@ -536,6 +536,22 @@ def test_a_launch_refuses_another_in_its_place_and_one_beside_it_where_a_game_ru
             beside.close()
 
 
+def test_a_launch_gives_way_to_a_game_of_another_name(
+    live: Graph,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setenv('ROS_DOMAIN_ID', str(live.domain_id))
+    live.run(['-m', module_of(GAME), '--ros-args', '-r', '__node:=simulator'], 'simulator')
+    live.watch('/')
+    live.ready('/simulator')
+    assert main(words('/', tmp_path / 'out', 'game,lesson')) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert '/simulator runs already in ROS_DOMAIN_ID' in line
+    assert not (tmp_path / 'out').exists()
+
+
 def test_of_launches_that_come_at_once_one_stays(domain_id: int, tmp_path: Path) -> None:
     folders = [tmp_path / str(number) for number in range(4)]
     for folder in folders:

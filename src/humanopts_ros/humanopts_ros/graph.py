@@ -34,3 +34,14 @@ def serves(node: Node, name: str, service: str) -> bool:
     except NodeNameNonExistentError:  # it has gone just now
         return False
     return node.resolve_service_name(service) in (each for each, _ in served)
+
+
+def servers_of(node: Node, service: str) -> list[str]:
+    """
+    Return the full names of the nodes that serve a service, as far as the graph is known.
+
+    :param service: its name, relative to the namespace of ``node``.
+    """
+    if node.resolve_service_name(service) not in dict(node.get_service_names_and_types()):
+        return []
+    return sorted({name for name in node_names(node) if serves(node, name, service)})

@@ -11,7 +11,7 @@ from humanopts_teach.text_table import aligned
 
 NO_GRAPH = 2  # exit status: there is nothing in this ROS_DOMAIN_ID and namespace
 LITTLE_DISK = 10**9  # bytes that are left on the disk of the recording, below which it is told
-_SO_FAR = re.compile(r'; so far (.+)$')
+_SO_FAR = re.compile(r'the node [^;]+; so far ([^;]+)')  # and then what was refused
 _SILENT = 'does not answer'
 
 
@@ -21,8 +21,8 @@ def restarts_text(counts: Mapping[str, int]) -> str:
 
 
 def restarts_in(text: str) -> Counter[str]:
-    """Return what ``restarts_text`` has told at the end of a status; nothing else is read."""
-    found = _SO_FAR.search(text)
+    """Return what ``restarts_text`` has told in the status of an end; nothing else is read."""
+    found = _SO_FAR.match(text)
     parts = [part.rpartition(' ') for part in found[1].split(', ')] if found else []
     return Counter({name: int(count) for name, _, count in parts if count.isdigit()})
 

@@ -11,7 +11,7 @@ from typing import Any
 
 from humanopts_interfaces import msg
 from humanopts_ros.environment import on_loopback, prepare_discovery
-from humanopts_ros.graph import serves
+from humanopts_ros.graph import servers_of, serves
 from humanopts_ros.node_base import start_ros, starting_ros
 from humanopts_ros.qos import CURRENT
 from humanopts_ros.senders import GAME_SERVICE, sender_of, signer
@@ -59,6 +59,8 @@ def check_free(namespace: str, names: Iterable[str]) -> None:
     """
     Check that nodes of a launch are not on the graph, whoever has started them.
 
+    The game may have any name: where one is to be started, no node may serve another there.
+
     It waits until every process of this ROS_DOMAIN_ID on this machine is found, and a moment for
     those of other machines where the graph spans some.
 
@@ -69,13 +71,16 @@ def check_free(namespace: str, names: Iterable[str]) -> None:
     if on_loopback() and not _participants_here():
         return
     wanted = {f'{namespace.rstrip("/")}/{name}' for name in names}
+    game = f'{namespace.rstrip("/")}/game'
     with _listener(namespace, 'newcomer') as node:
         began = now = time.monotonic()
         earliest = began if on_loopback() else began + _REMOTE
         complete = leaving = 0.0  # since when all are found, and some are in the way; 0: not now
         while True:
             spaces = node.get_node_names_and_namespaces()
-            there = sorted(wanted & {f'{space.rstrip("/")}/{name}' for name, space in spaces})
+            found = {f'{space.rstrip("/")}/{name}' for name, space in spaces}
+            games = servers_of(node, GAME_SERVICE) if game in wanted else []
+            there = sorted({*(wanted & found), *games})
             leaving = (leaving or now) if there else 0.0
             if there and now > leaving + _LEAVING:
                 raise OccupiedError(
