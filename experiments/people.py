@@ -112,7 +112,7 @@ def read_bag_lessons(path: Path) -> list[BagLesson]:
     """
     bag = open_bag(path)
     domain = read_domain(bag)
-    settings, _ = settings_from_facts(bag.facts)
+    settings, _ = settings_from_facts(bag.graph_facts)
     lessons = [
         BagLesson(
             str(path.resolve()),

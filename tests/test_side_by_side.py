@@ -67,10 +67,10 @@ def read(command: str, bag: Path, out: Path, *options: str) -> int:
 class Lesson:
     """A simulated person who teaches an option in a namespace, and the bag of it."""
 
-    def __init__(self, graph: Graph, namespace: str, participant: str) -> None:
+    def __init__(self, graph: Graph, namespace: str, participant: str, **recording: Any) -> None:
         self.graph, self.bag = graph, graph.folder / participant / 'bag'
         self._teacher = f'{namespace.rstrip("/")}/simulated_teacher'
-        self._recorder = graph.start(RECORDER, namespace, path=self.bag)
+        self._recorder = graph.start(RECORDER, namespace, path=self.bag, **recording)
         self._start = partial(graph.start, expect_recorder=True)
         folder = self.bag.parent
         self._start(LEARNER, namespace, directory=folder / 'options')
@@ -197,3 +197,26 @@ def test_a_bag_of_another_program_with_several_graphs_is_read_one_at_a_time(
                 assert ({'p1': 'p2', 'p2': 'p1'}[who] in said.out) is False
     assert read('info', everything, tmp_path, '--namespace', '/c') == 2
     assert 'no graph of namespace /c: /, /b' in capsys.readouterr().err
+
+
+def test_a_bag_with_another_graph_beside_its_own_is_whole_and_read_one_at_a_time(
+    live: Graph, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    beside = Lesson(live, '/b', 'p2')
+    live.start(GAME, '/b', domain='rooms', expect_recorder=True)
+    live.ready('/b/game')  # whose first state no later recorder gets
+    lesson = Lesson(live, '/', 'p1', record_topics=['*'], metadata='{"seed": 7}')
+    beside.taught(NORTH, game='')
+    bag = lesson.taught(PICKUP)
+    assert read('check', bag, tmp_path) == 0, capsys.readouterr()
+    for place, who, seed in (('/', 'p1', 'seed 7'), ('/b', 'p2', 'seed 0')):
+        for command in ('info', 'eval', 'table1', 'play', 'export'):
+            assert read(command, bag, tmp_path / f'{who}-{command}', '--namespace', place) == 0
+            said = capsys.readouterr()
+            assert 'message on' not in said.err
+            if command in ('info', 'eval', 'table1'):
+                told = said.out.replace(str(bag), '')
+                assert who in told
+                assert {'p1': 'p2', 'p2': 'p1'}[who] not in told
+            if command == 'eval':
+                assert seed in said.out

@@ -135,6 +135,16 @@ class Bag:
         return self.metadata.get(RECORD, {})
 
     @property
+    def reads_own(self) -> bool:
+        """Whether the graph that is read is the recorder's own, as far as is known."""
+        return self.namespace == self.facts.get(NAMESPACE, self.namespace)
+
+    @property
+    def graph_facts(self) -> dict[str, str]:
+        """The facts about the graph that is read: of another than the recorder's, none."""
+        return self.facts if self.reads_own else {}
+
+    @property
     def n_messages(self) -> int:
         """Number of messages that can be read."""
         return sum(topic.messages for topic in self.topics.values())
@@ -195,10 +205,11 @@ class Bag:
         """
         Full names of the nodes that were the game; none: the bag does not tell.
 
-        Our recorder keeps them. In bags of other programs, it is the node that announced a game
-        and published most states.
+        Our recorder keeps those of its graph. In other graphs, it is the node that announced a
+        game and published most states.
         """
-        kept = self.metadata.get(GAME_NODES, {}).get(GAME_NODES_KEY, '')
+        record = self.metadata.get(GAME_NODES, {}) if self.reads_own else {}
+        kept = record.get(GAME_NODES_KEY, '')
         try:
             names = parse_json(kept) if kept else []
         except ValueError:

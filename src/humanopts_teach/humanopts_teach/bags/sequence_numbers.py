@@ -7,8 +7,10 @@ from dataclasses import dataclass, field
 import struct
 from typing import NamedTuple, TYPE_CHECKING
 
+from humanopts_ros.recording import own_name
 from humanopts_teach.bags.rosbag2 import Extent
 from humanopts_teach.bags.schemas import field_lines
+from humanopts_teach.bags.writer import NAMESPACE
 
 if TYPE_CHECKING:  # the recorder does not read
     from humanopts_teach.bags.reader import Bag, Recorded
@@ -73,7 +75,8 @@ class Stream:
     """
     The messages of one publisher on one topic.
 
-    Numbers begin at 1, so messages sent before the first that was received count as missing, too.
+    Numbers begin at 1, so messages sent before the first that was received count as missing, too;
+    not so of another graph, which may have begun before the recording.
     Messages sent after the last cannot be known. The last ``MOST_GAPS`` gaps are kept: a message
     that fills an older gap counts as a repetition, so the number missing is never too low.
     """
@@ -86,6 +89,7 @@ class Stream:
     duplicates: int = 0
     late: int = 0  # received after a larger number
     latched: bool = False  # current values, of which a newer one may replace one that is not sent
+    own: bool = True  # of the graph that is recorded
     _gaps: list[tuple[int, int]] = field(default_factory=list)  # first and last number, ascending
 
     def add(self, sequence: int) -> None:
@@ -107,7 +111,8 @@ class Stream:
     @property
     def missing(self) -> int:
         """Number of messages that were sent and lost."""
-        return 0 if self.latched else self.last - self.received
+        before = 0 if self.own else max(0, self.first - 1)
+        return 0 if self.latched else self.last - before - self.received
 
     @property
     def replaced(self) -> int:
@@ -131,17 +136,18 @@ class LossCounter:
     def __init__(self) -> None:
         self._streams: dict[tuple[str, str], Stream] = {}
 
-    def add(self, topic: str, stamp: Stamp, *, latched: bool = False) -> None:
+    def add(self, topic: str, stamp: Stamp, *, latched: bool = False, own: bool = True) -> None:
         """
-        Count one message.
+        Count one message; the first one of a stream decides what it is.
 
-        :param latched: the topic has current values; its first message decides.
+        :param latched: the topic has current values.
+        :param own: it belongs to the graph that is recorded.
         """
         key = (topic, stamp.publisher_id)
         if key not in self._streams:
             if len(self._streams) == MOST_STREAMS:
                 return
-            self._streams[key] = Stream(*key, latched=latched)
+            self._streams[key] = Stream(*key, latched=latched, own=own)
         self._streams[key].add(stamp.sequence)
 
     @property
@@ -163,6 +169,8 @@ class MessageCounter:
         self.losses = LossCounter()
         self.stamped = {t.name for t in bag.topics.values() if is_stamped(t.schema)}
         self._latched = {t.name for t in bag.topics.values() if t.latched}
+        namespace = bag.facts.get(NAMESPACE)  # None: it is of another program
+        self._own = {t for t in bag.topics if namespace is None or own_name(t, namespace)}
         self._bag = bag
 
     def add(self, recorded: 'Recorded') -> bool:
@@ -175,7 +183,8 @@ class MessageCounter:
                 self._bag.note(f'a message on {recorded.topic} does not decode')
                 return False
             if not self._bag.is_strange(recorded):  # whose numbers may be made up
-                self.losses.add(recorded.topic, stamp, latched=recorded.topic in self._latched)
+                topic, latched = recorded.topic, recorded.topic in self._latched
+                self.losses.add(topic, stamp, latched=latched, own=topic in self._own)
         return True
 
 

@@ -316,7 +316,7 @@ def table1(
     _print(_json([each.to_dict() for each in tables]) if json else table_text(tables))
     for each in opened:
         _warn('table1', each if len(bags) > 1 else None, each.notes)
-        if each.facts.get('teacher_error_rate', 'None') != 'None':
+        if each.graph_facts.get('teacher_error_rate', 'None') != 'None':
             _warn('table1', each, ['a simulated person taught: nobody had a wish'])
     return 0
 

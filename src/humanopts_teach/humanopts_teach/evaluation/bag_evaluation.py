@@ -225,7 +225,7 @@ def evaluate_bag(
     """
     opened = open_bag(bag) if isinstance(bag, str | Path) else bag
     domain = read_domain(opened)
-    settings, assumed = settings_from_facts(opened.facts)
+    settings, assumed = settings_from_facts(opened.graph_facts)
     demonstrations, attached = read_demonstrations(opened), attached_options(opened)
     warnings = [*opened.notes, *assumed, *software_notes(opened.facts)]
     jobs = jobs or int(is_enumerable(domain))

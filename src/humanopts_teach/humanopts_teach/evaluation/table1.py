@@ -115,7 +115,7 @@ def named_options(bags: Sequence[Bag]) -> list[NamedOption]:
         for participant, event in bag.converted(
             STUDY_EVENT, lambda m: (m.participant, event_of(m.event))
         ):
-            key = domain, str(bag.facts.get('study', '')), participant
+            key = domain, str(bag.graph_facts.get('study', '')), participant
             suggested.setdefault(key, []).append(event)
         for demo in read_demonstrations(bag) if bag.of_type(DEMONSTRATION) else ():
             taught = demo.kind is Kind.TRAJECTORY and not demo.withdrawn

@@ -21,7 +21,7 @@ from humanopts_ros.node_base import NodeBase, StartError
 from humanopts_ros.process import run_node
 from humanopts_ros.publisher import PublishError
 from humanopts_ros.qos import LATCHED
-from humanopts_ros.recording import MAX_BYTES, SHARED
+from humanopts_ros.recording import MAX_BYTES, own_name, SHARED
 from humanopts_ros.senders import GAME_SERVICE
 from humanopts_ros.text_files import FileError, read_bytes
 from humanopts_teach.bags import BagWriteError, SchemaError
@@ -294,7 +294,9 @@ class Recorder(NodeBase):
         for taken in batch:
             stamp = read_stamp(taken.data) if self._numbered[taken.topic] else None
             if stamp is not None:
-                self._losses.add(taken.topic, stamp, latched=taken.topic in self._latched)
+                own = bool(own_name(taken.topic, self.selection.namespace))
+                latched = taken.topic in self._latched
+                self._losses.add(taken.topic, stamp, latched=latched, own=own)
             if not self._stopped:
                 try:
                     self._bag.write(taken.topic, taken.data, taken.received, taken.sent)
