@@ -31,6 +31,26 @@ class Decisions:
     ends: Callable[[Rows], Flags]
 
 
+@dataclass(frozen=True)
+class _Table:
+    """
+    The values of a tree's leaves, by row; other processes can have it.
+
+    :ivar places: index of a feature, and what each of its values (V,) adds to the place in
+        ``values``.
+    """
+
+    places: Sequence[tuple[int, NDArray[np.intp]]]
+    values: NDArray[Any]
+
+    def __call__(self, rows: Rows) -> NDArray[Any]:
+        at = np.zeros(len(rows), dtype=np.intp)
+        for feature, place in self.places:
+            at += place.take(rows[:, feature])
+        found: NDArray[Any] = self.values.take(at)
+        return found
+
+
 @lru_cache(maxsize=32)
 def decisions(option: LearnedOption, counts: tuple[int, ...]) -> Decisions:
     """
@@ -87,13 +107,4 @@ def tree_table(
             boxes[int(child)] = (*box[:axis], box[axis] & side, *box[axis + 1 :])
     strides = np.cumprod([1, *shape[:0:-1]])[::-1]
     places = [(feature, buckets[feature] * stride) for feature, stride in zip(features, strides)]
-    flat = table.ravel()
-
-    def look_up(rows: Rows) -> NDArray[Any]:
-        at = np.zeros(len(rows), dtype=np.intp)
-        for feature, place in places:
-            at += place.take(rows[:, feature])
-        found: NDArray[Any] = flat.take(at)
-        return found
-
-    return look_up
+    return _Table(tuple(places), table.ravel())
