@@ -10,6 +10,7 @@ import time
 from typing import Any
 
 from humanopts_env.domains.base import Domain
+from humanopts_env.domains.pacman.maze import load_maze
 from humanopts_env.game import Transition
 from humanopts_teach.cli import main
 from humanopts_teach.commands.study_session import simulated_part
@@ -355,6 +356,32 @@ def test_a_changed_plan_is_refused_with_the_difference_or_accepted_and_kept(
     assert main(['study', *place]) == 2
     assert 'line 1' in (error := capsys.readouterr().err)
     assert 'put the file back from a copy' in error
+    for spoil in (kept.unlink, kept.touch):  # lost, or emptied
+        spoil()
+        assert main(['study', *place]) == main(['study', *place, '--accept-changes']) == 2
+        assert f"does not hold the plan {first.digest[:12]}, which 'anna' follows" in (
+            capsys.readouterr().err
+        )
+        assert main(['study', 'status', *place]) == 0
+        assert 'does not hold the plan' in capsys.readouterr().err
+
+
+def test_a_maze_in_a_file_is_part_of_the_plan(
+    write: Callable[[str], Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    maze = tmp_path / 'own.lay'
+    maze.write_text(load_maze('yard').text)
+    games = PLAN.replace('taxi', f"pacman, parameters: {{maze: '{maze}', ghosts: chase}}")
+    path = write(games.replace(', learn: goal', ''))
+    StudyFolder(tmp_path / 'study').enter(plan := read_plan(path), 'anna')
+    assert plan.conditions[0].parameters == {'maze': load_maze('yard').text, 'ghosts': 'chase'}
+    first = load_maze('yard').text.split('\n')[1]
+    maze.write_text(load_maze('yard').text.replace('.', ' ', 1))
+    capsys.readouterr()
+    assert main(['study', str(path), '--study', str(tmp_path / 'study')]) == 2
+    said = capsys.readouterr().err
+    assert 'accept the change with --accept-changes' in said
+    assert said.count(f'\n-     "{first}",') == 2  # of the maze, in each condition
 
 
 class Guest:

@@ -12,6 +12,8 @@ from typing import Any
 from humanopts_learner.spreadsheet import from_cell, to_cell
 from humanopts_teach.cli import main
 from humanopts_teach.study.events import event_of
+from humanopts_teach.study.plan import read_plan
+from humanopts_teach.study.record import StudyError, StudyFolder
 from hypothesis import given, HealthCheck, settings
 from hypothesis import strategies as st
 import pandas as pd
@@ -158,6 +160,35 @@ def test_copies_and_empty_files_are_named_and_not_counted(files: Files) -> None:
     rows, errors = files.export('answers.csv')
     assert [row['value'] for row in rows] == ['3', '4']
     assert errors.count('\n') == 9
+
+
+@pytest.mark.parametrize('spoilt', ['damaged', 'a folder'])
+def test_who_has_a_record_that_cannot_be_used_gets_no_second_one(
+    files: Files, spoilt: str
+) -> None:
+    path = files.study / '000-p1.jsonl'
+    if spoilt == 'a folder':
+        path.mkdir()
+    else:
+        files.write(path.name, spoilt)
+    folder, plan = StudyFolder(files.study), read_plan(files.path / 'plan.yaml')
+    with pytest.raises(StudyError, match=r"'p1' has a record that cannot be used: .* is left out"):
+        folder.enter(plan, 'p1')
+    assert folder.enter(plan, 'p2').number == 1
+
+
+def test_a_folder_that_is_none_is_named(files: Files) -> None:
+    os.rmdir(files.study)
+    code, _, errors = files.run('export')
+    assert code == 2
+    assert f'nobody has taken part yet in {files.study}' in errors
+    assert not files.study.exists()
+    files.study.write_text('no folder')
+    for command in ('status', 'export', 'run'):
+        code, _, errors = files.run(command)
+        assert code == 2
+        assert 'Not a directory' in errors
+        assert errors.count('\n') == 1
 
 
 def test_a_participant_without_a_beginning_is_still_one(files: Files) -> None:

@@ -72,6 +72,14 @@ def name_and_value(text: str) -> tuple[str, Any]:
         raise typer.BadParameter(str(error)) from error
 
 
+def each_once(pairs: list[Any]) -> list[Any]:
+    """Refuse a parameter that is given twice: one of its values would silently be lost."""
+    names = [name for name, _ in pairs]
+    if twice := sorted({name for name in names if names.count(name) > 1}):
+        raise typer.BadParameter(f'{", ".join(twice)} is given twice')
+    return pairs
+
+
 def several_games(count: int) -> int:
     """Check a number of games: 0, or as many as have an interval."""
     if count == 1:
@@ -197,6 +205,7 @@ class LaunchOptions:
         list[Any],  # of pairs: a name and a value
         typer.Option(
             parser=name_and_value,
+            callback=each_once,
             metavar='NAME=VALUE',
             help='a parameter of the domain, such as rows=7 or is_slippery=false; may be repeated',
         ),

@@ -135,6 +135,8 @@ def export(
 ) -> int:
     """Write tidy CSV tables with a codebook, and the buttons as in Table 1 of the paper."""
     _, there, _ = _kept('export', plan, folder)
+    if not there.path.exists():
+        raise CommandError(f'nobody has taken part yet in {there.path}; --study DIR names another')
     _export(there, out or there.path / 'tables', excel=excel)
     return 0
 
@@ -175,7 +177,11 @@ def _kept(
         raise CommandError(f'{path}: {error}') from error
     except OSError as error:
         raise CommandError(f'cannot read what is kept of the plan: {error.strerror}') from error
-    _warn(command, protocol.problems)
+    try:
+        lacking = there.lacking(protocol)
+    except OSError as error:
+        raise CommandError(f'cannot read {there.path}: {error.strerror}') from error
+    _warn(command, [*protocol.problems, *filter(None, [lacking])])
     if protocol.plan is None:
         return (*_open(path, there.path), protocol)
     try:

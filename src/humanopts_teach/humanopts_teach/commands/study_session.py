@@ -228,7 +228,8 @@ class Study:
         """Note the end of parts that were left when hardly any of their time was left."""
         record = self._record(participant)
         for part in left_of(parts, record):
-            if part.minutes and record.seconds_in(part.key) > 60 * part.minutes - _LEAST_SECONDS:
+            spent = record.seconds_in(part.key)
+            if part.minutes and spent > max(0.0, 60 * part.minutes - _LEAST_SECONDS):
                 where = {'part': part.key, 'condition': part.condition}
                 self._note(participant, PartEnded, kind=part.kind, why=TIME, **where)
         return self._record(participant)

@@ -331,7 +331,7 @@ def _plan(file: _PlanFile, folder: Path) -> StudyPlan:
     names = [condition.name for condition in conditions]
     if len(set(names)) < len(names):
         raise PlanFileError(f'two conditions have the same name: {", ".join(names)}')
-    _check_games(conditions)
+    _make_games(conditions)
     pages, questions = cache(lambda name: _pages(folder, name)), cache(partial(_questions, folder))
     return StudyPlan(
         name=file.study,
@@ -348,8 +348,12 @@ def _plan(file: _PlanFile, folder: Path) -> StudyPlan:
     )
 
 
-def _check_games(conditions: Iterable[Condition]) -> None:
-    """Refuse a condition that cannot be taught as it says; equal games are made once."""
+def _make_games(conditions: Iterable[Condition]) -> None:
+    """
+    Refuse a condition that cannot be taught as it says; equal games are made once.
+
+    Parameters become those that the game itself gives: what a file held in place of its name.
+    """
     made = cache(lambda domain, parameters: make_domain(domain, json.loads(parameters)))
     for condition in conditions:
         where = f'condition {condition.name}'
@@ -362,6 +366,8 @@ def _check_games(conditions: Iterable[Condition]) -> None:
             check_method(condition.learn, game)
         except (DomainError, ValueError) as error:
             raise PlanFileError(f'{where}: {shown(str(error))}') from error
+        given = condition.parameters
+        given.update({name: game.parameters.get(name, given[name]) for name in given})
 
 
 def _check_balance(plan: StudyPlan) -> None:

@@ -61,12 +61,16 @@ def plan_lines(plan: StudyPlan) -> list[str]:
             return [split(each) for each in value]
         if isinstance(value, dict):
             return {
-                key: each.split('\n') if key == 'text' and each else split(each)
+                key: each.split('\n') if _is_page(key, each) else split(each)
                 for key, each in value.items()
             }
         return value
 
     return json.dumps(split(values), indent=1, ensure_ascii=False).splitlines()
+
+
+def _is_page(key: str, value: Any) -> bool:
+    return isinstance(value, str) and bool(value) and (key == 'text' or '\n' in value)
 
 
 def difference(old: StudyPlan, new: StudyPlan) -> list[str]:

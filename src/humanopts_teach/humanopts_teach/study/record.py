@@ -31,7 +31,7 @@ from humanopts_teach.study.events import (
     times_in,
 )
 from humanopts_teach.study.plan import Part, StudyPlan
-from humanopts_teach.study.protocol import digest_of, FILE, Protocol
+from humanopts_teach.study.protocol import digest_of, FILE, Protocol, SHOWN_DIGEST
 
 TOPIC = 'study_events'  # StudyEvent, each an event as JSON
 MAX_BYTES = 64 * 2**20  # of a record
@@ -238,7 +238,7 @@ class StudyFolder:
         self.path.mkdir(parents=True, exist_ok=True)
         with self._locked():
             protocol = self._checked(plan)
-            there, _ = self.participants()
+            there, problems = self.participants()
             known = next((each for each in there if each.code == code), None)
             if known is not None:
                 record = Record.read(known.path)
@@ -248,6 +248,7 @@ class StudyFolder:
                     return known
             else:
                 _check_new(plan, code, there)
+                self._check_left_out(code, problems)
             entered = known or self._new(code)
             protocol.keep(plan)
             order = [condition.name for condition in plan.order_of(entered.number)]
@@ -309,13 +310,37 @@ class StudyFolder:
     def _checked(self, plan: StudyPlan) -> Protocol:
         protocol = self.protocol()
         _refuse_damaged(protocol)
+        if lacking := self.lacking(protocol):
+            raise StudyError(f'{lacking}; put the file back from a copy')
         if changes := protocol.changes(plan):
             raise ChangedPlanError(changes)
         return protocol
 
+    def lacking(self, protocol: Protocol) -> str:
+        """Return whose plan is not kept, though the record names it, in words; empty: nobody's."""
+        kept = {version.digest for version in protocol.versions}
+        for participant, record in self._records(Record.read_head)[0]:
+            began = record.began
+            if began is not None and began.protocol and began.protocol not in kept:
+                return (
+                    f'{protocol.path} does not hold the plan {began.protocol[:SHOWN_DIGEST]}, '
+                    f'which {participant.code!r} follows'
+                )
+        return ''
+
     def directory(self, participant: Participant, condition: str) -> Path:
         """Return the folder of a participant's bags and options in a condition."""
         return self.path / participant.code / condition
+
+    def _check_left_out(self, code: str, problems: Iterable[str]) -> None:
+        """Refuse a code whose record is there and cannot be used: it would get a second one."""
+        for each in self._named()[0]:
+            if each.code == code and not (each.path.is_file() and not each.path.stat().st_size):
+                why = next((text for text in problems if text.startswith(f'{each.path} ')), '')
+                raise StudyError(
+                    f'{code!r} has a record that cannot be used: {why or each.path}; mend it, or '
+                    'move it away'
+                )
 
     def _new(self, code: str) -> Participant:
         """Return a new participant; one whose record is still empty keeps the number."""
@@ -331,9 +356,13 @@ class StudyFolder:
     def _named(self) -> tuple[list[Participant], list[str]]:
         """Return whom the names of files stand for, by number, and which name no record."""
         found, problems = [], []
-        for path in sorted(self.path.glob('*.jsonl')):
+        try:
+            names = sorted(os.listdir(self.path))
+        except FileNotFoundError:  # nobody has taken part yet
+            names = []
+        for path in (self.path / name for name in names):
             match = _NAME.fullmatch(path.name)
-            if path.name == FILE:
+            if path.name == FILE or path.suffix != '.jsonl':
                 continue
             if match is not None and _file_name(int(match[1]), match[2]) == path.name:
                 found.append(Participant(match[2], int(match[1]), path))
