@@ -168,6 +168,7 @@ def test_any_output_stream_takes_all_that_is_printed(
     plan = 'study: s\nseed: 1\nall: {domain: rooms, teach: 1}\nconditions: [{name: a}]\n'
     (tmp_path / 'plan.yaml').write_text(plan, 'utf-8')
     folder = tmp_path / '\u2192'
+    folder.mkdir()
     assert '\\u' in out('study', 'export', 'plan.yaml', '--study', folder)
     assert '\\u' in out('up', 'rooms', '--namespace', '/\u2192', status=2)
 
