@@ -145,7 +145,8 @@ class Demonstration:
         missing = [name for name in needed if name not in values]
         if missing:
             raise DemonstrationError(f'the demonstration has no {", ".join(missing)}')
-        values = {**values, 'option_name': composed(str(values['option_name']))}
+        if isinstance(name := values['option_name'], str):
+            values = {**values, 'option_name': composed(name)}
         try:
             return cls(
                 **{

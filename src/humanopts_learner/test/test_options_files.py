@@ -78,6 +78,13 @@ Damage = Callable[[dict[str, Any]], object]
         (lambda d: d.pop('policy'), "no 'policy'"),
         (lambda d: d.pop('uuids'), "no 'uuids'"),
         (lambda d: d.update(name=3), 'name of it'),
+        (lambda d: d.update(name=' '), 'the name is empty'),
+        (lambda d: d.update(name='a\x1b[2J'), 'cannot be printed'),
+        (
+            lambda d: d['demonstrations'][0].update(option_name=True),
+            'a field of the demonstration',
+        ),
+        (lambda d: d['demonstrations'][0].update(option_name='\ud800'), 'cannot be printed'),
         (lambda d: d.update(max_steps=0), 'max_steps 0'),
         (lambda d: d.update(max_steps='9'), 'max_steps of it'),
         (lambda d: d.update(n_not_here=-1), 'n_not_here of it'),

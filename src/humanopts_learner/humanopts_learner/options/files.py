@@ -9,7 +9,12 @@ import re
 from typing import Any
 
 from humanopts_learner.append_only_log import link_remark, refuse_link, sync, unused_name
-from humanopts_learner.demonstrations import Demonstration, DemonstrationError, TREES
+from humanopts_learner.demonstrations import (
+    Demonstration,
+    DemonstrationError,
+    option_name_fault,
+    TREES,
+)
 from humanopts_learner.options.decision_tree import EncodedFeature, Tree, TreeError
 from humanopts_learner.options.option import LearnedOption, OptionError
 from humanopts_ros.limits import JsonError, MAX_WHOLE, MOST_JSON, parse_json
@@ -76,6 +81,9 @@ def option_from_json(text: str) -> tuple[LearnedOption, list[Demonstration]]:
         values['domain_parameters'] = json.dumps(data['domain_parameters'], sort_keys=True)
         option = LearnedOption(**values)
         demonstrations = [Demonstration.from_fields(demo) for demo in data['demonstrations']]
+        for name in {option.name, *(demo.option_name for demo in demonstrations)}:
+            if fault := option_name_fault(name):
+                raise OptionFileError(fault)
     except JsonError as error:
         raise OptionFileError(f'it is not JSON: {error}') from error
     except KeyError as error:
