@@ -32,6 +32,7 @@ from humanopts_ros.qos import LATCHED
 from humanopts_teach.bags.check import check_bag
 from humanopts_teach.bags.info import summarise
 from humanopts_teach.bags.reader import open_bag
+from humanopts_teach.bags.rosbag2 import profiles
 from humanopts_teach.bags.writer import BagWriter
 from humanopts_teach.cli import main
 from humanopts_teach.lesson.simulated_teacher import FINISHED
@@ -179,8 +180,9 @@ def test_a_bag_of_another_program_with_several_graphs_is_read_one_at_a_time(
     with BagWriter(everything) as writer:
         for each in map(open_bag, bags):
             for recorded in each.messages():
-                schema = each.topics[recorded.topic].schema
-                writer.add_topic(recorded.topic, recorded.type, schema=schema)
+                topic = each.topics[recorded.topic]
+                qos = profiles(topic.qos)
+                writer.add_topic(recorded.topic, recorded.type, qos, schema=topic.schema)
                 writer.write(recorded.topic, recorded.data, recorded.log_time)
     assert read('check', everything, tmp_path) == 0
     for command in ('info', 'eval', 'table1', 'play', 'export'):
