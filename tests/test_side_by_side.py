@@ -28,6 +28,7 @@ from humanopts_interfaces.msg import (
     OptionResult,
 )
 from humanopts_interfaces.srv import RunOption
+from humanopts_ros.graph import node_names
 from humanopts_ros.qos import LATCHED
 from humanopts_teach.bags.check import check_bag
 from humanopts_teach.bags.info import summarise
@@ -153,6 +154,7 @@ def test_another_node_may_take_the_place_of_a_game_that_has_ended(
     game, learner = live.start(GAME), live.start(LEARNER, directory=tmp_path)
     live.ready('/game', '/learner')
     live.stop(game)
+    live.until(lambda: '/game' not in node_names(learner), 'its end')
     live.run(['-m', module_of(GAME), '--ros-args', '-r', '__node:=simulator'], 'simulator')
     player = Player(live)
     live.until(lambda: player.state.publisher_id.startswith('/simulator#'), 'its state')
