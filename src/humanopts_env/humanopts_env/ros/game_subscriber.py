@@ -172,12 +172,12 @@ class GameSubscriber:
         sender = signer(publisher_id)
         if sender and sender == self.node:
             return True
-        if (not self.node or not self.is_there()) and serves(self._node, sender, GAME_SERVICE):
+        if self.node and self.is_there():
+            check_sender(publisher_id, self.node)
+        elif serves(self._node, sender, GAME_SERVICE):
             self.node = sender
             return True
-        if self.node:
-            check_sender(publisher_id, self.node)
-        return False
+        return False  # its service may be found later
 
     def _keep(self, topic: str, message: Any, use: Callable[[Any], object]) -> None:
         """Keep a message until the game and its rules are known."""
