@@ -19,7 +19,7 @@ from humanopts_env.domains.base import (
     is_enumerable,
 )
 from humanopts_env.domains.capabilities import feature_rows
-from humanopts_env.domains.parameters import MOST_PARAMETERS
+from humanopts_env.domains.parameters import MAX_PARAMETERS
 from humanopts_env.domains.registry import parameters_json
 from humanopts_ros.limits import composed, JsonError, MAX_WHOLE, parse_json
 import numpy as np
@@ -353,7 +353,7 @@ def group_by_option(
 
 def _parameters(demo: Demonstration) -> Any:
     try:
-        return parse_json(demo.domain_parameters or '{}', MOST_PARAMETERS)
+        return parse_json(demo.domain_parameters or '{}', MAX_PARAMETERS)
     except JsonError as error:
         raise DemonstrationError(f'its domain parameters are not JSON: {error}') from None
 

@@ -12,7 +12,7 @@ from typing import Any, get_type_hints
 from humanopts_env.domains.base import DomainError
 from humanopts_ros.limits import JsonError, parse_json, shown
 
-MOST_PARAMETERS = 10**6  # characters of the JSON text of a domain's parameters
+MAX_PARAMETERS = 10**6  # characters of the JSON text of a domain's parameters
 _PYTHON = {'True': True, 'False': False, 'None': None}
 _WORDS = {bool: 'true or false', int: 'a whole number', float: 'a number', str: 'a text'}
 
@@ -36,7 +36,7 @@ def parameter_from_text(text: str) -> Any:
     except ValueError:
         pass
     try:
-        return parse_json(text, MOST_PARAMETERS)
+        return parse_json(text, MAX_PARAMETERS)
     except JsonError as error:
         raise DomainError(f'{shown(text, 60)} cannot be used: {error}') from error
 
@@ -88,7 +88,7 @@ def _hints(constructor: Callable[..., Any]) -> dict[str, Any]:
 def _check_json(name: str, key: str, value: Any) -> None:
     """Refuse what a bag could not keep."""
     try:
-        parse_json(json.dumps(value), MOST_PARAMETERS)
+        parse_json(json.dumps(value), MAX_PARAMETERS)
     except (TypeError, ValueError, RecursionError) as error:
         raise DomainError(f'the parameter {key} of {name} cannot be kept: {error}') from error
 

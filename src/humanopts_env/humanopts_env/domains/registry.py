@@ -9,7 +9,7 @@ from typing import Any, cast
 from humanopts_env.contract import check_domain
 from humanopts_env.domains.base import Domain, DomainError, Parameter
 from humanopts_env.domains.names import domain_names, DOMAINS, GYMNASIUM, registered
-from humanopts_env.domains.parameters import check_parameters, MOST_PARAMETERS
+from humanopts_env.domains.parameters import check_parameters, MAX_PARAMETERS
 from humanopts_env.domains.reference import ReferenceOption
 from humanopts_ros.limits import JsonError, parse_json
 
@@ -43,7 +43,7 @@ def domain_from_json(name: str, parameters: str) -> Domain[Any]:
     :raises DomainError: as ``make_domain``, or the parameters are not a JSON object.
     """
     try:
-        values = parse_json(parameters or '{}', MOST_PARAMETERS)
+        values = parse_json(parameters or '{}', MAX_PARAMETERS)
     except JsonError as error:
         raise DomainError(f'the parameters of {name} are not JSON: {error}') from error
     if not isinstance(values, dict):

@@ -8,7 +8,7 @@ from pathlib import Path
 import time
 from typing import Any
 
-from humanopts_env.domains.parameters import MOST_PARAMETERS
+from humanopts_env.domains.parameters import MAX_PARAMETERS
 from humanopts_env.domains.registry import make_domain
 from humanopts_learner.demonstrations import check_method
 from humanopts_ros.limits import JsonError, parse_json, shown
@@ -152,7 +152,7 @@ def _read(argument: LaunchArgument, text: str) -> Any:
     if kind is tuple:
         return tuple(part.strip() for part in text.split(';') if part.strip())
     try:
-        value = parse_json(text.lower() if kind is bool else text, MOST_PARAMETERS)
+        value = parse_json(text.lower() if kind is bool else text, MAX_PARAMETERS)
     except JsonError:
         value = None
     if kind is float and type(value) is int:
