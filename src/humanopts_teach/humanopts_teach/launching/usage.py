@@ -28,10 +28,11 @@ def usage_of(pid: int) -> Usage:
     process = psutil.Process(pid)
     cpu, memory = process.cpu_times(), process.memory_info().rss
     # psutil has no peak on Linux, and getrusage counts the memory of the program that started it.
+    # The kernel keeps both figures by the thread and adds them up late: the peak may be the lower one.
     peak = re.search(r'VmHWM:\s+(\d+)', Path(f'/proc/{pid}/status').read_text('utf-8'))
     if peak is None:
         raise psutil.NoSuchProcess(pid)
-    return Usage(time.monotonic(), cpu.user + cpu.system, memory, 1024 * int(peak[1]))
+    return Usage(time.monotonic(), cpu.user + cpu.system, memory, max(memory, 1024 * int(peak[1])))
 
 
 def memory_left(
