@@ -28,7 +28,7 @@ def usage_of(pid: int) -> Usage:
     process = psutil.Process(pid)
     cpu, memory = process.cpu_times(), process.memory_info().rss
     # psutil has no peak on Linux, and getrusage counts the memory of the program that started it.
-    # The kernel keeps both figures by the thread and adds them up late: the peak may be the lower one.
+    # The kernel adds both figures up late, thread by thread: its peak may be the lower one.
     peak = re.search(r'VmHWM:\s+(\d+)', Path(f'/proc/{pid}/status').read_text('utf-8'))
     if peak is None:
         raise psutil.NoSuchProcess(pid)
