@@ -40,11 +40,10 @@ HELP = {
     ('teach',): ('DOMAIN', 'pacman, rooms, taxi', '--participant', *LAUNCH),
     ('study',): ('run', 'status', 'export', 'PLAN.yaml'),
     ('study', 'run'): ('--participant', '--simulate', '--study', '--namespace'),
-    ('bag',): ('info', 'check', 'eval', 'diff', 'play', 'table1', 'export'),
+    ('bag',): ('info', 'check', 'eval', 'play', 'table1', 'export'),
     ('bag', 'info'): ('BAG', '--json'),
     ('bag', 'eval'): ('BAG', '--json', '--html', '--games'),
-    ('bag', 'diff'): ('A', 'B', '--json'),
-    ('bag', 'play'): ('BAG', '--episode', '--option', '--speed'),
+    ('bag', 'play'): ('BAG', '--episode', '--speed'),
     ('bag', 'table1'): ('BAG', '--merge', '--json'),
     ('bag', 'export'): ('BAG', '--to', 'csv', 'parquet', 'minari', '--out'),
 }
@@ -190,7 +189,7 @@ def test_help_is_quick_and_fits_a_terminal() -> None:
     ('typed', 'offered'),
     [
         ('humanopts de', ['demo']),
-        ('humanopts bag ', ['check', 'diff', 'eval', 'export', 'info', 'play', 'table1']),
+        ('humanopts bag ', ['check', 'eval', 'export', 'info', 'play', 'table1']),
         ('humanopts demo --strategy ', ['coverage', 'failures', 'random']),
         ('humanopts up taxi --split', ['--split-bytes', '--split-seconds']),
     ],
@@ -257,7 +256,6 @@ def test_a_shell_completes_what_is_typed(
         (('bag',), ['command']),
         (('bag', 'burn', 'x'), ["'burn'", 'info', 'eval']),
         (('bag', 'info'), ['BAG']),
-        (('bag', 'diff', 'x'), ['B']),
         (('bag', 'play', 'x', '--episode', 0), ['--episode']),
         (('bag', 'play', 'x', '--speed', 0), ['--speed', '1/16']),
         (('bag', 'play', 'x', '--speed', 'nan'), ['--speed']),
@@ -347,7 +345,7 @@ def test_data_of_a_domain_has_a_folder_that_any_path_may_hold(domain: str, folde
 @pytest.mark.parametrize(
     'command',
     [
-        *(('info',), ('check',), ('eval',), ('play',), ('diff', '/nowhere')),
+        *(('info',), ('check',), ('eval',), ('play',)),
         ('export', '--to', 'csv', '--out', '/nowhere'),
     ],
     ids=lambda command: command[0],
@@ -403,18 +401,6 @@ def test_a_report_that_cannot_be_written_is_refused(
 ) -> None:
     page = tmp_path / 'nowhere/report.html'
     check_refused(capsys, run('bag', 'eval', EARLIER, '--html', page), str(page))
-
-
-def test_bags_are_told_apart_and_a_bag_is_the_same_as_itself(
-    capsys: pytest.CaptureFixture[str], half: Path, tmp_path: Path
-) -> None:
-    part = cut_short(EARLIER, tmp_path / 'part.mcap', 4)
-    assert run('bag', 'diff', part, part, '--json') == 0
-    assert json.loads(capsys.readouterr().out) == {'same': True, 'differences': []}
-    assert run('bag', 'diff', half, part) == 1
-    out, err = capsys.readouterr()
-    assert 'demonstration' in out
-    assert 'cut short' in err
 
 
 def test_several_bags_are_evaluated_each_by_itself(

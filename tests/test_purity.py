@@ -109,7 +109,6 @@ def test_a_bag_is_read_where_there_is_no_ros(tmp_path: Path) -> None:
         ('info', bag): 'demonstrations',
         ('eval', bag): 'go to passenger and pickup',
         ('check', bag): '',
-        ('diff', bag, bag): 'the lessons are the same',
         ('play', bag): 'episode 1 of',
         ('export', bag, '--to', 'csv', '--out', str(tmp_path)): 'steps.csv',
     }

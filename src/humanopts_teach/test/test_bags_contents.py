@@ -1,6 +1,5 @@
 """What a bag says: demonstrations, domain, episodes, numbers, and the last episode of a game."""
 
-from dataclasses import replace
 from pathlib import Path
 import re
 from typing import Any
@@ -13,13 +12,11 @@ from humanopts_learner.demonstrations import (
     check_demonstration,
     Demonstration,
     DemonstrationError,
-    Kind,
 )
 from humanopts_learner.ros.convert import demonstration_to_message
 from humanopts_teach.bags import BagError
 from humanopts_teach.bags.contents import (
     Actors,
-    episode_options,
     find_episodes,
     read_actors,
     read_demonstrations,
@@ -30,8 +27,6 @@ from humanopts_teach.bags.info import summarise
 from humanopts_teach.bags.reader import MOST_NOTES, open_bag
 from humanopts_teach.bags.sequence_numbers import MOST_GAPS, read_stamp, Stamp, Stream
 from humanopts_teach.bags.writer import BagWriter, GAME_NODES, GAME_NODES_KEY
-from humanopts_teach.cli import main
-from humanopts_teach.commands.bag import ranges
 from humanopts_teach.report.episode import read_last_episode
 from hypothesis import given, strategies
 import pytest
@@ -250,62 +245,6 @@ def test_episodes_that_are_read_when_asked_for_are_those_that_are_read_in_order(
     assert [len(episode.transitions) for episode in listed] == [3, 2, 4, 2]
     assert [found[place]() for place in (3, 1, 0, 2)] == [listed[place] for place in (3, 1, 0, 2)]
     assert len(found) == len(listed)
-
-
-def test_an_episode_is_found_by_the_options_that_ran_or_were_shown_in_it(
-    tmp_path: Path, taxi: Domain[Any], capsys: pytest.CaptureFixture[str]
-) -> None:
-    entries: list[tuple[str, Any]] = [('/domain_info', domain_to_info(taxi)), *games(taxi)]
-    states = [state for _, state in entries[1:]]
-    for number, name in ((2, 'go north'), (3, 'action:east'), (9, 'Go South'), (11, 'go north')):
-        at = states[number - 1]
-        at.action_publisher_id, at.action_sequence = '/option_server#1', number
-        command = ActionCommand(publisher_id='/option_server#1', sequence=number, option_name=name)
-        entries.append(('/action', command))
-    way = states[7:9]  # of the third episode, not from its first state
-    demo = Demonstration(
-        kind=Kind.TRAJECTORY,
-        uuid='u',
-        domain='taxi',
-        domain_parameters='{}',
-        participant='p1',
-        session='s1',
-        option_name='shown',
-        number=1,
-        chosen_features=(),
-        feature_names=(),
-        features=(),
-        states=tuple(state.state for state in way),
-        actions=(way[1].previous_action,),
-        rewards=(0.0,),
-    )
-    other = replace(demo, uuid='v', option_name='other', actions=('west',))
-    entries += [('/demonstrations', demonstration_to_message(each)) for each in (demo, other)]
-    bag = write_messages(tmp_path / 'bag', entries)
-    found = episode_options(bag)
-    assert found == [('go north',), (), ('Go South', 'shown'), ('go north',)]
-    assert len(found) == len(find_episodes(bag))
-    path = str(bag.path)
-    for name, playing in (('north', 1), ('go south', 3), ('shown', 3)):
-        assert main(['bag', 'play', path, '--option', name]) == 0
-        said = capsys.readouterr()
-        assert f'episode {playing} of 4' in said.out
-        where = '1, 4' if playing == 1 else '3'
-        assert said.err.endswith(f' is in episodes {where}: playing {playing}\n')
-    for name, why in (('west', 'is no option'), ('go', 'could be several options')):
-        assert main(['bag', 'play', path, '--option', name]) == 2
-        said = capsys.readouterr()
-        assert f'{name!r} {why}' in said.err
-        assert "'go north' in 1, 4; 'Go South' in 3" in said.err
-        assert said.err.count('\n') == 1
-    assert main(['bag', 'play', path, '--option', 'shown', '--episode', '3']) == 2
-    assert 'not both' in capsys.readouterr().err
-
-
-def test_episodes_are_named_in_few_words() -> None:
-    assert [ranges(each) for each in ([], [4], [1, 2], [1, 2, 3, 7, 9, 10])] == [
-        *('', '4', '1-2', '1-3, 7, 9-10'),
-    ]
 
 
 def test_damage_of_ever_other_kinds_takes_little_room(tmp_path: Path) -> None:

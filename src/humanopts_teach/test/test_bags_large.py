@@ -217,7 +217,6 @@ def test_a_bag_of_1_gb_takes_less_than_500_mb(
     measure(['info', str(whole)])
     measure(['check', str(whole)])
     measure(['eval', str(whole), '--html', report])
-    measure(['diff', str(whole), str(whole)])
     measure(['play', str(whole), '--episode', '3000'])
     measure(['export', str(whole), '--to', 'csv', '--out', tables])
     shutil.move(whole, cut)

@@ -12,7 +12,6 @@ from humanopts_env.game import Source, Transition, transition_from_message
 from humanopts_learner.demonstrations import (
     Demonstration,
     demonstration_from_message,
-    PRIMITIVE_PREFIX,
 )
 from humanopts_ros.limits import parse_json
 from humanopts_teach.bags import BagError
@@ -347,36 +346,6 @@ def actor_of(transition: Transition, actors: Actors) -> str:
 def source_of(transition: Transition) -> str:
     """Return who chose the action of a transition, in a word; empty: no action led to it."""
     return '' if transition.action_source is Source.NONE else transition.action_source.name.lower()
-
-
-def episode_options(bag: Bag) -> list[tuple[str, ...]]:
-    """
-    Return the options that ran or were shown in each episode, in the order of ``find_episodes``.
-
-    An option was shown where the states and actions of a demonstration are those of the episode.
-    """
-    actors = read_actors(bag)
-    shown = [
-        (demo.option_name, demo.states, demo.actions)
-        for demo in bag.converted(DEMONSTRATION, demonstration_from_message)
-        if demo.actions
-    ]
-    found = []
-    for episode in read_episodes(bag):
-        steps = episode.transitions
-        states = tuple(step.state for step in steps)
-        actions = tuple(step.previous_action for step in steps[1:])
-        here = dict.fromkeys(actor_of(step, actors) for step in steps)
-        for name, its_states, its_actions in shown:
-            for at in range(len(states) - len(its_actions)):
-                if (
-                    actions[at : at + len(its_actions)] == its_actions
-                    and states[at : at + len(its_states)] == its_states
-                ):
-                    here[name] = None
-                    break
-        found.append(tuple(n for n in here if n and not n.startswith(PRIMITIVE_PREFIX)))
-    return found
 
 
 def read_beginnings(bag: Bag) -> Beginnings:

@@ -6,7 +6,6 @@ What a command needs is imported when it runs, so that help and completion are q
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
-from dataclasses import asdict
 from functools import partial
 import json as json_text
 import os
@@ -196,45 +195,11 @@ def evaluate(
 
 
 @app.command()
-def diff(
-    a: Annotated[Path, typer.Argument(metavar='A', help='a rosbag2 folder or .mcap file')],
-    b: Annotated[Path, typer.Argument(metavar='B', help='another one')],
-    json: Json = False,
-) -> int:
-    """Show what differs between two lessons; status 1: it does."""
-    from humanopts_teach.bags.reader import open_bag
-    from humanopts_teach.evaluation.bag_evaluation import evaluate_bag
-    from humanopts_teach.evaluation.difference import compare, difference_text
-
-    with progress_bar() as show:
-        opened = [open_bag(path, show) for path in (a, b)]
-        lessons = [evaluate_bag(each, show) for each in opened]
-    found = compare(*lessons)
-    for each, lesson in zip(opened, lessons):
-        _warn('diff', each, lesson.warnings)
-    listed = {'same': not found, 'differences': [asdict(difference) for difference in found]}
-    _print(_json(listed) if json else difference_text(found))
-    return 1 if found else 0
-
-
-@app.command()
 def play(
     bag: BagArgument,
     episode: Annotated[
-        int | None,
-        typer.Option(
-            parser=whole(1), metavar='N', help='counted from the first in the bag; default: 1'
-        ),
-    ] = None,
-    option: Annotated[
-        str,
-        typer.Option(
-            metavar='NAME',
-            show_default=False,
-            help='the first episode in which this option ran or was shown; a part of its name '
-            'will do',
-        ),
-    ] = '',
+        int, typer.Option(parser=whole(1), metavar='N', help='number of the episode in the bag')
+    ] = 1,
     speed: Annotated[
         float,
         typer.Option(
@@ -245,25 +210,15 @@ def play(
 ) -> int:
     """Play an episode again in this terminal; as plain text where this is no terminal."""
     from humanopts_env.domains.base import StateError
-    from humanopts_teach.bags.contents import (
-        actors_in,
-        episode_options,
-        find_episodes,
-        read_domain,
-    )
+    from humanopts_teach.bags.contents import actors_in, find_episodes, read_domain
     from humanopts_teach.bags.reader import ignore_progress, open_bag
     from humanopts_teach.terminal.device import Device, why_not
     from humanopts_teach.terminal.replay import Replay
 
-    if episode is not None and option:
-        raise CommandError('give --episode or --option, not both')
     with progress_bar() as show:
         opened = open_bag(bag, show, namespace)
         domain, episodes = read_domain(opened), find_episodes(opened)
-        if option:
-            episode = _first_with(option, episode_options(opened), opened.path)
         opened.on_read = ignore_progress  # the rest is read quickly, while the screen is drawn
-    episode = episode or 1
     if episode > len(episodes):
         there = f'1 to {len(episodes)}' if episodes else 'none'
         raise CommandError(f'there is no episode {episode} in {opened.path}: {there}')
@@ -367,42 +322,6 @@ def export(
     _print('\n'.join(written))
     _warn('export', None, opened.notes)
     return 0
-
-
-def _first_with(name: str, options: Sequence[Sequence[str]], bag: Path) -> int:
-    """
-    Return the number of the first episode with an option, and say which others have it.
-
-    :param options: of each episode.
-    :raises CommandError: no option or several have this in their name; the text says which.
-    """
-    episodes: dict[str, list[int]] = {}
-    for at, names in enumerate(options, start=1):
-        for each in names:
-            episodes.setdefault(each, []).append(at)
-    alike = [each for each in episodes if name.casefold() in each.casefold()]
-    chosen = [name] if name in episodes else alike
-    if len(chosen) != 1:
-        listed = chosen or list(episodes)
-        there = '; '.join(f'{each!r} in {ranges(episodes[each])}' for each in listed)
-        why = 'could be several options' if chosen else 'is no option'
-        raise CommandError(
-            f'{name!r} {why} in the episodes of {bag}; there are: {there or "none"}'
-        )
-    found = episodes[chosen[0]]
-    _print(f'{chosen[0]!r} is in episodes {ranges(found)}: playing {found[0]}', sys.stderr)
-    return found[0]
-
-
-def ranges(numbers: Sequence[int]) -> str:
-    """Return ascending numbers in few words, such as 1-3, 7."""
-    runs: list[list[int]] = []
-    for each in numbers:
-        if runs and each == runs[-1][-1] + 1:
-            runs[-1][1:] = [each]
-        else:
-            runs.append([each])
-    return ', '.join('-'.join(map(str, run)) for run in runs)
 
 
 def _print(text: str, file: TextIO | None = None) -> None:
