@@ -21,16 +21,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 import typer
 
-from experiments import (
-    demonstrations,
-    figure2,
-    figure3,
-    figure4,
-    settings,
-    table1,
-    table2,
-    transfer,
-)
+from experiments import demonstrations, figure2, figure3, figure4, table1, table2, transfer
 from experiments.people import Participant, read_bag_lessons, Study
 from experiments.report import PAGE, Reproduction, Section, write_reproduction
 from experiments.trials import ClusterError, LIBRARIES, OnTrial, Outcome, run_trials, Trial
@@ -40,19 +31,18 @@ app = typer.Typer(**PLAIN)
 # Each has a ``NAME`` on the command line, a ``TITLE``, ``trials`` of a study, and ``present``,
 # which makes a section of what they came to.
 PAPER: list[ModuleType] = [figure2, figure3, figure4, table2]
-EXPERIMENTS = {each.NAME: each for each in (*PAPER, transfer, demonstrations, settings)}
+EXPERIMENTS = {each.NAME: each for each in (*PAPER, transfer, demonstrations)}
 
 
 @app.command(cls=SeveralValues, help="the paper's figures and tables, computed again")
 def reproduce(
     what: Annotated[
-        Literal['fig2', 'fig3', 'fig4', 'table2', 'all', 'transfer', 'demonstrations', 'settings'],
+        Literal['fig2', 'fig3', 'fig4', 'table2', 'all', 'transfer', 'demonstrations'],
         typer.Argument(
             metavar='WHAT',
             help='a figure or table: fig2, fig3, fig4, table2; or all of them; or, past the '
-            'paper, transfer: options of one maze in others; demonstrations: how many an '
-            'option takes, by the way in which it is learned; or settings: a search for those '
-            'of plans, the same for every action set',
+            'paper, transfer: options of one maze in others; or demonstrations: how many an '
+            'option takes, by learning method',
         ),
     ],
     out: Annotated[

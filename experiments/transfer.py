@@ -12,7 +12,6 @@ from functools import partial
 import re
 from typing import Any
 
-from humanopts_env.domains.pacman.random_mazes import random_maze
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.seeding import generator
 from humanopts_learner.intervals import Interval, level_of_each
@@ -31,6 +30,7 @@ import pandas as pd
 from experiments import paper, report
 from experiments.paper import Statement
 from experiments.people import options_of, OwnedOptions, owners, PERSON, Study
+from experiments.random_mazes import random_maze
 from experiments.trials import Trial
 
 NAME, DOMAIN = 'transfer', 'pacman'
