@@ -1,8 +1,8 @@
 """
-The numbers of lessons and plans by seed: a change of the code that should not change them does not.
+The numbers of lessons and plans by seed: only a change that is meant changes them.
 
-``data/numbers_by_seed.json`` has what each seed gave. Write it anew, after a change that is meant,
-with ``python tests/test_numbers_by_seed.py``.
+``data/numbers_by_seed.json`` has what each seed gave. After a change that is meant, write it anew with
+``python tests/test_numbers_by_seed.py``.
 """
 
 from collections.abc import Iterable, Sequence
