@@ -1,7 +1,7 @@
 """
 The numbers of lessons and plans by seed: only a change that is meant changes them.
 
-``data/numbers_by_seed.json`` has what each seed gave. After a change that is meant, write it anew with
+``data/numbers_by_seed.json`` has what each seed gave; to write it again after such a change, run
 ``python tests/test_numbers_by_seed.py``.
 """
 
