@@ -9,6 +9,7 @@ from humanopts_env.domains.base import Domain
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.game import Source, Transition
 from humanopts_learner.demonstrations import Demonstration, TREES
+from humanopts_learner.summary import Criterion, OptionSummary
 from humanopts_teach.lesson.history import OptionHistory
 from humanopts_teach.lesson.lesson import Lesson
 from humanopts_teach.lesson.requests import (
@@ -19,7 +20,6 @@ from humanopts_teach.lesson.requests import (
     EndDemonstration,
     LessonRequest,
     OpenSession,
-    OptionStatus,
     Phase,
     Verdict,
 )
@@ -53,9 +53,11 @@ class Starts(SeededStarts):
         return not self.more
 
 
-def status(participant: str = 'p1', **fields: Any) -> OptionStatus:
+def status(participant: str = 'p1', *, met: bool = False, **fields: Any) -> OptionSummary:
     """Return what the learner says of the option."""
-    return OptionStatus(OPTION, participant, **{'features': CHOSEN, **fields})
+    criteria = (Criterion('return', 0.0, 1.0, met),)
+    fields = {'features': CHOSEN, 'criteria': criteria, **fields}
+    return OptionSummary(OPTION, participant, **fields)
 
 
 class Table:
@@ -160,8 +162,8 @@ class Table:
 
     def learned(self, *, met: bool = False, features: tuple[str, ...] = CHOSEN) -> None:
         """Let the learner tell that the newest demonstration is counted in."""
-        self.lesson.update_progress(
-            [status(features=features, last_uuid=self.lesson.awaited or 'old', criteria_met=met)]
+        self.lesson.update_summaries(
+            [status(features=features, last_uuid=self.lesson.awaited or 'old', met=met)]
         )
 
     def shown(self) -> 'Table':

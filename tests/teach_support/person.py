@@ -5,7 +5,8 @@ from typing import Any
 
 from humanopts_env.domains.base import Domain
 from humanopts_env.game import Transition
-from humanopts_learner.options.criteria import Criterion, FEWEST
+from humanopts_learner.options.criteria import FEWEST
+from humanopts_learner.summary import Criterion, OptionSummary
 from humanopts_teach.dialogue.app import App
 from humanopts_teach.dialogue.menu import opening
 from humanopts_teach.lesson.requests import (
@@ -13,7 +14,6 @@ from humanopts_teach.lesson.requests import (
     BeginDemonstration,
     Drive,
     LessonView,
-    OptionStatus,
     Phase,
     Request,
     RequestStatus,
@@ -124,10 +124,10 @@ class Person:
         return any(text in ' '.join(shown.split()) for shown in (side, whole))
 
 
-def criteria(*values: tuple[str, float | None, float], **fields: Any) -> OptionStatus:
+def criteria(*values: tuple[str, float | None, float], **fields: Any) -> OptionSummary:
     """Return the progress of the option: the name, value and threshold of each criterion."""
     found = tuple(Criterion.of(*value) for value in values)
-    return OptionStatus(
+    return OptionSummary(
         NAME,
         'p1',
         **{'features': CHOSEN, 'n_demonstrations': FEWEST, 'more_needed': 6, **fields},

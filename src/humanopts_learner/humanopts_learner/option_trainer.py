@@ -12,9 +12,8 @@ from humanopts_learner.demonstrations import (
     Demonstration,
     each_once,
     group_by_option,
-    Kind,
 )
-from humanopts_learner.options.criteria import judge, Judgement, Thresholds
+from humanopts_learner.options.criteria import judge, Thresholds
 from humanopts_learner.options.files import (
     option_from_json,
     option_to_json,
@@ -23,6 +22,7 @@ from humanopts_learner.options.files import (
 )
 from humanopts_learner.options.learn import learn_option, NotLearnableError
 from humanopts_learner.options.option import LearnedOption
+from humanopts_learner.summary import OptionSummary, unmeasured
 
 DATA_SET = 'demonstrations.jsonl'
 
@@ -32,25 +32,19 @@ class DataSetError(RuntimeError):
 
 
 @dataclass(frozen=True, slots=True)
-class OptionProgress:
+class TaughtOption:
     """
-    What is learned of one option of one participant.
+    One option of one participant.
 
     It is kept for everybody who ever taught, so it holds no demonstrations and no trees.
     """
 
-    participant: str
-    option_name: str
-    features: tuple[str, ...]  # chosen with the newest demonstration
-    method: str  # of learning, asked for with the newest demonstration
-    uuids: tuple[str, ...]  # of demonstrations and "not here" answers, the newest last
-    n_not_here: int
-    judgement: Judgement | None  # None while there is no trajectory
-    file: str  # the option as data, without its demonstrations; empty without an option
+    summary: OptionSummary
+    file: str  # the option as data, without its demonstrations; empty while no trajectory is left
 
     @property
     def option(self) -> LearnedOption | None:
-        """The option, read from its data; None while there is no trajectory."""
+        """The option, read from its data; None while no trajectory is left."""
         return option_from_json(self.file)[0] if self.file else None
 
 
@@ -72,7 +66,7 @@ class OptionTrainer:
         """
         self._directory, self._domain = directory, domain
         self._thresholds, self._seed = thresholds, seed
-        self._progress: dict[tuple[str, str], OptionProgress] = {}
+        self._options: dict[tuple[str, str], TaughtOption] = {}
         try:
             directory.mkdir(parents=True, exist_ok=True)
             self._log = AppendOnlyLog(directory / DATA_SET)
@@ -112,9 +106,9 @@ class OptionTrainer:
         self._learn(demo.participant, demo.option_name, self._theirs.values())
         return True
 
-    def progress(self) -> list[OptionProgress]:
-        """Return the progress of every option, in order of first demonstration."""
-        return list(self._progress.values())
+    def options(self) -> list[TaughtOption]:
+        """Return every option, in order of first demonstration."""
+        return list(self._options.values())
 
     def _read(self, participant: str | None = None) -> list[Demonstration]:
         """Return the demonstrations on disk, each once: everybody's, or one participant's."""
@@ -137,7 +131,7 @@ class OptionTrainer:
         if participant == self._at_work:
             return
         read = []
-        if any(who == participant for who, _ in self._progress):
+        if any(who == participant for who, _ in self._options):
             try:
                 read = self._read(participant)
             except OSError as error:
@@ -154,25 +148,21 @@ class OptionTrainer:
         demos = group_by_option(theirs).get(key, [])
         if not demos:
             self._unlearn(*key)
-            self._progress.pop(key, None)
+            self._options.pop(key, None)
             return
-        features, judgement, file = demos[-1].chosen_features, None, ''
+        summary, file = unmeasured(demos), ''
         try:
             option = learn_option(demos, self._domain, self._seed)
         except NotLearnableError:
             self._unlearn(*key)
         else:
-            judgement = judge(demos, self._domain, self._thresholds, self._seed, option)
+            summary = judge(demos, self._domain, self._thresholds, self._seed, option)
             try:
                 save_option(self._directory, option, demos)
             except OSError as error:
                 self.problems.append(f'cannot write the file of {option_name!r}: {error}')
-            features, file = option.features, option_to_json(option, [])
-        uuids = tuple(demo.uuid for demo in demos)
-        n_not_here = sum(demo.kind is Kind.NOT_HERE for demo in demos)
-        self._progress[key] = OptionProgress(
-            *key, features, demos[-1].method, uuids, n_not_here, judgement, file
-        )
+            file = option_to_json(option, [])
+        self._options[key] = TaughtOption(summary, file)
 
     def _unlearn(self, participant: str, option_name: str) -> None:
         """Remove the file of an option that was learned from demonstrations now withdrawn."""

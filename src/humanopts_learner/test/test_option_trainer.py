@@ -64,10 +64,6 @@ def not_here(shown: Demonstration) -> Demonstration:
     )
 
 
-def uuids(demos: list[Demonstration]) -> tuple[str, ...]:
-    return tuple(demo.uuid for demo in demos)
-
-
 def withdrawn(demo: Demonstration) -> Demonstration:
     return replace(demo, withdrawn=True)
 
@@ -77,25 +73,24 @@ def test_a_demonstration_is_learned_from_once(
 ) -> None:
     assert [trainer.take(demo) for demo in few] == [True] * 6
     assert trainer.take(few[3]) is False
-    (progress,) = trainer.progress()
-    assert progress.uuids == uuids(few)
-    assert progress.option == learn_option(few, TAXI, SEED)
-    assert progress.judgement == judge(few, TAXI, Thresholds(), SEED)
-    assert option_from_json(progress.file) == (progress.option, [])
+    (taught,) = trainer.options()
+    assert taught.option == learn_option(few, TAXI, SEED)
+    assert taught.summary == judge(few, TAXI, Thresholds(), SEED)
+    assert option_from_json(taught.file) == (taught.option, [])
 
 
 def test_everything_is_known_again_when_it_is_opened_again(
     reopen: Open, few: list[Demonstration], trained: OptionTrainer
 ) -> None:
     again = reopen()
-    assert again.progress() == trained.progress()
+    assert again.options() == trained.options()
     assert again.problems == []
     assert again.take(few[0]) is False
 
 
 def test_the_option_file_holds_the_demonstrations(tmp_path: Path, trained: OptionTrainer) -> None:
     options, problems = load_options(tmp_path / 'options')
-    assert options == [trained.progress()[0].option]
+    assert options == [trained.options()[0].option]
     assert problems == []
 
 
@@ -105,9 +100,9 @@ def test_options_and_people_are_kept_apart(person: Any, trainer: OptionTrainer) 
     for demos in zip(one, two, other):
         for demo in demos:
             trainer.take(demo)
-    found = {p.participant: p.uuids for p in trainer.progress()[:2]}
-    assert found == {'person 1': uuids(one), 'person 2': uuids(two)}
-    assert [p.option for p in trainer.progress()] == [
+    found = [(p.summary.participant, p.summary.last_uuid) for p in trainer.options()[:2]]
+    assert found == [('person 1', one[-1].uuid), ('person 2', two[-1].uuid)]
+    assert [p.option for p in trainer.options()] == [
         learn_option(demos, TAXI, SEED) for demos in (one, two, other)
     ]
 
@@ -118,11 +113,10 @@ def test_what_somebody_taught_is_read_again_when_they_go_on(
     one, two = person(seed=1).show_random(4), person(seed=2).show_random(1)
     for demo in (*one[:3], *two, withdrawn(one[0]), *two, one[3]):
         trainer.take(demo)
-    mine = trainer.progress()[0]
-    assert mine.uuids == uuids(one[1:])
+    mine = trainer.options()[0]
     assert mine.option == learn_option(one[1:], TAXI, SEED)
-    assert mine.judgement == judge(one[1:], TAXI, Thresholds(), SEED)
-    assert reopen().progress() == trainer.progress()
+    assert mine.summary == judge(one[1:], TAXI, Thresholds(), SEED)
+    assert reopen().options() == trainer.options()
     file = tmp_path / 'options' / DATA_SET
     kept = file.read_bytes()
     file.unlink()
@@ -132,7 +126,7 @@ def test_what_somebody_taught_is_read_again_when_they_go_on(
     file.rmdir()
     file.write_bytes(kept)
     assert trainer.take(withdrawn(two[0]))
-    assert [p.participant for p in trainer.progress()] == ['person 1']
+    assert [p.summary.participant for p in trainer.options()] == ['person 1']
 
 
 def test_of_people_who_are_gone_no_demonstrations_and_trees_stay_in_memory(
@@ -159,8 +153,9 @@ def test_not_here_alone_is_counted_but_is_no_option(
 ) -> None:
     nothing = not_here(few[0])
     assert trainer.take(nothing)
-    (progress,) = trainer.progress()
-    assert (progress.uuids, progress.option, progress.file) == ((nothing.uuid,), None, '')
+    (taught,) = trainer.options()
+    assert (taught.summary.last_uuid, taught.summary.n_not_here) == (nothing.uuid, 1)
+    assert (taught.option, taught.file) == (None, '')
 
 
 def test_what_cannot_be_used_is_not_kept(
@@ -180,7 +175,7 @@ def test_a_line_that_cannot_be_used_is_named_and_the_others_are_kept(
     file = tmp_path / 'options' / DATA_SET
     file.write_text('not JSON\n' + file.read_text() + '{"kind": "traj')
     again = reopen()
-    assert again.progress() == trained.progress()
+    assert again.options() == trained.options()
     torn, unusable = again.problems
     assert 'was cut off' in torn
     assert unusable.startswith(f'line 1 of {file} is left out: not a demonstration')
@@ -199,7 +194,7 @@ def test_a_data_set_that_cannot_be_written_keeps_the_demonstration_out(
     (tmp_path / 'options' / DATA_SET).mkdir()
     with pytest.raises(DataSetError, match=r'cannot write .*jsonl: Is a directory'):
         trainer.take(few[0])
-    assert trainer.progress() == []
+    assert trainer.options() == []
     (tmp_path / 'options' / DATA_SET).rmdir()
     assert trainer.take(few[0])
 
@@ -216,7 +211,7 @@ def test_an_option_file_that_cannot_be_written_is_a_problem_but_no_loss(
     assert trainer.take(few[1])
     (problem,) = trainer.problems
     assert 'cannot write the file of' in problem
-    assert reopen().progress()[0].uuids == uuids(few[:2])
+    assert reopen().options()[0].option == learn_option(few[:2], TAXI, SEED)
 
 
 def test_what_is_withdrawn_is_unlearned_and_stays_so(
@@ -225,10 +220,9 @@ def test_what_is_withdrawn_is_unlearned_and_stays_so(
     assert trained.take(withdrawn(few[-1])) is True
     for again in (few[-1], withdrawn(few[-1])):
         assert trained.take(again) is False
-    (progress,) = trained.progress()
-    assert progress.uuids == uuids(few[:-1])
-    assert progress.option == learn_option(few[:-1], TAXI, SEED)
-    assert reopen().progress() == trained.progress()
+    (taught,) = trained.options()
+    assert taught.option == learn_option(few[:-1], TAXI, SEED)
+    assert reopen().options() == trained.options()
 
 
 def test_an_option_of_which_nothing_is_left_is_gone_with_its_file(
@@ -236,7 +230,7 @@ def test_an_option_of_which_nothing_is_left_is_gone_with_its_file(
 ) -> None:
     trainer.take(few[0])
     trainer.take(withdrawn(few[0]))
-    assert trainer.progress() == reopen().progress() == []
+    assert trainer.options() == reopen().options() == []
     assert load_options(tmp_path / 'options') == ([], [])
     trainer.take(few[1])
     assert load_options(tmp_path / 'options')[0] == [learn_option([few[1]], TAXI, SEED)]
@@ -248,8 +242,8 @@ def test_an_option_with_not_here_alone_left_is_known_and_has_no_file(
     refusal = not_here(few[1])
     for demo in (refusal, few[0], withdrawn(few[0])):
         trainer.take(demo)
-    (progress,) = trainer.progress()
-    assert (progress.uuids, progress.option) == ((refusal.uuid,), None)
+    (taught,) = trainer.options()
+    assert (taught.summary.last_uuid, taught.option) == (refusal.uuid, None)
     assert load_options(tmp_path / 'options') == ([], [])
 
 
@@ -258,7 +252,7 @@ def test_a_withdrawal_that_comes_first_holds(
 ) -> None:
     assert trainer.take(withdrawn(few[0])) is True
     assert trainer.take(few[0]) is False
-    assert trainer.progress() == []
+    assert trainer.options() == []
 
 
 @pytest.mark.parametrize(
@@ -276,7 +270,7 @@ def test_names_that_no_lesson_gives_are_refused(
 ) -> None:
     with pytest.raises(DemonstrationError, match=says):
         trainer.take(replace(few[0], **fields))
-    assert trainer.progress() == []
+    assert trainer.options() == []
 
 
 def test_a_deep_line_is_left_out_by_its_number(
@@ -289,7 +283,7 @@ def test_a_deep_line_is_left_out_by_its_number(
     (problem,) = again.problems
     assert problem.startswith('line 2 of ')
     assert 'nested more than' in problem
-    assert again.progress()[0].uuids == trained.progress()[0].uuids
+    assert again.options() == trained.options()
 
 
 @pytest.fixture

@@ -17,15 +17,11 @@ from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.options.conflicts import find_conflicts
 from humanopts_learner.options.criteria import (
     balanced_error,
-    Criterion,
     FEWEST,
     fit_leave_fold_out,
     fold_of,
-    INITIATION,
     judge,
     more_needed,
-    RETURN,
-    TERMINATION,
     Thresholds,
 )
 from humanopts_learner.options.files import option_to_json
@@ -37,6 +33,7 @@ from humanopts_learner.options.learn import (
 )
 from humanopts_learner.options.option import MEMBER
 from humanopts_learner.options.rollout import rollouts
+from humanopts_learner.summary import Criterion, INITIATION, RETURN, TERMINATION
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np

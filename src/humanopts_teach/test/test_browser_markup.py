@@ -6,14 +6,14 @@ from xml.etree import ElementTree
 
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.game import Transition
-from humanopts_learner.options.criteria import Criterion
+from humanopts_learner.summary import Criterion, OptionSummary
 from humanopts_teach.browser.markup import head_html, PARTS, parts
 from humanopts_teach.dialogue.app import App
 from humanopts_teach.dialogue.entry import ConfirmScreen, HelpScreen, Item, ListScreen, TextScreen
 from humanopts_teach.dialogue.keys import Command, key_of, key_table, label
 from humanopts_teach.dialogue.menu import opening, to_lesson
 from humanopts_teach.dialogue.panel import view
-from humanopts_teach.lesson.requests import LessonView, OptionStatus, Phase
+from humanopts_teach.lesson.requests import LessonView, Phase
 import pytest
 
 NASTY = '<script>alert("x")</script>&\''
@@ -30,8 +30,8 @@ def app() -> App:
         Phase.DEMONSTRATING, NASTY, NASTY, NASTY, paused=NASTY, text=NASTY, episode=2
     )
     found = Criterion('initiation', 0.1, 0.05, met=False)
-    status = OptionStatus(NASTY, NASTY, criteria=(found,), conflicts=(NASTY,))
-    app.world.progress = [status]
+    status = OptionSummary(NASTY, NASTY, criteria=(found,), conflicts=(NASTY,))
+    app.world.summaries = [status]
     return app
 
 

@@ -5,6 +5,7 @@ from typing import Any
 from humanopts_env.domains.base import Domain
 from humanopts_learner.demonstrations import GOAL
 from humanopts_learner.planning.request import Execution
+from humanopts_learner.summary import Criterion, OptionSummary
 from humanopts_teach.dialogue.app import REPLY_SECONDS, SETTLE_SECONDS
 from humanopts_teach.dialogue.menu import opening
 from humanopts_teach.lesson.requests import (
@@ -16,7 +17,6 @@ from humanopts_teach.lesson.requests import (
     ListOptions,
     NewEpisode,
     OpenSession,
-    OptionStatus,
     Phase,
     PlanOptions,
     PlayEpisodes,
@@ -383,8 +383,8 @@ def test_watching_plans_first_and_plays_then(teacher: Person) -> None:
 def test_a_plan_names_its_options_whose_criteria_do_not_hold(
     teacher: Person, item: str, named: bool
 ) -> None:
-    teacher.world.progress = [
-        OptionStatus(name, who, criteria_met=met)
+    teacher.world.summaries = [
+        OptionSummary(name, who, criteria=(Criterion('return', 0.0, 1.0, met),))
         for who, name, met in (('p1', 'a', True), ('p1', 'fetch', False), ('p2', 'b', False))
     ]
     planned(teacher, 'escape', '4', item, 'enter')

@@ -14,11 +14,12 @@ from humanopts_env.domains.registry import reference_options
 from humanopts_env.ros.convert import domain_to_info
 from humanopts_interfaces.msg import GameState, OptionResult
 from humanopts_learner.demonstrations import Demonstration, group_by_option, Kind
-from humanopts_learner.options.criteria import judge, Judgement, Thresholds
+from humanopts_learner.options.criteria import judge, Thresholds
 from humanopts_learner.options.files import option_to_json
 from humanopts_learner.options.learn import learn_option
 from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.ros.convert import demonstration_to_message
+from humanopts_learner.summary import OptionSummary
 from humanopts_teach.bags import BagError
 from humanopts_teach.bags.provenance import UNKNOWN
 from humanopts_teach.bags.writer import BagWriter
@@ -389,7 +390,7 @@ def test_no_escape_sequence_in_a_name_reaches_the_terminal(
 
 
 KEYS = {part.name for part in fields(OptionBlock)}  # tests/test_demo.py has their list
-Taught = tuple[LearnedOption, Judgement]
+Taught = tuple[LearnedOption, OptionSummary]
 
 
 def learn(domain: Domain[Any], demos: list[Demonstration], count: int = 100) -> Taught:
@@ -398,7 +399,7 @@ def learn(domain: Domain[Any], demos: list[Demonstration], count: int = 100) -> 
     return learn_option(shown, domain, 3), judge(shown, domain, Thresholds(), 3)
 
 
-def as_message(judgement: Judgement) -> SimpleNamespace:
+def as_message(judgement: OptionSummary) -> SimpleNamespace:
     """Return what OptionStatus carries: plain numbers, NaN where there is none."""
     criteria = [
         SimpleNamespace(name=c.name, value=math.nan if c.value is None else c.value)

@@ -305,7 +305,7 @@ def test_what_is_deleted_contradicts_nothing(table: Table) -> None:
     aboard_too(table).began(START).drive('west', 'pickup').end()
     table.learned()
     assert table.ask(WithdrawDemonstration()).ok
-    table.lesson.update_progress([])
+    table.lesson.update_summaries([])
     assert not table.began(START).drive('south', 'north').end().contradiction
 
 

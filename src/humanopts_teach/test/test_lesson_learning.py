@@ -32,9 +32,9 @@ from teach_support.lesson import (
 
 def test_the_lesson_waits_until_the_newest_demonstration_is_counted_in(table: Table) -> None:
     learning(table)
-    table.lesson.update_progress([status(last_uuid='older', criteria_met=True)])
+    table.lesson.update_summaries([status(last_uuid='older', met=True)])
     assert table.lesson.phase is Phase.LEARNING
-    table.lesson.update_progress([status('p2', last_uuid=table.lesson.awaited, criteria_met=True)])
+    table.lesson.update_summaries([status('p2', last_uuid=table.lesson.awaited, met=True)])
     assert table.lesson.phase is Phase.LEARNING
     table.learned()
     assert table.lesson.phase is Phase.READY
@@ -233,7 +233,7 @@ def test_the_newest_demonstration_can_be_taken_back_and_shown_anew(table: Table)
     assert (view.phase, view.n_demonstrations, view.last_uuid) == (Phase.LEARNING, 1, first)
     table.learned()
     assert table.lesson.phase is Phase.LEARNING  # the learner has not counted it out yet
-    table.lesson.update_progress([status(last_uuid=first)])
+    table.lesson.update_summaries([status(last_uuid=first)])
     assert table.ask(BeginDemonstration()).state == OTHER
 
 
@@ -243,7 +243,7 @@ def test_what_was_taken_back_gives_its_place_in_the_budget_but_not_its_number(
     spent(table)
     assert table.ask(BeginDemonstration()).status is RequestStatus.BUDGET_SPENT
     assert table.ask(WithdrawDemonstration()).ok
-    table.lesson.update_progress([])
+    table.lesson.update_summaries([])
     assert table.lesson.phase is Phase.READY
     again = table.began().drive('west').end().demonstration
     assert again is not None
@@ -253,7 +253,7 @@ def test_what_was_taken_back_gives_its_place_in_the_budget_but_not_its_number(
 def test_a_lesson_that_was_finished_goes_on_without_what_made_it_so(table: Table) -> None:
     met(table)
     assert table.ask(WithdrawDemonstration()).ok
-    table.lesson.update_progress([])  # the option has no demonstration left
+    table.lesson.update_summaries([])  # the option has no demonstration left
     assert (table.lesson.phase, table.lesson.criteria_met) == (Phase.READY, False)
 
 
@@ -274,9 +274,9 @@ def test_any_demonstration_of_the_option_that_is_taught_can_be_taken_back_and_no
     assert unknown.status is RequestStatus.NO_DEMONSTRATION
     assert 'no such' in unknown.detail
     assert table.ask(WithdrawDemonstration(older)).ok
-    table.lesson.update_progress([status(n_demonstrations=2, last_uuid=newest)])
+    table.lesson.update_summaries([status(n_demonstrations=2, last_uuid=newest)])
     assert table.lesson.phase is Phase.LEARNING  # the learner still counts both
-    table.lesson.update_progress([status(n_demonstrations=1, last_uuid=newest)])
+    table.lesson.update_summaries([status(n_demonstrations=1, last_uuid=newest)])
     assert table.lesson.phase is Phase.READY
     assert table.ask(WithdrawDemonstration(older)).status is RequestStatus.NO_DEMONSTRATION
     assert [demo.withdrawn for demo in table.lesson.demonstrations()] == [True, False]
@@ -321,7 +321,7 @@ def test_start_states_are_drawn_only_once_they_know_of_a_withdrawal(table: Table
     uuid = table.lesson.view.last_uuid
     table.starts.known = {uuid}
     table.ask(WithdrawDemonstration())
-    table.lesson.update_progress([])
+    table.lesson.update_summaries([])
     assert table.lesson.phase is Phase.LEARNING
     table.starts.known.clear()
     table.lesson.update_option('p1', OPTION, 'what start states know of')
@@ -363,7 +363,7 @@ def test_what_was_taken_back_is_shown_anew_one_by_one(table: Table) -> None:
         table.learned()
     for _ in range(2):
         assert table.ask(WithdrawDemonstration()).ok
-        table.lesson.update_progress([])
+        table.lesson.update_summaries([])
     for start in (START, OTHER):
         assert table.began().lesson.view.start_state == start
         assert table.drive('west').end().ok

@@ -5,7 +5,7 @@ from typing import get_args
 
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.game import Transition
-from humanopts_learner.options.criteria import Criterion
+from humanopts_learner.summary import Criterion, OptionSummary
 from humanopts_teach.browser.markup import parts
 from humanopts_teach.dialogue.app import App
 from humanopts_teach.dialogue.entry import Item
@@ -26,7 +26,7 @@ from humanopts_teach.dialogue.panel import (
     TypedText,
     view,
 )
-from humanopts_teach.lesson.requests import LessonView, OptionStatus, Phase
+from humanopts_teach.lesson.requests import LessonView, Phase
 from humanopts_teach.terminal.drawing import drawn
 import pytest
 
@@ -85,7 +85,7 @@ def test_a_bar_reaches_its_mark_at_the_threshold_and_its_end_at_three_times_that
 ) -> None:
     to_lesson(app)
     found = Criterion('initiation', value, threshold, met=False)
-    app.world.progress = [OptionStatus(NAME, 'p1', criteria=(found,))]
+    app.world.summaries = [OptionSummary(NAME, 'p1', criteria=(found,))]
     (criteria,) = [block for block in view(app).panel.beside if isinstance(block, Criteria)]
     assert criteria.rows[0].share == pytest.approx(share)
 

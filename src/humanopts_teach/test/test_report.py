@@ -9,8 +9,9 @@ from typing import Any
 from humanopts_env.domains.base import Domain, is_enumerable
 from humanopts_env.domains.registry import reference_options
 from humanopts_learner.demonstrations import Demonstration
-from humanopts_learner.options.criteria import Criterion, Thresholds
+from humanopts_learner.options.criteria import Thresholds
 from humanopts_learner.planning.exact import ExactPlan
+from humanopts_learner.summary import Criterion
 from humanopts_teach.bags.info import TopicRow
 from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, evaluate
 from humanopts_teach.evaluation.measures import Settings

@@ -12,6 +12,7 @@ from typing import Any
 from humanopts_env.domains.base import Domain
 from humanopts_env.domains.pacman.maze import load_maze
 from humanopts_env.game import Transition
+from humanopts_learner.summary import OptionSummary
 from humanopts_teach.cli import main
 from humanopts_teach.commands.study_session import simulated_part
 from humanopts_teach.dialogue.study import StudyApp
@@ -19,7 +20,6 @@ from humanopts_teach.lesson.requests import (
     Answer,
     LessonView,
     OpenSession,
-    OptionStatus,
     Phase,
     Request,
     RequestStatus,
@@ -480,10 +480,10 @@ def taught_for(
 ) -> Guest:
     """Teach in one sitting, looking each second, and leave; a crash leaves no word."""
     guest = Guest([TEACH, PAGE], path, taxi, start)
-    option = OptionStatus('fetch', 'anna', n_demonstrations=1)
+    option = OptionSummary('fetch', 'anna', n_demonstrations=1)
     while guest.now < start + seconds and 'Read this.' not in guest.seen:
         guest.now += 1.0
-        guest.world.progress = [option]
+        guest.world.summaries = [option]
         guest.app.advance(guest.now)
     if not crash:
         guest.app.last_requests()
@@ -593,7 +593,7 @@ def test_a_simulated_study_makes_tables_that_the_codebook_explains(
     plan: StudyPlan, tmp_path: Path
 ) -> None:
     folder = StudyFolder(tmp_path / 'study')
-    option = OptionStatus('fetch', 's', n_demonstrations=4, criteria_met=True)
+    option = OptionSummary('fetch', 's', n_demonstrations=4)
     for code in ('s1', 's2'):
         who = folder.enter(plan, code, simulated=True)
         record = OpenRecord(who.path)

@@ -13,6 +13,7 @@ from humanopts_interfaces.action import RunPolicy
 from humanopts_interfaces.msg import Criterion, LessonState, NodeStatus
 from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.planning.request import Execution
+from humanopts_learner.ros.convert import summary_from_message
 from humanopts_ros.publisher import PublishError
 from humanopts_teach.lesson.requests import (
     Answer,
@@ -33,7 +34,6 @@ from humanopts_teach.ros.convert import (
     decode,
     encode,
     LESSON_SERVICES,
-    option_status_from_message,
 )
 from humanopts_teach.ros.lesson_node import LessonNode
 import pytest
@@ -126,9 +126,9 @@ def test_what_the_learner_says_of_an_option_is_read_from_its_status() -> None:
         criteria_met=True,
         more_needed=-1,
     )
-    found = option_status_from_message(message)
+    found = summary_from_message(message)
     assert (found.participant, found.option_name, found.features) == ('p1', 'go', ('row',))
-    assert (found.last_uuid, found.criteria_met, found.more_needed) == ('u', True, -1)
+    assert (found.last_uuid, found.criteria_met, found.more_needed) == ('u', False, -1)
     assert [(c.name, c.value, c.met, c.undecided) for c in found.criteria] == [
         ('return', 0.5, True, False),
         ('return', 0.5, False, True),

@@ -33,7 +33,7 @@ def test_the_fullest_screen_fits_in_80_by_24(shower: Person) -> None:
     values = [(name, 0.125, 0.05) for name in ('return', 'initiation', 'termination')]
     shower.lesson(Phase.DEMONSTRATING, last_uuid='abc')
     situation = ', '.join(f'{name.replace("_", " ")} 4' for name in CHOSEN)
-    shower.world.progress = [
+    shower.world.summaries = [
         replace(
             criteria(*values),
             mean_return_demonstrations=-5.25,
@@ -77,7 +77,7 @@ def test_the_fullest_screen_of_pac_man_fits_in_80_by_24(pacman_shower: Person) -
         mean_return_policy=-116.5,
         conflicts=(conflict, 'another'),
     )
-    pacman_shower.world.progress = [status]
+    pacman_shower.world.summaries = [status]
     screen = pacman_shower.sees()
     for text in (
         '· termination  not measured  ≤ 5.0 %',

@@ -35,6 +35,14 @@ from humanopts_learner.options.failures import find_failures
 from humanopts_learner.options.learn import Dataset, Examples, fit_option, make_dataset
 from humanopts_learner.options.option import LearnedOption, MEMBER
 from humanopts_learner.options.rollout import is_deterministic, random_rollouts, rollouts
+from humanopts_learner.summary import (
+    Criterion,
+    INITIATION,
+    OptionSummary,
+    RETURN,
+    TERMINATION,
+    unmeasured,
+)
 import numpy as np
 from numpy.typing import NDArray
 
@@ -46,11 +54,8 @@ CUT_OFF = 2  # a held-out run may take so many times the steps of its demonstrat
 SHARE = 0.1  # of the range of returns: how much the return may fall short
 RANDOM_RUNS = 200  # at least, from all starts together
 FEWEST_RANDOM_RUNS = 10  # from each start
-NO_GAIN = Interval(math.nan, math.nan, math.nan)
-RETURN, INITIATION, TERMINATION = 'return', 'initiation', 'termination'
 ONE_SIDED = 1.645  # standard errors below the range with 5 % confidence
 ROUNDING = 1e-9  # reward units
-NO_RANGE = 'random actions from the same starts return as much as the demonstrations'
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,89 +80,13 @@ class Thresholds:
             )
 
 
-@dataclass(frozen=True, slots=True)
-class Criterion:
-    """One stopping criterion."""
-
-    name: str  # RETURN, INITIATION or TERMINATION
-    value: float | None  # None: not measurable yet
-    threshold: float | None  # None: that of the return, as long as its range is not measured
-    met: bool
-    high: float | None = None  # upper confidence limit of the value, where there is one
-    no_range: bool = False  # the return cannot be measured: ``NO_RANGE``
-
-    @classmethod
-    def of(
-        cls, name: str, value: float | None, threshold: float | None, high: float | None = None
-    ) -> 'Criterion':
-        """
-        Return a criterion, which is met when the upper limit is at most the threshold.
-
-        :param high: None: the value is taken as it is.
-        """
-        decides = value if high is None else high
-        met = decides is not None and threshold is not None and decides <= threshold
-        return cls(name, value, threshold, met, high)
-
-    @property
-    def measurable(self) -> bool:
-        """Whether there are enough demonstrations, of both classes, to measure it."""
-        return self.value is not None
-
-    @property
-    def undecided(self) -> bool:
-        """Whether the value would do, but is not known well enough to say that it is met."""
-        if self.value is None or self.threshold is None:
-            return False
-        return self.value <= self.threshold and not self.met
-
-    @property
-    def verdict(self) -> str:
-        """The standing of the criterion, in the words of every screen and report."""
-        if self.value is None:
-            return 'not measurable' if self.no_range else 'not yet measurable'
-        return 'met' if self.met else 'not yet known' if self.undecided else 'not met'
-
-
-def all_settled(criteria: Sequence[Criterion]) -> bool:
-    """
-    Return whether nothing is left to be met: every criterion is met, or cannot be measured.
-
-    Demonstrations then settle no more; that all criteria hold is another matter.
-    """
-    return bool(criteria) and all(criterion.met or criterion.no_range for criterion in criteria)
-
-
-@dataclass(frozen=True)
-class Judgement:
-    """How well an option is learned from its demonstrations."""
-
-    criteria: tuple[Criterion, ...]  # return, initiation, termination
-    mean_return_demonstrations: float  # undiscounted
-    mean_return_policy: float  # in-sample: from the same start states
-    more_needed: int  # estimate of further demonstrations; 0: none; -1: unknown
-    conflicts: tuple[str, ...]  # situations alike in the features but answered differently
-    suggested_feature: str | None  # would separate most of them
-    gain: Interval = NO_GAIN  # of the policy over the demonstrations, from the same start states
-
-    @property
-    def criteria_met(self) -> bool:
-        """Whether all three criteria are met."""
-        return all(criterion.met for criterion in self.criteria)
-
-    @property
-    def settled(self) -> bool:
-        """Whether all criteria that can be measured are met."""
-        return all_settled(self.criteria)
-
-
 def judge(
     demonstrations: Sequence[Demonstration],
     domain: Domain[Any],
     thresholds: Thresholds,
     seed: int,
     option: LearnedOption | None = None,
-) -> Judgement:
+) -> OptionSummary:
     """
     Judge an option by its demonstrations.
 
@@ -175,13 +104,15 @@ def judge(
     criteria = _criteria(data, domain, thresholds, seed, option, known)
     waits = known is not None and not criteria[0].met  # that it becomes known follows no law
     conflicts = find_conflicts(data, domain)
-    return Judgement(
+    return replace(
+        unmeasured(data.demonstrations),
+        features=data.features,
         criteria=criteria,
         mean_return_demonstrations=float(shown.mean()),
         mean_return_policy=float(in_sample.total_reward.mean()),
         more_needed=-1 if waits else more_needed(criteria, len(shown)),
         conflicts=conflicts.texts,
-        suggested_feature=conflicts.suggested_feature,
+        suggested_feature=conflicts.suggested_feature or '',
         gain=Interval.of_difference(in_sample.total_reward, shown),
     )
 

@@ -14,12 +14,12 @@ from humanopts_learner.demonstrations import Demonstration, KIND_NUMBERS
 from humanopts_learner.options.files import option_from_json, option_to_json
 from humanopts_learner.options.option import LearnedOption, OptionError
 from humanopts_learner.planning.request import PlanError, PlanRequest
+from humanopts_learner.summary import Criterion, OptionSummary
 import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:  # slow to import, and terminals convert none of them
     from humanopts_learner.execution import RunResult
-    from humanopts_learner.option_trainer import OptionProgress
     from humanopts_learner.planning.evaluate import Coverage
     from humanopts_learner.planning.interruption import OptionValues
     from humanopts_learner.planning.plan import AnyPlan, Performance
@@ -34,40 +34,40 @@ def demonstration_to_message(demo: Demonstration) -> msg.Demonstration:
     return msg.Demonstration(**values)
 
 
-def status_to_message(progress: 'OptionProgress') -> msg.OptionStatus:
-    """Encode how well an option is learned; "not here" answers alone are no option yet."""
-    status = msg.OptionStatus(
-        option_name=progress.option_name,
-        participant=progress.participant,
-        features=list(progress.features),
-        n_demonstrations=len(progress.uuids) - progress.n_not_here,
-        n_not_here=progress.n_not_here,
-        last_uuid=progress.uuids[-1],
-        method=progress.method,
-        mean_return_demonstrations=math.nan,
-        mean_return_policy=math.nan,
-        more_needed=-1,
+def summary_to_message(summary: OptionSummary) -> msg.OptionStatus:
+    """Encode how far an option is learned; None is sent as NaN."""
+    values = {f.name: getattr(summary, f.name) for f in fields(summary) if f.name != 'gain'}
+    values |= {name: list(each) for name, each in values.items() if isinstance(each, tuple)}
+    values['criteria'] = [
+        msg.Criterion(
+            name=criterion.name,
+            value=math.nan if criterion.value is None else criterion.value,
+            threshold=math.nan if criterion.threshold is None else criterion.threshold,
+            measurable=criterion.measurable,
+            met=criterion.met,
+            no_range=criterion.no_range,
+        )
+        for criterion in summary.criteria
+    ]
+    return msg.OptionStatus(criteria_met=summary.criteria_met, **values)
+
+
+def summary_from_message(message: msg.OptionStatus) -> OptionSummary:
+    """Decode how far an option is learned; confidence limits are not sent."""
+    names = {f.name for f in fields(OptionSummary)} - {'gain', 'criteria'}
+    values = {name: getattr(message, name) for name in names}
+    values |= {name: tuple(each) for name, each in values.items() if isinstance(each, list)}
+    criteria = tuple(
+        Criterion(
+            found.name,
+            found.value if found.measurable else None,
+            None if math.isnan(found.threshold) else found.threshold,
+            found.met,
+            no_range=found.no_range,
+        )
+        for found in message.criteria
     )
-    judgement = progress.judgement
-    if judgement is not None:
-        status.criteria = [
-            msg.Criterion(
-                name=criterion.name,
-                value=math.nan if criterion.value is None else criterion.value,
-                threshold=math.nan if criterion.threshold is None else criterion.threshold,
-                measurable=criterion.measurable,
-                met=criterion.met,
-                no_range=criterion.no_range,
-            )
-            for criterion in judgement.criteria
-        ]
-        status.criteria_met = judgement.criteria_met
-        status.mean_return_demonstrations = judgement.mean_return_demonstrations
-        status.mean_return_policy = judgement.mean_return_policy
-        status.more_needed = judgement.more_needed
-        status.conflicts = list(judgement.conflicts)
-        status.suggested_feature = judgement.suggested_feature or ''
-    return status
+    return OptionSummary(criteria=criteria, **values)
 
 
 class OptionsReader:

@@ -19,7 +19,7 @@ from humanopts_learner.demonstrations import demonstration_from_message, Demonst
 from humanopts_learner.option_trainer import DataSetError, OptionTrainer
 from humanopts_learner.options.criteria import Thresholds
 from humanopts_learner.ros import LEARNER
-from humanopts_learner.ros.convert import status_to_message
+from humanopts_learner.ros.convert import summary_to_message
 from humanopts_ros.limits import shown
 from humanopts_ros.node_base import NodeBase, SEEDS, StartError
 from humanopts_ros.process import run_node
@@ -105,17 +105,22 @@ class LearnerNode(NodeBase):
             self.get_logger().warning(trainer.problems.pop(0))
 
     def _publish(self, trainer: OptionTrainer) -> None:
-        progress = trainer.progress()
+        options = trainer.options()
         self._options_out.publish(
             LearnedOptions(
                 options=[
-                    OptionFile(name=p.option_name, participant=p.participant, model=p.file)
-                    for p in progress
-                    if p.file
+                    OptionFile(
+                        name=taught.summary.option_name,
+                        participant=taught.summary.participant,
+                        model=taught.file,
+                    )
+                    for taught in options
+                    if taught.file
                 ]
             )
         )
-        self._status_out.publish(LearningStatus(options=[status_to_message(p) for p in progress]))
+        statuses = [summary_to_message(taught.summary) for taught in options]
+        self._status_out.publish(LearningStatus(options=statuses))
 
 
 main = partial(run_node, LearnerNode)

@@ -3,10 +3,9 @@
 from typing import Any
 
 from humanopts_env.colours import GREEN
-from humanopts_learner.options.criteria import NO_RANGE
+from humanopts_learner.ros.convert import summary_from_message
+from humanopts_learner.summary import NO_RANGE, OptionSummary
 from humanopts_ros.limits import printable
-from humanopts_teach.lesson.requests import OptionStatus
-from humanopts_teach.ros.convert import option_status_from_message
 from humanopts_teach.ros.graph_client import GraphClient
 from humanopts_teach.state_drawing import draw_state
 from humanopts_teach.terminal.drawing import state_text
@@ -69,7 +68,7 @@ class DemoProgress:
         if graph.domain is not None and graph.state is not None:
             parts += state_text(draw_state(graph.domain, graph.state.state))
         for option in graph.learning.options if graph.learning else ():
-            found = option_status_from_message(option)
+            found = summary_from_message(option)
             style = GREEN if found.criteria_met else ''
             parts.append(Text(f'{found.option_name}: {_criteria_words(found)}', style))
         if hasattr(played := graph.feedback, 'fallbacks'):
@@ -87,7 +86,7 @@ class DemoProgress:
         for option in graph.learning.options if graph.learning else ():
             tens = (option.n_demonstrations + option.n_not_here) // _LINE_EVERY
             key = f'{option.option_name} {tens} {option.criteria_met}'
-            words = _criteria_words(option_status_from_message(option))
+            words = _criteria_words(summary_from_message(option))
             self._say(f'{option.option_name}: {words}', key)
 
     def _say(self, text: str, key: str = '') -> None:
@@ -96,7 +95,7 @@ class DemoProgress:
             self._console.print(printable(text), highlight=False, markup=False, soft_wrap=True)
 
 
-def _criteria_words(option: OptionStatus) -> str:
+def _criteria_words(option: OptionSummary) -> str:
     measured = [
         f'{c.name} {c.value:.3g} (target {c.threshold:.3g}{", " * c.undecided}'
         f'{c.verdict * c.undecided})'

@@ -7,6 +7,8 @@ from typing import Any
 
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.seeding import generator
+from humanopts_learner.ros.convert import summary_from_message
+from humanopts_learner.summary import OptionSummary
 from humanopts_ros.limits import one_line
 from humanopts_teach.commands import agreed, CommandError
 from humanopts_teach.commands.options import LaunchOptions
@@ -23,8 +25,6 @@ from humanopts_teach.commands.session import (
     WATCHED,
 )
 from humanopts_teach.launching.processes import Setup, StudyTurn
-from humanopts_teach.lesson.requests import OptionStatus
-from humanopts_teach.ros.convert import option_status_from_message
 from humanopts_teach.ros.teleop import published_record
 from humanopts_teach.study.events import (
     Answered,
@@ -136,11 +136,9 @@ class Study:
             print(f'{code}: {turn.condition.name}', flush=True)
             with session(turn.setup, self.namespace) as running:
 
-                def teach(running: Session = running) -> list[OptionStatus]:
+                def teach(running: Session = running) -> list[OptionSummary]:
                     wait_until_taught(running)
-                    return [
-                        option_status_from_message(each) for _, each in running.graph.learned()
-                    ]
+                    return [summary_from_message(each) for _, each in running.graph.learned()]
 
                 record = published_record(running.graph, participant.path, code)
                 running.graph.wait(
@@ -283,7 +281,7 @@ def simulated_part(
     record: OpenRecord,
     seed: int,
     number: int,
-    teach: Callable[[], Iterable[OptionStatus]],
+    teach: Callable[[], Iterable[OptionSummary]],
 ) -> None:
     """
     Do one part of a study.

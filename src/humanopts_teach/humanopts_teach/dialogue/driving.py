@@ -236,6 +236,6 @@ class WatchScreen(PlayScreen):
             return []
         return [
             option.option_name
-            for option in app.world.progress
+            for option in app.world.summaries
             if option.participant == app.participant and not option.criteria_met
         ]

@@ -190,7 +190,7 @@ def _change(name: str, app: App) -> None:
         Item('Delete it', 'all that was shown counts no more', partial(_delete, name)),
     ]
     if is_enumerable(app.domain):
-        progress = app.world.progress_of(app.participant, name)
+        progress = app.world.summary_of(app.participant, name)
         other = TREES if progress is not None and progress.method == GOAL else GOAL
         note = f'{METHODS[other]}, from the next demonstration on'
         items.append(Item(f'Learn it by {other}', note, _defining(name, other)))
@@ -224,7 +224,7 @@ def _defining(name: str, method: str = '') -> Callable[[App], None]:
 
 
 def _standing(name: str, app: App) -> str:
-    progress = app.world.progress_of(app.participant, name)
+    progress = app.world.summary_of(app.participant, name)
     if progress is None:
         return 'nothing learned yet'
     held = ', all criteria hold' if progress.criteria_met else ''

@@ -14,8 +14,9 @@ import math
 from humanopts_env.domains.capabilities import feature_groups
 from humanopts_learner.demonstrations import GOAL, METHODS
 from humanopts_learner.options.conflicts import NO_START
-from humanopts_learner.options.criteria import Criterion, fewest, likely_range, NO_RANGE, RETURN
+from humanopts_learner.options.criteria import fewest, likely_range
 from humanopts_learner.planning.request import MODULAR
+from humanopts_learner.summary import Criterion, NO_RANGE, OptionSummary, RETURN
 from humanopts_teach.dialogue.app import App, Keys, Screen
 from humanopts_teach.dialogue.driving import EXECUTIONS, PlayScreen, WatchScreen
 from humanopts_teach.dialogue.entry import (
@@ -28,7 +29,7 @@ from humanopts_teach.dialogue.entry import (
 )
 from humanopts_teach.dialogue.study import PageScreen, QuestionScreen
 from humanopts_teach.dialogue.teaching import LessonScreen
-from humanopts_teach.lesson.requests import LessonView, OptionStatus, Phase, World
+from humanopts_teach.lesson.requests import LessonView, Phase, World
 from humanopts_teach.state_drawing import draw_state, StateDrawing
 
 TARGET = 1 / 3  # of the length of a bar: where a criterion begins to hold
@@ -298,7 +299,7 @@ def _lesson(screen: LessonScreen, app: App) -> Panel:
     title = Line('Teaching: ', more=(Line(lesson.option_name, strong=True),))
     if lesson.phase is Phase.ASKING:
         return Panel((title, GAP, *_question_lines(app, lesson)))
-    progress = world.progress_of(lesson.participant, lesson.option_name)
+    progress = world.summary_of(lesson.participant, lesson.option_name)
     parts: list[Block] = [title, _standing(world, lesson)]
     if app.run is not None:
         parts += [Line('The machine shows what it learned.', Tone.NEWS), _pace(world)]
@@ -399,7 +400,7 @@ def _share(value: float, threshold: float) -> float:
     return min(max(TARGET * value / threshold, 0.0), 1.0)
 
 
-def _estimate(lesson: LessonView, progress: OptionStatus) -> Line:
+def _estimate(lesson: LessonView, progress: OptionSummary) -> Line:
     """Return how far it is until the criteria hold."""
     if progress.criteria_met:
         return Line('All criteria hold.', Tone.GOOD)
@@ -417,7 +418,7 @@ def _estimate(lesson: LessonView, progress: OptionStatus) -> Line:
 
 
 def _remarks(
-    screen: LessonScreen, app: App, lesson: LessonView, progress: OptionStatus
+    screen: LessonScreen, app: App, lesson: LessonView, progress: OptionSummary
 ) -> Iterator[Line]:
     """Yield what else there is to know of what was learned, and what to press about it."""
     yours, its = progress.mean_return_demonstrations, progress.mean_return_policy

@@ -136,7 +136,7 @@ class StudyApp(App):
 
     def _note_taught(self) -> None:
         """Note what was taught so far, if there is anything new."""
-        mine = [each for each in self.world.progress if each.participant == self._code]
+        mine = [each for each in self.world.summaries if each.participant == self._code]
         if self._part is not None and self._part.kind is Kind.TEACH:
             rows = learned_rows(mine)
             if rows != self._taught:  # none are known yet right after a return

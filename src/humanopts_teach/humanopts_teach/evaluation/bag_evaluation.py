@@ -18,7 +18,7 @@ from humanopts_learner.demonstrations import (
     group_by_option,
     Kind,
 )
-from humanopts_learner.options.criteria import judge, Judgement
+from humanopts_learner.options.criteria import judge
 from humanopts_learner.options.files import FORMAT, option_to_json
 from humanopts_learner.options.learn import learn_option
 from humanopts_learner.options.option import LearnedOption
@@ -33,6 +33,7 @@ from humanopts_learner.planning.request import (
     PRIMITIVE,
 )
 from humanopts_learner.planning.sampled.plan import SampledPlan
+from humanopts_learner.summary import OptionSummary
 from humanopts_ros.limits import parse_json
 from humanopts_teach.bags import BagError
 from humanopts_teach.bags.contents import read_demonstrations, read_domain
@@ -78,7 +79,7 @@ class CurvePoint:
     """An option as it was after some of its demonstrations."""
 
     option: LearnedOption = field(compare=False)
-    judgement: Judgement
+    judgement: OptionSummary
     block: OptionBlock
     seconds: float  # of the person's time so far
 

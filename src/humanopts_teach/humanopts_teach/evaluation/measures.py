@@ -9,9 +9,10 @@ from humanopts_env.domains.base import Domain
 from humanopts_env.domains.reference import ReferenceOption
 from humanopts_learner.intervals import Interval
 from humanopts_learner.options.accuracy import classification_accuracy, policy_accuracy
-from humanopts_learner.options.criteria import INITIATION, TERMINATION, Thresholds
+from humanopts_learner.options.criteria import Thresholds
 from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.planning.plan import AnyPlan, Performance
+from humanopts_learner.summary import INITIATION, TERMINATION
 from humanopts_teach.lesson import BUDGET, STRATEGY
 
 
@@ -100,7 +101,7 @@ def option_block(
     """
     Return the numbers of a learned option.
 
-    :param judged: a Judgement, or the OptionStatus message that carried it, of the same
+    :param judged: an OptionSummary, or the OptionStatus message that carried it, of the same
         demonstrations that the option was learned from; NaN is not measurable.
     :param reference: the reference option; None: accuracies cannot be measured.
     """

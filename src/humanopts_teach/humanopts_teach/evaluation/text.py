@@ -4,7 +4,8 @@ from collections.abc import Sequence
 
 from humanopts_learner.demonstrations import METHODS
 from humanopts_learner.intervals import Interval
-from humanopts_learner.options.criteria import Criterion, likely_range, NO_RANGE, Thresholds
+from humanopts_learner.options.criteria import likely_range, Thresholds
+from humanopts_learner.summary import Criterion, NO_RANGE
 from humanopts_ros.limits import one_line
 from humanopts_teach.evaluation.bag_evaluation import (
     BagEvaluation,

@@ -18,6 +18,7 @@ from humanopts_learner.options.criteria import judge, Thresholds
 from humanopts_learner.options.files import option_to_json
 from humanopts_learner.options.learn import learn_option
 from humanopts_learner.options.option import LearnedOption
+from humanopts_learner.summary import Criterion, OptionSummary
 from humanopts_teach.lesson.lesson import Lesson
 from humanopts_teach.lesson.requests import (
     Answer,
@@ -26,7 +27,6 @@ from humanopts_teach.lesson.requests import (
     DefineOption,
     Drive,
     EndDemonstration,
-    OptionStatus,
 )
 from humanopts_teach.lesson.seeded_starts import LessonRules, SeededStarts
 from humanopts_teach.lesson.simulated_teacher import (
@@ -113,7 +113,7 @@ class _InProcess:
         self._game = Game(domain)
         self._transition: Transition | None = None
         self._options: dict[str, LearnedOption] = {}
-        self._progress: dict[str, OptionStatus] = {}  # by option
+        self._summaries: dict[str, OptionSummary] = {}  # by option
 
     def run(self) -> Taught:
         """Do what the teacher does next, until it is done or gives up."""
@@ -172,12 +172,12 @@ class _InProcess:
             features = option.features
             self._lesson.update_option(newest.participant, name, option_to_json(option, []))
             enough = self._enough(shown, option)
-        self._progress[name] = OptionStatus(
+        self._summaries[name] = OptionSummary(
             name,
             newest.participant,
             features,
             last_uuid=newest.uuid,
             method=newest.method,
-            criteria_met=enough,
+            criteria=(Criterion('enough', None, None, met=enough),),
         )
-        self._lesson.update_progress(list(self._progress.values()))
+        self._lesson.update_summaries(list(self._summaries.values()))

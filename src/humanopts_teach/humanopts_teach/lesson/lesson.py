@@ -22,7 +22,7 @@ from humanopts_learner.demonstrations import (
     option_name_fault,
 )
 from humanopts_learner.options.conflicts import contradiction
-from humanopts_learner.options.criteria import NO_RANGE
+from humanopts_learner.summary import NO_RANGE, OptionSummary
 from humanopts_ros.limits import composed
 from humanopts_teach.lesson.attempt import Attempt, with_uuid
 from humanopts_teach.lesson.history import History, OptionHistory
@@ -37,7 +37,6 @@ from humanopts_teach.lesson.requests import (
     LessonView,
     ListDemonstrations,
     OpenSession,
-    OptionStatus,
     Phase,
     RefusalError,
     RequestStatus,
@@ -116,7 +115,7 @@ class Lesson:
         self._attempt: Attempt | None = None  # from the request for an episode on
         self._episode = 0  # of the newest demonstration that was begun
         self._again = ''  # start state of a demonstration that came to nothing
-        self._learned: dict[tuple[str, str], OptionStatus] = {}  # by participant and option
+        self._learned: dict[tuple[str, str], OptionSummary] = {}  # by participant and option
         self._awaited: Demonstration | None = None  # the learner has not counted it in, or out
         self._done = False  # criteria met, and the strategy has nothing left to ask
         self._notice = ''
@@ -150,7 +149,7 @@ class Lesson:
         return self._awaited.uuid if self._awaited is not None else ''
 
     @property
-    def _settled(self) -> OptionStatus | None:
+    def _settled(self) -> OptionSummary | None:
         """The learner's report that all criteria that can be measured hold, as taught now."""
         if self._option is None:
             return None
@@ -327,7 +326,7 @@ class Lesson:
         newest_episode, newest_step = self._attempt.here
         return newest_episode == episode and newest_step >= step
 
-    def update_progress(self, options: Sequence[OptionStatus]) -> None:
+    def update_summaries(self, options: Sequence[OptionSummary]) -> None:
         """Keep what the learner knows of every option."""
         self._learned = {(status.participant, status.option_name): status for status in options}
         self._go_on()
@@ -365,7 +364,7 @@ class Lesson:
             self._awaited = None
         self._check_done()
 
-    def _counts_nothing_withdrawn(self, known: OptionStatus, option: OptionHistory) -> bool:
+    def _counts_nothing_withdrawn(self, known: OptionSummary, option: OptionHistory) -> bool:
         counted = known.n_demonstrations + known.n_not_here
         return known.last_uuid not in option.withdrawn and counted <= len(option.demonstrations)
 
@@ -685,7 +684,7 @@ def _wrong_phase(detail: str) -> RefusalError:
     return RefusalError(RequestStatus.WRONG_PHASE, detail)
 
 
-def _reached(settled: OptionStatus | None) -> str:
+def _reached(settled: OptionSummary | None) -> str:
     """Return which criteria hold, in words."""
     if settled is None:
         return 'Not all criteria hold.'

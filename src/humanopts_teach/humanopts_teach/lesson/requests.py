@@ -9,14 +9,13 @@ programs of other people and the lesson itself use these same values.
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import Enum
-import math
 from typing import Any
 
 from humanopts_env.domains.base import Domain
 from humanopts_env.domains.capabilities import StepEffect
 from humanopts_env.game import effect_between, Source, Transition
-from humanopts_learner.demonstrations import Demonstration, TREES
-from humanopts_learner.options.criteria import all_settled, Criterion
+from humanopts_learner.demonstrations import Demonstration
+from humanopts_learner.summary import OptionSummary
 
 
 class Phase(Enum):
@@ -289,31 +288,6 @@ class RefusalError(Exception):
 
 
 @dataclass(frozen=True, slots=True)
-class OptionStatus:
-    """How far one option is learned, as in OptionStatus; returns in the domain's units."""
-
-    option_name: str
-    participant: str
-    features: tuple[str, ...] = ()
-    n_demonstrations: int = 0
-    n_not_here: int = 0
-    last_uuid: str = ''  # newest demonstration that is counted in
-    method: str = TREES  # with which it was learned
-    criteria: tuple[Criterion, ...] = ()
-    criteria_met: bool = False
-    mean_return_demonstrations: float = math.nan
-    mean_return_policy: float = math.nan
-    more_needed: int = -1  # demonstrations; -1: not known yet
-    conflicts: tuple[str, ...] = ()
-    suggested_feature: str = ''
-
-    @property
-    def settled(self) -> bool:
-        """Whether all criteria that can be measured are met."""
-        return self.criteria_met or all_settled(self.criteria)
-
-
-@dataclass(frozen=True, slots=True)
 class LessonView:
     """Where the lesson stands, as in LessonState."""
 
@@ -353,7 +327,7 @@ class World:
     game: Transition = _NO_GAME  # of episode 0: none has come yet
     before: Transition | None = None  # from which the step was taken that led to ``game``
     lesson: LessonView = UNKNOWN
-    progress: Sequence[OptionStatus] = ()
+    summaries: Sequence[OptionSummary] = ()
     running: str = ''  # what option_server took on last: an option, or action:NAME
     execution: str = ''  # of the policy that runs or ran last; empty: none did
     holder: str = ''  # publisher_id of the terminal that drives; empty: nobody
@@ -391,10 +365,10 @@ class World:
             return None
         return effect_between(domain, before, game)
 
-    def progress_of(self, participant: str, option_name: str) -> OptionStatus | None:
+    def summary_of(self, participant: str, option_name: str) -> OptionSummary | None:
         """Return how far the learner is with one option; None: it has not reported."""
         wanted = (participant, option_name)
-        return next((p for p in self.progress if (p.participant, p.option_name) == wanted), None)
+        return next((s for s in self.summaries if (s.participant, s.option_name) == wanted), None)
 
 
 def settled(request: Request, answer: Answer, world: World) -> bool:

@@ -1,17 +1,15 @@
 """Messages to teaching values and back: the only module of this package that knows both."""
 
 from collections.abc import Mapping
-from dataclasses import fields, replace
+from dataclasses import fields
 from enum import Enum
-import math
 from typing import Any, TypeVar
 
-from humanopts_interfaces import msg, srv
+from humanopts_interfaces import srv
 from humanopts_learner.demonstrations import Demonstration, demonstration_from_message
-from humanopts_learner.options.criteria import Criterion
 from humanopts_learner.ros.convert import demonstration_to_message
 from humanopts_teach.lesson import requests
-from humanopts_teach.lesson.requests import OptionStatus, Phase, RequestStatus, Verdict
+from humanopts_teach.lesson.requests import Phase, RequestStatus, Verdict
 
 V = TypeVar('V')
 
@@ -88,18 +86,3 @@ def _enum_value(name: str, message: Any) -> Enum | None:
     if name == 'phase':
         raise ValueError(f'the lesson is in unknown phase {number}')
     return RequestStatus.REFUSED if name == 'status' else None
-
-
-def option_status_from_message(message: msg.OptionStatus) -> OptionStatus:
-    """Decode how far an option is learned."""
-    criteria = tuple(
-        Criterion(
-            found.name,
-            found.value if found.measurable else None,
-            None if math.isnan(found.threshold) else found.threshold,
-            found.met,
-            no_range=found.no_range,
-        )
-        for found in message.criteria
-    )
-    return replace(decode(OptionStatus, message), criteria=criteria)

@@ -16,7 +16,7 @@ from humanopts_interfaces.srv import ResetGame
 from humanopts_learner.demonstrations import Demonstration, METHODS
 from humanopts_learner.options.option import OptionError
 from humanopts_learner.options.start_states import STRATEGIES
-from humanopts_learner.ros.convert import demonstration_to_message
+from humanopts_learner.ros.convert import demonstration_to_message, summary_from_message
 from humanopts_ros.node_base import NodeBase, PATIENCE, RECORDER, SEEDS, StartError
 from humanopts_ros.node_restarts import NodeRestarts
 from humanopts_ros.process import run_node
@@ -41,7 +41,6 @@ from humanopts_teach.ros.convert import (
     decode,
     encode,
     LESSON_SERVICES,
-    option_status_from_message,
 )
 from rclpy.callback_groups import ReentrantCallbackGroup
 
@@ -256,9 +255,7 @@ class LessonNode(NodeBase):
             self._show()
 
     def _on_status(self, status: msg.LearningStatus) -> None:
-        self._lesson.update_progress(
-            [option_status_from_message(option) for option in status.options]
-        )
+        self._lesson.update_summaries([summary_from_message(option) for option in status.options])
         self._show()
         if status.publisher_id != self._learner:  # a learner that may lack demonstrations
             self._learner = status.publisher_id

@@ -21,6 +21,8 @@ from humanopts_interfaces.msg import (
     PlanResult,
     StudyEvent,
 )
+from humanopts_learner.ros.convert import summary_from_message
+from humanopts_learner.summary import OptionSummary
 from humanopts_ros.node_base import NodeBase, SEEDS
 from humanopts_ros.node_restarts import NodeRestarts
 from humanopts_ros.publisher import PublishError
@@ -31,7 +33,6 @@ from humanopts_teach.dialogue.study import StudyApp
 from humanopts_teach.lesson.requests import (
     Answer,
     CancelRun,
-    OptionStatus,
     PlanOptions,
     PlayEpisodes,
     Request,
@@ -43,7 +44,6 @@ from humanopts_teach.lesson.requests import (
 from humanopts_teach.ros.convert import (
     encode,
     LESSON_SERVICES,
-    option_status_from_message,
     TERMINAL_SERVICES,
 )
 from humanopts_teach.ros.lesson_client import LessonClient
@@ -240,8 +240,8 @@ def published_record(node: NodeBase, path: Path, participant: str) -> OpenRecord
     return OpenRecord(path, publish)
 
 
-def _progress(message: LearningStatus) -> list[OptionStatus]:
-    return [option_status_from_message(status) for status in message.options]
+def _progress(message: LearningStatus) -> list[OptionSummary]:
+    return [summary_from_message(status) for status in message.options]
 
 
 class Runs:

@@ -18,7 +18,7 @@ import time
 from typing import Any, TypeVar
 
 from humanopts_learner.append_only_log import AppendOnlyLog, read_in_place, read_lines
-from humanopts_teach.lesson.requests import OptionStatus
+from humanopts_learner.summary import OptionSummary
 from humanopts_teach.lesson.store import CODE, CODE_RULE, similar_code
 from humanopts_teach.study.events import (
     Event,
@@ -475,7 +475,7 @@ def _copied(one: Participant, others: Iterable[Participant]) -> Participant | No
     )
 
 
-def learned_rows(options: Iterable[OptionStatus]) -> list[dict[str, Any]]:
+def learned_rows(options: Iterable[OptionSummary]) -> list[dict[str, Any]]:
     """Return what was learned, as JSON data: a row for each option."""
     return [
         {

@@ -1,0 +1,113 @@
+"""How far an option is learned: the one value that messages, lessons, reports and tables carry."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+import math
+
+from humanopts_learner.demonstrations import Demonstration, Kind, TREES
+from humanopts_learner.intervals import Interval
+
+RETURN, INITIATION, TERMINATION = 'return', 'initiation', 'termination'
+NO_RANGE = 'random actions from the same starts return as much as the demonstrations'
+UNKNOWN = Interval(math.nan, math.nan, math.nan)
+
+
+@dataclass(frozen=True, slots=True)
+class Criterion:
+    """One stopping criterion."""
+
+    name: str  # RETURN, INITIATION or TERMINATION
+    value: float | None  # None: not measurable yet
+    threshold: float | None  # None: that of the return, as long as its range is not measured
+    met: bool
+    high: float | None = None  # upper confidence limit of the value, where there is one
+    no_range: bool = False  # the return cannot be measured: ``NO_RANGE``
+
+    @classmethod
+    def of(
+        cls, name: str, value: float | None, threshold: float | None, high: float | None = None
+    ) -> 'Criterion':
+        """
+        Return a criterion, which is met when the upper limit is at most the threshold.
+
+        :param high: None: the value is taken as it is.
+        """
+        decides = value if high is None else high
+        met = decides is not None and threshold is not None and decides <= threshold
+        return cls(name, value, threshold, met, high)
+
+    @property
+    def measurable(self) -> bool:
+        """Whether there are enough demonstrations, of both classes, to measure it."""
+        return self.value is not None
+
+    @property
+    def undecided(self) -> bool:
+        """Whether the value would do, but is not known well enough to say that it is met."""
+        if self.value is None or self.threshold is None:
+            return False
+        return self.value <= self.threshold and not self.met
+
+    @property
+    def verdict(self) -> str:
+        """The result, in the words of every screen and report."""
+        if self.value is None:
+            return 'not measurable' if self.no_range else 'not yet measurable'
+        return 'met' if self.met else 'not yet known' if self.undecided else 'not met'
+
+
+@dataclass(frozen=True, slots=True)
+class OptionSummary:
+    """
+    What is known of one option of one participant.
+
+    The names are those of the message OptionStatus, and of the columns of tables of options.
+    """
+
+    option_name: str
+    participant: str
+    features: tuple[str, ...] = ()  # chosen with the newest demonstration
+    method: str = TREES  # of learning, chosen with the newest demonstration
+    n_demonstrations: int = 0  # trajectories
+    n_not_here: int = 0  # "not here" answers
+    last_uuid: str = ''  # of the newest demonstration or "not here" answer
+    criteria: tuple[Criterion, ...] = ()  # return, initiation, termination; none: no trajectory
+    mean_return_demonstrations: float = math.nan  # undiscounted
+    mean_return_policy: float = math.nan  # in-sample: from the same start states
+    gain: Interval = UNKNOWN  # of the policy over the demonstrations, from the same start states
+    more_needed: int = -1  # estimate of further demonstrations; 0: none; -1: unknown
+    conflicts: tuple[str, ...] = ()  # situations alike in the features but answered differently
+    suggested_feature: str = ''  # would separate most of them; empty: none
+
+    @property
+    def criteria_met(self) -> bool:
+        """Whether all criteria are met."""
+        return bool(self.criteria) and all(criterion.met for criterion in self.criteria)
+
+    @property
+    def settled(self) -> bool:
+        """
+        Whether every criterion is met or cannot be measured: more demonstrations settle nothing.
+
+        The criteria need not be met.
+        """
+        return bool(self.criteria) and all(c.met or c.no_range for c in self.criteria)
+
+
+def unmeasured(demonstrations: Sequence[Demonstration]) -> OptionSummary:
+    """
+    Return the summary of an option before anything is learned.
+
+    :param demonstrations: one or more, of one participant and option, sorted by number.
+    """
+    newest = demonstrations[-1]
+    n_not_here = sum(demo.kind is Kind.NOT_HERE for demo in demonstrations)
+    return OptionSummary(
+        newest.option_name,
+        newest.participant,
+        newest.chosen_features,
+        newest.method,
+        len(demonstrations) - n_not_here,
+        n_not_here,
+        newest.uuid,
+    )
