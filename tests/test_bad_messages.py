@@ -36,7 +36,7 @@ import pytest
 
 FAULTY = 'graph_support.faulty:Faulty'
 START = 'taxi 2,2 passenger aboard destination G'
-GAMES_NAME = '/game#00000000'  # as the game itself would sign
+GAMES_NAME = '/game#00000000'  # the game's own id takes its place where a reader checks it
 TOPICS = {  # the node whose topic it is, and those that read it
     'domain_info': ('/game', ['/learner', '/lesson', '/option_server', '/planner']),
     'game_state': ('/game', ['/lesson', '/option_server']),
@@ -83,6 +83,8 @@ class Attacked:
     def check_refused(self, topic: str, message: Any, why: str) -> None:
         """Publish a message; each node that reads it refuses it, and notes why for its status."""
         owner, readers = TOPICS[topic]
+        if message.publisher_id == GAMES_NAME:
+            message.publisher_id = self.graph.node_called(owner).publisher_id
         before = {name: self.refused(name) for name in readers}
         # The owner would replace what is current before all have read it.
         with self.graph.silent(owner), self.publisher(type(message), topic) as publish:

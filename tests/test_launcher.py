@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from itertools import permutations
+import itertools
 import json
 import os
 from pathlib import Path
@@ -436,7 +436,7 @@ def test_what_was_learned_is_known_once_all_of_it_has_come_in_any_order(
     news = told(LessonState.PHASE_FINISHED, 2, 'second')
     conductor = GraphClient('/', {'expect_recorder': False}, tmp_path, watch=lambda: None)
     try:
-        for last in permutations(news):
+        for last in itertools.permutations(news):
             for name in news:
                 setattr(conductor, name, None)
             for kept in (early, news):
@@ -578,6 +578,32 @@ def _refused(command: Command) -> bool:
         return False
     assert command.ended(30.0) == 2
     return True
+
+
+def test_nodes_that_pause_all_the_time_do_not_flood_the_terminal(
+    live: Graph, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv('ROS_DOMAIN_ID', str(live.domain_id))
+    out = live.node.create_publisher(NodeStatus, 'node_status', CURRENT)
+    conductor = GraphClient('/', {'expect_recorder': False}, tmp_path, watch=live.spin)
+    said: list[str] = []
+    sent = itertools.count()
+
+    def check() -> None:
+        number = next(sent)
+        name, state = f'/node{number % 5}', NodeStatus.STATE_PAUSED
+        out.publish(NodeStatus(node=name, publisher_id=f'{name}#1', text=str(number), state=state))
+        live.spin()
+        if number > 300:
+            raise LaunchError('enough')
+
+    try:
+        with pytest.raises(LaunchError, match='enough'):
+            conductor.stay(check, said.append)
+    finally:
+        conductor.close()
+    assert {line.partition(' ')[0] for line in said} == {f'/node{number}' for number in range(5)}
+    assert len(said) == 20
 
 
 def test_no_other_node_writes_a_line_of_the_launch(live: Graph, tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ from graph_support.live import (
     LESSON,
     module_of,
     OPTION_SERVER,
+    PLANNER,
     RECORDER,
     TEACHER,
 )
@@ -37,6 +38,7 @@ from humanopts_teach.bags.rosbag2 import profiles
 from humanopts_teach.bags.writer import BagWriter
 from humanopts_teach.cli import main
 from humanopts_teach.lesson.simulated_teacher import FINISHED
+from humanopts_teach.ros.graph_probe import probe_graph
 import pytest
 
 PICKUP, NORTH = 'go to passenger and pickup', 'north-west room to north doorway'
@@ -96,25 +98,68 @@ class Lesson:
         return self.bag
 
 
+@pytest.mark.parametrize(
+    ('forger', 'why'),
+    [
+        ('/stranger#1', 'from /stranger, not from /game'),
+        ('/game#1a2b3c4d', 'from /game#1a2b3c4d, which was not the game'),
+    ],
+)
 def test_a_bag_with_forged_messages_is_read_as_the_nodes_saw_it(
-    live: Graph, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    live: Graph, tmp_path: Path, capsys: pytest.CaptureFixture[str], forger: str, why: str
 ) -> None:
     for topic, message in FORGED.items():  # before the nodes are there
-        message.publisher_id = '/stranger#1'
+        message.publisher_id = forger
         live.node.create_publisher(type(message), topic, LATCHED).publish(message)
-    bag = Lesson(live, '/', 'p1').taught(PICKUP)
+    lesson = Lesson(live, '/', 'p1')
+    live.start(OPTION_SERVER, expect_recorder=True)
+    live.start(PLANNER, expect_recorder=True)
+    bag = lesson.taught(PICKUP)
     for command in READING:
         assert read(command, bag, tmp_path / 'out') == 0, capsys.readouterr().err
         said = capsys.readouterr()
         assert 'somebody' not in said.out
         assert 'rooms' not in said.out
         if command == 'eval':
-            assert (
-                'left out: 1 message on /domain_info: from /stranger, not from /game' in said.err
-            )
+            assert f'left out: 1 message on /domain_info: {why}' in said.err
     found = summarise(open_bag(bag))
     assert (found.participants, found.option_runs) == (('p1',), {})
-    assert open_bag(bag).game_nodes == ('/game',)
+    with live.hurried():
+        for name in ('/learner', '/lesson', '/option_server', '/planner'):
+            guard = live.node_called(name).guard
+            live.until(lambda g=guard: g.refused, f'the refusal of {name}')
+            assert forger in guard.remark
+
+
+def test_a_game_that_is_started_again_is_the_game_in_its_bag(
+    live: Graph, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lesson = Lesson(live, '/', 'p1')
+    forged = domain_to_info(make_domain('rooms'))
+    forged.publisher_id = '/game#1a2b3c4d'
+    live.node.create_publisher(DomainInfo, 'domain_info', LATCHED).publish(forged)
+    games = [live.start(GAME, expect_recorder=True)]
+    live.ready('/game')
+    live.stop(games[0])
+    games.append(live.start(GAME, expect_recorder=True))
+    bag = lesson.taught(PICKUP, game='')
+    assert open_bag(bag).game_ids == tuple(game.publisher_id for game in games)
+    assert read('eval', bag, tmp_path) == 0
+    assert 'from /game#1a2b3c4d, which was not the game' in capsys.readouterr().err
+
+
+def test_the_status_names_two_games_of_a_namespace(
+    live: Graph, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv('ROS_DOMAIN_ID', str(live.domain_id))
+    live.start(GAME)
+    live.ready('/game')
+    assert probe_graph('/').game_nodes == ['/game']
+    live.run(['-m', module_of(GAME), '--ros-args', '-r', '__node:=simulator'], 'simulator')
+    live.ready('/simulator')
+    report = probe_graph('/')
+    assert report.faults[-1] == '/game and /simulator each run a game; stop all but one'
+    assert report.status == 1
 
 
 def test_the_game_may_have_any_name_and_a_stranger_of_its_usual_name_is_none(
@@ -128,7 +173,8 @@ def test_the_game_may_have_any_name_and_a_stranger_of_its_usual_name_is_none(
     options = ['-r', '__node:=simulator', '-p', 'expect_recorder:=true']
     live.run(['-m', module_of(GAME), '--ros-args', *options], 'simulator')
     bag = lesson.taught(PICKUP, game='')
-    assert open_bag(bag).game_nodes == ('/simulator',)
+    (game,) = open_bag(bag).game_ids
+    assert game.startswith('/simulator#')
     assert read('eval', bag, tmp_path) == 0
     assert 'from /game, not from /simulator' in capsys.readouterr().err
 
@@ -142,7 +188,7 @@ def test_a_node_that_announces_a_game_and_does_not_serve_it_is_named(
     live.node.create_publisher(DomainInfo, 'domain_info', LATCHED).publish(info)
     with live.hurried():
         live.until(lambda: learner.guard.refused, 'the refusal')
-    assert '/person does not serve reset_game, so it is not the game' in learner.guard.remark
+    assert 'from /person#1: no game on the graph has this publisher_id' in learner.guard.remark
     assert not learner.ready
     live.start(GAME)
     live.ready('/learner')

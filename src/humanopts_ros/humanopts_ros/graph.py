@@ -1,6 +1,7 @@
 """What the graph tells of its nodes."""
 
-from rclpy.node import Node, NodeNameNonExistentError
+from humanopts_ros.senders import game_of_mark
+from rclpy.node import Node
 
 _UNKNOWN = '_UNKNOWN_'  # in the name of a node of which only a topic or service is found yet
 
@@ -18,30 +19,14 @@ def publishers_of(node: Node, topic: str) -> list[str]:
     return [name for name in names if _UNKNOWN not in name]
 
 
-def serves(node: Node, name: str, service: str) -> bool:
-    """
-    Return whether a node serves a service, as far as the graph is known.
-
-    :param node: that looks at the graph.
-    :param name: full name of the other node.
-    :param service: name of the service, relative to the namespace of ``node``.
-    """
-    if name not in node_names(node):
-        return False
-    namespace, _, own = name.rpartition('/')
-    try:
-        served = node.get_service_names_and_types_by_node(own, namespace or '/')
-    except NodeNameNonExistentError:  # it has gone just now
-        return False
-    return node.resolve_service_name(service) in (each for each, _ in served)
-
-
-def servers_of(node: Node, service: str) -> list[str]:
-    """
-    Return the full names of the nodes that serve a service, as far as the graph is known.
-
-    :param service: its name, relative to the namespace of ``node``.
-    """
-    if node.resolve_service_name(service) not in dict(node.get_service_names_and_types()):
-        return []
-    return sorted({name for name in node_names(node) if serves(node, name, service)})
+def game_ids(node: Node) -> list[str]:
+    """Return the publisher ids of the games in the namespace of a node, as they state them."""
+    stated = {
+        game_of_mark(topic, node.get_namespace()): topic
+        for topic, _ in node.get_topic_names_and_types()
+    }
+    return sorted(
+        publisher_id
+        for publisher_id, topic in stated.items()
+        if publisher_id and node.count_publishers(topic)  # a mere subscriber states nothing
+    )

@@ -4,13 +4,16 @@ Which node may publish what: one rule for the nodes of a graph and for the reade
 A message names its publisher by an id such as ``/game#1a2b3c4d``: the full name of the node, and a
 part that changes when the node is started again.
 
-The game may be any node. It is the node that serves ``reset_game`` in the namespace; what it
-announces on ``domain_info`` is the game. The other nodes are known by their names.
+The game may be any node, and any process may sign with its name. So the game states its id in the
+graph itself: it has a publisher on ``_game/NAME/_PART``, a hidden topic that never carries a
+message. The other nodes are known by their names.
 """
+
+from collections.abc import Collection
 
 from humanopts_ros.recording import own_name, prefix_of
 
-GAME_SERVICE = 'reset_game'  # that the game, and no other node of its namespace, serves
+_GAMES = '_game/'
 GAME_TOPICS = frozenset(
     {'domain_info', 'game_state', 'current_state', 'control', 'action_refused'}
 )
@@ -33,6 +36,32 @@ def signer(publisher_id: str) -> str:
     """Return the full name of the node that signs so; empty: it is no signature."""
     name, mark, _ = publisher_id.partition('#')
     return name if mark else ''
+
+
+def game_mark(publisher_id: str) -> str:
+    """Return the topic, relative to the namespace, by which a game states its id."""
+    name, _, part = publisher_id.rpartition('/')[2].partition('#')
+    return f'{_GAMES}{name}/_{part}'
+
+
+def game_of_mark(topic: str, namespace: str) -> str:
+    """Return the id that a topic, by its full name, states; empty: it states none here."""
+    prefix = prefix_of(namespace)
+    name, mark, part = topic.removeprefix(prefix + _GAMES).partition('/_')
+    return f'{prefix}{name}#{part}' if mark and topic.startswith(prefix + _GAMES) else ''
+
+
+def is_next_game(publisher_id: str, current: str, stated: Collection[str]) -> bool:
+    """
+    Return whether a game takes the place of the current one.
+
+    A game that was started again does at once; another node once the current one is gone.
+
+    :param current: id of the current game; empty: there is none yet.
+    :param stated: ids of all games on the graph.
+    """
+    again = signer(publisher_id) == signer(current)
+    return publisher_id in stated and (again or current not in stated)
 
 
 def sender_of(topic: str, namespace: str) -> str:

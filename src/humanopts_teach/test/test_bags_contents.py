@@ -26,7 +26,7 @@ from humanopts_teach.bags.contents import (
 from humanopts_teach.bags.info import summarise
 from humanopts_teach.bags.reader import MOST_NOTES, open_bag
 from humanopts_teach.bags.sequence_numbers import MOST_GAPS, read_stamp, Stamp, Stream
-from humanopts_teach.bags.writer import BagWriter, GAME_NODES, GAME_NODES_KEY
+from humanopts_teach.bags.writer import BagWriter, GAME, GAME_IDS
 from humanopts_teach.report.episode import read_last_episode
 from hypothesis import given, strategies
 import pytest
@@ -338,7 +338,7 @@ def test_a_damaged_record_of_the_game_is_said_and_the_bag_is_read(
 ) -> None:
     path = write_messages(tmp_path / 'bag', forged(taxi, '/stranger#1')).path
     with BagWriter(tmp_path / 'kept') as writer:
-        writer.note(GAME_NODES, {GAME_NODES_KEY: kept})
+        writer.note(GAME, {GAME_IDS: kept})
         opened = open_bag(path)
         for recorded in opened.messages():
             writer.add_topic(recorded.topic, recorded.type)

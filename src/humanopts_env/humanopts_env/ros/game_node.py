@@ -41,7 +41,9 @@ from humanopts_ros.node_base import NodeBase, SEEDS, StartError
 from humanopts_ros.process import run_node
 from humanopts_ros.publisher import PublishError, StampedPublisher
 from humanopts_ros.qos import CURRENT, LATCHED, STREAM
+from humanopts_ros.senders import game_mark
 from rclpy.parameter import Parameter
+from std_msgs.msg import Empty
 
 _SAY_AGAIN = 1.0  # s between looks whether a message is to be published again
 _LEASE_PERIOD = 0.25  # s between looks whether the holder of control has renewed it
@@ -62,6 +64,8 @@ class GameNode(NodeBase):
             (0.0, LONGEST_PERIOD),
             on_change=self._on_step_period,
         )
+        # States which messages are the game's, before the first of them.
+        self.create_publisher(Empty, game_mark(self.publisher_id), LATCHED)
         self._info = self.stamped_publisher(DomainInfo, 'domain_info', LATCHED)
         self._stream = self.stamped_publisher(GameState, 'game_state')
         self._current = self.stamped_publisher(GameState, 'current_state', LATCHED)

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+import math
 from typing import Any, TypeVar
 
 from humanopts_env.domains.base import Domain
@@ -14,18 +15,19 @@ from humanopts_env.game import (
 )
 from humanopts_env.ros.convert import domain_from_info
 from humanopts_interfaces.msg import ActionRefusal, ControlState, DomainInfo, GameState
-from humanopts_ros.graph import node_names, serves
+from humanopts_ros.graph import game_ids
 from humanopts_ros.limits import shown
 from humanopts_ros.node_base import NodeBase
 from humanopts_ros.polled import PolledValue
 from humanopts_ros.qos import CURRENT, STREAM
-from humanopts_ros.senders import check_sender, GAME_SERVICE, signer
+from humanopts_ros.senders import is_next_game, signer
 from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
 
-_LOOK_PERIOD = 0.1  # s between looks which node serves the game, while none is known
-_LATE = 5.0  # s after which a node is named that announces a game and does not serve it
-_MAX_EARLY = 100  # messages that are kept until the game is known
+_LOOK_PERIOD = 0.1  # s between looks at the graph while messages wait for it to list their game
+_LATE = 5.0  # s after which a publisher is named that the graph does not list as a game
+_MAX_EARLY = 100  # messages that wait, and publishers that are named
+_UNLISTED = 'no game on the graph has this publisher_id'
 T = TypeVar('T')
 V = TypeVar('V')
 
@@ -43,14 +45,14 @@ class GameSubscriber:
     """
     The game of a node's namespace, as it announces itself.
 
-    The game is the node that serves ``reset_game`` in the namespace, whatever its name. It stays
-    the game as long as it is on the graph; a node of another name may take its place after that.
-    Messages that come before it is found are kept until then. A message is refused if another
-    node has published it, if it announces another game than the one that is known, or if it breaks
-    the rules of the game.
+    A game states its id in the graph, whatever the name of its node; a message is the game's if it
+    carries this id. The game may be started again, under another id. A node of another name may
+    take its place once it is gone. Messages of a publisher that the graph does not list yet are
+    kept for a while. A message is refused if another publisher has sent it, if it announces
+    another game than the one that is known, or if it breaks the rules of the game.
 
     :ivar domain: the rules; None: the game has not announced itself.
-    :ivar node: full name of the game's node; empty: it is not found yet.
+    :ivar publisher_id: of the game; empty: it is not found yet.
     """
 
     def __init__(self, node: NodeBase, on_domain: Callable[[Domain[Any]], object]) -> None:
@@ -60,13 +62,13 @@ class GameSubscriber:
         :param on_domain: called once, with the rules.
         """
         self.domain: Domain[Any] | None = None
-        self.node = ''
+        self.publisher_id = ''
         self._node, self._on_domain = node, on_domain
         # Messages that came too early, each with what is called with it: the newest by topic and
         # publisher. Before the rules are known, states are of no use.
         self._early: dict[tuple[str, str], tuple[Any, Callable[[Any], object]]] = {}
-        self._named: set[str] = set()  # nodes that were refused for not serving the game
-        self._begun = node.monotonic()
+        # Since when publishers wait to be listed as a game, s; -inf: they were named as strangers.
+        self._unlisted: dict[str, float] = {}
         self._look_timer = node.create_timer(_LOOK_PERIOD, self._look, autostart=False)
         self._domain_info = self.subscribe(
             DomainInfo, 'domain_info', self._read_domain, self._use_domain, CURRENT
@@ -128,7 +130,7 @@ class GameSubscriber:
         :raises ValueError: it cannot be used.
         """
         if not self._is_game(message.publisher_id):
-            raise ValueError('no game is known yet')
+            raise ValueError(_UNLISTED)
         assert self.domain is not None, 'states are read once the rules are known'
         transition = transition_from_message(message)
         state = check_transition(transition, self.domain)
@@ -157,27 +159,32 @@ class GameSubscriber:
     @property
     def name(self) -> str:
         """Name of the game's node, without its namespace; empty: it is not found yet."""
-        return self.node.rpartition('/')[2]
+        return signer(self.publisher_id).rpartition('/')[2]
 
     def is_there(self) -> bool:
-        """Return whether the node of the game is on the graph."""
-        return self.node in node_names(self._node)
+        """Return whether the game is on the graph."""
+        return self.publisher_id in game_ids(self._node)
 
     def _is_game(self, publisher_id: str) -> bool:
         """
-        Return whether a message is from the game; False: the game is not found yet.
+        Return whether a message is from the game; False: the graph may list it as such later.
 
-        :raises ValueError: it is from another node.
+        :raises ValueError: it is from another publisher.
         """
-        sender = signer(publisher_id)
-        if sender and sender == self.node:
+        if publisher_id and publisher_id == self.publisher_id:
             return True
-        if self.node and self.is_there():
-            check_sender(publisher_id, self.node)
-        elif serves(self._node, sender, GAME_SERVICE):
-            self.node = sender
+        stated = game_ids(self._node)
+        if is_next_game(publisher_id, self.publisher_id, stated):
+            self._unlisted.pop(publisher_id, None)
+            self.publisher_id = publisher_id
             return True
-        return False  # its service may be found later
+        other_node = signer(publisher_id) != signer(self.publisher_id)
+        stranger = other_node or self._unlisted.get(publisher_id) == -math.inf
+        if stranger and self.publisher_id in stated:
+            raise ValueError(f'it is not from {self.publisher_id}')
+        if len(self._unlisted) < _MAX_EARLY:
+            self._unlisted.setdefault(publisher_id, self._node.monotonic())
+        return False
 
     def _keep(self, topic: str, message: Any, use: Callable[[Any], object]) -> None:
         """Keep a message until the game and its rules are known."""
@@ -189,23 +196,18 @@ class GameSubscriber:
             self._look_timer.reset()
 
     def _look(self) -> None:
-        """Find the game among the nodes that have announced one, and use what came early."""
+        """Use what came early and is listed as the game's by now; name what is not for long."""
         early, self._early = self._early, {}
         self._look_timer.cancel()
+        now = self._node.monotonic()
         for (topic, publisher_id), (message, use) in early.items():
             use(message)
-            waits = (topic, publisher_id) in self._early
-            late = self._node.monotonic() - self._begun > _LATE
-            if waits and not self.node and late and self._is_news(publisher_id):
-                reason = f'{shown(signer(publisher_id), 80)} does not serve {GAME_SERVICE}'
-                self._node.refuse(topic, message, f'{reason}, so it is not the game')
-
-    def _is_news(self, publisher_id: str) -> bool:
-        """Return whether a publisher was not named yet; of very many, only the first are."""
-        before = len(self._named)
-        if before < _MAX_EARLY:
-            self._named.add(publisher_id)
-        return len(self._named) > before
+            waited = now - self._unlisted.get(publisher_id, math.inf)
+            if (topic, publisher_id) in self._early and _LATE < waited < math.inf:
+                self._unlisted[publisher_id] = -math.inf
+                if self.publisher_id:
+                    del self._early[topic, publisher_id]
+                self._node.refuse(topic, message, _UNLISTED)
 
     def _read_domain(self, info: DomainInfo) -> Domain[Any]:
         domain = domain_from_info(info)

@@ -27,8 +27,8 @@ from humanopts_teach.bags.rosbag2 import convert, FILE, find_files, Topic
 from humanopts_teach.bags.schemas import Decoder, make_decoder
 from humanopts_teach.bags.sequence_numbers import read_stamp
 from humanopts_teach.bags.writer import (
-    GAME_NODES,
-    GAME_NODES_KEY,
+    GAME,
+    GAME_IDS,
     is_being_written,
     NAMESPACE,
     RECORD,
@@ -201,29 +201,32 @@ class Bag:
         )
 
     @cached_property
-    def game_nodes(self) -> tuple[str, ...]:
+    def game_ids(self) -> tuple[str, ...]:
         """
-        Full names of the nodes that were the game; none: the bag does not tell.
+        The publisher ids of the game, one after each start of it; none: the bag does not tell.
 
-        Our recorder keeps those of its graph. In other graphs, it is the node that announced a
-        game and published most states.
+        Our recorder keeps those of its graph. In other graphs, the game is the node that announced
+        one and published most states.
         """
-        record = self.metadata.get(GAME_NODES, {}) if self.reads_own else {}
-        kept = record.get(GAME_NODES_KEY, '')
+        record = self.metadata.get(GAME, {}) if self.reads_own else {}
+        kept = record.get(GAME_IDS, '')
         try:
-            names = parse_json(kept) if kept else []
+            ids = parse_json(kept) if kept else []
         except ValueError:
-            names = None
-        if isinstance(names, list) and names:
-            return tuple(map(str, names))
-        if names != []:
-            self.note(f'the record {GAME_NODES} is damaged')
-        announced = dict.fromkeys(self._signers(DOMAIN_INFO))
-        played = Counter(self._signers(GAME_STATE))
-        games = [name for name in announced if name in played or not played]
+            ids = None
+        if isinstance(ids, list) and ids:
+            return tuple(map(str, ids))
+        if ids != []:
+            self.note(f'the record {GAME} is damaged')
+        announced = dict.fromkeys(self._publisher_ids(DOMAIN_INFO))
+        played = Counter(self._publisher_ids(GAME_STATE))
+        games = [each for each in announced if each in played or not played]
+        states = Counter[str]()
+        for each in games:
+            states[signer(each)] += played[each]
         # Of equal ones, the first in the bag; without a signature, any node may be the game.
-        best = max(games, key=played.__getitem__, default='')
-        return (best,) if best else ()
+        best = max(states, key=states.__getitem__, default='')
+        return tuple(each for each in games if best and signer(each) == best)
 
     def is_genuine(self, recorded: Recorded) -> bool:
         """
@@ -246,20 +249,30 @@ class Bag:
             self._allowed[recorded.topic] = self._allowed_on(recorded.topic)
         allowed = self._allowed[recorded.topic]
         stamp = read_stamp(recorded.data) if allowed else None
-        if stamp is None or (sender := signer(stamp.publisher_id)) in allowed:
+        if stamp is None:
             return False
-        why = f'not from {" or ".join(allowed)}'
-        self.leave_out(recorded, why, sender or stamp.publisher_id)
+        publisher_id, sender = stamp.publisher_id, signer(stamp.publisher_id)
+        if publisher_id in allowed or sender in allowed:
+            return False
+        nodes = sorted({signer(each) or each for each in allowed})
+        if sender in nodes:  # of the same name
+            self.leave_out(recorded, 'which was not the game', publisher_id)
+        else:
+            self.leave_out(recorded, f'not from {" or ".join(nodes)}', sender or publisher_id)
         return True
 
     def _allowed_on(self, topic: str) -> tuple[str, ...]:
-        """Return the nodes that may publish on a topic; (): any, or it is of another graph."""
+        """
+        Return the nodes, or publisher ids of the game, that may publish on a topic.
+
+        ``()``: any may, or it is a topic of another graph.
+        """
         try:
             name = own_name(topic, self.namespace)
         except BagError:
             return ()
         if name in GAME_TOPICS:
-            return self.game_nodes
+            return self.game_ids
         owner = sender_of(topic, self.namespace)
         return (owner,) if owner else ()
 
@@ -275,11 +288,11 @@ class Bag:
         """Yield the messages of a type that count, in order of log time."""
         return filter(self.is_genuine, self.messages(self.of_type(type_name), between))
 
-    def _signers(self, type_name: str) -> Iterator[str]:
-        """Yield the full name of the node that published each message of a type."""
+    def _publisher_ids(self, type_name: str) -> Iterator[str]:
+        """Yield the publisher id of each message of a type."""
         for recorded in self.messages(self.of_type(type_name)):
             stamp = read_stamp(recorded.data)
-            yield '' if stamp is None else signer(stamp.publisher_id)
+            yield '' if stamp is None else stamp.publisher_id
 
     def messages(
         self,

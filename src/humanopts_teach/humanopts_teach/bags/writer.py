@@ -29,8 +29,8 @@ CHUNK_BYTES = 256 * 1024
 LIBRARY = 'humanopts'  # the program that wrote the file, in its header
 RECORD = 'humanopts'  # name of the MCAP metadata record with the recorder's facts
 NAMESPACE = 'namespace'  # name of the fact that says which graph was recorded
-GAME_NODES = 'humanopts_game'  # name of the record with the nodes that were the game ...
-GAME_NODES_KEY = 'nodes'  # ... as a JSON list under this key
+GAME = 'humanopts_game'  # name of the record with the publisher ids of the game ...
+GAME_IDS = 'publisher_ids'  # ... as a JSON list under this key
 SELF = 'rosbag2'  # name of the record with a copy of metadata.yaml ...
 SELF_TEXT = 'serialized_metadata'  # ... under this key
 

@@ -1,9 +1,10 @@
 """The command line's own node: sees that the graph is ready, and asks it for work."""
 
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Mapping
 from functools import partial
 import json
+import math
 from pathlib import Path
 import time
 from typing import Any, TypeVar
@@ -30,6 +31,8 @@ LESSON = 'lesson'
 _PATIENCE = 5.0  # s; a pause may pass, or another node is about to say or show its cause
 _LEASE = 20.0  # s that readers that were killed still hold up those who write to them
 _WORK_SECONDS = 600.0  # for a plan, or for episodes
+_MAX_LINES = 20  # about paused nodes ...
+_LINES_PERIOD = 60.0  # s ... in this time
 _ROUNDS = 100  # callbacks that are carried out to catch up; more than topics and statuses
 
 T = TypeVar('T')
@@ -229,23 +232,32 @@ class GraphClient(NodeBase):
         Serve the graph until somebody interrupts.
 
         :param check: called all the while, to look after the processes.
-        :param report: called with a line when a node pauses, and when it goes on.
+        :param report: called with a line when a node pauses, and when it goes on; not so often
+            that a node which changes all the time, or claims to, floods a terminal.
         :raises LaunchError: from ``check``.
         """
         reported: dict[str, str] = {}
+        lines: deque[float] = deque([-math.inf] * _MAX_LINES, _MAX_LINES)  # when they came, s
         while True:
             self.take(0.05)
             check()
             self._check_names()
             paused = self._paused()
-            for name in sorted(reported.keys() - paused.keys()):
-                status = self.statuses.get(name)
-                if status is not None and status.state == msg.NodeStatus.STATE_READY:
-                    report(one_line(f'{name} goes on'))
-            for name, text in paused.items():
-                if reported.get(name) != text:
-                    report(one_line(f'{name} is paused: {text}'))
-            reported = paused
+            for name in sorted(reported.keys() | paused.keys()):
+                text, status = paused.get(name), self.statuses.get(name)
+                now = self.monotonic()
+                if text == reported.get(name) or now < lines[0] + _LINES_PERIOD:
+                    continue  # the newest state is told when there is room again
+                if text is not None:
+                    reported[name] = text
+                    said = f'is paused: {text}'
+                else:
+                    del reported[name]
+                    if status is None or status.state != msg.NodeStatus.STATE_READY:
+                        continue
+                    said = 'goes on'
+                lines.append(now)
+                report(one_line(f'{name} {said}'))
 
     def take(self, seconds: float) -> None:
         """Process one message, once there is one."""

@@ -11,10 +11,10 @@ from typing import Any
 
 from humanopts_interfaces import msg
 from humanopts_ros.environment import on_loopback, prepare_discovery
-from humanopts_ros.graph import servers_of, serves
+from humanopts_ros.graph import game_ids
 from humanopts_ros.node_base import start_ros, starting_ros
 from humanopts_ros.qos import CURRENT
-from humanopts_ros.senders import GAME_SERVICE, sender_of, signer
+from humanopts_ros.senders import sender_of, signer
 from humanopts_teach.launching import OccupiedError
 from humanopts_teach.launching.launcher import CONDUCTOR, processes_of_launch
 from humanopts_teach.launching.place import domain_id
@@ -79,7 +79,7 @@ def check_free(namespace: str, names: Iterable[str]) -> None:
         while True:
             spaces = node.get_node_names_and_namespaces()
             found = {f'{space.rstrip("/")}/{name}' for name, space in spaces}
-            games = servers_of(node, GAME_SERVICE) if game in wanted else []
+            games = map(signer, game_ids(node)) if game in wanted else []
             there = sorted({*(wanted & found), *games})
             leaving = (leaving or now) if there else 0.0
             if there and now > leaving + _LEAVING:
@@ -213,6 +213,7 @@ class _Probe:
             step=state.step if state is not None else 0,
             steps_per_second=None if state is None else steps or 0.0,
             holder=control.holder_id if control is not None else '',
+            game_nodes=sorted(set(map(signer, game_ids(self._node)))),
         )
 
     def _serve(self, done: Callable[[], bool], seconds: float) -> None:
@@ -241,12 +242,11 @@ class _Probe:
 
     def _taken(self) -> dict[str, Any]:
         """Return the newest message by topic, of the nodes that may publish there."""
-        found = {}
+        found, games = {}, game_ids(self._node)
         for topic, newest in self._newest.items():
             owner = sender_of(self._node.resolve_topic_name(topic), self._namespace)
             for publisher_id, message in newest.items():
-                sender = signer(publisher_id)
-                if sender == owner or (not owner and serves(self._node, sender, GAME_SERVICE)):
+                if (signer(publisher_id) == owner) if owner else (publisher_id in games):
                     found[topic] = message
         return found
 

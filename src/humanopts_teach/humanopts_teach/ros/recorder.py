@@ -15,22 +15,22 @@ import time
 from typing import Any
 
 from humanopts_interfaces.msg import NodeStatus, RecorderStatus, StreamLoss
-from humanopts_ros.graph import publishers_of, serves
+from humanopts_ros.graph import game_ids
 from humanopts_ros.limits import shown
 from humanopts_ros.node_base import NodeBase, StartError
 from humanopts_ros.process import run_node
 from humanopts_ros.publisher import PublishError
 from humanopts_ros.qos import LATCHED
 from humanopts_ros.recording import MAX_BYTES, own_name, SHARED
-from humanopts_ros.senders import GAME_SERVICE
+from humanopts_ros.senders import is_next_game
 from humanopts_ros.text_files import FileError, read_bytes
 from humanopts_teach.bags import BagWriteError, SchemaError
 from humanopts_teach.bags.provenance import attachments, software
 from humanopts_teach.bags.sequence_numbers import is_stamped, LossCounter, read_stamp
 from humanopts_teach.bags.writer import (
     BagWriter,
-    GAME_NODES,
-    GAME_NODES_KEY,
+    GAME,
+    GAME_IDS,
     Limits,
     NAMESPACE,
     next_part,
@@ -124,7 +124,7 @@ class Recorder(NodeBase):
         self._latched: set[str] = set()  # recorded topics of current values
         self._shared: deque[tuple[float, Taken, str]] = deque()  # since when, and sender; waiting
         self._foreign: set[str] = set()  # senders that are no nodes of the graph
-        self._game_nodes: list[str] = []  # full names of the nodes that were the game
+        self._games: list[str] = []  # publisher ids of the game, one after each start of it
         self._complete = False  # every publisher was matched at the last two looks
         self._stopped = ''  # why nothing is written any more; empty: it is
         self._text = self.selection.unevaluable
@@ -223,17 +223,14 @@ class Recorder(NodeBase):
         self._publish_status()
 
     def _find_game(self) -> None:
-        """Keep in the bag which node is the game, as the other nodes see it."""
-        known = self._game_nodes[-1:]
-        there = publishers_of(self, 'domain_info')
-        if known and (known[0] in there or not there):
-            return
-        for name in there:
-            if serves(self, name, GAME_SERVICE):
-                self._game_nodes.append(name)
-                names = {GAME_NODES_KEY: json.dumps(self._game_nodes)}
-                self._attempt(partial(self._bag.note, GAME_NODES, names))
-                return
+        """Keep in the bag which publisher is the game, as the other nodes see it."""
+        stated = game_ids(self)
+        current = next(reversed(self._games), '')
+        for publisher_id in stated:
+            if publisher_id not in self._games and is_next_game(publisher_id, current, stated):
+                self._games.append(current := publisher_id)
+                ids = {GAME_IDS: json.dumps(self._games)}
+                self._attempt(partial(self._bag.note, GAME, ids))
 
     def _add_topic(self, added: TopicSubscription) -> None:
         """Add a topic to the bag, where its type is installed."""
