@@ -123,10 +123,10 @@ def ends(infos: list[Any]) -> frozenset[str]:
 
 
 def topics(graph: Graph) -> dict[str, str]:
-    """Return the names and types of all topics that are not rclpy's own."""
+    """Return the names and types of all topics that carry messages and are not rclpy's own."""
     found = {}
     for topic, types in graph.node.get_topic_names_and_types():
-        if topic.strip('/') not in RCLPY_TOPICS:
+        if topic.strip('/') not in RCLPY_TOPICS and not topic.startswith('/_game/'):
             (found[topic.strip('/')],) = types
     return found
 

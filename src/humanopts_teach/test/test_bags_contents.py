@@ -315,7 +315,7 @@ def forged(taxi: Domain[Any], publisher: str) -> list[tuple[str, Any]]:
         ('/stranger#1', 'from /stranger, not from /game'),
         ('stranger', 'from stranger, not from /game'),
         ('', 'from no node, not from /game'),
-        ('/game#2', 'from /game#2, another game than taxi {"cols": 5, "rows": 5}'),
+        ('/game#2', 'from /game#2, which was not the game'),
         ('/game#1', 'from /game#1, another game than taxi {"cols": 5, "rows": 5}'),
     ],
 )

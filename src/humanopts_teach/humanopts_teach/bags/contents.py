@@ -79,8 +79,7 @@ def domains_played(bag: Bag) -> list[tuple[str, str]]:
     """
     Return name and parameters (JSON) of the domains that were played, sorted.
 
-    As for the nodes of the graph, what a process announces first is its game. Where several
-    processes announced different games, those count that published states of theirs.
+    As for the nodes of the graph, what a process announces first is its game.
     """
     games: dict[str, dict[tuple[str, str], None]] = {}  # by publisher_id, in order
     announced: list[tuple[Recorded, str, tuple[str, str]]] = []
@@ -93,11 +92,6 @@ def domains_played(bag: Bag) -> list[tuple[str, str]]:
         if not known or not stamp.publisher_id:  # older programs do not sign
             known[game] = None
         announced.append((recorded, stamp.publisher_id, game))
-    if len({game for known in games.values() for game in known}) > 1:
-        stamps = (read_stamp(recorded.data) for recorded in bag.genuine(GAME_STATE))
-        players = {stamp.publisher_id for stamp in stamps if stamp is not None}
-        if not players.isdisjoint(games):
-            games = {name: known for name, known in games.items() if name in players}
     played = {game for known in games.values() for game in known}
     for recorded, publisher, game in announced:
         if game not in played:
