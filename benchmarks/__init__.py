@@ -1,1 +1,1 @@
-"""Benchmarks of the whole: real processes on a graph of their own, tables and figures."""
+"""What takes how long, measured by pytest-benchmark: ``humanopts bench`` runs these files."""

@@ -1,77 +1,57 @@
-"""How many game steps a second the batched forms take, beside the single form."""
+"""How long games take for a step, many side by side and one alone."""
 
-from functools import partial
+from collections.abc import Callable
 from typing import Any
 
 from humanopts_env.domains.base import Domain, is_enumerable
-from humanopts_env.domains.pacman.domain import PacMan
+from humanopts_env.domains.registry import make_domain
 from humanopts_env.domains.tabular_games import TabularGames
-from humanopts_env.domains.taxi import Taxi
 from humanopts_env.seeding import generator
 from humanopts_learner.planning.request import batch_games
 import numpy as np
+import pytest
 
-from benchmarks.measure import clocks, compare, in_turns, OnMeasured, Row, Times
-
-QUICK = (2, 50, 2)
-BATCH = 4096  # games
-RULES_TARGET, FEATURES_TARGET = 1e6, 2e5  # steps of Pac-Man a second, on one core
-SEED = 1
+STEPS = 4096  # of a round: one of each of so many games, or all of one game
 
 
-def measure(
-    progress: OnMeasured, batch_steps: int = 40, single_steps: int = 2000, repeats: int = 7
-) -> list[Row]:
-    """
-    Step games at random, many at once and one by one; games that are over begin again.
-
-    :param batch_steps: steps of all games that one sample takes.
-    :param single_steps: steps of one game that one sample of the yardstick takes.
-    :param repeats: turns of each form.
-    """
-    forms: list[tuple[str, Domain[Any], bool, float | None]] = [
-        ('Pac-Man: rules', PacMan(), False, RULES_TARGET),
-        ('Pac-Man: rules and every feature', PacMan(), True, FEATURES_TARGET),
-        ('Taxi: rules', Taxi(), False, None),
-        ('Taxi: rules and every feature', Taxi(), True, None),
-    ]
-    rows = []
-    for number, (what, domain, features, target) in enumerate(forms):
-        progress(number / len(forms), what)
-        many = partial(_many, domain, batch_steps, features=features)
-        single = partial(_one, domain, single_steps, features=features)
-        ours, one = in_turns([many, single], repeats)
-        facts = {'games': BATCH, 'steps': BATCH * batch_steps, 'yardstick_steps': single_steps}
-        usual = 'the same, one game at a time'
-        rows.append(compare(what, ours, usual, one, target=target, facts=facts))
-    return rows
+@pytest.mark.parametrize('domain', ['pacman', 'taxi'])
+@pytest.mark.parametrize('features', [False, True], ids=['rules', 'rules and every feature'])
+@pytest.mark.parametrize('together', [True, False], ids=['side by side', 'one game'])
+def bench_steps(benchmark: Any, domain: str, features: bool, together: bool) -> None:
+    """Step at random; games that are over begin again."""
+    what = 'rules and every feature' if features else 'rules'
+    benchmark.group = f'{STEPS:,} steps of {domain}, {what}'
+    benchmark.name = 'side by side' if together else 'one game'
+    step = (_side_by_side if together else _one_game)(make_domain(domain), features)
+    benchmark.pedantic(step, rounds=50 if together else 3, warmup_rounds=1)
 
 
-def _many(domain: Domain[Any], steps: int, *, features: bool) -> Times:
-    """Return the time of one step of one game among many."""
+def _side_by_side(domain: Domain[Any], features: bool) -> Callable[[], None]:
+    """Return a function that takes a step of each game."""
     games = TabularGames(domain) if is_enumerable(domain) else batch_games(domain)
-    rng = generator(SEED, 'benchmark', 'games')
-    moves = rng.integers(len(domain.actions), size=(steps, BATCH))
-    batch = games.batch_reset(BATCH, rng)
-    began = clocks()
-    for move in moves:
-        games.batch_step(batch, move, rng)
+    rng = generator(1, 'benchmark', 'games')
+    batch = games.batch_reset(STEPS, rng)
+
+    def step() -> None:
+        games.batch_step(batch, rng.integers(len(domain.actions), size=STEPS), rng)
         if features:
             games.batch_features(batch)
         over = np.flatnonzero(games.batch_over(batch))
         games.batch_put(batch, over, games.batch_reset(len(over), rng))
-    return (clocks() - began) / (steps * BATCH)
+
+    return step
 
 
-def _one(domain: Domain[Any], steps: int, *, features: bool) -> Times:
-    """Return the time of one step of the only game."""
-    rng = generator(SEED, 'benchmark', 'game')
-    actions = rng.integers(len(domain.actions), size=steps).tolist()
-    state = domain.reset(rng)
-    began = clocks()
-    for action in actions:
-        outcome = domain.step(state, action, rng)
-        if features:
-            domain.feature_values(outcome.state)
-        state = domain.reset(rng) if outcome.terminated else outcome.state
-    return (clocks() - began) / steps
+def _one_game(domain: Domain[Any], features: bool) -> Callable[[], None]:
+    """Return a function that takes all steps in one game."""
+    rng = generator(1, 'benchmark', 'game')
+
+    def steps() -> None:
+        state = domain.reset(rng)
+        for action in rng.integers(len(domain.actions), size=STEPS).tolist():
+            outcome = domain.step(state, action, rng)
+            if features:
+                domain.feature_values(outcome.state)
+            state = domain.reset(rng) if outcome.terminated else outcome.state
+
+    return steps

@@ -1,7 +1,7 @@
 """Times to learn an option again after a demonstration, as the learner node does."""
 
-from collections.abc import Callable, Sequence
-from functools import partial
+from functools import cache, partial
+from typing import Any
 
 from humanopts_env.domains.taxi import Taxi
 from humanopts_learner.demonstrations import Demonstration
@@ -11,59 +11,38 @@ from humanopts_learner.options.learn import learn_option, make_dataset
 from humanopts_teach.lesson.in_process import teach
 from humanopts_teach.lesson.seeded_starts import LessonRules
 from humanopts_teach.lesson.simulated_teacher import TeacherSettings
+import pytest
+from sklearn.tree import DecisionTreeClassifier
 
-from benchmarks.measure import compare, in_turns, OnMeasured, Row, timed
-from benchmarks.planning import OPTIONS
-
-COUNTS = (10, 20, 40)
-QUICK = ((10,), 2)
-YARDSTICK = 'one scikit-learn tree of the rows of the policy'
-SEED = 1
-ASKED = 6  # most start states for each demonstration, "not here" answers included
+COUNTS, SEED = (10, 20, 40), 1
 
 
-def measure(progress: OnMeasured, counts: Sequence[int] = COUNTS, repeats: int = 20) -> list[Row]:
-    """
-    Learn an option of Taxi after some demonstrations, and judge it by the three criteria.
-
-    :param counts: demonstrations, as many as each row is of.
-    :param repeats: turns of each work.
-    """
-    domain, rows = Taxi(), []
-    shown = demonstrations(domain, OPTIONS[0], max(counts))
-    for number, count in enumerate(counts):
-        progress(number / len(counts), f'learning after {count} demonstrations')
-        rows += _rows(shown[:count], domain, repeats)
-    return rows
-
-
-def demonstrations(domain: Taxi, option: str, count: int) -> list[Demonstration]:
+@cache
+def demonstrations(domain: Taxi) -> list[Demonstration]:
     """Have a simulated teacher show an option from random start states, without errors."""
-    rules = LessonRules('random', ASKED * count, SEED)
-    taught = teach(
-        domain,
-        TeacherSettings((option,), seed=SEED),
-        rules,
-        lambda shown, learned: learned.n_demonstrations >= count,
-    )
+    teacher = TeacherSettings(('go to passenger and pickup',), seed=SEED)
+    rules = LessonRules('random', 6 * max(COUNTS), SEED)  # some answers are "not here"
+    taught = teach(domain, teacher, rules, lambda _, o: bool(o.n_demonstrations >= max(COUNTS)))
     return [demo for demo in taught.demonstrations if demo.actions]
 
 
-def _rows(shown: Sequence[Demonstration], domain: Taxi, repeats: int) -> list[Row]:
-    from sklearn.tree import DecisionTreeClassifier
+DOMAIN = Taxi()
 
-    data = make_dataset(shown, domain)
-    X, y = encode_rows(data.encoding, data.policy.rows), data.policy.labels
-    option = learn_option(shown, domain, SEED)
-    works: dict[str, Callable[[], object]] = {
-        'three trees fitted': partial(learn_option, shown, domain, SEED),
-        'the criteria judged': partial(judge, shown, domain, Thresholds(), SEED, option),
-        YARDSTICK: lambda: DecisionTreeClassifier(random_state=SEED).fit(X, y),
-    }
-    *ours, yardstick = in_turns([partial(timed, work) for work in works.values()], repeats)
-    after = f'after {len(shown)} demonstrations'
-    facts = {'demonstrations': len(shown), 'rows': len(X)}
-    return [
-        compare(f'{after}: {what}', own, YARDSTICK, yardstick, facts=facts)
-        for what, own in zip(works, ours)
-    ]
+
+@pytest.mark.parametrize('count', COUNTS)
+@pytest.mark.parametrize(
+    'what', ['three trees fitted', 'criteria judged', "one scikit-learn tree of the policy's rows"]
+)
+def bench_learning(benchmark: Any, count: int, what: str) -> None:
+    """Learn and judge an option after some demonstrations."""
+    benchmark.group, benchmark.name = f'learning after {count} demonstrations', what
+    shown = demonstrations(DOMAIN)[:count]
+    if what == 'three trees fitted':
+        benchmark(learn_option, shown, DOMAIN, SEED)
+    elif what == 'criteria judged':
+        option = learn_option(shown, DOMAIN, SEED)
+        benchmark(judge, shown, DOMAIN, Thresholds(), SEED, option)
+    else:
+        data = make_dataset(shown, DOMAIN)
+        X, y = encode_rows(data.encoding, data.policy.rows), data.policy.labels
+        benchmark(partial(DecisionTreeClassifier(random_state=SEED).fit, X, y))

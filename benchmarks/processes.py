@@ -14,56 +14,38 @@ from humanopts_ros.node_base import start_ros
 from humanopts_teach.launching import LaunchError
 from humanopts_teach.launching.launcher import Launcher
 from humanopts_teach.launching.processes import ProcessSpec, Value
-import numpy as np
+import pytest
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.utilities import try_shutdown
-
-from benchmarks.measure import Times
 
 # Domains whose UDP ports lie above those that Linux hands out to other programs.
 DOMAIN_IDS = range(215, 232)
 _FIRST_PORT, _PORTS, _DISCOVERY = 7400, 250, 10  # DDSI-RTPS 2.2, section 9.6.1.1
 _LOOK_PERIOD = 0.1  # s between looks whether all processes are alive
 _PATIENCE = 20.0  # s for anything that is waited for
-_SCHEDULED = 2  # kind of the clock: the time that the scheduler gave
 NAMESPACE = f'/bench_{os.getpid()}'
 
 
 @contextmanager
 def own_place() -> Iterator[Path]:
     """
-    Have a folder for files that nobody needs afterwards, and a ROS_DOMAIN_ID for new processes.
-
-    :raises LaunchError: every domain is in use.
-    """
-    with tempfile.TemporaryDirectory(prefix='humanopts-bench-') as folder, own_domain():
-        yield Path(folder)
-
-
-@contextmanager
-def own_domain() -> Iterator[int]:
-    """
-    Have new processes use a ROS_DOMAIN_ID that no process of this machine uses.
+    Have a folder that is removed afterwards, and an unused ROS_DOMAIN_ID for new processes.
 
     Messages are not checked field by field meanwhile, as they are only where programs are tested.
 
     :raises LaunchError: every domain is in use.
     """
-    order = [DOMAIN_IDS[(os.getpid() + n) % len(DOMAIN_IDS)] for n in range(len(DOMAIN_IDS))]
-    number = next((number for number in order if _is_free(number)), None)
+    number = next(filter(_is_free, DOMAIN_IDS), None)
     if number is None:
-        raise LaunchError(
-            f'every ROS_DOMAIN_ID from {DOMAIN_IDS[0]} to {DOMAIN_IDS[-1]} is in use; end what '
-            'uses one of them'
-        )
-    before = dict(os.environ)
-    os.environ.update(ROS_DOMAIN_ID=str(number), ROS_PYTHON_CHECK_FIELDS='0')
-    try:
-        yield number
-    finally:
-        os.environ.clear()
-        os.environ.update(before)
+        raise LaunchError(f'every ROS_DOMAIN_ID of {DOMAIN_IDS} is in use; end what uses one')
+    with (
+        tempfile.TemporaryDirectory(prefix='humanopts-bench-') as folder,
+        pytest.MonkeyPatch.context() as patch,
+    ):
+        patch.setenv('ROS_DOMAIN_ID', str(number))
+        patch.setenv('ROS_PYTHON_CHECK_FIELDS', '0')
+        yield Path(folder)
 
 
 def _is_free(domain_id: int) -> bool:
@@ -76,7 +58,7 @@ def _is_free(domain_id: int) -> bool:
     return True
 
 
-def bench_spec(name: str, **parameters: Value) -> ProcessSpec:
+def own_spec(name: str, **parameters: Value) -> ProcessSpec:
     """Return the process of a node that is only there to measure."""
     return ProcessSpec(name, f'benchmarks.{name}', parameters)
 
@@ -89,8 +71,7 @@ def launched(specs: Sequence[ProcessSpec], folder: Path) -> Iterator[Launcher]:
     :param folder: for logs and parameters.
     """
     launcher = Launcher(specs, folder, NAMESPACE)
-    arguments = ['--ros-args', '-r', f'__ns:={NAMESPACE}', '--disable-stdout-logs']
-    start_ros(arguments)
+    start_ros(['--ros-args', '-r', f'__ns:={NAMESPACE}', '--disable-stdout-logs'])
     try:
         launcher.start()
         yield launcher
@@ -105,17 +86,6 @@ def stop(launcher: Launcher) -> None:
         print(f'humanopts bench: {problem}', file=sys.stderr)
 
 
-def processor_time(pid: int) -> float:
-    """
-    Return the processor time of all threads of a process, s.
-
-    Linux makes the number of its clock from that of the process: clock_getcpuclockid(3).
-
-    :raises OSError: there is no such process.
-    """
-    return time.clock_gettime(~pid << 3 | _SCHEDULED)
-
-
 class Client:
     """
     A node of this process that does one thing, and waits for the answer.
@@ -128,11 +98,6 @@ class Client:
         self._launcher = launcher
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self.node)
-
-    def clocks(self) -> Times:
-        """Return a clock on the wall, and the processor time of this process and all launched."""
-        pids = [os.getpid(), *self._launcher.pids]
-        return np.array([time.perf_counter(), sum(map(processor_time, pids))])
 
     def until(self, done: Callable[[], Any], what: str, seconds: float = _PATIENCE) -> None:
         """
