@@ -19,11 +19,10 @@ from humanopts_interfaces.msg import (
     DomainInfo,
     ExecutionState,
     GameState,
-    LearnedOptions,
+    LearnedOption,
     LearningStatus,
     LessonState,
     NodeStatus,
-    OptionFile,
     OptionResult,
     OptionValues,
     RecorderStatus,
@@ -189,25 +188,22 @@ def test_another_game_in_the_namespace_is_refused_whoever_announces_it(
     attacked.check_works()
 
 
-OPTIONS = [OptionFile(name='x', participant='p', model='[' * 100_000)]
-
-
 def test_options_values_and_executions_that_cannot_be_are_refused(attacked: Attacked) -> None:
     planners = {'publisher_id': '/planner#00000000'}
     values = OptionValues(**planners, plan_id='x', names=['a'], states=[1, 2], option_values=[1.0])
     attacked.check_refused('option_values', values, 'option_values has 1 values')
     attacked.check_refused('execution', ExecutionState(**planners, execution='fly'), "'fly'")
-    deep = LearnedOptions(publisher_id='/learner#00000000', options=OPTIONS)
+    deep = LearnedOption(publisher_id='/learner#00000000', name='x', model='[' * 100_000)
     attacked.check_refused('learned_options', deep, 'nested more than')
 
 
 @pytest.mark.parametrize(
     ('topic', 'kind'),
     [
-        ('learned_options', LearnedOptions),
+        ('learned_options', LearnedOption),
         ('learning_status', LearningStatus),
         ('demonstration_receipts', DemonstrationReceipt),
-        ('automatic_options', LearnedOptions),
+        ('automatic_options', LearnedOption),
         ('option_values', OptionValues),
         ('execution', ExecutionState),
     ],

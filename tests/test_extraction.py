@@ -11,7 +11,7 @@ from humanopts_interfaces.action import ExtractOptions
 from humanopts_interfaces.msg import (
     ExtractionGoal,
     ExtractionResult,
-    LearnedOptions,
+    LearnedOption,
     PlanResult,
     PolicyResult,
 )
@@ -22,10 +22,9 @@ from humanopts_learner.automatic.extract import (
     to_learned_options,
 )
 from humanopts_learner.automatic.subgoals import Extraction
+from humanopts_learner.options.files import option_from_json
 from humanopts_learner.planning.plan import make_plan
 from humanopts_learner.planning.request import PlanRequest
-from humanopts_learner.ros.convert import OptionsReader
-from humanopts_ros.qos import CURRENT
 import pytest
 
 SEED = 3
@@ -95,11 +94,10 @@ def test_option_server_serves_them_beside_what_people_taught(
 def test_who_comes_late_gets_them_whole(
     at_work: Planning, extracted: ExtractionResult, found: AutomaticOptions
 ) -> None:
-    heard = at_work.graph.listen(LearnedOptions, 'automatic_options', CURRENT)
-    at_work.graph.until(lambda: heard, 'the options')
-    options, problems = OptionsReader().read(heard[-1])
-    assert not problems
-    assert options == to_learned_options(TAXI, found)
+    heard = at_work.graph.listen(LearnedOption, 'automatic_options')
+    expected = to_learned_options(TAXI, found)
+    at_work.graph.until(lambda: len(heard) == len(expected), 'the options')
+    assert [option_from_json(message.model)[0] for message in heard] == expected
 
 
 def test_an_episode_is_played_by_a_plan_of_automatic_options(

@@ -17,7 +17,7 @@ from typing import Any
 from graph_support.command import Command
 from graph_support.live import GAME, Graph, module_of, RECORDER
 from humanopts_interfaces.msg import (
-    LearnedOptions,
+    LearnedOption,
     LearningStatus,
     LessonState,
     NodeStatus,
@@ -428,8 +428,10 @@ def test_what_was_learned_is_known_once_all_of_it_has_come_in_any_order(
         by = {'publisher_id': 'learner', 'sequence': sequence}
         return {
             'lesson': LessonState(phase=phase, last_uuid='second', **whose),
-            'options': LearnedOptions(**by),
-            'learning': LearningStatus(**by, options=learned),
+            'newest_option': LearnedOption(**by),
+            'learning': LearningStatus(
+                publisher_id='learner', options=learned, options_sequence=sequence
+            ),
         }
 
     early = told(LessonState.PHASE_LEARNING, 1, 'first')
@@ -437,8 +439,12 @@ def test_what_was_learned_is_known_once_all_of_it_has_come_in_any_order(
     conductor = GraphClient('/', {'expect_recorder': False}, tmp_path, watch=lambda: None)
     try:
         for last in itertools.permutations(news):
-            for name in news:
-                setattr(conductor, name, None)
+            for name, empty in (
+                ('lesson', None),
+                ('learning', None),
+                ('newest_option', LearnedOption()),
+            ):
+                setattr(conductor, name, empty)
             for kept in (early, news):
                 for name in last:
                     assert not conductor.knows_learned('go')

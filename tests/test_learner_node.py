@@ -11,7 +11,7 @@ from uuid import uuid4
 from graph_support.live import GAME, Graph, LEARNER
 from graph_support.scripted import expert, FETCH, TAXI, walk
 from humanopts_interfaces.msg import Demonstration as DemonstrationMessage
-from humanopts_interfaces.msg import DemonstrationReceipt, LearnedOptions, LearningStatus
+from humanopts_interfaces.msg import DemonstrationReceipt, LearnedOption, LearningStatus
 from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.option_trainer import DATA_SET
 from humanopts_learner.options.criteria import judge, Thresholds
@@ -34,7 +34,7 @@ class Learning:
         self._out = graph.node.create_publisher(DemonstrationMessage, 'demonstrations', STREAM)
         self.receipts = graph.listen(DemonstrationReceipt, 'demonstration_receipts')
         self.statuses = graph.listen(LearningStatus, 'learning_status', CURRENT)
-        self.options = graph.listen(LearnedOptions, 'learned_options', CURRENT)
+        self.options: list[LearnedOption] = graph.listen(LearnedOption, 'learned_options')
         graph.start(GAME)
         self.node = self.start()
 
@@ -43,7 +43,7 @@ class Learning:
         known, before = len(self.statuses), self._readers()
         learner = self.graph.start(LEARNER, directory=self.folder, seed=SEED)
         self.graph.until(
-            lambda: len(self.statuses) == len(self.options) > known,
+            lambda: len(self.statuses) > known and self.is_complete(),
             'what the learner knows',
             60.0,
         )
@@ -72,7 +72,7 @@ class Learning:
             self.graph.until(
                 lambda: (
                     any(o.last_uuid == message.uuid for o in self.statuses[-1].options)
-                    and len(self.options) == len(self.statuses)
+                    and self.is_complete()
                 ),
                 'what was learned from it',
             )
@@ -83,6 +83,15 @@ class Learning:
         for demo in demos:
             receipt = self.give(demonstration_to_message(demo))
             assert receipt.status == ACCEPTED, receipt.detail
+
+    def is_complete(self) -> bool:
+        """Return whether all options of the newest status have come."""
+        newest = self.statuses[-1].options_sequence
+        return bool(self.options) and self.options[-1].sequence >= newest
+
+    def models(self) -> dict[str, str]:
+        """Return the newest data of each option of the first participant."""
+        return {o.name: o.model for o in self.options if o.participant == 'p1'}
 
     def known(self) -> dict[tuple[str, str], Any]:
         """Return the newest status by participant and option."""
@@ -109,8 +118,8 @@ def test_what_is_learned_is_what_the_pure_code_learns(learning: Learning) -> Non
         assert criterion.value == pytest.approx(value, nan_ok=True)
         assert (criterion.measurable, criterion.met) == (expected.measurable, expected.met)
     assert status.criteria_met == judgement.criteria_met
-    option = next(o for o in learning.options[-1].options if o.name == FETCH)
-    assert option_from_json(option.model)[0] == learn_option(demos, TAXI, SEED)
+    option, _ = option_from_json(learning.models()[FETCH])
+    assert option == learn_option(demos, TAXI, SEED)
 
 
 def test_a_demonstration_that_is_known_changes_nothing(learning: Learning) -> None:
@@ -119,6 +128,24 @@ def test_a_demonstration_that_is_known_changes_nothing(learning: Learning) -> No
     assert (receipt.status, receipt.detail) == (receipt.STATUS_DUPLICATE, 'it is known already')
     assert len(learning.statuses) == statuses
     assert (learning.folder / DATA_SET).stat().st_size == size
+
+
+def other(demos: list[Demonstration]) -> list[Demonstration]:
+    """Return these demonstrations as those of another option."""
+    return [replace(demo, option_name='other', uuid=str(uuid4())) for demo in demos]
+
+
+def test_only_what_changes_is_published_and_a_new_reader_gets_every_option(
+    learning: Learning,
+) -> None:
+    learning.give_all(other(expert(FETCH, 2)))
+    before = len(learning.options)
+    learning.give_all(other(expert(FETCH, 3)[2:]))
+    assert {option.name for option in learning.options[before:]} == {'other'}
+    late: list[LearnedOption] = learning.graph.listen(LearnedOption, 'learned_options')
+    learning.graph.until(lambda: len(late) == 2, 'every option')
+    assert {o.name: o.model for o in late} == learning.models()
+    assert {o.n_options for o in late} == {2}
 
 
 def spoilt(change: Callable[[DemonstrationMessage], object]) -> DemonstrationMessage:
@@ -157,15 +184,16 @@ def test_a_learner_that_was_killed_knows_everything_again(
     files = {o.name: o for o in load_options(learning.folder)[0] if o.participant == 'p1'}
     assert files[FETCH] == learn_option(expert(FETCH, 5), TAXI, SEED)
     learning.give_all([replace(NOT_HERE, option_name='another', uuid=str(uuid4()))])
-    before, options = str(learning.known()), learning.options[-1].options
+    before, options = str(learning.known()), learning.models()
     # All that a process leaves that is killed now; test_node_deaths.py kills one.
     left = Path(shutil.copytree(learning.folder, learning.folder.with_name('left')))
     learning.graph.stop(learning.node)
     learning.folder = left
     capfd.readouterr()
+    learning.options.clear()
     learning.node = learning.start()
     assert str(learning.known()) == before
-    assert learning.options[-1].options == options
+    assert learning.models() == options
     assert 'learner' not in capfd.readouterr().err
     assert learning.give(demonstration_to_message(expert(FETCH, 1)[0])).status == (
         DemonstrationReceipt.STATUS_DUPLICATE

@@ -15,7 +15,7 @@ from humanopts_interfaces.msg import (
     ControlState,
     DemonstrationReceipt,
     GameState,
-    LearnedOptions,
+    LearnedOption,
     LearningStatus,
     LessonState,
     NodeStatus,
@@ -32,7 +32,7 @@ from humanopts_interfaces.srv import (
 from humanopts_learner.demonstrations import GOAL
 from humanopts_learner.options.files import option_from_json
 from humanopts_learner.options.learn import learn_option
-from humanopts_ros.qos import CURRENT, LATCHED, STREAM
+from humanopts_ros.qos import LATCHED, STREAM
 from humanopts_teach.bags.contents import read_demonstrations, read_domain, read_episodes
 from humanopts_teach.bags.reader import open_bag
 from humanopts_teach.lesson.lesson import Lesson
@@ -426,7 +426,7 @@ def test_what_the_machine_showed_is_told_apart_and_the_bag_learns_the_same(live:
     live.ready('/game', '/learner', '/option_server', '/recorder')
     person.get_ready()
     person.show()  # from START: west, pickup
-    learned = live.listen(LearnedOptions, 'learned_options', CURRENT)
+    learned: list[LearnedOption] = live.listen(LearnedOption, 'learned_options')
 
     def watch(steps: int) -> int:
         person.give_back()
@@ -461,8 +461,8 @@ def test_what_the_machine_showed_is_told_apart_and_the_bag_learns_the_same(live:
     episode = watch(2)
     end(episode, 2, counts=True)
     newest = person.lesson.last_uuid
-    live.until(lambda: learned and newest in learned[-1].options[0].model, 'the option')
-    option, _ = option_from_json(learned[-1].options[0].model)
+    live.until(lambda: learned and newest in learned[-1].model, 'the option')
+    option, _ = option_from_json(learned[-1].model)
     live.stop(recorder)
 
     bag = open_bag(live.folder / 'bag')

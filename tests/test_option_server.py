@@ -13,17 +13,18 @@ from humanopts_env.seeding import generator
 from humanopts_interfaces.action import ExecuteOption
 from humanopts_interfaces.msg import (
     ActionRefusal,
-    LearnedOptions,
-    OptionFile,
     OptionGoal,
     OptionResult,
+)
+from humanopts_interfaces.msg import (
+    LearnedOption as OptionMessage,
 )
 from humanopts_interfaces.srv import ListOptions, QueryOption, RunOption, SetPace
 from humanopts_learner.execution import Run
 from humanopts_learner.options.files import option_to_json, save_option
 from humanopts_learner.options.learn import learn_option
 from humanopts_learner.options.option import LearnedOption, Mode
-from humanopts_ros.qos import LATCHED
+from humanopts_ros.qos import STREAM
 import pytest
 from rclpy.parameter import Parameter
 
@@ -391,21 +392,23 @@ def test_an_option_server_that_is_ended_answers_who_waits(
     )
 
 
-def test_options_that_the_learner_published_before_are_served(
+def test_options_that_the_learner_publishes_are_served(
     alone: Graph, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    good = OptionFile(name=FETCH, participant='p1', model=option_to_json(OPTIONS[FETCH]))
-    bad = OptionFile(name='spoilt', participant='p1', model='{}')
-    publisher = alone.node.create_publisher(LearnedOptions, 'learned_options', LATCHED)
-    publisher.publish(LearnedOptions(publisher_id='/learner#1', options=[bad, good]))
+    publisher = alone.node.create_publisher(OptionMessage, 'learned_options', STREAM)
     alone.start(OPTION_SERVER)
     alone.ready('/option_server')
+    alone.until(lambda: publisher.get_subscription_count() > 0, 'its reader')
+    for name, model in ((FETCH, option_to_json(OPTIONS[FETCH])), ('spoilt', '{}')):
+        message = OptionMessage(name=name, participant='p1', model=model, n_options=2)
+        message.publisher_id = '/learner#1'
+        publisher.publish(message)
 
     def names() -> list[str]:
         return list(alone.ask(ListOptions, 'list_options').option_names)
 
     alone.until(lambda: names() == [FETCH], 'the option to be served')
-    assert "'spoilt' in learned_options" in capfd.readouterr().err
+    assert "learned_options from /learner#1: 'spoilt': " in capfd.readouterr().err
 
 
 def test_the_sampled_mode_is_a_function_of_the_seed_and_the_moment(

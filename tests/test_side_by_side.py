@@ -24,7 +24,7 @@ from humanopts_interfaces.msg import (
     Demonstration,
     DomainInfo,
     GameState,
-    LearnedOptions,
+    LearnedOption,
     LessonState,
     OptionResult,
 )
@@ -48,7 +48,7 @@ FORGED = {  # that a stranger publishes in the place of the nodes
     'game_state': GameState(episode=9, state='nowhere'),
     'control': ControlState(holder=ControlState.HOLDER_PERSON, holder_id='/stranger#1'),
     'lesson_state': LessonState(participant='somebody', session='s'),
-    'learned_options': LearnedOptions(),
+    'learned_options': LearnedOption(),
     'option_results': OptionResult(status=OptionResult.STATUS_REACHED),
     'demonstrations': Demonstration(
         kind=Demonstration.KIND_TRAJECTORY,

@@ -26,7 +26,7 @@ from humanopts_ros.qos import CURRENT, STREAM
 import rclpy
 from rclpy.action import ActionClient
 from rclpy.context import Context
-from rclpy.event_handler import EventHandler
+from rclpy.event_handler import EventHandler, QoSPublisherEventType
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -123,12 +123,16 @@ class Clock:
         self._before, self._since, self._rate = self(), time.monotonic(), rate
 
 
+_MATCHED = QoSPublisherEventType.RCL_PUBLISHER_MATCHED
+
+
 class Server(SingleThreadedExecutor):
-    """Serves many nodes; it never looks at their QoS events, which take half of every wait."""
+    """Serves many nodes; of their QoS events, which take half of every wait, those of matches."""
 
     def can_execute(self, entity: Any) -> bool:
         """Return whether the executor serves a part of a node."""
-        return not isinstance(entity, EventHandler) and bool(super().can_execute(entity))
+        unused = isinstance(entity, EventHandler) and entity.event_type != _MATCHED
+        return not unused and bool(super().can_execute(entity))
 
 
 class Goal:

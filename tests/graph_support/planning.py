@@ -7,24 +7,25 @@ from humanopts_interfaces.action import Plan, RunPolicy
 from humanopts_interfaces.msg import (
     ActionCommand,
     ExecutionState,
-    LearnedOptions,
-    OptionFile,
     OptionResult,
     PlanGoal,
     PlanResult,
     PolicyGoal,
     PolicyResult,
 )
+from humanopts_interfaces.msg import (
+    LearnedOption as OptionMessage,
+)
 from humanopts_interfaces.srv import ListOptions, RunOption, SetExecution
 from humanopts_learner.options.files import option_to_json
 from humanopts_learner.options.option import LearnedOption
-from humanopts_ros.qos import CURRENT, LATCHED
+from humanopts_ros.qos import CURRENT, STREAM
 
 from graph_support.live import GAME, Goal, Graph, OPTION_SERVER, PLANNER
 from graph_support.player import Player
 from graph_support.scripted import touring
 
-LEARNERS = '/learner#test'  # publisher_id of the test in the learner's place
+LEARNERS = '/learner#test'  # how the publisher_id of the test in the learner's place begins
 LIMIT = 60  # decisions in an episode of Acting
 START = 'taxi 2,2 passenger G destination B'
 Step = tuple[str, str, str, float]  # state that it led to, action, whose it was, reward
@@ -40,9 +41,9 @@ class Planning:
         :param episodes: to play where a test does not say.
         :param seed: of plans and episodes where a test does not say.
         """
-        self.graph, self._sequence = graph, 0
+        self.graph, self._sequence, self._lives = graph, 0, 0
         self.episodes, self.seed = episodes, seed
-        self._options = graph.node.create_publisher(LearnedOptions, 'learned_options', LATCHED)
+        self._options = graph.node.create_publisher(OptionMessage, 'learned_options', STREAM)
         self.plan_goals = graph.listen(PlanGoal, 'plan_goals')
         self.plan_results = graph.listen(PlanResult, 'plan_results')
         self.policy_goals = graph.listen(PolicyGoal, 'policy_goals')
@@ -51,14 +52,29 @@ class Planning:
 
     def teach(self, options: Sequence[LearnedOption], spoilt: Sequence[str] = ()) -> int:
         """Publish what was learned, and some that cannot be read; return the sequence."""
-        self._sequence += 1
-        models = [
-            OptionFile(name=o.name, participant=o.participant, model=option_to_json(o))
-            for o in options
-        ]
-        models += [OptionFile(name=name, model='not JSON') for name in spoilt]
-        sent = LearnedOptions(publisher_id=LEARNERS, sequence=self._sequence, options=models)
-        self._options.publish(sent)
+        self._lives += 1
+        self.graph.until(
+            lambda: (
+                self._options.get_subscription_count()
+                == self.graph.node.count_subscribers('learned_options')
+                > 0
+            ),
+            'the readers of options',
+        )
+        models = [(o.participant, o.name, option_to_json(o)) for o in options]
+        models += [('', name, 'not JSON') for name in spoilt]
+        for participant, name, model in models or [('', '', '')]:
+            self._sequence += 1
+            self._options.publish(
+                OptionMessage(
+                    publisher_id=f'{LEARNERS}{self._lives}',
+                    sequence=self._sequence,
+                    name=name,
+                    participant=participant,
+                    model=model,
+                    n_options=len(models),
+                )
+            )
         return self._sequence
 
     def plan(self, action_set: str, **fields: Any) -> PlanResult:

@@ -22,11 +22,7 @@ from humanopts_learner.options.files import (
 from humanopts_learner.options.learn import learn_option
 from humanopts_learner.options.option import LearnedOption, OptionError
 from humanopts_learner.options.rollout import rollouts
-from humanopts_learner.ros.convert import (
-    demonstration_to_message,
-    options_to_message,
-    OptionsReader,
-)
+from humanopts_learner.ros.convert import demonstration_to_message
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import pytest
@@ -152,23 +148,6 @@ def test_a_number_that_is_too_large_is_named(option: LearnedOption) -> None:
     data['columns'][0]['value'] = 2**31
     with pytest.raises(OptionFileError, match=r'columns\[0\].value is 2147483648, and at most'):
         option_from_json(json.dumps(data))
-
-
-def test_of_one_message_after_another_only_what_changed_is_read_again(
-    option: LearnedOption,
-) -> None:
-    reader, other = OptionsReader(), replace(option, name='another')
-    before, _ = reader.read(options_to_message([option, other]))
-    changed = replace(option, n_demonstrations=option.n_demonstrations + 1)
-    message = options_to_message([changed, other])
-    message.options[0].model += ']'
-    after, (problem,) = reader.read(message)
-    assert after == [other]
-    assert after[0] is before[1]
-    assert repr(option.name) in problem
-    again, _ = reader.read(options_to_message([changed, other]))
-    assert again == [changed, other]
-    assert again[1] is before[1]
 
 
 @pytest.mark.parametrize('text', ['', 'null', '[]', '{"format": NaN}', '[' * 100_000, '\x00'])

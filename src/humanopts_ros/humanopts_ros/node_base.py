@@ -368,10 +368,19 @@ class NodeBase(Node):
         return replace(usual, **values)
 
     def stamped_publisher(
-        self, kind: type[M], topic: str, qos: QoSProfile = STREAM
+        self,
+        kind: type[M],
+        topic: str,
+        qos: QoSProfile = STREAM,
+        on_matched: Callable[[Any], None] | None = None,
     ) -> StampedPublisher[M]:
-        """Create a publisher of a message with header, publisher_id and sequence."""
-        publisher = StampedPublisher(self, self.publisher_id, kind, topic, qos)
+        """
+        Create a publisher of a message with header, publisher_id and sequence.
+
+        :param on_matched: called whenever a subscription comes or goes.
+        """
+        event = on_matched and self.guard.guarded(on_matched)
+        publisher = StampedPublisher(self, self.publisher_id, kind, topic, qos, event)
         self._stamped.append(publisher)
         return publisher
 

@@ -1,9 +1,11 @@
 """Publishers that number and stamp their messages."""
 
+from collections.abc import Callable
 import time
-from typing import Generic, Protocol, TYPE_CHECKING, TypeVar
+from typing import Any, Generic, Protocol, TYPE_CHECKING, TypeVar
 
 from rclpy.duration import Duration
+from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
@@ -36,10 +38,19 @@ class StampedPublisher(Generic[M]):
     """
 
     def __init__(
-        self, node: Node, publisher_id: str, kind: type[M], topic: str, qos: QoSProfile
+        self,
+        node: Node,
+        publisher_id: str,
+        kind: type[M],
+        topic: str,
+        qos: QoSProfile,
+        on_matched: Callable[[Any], None] | None = None,
     ) -> None:
         self._node, self._publisher_id = node, publisher_id
-        self._publisher: Publisher = node.create_publisher(kind, topic, qos)
+        events = PublisherEventCallbacks(matched=on_matched)
+        self._publisher: Publisher = node.create_publisher(
+            kind, topic, qos, event_callbacks=events
+        )
         self.sequence = 0
 
     @property

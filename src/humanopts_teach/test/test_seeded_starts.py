@@ -1,7 +1,6 @@
 """Start states by what was learned, as the lesson node draws them."""
 
 from dataclasses import replace
-import gc
 from typing import Any
 
 from humanopts_env.domains.base import Domain
@@ -111,23 +110,6 @@ def test_it_counts_the_demonstrations_that_the_newest_option_was_learned_from(
     assert not chooser.counts(history, newer)
     assert not chooser.counts(history, replace(shown[0], participant='p2'))
     assert starts(taxi, 'random').counts(history, newer)
-
-
-def test_options_of_others_than_the_last_person_are_texts_and_are_read_when_asked(
-    taxi: Any, option: LearnedOption, history: OptionHistory
-) -> None:
-    def held() -> int:
-        gc.collect()
-        return sum(isinstance(each, LearnedOption) for each in gc.get_objects())
-
-    before, chooser, alone = held(), starts(taxi), starts(taxi)
-    for who in ('p1', 'p2', 'p3'):
-        chooser.learned(who, OPTION, option_to_json(replace(option, participant=who), []))
-    assert held() == before + 1
-    alone.learned('p1', OPTION, option_to_json(replace(option, participant='p1'), []))
-    assert chooser.draw('p1', history) == alone.draw('p1', history)
-    assert held() == before + 2
-    assert not chooser.learned('p2', OPTION, option_to_json(replace(option, participant='p2'), []))
 
 
 def test_not_here_alone_teaches_it_nothing_to_wait_for(

@@ -3,7 +3,6 @@
 from array import array
 from collections.abc import Sequence
 from dataclasses import asdict, fields
-from hashlib import sha256
 import math
 from typing import Any, TYPE_CHECKING
 
@@ -11,8 +10,7 @@ from humanopts_env.arrays import Floats
 from humanopts_interfaces import msg
 from humanopts_interfaces.action import Plan
 from humanopts_learner.demonstrations import Demonstration, KIND_NUMBERS
-from humanopts_learner.options.files import option_from_json, option_to_json
-from humanopts_learner.options.option import LearnedOption, OptionError
+from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.planning.request import PlanError, PlanRequest
 from humanopts_learner.summary import Criterion, OptionSummary
 import numpy as np
@@ -68,35 +66,6 @@ def summary_from_message(message: msg.OptionStatus) -> OptionSummary:
         for found in message.criteria
     )
     return OptionSummary(criteria=criteria, **values)
-
-
-class OptionsReader:
-    """Reads the options of one message after another; one that has not changed is kept."""
-
-    def __init__(self) -> None:
-        self._known: dict[bytes, LearnedOption] = {}  # of the last message, by digest of the text
-
-    def read(self, message: msg.LearnedOptions) -> tuple[list[LearnedOption], list[str]]:
-        """Return the options that can be read, and the errors of the others."""
-        found, problems = {}, []
-        for entry in message.options:
-            key = sha256(entry.model.encode()).digest()
-            try:
-                found[key] = self._known.get(key) or option_from_json(entry.model)[0]
-            except OptionError as error:
-                problems.append(f'{entry.name!r} in learned_options: {error}')
-        self._known = found
-        return list(found.values()), problems
-
-
-def options_to_message(options: Sequence[LearnedOption]) -> msg.LearnedOptions:
-    """Encode options with the contents of their files."""
-    return msg.LearnedOptions(
-        options=[
-            msg.OptionFile(name=o.name, participant=o.participant, model=option_to_json(o))
-            for o in options
-        ]
-    )
 
 
 def plan_goal_to_message(

@@ -8,18 +8,13 @@ from typing import Any
 
 from humanopts_env.domains.base import Domain
 from humanopts_env.ros.game_subscriber import GameSubscriber
-from humanopts_interfaces.msg import (
-    Demonstration,
-    DemonstrationReceipt,
-    LearnedOptions,
-    LearningStatus,
-    OptionFile,
-)
+from humanopts_interfaces.msg import Demonstration, DemonstrationReceipt, LearningStatus
 from humanopts_learner.demonstrations import demonstration_from_message, DemonstrationError
 from humanopts_learner.option_trainer import DataSetError, OptionTrainer
 from humanopts_learner.options.criteria import Thresholds
 from humanopts_learner.ros import LEARNER
 from humanopts_learner.ros.convert import summary_to_message
+from humanopts_learner.ros.learned_options import OptionPublisher
 from humanopts_ros.limits import shown
 from humanopts_ros.node_base import NodeBase, SEEDS, StartError
 from humanopts_ros.process import run_node
@@ -58,7 +53,7 @@ class LearnerNode(NodeBase):
         self._trainer: OptionTrainer | None = None
         self._receipts = self.stamped_publisher(DemonstrationReceipt, 'demonstration_receipts')
         self._status_out = self.stamped_publisher(LearningStatus, 'learning_status', LATCHED)
-        self._options_out = self.stamped_publisher(LearnedOptions, 'learned_options', LATCHED)
+        self._options_out = OptionPublisher(self, 'learned_options')
         GameSubscriber(self, self._on_domain)
         self.create_subscription(Demonstration, 'demonstrations', self._on_demonstration, STREAM)
 
@@ -107,20 +102,14 @@ class LearnerNode(NodeBase):
     def _publish(self, trainer: OptionTrainer) -> None:
         options = trainer.options()
         self._options_out.publish(
-            LearnedOptions(
-                options=[
-                    OptionFile(
-                        name=taught.summary.option_name,
-                        participant=taught.summary.participant,
-                        model=taught.file,
-                    )
-                    for taught in options
-                    if taught.file
-                ]
+            {(o.summary.participant, o.summary.option_name): o.file for o in options if o.file}
+        )
+        self._status_out.publish(
+            LearningStatus(
+                options=[summary_to_message(o.summary) for o in options],
+                options_sequence=self._options_out.sequence,
             )
         )
-        statuses = [summary_to_message(taught.summary) for taught in options]
-        self._status_out.publish(LearningStatus(options=statuses))
 
 
 main = partial(run_node, LearnerNode)

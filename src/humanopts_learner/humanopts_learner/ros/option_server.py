@@ -9,18 +9,17 @@ from humanopts_env.domains.base import Domain, DomainError
 from humanopts_env.game import Transition
 from humanopts_env.ros.game_subscriber import GameSubscriber
 from humanopts_interfaces.action import ExecuteOption
-from humanopts_interfaces.msg import LearnedOptions, OptionResult
+from humanopts_interfaces.msg import OptionResult
 from humanopts_interfaces.srv import ListOptions, QueryOption, RunOption
 from humanopts_learner.execution import Run
 from humanopts_learner.library import OptionLibrary, taught_nothing, UnknownOptionError
 from humanopts_learner.options.files import load_options
 from humanopts_learner.options.option import LearnedOption, Mode, OptionError
 from humanopts_learner.ros import OPTION_SERVER
-from humanopts_learner.ros.convert import OptionsReader
+from humanopts_learner.ros.learned_options import OptionSubscriber
 from humanopts_learner.ros.runner import Runner, RunRequest
 from humanopts_ros.node_base import end_goal, NodeBase, PATIENCE, SEEDS
 from humanopts_ros.process import run_node
-from humanopts_ros.qos import CURRENT
 import numpy as np
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import ReentrantCallbackGroup
@@ -56,13 +55,11 @@ class OptionServerNode(NodeBase):
         )
         self._learned: list[LearnedOption] | None = None  # None: not published yet
         self._automatic: list[LearnedOption] = []
-        topics = 'learned_options', 'automatic_options'
-        self._readers = {topic: OptionsReader() for topic in topics}
         self._results = self.stamped_publisher(OptionResult, 'option_results')
         game = GameSubscriber(self, self._on_domain)
         self._runner = Runner(self, game, Mode(mode), seed, deadline)
-        self.create_subscription(LearnedOptions, 'learned_options', self._on_learned, CURRENT)
-        self.create_subscription(LearnedOptions, 'automatic_options', self._on_automatic, CURRENT)
+        OptionSubscriber(self, 'learned_options', self._on_learned)
+        OptionSubscriber(self, 'automatic_options', self._on_automatic)
         group = ReentrantCallbackGroup()
         self.recorded_service(RunOption, 'run_option', self._on_run, group)
         self.recorded_service(ListOptions, 'list_options', self._on_list, group)
@@ -94,19 +91,13 @@ class OptionServerNode(NodeBase):
             self.get_logger().warning(str(problem))
         return options
 
-    def _on_learned(self, message: LearnedOptions) -> None:
-        self._learned = self._read('learned_options', message)
+    def _on_learned(self, options: list[LearnedOption], _: object) -> None:
+        self._learned = options
         self._serve()
 
-    def _on_automatic(self, message: LearnedOptions) -> None:
-        self._automatic = self._read('automatic_options', message)
+    def _on_automatic(self, options: list[LearnedOption], _: object) -> None:
+        self._automatic = options
         self._serve()
-
-    def _read(self, topic: str, message: LearnedOptions) -> list[LearnedOption]:
-        options, problems = self._readers[topic].read(message)
-        for problem in problems:
-            self.refuse(topic, message, problem)
-        return options
 
     def _serve(self) -> None:
         """Serve the options that fit the game, once it is known, and report the others."""

@@ -14,7 +14,6 @@ from humanopts_interfaces.action import ExtractOptions, Plan
 from humanopts_interfaces.msg import (
     ExtractionGoal,
     ExtractionResult,
-    LearnedOptions,
     PlanGoal,
     PlanResult,
 )
@@ -26,6 +25,7 @@ from humanopts_learner.automatic.extract import (
 )
 from humanopts_learner.automatic.subgoals import Extraction, USUAL
 from humanopts_learner.demonstrations import MACHINE
+from humanopts_learner.options.files import option_to_json
 from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.planning.evaluate import Coverage, find_coverage
 from humanopts_learner.planning.exact import ExactPlan
@@ -40,14 +40,13 @@ from humanopts_learner.planning.request import (
     select_options,
 )
 from humanopts_learner.ros.convert import (
-    options_to_message,
     plan_goal_to_message,
     plan_to_message,
     refused_plan,
 )
+from humanopts_learner.ros.learned_options import OptionPublisher
 from humanopts_ros.node_base import end_goal, NodeBase
 from humanopts_ros.publisher import StampedPublisher
-from humanopts_ros.qos import LATCHED
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import CallbackGroup
 from rclpy.task import Future
@@ -75,7 +74,7 @@ class PlannerState:
 
     domain: Domain[Any] | None = None
     taught: list[LearnedOption] = field(default_factory=list)
-    taught_sequence: int = 0  # of the LearnedOptions with these options
+    taught_sequence: int = 0  # of the message that completed them
     automatic: list[LearnedOption] = field(default_factory=list)
     plans: dict[tuple[str, str], MadePlan] = field(default_factory=dict)  # set, participant
     pool: ThreadPoolExecutor = field(default_factory=ThreadPoolExecutor)  # for long work
@@ -269,7 +268,7 @@ class ExtractionAction(LongAction[ExtractionResult]):
 
     def __init__(self, node: NodeBase, group: CallbackGroup, state: PlannerState) -> None:
         super().__init__(node, group, state)
-        self._found = node.stamped_publisher(LearnedOptions, 'automatic_options', LATCHED)
+        self._found = OptionPublisher(node, 'automatic_options')
 
     def blank(self, goal: ExtractOptions.Goal) -> ExtractionResult:
         return ExtractionResult(participant=goal.participant or f'{MACHINE}1')
@@ -314,7 +313,8 @@ class ExtractionAction(LongAction[ExtractionResult]):
         found, options = await in_thread(self._node, self._state.pool, search)
         others = [o for o in self._state.automatic if o.participant != participant]
         self._state.automatic = [*others, *options]
-        self._found.publish(options_to_message(self._state.automatic))
+        known = self._state.automatic
+        self._found.publish({(o.participant, o.name): option_to_json(o) for o in known})
         result.status = result.STATUS_DONE
         result.option_names = [option.name for option in options]
         result.reaches = [option.reaches for option in found.options]

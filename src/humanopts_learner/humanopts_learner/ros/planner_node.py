@@ -6,14 +6,14 @@ from typing import Any
 
 from humanopts_env.domains.base import Domain
 from humanopts_env.ros.game_subscriber import GameSubscriber
-from humanopts_interfaces.msg import LearnedOptions
+from humanopts_interfaces import msg
+from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.ros import PLANNER
-from humanopts_learner.ros.convert import OptionsReader
+from humanopts_learner.ros.learned_options import OptionSubscriber
 from humanopts_learner.ros.planner_actions import ExtractionAction, PlanAction, PlannerState
 from humanopts_learner.ros.policy_server import PolicyServer
 from humanopts_ros.node_base import NodeBase
 from humanopts_ros.process import run_node
-from humanopts_ros.qos import CURRENT
 from rclpy.callback_groups import ReentrantCallbackGroup
 
 _FAREWELL = 1.0  # s to answer the clients of current goals when the node ends
@@ -26,8 +26,7 @@ class PlannerNode(NodeBase):
         super().__init__(PLANNER, **options)
         self._state = PlannerState()
         GameSubscriber(self, self._on_domain)
-        self._reader = OptionsReader()
-        self.create_subscription(LearnedOptions, 'learned_options', self._on_options, CURRENT)
+        OptionSubscriber(self, 'learned_options', self._on_options)
         shared = self, ReentrantCallbackGroup(), self._state
         self._policies = PolicyServer(*shared)
         self._actions = PlanAction(*shared), ExtractionAction(*shared)
@@ -47,12 +46,9 @@ class PlannerNode(NodeBase):
     def _on_domain(self, domain: Domain[Any]) -> None:
         self._state.domain = domain
 
-    def _on_options(self, message: LearnedOptions) -> None:
-        self._state.taught, problems = self._reader.read(message)
-        self._state.taught_sequence = message.sequence
+    def _on_options(self, options: list[LearnedOption], message: msg.LearnedOption) -> None:
+        self._state.taught, self._state.taught_sequence = options, message.sequence
         self.waiting.check()
-        for problem in problems:
-            self.refuse('learned_options', message, problem)
 
 
 main = partial(run_node, PlannerNode)

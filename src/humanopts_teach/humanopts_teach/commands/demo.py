@@ -11,7 +11,6 @@ from typing import Any
 from humanopts_env.domains.base import Domain, DomainError, is_enumerable
 from humanopts_env.domains.registry import make_domain, reference_options
 from humanopts_learner.options.decision_tree import import_scikit_learn
-from humanopts_learner.options.files import option_from_json
 from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.planning.request import (
     batch_games,
@@ -160,7 +159,7 @@ def _teach(running: Session, progress: DemoProgress) -> list[tuple[LearnedOption
     """Return each option and the message of its status, once everything is taught."""
     progress.stage('teaching')
     wait_until_taught(running)
-    return [(option_from_json(model)[0], status) for model, status in running.graph.learned()]
+    return running.graph.learned()
 
 
 def _plan_and_play(

@@ -1,9 +1,7 @@
 """Where demonstrations start: drawn by a strategy, keyed by person, option and number."""
 
 from dataclasses import dataclass
-from hashlib import sha256
 from typing import Any
-import zlib
 
 from humanopts_env.domains.base import Domain
 from humanopts_env.domains.capabilities import HasStateSamples
@@ -43,8 +41,7 @@ class SeededStarts:
     def __init__(self, domain: Domain[Any], rules: LessonRules) -> None:
         self.rules = rules
         self._domain = domain
-        self._texts: dict[tuple[str, str], tuple[bytes, bytes]] = {}  # digest; compressed text
-        self._options: dict[tuple[str, str], LearnedOption] = {}  # of one participant only
+        self._options: dict[tuple[str, str], LearnedOption] = {}  # by participant and name
         # samples that were drawn ahead, each with its generator, which goes on
         self._ahead: dict[Any, tuple[list[Any], np.random.Generator]] = {}
 
@@ -55,20 +52,19 @@ class SeededStarts:
         :return: whether it is another than before.
         :raises OptionError: it is not an option, or one of another domain.
         """
-        key, digest = (participant, option_name), sha256(text.encode()).digest()
-        if self.rules.strategy != FAILURES or self._texts.get(key, (b'',))[0] == digest:
+        if self.rules.strategy != FAILURES:
             return False
         option, _ = option_from_json(text)
         option.check_domain(self._domain)
-        self._texts[key] = digest, zlib.compress(text.encode())
-        self._hold(key, option)
-        return True
+        key = participant, option_name
+        before, self._options[key] = self._options.get(key), option
+        return option != before
 
     def draw(self, participant: str, option: OptionHistory) -> str:
         """Return the start state of the next demonstration, in the domain's notation."""
         drawn, rng = self._ahead.pop(_key(participant, option), (None, None))
         rng = rng or self._generator('start_state', participant, option)
-        learned = self._option(participant, option.name)
+        learned = self._options.get((participant, option.name))
         state = choose_start_state(
             self.rules.strategy, self._domain, learned, option.demonstrations, rng, drawn
         )
@@ -96,31 +92,19 @@ class SeededStarts:
         """Return whether the next draw has counted this one in; out, where it is withdrawn."""
         if not option.n_trajectories or self.rules.strategy != FAILURES:
             return True
-        learned = self._option(demonstration.participant, option.name)
+        learned = self._options.get((demonstration.participant, option.name))
         if learned is None:
             return False
         return (demonstration.uuid in learned.uuids) != demonstration.withdrawn
 
     def exhausted(self, participant: str, option: OptionHistory) -> bool:
         """Return whether the strategy has nothing left to ask, once the criteria hold."""
-        learned = self._option(participant, option.name)
+        learned = self._options.get((participant, option.name))
         asks_failures = self.rules.until_no_failures and self.rules.strategy == FAILURES
         if not asks_failures or learned is None or not option.demonstrations:
             return True
         rng = self._generator('exhausted', participant, option)
         return nothing_fails(learned, self._domain, option.demonstrations, rng)
-
-    def _option(self, participant: str, name: str) -> LearnedOption | None:
-        """Return an option; those of others than the last participant are read again."""
-        key = participant, name
-        if key not in self._options and key in self._texts:
-            self._hold(key, option_from_json(zlib.decompress(self._texts[key][1]).decode())[0])
-        return self._options.get(key)
-
-    def _hold(self, key: tuple[str, str], option: LearnedOption) -> None:
-        """Keep an option as an object, which takes many times the memory of its text."""
-        theirs = {k: known for k, known in self._options.items() if k[0] == key[0]}
-        self._options = {**theirs, key: option}
 
     def _generator(
         self, purpose: str, participant: str, option: OptionHistory, later: int = 0

@@ -1,7 +1,7 @@
 """The command line's own node: sees that the graph is ready, and asks it for work."""
 
 from collections import Counter, deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 import json
 import math
@@ -13,6 +13,8 @@ from humanopts_env.domains.base import Domain
 from humanopts_env.ros.game_subscriber import GameSubscriber, Observed
 from humanopts_interfaces import msg
 from humanopts_interfaces.action import Plan, RunPolicy
+from humanopts_learner.options.option import LearnedOption
+from humanopts_learner.ros.learned_options import OptionSubscriber
 from humanopts_ros.limits import one_line, shown
 from humanopts_ros.node_base import NodeBase, start_ros
 from humanopts_ros.qos import ACTION, CURRENT
@@ -58,7 +60,8 @@ class GraphClient(NodeBase):
     domain: Domain[Any] | None = None
     lesson: msg.LessonState | None = None
     learning: msg.LearningStatus | None = None
-    options: msg.LearnedOptions | None = None
+    options: Sequence[LearnedOption] = ()
+    newest_option = msg.LearnedOption()  # the message that completed the options
     recorder: msg.RecorderStatus | None = None
 
     def __init__(
@@ -93,10 +96,10 @@ class GraphClient(NodeBase):
         for kind, topic, name in (
             (msg.LessonState, 'lesson_state', 'lesson'),
             (msg.LearningStatus, 'learning_status', 'learning'),
-            (msg.LearnedOptions, 'learned_options', 'options'),
             (msg.RecorderStatus, 'recorder_status', 'recorder'),
         ):
             self.create_subscription(kind, topic, partial(setattr, self, name), CURRENT)
+        OptionSubscriber(self, 'learned_options', self._keep_options)
         game = GameSubscriber(self, partial(setattr, self, 'domain'))
         self._current_state = game.newest()
         self._plan_client = ActionClient(self, Plan, 'plan', **ACTION)
@@ -180,7 +183,7 @@ class GraphClient(NodeBase):
             evaluation_episodes=episodes,
             seed=seed,
             game_steps=game_steps,
-            options_sequence=self.options.sequence if self.options else 0,
+            options_sequence=self.newest_option.sequence,
         )
         result: msg.PlanResult = self._act(self._plan_client, goal, f'the {action_set} plan')
         if result.status not in (result.STATUS_CONVERGED, result.STATUS_NOT_CONVERGED):
@@ -216,15 +219,14 @@ class GraphClient(NodeBase):
             and lesson.sequence >= self._resent
         )
 
-    def learned(self) -> list[tuple[str, msg.OptionStatus]]:
-        """Return the option file's JSON and the status of every learned option."""
-        if self.options is None or self.learning is None:
-            return []
-        status = {(entry.participant, entry.option_name): entry for entry in self.learning.options}
+    def learned(self) -> list[tuple[LearnedOption, msg.OptionStatus]]:
+        """Return every learned option and its status."""
+        entries = self.learning.options if self.learning is not None else ()
+        status = {(entry.participant, entry.option_name): entry for entry in entries}
         return [
-            (entry.model, status[entry.participant, entry.name])
-            for entry in self.options.options
-            if (entry.participant, entry.name) in status
+            (option, status[option.participant, option.name])
+            for option in self.options
+            if (option.participant, option.name) in status
         ]
 
     def stay(self, check: Callable[[], None], report: Callable[[str], None]) -> None:
@@ -281,18 +283,17 @@ class GraphClient(NodeBase):
         """
         Return whether an option is finished, and all that was learned until then has come here.
 
-        The topics of several nodes come in any order. The learner publishes one status for each
-        message of options, so that the two which belong together have the same sequence.
+        The topics of several nodes come in any order.
         """
-        lesson, learning, options = self.lesson, self.learning, self.options
-        if lesson is None or learning is None or options is None:
+        lesson, learning = self.lesson, self.learning
+        if lesson is None or learning is None:
             return False
         newest = (option_name, lesson.participant, lesson.last_uuid)
         return (
             (lesson.phase, lesson.option_name) == (lesson.PHASE_FINISHED, option_name)
             and newest in [(o.option_name, o.participant, o.last_uuid) for o in learning.options]
-            and learning.publisher_id == options.publisher_id
-            and learning.sequence == options.sequence
+            and learning.publisher_id == self.newest_option.publisher_id
+            and learning.options_sequence <= self.newest_option.sequence
         )
 
     def taught_so_far(self) -> tuple[object, int]:
@@ -366,6 +367,9 @@ class GraphClient(NodeBase):
         counts = {name.rpartition('/')[2]: count for name, count in self.restarts.items() if count}
         told = restarts_text(counts) if counts else ''
         self.set_status(msg.NodeStatus.STATE_READY, f'{end.sentence}{told}')
+
+    def _keep_options(self, options: list[LearnedOption], newest: msg.LearnedOption) -> None:
+        self.options, self.newest_option = options, newest
 
     def _keep_status(self, status: msg.NodeStatus) -> None:
         node, own = status.node, self._own.get(status.node)

@@ -172,7 +172,7 @@ class LessonNode(NodeBase):
         for kind, topic, use, qos in (
             (msg.DemonstrationReceipt, 'demonstration_receipts', self._on_receipt, STREAM),
             (msg.LearningStatus, 'learning_status', self._on_status, CURRENT),
-            (msg.LearnedOptions, 'learned_options', self._on_options, CURRENT),
+            (msg.LearnedOption, 'learned_options', self._on_option, STREAM),
         ):
             self.create_subscription(kind, topic, use, qos)
 
@@ -261,12 +261,13 @@ class LessonNode(NodeBase):
             self._learner = status.publisher_id
             self._resend.reset()
 
-    def _on_options(self, message: msg.LearnedOptions) -> None:
-        for option in message.options:
-            try:
-                self._lesson.update_option(option.participant, option.name, option.model)
-            except OptionError as error:
-                self.refuse('learned_options', message, error)
+    def _on_option(self, option: msg.LearnedOption) -> None:
+        if not option.model:
+            return
+        try:
+            self._lesson.update_option(option.participant, option.name, option.model)
+        except OptionError as error:
+            self.refuse('learned_options', option, error)
         self._show()
 
     def _on_recorder(self, status: msg.RecorderStatus) -> None:

@@ -1,0 +1,108 @@
+"""Options on the graph, one message for each that has changed."""
+
+from collections.abc import Callable, Mapping
+
+from humanopts_interfaces.msg import LearnedOption as OptionMessage
+from humanopts_learner.options.files import option_from_json
+from humanopts_learner.options.option import LearnedOption, OptionError
+from humanopts_ros.node_base import NodeBase
+from humanopts_ros.qos import STREAM
+
+_GATHERING = 0.1  # s in which several new subscribers get the options together
+_MAX_LIVES = 4  # publisher_ids of which options are kept
+Key = tuple[str, str]  # participant and name of an option
+
+
+class OptionPublisher:
+    """
+    Publishes options that have changed, and all of them for each new subscriber.
+
+    :ivar sequence: of the last message; 0: none was sent.
+    """
+
+    def __init__(self, node: NodeBase, topic: str) -> None:
+        """Publish nothing yet."""
+        self._files: Mapping[Key, str] | None = None
+        self._sent: dict[Key, str] = {}
+        self._timer = node.create_timer(_GATHERING, self._publish_again, autostart=False)
+        self._publisher = node.stamped_publisher(
+            OptionMessage, topic, STREAM, lambda _: self._timer.reset()
+        )
+
+    @property
+    def sequence(self) -> int:
+        """The sequence of the last message; 0: none was sent."""
+        return self._publisher.sequence
+
+    def publish(self, files: Mapping[Key, str]) -> None:
+        """
+        Publish what has changed since the last call.
+
+        :param files: the contents of all option files; what is missing was removed.
+        :raises PublishError: a message could not be sent; the next call sends it.
+        """
+        first, self._files = self._files is None, dict(files)
+        for key in [*(self._sent.keys() - files.keys()), *files]:
+            if files.get(key) != self._sent.get(key):
+                self._send(key)
+        if first and not files:
+            self._send(('', ''))
+
+    def _publish_again(self) -> None:
+        self._timer.cancel()
+        if self._files is not None:
+            for key in self._files or [('', '')]:
+                self._send(key)
+
+    def _send(self, key: Key) -> None:
+        files = self._files or {}
+        (participant, name), model = key, files.get(key, '')
+        self._publisher.publish(
+            OptionMessage(name=name, participant=participant, model=model, n_options=len(files))
+        )
+        if model:
+            self._sent[key] = model
+        else:
+            self._sent.pop(key, None)
+
+
+class OptionSubscriber:
+    """The options of a topic, whole whenever all of them have come."""
+
+    def __init__(
+        self,
+        node: NodeBase,
+        topic: str,
+        use: Callable[[list[LearnedOption], OptionMessage], object],
+    ) -> None:
+        """
+        Subscribe.
+
+        :param use: called with the options, a new list where any has changed, and the message that
+            completed them.
+        """
+        self._node, self._topic, self._use = node, topic, use
+        # By publisher_id, so that what is sent in the name of the publisher hides nothing of its
+        # own; None: it cannot be read.
+        self._lives: dict[str, dict[Key, LearnedOption | None]] = {}
+        self._options: list[LearnedOption] = []
+        node.create_subscription(OptionMessage, topic, self._read, STREAM)
+
+    def _read(self, message: OptionMessage) -> None:
+        known = self._lives.pop(message.publisher_id, {})
+        self._lives[message.publisher_id] = known  # the last one
+        if len(self._lives) > _MAX_LIVES:
+            del self._lives[next(iter(self._lives))]
+        key = message.participant, message.name
+        if message.model:
+            try:
+                known[key] = option_from_json(message.model)[0]
+            except OptionError as error:
+                known[key] = None
+                self._node.refuse(self._topic, message, f'{message.name!r}: {error}')
+        else:
+            known.pop(key, None)
+        if len(known) == message.n_options:
+            if (options := [o for o in known.values() if o is not None]) != self._options:
+                self._options = options
+            self._use(self._options, message)
