@@ -312,7 +312,8 @@ def check_method(method: str, domain: Domain[Any]) -> None:
     :raises DemonstrationError: there is no such method, or the states cannot be listed for it.
     """
     if method not in METHODS:
-        raise DemonstrationError(f'{method!r} is no way to learn; there is {", ".join(METHODS)}')
+        known = ', '.join(METHODS)
+        raise DemonstrationError(f'unknown learning method {method!r}; choose from {known}')
     if method == GOAL and not is_enumerable(domain):
         raise DemonstrationError(
             f'the states of {domain.name} cannot be listed, so no way to a goal can be planned; '

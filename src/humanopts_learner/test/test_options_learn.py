@@ -417,7 +417,7 @@ def test_where_states_cannot_be_listed_nothing_is_planned() -> None:
     with pytest.raises(DemonstrationError, match='the states of pacman cannot be listed'):
         check_demonstration(replace(demo, method=GOAL), game)
     with pytest.raises(
-        DemonstrationError, match="'maps' is no way to learn; there is trees, goal"
+        DemonstrationError, match="unknown learning method 'maps'; choose from trees, goal"
     ):
         check_demonstration(replace(demo, method='maps'), game)
 

@@ -215,9 +215,9 @@ def study_in_browser(study: Study, pages: PageOptions, participant: str) -> int:
     """Serve pages of a study; other parameters and errors are those of ``_serve_seats``."""
     study.warn()
     with only_launch(study.namespace, [_SERVER]):
-        print(f'{study.plan.name}: everything is kept in {study.folder.path}.')
+        print(f'{study.plan.study}: everything is kept in {study.folder.path}.')
         turns, known = partial(_all_turns, study), study.folder.codes
-        return _serve_seats(study.plan.name, turns, pages, participant, known)
+        return _serve_seats(study.plan.study, turns, pages, participant, known)
 
 
 @asynccontextmanager

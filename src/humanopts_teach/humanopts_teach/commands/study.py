@@ -114,7 +114,7 @@ def status(
         print(json.dumps(table.to_dict('records'), indent=2))
     else:
         planned = f' of {study.participants}' if study.participants else ''
-        print(one_line(f'{study.name}: {len(table)}{planned} participants, in {there.path}'))
+        print(one_line(f'{study.study}: {len(table)}{planned} participants, in {there.path}'))
         for version in protocol.versions:
             when = time.strftime('%Y-%m-%d %H:%M', time.localtime(version.time))
             print(one_line(f'{version.event} on {when}: {version.digest[:SHOWN_DIGEST]}'))
@@ -154,7 +154,7 @@ def _open(path: Path, folder: Path | None) -> 'tuple[StudyPlan, StudyFolder]':
         plan = read_plan(path)
     except PlanFileError as error:
         raise CommandError(f'{path}: {error}') from error
-    return plan, StudyFolder(folder or Path('runs') / plan.name)
+    return plan, StudyFolder(folder or Path('runs') / plan.study)
 
 
 def _kept(
@@ -168,24 +168,25 @@ def _kept(
     :raises CommandError: there is neither.
     """
     from humanopts_teach.study.plan import PlanFileError, read_name, read_plan
+    from humanopts_teach.study.protocol import Protocol
     from humanopts_teach.study.record import StudyFolder
 
     try:
         there = StudyFolder(folder or Path('runs') / read_name(path))
-        protocol = there.protocol()
+        protocol = Protocol(there.path)
     except PlanFileError as error:
         raise CommandError(f'{path}: {error}') from error
     except OSError as error:
         raise CommandError(f'cannot read what is kept of the plan: {error.strerror}') from error
     try:
-        lacking = there.lacking(protocol)
+        missing = there.missing_plan(protocol)
     except OSError as error:
         raise CommandError(f'cannot read {there.path}: {error.strerror}') from error
-    _warn(command, [*protocol.problems, *filter(None, [lacking])])
+    _warn(command, [*protocol.problems, *filter(None, [missing])])
     if protocol.plan is None:
         return (*_open(path, there.path), protocol)
     try:
-        if protocol.changes(read_plan(path)):
+        if read_plan(path) != protocol.plan:
             _warn(command, [f'{path} has been changed; what is kept in {there.path} counts'])
     except PlanFileError as error:
         _warn(command, [f'{path}: {error}; what is kept in {there.path} counts'])
@@ -206,6 +207,7 @@ def _export(folder: 'StudyFolder', out: Path, *, excel: bool = False) -> None:
         named_options,
         table_text,
     )
+    from humanopts_teach.study.protocol import Protocol
     from humanopts_teach.study.tables import tables
 
     bags = []
@@ -224,7 +226,10 @@ def _export(folder: 'StudyFolder', out: Path, *, excel: bool = False) -> None:
         for name, table in tables(records).items():
             (out / name).write_bytes(csv_of(table).encode(EXCEL if excel else 'utf-8'))
             print(out / name)
-        kept = [each.to_dict() for each in folder.protocol().versions]
+        kept = [
+            each.model_dump(mode='json', exclude_none=True)
+            for each in Protocol(folder.path).versions
+        ]
         (out / 'protocol.json').write_text(f'{json.dumps(kept, indent=1)}\n', encoding='utf-8')
         print(out / 'protocol.json')
         (out / 'table1.txt').write_text(f'{table_1}\n', encoding='utf-8')

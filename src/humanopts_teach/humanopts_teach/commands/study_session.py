@@ -25,6 +25,7 @@ from humanopts_teach.commands.session import (
     WATCHED,
 )
 from humanopts_teach.launching.processes import Setup, StudyTurn
+from humanopts_teach.lesson.store import similar_code
 from humanopts_teach.ros.teleop import published_record
 from humanopts_teach.study.events import (
     Answered,
@@ -38,13 +39,11 @@ from humanopts_teach.study.events import (
     REFUSED,
     TIME,
 )
-from humanopts_teach.study.plan import Condition, Kind, Part, parts_to_json, StudyPlan
+from humanopts_teach.study.plan import Condition, Kind, Part, PARTS, StudyPlan
 from humanopts_teach.study.record import (
     ChangedPlanError,
     learned_rows,
-    left_of,
     OpenRecord,
-    Participant,
     Record,
     SimilarCodeError,
     StudyError,
@@ -99,7 +98,7 @@ class Study:
             raise CommandError(f'the change cannot be kept: {error}') from error
         print('The changed plan is kept; who has begun goes on with the one of that time.')
 
-    def plan_of(self, participant: Participant) -> StudyPlan:
+    def plan_of(self, participant: Record) -> StudyPlan:
         """
         Return the plan that a participant follows.
 
@@ -116,7 +115,7 @@ class Study:
             self.warn()
             return self._run(self.enter(self.settled(code)))
 
-    def _run(self, participant: Participant) -> int:
+    def _run(self, participant: Record) -> int:
         while (turn := self.next_turn(participant)) is not None:
             ended, status = run_in_terminal(turn.setup, self.namespace)
             if left := self.farewell(participant, turn):
@@ -130,7 +129,7 @@ class Study:
         with place(self.namespace):
             self._simulate(self.enter(code, simulated=True))
 
-    def _simulate(self, participant: Participant) -> None:
+    def _simulate(self, participant: Record) -> None:
         code = participant.code
         while (turn := self.next_turn(participant, simulated=True)) is not None:
             print(f'{code}: {turn.condition.name}', flush=True)
@@ -155,7 +154,7 @@ class Study:
 
         :raises CommandError: the person is another one, and needs another code.
         """
-        similar = self.folder.similar(code)
+        similar = similar_code(code, self.folder.codes())
         if similar and not agreed(f'{similar} has taken part. Go on as {similar}?'):
             raise CommandError(str(SimilarCodeError(code, similar)))
         return similar or code
@@ -165,7 +164,7 @@ class Study:
         for problem in self.folder.records()[1]:
             print(one_line(f'humanopts study: {problem}'), file=sys.stderr)
 
-    def enter(self, code: str, *, simulated: bool = False) -> Participant:
+    def enter(self, code: str, *, simulated: bool = False) -> Record:
         """
         Return who takes part.
 
@@ -178,7 +177,7 @@ class Study:
         except OSError as error:
             raise CommandError(f'cannot write in {self.folder.path}: {error}') from error
 
-    def next_turn(self, participant: Participant, *, simulated: bool = False) -> Turn | None:
+    def next_turn(self, participant: Record, *, simulated: bool = False) -> Turn | None:
         """
         Return the next condition of which a participant has parts left; None: there is none.
 
@@ -188,12 +187,12 @@ class Study:
         turns = plan.turns_of(participant.number)
         record = self._close_spent(participant, [part for _, parts in turns for part in parts])
         for condition, parts in turns:
-            if left := left_of(parts, record):
+            if left := record.left_of(parts):
                 setup = self._setup(plan, participant, condition, None if simulated else left)
                 return Turn(condition, left, setup)
         return None
 
-    def farewell(self, participant: Participant, turn: Turn) -> str:
+    def farewell(self, participant: Record, turn: Turn) -> str:
         """
         Return why a participant does not go on after a turn; empty: the next one follows.
 
@@ -203,11 +202,11 @@ class Study:
         if record.refused:
             self._note(participant, ParticipantEnded, why=REFUSED)
             return f'{participant.code} does not take part; nothing more is asked'
-        if left_of(turn.left, record):
+        if record.left_of(turn.left):
             return f'{participant.code} has not finished; the same code goes on'
         return ''
 
-    def finish(self, participant: Participant) -> str:
+    def finish(self, participant: Record) -> str:
         """
         Note that a participant has finished, and return it in words.
 
@@ -216,23 +215,23 @@ class Study:
         self._note(participant, ParticipantEnded)
         return f'{participant.code} has finished; everything is in {self.folder.path}'
 
-    def _record(self, participant: Participant) -> Record:
+    def _record(self, participant: Record) -> Record:
         try:
-            return Record.read(participant.path)
+            return participant.read()
         except OSError as error:
             raise CommandError(f'cannot read {participant.path}: {error.strerror}') from error
 
-    def _close_spent(self, participant: Participant, parts: Sequence[Part]) -> Record:
+    def _close_spent(self, participant: Record, parts: Sequence[Part]) -> Record:
         """Note the end of parts that were left when hardly any of their time was left."""
         record = self._record(participant)
-        for part in left_of(parts, record):
+        for part in record.left_of(parts):
             spent = record.seconds_in(part.key)
             if part.minutes and spent > max(0.0, 60 * part.minutes - _LEAST_SECONDS):
                 where = {'part': part.key, 'condition': part.condition}
                 self._note(participant, PartEnded, kind=part.kind, why=TIME, **where)
         return self._record(participant)
 
-    def _note(self, participant: Participant, kind: type[Event], /, **values: Any) -> None:
+    def _note(self, participant: Record, kind: type[Event], /, **values: Any) -> None:
         try:
             OpenRecord(participant.path).note(kind, **values)
         except OSError as error:
@@ -241,7 +240,7 @@ class Study:
     def _setup(
         self,
         plan: StudyPlan,
-        participant: Participant,
+        participant: Record,
         condition: Condition,
         left: Sequence[Part] | None = None,
     ) -> Setup:
@@ -251,7 +250,7 @@ class Study:
         :param left: parts that a person has to do; None: a simulated teacher takes part.
         """
         launch = LaunchOptions(
-            out=self.folder.directory(participant, condition.name),
+            out=self.folder.path / participant.code / condition.name,
             seed=plan.seed + participant.number,
             strategy=condition.strategy,  # type: ignore[arg-type]  # the plan was checked
             learn=condition.learn,  # type: ignore[arg-type]
@@ -263,8 +262,8 @@ class Study:
         if left is None:
             domain = make_domain(condition.domain, dict(condition.parameters))
             own = {'taught': taught_options(domain), 'teacher_error_rate': _ERROR_RATE}
-        parts = parts_to_json(left or ())
-        turn = StudyTurn(plan.name, condition.name, parts, participant.path.absolute())
+        parts = PARTS.dump_json(tuple(left or ())).decode()
+        turn = StudyTurn(plan.study, condition.name, parts, participant.path.absolute())
         return setup_from(
             condition.domain,
             launch,
@@ -304,7 +303,9 @@ def simulated_part(
         named = [name for name, share in shares.items() if rng.random() < share]
         for rank, text in enumerate(named[: part.most], start=1):
             record.note(ButtonSuggested, domain=part.domain, rank=rank, text=text, **where)
-    for question in part.questions:
-        value = int(rng.integers(1, question.points + 1))
-        record.note(Answered, item=question.name, value=value, points=question.points, **where)
+    elif part.questions is not None:
+        points = part.questions.points
+        for question in part.questions.items:
+            value = int(rng.integers(1, points + 1))
+            record.note(Answered, item=question.name, value=value, points=points, **where)
     record.note(PartEnded, kind=part.kind, why=FINISHED, **where)

@@ -241,11 +241,11 @@ def _page(screen: PageScreen, app: App) -> Panel:
 
 @panel.register
 def _question(screen: QuestionScreen, app: App) -> Panel:
-    asked, count = screen.question, len(screen.questions)
-    points = ['●' if value == screen.value else '○' for value in range(1, asked.points + 1)]
-    scale = Line(f'{asked.low}  {" ".join(points)}  {asked.high}')
-    number = Line(f'question {screen.index + 1} of {count}', Tone.QUIET)
-    return Panel((Line(asked.text, strong=True), GAP, scale, GAP, number))
+    asked, scale = screen.question, screen.questionnaire
+    points = ['●' if value == screen.value else '○' for value in range(1, scale.points + 1)]
+    line = Line(f'{asked.low}  {" ".join(points)}  {asked.high}')
+    number = Line(f'question {screen.index + 1} of {len(scale.items)}', Tone.QUIET)
+    return Panel((Line(asked.text, strong=True), GAP, line, GAP, number))
 
 
 @panel.register

@@ -26,7 +26,7 @@ from humanopts_teach.study.events import (
     SignOfLife,
     TIME,
 )
-from humanopts_teach.study.plan import Kind, Part, Question
+from humanopts_teach.study.plan import Kind, Part, Question, Questionnaire
 from humanopts_teach.study.record import learned_rows, OpenRecord
 
 SIGN_SECONDS = 5.0  # between signs of life: what a crash can take of the time at a part
@@ -94,8 +94,9 @@ class StudyApp(App):
         self._end_part(REFUSED)
         self.ended = True
 
-    def answer(self, question: Question, value: int) -> None:
-        self._note(Answered, item=question.name, value=value, points=question.points)
+    def answer(self, item: str, value: int, points: int) -> None:
+        """Note the answer to a question."""
+        self._note(Answered, item=item, value=value, points=points)
 
     def suggest(self, rank: int, text: str) -> None:
         """Note a button that the person suggests."""
@@ -184,18 +185,18 @@ class QuestionScreen(Screen):
     """A question that is answered on a scale."""
 
     shows_board: ClassVar[bool] = False
-    questions: Sequence[Question]
+    questionnaire: Questionnaire
     index: int = 0  # of the question
     value: int | None = field(default=None, init=False)  # chosen so far
 
     @property
     def question(self) -> Question:
         """The question that is shown."""
-        return self.questions[self.index]
+        return self.questionnaire.items[self.index]
 
     def press(self, key: str, app: App) -> None:
         assert isinstance(app, StudyApp)
-        points = self.question.points
+        points = self.questionnaire.points
         if key in (LEFT, RIGHT):
             middle = (points + 1) // 2
             moved = middle if self.value is None else self.value + (1 if key == RIGHT else -1)
@@ -203,9 +204,9 @@ class QuestionScreen(Screen):
         elif key.isdigit() and 1 <= int(key) <= min(points, 9):
             self.value = int(key)
         elif key == ENTER and self.value is not None:
-            app.answer(self.question, self.value)
+            app.answer(self.question.name, self.value, points)
             self.index, self.value = self.index + 1, None
-            if self.index == len(self.questions):
+            if self.index == len(self.questionnaire.items):
                 self.index -= 1
                 app.end()
 
@@ -222,7 +223,7 @@ def _first_screen(part: Part, participant: str) -> Screen:
         return FreePlayScreen(menu=lambda app: app.end(), title='Get to know the game')
     if part.kind is Kind.BUTTONS:
         return _button(1, part.most)
-    if part.kind is Kind.QUESTIONS:
+    if part.questions is not None:
         return QuestionScreen(part.questions)
     return opening(participant, ask=False)
 

@@ -47,8 +47,8 @@ from humanopts_teach.ros.convert import (
     TERMINAL_SERVICES,
 )
 from humanopts_teach.ros.lesson_client import LessonClient
-from humanopts_teach.study.plan import parts_from_json
-from humanopts_teach.study.record import left_of, OpenRecord, TOPIC
+from humanopts_teach.study.plan import PARTS
+from humanopts_teach.study.record import OpenRecord, TOPIC
 from rclpy.action.client import ActionClient
 from rclpy.task import Future
 
@@ -113,7 +113,7 @@ class TeleopNode(NodeBase):
         if not parts:
             return None
         record = published_record(self, Path(path), participant)
-        left = left_of(parts_from_json(parts), record)
+        left = record.left_of(PARTS.validate_json(parts))
         return StudyApp(left, record, participant, self._world, seed=seed)
 
     def waits_for(self) -> str | None:

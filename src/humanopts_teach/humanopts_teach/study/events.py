@@ -4,15 +4,22 @@ What happens in a study, as lines of JSON: one schema for each kind of event.
 Every line that comes from a file or a bag is validated here; what does not fit is never counted.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
-import json
-from typing import Annotated, Any, ClassVar, Literal
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Annotated, Any, ClassVar, Literal, Self
 
-from humanopts_ros.limits import composed, parse_json, shown
+from humanopts_ros.limits import composed, parse_json
 from humanopts_teach.lesson.store import CODE
-from humanopts_teach.study.plan import Kind, MOST_POINTS
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+from humanopts_teach.study.plan import fault_in, Kind, MAX_POINTS
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    model_validator,
+    TypeAdapter,
+    ValidationError,
+)
 
 FINISHED, TIME, REFUSED = 'finished', 'time is over', 'not agreed'  # why a part ended
 MAX_LINE = 1_000_000  # characters of an event
@@ -20,8 +27,7 @@ MAX_LINE = 1_000_000  # characters of an event
 
 def _text(text: str) -> str:
     """Return a text in composed form; half a surrogate pair cannot be written to any file."""
-    if any('\ud800' <= char <= '\udfff' for char in text):
-        raise ValueError('it holds half a character')
+    text.encode()
     return composed(text)
 
 
@@ -33,17 +39,13 @@ Return = Annotated[float, Field(allow_inf_nan=False)]  # reward units
 
 
 class _Values(BaseModel):
-    """Values that are never converted; a field more is of no account."""
+    """Values that are never converted; unknown fields are ignored."""
 
     model_config: ClassVar[ConfigDict] = ConfigDict(strict=True, frozen=True)
 
 
 class _Event(_Values):
     time: Annotated[float, Field(ge=0, lt=1e11)]  # s since 1970
-
-    def line(self) -> str:
-        """Return the event as a line of JSON, without the line's end."""
-        return json.dumps(self.model_dump(mode='json'), sort_keys=True)
 
 
 class _OfPart(_Event):
@@ -96,7 +98,13 @@ class Answered(_OfPart):
     event: Literal['answer'] = 'answer'
     item: Word
     value: Rank
-    points: Annotated[int, Field(ge=2, le=MOST_POINTS)]  # of the scale
+    points: Annotated[int, Field(ge=2, le=MAX_POINTS)]  # of the scale
+
+    @model_validator(mode='after')
+    def _on_the_scale(self) -> Self:
+        if self.value > self.points:
+            raise ValueError(f'{self.value} is not on a scale of {self.points}')
+        return self
 
 
 class ButtonSuggested(_OfPart):
@@ -139,7 +147,6 @@ PartEvent = (
 )
 Event = ParticipantBegan | PartEvent | ParticipantEnded
 WHOLE = ParticipantBegan | ParticipantEnded  # of no part
-_LEARNED = 'learned'
 _EVENT: TypeAdapter[Event] = TypeAdapter(Annotated[Event, Field(discriminator='event')])
 
 
@@ -147,32 +154,14 @@ def event_of(line: str) -> Event:
     """
     Return the event of a line.
 
-    :raises ValueError: it is no event; the text is one line.
+    :raises ValueError: it is not an event; the text is one line.
     """
-    values = parse_json(line, MAX_LINE)
     try:
-        event = _EVENT.validate_python(values)
+        return _EVENT.validate_python(parse_json(line, MAX_LINE))
     except ValidationError as error:
-        raise ValueError(_faults(error, values)) from None
-    if isinstance(event, Answered) and event.value > event.points:
-        raise ValueError(f'answer: value {event.value} is not on its scale of {event.points}')
-    return event
-
-
-def _faults(error: ValidationError, values: Any) -> str:
-    """Return what is wrong with the values of an event, in one line."""
-    kind = values.get('event') if isinstance(values, Mapping) else None
-    if error.errors()[0]['type'].startswith('union_tag') or not isinstance(kind, str):
-        return 'it is no event of a study'
-    found = error.errors(include_url=False, include_input=False)
-    lacking = ['.'.join(map(str, each['loc'][1:])) for each in found if each['type'] == 'missing']
-    faults = [f'it has no {", ".join(lacking)}'] if lacking else []
-    faults += [
-        f'{".".join(map(str, each["loc"][1:]))}: {each["msg"]}'
-        for each in found
-        if each['type'] != 'missing'
-    ]
-    return shown(f'{kind}: {"; ".join(faults)}')
+        if not error.errors()[0]['loc']:
+            raise ValueError('it is not an event of a study') from None
+        raise ValueError(fault_in(error)) from None
 
 
 def last_attempts(events: Iterable[Event]) -> list[Event]:
@@ -186,36 +175,31 @@ def last_attempts(events: Iterable[Event]) -> list[Event]:
 
     :param events: of one participant, in the order in which they happened.
     """
-    of_parts: dict[str, dict[tuple[object, ...], tuple[int, Event]]] = {}
+    parts: dict[str, dict[tuple[Any, ...], tuple[int, Event]]] = {}
     for place, event in enumerate(events):
-        facts = of_parts.setdefault('' if isinstance(event, WHOLE) else event.part, {})
+        part = '' if isinstance(event, WHOLE) else event.part
+        fact = event.event, getattr(event, 'item', ''), getattr(event, 'rank', 0)
+        facts = parts.setdefault(part, {})
         if isinstance(event, PartBegan):
-            facts = {fact: each for fact, each in facts.items() if fact == (_LEARNED,)}
-            of_parts[event.part] = facts
-        if not (isinstance(event, ParticipantBegan) and (event.event,) in facts):
-            facts[_fact(event)] = place, event
-    counting = [each for facts in of_parts.values() for each in facts.values()]
+            parts[part] = facts = {k: v for k, v in facts.items() if k[0] == 'learned'}
+        if not (isinstance(event, ParticipantBegan) and fact in facts):
+            facts[fact] = place, event
+    counting = [each for facts in parts.values() for each in facts.values()]
     return [event for _, event in sorted(counting, key=lambda each: each[0])]
 
 
-def _fact(event: Event) -> tuple[object, ...]:
-    """Return what an event says something about, within its part."""
-    match event:
-        case Answered():
-            return event.event, event.item
-        case ButtonSuggested():
-            return event.event, event.rank
-        case _:
-            return (event.event,)
-
-
-@dataclass(frozen=True)
+@dataclass
 class TimeIn:
     """When a participant was at a part, over all sittings."""
 
-    began: float | None  # s since 1970, the first time; None: not recorded
-    seconds: float  # at it
-    sittings: int  # times that it was begun or taken up again
+    began: float | None = None  # s since 1970, the first time; None: not recorded
+    sittings: list[tuple[float, float]] = field(default_factory=list)  # begin and end of each
+    open: bool = False
+
+    @property
+    def seconds(self) -> float:
+        """The sum of all sittings."""
+        return sum(end - begin for begin, end in self.sittings)
 
 
 def times_in(events: Iterable[Event]) -> dict[str, TimeIn]:
@@ -226,28 +210,18 @@ def times_in(events: Iterable[Event]) -> dict[str, TimeIn]:
     since a process or the power failed, until the last sign of life. Where its begin is not
     recorded, it lasts from the first event that is.
     """
-    of_parts: dict[str, list[PartEvent]] = {}
+    parts: dict[str, TimeIn] = {}
     for event in events:
-        if not isinstance(event, WHOLE):
-            of_parts.setdefault(event.part, []).append(event)
-    return {part: _time_in(mine) for part, mine in of_parts.items()}
-
-
-def _time_in(events: Sequence[PartEvent]) -> TimeIn:
-    """Return the time that a participant was at one part."""
-    began: float | None = None
-    seconds, sittings = 0.0, 0
-    since = until = 0.0  # of the sitting
-    goes_on = over = False
-    for event in events:
-        begins = isinstance(event, PartBegan)
-        if begins or not (goes_on or over):
-            seconds += until - since
-            since = until = event.time
-            sittings, goes_on = sittings + 1, True
-            began = event.time if begins and began is None else began
-        if goes_on:
-            until = max(until, event.time)
-        over = isinstance(event, PartLeft | PartEnded) or (over and not begins)
-        goes_on = goes_on and not over
-    return TimeIn(began, seconds + until - since, sittings)
+        if isinstance(event, WHOLE):
+            continue
+        found, now = parts.setdefault(event.part, TimeIn()), event.time
+        if isinstance(event, PartBegan):
+            found.began = now if found.began is None else found.began
+        if isinstance(event, PartBegan) or not found.sittings:
+            found.sittings.append((now, now))
+            found.open = True
+        elif found.open:
+            begin, end = found.sittings[-1]
+            found.sittings[-1] = begin, max(end, now)
+        found.open = found.open and not isinstance(event, PartLeft | PartEnded)
+    return parts

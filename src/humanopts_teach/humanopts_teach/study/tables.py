@@ -1,13 +1,13 @@
 """What a study has found so far: how far each participant is, and tidy tables with a codebook."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from humanopts_teach.study.events import (
     Answered,
     ButtonSuggested,
-    Event,
     FINISHED,
+    last_attempts,
     OptionsLearned,
     PartBegan,
     PartEnded,
@@ -18,34 +18,28 @@ from humanopts_teach.study.events import (
 )
 from humanopts_teach.study.plan import Kind
 from humanopts_teach.study.protocol import Protocol, SHOWN_DIGEST
-from humanopts_teach.study.record import left_of, Participant, Record
+from humanopts_teach.study.record import Record
 import pandas as pd
 
-Records = Sequence[tuple[Participant, Record]]
 
-
-def status_table(protocol: Protocol, records: Records) -> pd.DataFrame:
+def status_table(protocol: Protocol, records: Sequence[Record]) -> pd.DataFrame:
     """
     Return one row for each participant: how far the study is, by what each one's record says.
 
     :param protocol: what comes next is that of the version that the participant follows.
     """
+    columns = ['participant', 'order', 'parts done', 'next', 'minutes']
     rows = []
-    for each, record in records:
+    for record in records:
         began = record.began
         plan = None if began is None else protocol.plan_of(began.protocol)
-        left = [] if plan is None or record.over else left_of(plan.parts_of(each.number), record)
-        unknown = '-' if plan is not None or record.over else '?'
-        rows.append(
-            {
-                'participant': each.code,
-                'order': '?' if began is None else ', '.join(began.order),
-                'parts done': len(record.done),
-                'next': left[0].key if left else unknown,
-                'minutes': round(record.minutes, 1),
-            }
-        )
-    return pd.DataFrame(rows, columns=['participant', 'order', 'parts done', 'next', 'minutes'])
+        left = [] if plan is None else record.left_of(plan.parts_of(record.number))
+        order, after = '?' if began is None else ', '.join(began.order), '-'
+        if not record.over:
+            after = '?' if plan is None else left[0].key if left else '-'
+        minutes = round(record.minutes, 1)
+        rows.append((record.code, order, len(record.done), after, minutes))
+    return pd.DataFrame(rows, columns=columns)
 
 
 _APOSTROPHE = (
@@ -104,79 +98,71 @@ CODEBOOK = {  # file: column: what it holds
 }
 
 
-def tables(records: Records) -> dict[str, pd.DataFrame]:
+def tables(records: Sequence[Record]) -> dict[str, pd.DataFrame]:
     """
     Return tidy tables by file name, one row for each observation, and the codebook.
 
     Of a part that was left and begun again, what was answered and suggested last counts.
     """
     rows: dict[str, list[dict[str, Any]]] = {name: [] for name in CODEBOOK}
-    for each, record in records:
-        events = record.counting
-        answers = [event.model_dump() for event in events if isinstance(event, Answered)]
-        buttons = [event.model_dump() for event in events if isinstance(event, ButtonSuggested)]
-        mine = {
-            'participants.csv': [_person(each, record, events)],
-            'parts.csv': _parts(record, events),
-            'answers.csv': answers,
-            'buttons.csv': buttons,
-            'options.csv': _options(events),
-        }
-        for name, found in mine.items():
-            rows[name] += [{**row, 'participant': each.code} for row in found]
+    for record in records:
+        who, counting = {'participant': record.code}, last_attempts(record.events)
+        rows['participants.csv'].append(_person(record) | who)
+        rows['parts.csv'] += [row | who for row in _parts(record)]
+        for event in counting:
+            if isinstance(event, Answered):
+                rows['answers.csv'].append(event.model_dump() | who)
+            elif isinstance(event, ButtonSuggested):
+                rows['buttons.csv'].append(event.model_dump() | who)
+            elif isinstance(event, OptionsLearned):
+                taught = {option.option: option.model_dump() for option in event.options}
+                where = {'condition': event.condition}
+                rows['options.csv'] += [row | where | who for row in taught.values()]
     frames = {
         name: pd.DataFrame(rows[name], columns=list(columns)) for name, columns in CODEBOOK.items()
     }
     book = [
-        {'file': name, 'column': column, 'meaning': meaning}
-        for name, columns in CODEBOOK.items()
-        for column, meaning in columns.items()
+        (name, *described) for name, columns in CODEBOOK.items() for described in columns.items()
     ]
-    return {**frames, 'codebook.csv': pd.DataFrame(book)}
+    return {**frames, 'codebook.csv': pd.DataFrame(book, columns=['file', 'column', 'meaning'])}
 
 
-def _person(participant: Participant, record: Record, events: Iterable[Event]) -> dict[str, Any]:
+def _person(record: Record) -> dict[str, Any]:
     """Return the row of a participant."""
     began, agreed = record.began, ''
-    for event in events:
-        if isinstance(event, PartEnded) and event.kind is Kind.CONSENT:
+    for event in record.of(PartEnded):
+        if event.kind is Kind.CONSENT:
             agreed = 'no' if event.why == REFUSED else 'yes'
-    return {
-        'number': participant.number,
-        'simulated': '' if began is None else 'yes' if began.simulated else 'no',
-        'order': '' if began is None else ' '.join(began.order),
+    row = {
+        'number': record.number,
         'agreed': agreed,
         'ended': 'yes' if record.over else 'no',
         'minutes': round(record.minutes, 2),
-        'protocol': '' if began is None else began.protocol[:SHOWN_DIGEST],
     }
+    if began is not None:
+        row |= {
+            'simulated': 'yes' if began.simulated else 'no',
+            'order': ' '.join(began.order),
+            'protocol': began.protocol[:SHOWN_DIGEST],
+        }
+    return row
 
 
-def _options(events: Iterable[Event]) -> list[dict[str, Any]]:
-    """Return a row for each option that was taught."""
-    return [
-        {**row, 'condition': event.condition}
-        for event in events
-        if isinstance(event, OptionsLearned)
-        for row in {option.option: option.model_dump() for option in event.options}.values()
-    ]
-
-
-def _parts(record: Record, events: Sequence[Event]) -> list[dict[str, Any]]:
+def _parts(record: Record) -> list[dict[str, Any]]:
     """Return a row for each part that was begun, in the order in which they began."""
     order = record.began.order if record.began is not None else ()
     kinds = {e.part: e.kind.value for e in record.events if isinstance(e, PartBegan | PartEnded)}
     conditions = {e.part: e.condition for e in record.events if not isinstance(e, WHOLE)}
-    why = {event.part: event.why for event in events if isinstance(event, PartEnded)}
+    why = {e.part: e.why for e in last_attempts(record.events) if isinstance(e, PartEnded)}
     return [
         {
-            'condition': conditions[part],
+            'condition': (condition := conditions[part]),
             'part': kinds.get(part, ''),
-            'place': order.index(conditions[part]) + 1 if conditions[part] in order else '',
-            'began': time.began,
-            'seconds': round(time.seconds, 3),
-            'sittings': time.sittings,
+            'place': order.index(condition) + 1 if condition in order else '',
+            'began': found.began,
+            'seconds': round(found.seconds, 3),
+            'sittings': len(found.sittings),
             'why': why.get(part, ''),
         }
-        for part, time in times_in(record.events).items()
+        for part, found in times_in(record.events).items()
     ]
