@@ -6,7 +6,6 @@ Files of other programs are read where they are bags of ours, or refused with th
 
 from collections.abc import Callable
 from itertools import pairwise
-import os
 from pathlib import Path
 import re
 import resource
@@ -15,7 +14,7 @@ import tracemalloc
 from typing import Any
 
 from humanopts_interfaces.msg import ActionCommand, GameState
-from humanopts_teach.bags import BagError, BagWriteError, mcap_file, SchemaError
+from humanopts_teach.bags import BagError, BagWriteError, SchemaError
 from humanopts_teach.bags.check import check_bag
 from humanopts_teach.bags.info import summarise
 from humanopts_teach.bags.reader import open_bag
@@ -71,21 +70,6 @@ def test_messages_come_in_order_of_time_whatever_the_order_of_writing(tmp_path: 
     assert steps(tmp_path / 'bag') == [0, 1, 2, 3, 4, 5]
     only = open_bag(tmp_path / 'bag').messages(['/a'])
     assert [(r.topic, r.log_time) for r in only] == [('/a', 1), ('/a', 3), ('/a', 5)]
-
-
-@pytest.mark.parametrize('indexed', [True, False])
-def test_an_attached_file_may_be_larger_than_any_chunk(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, indexed: bool
-) -> None:
-    large = os.urandom(50_000)
-    with write_states(tmp_path / 'bag', 3) as writer:
-        writer.attach('large.bin', large)
-    if not indexed:
-        file = tmp_path / 'bag' / 'bag_0.mcap'
-        os.truncate(file, file.stat().st_size - 100)
-    monkeypatch.setattr(mcap_file, 'LARGEST', 20_000)
-    (kept,) = open_bag(tmp_path / 'bag').attached()
-    assert kept.data == large
 
 
 def test_metadata_is_valid_from_the_start(tmp_path: Path) -> None:

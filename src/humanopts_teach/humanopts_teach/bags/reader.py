@@ -5,6 +5,7 @@ from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import ExitStack
 from functools import cached_property, partial
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -14,13 +15,12 @@ from humanopts_ros.senders import GAME_TOPICS, sender_of, signer
 from humanopts_ros.text_files import parse_yaml, YamlError
 from humanopts_teach.bags import BagError
 from humanopts_teach.bags.mcap_file import (
+    check_bytes,
     DAMAGE,
-    data_fits,
-    FileIndex,
-    McapStream,
+    McapFile,
+    open_file,
     read_attachment,
-    read_block,
-    read_index,
+    read_chunk,
     ZSTD_MAGIC,
 )
 from humanopts_teach.bags.rosbag2 import convert, FILE, find_files, Topic
@@ -38,8 +38,6 @@ from humanopts_teach.bags.writer import (
 from mcap.records import Attachment, Message
 
 ALWAYS = (0, 2**64)  # first and last log time
-MOST_WAITING = 64 << 20  # bytes of messages that are held to be put in order of time
-_MESSAGE_MEMORY = 500  # bytes that a message takes in memory apart from its data
 BEING_RECORDED = 'the bag is being recorded: this is what it holds so far'
 MAX_STRANGERS = 1000  # publishers that are counted, topic by topic, of messages left out
 MAX_LEFT_OUT = 100_000  # messages of one publisher on a topic that are counted
@@ -90,14 +88,16 @@ class Bag:
     """
 
     def __init__(
-        self, path: Path, files: list[FileIndex], information: dict[str, Any], damage: list[str]
+        self, path: Path, files: list[McapFile], information: dict[str, Any], damage: list[str]
     ) -> None:
         self.path = path
         self.information = information
         self.on_read: ReadCallback = ignore_progress
         self.files = [file.path for file in files]
         self.metadata = {name: each for file in files for name, each in file.metadata.items()}
-        self.attachments = {name: at for file in files for name, at in file.attachments.items()}
+        self.attachments = {
+            each.name: each for file in files for each in file.summary.attachment_indexes
+        }
         self.numbered = all(RECORD in file.metadata for file in files)
         self.recording = any(file.growing for file in files)
         self._files = files
@@ -152,18 +152,19 @@ class Bag:
     def attached(self) -> Iterator[Attachment]:
         """Yield the attached files that are whole; ``damage`` then says which are not."""
         for file in self._files:
-            for name in file.attachments:
+            for index in file.summary.attachment_indexes:
                 try:
-                    yield read_attachment(file, name)
+                    yield read_attachment(file.path, index)
                 except BagError as error:
                     self.note(str(error))
 
     def compare_bytes(self) -> None:
         """Compare every file with the checksum over it; ``damage`` says where they differ."""
         report = _by_file(self.files, self.on_read)
-        for number, file in enumerate(self.files):
-            if not data_fits(file, partial(report, number)):
-                self.note(f'{file.name}: its bytes do not fit the checksum over all of them')
+        for number, file in enumerate(self._files):
+            closed = not (file.growing or file.damage)  # else there is no checksum to compare with
+            if closed and (fault := check_bytes(file.path, partial(report, number))):
+                self.note(f'{file.path.name}: {fault}')
 
     @property
     def namespaces(self) -> list[str]:
@@ -302,8 +303,7 @@ class Bag:
         """
         Yield messages in order of log time.
 
-        Where chunks overlap in time, the messages of several are held, up to ``MOST_WAITING``
-        bytes.
+        Where chunks overlap in time, the messages of several are held.
 
         :param topics: names; None: all.
         :param between: first and last log time, ns.
@@ -311,48 +311,50 @@ class Bag:
         wanted = [
             {
                 channel.id: self.topics[channel.topic]
-                for channel in file.channels.values()
+                for channel in file.summary.channels.values()
                 if channel.topic in self.topics and (topics is None or channel.topic in topics)
             }
             for file in self._files
         ]
-        blocks = sorted(
-            ((block.start, number, block.offset), block)
-            for number, file in enumerate(self._files)
-            for block in file.blocks
-            if block.start <= between[1]
-            and block.end >= between[0]
-            and not block.channels.isdisjoint(wanted[number])
-        )
-        report = _by_file(self.files, self.on_read)
-        waiting: list[tuple[int, int, int, int, Message]] = []  # time, file, block, place in it
         with ExitStack() as stack:
-            streams = [stack.enter_context(McapStream(file)) for file in self.files]
-            for here, ((_, number, offset), block) in enumerate(blocks):
+            batches: list[tuple[tuple[int, int, int], Callable[[], list[Message]]]] = []
+            for number, file in enumerate(self._files):
+                stream = stack.enter_context(file.path.open('rb'))
+                batches.append(((0, number, 0), partial(list, file.loose)))
+                batches += (
+                    (
+                        (chunk.message_start_time, number, chunk.chunk_start_offset),
+                        partial(read_chunk, stream, chunk),
+                    )
+                    for chunk in file.summary.chunk_indexes
+                    if chunk.message_start_time <= between[1]
+                    and chunk.message_end_time >= between[0]
+                    and not wanted[number]
+                    .keys()
+                    .isdisjoint(chunk.message_index_offsets or wanted[number])
+                )
+            batches.sort(key=itemgetter(0))
+            starts = [*(start for start, _ in batches[1:]), (ALWAYS[1], 0, 0)]
+            report = _by_file(self.files, self.on_read)
+            held: list[tuple[int, int, int, int, Message]] = []  # time, file, offset, place in it
+            for ((_, number, offset), read), following in zip(batches, starts):
                 report(number, offset)
+                messages = []
                 try:
-                    records = read_block(streams[number], block)
+                    messages = read()
                 except DAMAGE as error:
                     what = f'the chunk at byte {offset} is damaged and left out: {error}'
                     self.note(f'{self.files[number].name}: {what}')
-                    records = []
-                waiting += [
-                    (record.log_time, number, offset, place, record)
-                    for place, record in enumerate(records)
-                    if isinstance(record, Message)
-                    and record.channel_id in wanted[number]
-                    and between[0] <= record.log_time <= between[1]
-                ]
-                waiting.sort()
-                due = len(waiting)
-                if here + 1 < len(blocks):
-                    due = bisect_left(waiting, blocks[here + 1][0])
-                held = sum(len(entry[-1].data) + _MESSAGE_MEMORY for entry in waiting[due:])
-                if held > MOST_WAITING:
-                    self.note('its messages are so far out of order that they come as they are')
-                    due = len(waiting)
-                for _, file, _, _, message in waiting[:due]:
-                    topic = wanted[file][message.channel_id]
+                held += (
+                    (message.log_time, number, offset, place, message)
+                    for place, message in enumerate(messages)
+                    if message.channel_id in wanted[number]
+                    and between[0] <= message.log_time <= between[1]
+                )
+                held.sort()
+                due = bisect_left(held, following)
+                for _, file_number, _, _, message in held[:due]:
+                    topic = wanted[file_number][message.channel_id]
                     yield Recorded(
                         topic.name,
                         topic.type,
@@ -362,7 +364,7 @@ class Bag:
                         message.data,
                         self,
                     )
-                del waiting[:due]
+                del held[:due]
 
     def decode(self, topic: str, data: bytes) -> Any:
         """Decode a message of a topic; None: its bytes are damaged, which ``damage`` then says."""
@@ -432,8 +434,8 @@ class Bag:
         """Return the topics of the files, sorted by name; note those of several types."""
         found: dict[str, Topic] = {}
         for file in self._files:
-            for channel in file.channels.values():
-                schema = file.schemas.get(channel.schema_id)
+            for channel in file.summary.channels.values():
+                schema = file.summary.schemas.get(channel.schema_id)
                 if schema is None or channel.message_encoding != 'cdr':
                     continue
                 topic = Topic(
@@ -492,7 +494,7 @@ def open_bag(
     for number, file in enumerate(paths):
         try:
             growing = is_being_written(file)  # asked before reading: it may be closed meanwhile
-            files.append(read_index(file, partial(report, number), growing=growing))
+            files.append(open_file(file, partial(report, number), growing=growing))
         except BagError as error:
             errors.append(error)
     if not files:
