@@ -14,7 +14,7 @@ from humanopts_env.domains.taxi import Taxi
 from humanopts_env.domains.taxi_reference import reference_options
 from humanopts_learner.automatic.extract import AutomaticOptions, search_space
 from humanopts_learner.intervals import Interval
-from humanopts_teach.report.boards import board_of, draw_heat
+from humanopts_teach.report.boards import draw_heat, geometry
 from humanopts_teach.report.figures import Drawing
 from matplotlib.colors import Normalize
 import numpy as np
@@ -208,8 +208,8 @@ def _picture(name: str, first: Mapping[str, Any]) -> Picture:
     domain, options = make_domain(name), list(enumerate(first['options'], start=1))
     space = search_space(domain)
     assert space.board is not None, f'{name} has a board'
-    board = board_of(space.transitions, space.board)
-    cells = np.where(board.states >= 0, space.cell[board.states], -1)  # of each place; -1: none
+    board, states = geometry(domain, space.board), space.board.states
+    cells = np.where(states >= 0, space.cell[states], -1)  # of each place; -1: none
     rows, cols = cells.shape
     labels: dict[int, list[str]] = {}  # numbers by cell
     for number, option in options:

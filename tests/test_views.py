@@ -50,15 +50,15 @@ def test_a_game_is_shown_in_its_namespace(live: Graph) -> None:
     for start in ('cell 1,1', 'cell 2,3'):
         live.ask(ResetGame, '/room/reset_game', source=1, start_state=start)
     early = live.listen(MarkerArray, '/room/views/markers', CURRENT)
-    live.until(lambda: early and agent(early[-1]) == (4.25, 9.5), 'the newest state')
+    live.until(lambda: early and agent(early[-1]) == (3.5, 8.5), 'the newest state')
     boards = live.listen(OccupancyGrid, '/room/views/board', CURRENT)
     late = live.listen(MarkerArray, '/room/views/markers', CURRENT)
     live.until(lambda: boards and late, 'the latched views')
-    assert agent(late[0]) == (4.25, 9.5)  # the newest, not all of them
+    assert agent(late[0]) == (3.5, 8.5)  # the newest, not all of them
 
     (board,) = boards
     assert board.header.frame_id == 'room/humanopts'
-    assert (board.info.width, board.info.height, board.info.resolution) == (26, 26, 0.5)
+    assert (board.info.width, board.info.height, board.info.resolution) == (45, 45, 0.25)
     assert set(board.data) == {0, 100}
     drawn = late[-1].markers
     assert drawn[0].action == Marker.DELETEALL

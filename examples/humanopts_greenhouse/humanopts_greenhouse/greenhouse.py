@@ -10,10 +10,19 @@ from dataclasses import dataclass, replace
 from functools import partial
 import itertools
 
+from humanopts_env.board import Board, Mark, PERSON
 from humanopts_env.colours import BLUE, GREEN, ORANGE, RED
-from humanopts_env.domains.base import Action, BoardSlice, DomainError, Feature, FeatureKind
+from humanopts_env.domains.base import (
+    Action,
+    BoardSlice,
+    DomainError,
+    Feature,
+    FeatureKind,
+    shown_values,
+)
 from humanopts_env.domains.capabilities import (
     Baselines,
+    in_words,
     move_effect,
     StepEffect,
 )
@@ -36,7 +45,11 @@ FILL, POUR = 4, 5
 BEDS = ('tomatoes', 'beans', 'basil')
 NO_TAP = StepEffect('no tap here', changed=False)
 NO_DRY_BED = StepEffect('no dry bed here', changed=False)
-GARDENER, FLOOR, TAP, DRY, WET, UNKNOWN = '☻', '·', 'T', '*', '♣', '?'
+BED_MARKS = {  # kind, name and colour, by the text of the feature; None: it is not shown
+    'yes': ('*', 'dry', RED),
+    'no': ('♣', 'watered', GREEN),
+    None: ('?', 'dry or watered', ''),
+}
 Cell = tuple[int, int]  # row, 0 = north; column, 0 = west
 
 
@@ -57,8 +70,6 @@ class Greenhouse(TableDomain[GreenhouseState]):
     Every step costs 1, and watering a dry bed earns 10. The task is over when no bed is dry; it
     begins with the can empty and every bed dry, the gardener anywhere.
     """
-
-    glyph_styles = {GARDENER: f'bold {ORANGE}', TAP: f'bold {BLUE}', DRY: RED, WET: GREEN}
 
     def __init__(self, size: int = 4) -> None:
         """
@@ -112,27 +123,21 @@ class Greenhouse(TableDomain[GreenhouseState]):
         can = 'full' if state.full else 'empty'
         return f'cell {state.row},{state.col} can {can} dry {dry or "none"}'
 
-    def render(self, state: GreenhouseState, shown: Collection[str] | None = None) -> str:
+    def board(self, state: GreenhouseState, shown: Collection[str] | None = None) -> Board:
         """
-        Draw the state as text lines.
+        Return what is where.
 
         :param shown: names of the features that may be revealed; None: all.
         """
-        seen = self.shown_values(state, shown)
-        at = (state.row, state.col) if {'row', 'col'} <= seen.keys() else None
-        marks = {self.tap: TAP}
+        values = shown_values(self, state, shown)
+        marks, drawn = [Mark(self.tap, 'T', 'tap', BLUE)], {f'{bed}_dry' for bed in BEDS}
         for cell, bed in self.beds.items():
-            marks[cell] = {'yes': DRY, 'no': WET}.get(seen.get(f'{BEDS[bed]}_dry', ''), UNKNOWN)
-        lines = [
-            ' '.join(
-                (GARDENER if (row, col) == at else ' ') + marks.get((row, col), FLOOR)
-                for col in range(self.size)
-            )
-            for row in range(self.size)
-        ]
-        told = [name for name in seen if name == 'can_full' or (name in ('row', 'col') and not at)]
-        facts = [f'{name.replace("_", " ")}: {seen[name]}' for name in told]
-        return '\n'.join([*lines, f'{TAP} tap   {DRY} dry   {WET} watered', *facts])
+            marks.append(Mark(cell, *BED_MARKS[values.get(f'{BEDS[bed]}_dry')]))
+        if {'row', 'col'} <= values.keys():
+            marks.insert(0, Mark((state.row, state.col), PERSON, 'gardener', ORANGE))
+            drawn |= {'row', 'col'}
+        notes = in_words(values, drawn)
+        return Board(self.size, self.size, marks=tuple(marks), notes=notes)
 
     def step_effect(
         self, state: GreenhouseState, action: int, successor: GreenhouseState

@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from humanopts_env.board import board_text
 from humanopts_env.contract import DomainContract
 from humanopts_env.domains.base import Domain, DomainError
 from humanopts_env.domains.capabilities import StepEffect
@@ -72,11 +73,13 @@ def test_steps(state: str, action: int, expected: tuple[str, float, bool]) -> No
     assert after(state, action) == expected
 
 
-def test_the_drawing() -> None:
-    """The gardener stands left of what is in the cell; what is not shown is unknown."""
+def test_the_board() -> None:
+    """The gardener is in front of what is in the cell; what is not shown is unknown."""
     state = HOUSE.decode('cell 3,0 can full dry tomatoes basil')
-    assert HOUSE.render(state).splitlines()[::3] == [' *  ·  ·  ♣', '☻T  ·  ·  *']
-    assert HOUSE.render(state, ['beans_dry']).splitlines()[0] == ' ?  ·  ·  ♣'
+    lines = board_text(HOUSE.board(state)).splitlines()
+    assert lines[1:5:3] == ['┃ * · · ♣┃', '┃☻T · · *┃']
+    assert lines[-1].endswith('can full: yes')
+    assert board_text(HOUSE.board(state, ['beans_dry'])).splitlines()[1] == '┃ ? · · ♣┃'
 
 
 @pytest.mark.parametrize(

@@ -19,6 +19,8 @@ import re
 import time
 from typing import Any
 
+from humanopts_env import colours
+from humanopts_env.board import Board, board_text
 from humanopts_env.domains.base import (
     Action,
     Domain,
@@ -29,6 +31,7 @@ from humanopts_env.domains.base import (
     Outcome,
 )
 from humanopts_env.domains.capabilities import (
+    board_of,
     DrawsAhead,
     explanation,
     feature_groups,
@@ -40,6 +43,7 @@ from humanopts_env.domains.capabilities import (
     state_samples,
     step_effect,
 )
+from humanopts_env.domains.tabular import reachable
 from humanopts_env.seeding import generator
 import numpy as np
 from numpy.typing import NDArray
@@ -53,6 +57,7 @@ MOST_HELP_ROWS = 18  # that a terminal shows
 CHECKED = 400  # states and transitions of an enumerable domain compared one by one
 NAME = re.compile(r'[a-z][a-z0-9_]*')
 NAMED_KEYS = {'up', 'down', 'left', 'right'}
+COLOURS = {'', *(value for name, value in vars(colours).items() if name.isupper())}
 Step = tuple[Any, int, Outcome[Any]]
 
 
@@ -76,7 +81,6 @@ class DomainContract:
             assert feature.question == feature.question.strip(' ?') != ''
             assert len(set(feature.values)) == len(feature.values), feature.name
         assert all(action.description.strip() for action in domain.actions)
-        assert all(len(glyph) == 1 for glyph in domain.glyph_styles)
 
     def test_parameters_make_an_equal_domain(self) -> None:
         """A message or a file with the parameters identifies the game."""
@@ -160,17 +164,39 @@ class DomainContract:
         assert not any(domain.is_over(state) for state in states)
         assert not any(domain.is_over(domain.reset(_rng('reset', i))) for i in range(20))
 
-    def test_the_drawing_shows_all_that_may_be_seen(self) -> None:
+    def test_what_is_on_the_board_is_in_its_cells(self) -> None:
+        """Marks stand where something can be, and what cannot move is the same in every state."""
+        domain = self.make()
+        fixed = set()
+        for state in _states(domain):
+            for shown in (None, ()):
+                board = board_of(domain, state, shown)
+                fixed.add((board.rows, board.cols, board.blocks, board.walls, board.colour))
+                cells = {mark.cell for mark in board.marks}
+                assert cells.isdisjoint(board.blocks)
+                for row, col in cells | set(board.blocks):
+                    assert 0 <= row < board.rows
+                    assert 0 <= col < board.cols
+                for top, left, bottom, right in board.walls:
+                    assert 0 <= top <= bottom <= board.rows
+                    assert 0 <= left <= right <= board.cols
+                    assert (top == bottom) != (left == right)
+                assert all(len(mark.kind) == 1 and mark.kind.isprintable() for mark in board.marks)
+                assert all(mark.name for mark in board.marks)
+                assert {mark.colour for mark in board.marks} | {board.colour} <= COLOURS
+        assert len(fixed) == 1
+
+    def test_the_board_shows_all_that_may_be_seen(self) -> None:
         """States that differ in a feature that is shown are drawn differently."""
         domain = self.make()
         states = _states(domain)
         rows = _rows(domain, states)
         for shown in (*_single_features(domain), None):
             alike = _alike(domain, states, rows, shown)
-            drawn = {domain.render(group[0], shown) for group in alike}
-            assert len(drawn) == len(alike), f'{shown} cannot be told from the drawing'
+            drawn = {board_text(board_of(domain, group[0], shown)) for group in alike}
+            assert len(drawn) == len(alike), f'{shown} cannot be seen on the board'
 
-    def test_the_drawing_shows_nothing_else(self) -> None:
+    def test_the_board_shows_nothing_else(self) -> None:
         """States that agree in the features that are shown are drawn alike."""
         domain = self.make()
         states = _states(domain)
@@ -178,7 +204,7 @@ class DomainContract:
         half = {feature.name for feature in domain.features[::2]}
         for shown in (*_single_features(domain), half, set()):
             for group in _alike(domain, states, rows, shown):
-                drawn = {domain.render(state, shown) for state in group[:ALIKE]}
+                drawn = {board_of(domain, state, shown) for state in group[:ALIKE]}
                 assert len(drawn) == 1, f'more than {sorted(shown)} can be seen'
 
     def test_states_are_numbered_without_gaps(self) -> None:
@@ -261,14 +287,37 @@ class DomainContract:
             assert drawn <= set(starts.tolist())
             assert len(drawn) > 1 or len(starts) == 1
 
-    def test_figures_are_laid_out_with_states(self) -> None:
-        """Board slices name states of the domain."""
+    def test_layouts_are_those_of_the_board(self) -> None:
+        """They name states by cell, and walls are where no step leads from cell to cell."""
         domain = self.make()
-        if is_enumerable(domain):
-            for board in domain.board_slices():
-                assert board.title
-                assert board.states.ndim == 2
-                assert ((board.states >= -1) & (board.states < domain.n_states)).all()
+        for layout in domain.board_slices() if is_enumerable(domain) else ():
+            assert is_enumerable(domain)
+            states = layout.states
+            assert layout.title
+            assert ((states >= -1) & (states < domain.n_states)).all()
+            first = domain.state_at(int(states[states >= 0][0]))
+            board = board_of(domain, first, ())
+            assert states.shape == (board.rows, board.cols)
+            assert {tuple(cell) for cell in np.argwhere(states < 0).tolist()} == set(board.blocks)
+            walled = {
+                (cell, (cell[0] + (top == bottom), cell[1] + (left == right)))
+                for top, left, bottom, right in board.walls
+                for cell in np.ndindex(board.rows, board.cols)
+                if top - (top == bottom) <= cell[0] < max(bottom, top)
+                and left - (left == right) <= cell[1] < max(right, left)
+            }
+            table, left = domain.transitions(), reachable(domain) & ~domain.over()
+            cells: dict[tuple[int, ...], int] = {c: int(s) for c, s in np.ndenumerate(states)}
+            for (row, col), state in cells.items():
+                for beside in ((row, col + 1), (row + 1, col)):
+                    pair = state, cells.get(beside, -1)
+                    if min(pair) < 0 or not left[[*pair]].all():
+                        continue
+                    leads = any(
+                        to in table.successor[here][table.probability[here] > 0]
+                        for here, to in (pair, pair[::-1])
+                    )
+                    assert (((row, col), beside) in walled) != leads, f'{(row, col)} to {beside}'
 
     def test_many_games_are_the_same_game(self) -> None:
         """Features, end and step outcome of each game agree with those of its state."""
@@ -627,13 +676,17 @@ def check_step(domain: Domain[Any], state: Any, action: int, outcome: Outcome[An
 
 
 def check_state(domain: Domain[Any], state: Any) -> None:
-    """Check text, feature values and drawing of a state."""
+    """Check text, feature values and board of a state."""
     text, values = domain.encode(state), domain.feature_values(state)
     _expect(len(text.splitlines()) == 1, f'{text!r} is not one line')
     _expect(domain.decode(text) == state, f'{text!r} is read back as another state')
     _expect(values.shape == (len(domain.features),), f'{text!r} has {values.shape} features')
     _check_values(domain, values[None], text)
-    _expect(domain.render(state), f'{text!r} is drawn as nothing')
+    board = board_of(domain, state)
+    _expect(board != Board(), f'{text!r} is drawn as nothing')
+    for mark in board.marks:
+        inside = 0 <= mark.cell[0] < board.rows and 0 <= mark.cell[1] < board.cols
+        _expect(inside, f'{mark.name} is drawn outside the board in {text!r}')
 
 
 def _check_values(domain: Domain[Any], rows: Any, where: str) -> None:

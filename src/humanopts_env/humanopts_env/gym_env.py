@@ -15,6 +15,7 @@ from typing import Any
 import gymnasium
 from gymnasium.envs.registration import EnvSpec
 from humanopts_env.arrays import Floats
+from humanopts_env.board import board_text
 from humanopts_env.domains.base import (
     Domain,
     DomainError,
@@ -23,7 +24,7 @@ from humanopts_env.domains.base import (
     Parameter,
     Transitions,
 )
-from humanopts_env.domains.capabilities import HasActionMask
+from humanopts_env.domains.capabilities import board_of, HasActionMask
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.seeding import generator
 import numpy as np
@@ -131,7 +132,7 @@ class DomainEnv(gymnasium.Env[Any, Any]):
         :raises ResetNeeded: no episode was begun.
         """
         state = self._state('render')
-        return self.domain.render(state) if self.render_mode == 'ansi' else None
+        return board_text(board_of(self.domain, state)) if self.render_mode == 'ansi' else None
 
     def _state(self, call: str) -> Any:
         if self._now is None:

@@ -8,6 +8,7 @@ from pathlib import Path
 import time
 from typing import Any, cast
 
+from humanopts_env.board import Board
 from humanopts_env.contract import check_domain, ContractError, DomainContract
 from humanopts_env.domains.base import (
     Action,
@@ -126,9 +127,11 @@ TWO_KEYS = broken(__init__=with_two_keys)
 LENIENT = broken(decode=lambda self, text: Taxi.decode(self, text.strip()))
 CREDULOUS = broken(can_follow=lambda self, state, action, successor: True)
 JUMPY = broken(can_follow=lambda self, state, action, successor: False)
-TELLTALE = broken(render=lambda self, state, shown=None: Taxi.render(self, state))
-BLIND = broken(render=lambda self, state, shown=None: Taxi.render(self, state, ()))
-SILENT = broken(render=lambda self, state, shown=None: '')
+TELLTALE = broken(board=lambda self, state, shown=None: Taxi.board(self, state))
+BLIND = broken(board=lambda self, state, shown=None: Taxi.board(self, state, ()))
+SILENT = broken(board=lambda self, state, shown=None: Board())
+OUTSIDE = broken(board=lambda self, state, shown=None: replace(Taxi.board(self, state), rows=1))
+OPEN = broken(board=lambda self, state, shown=None: replace(Taxi.board(self, state), walls=()))
 MUTABLE = broken(over=lambda self: Taxi.over(self).copy())
 SUDDEN = broken(step=step_with(lambda outcome: replace(outcome, terminated=True)))
 RAISING = broken(feature_values=lambda self, state: 1 / 0)
@@ -156,9 +159,11 @@ WORTHLESS = broken(step=step_with(lambda outcome: replace(outcome, reward=float(
         (CREDULOUS, 'what_a_step_did_can_follow', ''),
         (SUDDEN, 'what_a_step_did_can_follow', 'is_over disagree'),
         (WORTHLESS, 'what_a_step_did_can_follow', 'has the reward nan'),
-        (TELLTALE, 'the_drawing_shows_nothing_else', ''),
+        (TELLTALE, 'the_board_shows_nothing_else', ''),
+        (OUTSIDE, 'what_is_on_the_board_is_in_its_cells', 'is drawn outside the board'),
+        (OPEN, 'layouts_are_those_of_the_board', ''),
         (SILENT, 'a_state_has_feature_values_and_a_text', 'is drawn as nothing'),
-        (BLIND, 'the_drawing_shows_all_that_may_be_seen', ''),
+        (BLIND, 'the_board_shows_all_that_may_be_seen', ''),
         (MUTABLE, 'tables_have_their_shapes_and_cannot_be_changed', ''),
         (TORN, 'tables_agree_with_the_states', ''),
     ],
@@ -189,7 +194,9 @@ def test_a_domain_that_calls_itself_otherwise_is_refused() -> None:
 
 
 def test_a_thing_that_is_no_domain_is_refused() -> None:
-    with pytest.raises(ContractError, match=r'it has no name, parameters, features, .*render'):
+    with pytest.raises(
+        ContractError, match=r'it has no name, parameters, features, .*sample_states'
+    ):
         check_domain(object(), 'thing')  # type: ignore[arg-type]
 
 

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import gymnasium
+from humanopts_env.board import Board
 from humanopts_env.contract import DomainContract
 from humanopts_env.domains.base import DomainError, StateError
 from humanopts_env.domains.gymnasium_domain import gymnasium_domain, GymnasiumDomain
@@ -166,23 +167,10 @@ def test_an_arrow_leads_where_it_points(env_id: str, start: int) -> None:
         assert tuple((there - here).tolist()) == moves[action.key]
 
 
-def test_drawings_reveal_what_may_be_seen() -> None:
-    """A grid from its own letters, or from its table; taxi's board; the environment's text."""
-    legend = '☻ agent   S start   F ice   H hole   G goal'
-    assert LAKE().render(0) == f'☻S F F F\n F H F H\n F F F H\n H F F G\n{legend}'
-    assert LAKE().render(0, {'row'}) == f' S F F F\n F H F H\n F F F H\n H F F G\n{legend}\nrow: 0'
-    cliff = gymnasium_domain('CliffWalking-v1')().render(0).splitlines()
-    assert cliff[0].startswith('☻· ·')
-    assert cliff[3:] == [
-        ' S' + ' ▒' * 10 + ' G',
-        '☻ agent   S start   · floor   ▒ never entered   G goal',
-    ]
-    taxi = gymnasium_domain('Taxi-v4')()
-    assert '□' in taxi.render(328)
-    assert '□' not in taxi.render(328, {'passenger', 'destination'})
+def test_an_environment_brings_its_own_drawing() -> None:
     chain = gymnasium_domain('test/Chain-v0')()
-    assert chain.render(1) == 'a chain\na█c\nstate: 1'
-    assert chain.render(1, ()) == ''
+    assert chain.board(1) == Board(picture='a chain\na█c', notes=('state: 1',))
+    assert chain.board(1, ()) == Board()
 
 
 def test_a_name_with_the_prefix_is_resolved() -> None:
@@ -195,7 +183,8 @@ def test_a_name_with_the_prefix_is_resolved() -> None:
     again = domain_from_json(domain.name, parameters_json(domain))
     assert dict(again.parameters) == dict(domain.parameters)
     drawn = domain_from_json('gymnasium:FrozenLake-v1', '{"desc": ["SF", "FG"]}')
-    assert drawn.render(drawn.decode('row 0, col 0')).startswith('☻S F\n F G\n')
+    assert isinstance(drawn, GymnasiumDomain)
+    assert drawn.n_states == 4
 
 
 @pytest.mark.parametrize(
@@ -247,4 +236,4 @@ def test_without_a_distribution_of_starts_those_that_are_drawn_are_taken() -> No
 def test_a_state_that_the_game_does_not_have_is_not_drawn() -> None:
     domain = gymnasium_domain('test/Chain-v0')()
     with pytest.raises(StateError, match='3 is not a state of gymnasium:test/Chain-v0'):
-        domain.render(3)
+        domain.board(3)

@@ -18,7 +18,6 @@ from humanopts_env.domains.pacman.rules import PacManBatch
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.seeding import generator
 import pytest
-from rich.cells import cell_len
 
 MAZE = """\
 %%%%%%%
@@ -133,76 +132,6 @@ def test_masks_and_directions_have_no_order() -> None:
     nominal = {f.name for f in PacMan().features if f.kind is FeatureKind.NOMINAL}
     things = ('ghost_1', 'ghost_2', 'food', 'pill', 'fruit', 'danger', 'prey')
     assert nominal == {*(f'{thing}_direction' for thing in things), 'ate', 'legal_moves'}
-
-
-def test_the_drawing_of_the_start() -> None:
-    """Walls as lines, with score, lives and food below."""
-    assert DOMAIN.render(DOMAIN.decode(START)).splitlines() == [
-        '╭───────────╮',
-        '│ C · · · ● │',
-        '│ · ╶───╴ · │',
-        '│ · Ω     Ψ │',
-        '╰───────────╯',
-        'score 0   lives ♥♥♥   food left 6   ate nothing',
-        'Ω ghost 1   Ψ ghost 2',
-    ]
-
-
-def test_the_drawing_of_a_later_state() -> None:
-    """A scared ghost is small; what is behind something is beside it."""
-    assert DOMAIN.render(DOMAIN.decode(LATER)).splitlines() == [
-        '╭───────────╮',
-        '│   ♣·  Ψ·  │',
-        '│ · ╶───╴   │',
-        '│ C     ω   │',
-        '╰───────────╯',
-        'score 360   lives ♥♥♡   food left 3   ate food and ghost',
-        'ω ghost 1 scared 7 steps   Ψ ghost 2   ♣ fruit 3 steps',
-    ]
-
-
-def test_only_what_is_shown_is_drawn() -> None:
-    shown = {'pacman_row', 'pacman_col', 'food_row', 'food_col', 'food_direction', 'prey_distance'}
-    assert DOMAIN.render(DOMAIN.decode(LATER), shown).splitlines() == [
-        '╭───────────╮',
-        '│           │',
-        '│ · ╶───╴   │',
-        '│ C         │',
-        '╰───────────╯',
-        'C pac-man   · nearest food',
-        'prey distance: 3',
-    ]
-
-
-def test_whether_a_ghost_is_scared_is_drawn_only_where_it_may_be_seen() -> None:
-    """Else it looks like a dangerous one, and the legend says so."""
-    place, state = {'ghost_1_row', 'ghost_1_col'}, DOMAIN.decode(LATER)
-    hidden = DOMAIN.render(state, place)
-    assert 'Ω ghost 1, scared or not' in hidden
-    assert 'ω' not in hidden
-    assert 'ω ghost 1' in DOMAIN.render(state, place | {'ghost_1_scared'})
-
-
-def test_what_is_behind_two_things_is_named() -> None:
-    text = LATER.replace('ghost 2,3', 'ghost 0,3')
-    assert 'hidden: food in row 0, column 3' in DOMAIN.render(DOMAIN.decode(text))
-
-
-def test_all_lines_are_narrow_and_the_board_is_a_rectangle() -> None:
-    """No glyph takes two columns of a terminal."""
-    domain = PacMan()
-    for state in domain.sample_states(generator(0, 'lines'), 30):
-        lines = domain.render(state).splitlines()
-        assert {cell_len(line) for line in lines[:11]} == {39}
-        assert all(cell_len(line) == len(line) < 80 for line in lines)
-    assert all(cell_len(glyph) == 1 for glyph in domain.glyph_styles)
-
-
-def test_words_are_not_coloured() -> None:
-    """Letters that stand for things are in no feature's words."""
-    domain = PacMan()
-    for feature in domain.features:
-        assert not set(feature.name + ''.join(feature.values)) & domain.glyph_styles.keys()
 
 
 def buckets_of(text: str) -> dict[str, int]:

@@ -127,18 +127,6 @@ def test_an_outcome_that_cannot_happen_is_never_drawn() -> None:
     assert drawn.tolist() == [1, 1, 3, 3]
 
 
-def test_the_drawing_is_the_figure() -> None:
-    """Walls two characters wide, the agent left of what is in its cell."""
-    lines = ROOMS.render(RoomsState(2, 5)).splitlines()
-    assert lines[0] == lines[12] == '█' * 26
-    assert lines[3] == '██ · · · · ·☻· · · · · ·██'
-    assert lines[7] == '██ · · · · ·██████ ⚑██████'
-    assert ROOMS.render(RoomsState(6, 8)).splitlines()[7].count('☻⚑') == 1
-    hidden = ROOMS.render(RoomsState(2, 5), {'row', 'doorway'})
-    assert '☻' not in hidden
-    assert hidden.endswith('row: 2   doorway: north')
-
-
 def test_actions_are_the_arrows() -> None:
     assert [action.name for action in ACTIONS] == ['up', 'down', 'left', 'right']
     assert [action.key for action in ACTIONS] == ['up', 'down', 'left', 'right']

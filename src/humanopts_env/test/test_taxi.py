@@ -194,76 +194,9 @@ def test_every_open_state_of_any_grid_is_reachable(rows: int, cols: int) -> None
     assert (visited & domain.over()).sum() == 4
 
 
-def test_ten_by_ten_follows_the_rule() -> None:
-    """Landmarks in the corners, B one west; walls four high east of columns 3, 1 and 5."""
-    board = Taxi(10, 10).render(TaxiState(0, 0, 0, 3), ()).splitlines()[1:-2:2]
-    north = '┃ ·   ·   ·   · ┃ ·   ·   ·   ·   ·   · ┃'
-    middle = '┃ ·   ·   ·   ·   ·   ·   ·   ·   ·   · ┃'
-    south = '┃ ·   · ┃ ·   ·   ·   · ┃ ·   ·   ·   · ┃'
-    assert board == [
-        '┃ R   ·   ·   · ┃ ·   ·   ·   ·   ·   G ┃',
-        *[north] * 3,
-        *[middle] * 2,
-        *[south] * 3,
-        '┃ Y   · ┃ ·   ·   ·   · ┃ ·   ·   B   · ┃',
-    ]
-
-
-def test_the_drawing_shows_taxi_passenger_and_destination() -> None:
-    assert Taxi().render(TaxiState(2, 3, 0, 3)).splitlines() == [
-        '┏━━━━━━━┳━━━━━━━━━━━┓',
-        '┃☻R   · ┃ ·   ·   G ┃',
-        '┃       ┃           ┃',
-        '┃ ·   · ┃ ·   ·   · ┃',
-        '┃       ╹           ┃',
-        '┃ ·   ·   ·   □   · ┃',
-        '┃   ╻       ╻       ┃',
-        '┃ · ┃ ·   · ┃ ·   · ┃',
-        '┃   ┃       ┃       ┃',
-        '┃ Y ┃ ·   · ┃ B⚑  · ┃',
-        '┗━━━┻━━━━━━━┻━━━━━━━┛',
-        '□ taxi, empty   ☻ passenger   ⚑ destination   R G Y B landmarks',
-    ]
-
-
 def test_larger_grids_have_longer_episodes() -> None:
     """200 steps on the original; on any grid enough to cross it many times."""
     assert (Taxi().max_steps, Taxi(10, 10).max_steps) == (200, 400)
-
-
-TAXI = {'taxi_row', 'taxi_col'}
-
-
-@pytest.mark.parametrize(
-    ('shown', 'there', 'not_there'),
-    [
-        (set(), '', '□■▒☻⚑:'),
-        (TAXI, '▒', '□■☻⚑:'),
-        (TAXI | {'passenger_in_taxi'}, '■', '□▒☻⚑:'),
-        (TAXI | {'passenger_row', 'passenger_col', 'passenger_in_taxi'}, '■', '□▒☻⚑:'),
-        ({'passenger_row', 'passenger_col', 'passenger_in_taxi'}, '☻:', '□■▒⚑'),
-        (TAXI | {'taxi_at_destination'}, '▒:', '□■☻⚑'),
-        ({'destination_row', 'destination_col'}, '⚑', '□■▒☻:'),
-        ({'passenger_row', 'passenger_col'}, '☻', '□■▒⚑:'),
-        ({'passenger_in_taxi'}, ':', '□■▒☻⚑'),
-        ({'taxi_row'}, ':', '□■▒☻⚑'),
-    ],
-)
-def test_only_what_is_shown_is_drawn(shown: set[str], there: str, not_there: str) -> None:
-    """What cannot be drawn on the board is said in a line of words, with a colon."""
-    text = Taxi().render(TaxiState(2, 3, 4, 1), shown)
-    assert all(glyph in text for glyph in there)
-    assert not any(glyph in text for glyph in not_there)
-
-
-def test_words_are_not_coloured() -> None:
-    """A styled character is a thing on the board or its mark in the legend, not a letter."""
-    domain = Taxi()
-    legend = domain.render(TaxiState(0, 0, 0, 1)).splitlines()[-1]
-    assert legend.count('R') == legend.count('G') == legend.count('Y') == legend.count('B') == 1
-    for feature in domain.features:
-        words = feature.name + ''.join(feature.values)
-        assert not set(words) & domain.glyph_styles.keys()
 
 
 def test_slices_lay_the_taxis_cells_out_as_on_the_board() -> None:

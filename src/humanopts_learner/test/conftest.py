@@ -65,10 +65,10 @@ class PlainTaxi:
     """Taxi through the methods of ``Domain`` alone, as a domain that cannot be enumerated."""
 
     name, parameters, gamma, max_steps = TAXI.name, TAXI.parameters, TAXI.gamma, TAXI.max_steps
-    features, actions, glyph_styles = TAXI.features, TAXI.actions, TAXI.glyph_styles
+    features, actions = TAXI.features, TAXI.actions
     reset, step, is_over, can_follow = TAXI.reset, TAXI.step, TAXI.is_over, TAXI.can_follow
     feature_values, encode, decode = TAXI.feature_values, TAXI.encode, TAXI.decode
-    sample_states, render = TAXI.sample_states, TAXI.render
+    sample_states = TAXI.sample_states
 
 
 REFERENCE_STARTS = {name: r.initiation.nonzero()[0] for name, r in REFERENCE.items()}

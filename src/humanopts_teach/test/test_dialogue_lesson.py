@@ -388,6 +388,7 @@ def test_a_fall_is_told_and_not_called_done(teacher: Person) -> None:
     teacher.world.domain = lake
     teacher.game(episode=1, step=0, state='row 1, col 0')
     teacher.press('escape', '5')
+    teacher.side = 13  # a smaller board
     teacher.game(step=1, state='row 1, col 1', previous_action='down', terminated=True, reward=0.0)
     assert teacher.sees_words('slid right and fell into a hole (reward 0) The task is over.')
     assert 'done' not in teacher.sees()

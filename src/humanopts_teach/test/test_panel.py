@@ -69,7 +69,7 @@ def test_a_lesson_shows_the_chosen_features_with_their_values_and_no_others(app:
     assert values == [('taxi row', '2'), ('taxi col', '3')]
     assert features.hidden == 'all else is hidden'
     assert shown.board is not None
-    assert '⚑' not in ''.join(shown.board.board)
+    assert 'destination' not in [mark.name for mark in shown.board.marks]
     assert shown.panel.beside[0] == Line('Teaching: ', more=(Line(NAME, strong=True),))
 
 

@@ -2,7 +2,9 @@
 
 from typing import Any
 
+from humanopts_env.board import board_text
 from humanopts_env.domains.base import Domain
+from humanopts_env.domains.capabilities import board_of
 from humanopts_env.game import Command, Game, Source
 from humanopts_teach.bags.contents import Actors, Episode
 from humanopts_teach.terminal.replay import FASTEST, Replay, SLOWEST, STEP_SECONDS
@@ -40,7 +42,7 @@ def words(replay: Replay) -> str:
 
 def test_each_step_shows_board_actor_action_and_reward(replay: Replay, taxi: Domain[Any]) -> None:
     first, second, third, last = replay.plain()
-    assert taxi.render(taxi.decode(START)) in first
+    assert board_text(board_of(taxi, taxi.decode(START))) in first
     assert second.startswith('episode 1 of 2 · step 1 of 3 · fetch: pickup')
     assert 'fetch: pickup (picked the passenger up) · reward 0, in all 0\n' in second
     assert 'action:south: south (went south) · reward -1, in all -1' in third

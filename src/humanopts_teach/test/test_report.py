@@ -6,7 +6,7 @@ from pathlib import Path
 import re
 from typing import Any
 
-from humanopts_env.domains.base import Domain, is_enumerable
+from humanopts_env.domains.base import Domain
 from humanopts_env.domains.registry import reference_options
 from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.options.criteria import Thresholds
@@ -18,7 +18,6 @@ from humanopts_teach.evaluation.measures import Settings
 from humanopts_teach.evaluation.summary import Execution, Live, SummaryError
 from humanopts_teach.evaluation.text import evaluation_text
 from humanopts_teach.report import charts
-from humanopts_teach.report.boards import board_of
 from humanopts_teach.report.charts import learning_curves, sweep_report
 from humanopts_teach.report.episode import episode_strip, Frame
 from humanopts_teach.report.findings import findings
@@ -217,17 +216,6 @@ def test_a_plan_with_an_option_whose_criteria_do_not_hold_says_so(
         )
         assert [text.count('“') for text in texts] == ([len(named)] if named else [])
         assert all(f'“{name}”' in texts[0] for name in named)
-
-
-def test_walls_and_moves_are_those_of_dietterichs_grid(taxi: Domain[Any]) -> None:
-    assert is_enumerable(taxi)
-    for layout in taxi.board_slices():
-        board = board_of(taxi.transitions(), layout)
-        east = {(int(r), int(c)) for r, c in np.argwhere(board.walls[0]) if c < 4}
-        assert east == {(0, 1), (1, 1), (3, 0), (4, 0), (3, 2), (4, 2)}
-        assert not board.walls[1][:4].any()
-        assert board.walls[1][4].all()
-        assert board.moves == {0: (1, 0), 1: (-1, 0), 2: (0, 1), 3: (0, -1)}
 
 
 def test_numbers_on_the_page_are_those_of_the_data(data: ReportData, page: str) -> None:

@@ -178,7 +178,6 @@ def test_terminal_keys_have_our_names(press: Keys | str, key: str) -> None:
     assert key_of(KeyPress(press)) == key
 
 
-DOMAINS = ('taxi', 'rooms', 'pacman', 'gymnasium:FrozenLake-v1', 'gymnasium:CliffWalking-v1')
 CONTRAST = 3.5
 
 
@@ -201,8 +200,6 @@ def styles() -> Iterator[tuple[str, str]]:
     yield from ((name, value) for name, value in vars(colours).items() if name.isupper())
     yield from ((str(tone), style) for tone, style in drawing.STYLES.items())
     yield 'key', drawing.KEY
-    for name in DOMAINS:
-        yield from ((f'{name} {g}', s) for g, s in make_domain(name).glyph_styles.items())
 
 
 @pytest.mark.parametrize(('name', 'style'), list(styles()))

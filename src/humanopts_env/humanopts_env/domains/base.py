@@ -86,8 +86,6 @@ class Domain(Protocol[S]):
     actions: Sequence[Action]
     gamma: float  # discount per primitive step
     max_steps: int  # an episode is truncated after this many steps; 0: never
-    # Style (rich's notation) of single characters of ``render``; ``colours`` has colours for it.
-    glyph_styles: Mapping[str, str]
 
     def reset(self, rng: np.random.Generator) -> S:
         """Draw a start state of the task."""
@@ -122,13 +120,6 @@ class Domain(Protocol[S]):
     def sample_states(self, rng: np.random.Generator, count: int) -> list[S]:
         """Draw states from which a person could be asked to demonstrate (never over)."""
 
-    def render(self, state: S, shown: Collection[str] | None = None) -> str:
-        """
-        Draw the state as text lines.
-
-        :param shown: names of the features that may be revealed; None: all.
-        """
-
 
 @dataclass(frozen=True, slots=True)
 class Transitions:
@@ -153,7 +144,7 @@ class Transitions:
 
 @dataclass(frozen=True, slots=True)
 class BoardSlice:
-    """States that differ only in the agent's position, laid out as on the board."""
+    """States that differ only in the agent's position, laid out as the cells of their board."""
 
     title: str
     states: NDArray[np.int32]  # (rows, cols) state indices; -1: no state there
@@ -201,6 +192,21 @@ class EnumerableDomain(Domain[S], Protocol[S]):
 def is_enumerable(domain: Domain[S]) -> TypeGuard[EnumerableDomain[S]]:
     """Return whether the domain's states can all be listed."""
     return isinstance(domain, EnumerableDomain)
+
+
+def shown_values(
+    domain: Domain[S], state: S, shown: Collection[str] | None = None
+) -> dict[str, str]:
+    """
+    Return the text of each feature's value in a state.
+
+    :param shown: names of the features that may be revealed; None: all.
+    """
+    return {
+        feature.name: feature.values[value]
+        for feature, value in zip(domain.features, domain.feature_values(state).tolist())
+        if shown is None or feature.name in shown
+    }
 
 
 def feature_columns(domain: Domain[S], names: Sequence[str]) -> list[int]:

@@ -3,6 +3,7 @@ Capabilities that a domain may have beside its rules; the learner and the teachi
 
 A domain has a capability by having the method or attribute; nothing is registered.
 
+- ``HasBoard``: it says what is where on its board, so that it can be drawn.
 - ``HasBatchGames``: it plays many games at once, so that plans can be made from samples.
   ``DrawsAhead``: their chance can be drawn before they are played.
 - ``HasStateSamples``: it draws several samples of states in less time than one after another.
@@ -17,15 +18,46 @@ A domain has a capability by having the method or attribute; nothing is register
 ``humanopts_env.contract`` tests each of them in every domain that has it.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol, runtime_checkable
 
 from humanopts_env.arrays import Flags, Ints
-from humanopts_env.domains.base import Domain, Parameter
+from humanopts_env.board import Board
+from humanopts_env.domains.base import Domain, Parameter, shown_values
 from humanopts_env.domains.search_space import SearchSpace
 import numpy as np
 from numpy.typing import NDArray
+
+
+@runtime_checkable
+class HasBoard(Protocol):
+    """A domain that can be drawn."""
+
+    def board(self, state: Any, shown: Collection[str] | None = None) -> Board:
+        """
+        Return what is where in a state.
+
+        :param shown: names of the features that may be revealed, and nothing else; None: all.
+        """
+
+
+def board_of(domain: Domain[Any], state: Any, shown: Collection[str] | None = None) -> Board:
+    """Return the board of a state; a board without cells lists the features that are shown."""
+    if isinstance(domain, HasBoard):
+        return domain.board(state, shown)
+    return Board(notes=in_words(shown_values(domain, state, shown)))
+
+
+def in_words(values: Mapping[str, str], drawn: Collection[str] = ()) -> tuple[str, ...]:
+    """
+    Return features and their values in words.
+
+    :param drawn: names of those that are left out, since they can be seen on the board.
+    """
+    return tuple(
+        f'{name.replace("_", " ")}: {value}' for name, value in values.items() if name not in drawn
+    )
 
 
 @dataclass(frozen=True)

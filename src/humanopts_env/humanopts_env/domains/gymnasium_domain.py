@@ -19,6 +19,7 @@ from gymnasium.envs.registration import load_env_creator
 from gymnasium.envs.toy_text.cliffwalking import CliffWalkingEnv
 from gymnasium.envs.toy_text.frozen_lake import FrozenLakeEnv
 from gymnasium.envs.toy_text.taxi import TaxiEnv
+from humanopts_env.board import BLOCK, Board, DOT, HATCHED_BOX, Mark, PERSON
 from humanopts_env.colours import GREEN, GREY, ORANGE, RED, TEAL
 from humanopts_env.domains import taxi
 from humanopts_env.domains.base import (
@@ -26,32 +27,22 @@ from humanopts_env.domains.base import (
     BoardSlice,
     DomainError,
     Feature,
+    shown_values,
     StateError,
 )
-from humanopts_env.domains.capabilities import move_effect, plain_effect, StepEffect
+from humanopts_env.domains.capabilities import in_words, move_effect, plain_effect, StepEffect
 from humanopts_env.domains.parameters import check_parameters
 from humanopts_env.domains.table_domain import TableDomain
 import numpy as np
 from numpy.typing import NDArray
 
-AGENT, FLOOR, START, GOAL, NEVER = '☻', '·', 'S', 'G', '▒'
-GRID_STYLES = {
-    AGENT: f'bold {ORANGE}',
-    FLOOR: 'dim',
-    NEVER: GREY,
-    START: GREEN,
-    GOAL: f'bold {TEAL}',
-    'H': f'bold {RED}',
-    'F': 'dim',
-}
-TILES = {
-    AGENT: 'agent',
-    START: 'start',
-    'F': 'ice',
-    'H': 'hole',
-    FLOOR: 'floor',
-    NEVER: 'never entered',
-    GOAL: 'goal',
+START, GOAL, FLOOR, NEVER = 'S', 'G', DOT, HATCHED_BOX
+TILES = {  # name and colour of what a cell is; of floor only that it is empty
+    START: ('start', GREEN),
+    'F': ('ice', ''),
+    'H': ('hole', RED),
+    NEVER: ('never entered', GREY),
+    GOAL: ('goal', TEAL),
 }
 HIGHLIGHT = re.compile(r'(?:\x1b\[[\d;]*m)*\x1b\[(?:\d+;)*4\d(?:;\d+)*m([^\x1b]*)\x1b\[0?m')
 ESCAPE = re.compile(r'\x1b\[[\d;]*m')
@@ -76,9 +67,8 @@ class View:
     features: tuple[Feature, ...]
     values: Sequence[tuple[int, ...]]  # of the features, by state; all distinct
     actions: tuple[Action, ...]
-    draw: Callable[[int, Mapping[str, str]], str]  # arguments: state, revealed feature -> value
+    board: Callable[[int, Mapping[str, str]], Board]  # state, texts of the features that are shown
     slices: list[BoardSlice] = field(default_factory=list)
-    glyph_styles: Mapping[str, str] = field(default_factory=dict)
     effect: Callable[[int, int, int], StepEffect] | None = None  # state, action, successor
 
 
@@ -99,7 +89,7 @@ def view_of(env: Any, name: str, table: Sequence[Any], starts: set[int], ends: s
         size, has_cliff = (int(shape[0]), int(shape[1])), isinstance(env, CliffWalkingEnv)
         return _grid_view(actions, size, tiles.tolist(), table, has_cliff)
     state = Feature.nominal('state', 'which state it is', map(str, range(count)))
-    return View((state,), [(number,) for number in range(count)], actions, _drawing(env))
+    return View((state,), [(number,) for number in range(count)], actions, _picture(env))
 
 
 def _actions(env: Any, name: str, count: int) -> tuple[Action, ...]:
@@ -130,15 +120,18 @@ def _grid_view(
     :param has_cliff: a step into a cell that is never entered is a fall that leads to the start.
     """
     rows, cols = shape
-    present = (f'{tile} {what}' for tile, what in TILES.items() if tile == AGENT or tile in tiles)
-    legend = '   '.join(present)
     ways = {name: step for step, name in DIRECTIONS.items()}
+    fixed = [
+        Mark(divmod(cell, cols), tile, *TILES.get(tile, (tile, '')))
+        for cell, tile in enumerate(tiles)
+        if tile != FLOOR
+    ]
 
-    def draw(state: int, seen: Mapping[str, str]) -> str:
-        at = state if len(seen) == 2 else -1  # drawn only where row and column may be seen
-        cells = [(AGENT if cell == at else ' ') + tile for cell, tile in enumerate(tiles)]
-        lines = [''.join(cells[row * cols : (row + 1) * cols]) for row in range(rows)]
-        return '\n'.join([*lines, legend, *([] if len(seen) == 2 else [_words(seen)])])
+    def board(state: int, seen: Mapping[str, str]) -> Board:
+        if len(seen) < 2:
+            return Board(rows, cols, marks=tuple(fixed), notes=in_words(seen))
+        agent = Mark(divmod(state, cols), PERSON, 'agent', ORANGE)
+        return Board(rows, cols, marks=(agent, *fixed))
 
     def effect(state: int, action: int, successor: int) -> StepEffect:
         (row, col), (to_row, to_col) = divmod(state, cols), divmod(successor, cols)
@@ -162,8 +155,8 @@ def _grid_view(
         Feature.number('col', 'which column the agent is in', cols),
     )
     values = [divmod(state, cols) for state in range(rows * cols)]
-    board = BoardSlice('board', np.arange(rows * cols, dtype=np.int32).reshape(rows, cols))
-    return View(features, values, actions, draw, [board], GRID_STYLES, effect)
+    layout = BoardSlice('board', np.arange(rows * cols, dtype=np.int32).reshape(rows, cols))
+    return View(features, values, actions, board, [layout], effect)
 
 
 def _tiles(table: Sequence[Any], starts: set[int], ends: set[int]) -> NDArray[np.str_]:
@@ -197,37 +190,33 @@ def _taxi_view(env: Any, actions: tuple[Action, ...]) -> View:
     def effect(state: int, action: int, successor: int) -> StepEffect:
         return TAXI.step_effect(TAXI.state_at(state), action, TAXI.state_at(successor))
 
-    return View(features, values, actions, _draw_taxi, slices, taxi.GLYPH_STYLES, effect)
+    return View(features, values, actions, _taxi_board, slices, effect)
 
 
-def _draw_taxi(state: int, seen: Mapping[str, str]) -> str:
-    """Draw the board as the domain ``taxi``, the same grid, with the revealed features."""
+def _taxi_board(state: int, seen: Mapping[str, str]) -> Board:
+    """Return the board of the domain ``taxi``, the same grid, with the features that are shown."""
     shown = {*seen, *(['passenger_in_taxi'] if 'passenger' in seen else [])}
     for thing in seen.keys() & {'passenger', 'destination'}:
         if seen[thing] != IN_TAXI:
             shown |= {f'{thing}_row', f'{thing}_col'}
-    return TAXI.render(TAXI.state_at(state), shown)
+    return TAXI.board(TAXI.state_at(state), shown)
 
 
 # Numbered states.
 
 
-def _drawing(env: Any) -> Callable[[int, Mapping[str, str]], str]:
-    """Return a function that draws by the environment's own text, if it has one, and in words."""
+def _picture(env: Any) -> Callable[[int, Mapping[str, str]], Board]:
+    """Return a function that shows the environment's own text, if it has one, and the state."""
     drawn = 'ansi' in env.metadata.get('render_modes', ()) and hasattr(env, 's')
 
-    def draw(state: int, seen: Mapping[str, str]) -> str:
+    def board(state: int, seen: Mapping[str, str]) -> Board:
         if not drawn or not seen:
-            return _words(seen)
+            return Board(notes=in_words(seen))
         env.s, env.render_mode, env.lastaction = state, 'ansi', None
-        text = HIGHLIGHT.sub(lambda match: '█' * len(match[1]), env.render())
-        return ESCAPE.sub('', text).rstrip() + '\n' + _words(seen)
+        text = HIGHLIGHT.sub(lambda match: BLOCK * len(match[1]), env.render())
+        return Board(picture=ESCAPE.sub('', text).rstrip(), notes=in_words(seen))
 
-    return draw
-
-
-def _words(seen: Mapping[str, str]) -> str:
-    return '   '.join(f'{name.replace("_", " ")}: {value}' for name, value in seen.items())
+    return board
 
 
 PREFIX = 'gymnasium:'
@@ -272,7 +261,6 @@ class GymnasiumDomain(TableDomain[int]):
         self.max_steps = made.spec.max_episode_steps or MAX_STEPS
         self._view = view_of(env, self.name, self._table, set(self._starts), self._ends)
         self.features, self.actions = self._view.features, self._view.actions
-        self.glyph_styles = self._view.glyph_styles
 
     def outcomes(self, state: int, action: int) -> Sequence[tuple[float, int, float]]:
         """Return the entries of the table, the likeliest first; of equals the intended one."""
@@ -300,12 +288,12 @@ class GymnasiumDomain(TableDomain[int]):
     def encode(self, state: int) -> str:
         """Return the state as one line, such as ``row 2, col 3``."""
         self.index(state)
-        return ', '.join(f'{name} {text}' for name, text in self.shown_values(state, None).items())
+        return ', '.join(f'{name} {text}' for name, text in shown_values(self, state).items())
 
-    def render(self, state: int, shown: Collection[str] | None = None) -> str:
+    def board(self, state: int, shown: Collection[str] | None = None) -> Board:
         if not 0 <= state < self.n_states:
             raise StateError(f'{state} is not a state of {self.name}')
-        return self._view.draw(state, self.shown_values(state, shown))
+        return self._view.board(state, shown_values(self, state, shown))
 
     def step_effect(self, state: int, action: int, successor: int) -> StepEffect:
         if self._view.effect is None:

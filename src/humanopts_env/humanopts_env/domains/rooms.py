@@ -5,12 +5,20 @@ R. S. Sutton, D. Precup and S. Singh (1999), "Between MDPs and semi-MDPs: A fram
 abstraction in reinforcement learning", section 3, figure 2.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
+from humanopts_env.board import BLOCK, Board, FLAG, Mark, PERSON
 from humanopts_env.colours import GREY, ORANGE, TEAL
-from humanopts_env.domains.base import Action, BoardSlice, DomainError, Feature, subset_names
-from humanopts_env.domains.capabilities import move_effect, StepEffect
+from humanopts_env.domains.base import (
+    Action,
+    BoardSlice,
+    DomainError,
+    Feature,
+    shown_values,
+    subset_names,
+)
+from humanopts_env.domains.capabilities import in_words, move_effect, StepEffect
 from humanopts_env.domains.table_domain import TableDomain
 import numpy as np
 
@@ -32,56 +40,13 @@ LAYOUT = (
 ROOMS = {'a': 'north-west', 'b': 'north-east', 'c': 'south-west', 'd': 'south-east'}
 DOORWAYS = {'N': 'north', 'W': 'west', 'E': 'east', 'S': 'south'}
 GOALS = {'G1': (6, 8), 'G2': (8, 8)}  # the east doorway; a cell of the south-east room
-WALL, FLOOR, AGENT, GOAL = '█', '·', '☻', '⚑'
 EXPLANATION = (
     ('', 'Walk to the goal. One step in three goes another way than you want.'),
-    (AGENT, 'you'),
-    (GOAL, 'the goal'),
-    (WALL, 'walls'),
+    (PERSON, 'you'),
+    (FLAG, 'the goal'),
+    (BLOCK, 'walls'),
 )
-GLYPH_STYLES = {
-    WALL: GREY,
-    FLOOR: 'dim',
-    AGENT: f'bold {ORANGE}',
-    GOAL: f'bold {TEAL}',
-}
 Place = tuple[int, int]  # row, 0 = north; column, 0 = west
-
-
-def places() -> list[Place]:
-    """Return the 104 cells that the agent can be in, by row and column."""
-    return [
-        (row, col)
-        for row, line in enumerate(LAYOUT)
-        for col, sign in enumerate(line)
-        if sign != '#'
-    ]
-
-
-def draw_rooms(goal: Place, agent: Place | None, facts: Mapping[str, str]) -> str:
-    """
-    Draw the rooms, a legend, and facts in words.
-
-    :param agent: the agent's cell; None: it may not be revealed.
-    :param facts: names and values of features that the drawing does not express.
-    """
-    open_places = set(places())
-
-    def cell(place: Place) -> str:
-        if place not in open_places:
-            return WALL * 2
-        left = AGENT if place == agent else ' '
-        return left + (GOAL if place == goal else FLOOR)
-
-    edge = WALL * 2 * (len(LAYOUT[0]) + 2)
-    rows = [
-        WALL * 2 + ''.join(cell((row, col)) for col in range(len(line))) + WALL * 2
-        for row, line in enumerate(LAYOUT)
-    ]
-    legend = [f'{AGENT} agent'] * (agent is not None) + [f'{GOAL} goal']
-    lines = [edge, *rows, edge, '   '.join(legend)]
-    texts = [f'{name.replace("_", " ")}: {value}' for name, value in facts.items()]
-    return '\n'.join([*lines, '   '.join(texts)] if texts else lines)
 
 
 ACTIONS = (
@@ -92,7 +57,11 @@ ACTIONS = (
 )
 STEPS = ((-1, 0), (1, 0), (0, -1), (0, 1))  # rows, columns of each action
 INTENDED = 2 / 3  # probability of going as intended; the other three directions share the rest
-PLACES = places()
+# The 104 cells that the agent can be in, and the others, by row and column.
+PLACES = [(r, c) for r, line in enumerate(LAYOUT) for c, sign in enumerate(line) if sign != '#']
+WALLS = tuple(
+    (r, c) for r, line in enumerate(LAYOUT) for c, sign in enumerate(line) if sign == '#'
+)
 OPEN = frozenset(PLACES)
 NOWHERE = ('none', *DOORWAYS.values())
 ROOM_VALUES = (*ROOMS.values(), 'doorway')
@@ -132,7 +101,6 @@ class Rooms(TableDomain[RoomsState]):
         self.actions = ACTIONS
         self.gamma = 0.9
         self.max_steps = 1000
-        self.glyph_styles = GLYPH_STYLES
         self.explanation = EXPLANATION
 
     def outcomes(
@@ -165,11 +133,13 @@ class Rooms(TableDomain[RoomsState]):
         """Return the state as one line, such as ``cell 2,5``."""
         return f'cell {state.row},{state.col}'
 
-    def render(self, state: RoomsState, shown: Collection[str] | None = None) -> str:
-        values = self.shown_values(state, shown)
-        seen = {'row', 'col'} <= values.keys()  # then all else can be seen, too
-        goal = self.goal.row, self.goal.col
-        return draw_rooms(goal, (state.row, state.col) if seen else None, {} if seen else values)
+    def board(self, state: RoomsState, shown: Collection[str] | None = None) -> Board:
+        values = shown_values(self, state, shown)
+        marks = [Mark((self.goal.row, self.goal.col), FLAG, 'goal', TEAL)]
+        if seen := {'row', 'col'} <= values.keys():
+            marks.insert(0, Mark((state.row, state.col), PERSON, 'agent', ORANGE))
+        notes = () if seen else in_words(values)  # the agent's cell tells all
+        return Board(len(LAYOUT), len(LAYOUT[0]), WALLS, (), tuple(marks), notes, GREY)
 
     def step_effect(self, state: RoomsState, action: int, successor: RoomsState) -> StepEffect:
         """Return what a step did: moves slip."""

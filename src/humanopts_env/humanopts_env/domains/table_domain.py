@@ -1,7 +1,7 @@
 """Base classes of enumerable domains: by tables, or by the rules of single states."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property, wraps
 from typing import Any, TypeVar
 
@@ -42,8 +42,6 @@ class SharedTables(EnumerableDomain[S], ABC):
 
     A subclass has each table as a method that is ``built_once``, whose arrays are read-only.
     """
-
-    glyph_styles: Mapping[str, str] = {}
 
     @property
     @abstractmethod
@@ -130,10 +128,6 @@ class TableDomain(SharedTables[S]):
     def values_of(self, state: S) -> Sequence[int]:
         """Return the value of every feature, indices into ``Feature.values``."""
 
-    @abstractmethod
-    def render(self, state: S, shown: Collection[str] | None = None) -> str:
-        """Draw the state as text lines, which reveal the features ``shown`` and nothing else."""
-
     @property
     def n_states(self) -> int:
         return len(self._states)
@@ -154,14 +148,6 @@ class TableDomain(SharedTables[S]):
             example = next(iter(self._texts))
             raise StateError(f'{text!r} is not a state of {self.name}; one reads {example!r}')
         return self._states[self._texts[text]]
-
-    def shown_values(self, state: S, shown: Collection[str] | None) -> dict[str, str]:
-        """Return the features that may be revealed, with the texts of their values."""
-        return {
-            feature.name: feature.values[value]
-            for feature, value in zip(self.features, self.values_of(state))
-            if shown is None or feature.name in shown
-        }
 
     @cached_property
     def _texts(self) -> dict[str, int]:

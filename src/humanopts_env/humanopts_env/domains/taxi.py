@@ -12,6 +12,7 @@ from functools import cached_property
 import re
 
 from humanopts_env.arrays import Flags, Ints
+from humanopts_env.board import Board, BOX, FLAG, HATCHED_BOX, Mark, OPEN_BOX, PERSON, Wall
 from humanopts_env.colours import BLUE, GREEN, MAGENTA, ORANGE, RED, TEAL
 from humanopts_env.domains.base import (
     Action,
@@ -19,11 +20,12 @@ from humanopts_env.domains.base import (
     DomainError,
     Feature,
     Parameter,
+    shown_values,
     StateError,
     subset_names,
     Transitions,
 )
-from humanopts_env.domains.capabilities import move_effect, StepEffect, TeachingDefaults
+from humanopts_env.domains.capabilities import in_words, move_effect, StepEffect, TeachingDefaults
 from humanopts_env.domains.search_space import plain_cell_name, SearchSpace, space_by_features
 from humanopts_env.domains.table_domain import built_once, SharedTables
 from humanopts_env.domains.tabular import read_only
@@ -89,107 +91,28 @@ def taxi_features(rows: int, cols: int) -> tuple[Feature, ...]:
     )
 
 
-EMPTY_TAXI, FULL_TAXI, SOME_TAXI = '□', '■', '▒'  # SOME: whether it is empty is not shown
-PASSENGER, DESTINATION, FLOOR = '☻', '⚑', '·'
+EMPTY_TAXI, FULL_TAXI, SOME_TAXI = OPEN_BOX, BOX, HATCHED_BOX
+TAXIS = {  # by the text of passenger_in_taxi
+    'no': (EMPTY_TAXI, 'taxi, empty', ORANGE),
+    'yes': (FULL_TAXI, 'taxi, passenger aboard', GREEN),
+    None: (SOME_TAXI, 'taxi', ORANGE),
+}
 EXPLANATION = (
     ('', 'Fetch the passenger and drive to the destination. Each step costs 1; the end earns 1.'),
     (f'{EMPTY_TAXI} {FULL_TAXI}', 'the taxi: empty, and with the passenger'),
     (SOME_TAXI, 'the taxi, where it is not shown which'),
-    (PASSENGER, 'the passenger, who waits'),
-    (DESTINATION, 'the destination'),
+    (PERSON, 'the passenger, who waits'),
+    (FLAG, 'the destination'),
     ('R G Y B', 'landmarks: the passenger waits and gets off only there'),
     ('┃ ━', 'walls'),
 )
-GLYPH_STYLES = {
-    EMPTY_TAXI: f'bold {ORANGE}',
-    FULL_TAXI: f'bold {GREEN}',
-    SOME_TAXI: f'bold {ORANGE}',
-    PASSENGER: f'bold {MAGENTA}',
-    DESTINATION: f'bold {TEAL}',
-    FLOOR: 'dim',
-    'R': f'bold {RED}',
-    'G': f'bold {GREEN}',
-    'Y': f'bold {ORANGE}',
-    'B': f'bold {BLUE}',
-}
-EXPRESSED_BY = {  # what must be in the drawing for a feature to be read from it
-    'taxi_row': {'taxi'},
-    'taxi_col': {'taxi'},
-    'passenger_row': {'passenger'},
-    'passenger_col': {'passenger'},
-    'destination_row': {'destination'},
-    'destination_col': {'destination'},
+LANDMARK_COLOURS = dict(zip(LANDMARKS, (RED, GREEN, ORANGE, BLUE)))
+NEEDS = {  # what must be on the board for other features than rows and columns to be seen there
     'passenger_in_taxi': {'taxi'},
     'taxi_at_passenger': {'taxi', 'passenger'},
     'taxi_at_destination': {'taxi', 'destination'},
     'blocked_moves': {'taxi'},
 }
-WALL_END = {(False, False): ' ', (True, True): '┃', (True, False): '╹', (False, True): '╻'}
-
-
-def draw_board(
-    wall_east: Flags,
-    landmarks: Mapping[str, Cell],
-    shown: Sequence[tuple[Feature, int]],
-) -> str:
-    """
-    Draw the grid, a legend, and in words the features of ``shown`` that the drawing lacks.
-
-    :param wall_east: (rows, cols), whether a wall or the edge is east of each cell.
-    :param landmarks: letter and cell of each.
-    :param shown: features that may be revealed, with their values; nothing else is used.
-    """
-    values = {feature.name: value for feature, value in shown}
-    places = {
-        thing: (values[f'{thing}_row'], values[f'{thing}_col'])
-        for thing in ('taxi', 'passenger', 'destination')
-        if f'{thing}_row' in values and f'{thing}_col' in values
-    }
-    taxi, taxi_text = {
-        None: (SOME_TAXI, 'taxi'),
-        0: (EMPTY_TAXI, 'taxi, empty'),
-        1: (FULL_TAXI, 'taxi, passenger aboard'),
-    }[values.get('passenger_in_taxi')]
-    facts = [
-        f'{feature.name.replace("_", " ")}: {feature.values[value]}'
-        for feature, value in shown
-        if not EXPRESSED_BY[feature.name] <= places.keys()
-    ]
-    if taxi == FULL_TAXI and 'taxi' in places:
-        places.pop('passenger', None)  # drawn with the taxi
-    middle = {cell: letter for letter, cell in landmarks.items()}
-    texts = {'taxi': taxi_text, 'passenger': 'passenger', 'destination': 'destination'}
-    glyphs = {'taxi': taxi, 'passenger': PASSENGER, 'destination': DESTINATION}
-    if 'taxi' in places:
-        middle[places['taxi']] = taxi
-
-    def cell_text(cell: Cell) -> str:
-        left = PASSENGER if cell == places.get('passenger') else ' '
-        right = DESTINATION if cell == places.get('destination') else ' '
-        return left + middle.get(cell, FLOOR) + right
-
-    legend = [f'{glyphs[thing]} {texts[thing]}' for thing in places]
-    rows, cols = wall_east.shape
-    cells = [[cell_text((row, col)) for col in range(cols)] for row in range(rows)]
-    lines = [*_grid(wall_east.tolist(), cells), '   '.join([*legend, 'R G Y B landmarks'])]
-    return '\n'.join([*lines, '   '.join(facts)] if facts else lines)
-
-
-def _grid(wall_east: list[list[bool]], cells: list[list[str]]) -> list[str]:
-    """Frame the cells and draw the walls, with a line between every two rows."""
-    lines = [_edge('┏', '┳', '┓', wall_east[0])]
-    for row, (walls, texts) in enumerate(zip(wall_east, cells)):
-        if row:
-            ends = [WALL_END[pair] for pair in zip(wall_east[row - 1], walls)]
-            lines.append('┃' + ''.join(f'   {end}' for end in ends))
-        lines.append('┃' + ''.join(t + ('┃' if w else ' ') for t, w in zip(texts, walls)))
-    return [*lines, _edge('┗', '┻', '┛', wall_east[-1])]
-
-
-def _edge(left: str, joint: str, right: str, walls: list[bool]) -> str:
-    """Draw the top or bottom edge, with a joint where a wall meets it."""
-    joints = [joint if wall else '━' for wall in walls[:-1]]
-    return left + '━━━' + ''.join(f'{end}━━━' for end in joints) + right
 
 
 SMALLEST, LARGEST = 4, 1000  # rows and columns
@@ -241,7 +164,6 @@ class Taxi(SharedTables[TaxiState]):
         self.actions: Sequence[Action] = ACTIONS
         self.gamma = 0.99
         self.max_steps = 20 * (rows + cols)  # 200 on the 5 x 5 grid
-        self.glyph_styles: Mapping[str, str] = GLYPH_STYLES
         self.explanation = EXPLANATION
         self.teaching = TeachingDefaults(DEMO_OPTIONS)
 
@@ -273,11 +195,37 @@ class Taxi(SharedTables[TaxiState]):
             raise StateError(f'{text!r} is not written as {self.encode(state)!r}')
         return state
 
-    def render(self, state: TaxiState, shown: Collection[str] | None = None) -> str:
-        values = zip(self.features, self.feature_values(state).tolist())
-        visible = [(f, value) for f, value in values if shown is None or f.name in shown]
-        places = landmark_cells(self.rows, self.cols)
-        return draw_board(walls_east(self.rows, self.cols), places, visible)
+    def board(self, state: TaxiState, shown: Collection[str] | None = None) -> Board:
+        values = shown_values(self, state, shown)
+        cells = {
+            thing: (int(values[f'{thing}_row']), int(values[f'{thing}_col']))
+            for thing in ('taxi', 'passenger', 'destination')
+            if {f'{thing}_row', f'{thing}_col'} <= values.keys()
+        }
+        seen = {f'{thing}_{part}' for thing in cells for part in ('row', 'col')}
+        seen |= {name for name, things in NEEDS.items() if things <= cells.keys()}
+        taxi = TAXIS[values.get('passenger_in_taxi')]
+        if taxi[0] == FULL_TAXI and 'taxi' in cells:
+            cells.pop('passenger', None)  # drawn with the taxi
+        looks = {
+            'taxi': taxi,
+            'passenger': (PERSON, 'passenger', MAGENTA),
+            'destination': (FLAG, 'destination', TEAL),
+        }
+        marks = [Mark(cell, *looks[thing]) for thing, cell in cells.items()]
+        marks += [
+            Mark(cell, letter, 'landmarks', LANDMARK_COLOURS[letter])
+            for letter, cell in landmark_cells(self.rows, self.cols).items()
+            if list(cells.values()).count(cell) < 3  # there is no room for more
+        ]
+        notes = in_words(values, seen)
+        return Board(self.rows, self.cols, (), self._walls, tuple(marks), notes)
+
+    @cached_property
+    def _walls(self) -> tuple[Wall, ...]:
+        """The walls between cells, one for each side of a cell."""
+        east = walls_east(self.rows, self.cols)[:, :-1]
+        return tuple((row, col + 1, row + 1, col + 1) for row, col in np.argwhere(east).tolist())
 
     def index(self, state: TaxiState) -> int:
         on_grid = 0 <= state.row < self.rows and 0 <= state.col < self.cols

@@ -9,12 +9,13 @@ from functools import cache
 from importlib.resources import files
 from typing import Any, NamedTuple
 
+from humanopts_env.board import Board
+from humanopts_teach.board_html import board_html, notes_html
 from humanopts_teach.dialogue.app import Keys
 from humanopts_teach.dialogue.entry import MOST_CHARACTERS, PAGE
 from humanopts_teach.dialogue.keys import BACKSPACE, DOWN, ENTER, INTERRUPT, key_of, LEFT, UP
 from humanopts_teach.dialogue.panel import Block, Choices, TARGET, TypedText, View
 from humanopts_teach.report.pages import page_style, templates
-from humanopts_teach.state_drawing import board_svg, notes_html
 from markdown_it import MarkdownIt
 
 PARTS = ('head', 'board', 'panel', 'said', 'keys')  # of the page, classes of its style sheet
@@ -56,9 +57,9 @@ def parts(view: View) -> dict[str, str]:
 
     :raises jinja2.UndefinedError: the panel has a block of a kind that the template does not know.
     """
-    made, drawing, board = _macros(), view.board, ''
-    if drawing is not None and drawing.board:
-        board = made.board(board_svg(drawing), list(notes_html(drawing)))
+    made, board = _macros(), ''
+    if view.board not in (None, Board()):
+        board = made.board(board_html(view.board), notes_html(view.board))
     blocks = [*view.panel.beside, *view.panel.below]
     panel = made.panel([(type(block).__name__, block) for block in blocks])
     found = (

@@ -2,13 +2,14 @@
 
 from typing import Any
 
+from humanopts_env.board import board_text
 from humanopts_env.colours import GREEN
+from humanopts_env.domains.capabilities import board_of
 from humanopts_learner.ros.convert import summary_from_message
 from humanopts_learner.summary import NO_RANGE, OptionSummary
 from humanopts_ros.limits import printable
 from humanopts_teach.ros.graph_client import GraphClient
-from humanopts_teach.state_drawing import draw_state
-from humanopts_teach.terminal.drawing import state_text
+from humanopts_teach.terminal.drawing import board_texts
 from rich.console import Console, Group
 from rich.live import Live
 from rich.text import Text
@@ -66,7 +67,7 @@ class DemoProgress:
     def _picture(self, graph: GraphClient) -> Group:
         parts: list[Any] = [Text(f'\n{self._stage}', style='bold')]
         if graph.domain is not None and graph.state is not None:
-            parts += state_text(draw_state(graph.domain, graph.state.state))
+            parts += board_texts(board_of(graph.domain, graph.state.state))
         for option in graph.learning.options if graph.learning else ():
             found = summary_from_message(option)
             style = GREEN if found.criteria_met else ''
@@ -81,7 +82,7 @@ class DemoProgress:
 
     def _lines(self, graph: GraphClient) -> None:
         if graph.domain is not None and graph.state is not None:
-            board = graph.domain.render(graph.state.state)
+            board = board_text(board_of(graph.domain, graph.state.state))
             self._say('the first state:\n' + board, key='first state')
         for option in graph.learning.options if graph.learning else ():
             tens = (option.n_demonstrations + option.n_not_here) // _LINE_EVERY

@@ -11,7 +11,8 @@ from enum import Enum
 from functools import singledispatch
 import math
 
-from humanopts_env.domains.capabilities import feature_groups
+from humanopts_env.board import Board
+from humanopts_env.domains.capabilities import board_of, feature_groups
 from humanopts_learner.demonstrations import GOAL, METHODS
 from humanopts_learner.options.conflicts import NO_START
 from humanopts_learner.options.criteria import fewest, likely_range
@@ -30,7 +31,6 @@ from humanopts_teach.dialogue.entry import (
 from humanopts_teach.dialogue.study import PageScreen, QuestionScreen
 from humanopts_teach.dialogue.teaching import LessonScreen
 from humanopts_teach.lesson.requests import LessonView, Phase, World
-from humanopts_teach.state_drawing import draw_state, StateDrawing
 
 TARGET = 1 / 3  # of the length of a bar: where a criterion begins to hold
 # Where only the chosen features are shown.
@@ -142,7 +142,7 @@ class View:
 
     head: Sequence[str]  # where the person is, in a few words each
     paused: str  # why nothing new can be taught now; empty: it can
-    board: StateDrawing | None  # None: it has no place on this screen
+    board: Board | None  # None: it has no place on this screen
     panel: Panel
     said: Line
     keys: Keys
@@ -177,11 +177,11 @@ def _head(app: App) -> list[str]:
     return parts
 
 
-def _board(app: App) -> StateDrawing:
+def _board(app: App) -> Board:
     state = app.screen.state or app.world.game.state
     if not state:
-        return StateDrawing()
-    return draw_state(app.domain, app.domain.decode(state), _revealed(app))
+        return Board()
+    return board_of(app.domain, app.domain.decode(state), _revealed(app))
 
 
 def _revealed(app: App) -> Collection[str] | None:

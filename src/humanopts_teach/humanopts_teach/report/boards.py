@@ -1,84 +1,26 @@
-"""Boards: walls and moves found in the exact transitions, and plans drawn on them."""
+"""Values and policies of plans, drawn on the board."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 import string
 from typing import Any
 
-from humanopts_env.domains.base import BoardSlice, Transitions
+from humanopts_env.board import Board
+from humanopts_env.domains.base import BoardSlice, Domain
+from humanopts_env.domains.capabilities import board_of
+from humanopts_env.seeding import generator
 from humanopts_learner.planning.exact import ExactPlan
-from humanopts_teach.report.figures import Drawing, drawing, INK
+from humanopts_teach.report.figures import Drawing, drawing, GRID, INK
 from matplotlib.colors import Normalize
+from matplotlib.patches import Rectangle
 import numpy as np
 from numpy.typing import NDArray
 
-SIDES = ((0, 1), (1, 0))  # (row, column) steps to the neighbours looked at: east, south
+ARROWS = {'up': (0, -1), 'down': (0, 1), 'left': (-1, 0), 'right': (1, 0)}  # by key: column, row
 MOST_MARKED = 24  # rows or columns up to which every cell shows what is chosen there
 MOST_VECTOR_CELLS = 900  # boards of more cells are drawn as a bitmap
 COLORS = 'cividis'
 ARROW: dict[str, Any] = {'angles': 'xy', 'scale_units': 'xy', 'scale': 1, 'pivot': 'mid'}
 LETTERS = string.ascii_uppercase + string.ascii_lowercase
-
-
-@dataclass(frozen=True)
-class Board:
-    """One slice of a domain's states with what stands between its cells."""
-
-    title: str
-    states: NDArray[np.int32]  # (rows, cols); -1: no state there
-    walls: tuple[NDArray[np.bool_], NDArray[np.bool_]]  # between a cell and its east, south
-    moves: dict[int, tuple[int, int]]  # action -> (rows, cols) by which it moves the agent
-
-
-def board_of(table: Transitions, layout: BoardSlice) -> Board:
-    """
-    Return states of some transitions with their walls and moves.
-
-    Between two neighbouring states there is a wall where no action leads from one to the other. An
-    action moves by what it moves in most of the cells that it leaves for another cell.
-    """
-    states = layout.states
-    position = np.full((len(table.successor), 2), -1)
-    position[states[states >= 0]] = np.argwhere(states >= 0)
-    here = np.where(states >= 0, states, 0)
-    possible = (table.probability[here] > 0) & (states >= 0)[:, :, None, None]
-    arrives = np.where(possible, table.successor[here], -1)  # (rows, cols, A, B)
-    walls = tuple(_walls(states, arrives, step) for step in SIDES)
-    return Board(layout.title, states, (walls[0], walls[1]), _moves(states, arrives, position))
-
-
-def _walls(
-    states: NDArray[np.int32], arrives: NDArray[np.int32], step: tuple[int, int]
-) -> NDArray[np.bool_]:
-    """Return (rows, cols): a wall or an edge is on the east (0, 1) or south (1, 0) side."""
-    rows, cols = states.shape
-    first, second = (
-        (slice(0, rows - step[0]), slice(0, cols - step[1])),
-        np.s_[step[0] :, step[1] :],
-    )
-    a, b = states[first], states[second]
-    leads = (arrives[first] == b[:, :, None, None]).any(axis=(2, 3))
-    leads |= (arrives[second] == a[:, :, None, None]).any(axis=(2, 3))
-    walls = states >= 0
-    walls[first] = (a >= 0) != (b >= 0)
-    walls[first] |= (a >= 0) & (b >= 0) & ~leads
-    return walls
-
-
-def _moves(
-    states: NDArray[np.int32], arrives: NDArray[np.int32], position: NDArray[np.int64]
-) -> dict[int, tuple[int, int]]:
-    moves = {}
-    rows, cols = np.nonzero(states >= 0)
-    for action in range(arrives.shape[2]):
-        reached = arrives[rows, cols, action, 0]
-        inside = (reached >= 0) & (position[reached, 0] >= 0) & (reached != states[rows, cols])
-        steps = position[reached[inside]] - np.stack([rows, cols], axis=1)[inside]
-        if len(steps):
-            kinds, counts = np.unique(steps, axis=0, return_counts=True)
-            row, col = kinds[counts.argmax()]
-            moves[action] = (int(row), int(col))
-    return moves
 
 
 def board_figures(plans: Mapping[str, ExactPlan], name: str) -> list[tuple[str, str]]:
@@ -91,34 +33,42 @@ def board_figures(plans: Mapping[str, ExactPlan], name: str) -> list[tuple[str, 
     if not plans:
         return []
     domain = next(iter(plans.values())).domain
-    boards = [board_of(domain.transitions(), layout) for layout in domain.board_slices()]
+    layouts = domain.board_slices()
     shown = [
-        plan.solution.values[board.states[board.states >= 0]]
+        plan.solution.values[layout.states[layout.states >= 0]]
         for plan in plans.values()
-        for board in boards
+        for layout in layouts
     ]
     if not shown:
         return []
     values = np.concatenate(shown)
     scale = Normalize(float(values.min()), float(values.max()))
     return [
-        _figure(board, called, plan, scale, f'{name}-{b}-{p}')
-        for b, board in enumerate(boards)
+        _figure(layout, called, plan, scale, f'{name}-{b}-{p}')
+        for b, layout in enumerate(layouts)
         for p, (called, plan) in enumerate(plans.items())
     ]
 
 
+def geometry(domain: Domain[Any], layout: BoardSlice) -> Board:
+    """Return the blocks and walls around the cells of a layout."""
+    rows, cols = layout.states.shape
+    board = board_of(domain, domain.reset(generator(0, 'board')), ())
+    return board if board.rows else Board(rows, cols)
+
+
 def _figure(
-    board: Board, called: str, plan: ExactPlan, scale: Normalize, name: str
+    layout: BoardSlice, called: str, plan: ExactPlan, scale: Normalize, name: str
 ) -> tuple[str, str]:
-    rows, cols = board.states.shape
+    rows, cols = layout.states.shape
     marked = max(rows, cols) <= MOST_MARKED
-    label = f'Value and policy with the action set {called}, {board.title}'
+    label = f'Value and policy with the action set {called}, {layout.title}'
     with drawing(name, label, 5.0, 1.1 + 3.3 * min(2.0, rows / cols)) as work:
-        values = np.where(board.states >= 0, plan.solution.values[board.states], np.nan)
+        values = np.where(layout.states >= 0, plan.solution.values[layout.states], np.nan)
+        board = geometry(plan.domain, layout)
         draw_heat(work, board, values, scale, 'value (discounted reward units)')
-        used = _draw_choices(work, board, plan, scale) if marked else []
-        work.axes.set_title(f'Action set {called}\n{board.title}')
+        used = _draw_choices(work, layout, plan, scale) if marked else []
+        work.axes.set_title(f'Action set {called}\n{layout.title}')
         work.axes.set_xticks(range(0, cols, -(-cols // 6)))
         work.axes.set_yticks(range(0, rows, -(-rows // 6)))
     n_options = len(plan.options)
@@ -150,21 +100,25 @@ def draw_heat(
 
 
 def _draw_walls(work: Drawing, board: Board) -> None:
-    """Draw the walls and the edge of a board, cell (row, col) at (col, row)."""
-    shown, (east, south) = board.states >= 0, board.walls
-    style: dict[str, Any] = {'color': INK, 'lw': 2.2, 'capstyle': 'round', 'clip_on': False}
-    row, col = np.nonzero(np.hstack([shown[:, :1], east])) - np.array([[0.5], [0.5]])
-    work.axes.vlines(col, row, row + 1, **style)
-    row, col = np.nonzero(np.vstack([shown[:1], south])) - np.array([[0.5], [0.5]])
-    work.axes.hlines(row, col, col + 1, **style)
+    """Draw the frame, blocks and walls of a board, cell (row, col) at (col, row)."""
+    for row, col in board.blocks:
+        work.axes.add_patch(Rectangle((col - 0.5, row - 0.5), 1, 1, color=GRID, lw=0))
+    style: dict[str, Any] = {'color': INK, 'lw': 2.2, 'clip_on': False}
+    corners = ((0, 0, 0, board.cols), (board.rows, 0, board.rows, board.cols))
+    sides = ((0, 0, board.rows, 0), (0, board.cols, board.rows, board.cols))
+    for top, left, bottom, right in (*corners, *sides, *board.walls):
+        ends = (left - 0.5, right - 0.5), (top - 0.5, bottom - 0.5)
+        work.axes.plot(*ends, solid_capstyle='round', **style)
 
 
-def _draw_choices(work: Drawing, board: Board, plan: ExactPlan, scale: Normalize) -> list[int]:
+def _draw_choices(
+    work: Drawing, layout: BoardSlice, plan: ExactPlan, scale: Normalize
+) -> list[int]:
     """Mark every cell with its option's letter and the primitive action; return what is used."""
-    size = min(8.0, 55.0 / max(board.states.shape))
+    size = min(8.0, 55.0 / max(layout.states.shape))
     used, arrows = set(), list[tuple[Any, ...]]()
-    for row, col in np.argwhere(board.states >= 0):
-        state = board.states[row, col]
+    for row, col in np.argwhere(layout.states >= 0):
+        state = layout.states[row, col]
         chosen = int(plan.solution.best[state])
         if chosen < 0:
             continue
@@ -176,12 +130,13 @@ def _draw_choices(work: Drawing, board: Board, plan: ExactPlan, scale: Normalize
             action = int(plan.options[chosen].action[state])
             at = (col - 0.44, row - 0.44)
             work.axes.text(*at, _letter(chosen), ha='left', va='top', **style)
-        if action in board.moves:
-            arrow = 0.56 * np.array(board.moves[action][::-1]) / np.abs(board.moves[action]).max()
+        primitive = plan.domain.actions[action]
+        if primitive.key in ARROWS:
+            arrow = 0.56 * np.array(ARROWS[primitive.key])
             arrows.append((col, row, *arrow, ink))
         else:
-            name, at = plan.domain.actions[action].name, (col, row + 0.08)
-            work.axes.text(*at, name, ha='center', va='center', weight='bold', **style)
+            at = col, row + 0.08
+            work.axes.text(*at, primitive.name, ha='center', va='center', weight='bold', **style)
     if arrows:
         *ends, inks = zip(*arrows)
         work.axes.quiver(*ends, color=inks, **ARROW)

@@ -4,7 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from humanopts_env.board import signs
 from humanopts_env.domains.base import Domain
+from humanopts_env.domains.capabilities import board_of
 from humanopts_learner.demonstrations import PRIMITIVE_PREFIX
 from humanopts_teach.bags.contents import (
     actor_of,
@@ -14,14 +16,14 @@ from humanopts_teach.bags.contents import (
     read_episodes,
 )
 from humanopts_teach.bags.reader import Bag
+from humanopts_teach.board_html import board_html
 from humanopts_teach.report.pages import MINUS
-from humanopts_teach.state_drawing import board_svg, draw_state
 
 COLOURS = 4  # of options, classes o0 to o3
 MOST_PICTURES = 60  # of longer episodes only the ends of runs are shown
 FIRST = 40  # of the pictures that are shown where even these are too many; the others are the last
 LEAST_WIDTH = 10.6  # rem
-REM = 0.49  # that a character of a board is wide, about
+REM = 0.49  # of width for each character that a board is wide in text
 _OPTION_RESULT = 'humanopts_interfaces/msg/OptionResult'
 
 
@@ -78,7 +80,7 @@ class Picture:
     """One state, ready for the page."""
 
     number: int  # step
-    board: str  # SVG
+    board: str  # HTML
     option: str
     action: str
     reward: str
@@ -108,7 +110,7 @@ def episode_strip(domain: Domain[Any], frames: Sequence[Frame]) -> Strip:
     ends = list(range(len(frames))) if whole else _ends(frames)
     last = MOST_PICTURES - FIRST
     shown = [*ends[:FIRST], *ends[-last:]] if len(ends) > MOST_PICTURES else ends
-    boards = [draw_state(domain, domain.decode(frames[number].state)) for number in shown]
+    boards = [board_of(domain, domain.decode(frames[number].state)) for number in shown]
     pictures = []
     for before, number, board in zip([-1, *shown], shown, boards):
         frame, steps = frames[number], frames[before + 1 : number + 1]
@@ -116,14 +118,14 @@ def episode_strip(domain: Domain[Any], frames: Sequence[Frame]) -> Strip:
         pictures.append(
             Picture(
                 number,
-                board_svg(board),
+                board_html(board),
                 frame.option.removeprefix(PRIMITIVE_PREFIX),
                 frame.action if len(steps) == 1 else f'{len(steps)} steps',
                 '' if not frame.action else f'{reward:+g}'.replace('-', MINUS) if reward else '0',
                 f'o{options.index(frame.option) % COLOURS}' if frame.option else '',
             )
         )
-    width = REM * max((len(line) for drawn in boards for line in drawn.board), default=0)
+    width = REM * max((len(line) for board in boards for line in signs(board)), default=0)
     left_out = len(ends) - len(shown)
     return Strip(pictures, len(frames) - 1, whole, left_out, last, max(LEAST_WIDTH, width))
 

@@ -1,7 +1,7 @@
 """
 The node ``views``: the game for RViz, Foxglove and other viewers of ROS.
 
-What is drawn is decided in ``scene.py``, for any domain.
+``scene.py`` says what is drawn, for any domain.
 """
 
 from collections.abc import Iterator, Sequence
@@ -10,8 +10,11 @@ import sys
 from typing import Any
 
 from geometry_msgs.msg import Point, Vector3
+from humanopts_env.board import Board
 from humanopts_env.domains.base import BoardSlice, Domain, is_enumerable
+from humanopts_env.domains.capabilities import board_of
 from humanopts_env.ros.game_subscriber import GameSubscriber, Observed
+from humanopts_env.seeding import generator
 from humanopts_interfaces.msg import OptionGoal, OptionResult, OptionValues
 from humanopts_learner.planning.interruption import OptionValues as PlanValues
 from humanopts_learner.ros.convert import option_values_from_message
@@ -19,17 +22,14 @@ from humanopts_ros.node_base import NodeBase
 from humanopts_ros.process import run_node
 from humanopts_ros.qos import CURRENT, DISPLAY, LATCHED
 from humanopts_teach.scene import (
-    cell_values,
-    CellValues,
     Kind,
     layout_of,
     occupied,
-    option_shape,
+    RESOLUTION,
     scene,
     Shape,
+    text_above,
     value_shapes,
-    walls,
-    WIDTH,
 )
 from nav_msgs.msg import OccupancyGrid
 import numpy as np
@@ -58,7 +58,6 @@ class ViewsNode(NodeBase):
         self._run = '', ''  # id and words of the option run under way
         self._plan: PlanValues | None = None  # the newest whose states are those of the game
         self._layouts: Sequence[BoardSlice] = ()
-        self._cells: dict[int, CellValues | None] = {}  # of that plan, by layout
         self._changed = False
         self.create_subscription(OptionGoal, 'option_goals', self._on_goal, DISPLAY)
         self.create_subscription(OptionResult, 'option_results', self._on_result, DISPLAY)
@@ -71,9 +70,9 @@ class ViewsNode(NodeBase):
         return None if self._game.domain else 'domain_info'
 
     def _begin(self, domain: Domain[Any]) -> None:
-        self._walls = walls(domain)
         self._layouts = domain.board_slices() if is_enumerable(domain) else ()
-        self._board.publish(self._grid())
+        first = domain.reset(generator(0, 'views'))  # blocks and walls are the same in all states
+        self._board.publish(self._grid(board_of(domain, first)))
         self._timer.reset()
 
     def _on_goal(self, goal: OptionGoal) -> None:
@@ -86,7 +85,7 @@ class ViewsNode(NodeBase):
             self._changed = True
 
     def _on_values(self, plan: PlanValues) -> None:
-        self._plan, self._cells = None if plan.sampled else plan, {}
+        self._plan = None if plan.sampled else plan
         self._changed = True
 
     def _draw_newest(self) -> None:
@@ -108,25 +107,24 @@ class ViewsNode(NodeBase):
         domain, observed = self._game.domain, self._state
         if domain is None or observed is None or observed.state is None:
             return
-        yield from scene(domain, observed.state, self._walls)
+        board = board_of(domain, observed.state)
+        yield from scene(board)
         if self._run[1]:
-            yield option_shape(self._walls, self._run[1])
+            yield text_above(board, self._run[1], 'option', 0.6, 0.6)
         if (plan := self._plan) is not None and is_enumerable(domain) and self._layouts:
             layout = layout_of(self._layouts, domain.index(observed.state))
-            if layout not in self._cells:
-                best = plan.option_values.max(axis=1, initial=-np.inf)
-                values = cell_values(domain, self._layouts[layout], plan.states, best)
-                self._cells[layout] = values
-            if (cells := self._cells[layout]) is not None:
-                yield from value_shapes(self._walls, cells, plan.action_set)
+            best = plan.option_values.max(axis=1, initial=-np.inf)
+            yield from value_shapes(board, layout, plan.states, best, plan.action_set)
 
-    def _grid(self) -> OccupancyGrid:
-        cells = occupied(self._walls)
+    def _grid(self, board: Board) -> OccupancyGrid:
+        cells = occupied(board)
         grid = OccupancyGrid(data=(cells * _OCCUPIED).astype('int8').ravel().tolist())
         grid.header.frame_id = self.frame
         grid.header.stamp = grid.info.map_load_time = self.get_clock().now().to_msg()
-        grid.info.resolution = WIDTH
+        grid.info.resolution = RESOLUTION
         grid.info.height, grid.info.width = cells.shape
+        # walls lie on the edges of the board's cells
+        grid.info.origin.position.x = grid.info.origin.position.y = -RESOLUTION / 2
         grid.info.origin.position.z = 2 * _HEIGHTS['values']  # below everything
         return grid
 

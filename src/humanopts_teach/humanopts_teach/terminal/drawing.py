@@ -1,16 +1,16 @@
 """The whole screen as lines of a given size."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from functools import singledispatch
 from io import StringIO
 from typing import Literal
 
+from humanopts_env.board import Board, caption, runs, signs
 from humanopts_env.colours import GREEN, ORANGE, RED, TEAL
 from humanopts_ros.limits import one_line
 from humanopts_teach.dialogue import panel
 from humanopts_teach.dialogue.app import App
 from humanopts_teach.dialogue.entry import PAGE
-from humanopts_teach.state_drawing import StateDrawing
 from rich.cells import cell_len, set_cell_size
 from rich.console import Console, ConsoleOptions, Group, RenderableType
 from rich.padding import Padding
@@ -117,8 +117,10 @@ def _middle(view: panel.View, width: int) -> RenderableType:
     beside, below = (Group(*map(drawn, part)) for part in (view.panel.beside, view.panel.below))
     if view.board is None:
         return beside
-    board, notes = state_text(view.board)
+    board, notes = board_texts(view.board)
     board_width = max(cell_len(line) for line in board.plain.split('\n'))
+    if not board_width:  # a world that is not drawn lists its features
+        return Group(notes, beside, below)
     table = Table.grid(padding=(0, 3, 0, 0), expand=True)
     table.add_column(width=board_width, no_wrap=True)
     table.add_column(ratio=1)
@@ -129,26 +131,13 @@ def _middle(view: panel.View, width: int) -> RenderableType:
     return Group(table, notes)
 
 
-def state_text(drawing: StateDrawing) -> tuple[Text, Text]:
-    """Return a drawn state in colour: the board, and the lines below it, which may be wider."""
-    styles = drawing.styles
-    return _coloured(drawing.board, styles), _coloured(drawing.notes, styles, alone=True)
-
-
-def _coloured(lines: Sequence[str], styles: Mapping[str, str], *, alone: bool = False) -> Text:
-    """
-    Return the lines with the domain's colours.
-
-    :param alone: colour only characters that are no part of a word.
-    """
-    plain = '\n'.join(lines)
-    text = Text(plain)
-    around = f' {plain} '
-    for at, character in enumerate(plain):
-        in_word = alone and (around[at].isalpha() or around[at + 2].isalpha())
-        if character in styles and not in_word:
-            text.stylize(styles[character], at, at + 1)
-    return text
+def board_texts(board: Board) -> tuple[Text, Text]:
+    """Return a board in colour, and the lines below it, which may be wider."""
+    drawn, below = (
+        Text('\n').join(Text.assemble(*runs(line)) for line in lines)
+        for lines in (signs(board), caption(board))
+    )
+    return drawn, below
 
 
 @singledispatch

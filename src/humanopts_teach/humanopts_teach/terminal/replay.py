@@ -5,12 +5,12 @@ import math
 from typing import Any
 
 from humanopts_env.domains.base import Domain
+from humanopts_env.domains.capabilities import board_of
 from humanopts_env.game import effect_between
 from humanopts_ros.limits import one_line
 from humanopts_teach.bags.contents import actor_of, Actors, Episode, source_of
 from humanopts_teach.dialogue.keys import END_OF_FILE, ESCAPE, INTERRUPT, LEFT, RIGHT, SPACE
-from humanopts_teach.state_drawing import draw_state
-from humanopts_teach.terminal.drawing import Colours, fit, key_bar, lines_of, state_text
+from humanopts_teach.terminal.drawing import board_texts, Colours, fit, key_bar, lines_of
 from rich.cells import set_cell_size
 from rich.console import Group
 from rich.text import Text
@@ -122,7 +122,7 @@ class Replay:
 
     def _board(self) -> tuple[Text, Text]:
         state = self._episode.transitions[self._step].state
-        return state_text(draw_state(self._domain, self._domain.decode(state)))
+        return board_texts(board_of(self._domain, self._domain.decode(state)))
 
     def _words(self) -> str:
         """Return where we are, who did what, and what it brought."""

@@ -7,6 +7,7 @@ and three lives. The rules are in ``rules``.
 
 from collections.abc import Collection, Mapping, Sequence
 
+from humanopts_env.board import Board
 from humanopts_env.domains.base import (
     Action,
     BoardSlice,
@@ -16,6 +17,7 @@ from humanopts_env.domains.base import (
     feature_columns,
     Outcome,
     Parameter,
+    shown_values,
     Transitions,
 )
 from humanopts_env.domains.capabilities import (
@@ -26,7 +28,7 @@ from humanopts_env.domains.capabilities import (
 )
 from humanopts_env.domains.pacman import state as notation
 from humanopts_env.domains.pacman.baselines import pacman_baselines
-from humanopts_env.domains.pacman.board import draw_features, draw_state, EXPLANATION, GLYPH_STYLES
+from humanopts_env.domains.pacman.board import board_of_features, board_of_state, EXPLANATION
 from humanopts_env.domains.pacman.features import (
     ALL,
     FEATURE_LISTS,
@@ -127,7 +129,6 @@ class PacMan(Domain[PacManState]):
         )
         self.gamma = 0.97
         self.max_steps = max_steps
-        self.glyph_styles: Mapping[str, str] = GLYPH_STYLES
         self.explanation = EXPLANATION
         all_fruit = len(self.rules.maze.food) > max(FRUIT_AFTER)  # else it is there too seldom
         self.teaching = TeachingDefaults(DEMO_OPTIONS_WITH_FRUIT if all_fruit else DEMO_OPTIONS)
@@ -181,12 +182,10 @@ class PacMan(Domain[PacManState]):
         states = sample_games(self.rules, rngs, count).states()
         return [states[count * at : count * (at + 1)] for at in range(len(rngs))]
 
-    def render(self, state: PacManState, shown: Collection[str] | None = None) -> str:
+    def board(self, state: PacManState, shown: Collection[str] | None = None) -> Board:
         if shown is None:
-            return draw_state(self.rules.maze, state, self.rules.lives)
-        values = zip(self.features, self.feature_values(state).tolist())
-        visible = [(feature, value) for feature, value in values if feature.name in shown]
-        return draw_features(self.rules.maze, visible)
+            return board_of_state(self.rules.maze, state, self.rules.lives)
+        return board_of_features(self.rules.maze, shown_values(self, state, shown))
 
     def step_effect(self, state: PacManState, action: int, successor: PacManState) -> StepEffect:
         """Return what a step did: where Pac-Man went, what he ate, whether he lost a life."""

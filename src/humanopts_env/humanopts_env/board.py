@@ -1,0 +1,163 @@
+"""
+A board as geometry, and as text.
+
+A domain says what is where: cells, walls and marks. Terminals, web pages, RViz and the figures of
+reports all draw the same ``Board``; ``board_text`` draws it for terminals, logs and tests.
+
+Cells are (row, column), row 0 in the north and column 0 in the west. The corner between four
+cells has the row and column of the cell south-east of it. A frame around all cells is drawn
+without being listed.
+"""
+
+from dataclasses import dataclass
+from itertools import groupby
+
+import numpy as np
+
+# Marks that pictures draw as shapes; all others are letters.
+PERSON, BOX, OPEN_BOX, HATCHED_BOX, FLAG, BALL, DOT = '☻■□▒⚑●·'
+DIM = 'dim'  # a style, like the colours in ``colours``
+BLOCK = '█'
+CAPTION_WIDTH = 78  # characters
+_LINES = ' ╹╻┃╸┛┓┫╺┗┏┣━┻┳╋'  # by their arms: bit 0 up, 1 down, 2 left, 3 right
+_UP, _DOWN, _LEFT, _RIGHT = 1, 2, 4, 8
+
+Cell = tuple[int, int]
+Wall = tuple[int, int, int, int]  # row and column of one corner, and of the other
+Sign = tuple[str, str]  # a character, and its style as rich names it
+
+
+@dataclass(frozen=True, slots=True)
+class Mark:
+    """A thing in a cell."""
+
+    cell: Cell
+    kind: str  # one character: one of the shapes above, or a letter
+    name: str  # in the legend, which lists marks of one name together
+    colour: str = ''  # one of ``colours``; empty: that of text
+
+
+@dataclass(frozen=True, slots=True)
+class Board:
+    """What may be seen of a state. Blocks and walls are the same in all states of a domain."""
+
+    rows: int = 0
+    cols: int = 0
+    blocks: tuple[Cell, ...] = ()  # cells that nothing can enter
+    walls: tuple[Wall, ...] = ()  # straight lines along the edges of cells
+    marks: tuple[Mark, ...] = ()  # of one cell, the first is in front
+    notes: tuple[str, ...] = ()  # what the drawing does not show
+    colour: str = ''  # of blocks and walls
+    dotted: bool = True  # a dot in each empty cell makes it easy to count them
+    picture: str = ''  # a drawing in characters that a world without cells brings with it
+
+    def marks_by_cell(self) -> dict[Cell, list[Mark]]:
+        """Return the marks of each cell that has any."""
+        found: dict[Cell, list[Mark]] = {}
+        for mark in self.marks:
+            found.setdefault(mark.cell, []).append(mark)
+        return found
+
+    def empty_cells(self) -> list[Cell]:
+        """Return the cells with neither a block nor a mark, where the board is dotted."""
+        cells = np.ndindex(self.rows, self.cols) if self.dotted else ()
+        taken = {*self.blocks, *(mark.cell for mark in self.marks)}
+        return [(row, col) for row, col in cells if (row, col) not in taken]
+
+
+def signs(board: Board) -> list[list[Sign]]:
+    """
+    Return the rows of characters that show the board; all rows are equally long.
+
+    A cell is two characters wide and shows two marks; where there are walls between cells, it is
+    three characters wide and shows three.
+    """
+    if not board.rows:
+        lines = board.picture.split('\n') if board.picture else []
+        width = max(map(len, lines), default=0)
+        return [_plain(line.ljust(width)) for line in lines]
+    width, down, across = (3, 2, 4) if board.walls else (2, 1, 2)
+    bottom, right = (2 * board.rows, 4 * board.cols)
+    if not board.walls:
+        bottom, right = board.rows + 1, 2 * board.cols + 1
+    arms = np.zeros((bottom + 1, right + 1), dtype=np.intp)
+    frame = [
+        (0, 0, 0, right),
+        (bottom, 0, bottom, right),
+        (0, 0, bottom, 0),
+        (0, right, bottom, right),
+    ]
+    inner = [(down * a, across * b, down * c, across * d) for a, b, c, d in board.walls]
+    for top, left, end, last in [*frame, *inner]:
+        arms[top:end, left : last + 1] |= _DOWN
+        arms[top + 1 : end + 1, left : last + 1] |= _UP
+        arms[top : end + 1, left:last] |= _RIGHT
+        arms[top : end + 1, left + 1 : last + 1] |= _LEFT
+    rows: list[list[Sign]] = [
+        [(_LINES[arm], board.colour) for arm in row] for row in arms.tolist()
+    ]
+    cells = {cell: [(BLOCK, board.colour)] * width for cell in board.blocks}
+    cells |= {cell: [(DOT, DIM)] for cell in board.empty_cells()}
+    for cell, marks in board.marks_by_cell().items():
+        cells[cell] = [(mark.kind, _style(mark)) for mark in marks[:width]]
+    for (row, col), shown in cells.items():
+        start = across * col + (2 if len(shown) == 1 else 1)
+        rows[down * row + 1][start : start + len(shown)] = shown
+    return rows
+
+
+def caption(board: Board, width: int = CAPTION_WIDTH) -> list[list[Sign]]:
+    """
+    Return the lines below the board.
+
+    :param width: in characters; only a longer piece makes a longer line.
+    """
+    lines: list[list[Sign]] = []
+    for pieces in captions(board):
+        start = len(lines)
+        for piece in pieces:
+            if len(lines) > start and len(lines[-1]) + 3 + len(piece) <= width:
+                lines[-1] += [(' ', '')] * 3 + piece
+            else:
+                lines.append(piece)
+    return lines
+
+
+def captions(board: Board) -> tuple[list[list[Sign]], list[list[Sign]]]:
+    """Return the pieces of the legend, and those of what the drawing does not show."""
+    legend: dict[str, dict[str, str]] = {}  # by name: the style of each sign
+    for mark in board.marks:
+        legend.setdefault(mark.name, {})[mark.kind] = _style(mark)
+    shown = 3 if board.walls else 2
+    hidden = [
+        f'hidden: {mark.name} in row {row}, column {col}'
+        for (row, col), marks in board.marks_by_cell().items()
+        for mark in marks[shown:]
+    ]
+    explained = [
+        [sign for kind in kinds.items() for sign in (kind, (' ', ''))] + _plain(name)
+        for name, kinds in legend.items()
+    ]
+    return explained, [_plain(note) for note in (*board.notes, *hidden)]
+
+
+def board_text(board: Board) -> str:
+    """Return the board with its caption as lines of text."""
+    lines = [*signs(board), *caption(board)]
+    return '\n'.join(''.join(sign for sign, _ in line).rstrip() for line in lines)
+
+
+def _plain(words: str) -> list[Sign]:
+    return [(character, '') for character in words]
+
+
+def _style(mark: Mark) -> str:
+    return f'bold {mark.colour}'.rstrip()
+
+
+def runs(line: list[Sign]) -> list[Sign]:
+    """Return a line as texts of one style each."""
+    return [
+        (''.join(sign for sign, _ in group), style)
+        for style, group in groupby(line, key=lambda sign: sign[1])
+    ]

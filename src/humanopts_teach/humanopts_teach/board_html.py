@@ -1,0 +1,98 @@
+"""A board as HTML for pages: a picture in SVG, and what stands below it."""
+
+from functools import cache
+import html
+
+from humanopts_env.board import (
+    BALL,
+    Board,
+    BOX,
+    captions,
+    DOT,
+    FLAG,
+    HATCHED_BOX,
+    Mark,
+    OPEN_BOX,
+    PERSON,
+    runs,
+)
+from rich.color import ColorSystem
+from rich.style import Style
+
+CELL = 40  # width and height of a cell in the picture
+# Drawn around (0, 0) in a square of 20; other marks are letters.
+_SHAPES = {
+    OPEN_BOX: '<rect x="-7" y="-7" width="14" height="14" rx="3" class="open"/>',
+    BOX: '<rect x="-8" y="-8" width="16" height="16" rx="3"/>',
+    HATCHED_BOX: '<rect x="-7" y="-7" width="14" height="14" rx="3" class="open"/>'
+    '<path d="M-4 4L4 -4M-4 -1L-1 -4M1 4L4 1" class="open"/>',
+    PERSON: '<circle r="8.5"/><path d="M-3.2 -3v1M3.2 -3v1M-4.5 2.5Q0 7 4.5 2.5" class="face"/>',
+    FLAG: '<path d="M-5 9V-9" class="open"/><path d="M-5 -9L8 -4.5L-5 0Z"/>',
+    BALL: '<circle r="5.5"/>',
+    DOT: '<circle r="2"/>',
+}
+
+
+def board_html(board: Board) -> str:
+    """Return the board as a picture, in which the style sheet sets the colours of classes."""
+    if not board.rows:
+        return f'<pre class="board">{html.escape(board.picture)}</pre>' if board.picture else ''
+    width, height, walls = board.cols * CELL, board.rows * CELL, style_classes(board.colour)
+    lines = ''.join(
+        f'M{left * CELL} {top * CELL}L{right * CELL} {bottom * CELL}'
+        for top, left, bottom, right in board.walls
+    )
+    blocks = ''.join(f'M{c * CELL} {r * CELL}h{CELL}v{CELL}h-{CELL}z' for r, c in board.blocks)
+    dots = ''.join(
+        f'M{c * CELL + CELL // 2} {r * CELL + CELL // 2}h0' for r, c in board.empty_cells()
+    )
+    drawn = [
+        f'<path class="blocks {walls}" d="{blocks}"/>',
+        f'<path class="walls {walls}" d="M0 0H{width}V{height}H0z{lines}"/>',
+        f'<path class="dots" d="{dots}"/>',
+        *(_mark(*each) for marks in board.marks_by_cell().values() for each in _places(marks)),
+    ]
+    return (
+        f'<svg class="board" role="img" aria-label="the board" '
+        f'viewBox="-3 -3 {width + 6} {height + 6}">{"".join(drawn)}</svg>'
+    )
+
+
+def notes_html(board: Board) -> list[str]:
+    """Return what stands below the board, a piece of HTML for each thing."""
+    return [
+        ''.join(
+            f'<b class="{style_classes(style)}">{html.escape(text)}</b>'
+            if style
+            else html.escape(text)
+            for text, style in runs(piece)
+        )
+        for pieces in captions(board)
+        for piece in pieces
+    ]
+
+
+def _places(marks: list[Mark]) -> list[tuple[Mark, float, float]]:
+    """Return the marks of a cell with their places and sizes, side by side; the first is last."""
+    count = len(marks)
+    size = 1.6 if count == 1 else 2.4 / count
+    return [
+        (mark, (number + 0.5) / count if count > 1 else 0.5, size)
+        for number, mark in reversed(list(enumerate(marks)))
+    ]
+
+
+def _mark(mark: Mark, across: float, size: float) -> str:
+    (row, col), name = mark.cell, style_classes(mark.colour)
+    at = f'translate({(col + across) * CELL:g} {(row + 0.5) * CELL:g}) scale({size:.3g})'
+    shape = _SHAPES.get(mark.kind) or f'<text y="6">{html.escape(mark.kind)}</text>'
+    return f'<g class="{name}" transform="{at}">{shape}</g>'
+
+
+@cache
+def style_classes(style: str) -> str:
+    """Return CSS classes for a style in rich's notation: the nearest of eight colours."""
+    colour = Style.parse(style).color
+    if colour is None or colour.is_default:
+        return ''
+    return f'g{(colour.downgrade(ColorSystem.STANDARD).number or 0) % 8}'
