@@ -2,6 +2,7 @@
 
 from functools import partial
 from pathlib import Path
+import signal
 from typing import Any
 
 from graph_support.live import (
@@ -29,7 +30,7 @@ from humanopts_interfaces.msg import (
     OptionResult,
 )
 from humanopts_interfaces.srv import RunOption
-from humanopts_ros.graph import node_names
+from humanopts_ros.graph import game_ids, node_names
 from humanopts_ros.qos import LATCHED
 from humanopts_teach.bags.check import check_bag
 from humanopts_teach.bags.info import summarise
@@ -148,18 +149,24 @@ def test_a_game_that_is_started_again_is_the_game_in_its_bag(
     assert 'from /game#1a2b3c4d, which was not the game' in capsys.readouterr().err
 
 
+@pytest.mark.parametrize('name', ['simulator', 'game'])
 def test_the_status_names_two_games_of_a_namespace(
-    live: Graph, monkeypatch: pytest.MonkeyPatch
+    live: Graph, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
     monkeypatch.setenv('ROS_DOMAIN_ID', str(live.domain_id))
-    live.start(GAME)
+    first = live.start(GAME)
     live.ready('/game')
-    assert probe_graph('/').game_nodes == ['/game']
-    live.run(['-m', module_of(GAME), '--ros-args', '-r', '__node:=simulator'], 'simulator')
-    live.ready('/simulator')
+    assert probe_graph('/').games == [first.publisher_id]
+    second = live.run(['-m', module_of(GAME), '--ros-args', '-r', f'__node:={name}'], name)
+    live.until(lambda: len(game_ids(live.node)) == 2, 'the other game')
+    live.ready(f'/{name}')
     report = probe_graph('/')
-    assert report.faults[-1] == '/game and /simulator each run a game; stop all but one'
+    assert first.publisher_id in report.games
+    assert report.faults[-1].endswith(' each run a game here; stop all but one')
     assert report.status == 1
+    second.kill(signal.SIGKILL)
+    assert len(game_ids(live.node)) == 2  # until it is missed
+    assert probe_graph('/').games == [first.publisher_id]
 
 
 def test_the_game_may_have_any_name_and_a_stranger_of_its_usual_name_is_none(

@@ -105,7 +105,7 @@ class GraphReport:
     step: int = 0
     steps_per_second: float | None = None  # None: no state has come
     holder: str = ''  # publisher_id of who drives; empty: nobody
-    game_nodes: Sequence[str] = ()  # full names of the nodes that are a game; usually one
+    games: Sequence[str] = ()  # publisher ids; there should be one
 
     @property
     def faults(self) -> list[str]:
@@ -113,8 +113,8 @@ class GraphReport:
         found = [f'{node.name} {node.fault}' for node in self.nodes if node.fault]
         if self.recorder is not None and self.recorder.fault:
             found.append(self.recorder.fault)
-        if len(self.game_nodes) > 1:
-            found.append(f'{" and ".join(self.game_nodes)} each run a game; stop all but one')
+        if len(self.games) > 1:
+            found.append(f'{" and ".join(self.games)} each run a game here; stop all but one')
         return found
 
     @property

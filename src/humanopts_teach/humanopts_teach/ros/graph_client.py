@@ -33,7 +33,7 @@ LESSON = 'lesson'
 _PATIENCE = 5.0  # s; a pause may pass, or another node is about to say or show its cause
 _LEASE = 20.0  # s that readers that were killed still hold up those who write to them
 _WORK_SECONDS = 600.0  # for a plan, or for episodes
-_MAX_LINES = 20  # about paused nodes ...
+_MAX_LINES = 20  # about paused nodes that are not of this launch ...
 _LINES_PERIOD = 60.0  # s ... in this time
 _ROUNDS = 100  # callbacks that are carried out to catch up; more than topics and statuses
 
@@ -234,8 +234,8 @@ class GraphClient(NodeBase):
         Serve the graph until somebody interrupts.
 
         :param check: called all the while, to look after the processes.
-        :param report: called with a line when a node pauses, and when it goes on; not so often
-            that a node which changes all the time, or claims to, floods a terminal.
+        :param report: called with a line when a node pauses, and when it goes on. Lines about
+            nodes that this launch has not started, whose names anybody may claim, are limited.
         :raises LaunchError: from ``check``.
         """
         reported: dict[str, str] = {}
@@ -248,8 +248,9 @@ class GraphClient(NodeBase):
             for name in sorted(reported.keys() | paused.keys()):
                 text, status = paused.get(name), self.statuses.get(name)
                 now = self.monotonic()
-                if text == reported.get(name) or now < lines[0] + _LINES_PERIOD:
-                    continue  # the newest state is told when there is room again
+                limited = name not in self._own and now < lines[0] + _LINES_PERIOD
+                if limited or text == reported.get(name):
+                    continue  # where it is limited, the newest state is reported later
                 if text is not None:
                     reported[name] = text
                     said = f'is paused: {text}'
@@ -258,7 +259,8 @@ class GraphClient(NodeBase):
                     if status is None or status.state != msg.NodeStatus.STATE_READY:
                         continue
                     said = 'goes on'
-                lines.append(now)
+                if name not in self._own:
+                    lines.append(now)
                 report(one_line(f'{name} {said}'))
 
     def take(self, seconds: float) -> None:

@@ -1,6 +1,6 @@
 """Looks at a graph from outside, before a launch and for ``status``: it publishes nothing."""
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from functools import partial
@@ -152,7 +152,8 @@ class _Probe:
         self._executor = SingleThreadedExecutor(context=node.context)
         self._executor.add_node(node)
         self._statuses: dict[str, msg.NodeStatus] = {}  # the newest of each node
-        self._newest: dict[str, dict[str, Any]] = {}  # message by topic and publisher
+        # The newest message by topic and publisher.
+        self._newest: defaultdict[str, dict[str, Any]] = defaultdict(dict)
         self._told: dict[str, str] = {}  # by each conductor: there is one for each part of a graph
         self._sent: dict[str, float] = {}  # when each node was asked, s
         self._answers: dict[str, float] = {}  # s, by node
@@ -213,7 +214,8 @@ class _Probe:
             step=state.step if state is not None else 0,
             steps_per_second=None if state is None else steps or 0.0,
             holder=control.holder_id if control is not None else '',
-            game_nodes=sorted(set(map(signer, game_ids(self._node)))),
+            # One that was killed stays on the graph for a while, but sends nothing.
+            games=[each for each in game_ids(self._node) if each in self._newest['domain_info']],
         )
 
     def _serve(self, done: Callable[[], bool], seconds: float) -> None:
@@ -235,7 +237,7 @@ class _Probe:
 
     def _keep(self, topic: str, message: Any) -> None:
         """Keep the newest message of each publisher."""
-        newest = self._newest.setdefault(topic, {})
+        newest = self._newest[topic]
         if len(newest) < _MAX_PUBLISHERS or message.publisher_id in newest:
             newest.pop(message.publisher_id, None)
             newest[message.publisher_id] = message
