@@ -4,6 +4,7 @@ from collections import Counter
 from collections.abc import Callable
 
 from humanopts_interfaces.msg import NodeStatus
+from humanopts_ros.graph import game_ids
 from humanopts_ros.node_base import NodeBase
 from humanopts_ros.qos import CURRENT
 from humanopts_ros.senders import signer
@@ -26,7 +27,7 @@ class NodeRestarts:
             when it is ready, for what was asked of it before that may have reached nobody.
         """
         self.counts: Counter[str] = Counter()
-        self._prefix = node.full_name('')
+        self._node, self._prefix = node, node.full_name('')
         self._on_restart = on_restart
         self._lives: dict[str, str] = {}  # publisher_id by name
         self._starting: set[str] = set()  # nodes that were started again, and are not ready yet
@@ -40,6 +41,9 @@ class NodeRestarts:
         name = path.removeprefix(self._prefix)
         known = self._lives.setdefault(name, status.publisher_id)
         again = known != status.publisher_id and status.state != status.STATE_STOPPING
+        games = [each for each in game_ids(self._node) if signer(each) == path] if again else []
+        if games and status.publisher_id not in games:  # forged, or sent before it was listed
+            return
         ready = status.state == status.STATE_READY
         if again or (ready and name in self._starting):
             self._lives[name] = status.publisher_id
