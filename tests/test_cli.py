@@ -121,7 +121,7 @@ def test_a_terminal_that_cannot_be_drawn_on_is_refused_before_anything_is_starte
     (tmp_path / 'plan.yaml').write_text(plan)
     with pexpect.spawn(
         sys.executable,
-        ['-m', 'humanopts_teach.cli', *command.split()],
+        ['-m', 'humanopts_teach', *command.split()],
         cwd=tmp_path,
         env={**os.environ, 'TERM': term},
         encoding='utf-8',
@@ -149,7 +149,7 @@ def test_any_output_stream_takes_all_that_is_printed(
 
     def out(*words: Any, status: int = 0) -> str:
         done = subprocess.run(
-            [sys.executable, '-m', 'humanopts_teach.cli', *map(str, words)],
+            [sys.executable, '-m', 'humanopts_teach', *map(str, words)],
             cwd=tmp_path,
             env=environment,
             capture_output=True,
@@ -434,7 +434,7 @@ def test_episode_is_played_as_text_where_there_is_no_terminal(
 
 
 def test_episode_is_played_in_a_terminal_until_q() -> None:
-    command = ['-m', 'humanopts_teach.cli', 'bag', 'play', str(EARLIER), '--episode', '3']
+    command = ['-m', 'humanopts_teach', 'bag', 'play', str(EARLIER), '--episode', '3']
     with pexpect.spawn(sys.executable, command, dimensions=(40, 100), timeout=20) as child:
         child.expect('episode 3 of')
         child.send('n')
@@ -466,7 +466,7 @@ def test_tables_of_a_bag_are_written_and_named_on_standard_output_beside_a_bar_o
 
 def test_reader_that_stops_reading_ends_the_command_quietly() -> None:
     process = subprocess.Popen(
-        [sys.executable, '-m', 'humanopts_teach.cli', 'bag', 'info', EARLIER],
+        [sys.executable, '-m', 'humanopts_teach', 'bag', 'info', EARLIER],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
     )
@@ -480,7 +480,7 @@ def test_ctrl_z_suspends_a_lesson_that_goes_on_when_it_is_back(
     tmp_path: Path, domain_id: int
 ) -> None:
     """The shell has its terminal meanwhile; what was shown so far, and control, are kept."""
-    lesson = f'{sys.executable} -m humanopts_teach.cli teach rooms --participant p1 --out out'
+    lesson = f'{sys.executable} -m humanopts_teach teach rooms --participant p1 --out out'
     terminal = pexpect.spawn(
         'bash',
         ['--norc', '-i'],

@@ -80,7 +80,7 @@ def full(shared: Graph) -> Iterator[Graph]:
     out = shared.folder / 'out'
     words = ['teach', 'taxi', '--only', 'recorder,game', '--out', str(out)]
     teach = shared.run(
-        ['-m', 'humanopts_teach.cli', *words],
+        ['-m', 'humanopts_teach', *words],
         'teach',
         stdin=slave,
         stdout=slave,

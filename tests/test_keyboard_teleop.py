@@ -340,7 +340,7 @@ def recorder_below(folder: Path) -> int:
 def test_a_full_disk_is_seen_in_the_terminal_and_told_when_the_person_quits(
     live: Graph, tmp_path: Path
 ) -> None:
-    words = ['-m', 'humanopts_teach.cli', 'teach', 'taxi', '--out', str(tmp_path)]
+    words = ['-m', 'humanopts_teach', 'teach', 'taxi', '--out', str(tmp_path)]
     terminal = open_terminal(live, *words)
     try:
         terminal.see('Who teaches? > p1')

@@ -244,7 +244,7 @@ def test_a_setting_with_which_ros_cannot_start_is_named_in_one_line(
     tmp_path: Path, shell: dict[str, str], name: str, value: str, words: str
 ) -> None:
     shell[name] = value
-    said = refused(shell, tmp_path, 'humanopts_teach.cli', 'status')
+    said = refused(shell, tmp_path, 'humanopts_teach', 'status')
     assert said.startswith('humanopts status: ')
     assert words in said
     if name != PROFILES[0]:
@@ -258,13 +258,13 @@ def test_every_command_that_needs_ros_refuses_it_before_anything_is_there(
 ) -> None:
     before = sorted(tmp_path.iterdir())
     shell['RMW_IMPLEMENTATION'] = 'rmw_cyclonedds_cpp'
-    assert 'rmw_cyclonedds_cpp' in refused(shell, tmp_path, 'humanopts_teach.cli', *command)
+    assert 'rmw_cyclonedds_cpp' in refused(shell, tmp_path, 'humanopts_teach', *command)
     assert sorted(tmp_path.iterdir()) == before
 
 
 def test_commands_that_need_no_ros_do_not_mind(tmp_path: Path, shell: dict[str, str]) -> None:
     shell['RMW_IMPLEMENTATION'] = 'rmw_cyclonedds_cpp'
-    command = [sys.executable, '-m', 'humanopts_teach.cli', 'study', 'status', 'plan.yaml']
+    command = [sys.executable, '-m', 'humanopts_teach', 'study', 'status', 'plan.yaml']
     assert subprocess.run(command, cwd=tmp_path, env=shell, check=False).returncode == 0
 
 
@@ -275,7 +275,7 @@ def test_a_machine_without_a_loopback_interface_is_told_so(
     if subprocess.run([*apart, 'true'], capture_output=True, check=False).returncode:
         pytest.skip('network namespaces cannot be made here')
     done = subprocess.run(
-        [*apart, sys.executable, '-m', 'humanopts_teach.cli', 'status'],
+        [*apart, sys.executable, '-m', 'humanopts_teach', 'status'],
         env={**shell, RANGE: 'LOCALHOST'},
         capture_output=True,
         text=True,

@@ -61,7 +61,7 @@ def check_end(command: Command, *words: str) -> None:
     (last,) = [s for s in command.errors.splitlines() if s.startswith('humanopts demo: ')]
     assert [word for word in words if word not in last] == [], command.errors
     assert 'Traceback' not in command.errors
-    assert command.running() == {}
+    command.gone(2.0)
 
 
 def check_survives(command: Command, folder: Path, ends: dict[str, str]) -> dict[str, Any]:
@@ -78,7 +78,7 @@ def check_survives(command: Command, folder: Path, ends: dict[str, str]) -> dict
         assert summed in command.errors
         assert said.split(';')[0] in (folder / f'out/log/{node}.log').read_text('utf-8')
     assert 'Traceback' not in command.errors
-    assert command.running() == {}
+    command.gone(2.0)
     found: dict[str, Any] = json.loads((folder / 'out' / 'summary.json').read_text('utf-8'))
     assert [(end['node'], end['how']) for end in found['ended_nodes']] == [*ends.items()]
     return found
@@ -252,7 +252,7 @@ def test_a_demo_whose_status_is_asked_for_and_that_is_interrupted_stops_everythi
     assert command.ended(PATIENCE) == 130
     told = [line for line in command.errors.splitlines() if ': the node ' not in line]
     assert told == ['humanopts demo: interrupted; everything is stopped']
-    assert command.running() == {}
+    command.gone(2.0)
     bag = bag_of(tmp_path)
     assert bag.damage == ''
     assert shown_in_bag(bag) == shown_on_disk(tmp_path / 'out')
@@ -285,7 +285,7 @@ def test_a_full_disk_ends_the_demo_and_the_bag_stays_readable(
     (message,) = command.errors.splitlines()
     assert message.startswith('humanopts demo: ')
     assert any(cause in message for cause in CAUSES)
-    assert command.running() == {}
+    command.gone(2.0)
     in_bag = shown_in_bag(bag_of(tmp_path))
     on_disk = shown_on_disk(tmp_path / 'out')
     assert len(in_bag) >= SHOWN

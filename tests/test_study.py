@@ -79,7 +79,7 @@ def test_a_participant_takes_part_by_keys_and_is_then_refused(
     words = ['study', 'plan.yaml', '--participant', 'anna']
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv('ROS_DOMAIN_ID', str(domain_id))
-    program = ['-m', 'humanopts_teach.cli', *words]
+    program = ['-m', 'humanopts_teach', *words]
     with pexpect.spawn(sys.executable, program, dimensions=(24, 80), timeout=60) as person:
         for sees, key in (
             ('Taking part', 'y'),

@@ -59,7 +59,7 @@ def found(host: Host, peers: bool) -> dict[str, str]:
 def up(host: Host, nodes: str, peers: bool) -> 'subprocess.Popen[bytes]':
     words = ['up', 'taxi', '--only', nodes, '--out', str(host.folder / 'out')]
     words += ['--budget', str(BUDGET)]
-    command = ['-m', 'humanopts_teach.cli', *words]
+    command = ['-m', 'humanopts_teach', *words]
     return host.start(command, host.folder / 'up.log', **found(host, peers))
 
 

@@ -229,7 +229,7 @@ def _person(domain: Domain[Any], option: str, name: str, words: Sequence[str]) -
     PICTURES.mkdir(exist_ok=True)
     for old in PICTURES.glob(f'{name}-*.svg'):
         old.unlink()
-    command = ['-m', 'humanopts_teach.cli', *words]
+    command = ['-m', 'humanopts_teach', *words]
     with tempfile.TemporaryDirectory() as out:
         command += ['--study' if name == 'study' else '--out', out]
         terminal = pexpect.spawn(sys.executable, command, dimensions=(height, width), timeout=None)

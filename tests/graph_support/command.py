@@ -49,7 +49,7 @@ class Command:
         self._began = time.monotonic()
         with self._out.open('wb') as out, self._err.open('wb') as err:
             self._process = subprocess.Popen(
-                [sys.executable, '-m', 'humanopts_teach.cli', *map(str, arguments)],
+                [sys.executable, '-m', 'humanopts_teach', *map(str, arguments)],
                 stdin=subprocess.DEVNULL,
                 stdout=out,
                 stderr=err,

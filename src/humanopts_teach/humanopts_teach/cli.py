@@ -7,7 +7,6 @@ The work is imported when a command runs, so that help and completion are quick.
 from collections.abc import Sequence
 import errno
 from functools import partial
-import gc
 import importlib
 from importlib.metadata import version
 from importlib.util import find_spec
@@ -36,7 +35,6 @@ from humanopts_teach.commands.options import (
 from humanopts_teach.commands.output import open_streams, silence
 from humanopts_teach.commands.study import app as study_app
 from humanopts_teach.launching import LaunchError, OccupiedError
-from humanopts_teach.launching.fork_server import discard, prepare
 from humanopts_teach.launching.job import stand_in_front
 import typer
 from typer.core import TyperCommand
@@ -154,6 +152,8 @@ def demo(
     launch: LaunchOptions,
 ) -> int:
     """Run the whole graph with a simulated teacher: bag, options, report."""
+    from humanopts_teach.launching.forks import prepare
+
     prepare()
     from humanopts_teach.commands.demo import run_demo
 
@@ -170,6 +170,8 @@ def up(
     launch: LaunchOptions,
 ) -> int:
     """Launch the nodes and stay until Ctrl-C."""
+    from humanopts_teach.launching.forks import prepare
+
     prepare()
     from humanopts_teach.commands.session import new_name, session, setup_from
 
@@ -330,8 +332,6 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise
         silence(sys.stdout)
         return _complain(_named(context), f'cannot write its output: {error.strerror}', 1)
-    finally:
-        discard()
     return status
 
 
@@ -347,9 +347,3 @@ def _complain(path: str, text: str, status: int) -> int:
     except OSError:  # nobody reads it, or the disk is full; the status says it
         silence(sys.stderr)
     return status
-
-
-if __name__ == '__main__':
-    ended_with = main()
-    gc.freeze()  # so that nothing is searched for garbage at the end: half a second after a demo
-    sys.exit(ended_with)

@@ -232,6 +232,6 @@ def measure(arguments: list[str], status: int = 0) -> None:
 
 def shares(arguments: list[str]) -> set[str]:
     """Return the percentages that a command shows in a terminal."""
-    command = [sys.executable, '-m', 'humanopts_teach.cli', 'bag', *arguments]
+    command = [sys.executable, '-m', 'humanopts_teach', 'bag', *arguments]
     shown = pexpect.run(shlex.join(command), timeout=600, env={**os.environ, 'TERM': 'xterm'})
     return set(re.findall(r'\d+%', shown.decode()))

@@ -322,7 +322,7 @@ def test_a_code_that_differs_only_in_case_is_asked_about_or_refused(
     plan = ['study', str(files.path / 'plan.yaml'), '--study', str(files.study)]
     assert main([*plan, '--simulate', '1']) == 2
     assert "'simulated-1' differs only in case from 'Simulated-1'" in capsys.readouterr().err
-    words = ['-m', 'humanopts_teach.cli', *plan, '--participant', 'SIMULATED-1']
+    words = ['-m', 'humanopts_teach', *plan, '--participant', 'SIMULATED-1']
     terminal = pexpect.spawn(sys.executable, words, encoding='utf-8', timeout=60.0)
     terminal.expect_exact('Go on as Simulated-1? [y/N]')
     terminal.sendline('n')

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import errno
 import fcntl
 import json
+from multiprocessing.process import BaseProcess
 import os
 from pathlib import Path
 import signal
@@ -22,17 +23,17 @@ import uuid
 
 from humanopts_ros.environment import INSTANCE, LAUNCHER_PID
 from humanopts_ros.limits import one_line, printable
-from humanopts_teach.launching import LaunchError, MODULES, OccupiedError
-from humanopts_teach.launching.fork_server import ForkedProcess, ForkServer, server_for
+from humanopts_teach.launching import LaunchError, OccupiedError
+from humanopts_teach.launching.forks import start
 from humanopts_teach.launching.job import in_foreground
-from humanopts_teach.launching.place import answer, holder
+from humanopts_teach.launching.place import answer
 from humanopts_teach.launching.processes import ProcessSpec, RECORDER
 from humanopts_teach.launching.restarts import how, MOST, NodeExit, RestartPolicy, said_last
 import psutil
 
 CONDUCTOR = 'conductor'  # the node in the launcher's own process
+PARAMETERS = '--params-file'  # before the last word of a node's command line
 TAIL_LINES = 12
-_PARAMETERS = '--params-file'  # before the last word of a node's command line
 _STOP_SECONDS = 10.0  # for a node to end by itself before it is killed
 _LAST_SECONDS = 1.0  # for the end of what was killed to be known
 _STOPPED_PERIOD = 1.0  # s between looks whether a process is stopped
@@ -43,39 +44,11 @@ _ENDS_AS_ASKED = (
 )
 
 
-def processes_of_launch(namespace: str) -> dict[str, psutil.Process | None]:
-    """
-    Return the processes of the launches in a namespace on this machine.
-
-    :return: by name of the node; None: it has ended and is to be started again.
-    """
-    found: dict[str, psutil.Process | None] = {}
-    launchers = set()
-    for name in MODULES:
-        if (who := holder(namespace, name)) is not None:
-            found[name] = None
-            launchers.add(who[0])
-    for number in sorted(launchers):
-        with suppress(psutil.Error, ValueError):  # it ends just now, or is in another container
-            launcher = psutil.Process(number)
-            for process in launcher.children(recursive=True):
-                with suppress(psutil.Error):
-                    words = ' '.join(process.cmdline()).rstrip()  # of a fork: one, and empty ones
-                    name = Path(words.partition(f'{_PARAMETERS} ')[2]).stem
-                    if name in MODULES:  # "ros2 launch" names its files otherwise
-                        found |= {name: process, CONDUCTOR: launcher}
-    return found
-
-
-Process = subprocess.Popen[bytes] | ForkedProcess
-
-
 @dataclass
 class _Running:
     spec: ProcessSpec
-    process: Process
+    process: BaseProcess
     instance: str  # how its publisher_id ends
-    log: Path
     policy: RestartPolicy
     due: float | None = None  # when it is started again, s; None: it runs, or does so no more
     given_up: NodeExit | None = None  # how it ended for the last time; None: it did not
@@ -126,7 +99,6 @@ class Launcher:
         self.report: Callable[[str], object] = lambda line: None
         self._checked = 0.0  # when it was last looked for stopped processes, s
         self._running: list[_Running] = []
-        self._server: ForkServer | None = None  # None: nothing is started
         self._logs: dict[str, int] = {}  # locked descriptors, by node
 
     @property
@@ -138,11 +110,11 @@ class Launcher:
     @property
     def pids(self) -> list[int]:
         """All processes that run."""
-        return [running.process.pid for running in self._running if running.runs]
+        return [running.process.pid or 0 for running in self._running if running.runs]
 
     def pid(self, name: str) -> int:
         """Return the process of a node that runs."""
-        return next(entry.process.pid for entry in self._running if entry.spec.name == name)
+        return next(e.process.pid or 0 for e in self._running if e.spec.name == name)
 
     def start(self, *, late: bool = False) -> None:
         """
@@ -150,24 +122,21 @@ class Launcher:
 
         :param late: those that come when the others are ready, in place of the others.
         :raises OccupiedError: another launch writes to a log there.
-        :raises LaunchError: the log directory cannot be written.
+        :raises LaunchError: the log directory cannot be written, or a process cannot be started.
         """
         try:
             self._directory.mkdir(parents=True, exist_ok=True)
             self._lock_logs()
-            if self._server is None:
-                self._server = server_for([s.module for s in self._specs if not s.terminal])
             for spec in self._specs:
                 if not spec.terminal and spec.late == late:
-                    self._start(spec)
+                    os.truncate(self._logs[spec.name], 0)  # of an earlier launch
+                    instance, policy = _new_instance(), RestartPolicy(self._restarts)
+                    process = self._process(spec, instance, self._settings(spec))
+                    policy.begin(time.monotonic())
+                    self._running.append(_Running(spec, process, instance, policy))
         except (OSError, OccupiedError) as error:
             self.stop()
             raise self._refusal(error) from error
-
-    def _refusal(self, error: Exception) -> LaunchError:
-        if isinstance(error, LaunchError):
-            return error
-        return LaunchError(f'cannot write logs in {self._directory}: {error}')
 
     def run_terminal(self, watch: Callable[[], object]) -> int:
         """
@@ -180,25 +149,35 @@ class Launcher:
             without the recorder the lesson pauses, and says so. The terminal's process is ended.
         """
         (spec,) = [spec for spec in self._specs if spec.terminal]
+        log = self._logs[spec.name]
         with _terminal_restored():
             try:
-                try:
-                    running = self._start(spec)
-                except OSError as error:
-                    raise self._refusal(error) from error
-                while running.process.poll() is None:
+                os.truncate(log, 0)
+                arguments = [spec.module, *self._arguments(self._settings(spec))]
+                own = {INSTANCE: _new_instance(), LAUNCHER_PID: str(os.getpid())}
+                process = subprocess.Popen(  # only its errors go to the log
+                    [sys.executable, '-m', *arguments, '--disable-stdout-logs'],
+                    stderr=log,
+                    env={**os.environ, **own},
+                )
+            except OSError as error:
+                raise self._refusal(error) from error
+            try:
+                while process.poll() is None:
                     watch()
                     self.check(RECORDER)
-                self._running.remove(running)
-                status = running.process.wait()
-                if status < 0:
-                    raise LaunchError(_end_of(running))
-                if status:
-                    said = running.log.read_text(encoding='utf-8', errors='replace')
-                    sys.stderr.write(printable(said))
-                return status
             finally:
-                self._end([entry for entry in self._running if entry.spec.terminal])
+                process.terminate()
+                try:
+                    process.wait(_STOP_SECONDS)
+                except subprocess.TimeoutExpired:
+                    process.kill()
+        if (status := process.wait()) < 0:
+            raise LaunchError(self._end_of(spec.name, status))
+        if status:
+            said = self._log(spec.name).read_text(encoding='utf-8', errors='replace')
+            sys.stderr.write(printable(said))
+        return status
 
     def check(self, *besides: str) -> None:
         """
@@ -211,18 +190,17 @@ class Launcher:
         now = time.monotonic()
         answer()
         for running in self._running:
-            if running.spec.terminal:
-                continue
             if running.due is not None and now >= running.due:
                 running.due, running.stopped = None, False
                 running.instance = _new_instance()
                 try:
-                    running.process = self._process(running.spec, running.log, running.instance)
+                    settings = self._settings(running.spec, again=True)
+                    running.process = self._process(running.spec, running.instance, settings)
                 except OSError as error:  # the machine has no process for it, say
                     self._ended(running, 1, f'cannot be started: {error}', now)
                 else:
                     running.policy.begin(time.monotonic())
-            elif running.runs and (status := running.process.poll()) is not None:
+            elif running.runs and (status := running.process.exitcode) is not None:
                 self._ended(running, status, how(status), now)
             if running.given_up is not None and running.spec.name not in besides:
                 raise LaunchError(running.given_up.text)
@@ -237,16 +215,18 @@ class Launcher:
 
         :return: what did not end cleanly, in words.
         """
-        others = [entry for entry in self._running if entry.spec.name != RECORDER]
-        recorder = [entry for entry in self._running if entry.spec.name == RECORDER]
-        problems = self._end(others) + self._end(recorder)
+        problems = []
+        for last in (False, True):
+            problems += self._end([e for e in self._running if (e.spec.name == RECORDER) == last])
         self._running.clear()
-        if self._server is not None:
-            self._server.close()
-            self._server = None
         while self._logs:
             os.close(self._logs.popitem()[1])
         return problems
+
+    def _refusal(self, error: Exception) -> LaunchError:
+        if isinstance(error, LaunchError):
+            return error
+        return LaunchError(f'cannot write logs in {self._directory}: {error}')
 
     def _log(self, name: str) -> Path:
         return self._directory / f'{name}.log'
@@ -276,33 +256,36 @@ class Launcher:
             except OSError:  # a file system without locks
                 pass
 
-    def _start(self, spec: ProcessSpec) -> _Running:
-        log = self._log(spec.name)
-        os.truncate(self._logs[spec.name], 0)  # of an earlier launch
-        instance, policy = _new_instance(), RestartPolicy(self._restarts)
-        running = _Running(spec, self._process(spec, log, instance), instance, log, policy)
-        running.policy.begin(time.monotonic())
-        self._running.append(running)
-        return running
+    def _settings(self, spec: ProcessSpec, *, again: bool = False) -> Path:
+        """
+        Write the file of a node's parameters, unless it is there; whatever happens, it is whole.
 
-    def _process(self, spec: ProcessSpec, log: Path, instance: str) -> Process:
+        :param again: the node was started before; where the file cannot be written, it stays.
+        :raises OSError: it cannot be written.
+        """
         path = self._directory / f'{spec.name}.yaml'
         tree = {'/**': {'ros__parameters': dict(spec.parameters)}}
         # JSON, as YAML whose strings are quoted: rcl takes a bare y for true.
-        if (problem := _write(path, json.dumps(tree, ensure_ascii=False).encode())) is not None:
-            if not any(entry.spec is spec for entry in self._running):
-                raise problem
-            self.report(f'{path} cannot be written: {problem.strerror}; it stays as it was')
-        if not spec.terminal:  # of which there may be several
-            self.on_start(spec.name, instance)
-        arguments = ['--ros-args', '-r', f'__ns:={self._namespace}', _PARAMETERS, str(path)]
-        if spec.terminal or self._server is None:
-            return subprocess.Popen(  # it has the terminal; only its errors go to the log
-                [sys.executable, '-m', spec.module, *arguments, '--disable-stdout-logs'],
-                stderr=self._logs[spec.name],
-                env={**os.environ, INSTANCE: instance, LAUNCHER_PID: str(os.getpid())},
-            )
-        return self._server.start(spec.module, arguments, {**os.environ, INSTANCE: instance}, log)
+        data, new = json.dumps(tree, ensure_ascii=False).encode(), path.with_suffix('.yaml.new')
+        try:
+            if not path.is_file() or path.read_bytes() != data:
+                new.write_bytes(data)
+                new.replace(path)
+        except OSError as error:
+            with suppress(OSError):
+                new.unlink()
+            if not again:
+                raise
+            self.report(f'{path} cannot be written: {error.strerror}; it stays as it was')
+        return path
+
+    def _arguments(self, settings: Path) -> list[str]:
+        return ['--ros-args', '-r', f'__ns:={self._namespace}', PARAMETERS, str(settings)]
+
+    def _process(self, spec: ProcessSpec, instance: str, settings: Path) -> BaseProcess:
+        self.on_start(spec.name, instance)
+        environment = {**os.environ, INSTANCE: instance}
+        return start(spec.module, self._arguments(settings), environment, self._log(spec.name))
 
     def _ended(self, running: _Running, status: int, what: str, now: float) -> None:
         """
@@ -310,71 +293,63 @@ class Launcher:
 
         :param what: how it ended, in words.
         """
-        spec, policy = running.spec, running.policy
-        if self._server is not None and not self._server.ended:
-            running.due = policy.end(now, status)
+        name, policy = running.spec.name, running.policy
+        running.due = policy.end(now, status)
         again = running.due is not None
-        end = NodeExit(spec.name, what, _last_lines(running.log), policy.restarts, again)
+        end = NodeExit(name, what, self._last_lines(name), policy.restarts, again)
         if not again:
             running.given_up = end
         with suppress(OSError):  # a full disk ends no launch
-            os.write(self._logs[spec.name], f'humanopts: {end.sentence}\n'.encode())
+            os.write(self._logs[name], f'humanopts: {end.sentence}\n'.encode())
         self.ends.append(end)
         self.on_end(end, running.instance)
 
     def _check_stopped(self) -> None:
         """Report which processes are stopped, and which go on."""
-        for running in self._running:
-            process = running.process
-            if not (running.runs and isinstance(process, ForkedProcess) and process.known_pid):
-                continue
+        for running in filter(lambda each: each.runs, self._running):
+            pid = running.process.pid
             try:
-                stopped = psutil.Process(process.known_pid).status() == psutil.STATUS_STOPPED
+                stopped = psutil.Process(pid).status() == psutil.STATUS_STOPPED
             except psutil.Error:  # it ended just now
                 continue
             if stopped != running.stopped:
                 running.stopped = stopped
-                name = running.spec.name
-                what = f'is stopped; kill -CONT {process.known_pid} lets it go on'
-                self.report(f'the node {name} {what if stopped else "goes on"}')
+                what = f'is stopped; kill -CONT {pid} lets it go on' if stopped else 'goes on'
+                self.report(f'the node {running.spec.name} {what}')
 
     def _end(self, entries: Sequence[_Running]) -> list[str]:
-        alive = [entry for entry in entries if entry.process.poll() is None]
+        """End processes; return in words what did not end cleanly."""
+        alive = [entry for entry in entries if entry.process.exitcode is None]
         for entry in alive:
-            entry.process.send_signal(signal.SIGTERM)
+            entry.process.terminate()
         deadline = time.monotonic() + _STOP_SECONDS
         problems = []
         for entry in alive:
-            try:
-                entry.process.wait(max(0.0, deadline - time.monotonic()))
-            except subprocess.TimeoutExpired:
-                entry.process.kill()
-                # Where the fork server is stopped, nobody tells that it ended.
-                with suppress(subprocess.TimeoutExpired):
-                    entry.process.wait(_LAST_SECONDS)
-                problems.append(f'{entry.spec.name} did not stop when asked and was killed')
-                continue
-            if entry.process.wait() not in _ENDS_AS_ASKED:
-                problems.append(_end_of(entry))
+            name, process = entry.spec.name, entry.process
+            process.join(max(0.0, deadline - time.monotonic()))
+            if process.exitcode is None:
+                problems.append(f'{name} did not stop when asked and was killed')
+                process.kill()
+                process.join(_LAST_SECONDS)
+                if process.exitcode is None:  # the fork server is stopped, and tells nothing
+                    with suppress(psutil.Error):
+                        os.kill(psutil.Process(process.pid).ppid(), signal.SIGKILL)
+            elif process.exitcode not in _ENDS_AS_ASKED:
+                problems.append(self._end_of(name, process.exitcode))
         return problems
 
+    def _end_of(self, name: str, status: int) -> str:
+        """Return how a process ended that was asked to or had the terminal, in words."""
+        return f'the node {name} ended ({how(status)}){said_last(self._last_lines(name))}'
 
-def _write(path: Path, data: bytes) -> OSError | None:
-    """
-    Write a file, unless it has these bytes; whatever happens, it is whole.
-
-    :return: why it could not be written, and is as it was.
-    """
-    new = path.with_name(f'{path.name}.new')
-    try:
-        if not path.is_file() or path.read_bytes() != data:
-            new.write_bytes(data)
-            new.replace(path)
-    except OSError as error:
-        with suppress(OSError):
-            new.unlink()
-        return error
-    return None
+    def _last_lines(self, name: str) -> str:
+        """Return the last lines of a log, each after a line break."""
+        try:
+            lines = self._log(name).read_text(encoding='utf-8', errors='replace').splitlines()
+        except OSError:
+            return ''
+        tail = [line for line in lines if line.strip()][-TAIL_LINES:]
+        return ''.join(f'\n  {one_line(line)}' for line in tail)
 
 
 def _new_instance() -> str:
@@ -395,19 +370,3 @@ def _terminal_restored() -> Iterator[None]:
                 # 47, not 1049: the cursor stays below what the node said at a clean end
                 sys.stdout.write('\x1b[?47l\x1b[?25h\x1b[0m')
                 sys.stdout.flush()
-
-
-def _end_of(running: _Running) -> str:
-    """Return how a process ended that was asked to or had the terminal, and what it wrote last."""
-    ended = f'the node {running.spec.name} ended ({how(running.process.wait())})'
-    return f'{ended}{said_last(_last_lines(running.log))}'
-
-
-def _last_lines(log: Path) -> str:
-    """Return the last lines of a log, each after a line break."""
-    try:
-        lines = log.read_text(encoding='utf-8', errors='replace').splitlines()
-    except OSError:
-        return ''
-    tail = [line for line in lines if line.strip()][-TAIL_LINES:]
-    return ''.join(f'\n  {one_line(line)}' for line in tail)

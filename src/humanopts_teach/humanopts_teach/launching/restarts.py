@@ -7,10 +7,13 @@ MOST = 5  # times in a row that a node is started again
 STEADY = 10.0  # s that a node must have run, so that its end is the first in a row again
 _FIRST_PAUSE = 0.1  # s before it is started again; each further time in a row twice as long
 CANNOT_START = 2  # exit status of a node whose parameters cannot be used
+_SERVER_GONE = 255  # of one that multiprocessing has lost with the fork server
 
 
 def how(status: int) -> str:
     """Return an exit status in words; -N: by signal N."""
+    if status == _SERVER_GONE:
+        return 'the process that it was forked from was killed'
     return f'by signal {signal.Signals(-status).name}' if status < 0 else f'exit status {status}'
 
 
@@ -72,7 +75,7 @@ class RestartPolicy:
         """
         if now - self._began >= STEADY:
             self.restarts = 0
-        if status == CANNOT_START or self.restarts == self._most:
+        if status in (CANNOT_START, _SERVER_GONE) or self.restarts == self._most:
             return None
         self.restarts += 1
         return now + _FIRST_PAUSE * 2.0 ** (self.restarts - 1)

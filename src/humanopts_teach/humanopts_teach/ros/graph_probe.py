@@ -2,7 +2,7 @@
 
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
 import shutil
@@ -15,9 +15,9 @@ from humanopts_ros.graph import game_ids
 from humanopts_ros.node_base import start_ros, starting_ros
 from humanopts_ros.qos import CURRENT
 from humanopts_ros.senders import sender_of, signer
-from humanopts_teach.launching import OccupiedError
-from humanopts_teach.launching.launcher import CONDUCTOR, processes_of_launch
-from humanopts_teach.launching.place import domain_id
+from humanopts_teach.launching import MODULES, OccupiedError
+from humanopts_teach.launching.launcher import CONDUCTOR, PARAMETERS
+from humanopts_teach.launching.place import domain_id, holder
 from humanopts_teach.launching.processes import RECORDER
 from humanopts_teach.launching.status import (
     GraphReport,
@@ -144,6 +144,26 @@ def _listener(namespace: str, name: str) -> Iterator[Node]:
         context.try_shutdown()
 
 
+def _processes_of_launch(namespace: str) -> dict[str, psutil.Process | None]:
+    """
+    Return the processes of the launches in a namespace on this machine.
+
+    :return: by name of the node; None: it has ended and is to be started again.
+    """
+    holders = {name: who[0] for name in MODULES if (who := holder(namespace, name)) is not None}
+    found: dict[str, psutil.Process | None] = dict.fromkeys(holders)
+    for number in sorted(set(holders.values())):
+        with suppress(psutil.Error, ValueError):  # it ends just now, or is in another container
+            launcher = psutil.Process(number)
+            for process in launcher.children(recursive=True):
+                with suppress(psutil.Error):
+                    words = ' '.join(process.cmdline()).rstrip()  # of a fork: one, and empty ones
+                    name = Path(words.partition(f'{PARAMETERS} ')[2]).stem
+                    if name in MODULES:  # "ros2 launch" names its files otherwise
+                        found |= {name: process, CONDUCTOR: launcher}
+    return found
+
+
 class _Probe:
     """A node that listens, asks every other node for a parameter, and takes the time."""
 
@@ -175,7 +195,7 @@ class _Probe:
             self._executor.shutdown()
 
     def _report(self) -> GraphReport:
-        self._processes = processes_of_launch(self._namespace)
+        self._processes = _processes_of_launch(self._namespace)
         there = set(self._processes)
         self._serve(lambda: bool(there) and self._statuses.keys() >= there, _SEARCH)
         found = self._node.get_publishers_info_by_topic('node_status')

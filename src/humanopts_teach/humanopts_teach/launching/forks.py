@@ -1,0 +1,116 @@
+"""
+Nodes as forks of one process that has imported what they need, the fork server of multiprocessing.
+
+To import that takes a node about a second of processor time; a fork of a process that has done so
+takes a hundredth of it. What is forked gets its own environment, log, process group and end.
+"""
+
+import atexit
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+import gc
+from importlib import import_module
+import multiprocessing
+from multiprocessing import forkserver
+from multiprocessing.process import BaseProcess
+import os
+from pathlib import Path
+import signal
+import sys
+import threading
+import traceback
+from typing import NoReturn
+
+from humanopts_ros.environment import LAUNCHER_PID
+from humanopts_teach.launching import MODULES, USUAL
+from setproctitle import setproctitle
+
+_SERVES = 'HUMANOPTS_FORK_SERVER_OF'  # process that starts a fork server; only that one imports
+_context = multiprocessing.get_context('forkserver')
+
+
+def prepare() -> None:
+    """Start the fork server, which imports while this process goes on."""
+    _context.set_forkserver_preload([__name__])
+    os.environ[_SERVES] = str(os.getpid())
+    try:
+        forkserver.ensure_running()
+    finally:
+        del os.environ[_SERVES]
+
+
+def start(
+    module: str, arguments: Sequence[str], environment: Mapping[str, str], log: Path
+) -> BaseProcess:
+    """
+    Start a process that calls ``main`` of a module; its end is this one's, too.
+
+    :param log: to which it adds its output.
+    :raises OSError: the machine has no process for it.
+    """
+    prepare()
+    what = module, list(arguments), dict(environment), os.path.abspath(log)
+    process = _context.Process(target=_run, args=what, daemon=True)
+    process.start()
+    return process
+
+
+def _serve() -> None:
+    """Import what the usual nodes need, in the fork server, as long as its launch is there."""
+    launch = os.getppid()
+    os.setpgid(0, 0)
+    null = os.open(os.devnull, os.O_RDWR)
+    for standard in (0, 1):
+        os.dup2(null, standard)
+    setproctitle('humanopts fork server')  # now: titles take the place of the first environment
+    atexit.register(os._exit, 0)
+    gc.disable()  # what is imported is no garbage: a tenth of the time
+    for name in USUAL:
+        if os.getppid() != launch:  # the command was refused
+            os._exit(0)
+        import_module(MODULES[name])
+    gc.freeze()  # what all share is not looked through, and so not copied
+    gc.enable()
+
+
+def _run(module: str, arguments: list[str], environment: dict[str, str], log: str) -> NoReturn:
+    """
+    Be what a new process of these would be.
+
+    It ends without taking down the modules of Python, whose shared memory that would copy.
+    """
+    os.setpgid(0, 0)
+    os.environ.clear()
+    os.environ.update({**environment, LAUNCHER_PID: str(os.getppid())})
+    try:
+        output = os.open(log, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o666)
+    except OSError:  # it was removed, and the disk is full, say
+        output = os.open(os.devnull, os.O_WRONLY)
+    for standard in (1, 2):
+        os.dup2(output, standard)
+    for stream in (sys.stdout, sys.stderr):
+        stream.reconfigure(line_buffering=True)  # type: ignore[union-attr]
+    sys.argv = [module, *arguments]
+    setproctitle(' '.join([sys.executable, '-m', *sys.argv]))
+    threading.Thread(target=_end_with_launch, daemon=True).start()
+    status = 1
+    try:
+        status = import_module(module).main()
+    except BaseException:
+        traceback.print_exc()
+    finally:
+        with suppress(OSError):  # a full disk
+            sys.stdout.flush()
+            sys.stderr.flush()
+        os._exit(status)
+
+
+def _end_with_launch() -> None:
+    launch = multiprocessing.parent_process()
+    assert launch is not None, 'it was started by another process'
+    launch.join()
+    os.kill(os.getpid(), signal.SIGTERM)
+
+
+if os.environ.pop(_SERVES, '') == str(os.getppid()):
+    _serve()
