@@ -188,7 +188,7 @@ def test_an_option_is_taught_by_key_presses_left_resumed_and_run(terminals: Term
     again.see('Enter shows start 2.')
     again.press(ENTER)
     assert person.show(10)
-    again.see('All criteria hold.')  # the lesson's end and the criteria come as two messages
+    again.see('All criteria are met.')  # the lesson's end and the criteria come as two messages
 
     again.press('r')
     again.see(f'Run: {PICKUP}')

@@ -89,7 +89,7 @@ def test_the_simulated_teacher_teaches_until_the_criteria_hold(
     status = graph.statuses['/simulated_teacher'][-1]
     assert (status.state, status.text) == (NodeStatus.STATE_READY, 'finished')
     assert person.lesson.phase == LessonState.PHASE_FINISHED
-    assert 'All criteria hold' in person.lesson.text
+    assert 'All criteria are met' in person.lesson.text
     learned = {option.option_name: option for option in person.latest[LearningStatus].options}
     assert [*learned] == [PICKUP]
     assert learned[PICKUP].criteria_met
@@ -280,7 +280,9 @@ def test_a_reset_by_somebody_else_ends_the_demonstration(graph: Graph, person: P
     person.get_ready()
     episode = person.begin()
     graph.ask(ResetGame, 'reset_game', source=ResetGame.Request.SOURCE_PERSON)
-    graph.until(lambda: 'reset by somebody else' in person.lesson.text, 'the lesson to notice')
+    graph.until(
+        lambda: 'another client reset the game' in person.lesson.text, 'the lesson to notice'
+    )
     assert person.lesson.phase == LessonState.PHASE_READY
     assert person.end(episode, 0).status == EndDemonstration.Response.STATUS_WRONG_PHASE
     assert person.begin() == episode + 2
@@ -416,7 +418,7 @@ def test_a_recording_that_stops_pauses_the_lesson_until_the_next_one_has_all_tha
         shown.append(ended.uuid)
     assert 'recording stopped: cannot write in' in cause
     assert 'Everything taught so far is on disk' in cause
-    assert 'not in this recording: the next one has it' in ended.detail
+    assert 'not in this recording; the next recording will have it' in ended.detail
     for kind in SERVICES.keys() - {EndDemonstration, ListDemonstrations}:
         refused = session.ask(kind)
         assert refused.status == kind.Response.STATUS_PAUSED
@@ -557,7 +559,7 @@ def test_the_program_of_the_documentation_teaches_and_what_is_refused_is_raised_
 ) -> None:
     section = PAGE.read_text('utf-8').partition('## Teach from a program')[2]
     program, output = re.findall(r'```(?:python|text)\n(.*?)```', section, re.DOTALL)
-    assert 'All criteria hold.' in output
+    assert 'All criteria are met.' in output
     status, said, errors = run(lesson, BEFORE + program + AFTER)
     assert said.endswith(output)
     first, second, third = said.removesuffix(output).splitlines()

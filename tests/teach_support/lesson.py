@@ -49,7 +49,7 @@ class Starts(SeededStarts):
             return True
         return (demonstration.uuid in self.known) != demonstration.withdrawn
 
-    def exhausted(self, participant: str, option: OptionHistory) -> bool:
+    def exhausted(self, option: OptionHistory) -> bool:
         return not self.more
 
 
@@ -71,9 +71,10 @@ class Table:
         seed: int = 0,
         domain: Domain[Any] = TAXI,
         method: str = TREES,
+        starts: type[SeededStarts] = Starts,
     ) -> None:
         self.store = store
-        self.starts = Starts(domain, LessonRules('random', budget, seed, method=method))
+        self.starts = starts(domain, LessonRules('random', budget, seed, method=method))
         self.time = 100.0
         self.episode = 0
         self.here: Transition | None = None

@@ -40,7 +40,6 @@ from humanopts_env.domains.capabilities import (
     HasSearchSpace,
     HasStepEffects,
     HasTeachingDefaults,
-    state_samples,
     step_effect,
 )
 from humanopts_env.domains.tabular import reachable
@@ -100,15 +99,6 @@ class DomainContract:
         count = 20
         draws = [domain.sample_states(_rng('sample'), count) for _ in range(2)]
         assert draws[0] == draws[1]
-
-    def test_samples_of_states_are_the_same_side_by_side(self) -> None:
-        """Each is what it is alone, and its generator goes on as if it were alone."""
-        domain = self.make()
-        ours, theirs = ([_rng('samples', n) for n in range(3)] for _ in range(2))
-        samples = state_samples(domain, ours, 5)
-        assert samples == [domain.sample_states(rng, 5) for rng in theirs]
-        assert [rng.random() for rng in ours] == [rng.random() for rng in theirs]
-        assert state_samples(domain, [], 5) == []
 
     def test_a_state_has_feature_values_and_a_text(self) -> None:
         """Every feature value has a name; one line of text holds a whole state."""

@@ -85,6 +85,15 @@ class OptionSummary:
         return bool(self.criteria) and all(criterion.met for criterion in self.criteria)
 
     @property
+    def result(self) -> str:
+        """Which criteria are met, in the words of every screen."""
+        if self.criteria_met:
+            return 'All criteria are met.'
+        if self.settled:
+            return f'The return cannot be measured: {NO_RANGE}. The other criteria are met.'
+        return 'Not all criteria are met.'
+
+    @property
     def settled(self) -> bool:
         """
         Whether every criterion is met or cannot be measured: more demonstrations settle nothing.

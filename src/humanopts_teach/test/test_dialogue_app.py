@@ -388,7 +388,7 @@ def test_a_plan_names_its_options_whose_criteria_do_not_hold(
         for who, name, met in (('p1', 'a', True), ('p1', 'fetch', False), ('p2', 'b', False))
     ]
     planned(teacher, 'escape', '4', item, 'enter')
-    assert teacher.sees_words('Planned. The criteria of fetch do not hold yet.') is named
+    assert teacher.sees_words('Planned. The criteria of fetch are not met yet.') is named
 
 
 def test_how_the_machine_plays_can_be_chosen_before_and_changed_while(teacher: Person) -> None:

@@ -6,7 +6,6 @@ A domain has a capability by having the method or attribute; nothing is register
 - ``HasBoard``: it says what is where on its board, so that it can be drawn.
 - ``HasBatchGames``: it plays many games at once, so that plans can be made from samples.
   ``DrawsAhead``: their chance can be drawn before they are played.
-- ``HasStateSamples``: it draws several samples of states in less time than one after another.
 - ``HasSearchSpace``: it defines where subgoals of automatic options are searched for.
 - ``HasTeachingDefaults``: it names the options to teach.
 - ``HasBaselines``: it names the baselines of plans, and the variants of the game to compare in.
@@ -161,23 +160,6 @@ class DrawsAhead(Protocol):
         :param batch: games that are not over.
         :param draws: (N, D) the chance of this step.
         """
-
-
-@runtime_checkable
-class HasStateSamples(Protocol):
-    """A domain that draws several samples of states in less time than one after another."""
-
-    def state_samples(self, rngs: Sequence[np.random.Generator], count: int) -> list[list[Any]]:
-        """Return for each generator what ``sample_states`` draws with it."""
-
-
-def state_samples(
-    domain: Domain[Any], rngs: Sequence[np.random.Generator], count: int
-) -> list[list[Any]]:
-    """Return for each generator what ``sample_states`` draws with it, side by side if it can."""
-    if isinstance(domain, HasStateSamples):
-        return domain.state_samples(rngs, count)
-    return [domain.sample_states(rng, count) for rng in rngs]
 
 
 def feature_rows(domain: Domain[Any], states: Sequence[Any]) -> NDArray[np.int32]:

@@ -15,7 +15,7 @@ from typing import Any
 
 from humanopts_env.arrays import Flags, Floats, Rows
 from humanopts_env.domains.base import Domain, EnumerableDomain, FeatureKind, is_enumerable
-from humanopts_env.domains.capabilities import feature_rows, state_samples
+from humanopts_env.domains.capabilities import feature_rows
 from humanopts_env.domains.tabular import reachable
 from humanopts_learner.demonstrations import Demonstration, Kind
 from humanopts_learner.options.criteria import fit_leave_fold_out, fold_of
@@ -55,7 +55,7 @@ def choose_start_state(
     :param strategy: one of ``STRATEGIES``.
     :param option: what was learned from the demonstrations; None: nothing yet.
     :param demonstrations: of this participant and option, "not here" answers too.
-    :param drawn: what ``draw_samples`` has drawn with the same ``rng``; None: it was not called.
+    :param drawn: what ``draw_sample`` has drawn with the same ``rng``; None: it was not called.
     :raises UnknownStrategyError: there is no such strategy.
     """
     if strategy not in STRATEGIES:
@@ -74,21 +74,20 @@ def choose_start_state(
     return _uncovered_state(domain, option, demonstrations, rng, drawn)
 
 
-def draw_samples(
+def draw_sample(
     strategy: str,
     domain: Domain[Any],
     demonstrations: Sequence[Demonstration],
-    rngs: Sequence[np.random.Generator],
-) -> list[list[Any]] | None:
+    rng: np.random.Generator,
+) -> list[Any] | None:
     """
     Draw the states that ``choose_start_state`` begins with, whatever is learned meanwhile.
 
-    :param rngs: one for each start state to choose.
-    :return: the states for each; None: it begins with no sample.
+    :return: None: it does not begin with a sample.
     """
     if strategy == 'random' or is_enumerable(domain) or not demonstrations:
         return None
-    return state_samples(domain, rngs, SAMPLE)
+    return domain.sample_states(rng, SAMPLE)
 
 
 def _uncovered_state(

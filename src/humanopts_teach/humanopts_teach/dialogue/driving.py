@@ -200,7 +200,7 @@ class WatchScreen(PlayScreen):
         if well and isinstance(run, PlanOptions):
             if unready := self._unready(app):
                 names = ', '.join(unready)
-                app.say(f'{app.message.text} The criteria of {names} do not hold yet.', bad=True)
+                app.say(f'{app.message.text} The criteria of {names} are not met yet.', bad=True)
             app.ask(
                 PlayEpisodes(self.action_set, app.participant, EPISODES, app.seed, self.execution)
             )

@@ -227,7 +227,7 @@ def _standing(name: str, app: App) -> str:
     progress = app.world.summary_of(app.participant, name)
     if progress is None:
         return 'nothing learned yet'
-    held = ', all criteria hold' if progress.criteria_met else ''
+    held = ', all criteria met' if progress.criteria_met else ''
     return f'{progress.n_demonstrations} shown, {progress.n_not_here} not here{held}'
 
 

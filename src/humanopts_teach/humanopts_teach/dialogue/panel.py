@@ -403,12 +403,14 @@ def _share(value: float, threshold: float) -> float:
 def _estimate(lesson: LessonView, progress: OptionSummary) -> Line:
     """Return how far it is until the criteria hold."""
     if progress.criteria_met:
-        return Line('All criteria hold.', Tone.GOOD)
+        return Line(progress.result, Tone.GOOD)
     if progress.n_demonstrations < (least := fewest(lesson.method)):
         return Line(f'Measured from {least} demonstrations on.')
     if any(c.no_range for c in progress.criteria):
-        others = ' The other criteria hold.' if progress.settled else ''
-        return Line(f'The return cannot be measured: {NO_RANGE}.{others}', Tone.WARNING)
+        words = (
+            progress.result if progress.settled else f'The return cannot be measured: {NO_RANGE}.'
+        )
+        return Line(words, Tone.WARNING)
     undecided = [c.name for c in progress.criteria if c.undecided]
     why = f': {", ".join(undecided)} is not yet known well enough' if undecided else ''
     if progress.more_needed < 0 or progress.method == GOAL:

@@ -66,7 +66,7 @@ class Attempt:
         """
         if transition.episode != self.episode:
             other = self.seen or transition.episode > self.episode
-            return 'the game was reset by somebody else' if other else ''
+            return 'another client reset the game' if other else ''
         self.seen = True
         if self.gap:
             return f'states of the game were lost ({self.gap})'
@@ -74,7 +74,7 @@ class Attempt:
             return f'the game began in {transition.state} and not in {self.start_state}'
         watched = self.watch and self.machine_steps == transition.step
         if transition.action_source is Source.MACHINE and not watched:
-            return 'an option or a policy moved in this episode; stop it first'
+            return 'the machine moved in this episode; stop its run first'
         return ''
 
     def check(self, request: EndDemonstration) -> None:
@@ -85,7 +85,7 @@ class Attempt:
         """
         verdict, (_, last) = request.verdict, self.here
         if verdict is None:
-            detail = 'the verdict is none of done, not here and discard'
+            detail = 'unknown verdict; choose done, not here or discard'
             raise RefusalError(RequestStatus.BAD_VERDICT, detail)
         if verdict is Verdict.DISCARD:
             return
@@ -93,18 +93,18 @@ class Attempt:
         if self.here != seen or seen[0] != self.episode:
             raise RefusalError(
                 RequestStatus.NOT_CURRENT,
-                f'the verdict is about episode {seen[0]} step {seen[1]}, and the demonstration '
-                f'is in episode {self.episode}, the game at episode {self.here[0]} step {last}',
+                f'the verdict is about episode {seen[0]} step {seen[1]}, but the demonstration '
+                f'is episode {self.episode}, and the game at episode {self.here[0]} step {last}',
             )
         if verdict is Verdict.DONE and last == 0:
-            detail = 'nothing was shown yet: drive first, or say not here, or discard'
+            detail = 'no step was taken: drive first, or say not here, or discard'
             raise RefusalError(RequestStatus.NO_STEPS, detail)
         count = request.count_machine_steps
         if verdict is Verdict.DONE and last == self.machine_steps and not count:
             detail = 'only the machine has moved: drive, or say that its steps count as shown'
             raise RefusalError(RequestStatus.NO_STEPS, detail)
         if verdict is Verdict.NOT_HERE and last > self.machine_steps:
-            detail = f'{last} steps were taken, so it is not a "not here": say done, or discard'
+            detail = f'steps were taken ({last}), so it is not "not here": say done, or discard'
             raise RefusalError(RequestStatus.STEPS_TAKEN, detail)
 
     def demonstration(

@@ -64,7 +64,10 @@ class Questions:
 class OptionHistory:
     """One option: the answers and the demonstrations."""
 
-    def __init__(self, name: str, features: Sequence[Feature], number: int = 1) -> None:
+    def __init__(
+        self, participant: str, name: str, features: Sequence[Feature], number: int = 1
+    ) -> None:
+        self.participant = participant
         self.name = name
         self.questions = Questions(name, features)
         self.method = ''  # of learning: asked for, or first shown for; empty: neither was
@@ -104,7 +107,10 @@ class History:
     :ivar key: name and parameters of the domain, as in the entries; others are passed over.
     """
 
-    def __init__(self, domain: Domain[Any], entries: Iterable[Entry] = ()) -> None:
+    def __init__(
+        self, domain: Domain[Any], participant: str, entries: Iterable[Entry] = ()
+    ) -> None:
+        self.participant = participant  # empty: nobody has opened a session
         self.key = (domain.name, parameters_json(domain))
         self.options: dict[str, OptionHistory] = {}
         self.sessions: dict[str, str] = {}  # the last option of each; empty: none was named
@@ -128,7 +134,9 @@ class History:
             return
         name = entry.option_name
         number = self.number(name)
-        option = self.options.setdefault(name, OptionHistory(name, self._features, number))
+        option = self.options.setdefault(
+            name, OptionHistory(self.participant, name, self._features, number)
+        )
         if isinstance(entry, Demonstration):
             option.add(entry)
         elif isinstance(entry, OptionDeleted):

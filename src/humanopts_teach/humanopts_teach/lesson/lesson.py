@@ -22,10 +22,11 @@ from humanopts_learner.demonstrations import (
     option_name_fault,
 )
 from humanopts_learner.options.conflicts import contradiction
-from humanopts_learner.summary import NO_RANGE, OptionSummary
+from humanopts_learner.summary import OptionSummary
 from humanopts_ros.limits import composed
 from humanopts_teach.lesson.attempt import Attempt, with_uuid
 from humanopts_teach.lesson.history import History, OptionHistory
+from humanopts_teach.lesson.learning import Learning
 from humanopts_teach.lesson.requests import (
     Answer,
     AnswerQuestion,
@@ -58,32 +59,28 @@ from humanopts_teach.lesson.store import (
     StoreError,
 )
 
-_ALL_NO = 'Every answer was no, but an option depends on something: they are asked again.'
-_UNRECORDED = 'on disk, but not in this recording: the next one has it'
+_ALL_NO = 'All answers were no, but an option depends on something: please answer again.'
+_UNRECORDED = 'on disk but not in this recording; the next recording will have it'
 _OVER, _AT_LIMIT = 'The task is over.', 'The episode is at its step limit.'
 _REFUSED = {
     False: 'The learner refused the demonstration: {detail}.',
-    True: 'The learner did not take the demonstration back: {detail}.',
+    True: 'The learner did not withdraw the demonstration: {detail}.',
 }
 _SILENT = {
-    False: 'The learner does not answer. The demonstration is on disk, and is sent again to the '
-    'next learner that starts.',
-    True: 'The learner does not answer. That the demonstration is taken back is on disk, and is '
-    'sent again to the next learner that starts.',
+    False: 'The learner does not answer. The demonstration is on disk, and is sent again when a '
+    'learner starts.',
+    True: 'The learner does not answer. The withdrawal is on disk, and is sent again when a '
+    'learner starts.',
 }
-_GAME_AGAIN = 'The demonstration is given up: the game was started again.'
-_RESUMED = 'The lesson was started again; a demonstration that was under way is given up.'
 _HINTS = {
     Phase.NO_SESSION: 'Open a session to begin.',
     Phase.NO_OPTION: 'Name the option that you want to teach.',
     Phase.ASKING: 'Answer the question.',
     Phase.READY: 'Begin the next demonstration.',
     Phase.DEMONSTRATING: 'Show the option, then say done; or say not here, or discard.',
-    Phase.LEARNING: 'The learner works on the demonstration.',
+    Phase.LEARNING: 'The learner is working on the demonstration.',
     Phase.FINISHED: 'Name the next option to teach.',
 }
-_FAILS = ', but from some starts it still fails.'
-_GOES_ON = (Phase.DEMONSTRATING, Phase.LEARNING)  # also while the lesson is paused
 
 
 class Lesson:
@@ -109,15 +106,13 @@ class Lesson:
         self._starts = starts
         self._clock = clock
         self._today = today
-        self._participant = self._session = ''
-        self._history = History(domain)
+        self._session = ''
+        self._history = History(domain, '')
         self._option: OptionHistory | None = None
+        self._learning = Learning(starts)
         self._attempt: Attempt | None = None  # from the request for an episode on
         self._episode = 0  # of the newest demonstration that was begun
-        self._again = ''  # start state of a demonstration that came to nothing
-        self._learned: dict[tuple[str, str], OptionSummary] = {}  # by participant and option
-        self._awaited: Demonstration | None = None  # the learner has not counted it in, or out
-        self._done = False  # criteria met, and the strategy has nothing left to ask
+        self._again = ''  # start state of a demonstration that was discarded or abandoned
         self._notice = ''
         self._paused = ''  # why nothing new can be begun; empty: it can
 
@@ -125,8 +120,8 @@ class Lesson:
 
     @property
     def phase(self) -> Phase:
-        """Where the lesson stands."""
-        if not self._participant:
+        """What the lesson waits for."""
+        if not self._history.participant:
             return Phase.NO_SESSION
         if self._option is None:
             return Phase.NO_OPTION
@@ -134,9 +129,9 @@ class Lesson:
             return Phase.DEMONSTRATING
         if self._option.questions.open is not None:
             return Phase.ASKING
-        if self._awaited is not None:
+        if self._learning.awaited is not None:
             return Phase.LEARNING
-        return Phase.FINISHED if self._done or self._spent else Phase.READY
+        return Phase.FINISHED if self._learning.done or self._spent else Phase.READY
 
     @property
     def _under_way(self) -> Attempt | None:
@@ -146,85 +141,59 @@ class Lesson:
     @property
     def awaited(self) -> str:
         """The uuid of the demonstration that the learner works on; empty: none."""
-        return self._awaited.uuid if self._awaited is not None else ''
-
-    @property
-    def _settled(self) -> OptionSummary | None:
-        """The learner's report that all criteria that can be measured hold, as taught now."""
-        if self._option is None:
-            return None
-        known = self._learned.get((self._participant, self._option.name))
-        holds = (
-            known is not None
-            and known.settled
-            and self._counts_nothing_withdrawn(known, self._option)
-            and known.method == self._method(self._option)
-            and set(known.features) == set(self._option.questions.chosen)
-        )
-        return known if holds else None
+        return self._learning.awaited.uuid if self._learning.awaited is not None else ''
 
     @property
     def criteria_met(self) -> bool:
-        """Whether the learner reports that they hold, with the features and method of now."""
-        return self._settled is not None and self._settled.criteria_met
+        """Whether the learner reports so, for the features and the method in force."""
+        summary = self._learning.settled(self._option)
+        return summary is not None and summary.criteria_met
 
     @property
     def view(self) -> LessonView:
         """Everything that a terminal shows."""
+        phase, rules = self.phase, self._starts.rules
         view = LessonView(
-            phase=self.phase,
-            participant=self._participant,
+            phase=phase,
+            participant=self._history.participant,
             session=self._session,
-            budget=self._starts.rules.budget,
-            strategy=self._starts.rules.strategy,
+            budget=rules.budget,
+            strategy=rules.strategy,
             paused=self._paused,
+            text=' '.join(filter(None, (self._notice, self._advice(phase)))),
         )
         option, attempt = self._option, self._under_way
-        if option is not None:
-            feature = option.questions.open
-            view = replace(
-                view,
-                option_name=option.name,
-                question_id=self._question_id,
-                question=option.questions.text,
-                question_feature=feature.name if feature is not None else '',
-                questions_total=len(self._domain.features),
-                chosen_features=option.questions.chosen,
-                earlier_features=option.questions.earlier if feature is not None else (),
-                method=self._method(option),
-                n_demonstrations=option.n_trajectories,
-                n_not_here=len(option.demonstrations) - option.n_trajectories,
-                last_uuid=option.newest.uuid if option.newest is not None else '',
-                start_state=attempt.start_state if attempt is not None else '',
-                episode=self._episode,
-                machine_steps=attempt.machine_steps if attempt is not None else 0,
-                criteria_met=self.criteria_met,
-            )
-        goes_on = view.phase in (Phase.READY, Phase.DEMONSTRATING) and not self._done
-        reached = _reached(self._settled)
-        why = f'{reached[:-1]}{_FAILS}' if goes_on and self._settled is not None else ''
+        if option is None:
+            return view
+        questions = option.questions
         return replace(
-            view, text=' '.join(filter(None, (self._notice, why, _hint(view, reached))))
+            view,
+            option_name=option.name,
+            question_id=self._question_id,
+            question=questions.text,
+            question_feature=questions.open.name if questions.open is not None else '',
+            questions_total=len(self._domain.features),
+            chosen_features=questions.chosen,
+            earlier_features=questions.earlier if questions.open is not None else (),
+            method=self._learning.method(option),
+            n_demonstrations=option.n_trajectories,
+            n_not_here=len(option.demonstrations) - option.n_trajectories,
+            last_uuid=option.newest.uuid if option.newest is not None else '',
+            start_state=attempt.start_state if attempt is not None else '',
+            episode=self._episode,
+            machine_steps=attempt.machine_steps if attempt is not None else 0,
+            criteria_met=self.criteria_met,
         )
 
     def demonstrations(self) -> list[Demonstration]:
         """
         Return the demonstrations of all participants in this domain, each once.
 
-        Of one that was taken back, only the withdrawal is returned.
+        Of one that was withdrawn, only the withdrawal is returned.
 
         :raises RefusalError: a file of theirs cannot be read.
         """
         return self._demonstrations(*self._store.participants())
-
-    def _demonstrations(self, *participants: str) -> list[Demonstration]:
-        return each_once(
-            entry
-            for participant in participants
-            for entry in self._entries(participant)
-            if isinstance(entry, Demonstration)
-            and (entry.domain, entry.domain_parameters) == self._history.key
-        )
 
     # What the person asks for.
 
@@ -246,6 +215,8 @@ class Lesson:
             ChangeOption: self._change_option,
         }
         try:
+            if self._paused and not isinstance(request, EndDemonstration | ListDemonstrations):
+                raise RefusalError(RequestStatus.PAUSED, f'the lesson is paused: {self._paused}')
             return carry_out[type(request)](request)
         except RefusalError as refusal:
             return refusal.answer
@@ -253,7 +224,7 @@ class Lesson:
     def draw_ahead(self) -> None:
         """Draw what the next start state is chosen from, while the learner is at work."""
         if self.phase is Phase.LEARNING and self._option is not None:
-            self._starts.draw_ahead(self._participant, self._option)
+            self._starts.draw_ahead(self._option)
 
     def began(self, episode: int, state: str) -> Answer:
         """Begin the demonstration that was prepared: game has begun its episode."""
@@ -261,7 +232,7 @@ class Lesson:
         assert attempt is not None, 'a demonstration was prepared'
         if self._paused:
             self._attempt = None
-            return self._refusal_while_paused().answer
+            return Answer(RequestStatus.PAUSED, f'the lesson is paused: {self._paused}')
         self._notice = ''
         attempt.episode, attempt.start_state, attempt.began = episode, state, self._clock()
         self._episode = episode
@@ -271,8 +242,8 @@ class Lesson:
         return Answer(RequestStatus.OK, detail, episode=episode, state=state)
 
     def not_begun(self, status: RequestStatus, cause: str) -> Answer:
-        """Give up the demonstration: there is no episode, or its first state did not come."""
-        self._give_up(cause)
+        """Abandon the demonstration: there is no episode, or its first state did not come."""
+        self._abandon(cause)
         return Answer(status, cause)
 
     def pause(self, reason: str) -> None:
@@ -298,38 +269,38 @@ class Lesson:
 
     def game_restarted(self) -> bool:
         """
-        Give up the demonstration under way: a game that is started again is another one.
+        Abandon the demonstration under way: its episode ended with the game.
 
         :return: whether the view has changed.
         """
-        changed, self._episode = self._episode != 0, 0  # it counts its episodes anew
+        changed, self._episode = self._episode != 0, 0  # a new game counts its episodes anew
         if self._under_way is not None:
-            self._give_up(_GAME_AGAIN)
+            self._abandon('The demonstration was abandoned: the game was restarted.')
         return changed
 
     def resume(self, participant: str, session: str) -> Answer:
         """
-        Go on with a session in whose middle the process of the lesson has ended.
+        Go on with a session that an earlier process has left open.
 
         The newest demonstration may not have reached the learner.
         """
         answer = self.carry_out(OpenSession(participant, session))
         if answer.ok:
-            self._notice = _RESUMED
-            self._awaited = self._option.newest if self._option is not None else None
+            self._notice = 'The lesson was restarted; a demonstration under way was abandoned.'
+            self._learning.awaited = self._option.newest if self._option is not None else None
         return answer
 
     def reached(self, episode: int, step: int) -> bool:
-        """Return whether the stream has come so far, or waiting for it is of no use."""
+        """Return whether a state has arrived, or can no longer arrive."""
         if self._attempt is None or self._attempt.episode != episode:
             return True
         newest_episode, newest_step = self._attempt.here
         return newest_episode == episode and newest_step >= step
 
-    def update_summaries(self, options: Sequence[OptionSummary]) -> None:
+    def update_summaries(self, summaries: Sequence[OptionSummary]) -> None:
         """Keep what the learner knows of every option."""
-        self._learned = {(status.participant, status.option_name): status for status in options}
-        self._go_on()
+        self._learning.update(summaries)
+        self._learning.go_on(self._option)
 
     def update_option(self, participant: str, option_name: str, text: str) -> None:
         """
@@ -338,47 +309,21 @@ class Lesson:
         :raises OptionError: it is not an option, or one of another domain.
         """
         if self._starts.learned(participant, option_name, text):
-            self._go_on()
+            self._learning.go_on(self._option)
 
     def learner_refused(self, uuid: str, detail: str) -> None:
         """Go on without a demonstration that the learner did not take; it stays in the store."""
-        if self._awaited is not None and self._awaited.uuid == uuid:
-            self._wait_no_more(_REFUSED[self._awaited.withdrawn].format(detail=detail))
+        if uuid == self.awaited:
+            self._wait_no_more(_REFUSED, detail)
 
     def learner_silent(self) -> None:
         """Go on without the learner, which has not answered in time."""
-        if self._awaited is not None:
-            self._wait_no_more(_SILENT[self._awaited.withdrawn])
+        self._wait_no_more(_SILENT)
 
-    def _go_on(self) -> None:
-        """Go on where both learner and start states have counted the newest demonstration."""
-        option, demo = self._option, self._awaited
-        if option is not None and demo is not None:
-            known = self._learned.get((demo.participant, demo.option_name))
-            if demo.withdrawn:
-                done = known is None or self._counts_nothing_withdrawn(known, option)
-            else:
-                done = known is not None and known.last_uuid == demo.uuid
-            if not done or not self._starts.counts(option, demo):
-                return
-            self._awaited = None
-        self._check_done()
-
-    def _counts_nothing_withdrawn(self, known: OptionSummary, option: OptionHistory) -> bool:
-        counted = known.n_demonstrations + known.n_not_here
-        return known.last_uuid not in option.withdrawn and counted <= len(option.demonstrations)
-
-    def _wait_no_more(self, notice: str) -> None:
-        self._awaited, self._notice = None, notice
-        self._check_done()
-
-    def _check_done(self) -> None:
-        option = self._option
-        self._done = (
-            option is not None
-            and self._settled is not None
-            and self._starts.exhausted(self._participant, option)
-        )
+    def _wait_no_more(self, notices: dict[bool, str], detail: str = '') -> None:
+        if (demo := self._learning.awaited) is not None:
+            self._notice = notices[demo.withdrawn].format(detail=detail)
+            self._learning.await_none(self._option)
 
     # How requests are carried out; each raises RefusalError where it is refused.
 
@@ -397,23 +342,50 @@ class Lesson:
     @property
     def _who(self) -> tuple[str, str, str, str]:
         """What every entry begins with: domain, its parameters, participant and session."""
-        return (*self._history.key, self._participant, self._session)
+        return (*self._history.key, self._history.participant, self._session)
 
-    def _check_free(self) -> None:
-        if self._paused:
-            raise self._refusal_while_paused()
+    def _advice(self, phase: Phase) -> str:
+        """Return what to do next, in words, and why where that is not obvious."""
+        option, summary = self._option, self._learning.settled(self._option)
+        hint = _HINTS[phase]
+        if self._paused and phase not in (Phase.DEMONSTRATING, Phase.LEARNING):
+            hint = 'The lesson is paused.'
+        if phase is Phase.FINISHED and option is not None:
+            budget = self._starts.rules.budget
+            spent = f'The budget of {budget} is used up. ' if self._spent else ''
+            met = 'Not all criteria are met.' if summary is None else summary.result
+            return f'{spent}{met} {_HINTS[phase]}'
+        ready = phase in (Phase.READY, Phase.DEMONSTRATING) and not self._learning.done
+        if ready and summary is not None:
+            return f'{summary.result[:-1]}, but from some starts it still fails. {hint}'
+        return hint
+
+    def _check_free(self, *, learned: bool = False) -> None:
+        """
+        Check that no demonstration is under way.
+
+        :param learned: the learner must not be working on one either.
+        """
         if self._attempt is not None:
-            who = self._participant
-            raise _wrong_phase(f'{who} has a demonstration under way; it has to be ended first')
-
-    def _refusal_while_paused(self) -> RefusalError:
-        return RefusalError(RequestStatus.PAUSED, f'the lesson is paused: {self._paused}')
+            who = self._history.participant
+            raise _wrong_phase(f'{who} has a demonstration under way; end it first')
+        if learned and self._learning.awaited is not None:
+            raise _wrong_phase('the learner is still working on a demonstration; wait for it')
 
     def _entries(self, participant: str) -> tuple[Entry, ...]:
         try:
             return self._store.entries(participant)
         except StoreError as error:
             raise RefusalError(RequestStatus.NOT_SAVED, str(error)) from error
+
+    def _demonstrations(self, *participants: str) -> list[Demonstration]:
+        return each_once(
+            entry
+            for participant in participants
+            for entry in self._entries(participant)
+            if isinstance(entry, Demonstration)
+            and (entry.domain, entry.domain_parameters) == self._history.key
+        )
 
     def _write(self, *entries: Entry, history: History | None = None) -> None:
         try:
@@ -437,11 +409,11 @@ class Lesson:
                 'or another code'
             )
             raise RefusalError(RequestStatus.BAD_NAME, detail)
-        history = History(self._domain, self._entries(participant))
+        history = History(self._domain, participant, self._entries(participant))
         codes = (f'{self._today()}-{number}' for number in count(1))
         session = session or next(code for code in codes if code not in history.sessions)
         self._write(SessionOpened(*history.key, participant, session), history=history)
-        self._history, self._participant, self._session = history, participant, session
+        self._history, self._session = history, session
         self._turn_to(history.options.get(history.sessions[session]))
         return Answer(
             RequestStatus.OK,
@@ -453,93 +425,81 @@ class Lesson:
     def _define_option(self, request: DefineOption) -> Answer:
         """Name an option to teach, or take it up again."""
         self._check_free()
-        if not self._participant:
+        if not self._history.participant:
             raise _wrong_phase('open a session first')
         name = composed(request.name.strip())
         if fault := option_name_fault(name):
             raise RefusalError(RequestStatus.BAD_NAME, fault)
-        known = self._history.options.get(name)
-        before = known.method if known is not None else ''
-        method = request.method or before or self._starts.rules.method
+        resumed = name in self._history.options
+        method = request.method or (resumed and self._history.options[name].method)
         try:
-            check_method(method, self._domain)
+            check_method(method or self._starts.rules.method, self._domain)
         except DemonstrationError as error:
             raise RefusalError(RequestStatus.BAD_METHOD, str(error)) from error
-        resumed = known is not None
         self._write(OptionDefined(*self._who, name, request.ask_again, request.method))
         self._turn_to(self._history.options[name])
         text = f'{"going on with" if resumed else "begun"}: {name}'
         return Answer(RequestStatus.OK, text, resumed=resumed)
 
-    def _method(self, option: OptionHistory) -> str:
-        return option.method or self._starts.rules.method
-
     def _turn_to(self, option: OptionHistory | None) -> None:
         if option is not self._option:
-            self._awaited, self._again = None, ''
+            self._learning.awaited, self._again = None, ''
         self._option, self._notice = option, ''
-        self._check_done()
+        self._learning.check_done(option)
 
     def _answer_question(self, request: AnswerQuestion) -> Answer:
-        if self._paused:
-            raise self._refusal_while_paused()
+        """Answer the open question, or take back the last answer, so that its question is open."""
         option = self._option
-        if request.back:
-            return self._back(request, option)
         feature = option.questions.open if option is not None else None
-        if self._attempt is not None or option is None or feature is None:
-            raise RefusalError(RequestStatus.NOT_ASKED, 'no question is open')
-        if request.question_id != self._question_id:
-            raise RefusalError(
-                RequestStatus.NOT_ASKED,
-                f'question {request.question_id} is not open; question {self._question_id} is, '
-                f'about {feature.name}',
-            )
-        self._write(FeatureAnswered(*self._who, option.name, feature.name, request.yes))
-        self._notice = '' if option.questions.answers else _ALL_NO
-        self._check_done()
-        if self._notice:
-            return Answer(RequestStatus.NO_FEATURE, _ALL_NO)
-        return Answer(RequestStatus.OK, f'{feature.name}: {"yes" if request.yes else "no"}')
-
-    def _back(self, request: AnswerQuestion, option: OptionHistory | None) -> Answer:
-        """Take back the last answer, so that its question is open again."""
         asked = self._attempt is None and request.question_id == self._question_id
-        if option is None or not asked or not option.questions.answers:
-            detail = 'there is no question before this one to go back to'
-            raise RefusalError(RequestStatus.NOT_ASKED, detail)
-        self._write(AnswerTakenBack(*self._who, option.name))
-        self._notice = ''
-        self._check_done()
-        return Answer(RequestStatus.OK, 'the question before is open again')
+        if option is None or (feature is None and not request.back) or self._attempt is not None:
+            raise RefusalError(RequestStatus.NOT_ASKED, 'no question is open')
+        if request.back:
+            if not asked or not option.questions.answers:
+                detail = 'there is no question before this one to go back to'
+                raise RefusalError(RequestStatus.NOT_ASKED, detail)
+            self._write(AnswerTakenBack(*self._who, option.name))
+            answer = Answer(RequestStatus.OK, 'the question before is open again')
+        else:
+            assert feature is not None
+            if not asked:
+                raise RefusalError(
+                    RequestStatus.NOT_ASKED,
+                    f'question {request.question_id} is not open; question {self._question_id} '
+                    f'is, about {feature.name}',
+                )
+            self._write(FeatureAnswered(*self._who, option.name, feature.name, request.yes))
+            answer = Answer(RequestStatus.OK, f'{feature.name}: {"yes" if request.yes else "no"}')
+            if not option.questions.answers:
+                answer = Answer(RequestStatus.NO_FEATURE, _ALL_NO)
+        self._notice = '' if answer.ok else answer.detail
+        self._learning.check_done(option)
+        return answer
 
     def _prepare(self, request: BeginDemonstration) -> Answer:
-        if self._paused:
-            raise self._refusal_while_paused()
         option = self._option
         if self._attempt is not None:
             raise _wrong_phase('a demonstration is under way; end it first')
-        if option is None or self.phase not in (Phase.READY, Phase.FINISHED) or self._spent:
-            spent = self._spent and self.phase is Phase.FINISHED
+        phase = self.phase
+        if option is None or phase not in (Phase.READY, Phase.FINISHED) or self._spent:
+            spent = self._spent and phase is Phase.FINISHED
             status = RequestStatus.BUDGET_SPENT if spent else RequestStatus.WRONG_PHASE
-            raise RefusalError(status, _hint(self.view, _reached(self._settled)))
-        state = self._start_state(request.start_state, option)
+            raise RefusalError(status, self._advice(phase))
+        if request.start_state:
+            try:
+                decoded = self._domain.decode(request.start_state)
+            except DomainError as error:
+                raise RefusalError(RequestStatus.BAD_STATE, str(error)) from error
+            if self._domain.is_over(decoded):
+                detail = f'the task is over in {request.start_state}: nothing can be shown there'
+                raise RefusalError(RequestStatus.BAD_STATE, detail)
+            state = self._domain.encode(decoded)
+        else:
+            state = self._again or next(reversed(option.start_states), '')
+            state = state or self._starts.draw(option)
         self._attempt = Attempt(state, request.watch)
-        seed = self._starts.episode_seed(self._participant, option)
+        seed = self._starts.episode_seed(option)
         return Answer(RequestStatus.OK, 'the start state is chosen', state=state, seed=seed)
-
-    def _start_state(self, asked_for: str, option: OptionHistory) -> str:
-        if not asked_for:
-            again = self._again or next(reversed(option.start_states), '')
-            return again or self._starts.draw(self._participant, option)
-        try:
-            state = self._domain.decode(asked_for)
-        except DomainError as error:
-            raise RefusalError(RequestStatus.BAD_STATE, str(error)) from error
-        if self._domain.is_over(state):
-            detail = f'the task is over in {asked_for}: nothing can be shown from there'
-            raise RefusalError(RequestStatus.BAD_STATE, detail)
-        return self._domain.encode(state)
 
     def _watch(self, transition: Transition) -> bool:
         """Look at one state of the stream; return whether the view has changed."""
@@ -547,7 +507,7 @@ class Lesson:
         if attempt is None:
             return False
         if cause := attempt.invalidated_by(transition):
-            self._give_up(f'The demonstration is given up: {cause}.')
+            self._abandon(f'The demonstration was abandoned: {cause}.')
             return True
         over = transition.terminated or transition.truncated
         if over and transition.episode == attempt.episode:
@@ -555,7 +515,7 @@ class Lesson:
             return True
         return transition.action_source is Source.MACHINE
 
-    def _give_up(self, notice: str) -> None:
+    def _abandon(self, notice: str) -> None:
         if self._under_way is not None and not self._under_way.watch:
             self._again = self._under_way.start_state
         self._attempt = None
@@ -567,7 +527,7 @@ class Lesson:
             raise _wrong_phase('no demonstration is under way; begin one first')
         attempt.check(request)
         if request.verdict is Verdict.DISCARD:
-            self._give_up('')
+            self._abandon('')
             detail = 'discarded; the same start state can be tried again'
             return Answer(RequestStatus.OK, detail)
         demo = attempt.demonstration(
@@ -576,17 +536,17 @@ class Lesson:
             tuple(feature.name for feature in self._domain.features),
             request,
             seconds=round(self._clock() - attempt.began, 3),
-            method=self._method(option),
+            method=self._learning.method(option),
         )
         try:
             check_demonstration(demo, self._domain)
         except DemonstrationError as error:
-            self._give_up(f'The demonstration was refused and discarded: {error}.')
+            self._abandon(f'The demonstration was refused and discarded: {error}.')
             raise RefusalError(RequestStatus.REFUSED, str(error)) from error
         found = contradiction(demo, option.demonstrations, self._domain)
         self._write(demo)
         self._attempt, self._again, self._notice = None, '', ''
-        self._awaited = demo
+        self._learning.awaited = demo
         text = f'demonstration {demo.number} of {demo.option_name} is kept'
         if self._paused:
             self._notice = f'The demonstration is {_UNRECORDED}.'
@@ -602,54 +562,47 @@ class Lesson:
         )
 
     def _withdraw(self, request: WithdrawDemonstration) -> Answer:
-        """Take back a demonstration of the option."""
-        self._check_free()
-        if self._awaited is not None:
-            raise _wrong_phase('the learner still works on a demonstration; wait for it')
+        """Withdraw a demonstration of the option."""
+        self._check_free(learned=True)
         if self._option is None:
             raise _wrong_phase('name the option first')
         name, demonstrations = self._option.name, self._option.demonstrations
         if not demonstrations:
-            detail = f'no demonstration of {name} is left to take back'
+            detail = f'{name} has no demonstration to withdraw'
             raise RefusalError(RequestStatus.NO_DEMONSTRATION, detail)
         wanted = request.uuid or demonstrations[-1].uuid
         demo = next((demo for demo in demonstrations if demo.uuid == wanted), None)
         if demo is None:
-            detail = f'{wanted} is no demonstration of {name} that counts'
+            detail = f'{name} has no demonstration {wanted}, or it is withdrawn already'
             raise RefusalError(RequestStatus.NO_DEMONSTRATION, detail)
         withdrawn = replace(demo, withdrawn=True)
         self._write(withdrawn)
         self._again = self._notice = ''  # the option's history has the start state
-        self._awaited = withdrawn
+        self._learning.awaited = withdrawn
         steps = len(demo.actions)
-        plural = 's' if steps > 1 else ''
-        what = f'the demonstration of {steps} step{plural}' if steps else 'the "not here"'
-        text = f'{what} is taken back; its start comes again'
+        what = f'the demonstration of {steps} step{"s"[: steps != 1]}' if steps else '"not here"'
+        text = f'{what} is withdrawn; its start comes again'
         return Answer(RequestStatus.OK, text, uuid=withdrawn.uuid, unsent=(withdrawn,))
 
     def _list(self, request: ListDemonstrations) -> Answer:
-        """List the demonstrations of an option, also those that were taken back."""
+        """List the demonstrations of an option, also those that were withdrawn."""
         option = self._known(request.option_name) if request.option_name else self._option
         if option is None:
-            raise RefusalError(RequestStatus.NO_OPTION, 'no option is taught now: name one')
-        found = self._demonstrations(self._participant)
-        found = [demo for demo in found if demo.option_name == option.name]
-        return Answer(
-            RequestStatus.OK, f'{len(found)} of {option.name}', demonstrations=tuple(found)
-        )
+            raise RefusalError(RequestStatus.NO_OPTION, 'no option is being taught: name one')
+        everything = self._demonstrations(self._history.participant)
+        found = tuple(demo for demo in everything if demo.option_name == option.name)
+        return Answer(RequestStatus.OK, f'{len(found)} of {option.name}', demonstrations=found)
 
     def _known(self, option_name: str) -> OptionHistory:
         option = self._history.options.get(composed(option_name))
         if option is None:
-            detail = f'{self._participant or "nobody"} has no option {option_name!r}'
+            detail = f'unknown option {option_name!r} of {self._history.participant or "no one"}'
             raise RefusalError(RequestStatus.NO_OPTION, detail)
         return option
 
     def _change_option(self, request: ChangeOption) -> Answer:
         """Delete an option; or rename it: begin it anew with its answers and demonstrations."""
-        self._check_free()
-        if self._awaited is not None:
-            raise _wrong_phase('the learner still works on a demonstration; wait for it')
+        self._check_free(learned=True)
         option, new = self._known(request.name), composed(request.new_name.strip())
         begun: list[Entry] = []
         moved: list[Demonstration] = []
@@ -657,7 +610,7 @@ class Lesson:
             if fault := option_name_fault(new):
                 raise RefusalError(RequestStatus.BAD_NAME, fault)
             if new in self._history.options:
-                detail = f'there is an option {new!r} already'
+                detail = f'an option is called {new!r} already'
                 raise RefusalError(RequestStatus.NAME_TAKEN, detail)
             begun.append(OptionDefined(*self._who, new, ask_again=False, method=option.method))
             answers = option.questions.answers.items()
@@ -671,7 +624,7 @@ class Lesson:
         if new or option is self._option:
             self._turn_to(self._history.options.get(new))
         if moved:
-            self._awaited = moved[-1]
+            self._learning.awaited = moved[-1]
         return Answer(
             RequestStatus.OK,
             f'{option.name} is now called {new}' if new else f'{option.name} is deleted',
@@ -682,27 +635,3 @@ class Lesson:
 
 def _wrong_phase(detail: str) -> RefusalError:
     return RefusalError(RequestStatus.WRONG_PHASE, detail)
-
-
-def _reached(settled: OptionSummary | None) -> str:
-    """Return which criteria hold, in words."""
-    if settled is None:
-        return 'Not all criteria hold.'
-    if settled.criteria_met:
-        return 'All criteria hold.'
-    return f'The return cannot be measured: {NO_RANGE}. The other criteria hold.'
-
-
-def _hint(view: LessonView, reached: str) -> str:
-    """
-    Return what to do next, in words; where an option is finished, why.
-
-    :param reached: which criteria hold.
-    """
-    still = view.paused and view.phase not in _GOES_ON
-    words = 'The lesson is paused.' if still else _HINTS[view.phase]
-    if view.phase is not Phase.FINISHED:
-        return words
-    given = view.n_demonstrations + view.n_not_here
-    spent = f'The budget of {view.budget} is spent. ' if given >= view.budget else ''
-    return f'{spent}{reached} {words}'

@@ -174,13 +174,7 @@ class PacMan(Domain[PacManState]):
 
     def sample_states(self, rng: np.random.Generator, count: int) -> list[PacManState]:
         """Draw states from games that are played with several aims, never over."""
-        return self.state_samples([rng], count)[0]
-
-    def state_samples(
-        self, rngs: Sequence[np.random.Generator], count: int
-    ) -> list[list[PacManState]]:
-        states = sample_games(self.rules, rngs, count).states()
-        return [states[count * at : count * (at + 1)] for at in range(len(rngs))]
+        return sample_games(self.rules, [rng], count).states()
 
     def board(self, state: PacManState, shown: Collection[str] | None = None) -> Board:
         if shown is None:

@@ -1,0 +1,887 @@
+"""The lesson: any order of requests against a model, and what it answers, as a transcript."""
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, fields, replace
+from itertools import count
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from humanopts_env.domains.base import Domain
+from humanopts_env.domains.pacman.domain import PacMan
+from humanopts_env.domains.registry import make_domain
+from humanopts_env.game import Source, Transition
+from humanopts_learner.demonstrations import Demonstration, GOAL, Kind, TREES
+from humanopts_learner.options.failures import find_failures
+from humanopts_learner.options.files import option_to_json
+from humanopts_learner.options.learn import learn_option
+from humanopts_learner.options.option import LearnedOption, OptionError
+from humanopts_learner.summary import Criterion, OptionSummary
+from humanopts_teach.lesson.history import OptionHistory
+from humanopts_teach.lesson.requests import (
+    Answer,
+    AnswerQuestion,
+    BeginDemonstration,
+    ChangeOption,
+    DefineOption,
+    EndDemonstration,
+    LessonRequest,
+    ListDemonstrations,
+    OpenSession,
+    Phase,
+    RequestStatus,
+    settled,
+    Verdict,
+    WithdrawDemonstration,
+    World,
+)
+from humanopts_teach.lesson.seeded_starts import LessonRules, SeededStarts
+from humanopts_teach.lesson.store import DemonstrationStore
+from hypothesis import settings
+from hypothesis import strategies as st
+from hypothesis.stateful import initialize, invariant, precondition, rule, RuleBasedStateMachine
+import pandas as pd
+import pytest
+from teach_support import snapshot
+from teach_support.lesson import (
+    CHOSEN,
+    fill_disk,
+    OPTION,
+    OTHER,
+    START,
+    status,
+    Table,
+    TAXI,
+    TO_PHASE,
+)
+
+OK, WRONG, MACHINE = RequestStatus.OK, RequestStatus.WRONG_PHASE, Source.MACHINE
+FEATURES = [feature.name for feature in TAXI.features]
+BUDGET = 4
+NAMES = st.sampled_from(['go', 'fetch', 'leave'])
+Key = tuple[str, str]  # participant and option
+
+
+@dataclass
+class Taught:
+    """What the model knows of an option."""
+
+    number: int = 1  # of the next demonstration
+    method: str = ''
+    answers: list[bool] = field(default_factory=list)
+    earlier: tuple[str, ...] = ()
+    shown: dict[str, str] = field(default_factory=dict)  # start state by uuid, the oldest first
+    not_here: set[str] = field(default_factory=set)
+    withdrawn: dict[str, str] = field(default_factory=dict)
+    starts: list[str] = field(default_factory=list)  # withdrawn, to be shown anew
+
+    @property
+    def chosen(self) -> tuple[str, ...]:
+        return tuple(name for name, yes in zip(FEATURES, self.answers) if yes)
+
+
+class LessonMachine(RuleBasedStateMachine):
+    """Requests and news in any order; the model holds what must come of them."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.folder = TemporaryDirectory()
+        self.store = DemonstrationStore(Path(self.folder.name))
+        self.options: dict[Key, Taught] = {}
+        self.numbers: dict[Key, int] = {}  # of options that were deleted
+        self.moved: dict[str, bool] = {}  # uuids of options that were deleted: all are withdrawn
+        self.sessions: dict[Key, str] = {}
+        self.answered: Counter[str] = Counter()
+        self.drawn: dict[tuple[Key, int], str] = {}
+        self.who = self.session = self.name = ''
+        self.episode = 0
+        self._start_lesson()
+
+    def _start_lesson(self) -> None:
+        self.table = Table(self.store, budget=BUDGET, starts=SeededStarts)
+        self.reports: dict[Key, tuple[OptionSummary, bool]] = {}
+        self.path: list[tuple[str, Source]] = []  # of the demonstration under way
+        self.watch = False
+        self.awaited = self.again = ''
+
+    def teardown(self) -> None:
+        self.store.close()
+        self.folder.cleanup()
+
+    @property
+    def taught(self) -> Taught | None:
+        return self.options.get((self.who, self.name))
+
+    def ask(self, request: LessonRequest, expected: RequestStatus) -> Answer:
+        """Ask, with a full disk first: that changes nothing, and can be tried again."""
+        before, entries = self.table.lesson.view, self.store.entries(self.who)
+        if not isinstance(request, BeginDemonstration) and expected is OK:
+            with pytest.MonkeyPatch.context() as patch:
+                fill_disk(patch)
+                writes = not (isinstance(request, EndDemonstration) and
+                              request.verdict is Verdict.DISCARD)  # fmt: skip
+                if writes:
+                    assert self.table.ask(request).status is RequestStatus.NOT_SAVED
+                    assert self.table.lesson.view == before
+        answer = self.table.ask(request)
+        assert answer.status is expected, answer
+        if not answer.carried_out:
+            assert (self.table.lesson.view, self.store.entries(self.who)) == (before, entries)
+        return answer
+
+    @initialize(ready=st.sampled_from([True, True, True, False]))
+    def begin_lesson(self, ready: bool) -> None:
+        if ready:
+            self.open('p1', 's1')
+            self.define('go', False, '')
+            self.answer(True, True, 0)
+
+    def turn_to(self, name: str, *, anew: bool = False) -> None:
+        if anew or name != self.name:
+            self.awaited = self.again = ''
+        self.name = name if (self.who, name) in self.options else ''
+
+    @rule(who=st.sampled_from(['p1', 'p1', 'p2']), session=st.sampled_from(['s1', 's1', 's2']))
+    def open(self, who: str, session: str) -> None:
+        self.ask(OpenSession(who, session), WRONG if self.path else OK)
+        if not self.path:
+            self.who, self.session = who, session
+            self.turn_to(self.sessions.setdefault((who, session), ''), anew=True)
+
+    @rule(
+        name=NAMES,
+        again=st.sampled_from([False, False, True]),
+        method=st.sampled_from(['', '', GOAL, TREES]),
+    )
+    def define(self, name: str, again: bool, method: str) -> None:
+        free = self.who and not self.path
+        answer = self.ask(DefineOption(name, again, method), OK if free else WRONG)
+        if free:
+            key = self.who, name
+            assert answer.resumed == (key in self.options)
+            option = self.options.setdefault(key, Taught(self.numbers.get(key, 1)))
+            option.method = method or option.method
+            if again:
+                complete = len(option.answers) == len(FEATURES)
+                option.earlier = option.chosen if complete else option.earlier
+                option.answers = []
+            self.sessions[self.who, self.session] = name
+            self.turn_to(name)
+
+    @rule(yes=st.booleans(), rest=st.booleans(), stale=st.integers(0, 5))
+    def answer(self, yes: bool, rest: bool, stale: int) -> None:
+        option = self.taught
+        asking = option is not None and not self.path and len(option.answers) < len(FEATURES)
+        number = self.answered[self.who] + 1
+        if option is None or not asking or stale == 5:
+            self.ask(AnswerQuestion(number - (stale == 5), yes), RequestStatus.NOT_ASKED)
+            return
+        for _ in range(len(FEATURES) - len(option.answers) if rest else 1):
+            none = len(option.answers) == len(FEATURES) - 1 and not (yes or any(option.answers))
+            request = AnswerQuestion(self.answered[self.who] + 1, yes)
+            self.ask(request, OK) if not none else self.table.ask(request)
+            option.answers = [] if none else [*option.answers, yes]
+            self.answered[self.who] += 1
+
+    @rule()
+    def go_back(self) -> None:
+        option = self.taught
+        complete = option is not None and len(option.answers) == len(FEATURES)
+        number = 0 if complete or option is None else self.answered[self.who] + 1
+        can = option is not None and bool(option.answers) and not self.path
+        self.ask(AnswerQuestion(number, back=True), OK if can else RequestStatus.NOT_ASKED)
+        if can and option is not None:
+            option.answers.pop()
+            self.answered[self.who] += 1
+
+    @rule(start=st.sampled_from(['', '', START, OTHER]), watch=st.booleans())
+    def begin(self, start: str, watch: bool) -> None:
+        option, phase = self.taught, self.phase
+        if option is None or phase not in (Phase.READY, Phase.FINISHED):
+            self.ask(BeginDemonstration(start, watch), WRONG)
+        elif len(option.shown) >= BUDGET:
+            self.ask(BeginDemonstration(start, watch), RequestStatus.BUDGET_SPENT)
+        else:
+            self.table.began(start, watch=watch)
+            self.episode, begun = self.table.episode, self.table.lesson.view.start_state
+            expected = start or self.again or next(reversed(option.starts), '')
+            if not expected:  # the draw depends on nothing else
+                key = (self.who, self.name), option.number
+                expected = self.drawn.setdefault(key, begun)
+            assert begun == expected
+            self.path, self.watch = [(begun, Source.PERSON)], watch
+
+    @precondition(lambda self: self.path)
+    @rule(
+        action=st.sampled_from(['north', 'south', 'east', 'west']),
+        by_machine=st.sampled_from([False, False, True]),
+    )
+    def step(self, action: str, by_machine: bool) -> None:
+        source = MACHINE if by_machine else Source.PERSON
+        self.table.drive(action, source=source)
+        taken = [each for _, each in self.path[1:]]
+        if by_machine and not (self.watch and Source.PERSON not in taken):
+            self.abandon()
+        else:
+            assert self.table.here is not None
+            self.path.append((self.table.here.state, source))
+
+    def abandon(self) -> None:
+        self.again = self.again if self.watch else self.path[0][0]
+        self.path = []
+
+    @rule(verdict=st.sampled_from(Verdict), count=st.booleans(), late=st.booleans())
+    def end(self, verdict: Verdict, count: bool, late: bool) -> None:
+        option, steps = self.taught, len(self.path) - 1
+        by_machine = sum(source is MACHINE for _, source in self.path)
+        request = EndDemonstration(verdict, self.episode, max(steps, 0), count_machine_steps=count)
+        if option is None or not self.path:
+            self.ask(request, WRONG)
+        elif verdict is Verdict.DISCARD:
+            self.ask(request, OK)
+            self.abandon()
+        elif late:
+            self.ask(replace(request, step=steps + 1), RequestStatus.NOT_CURRENT)
+        elif verdict is Verdict.DONE and (steps == 0 or (steps == by_machine and not count)):
+            self.ask(request, RequestStatus.NO_STEPS)
+        elif verdict is Verdict.NOT_HERE and steps > by_machine:
+            self.ask(request, RequestStatus.STEPS_TAKEN)
+        else:
+            demo = self.ask(request, OK).demonstration
+            first = 0 if count or verdict is Verdict.NOT_HERE else by_machine
+            states = [state for state, _ in self.path[first:]]
+            states = states[:1] if verdict is Verdict.NOT_HERE else states
+            assert demo is not None
+            assert (demo.states, demo.number) == (tuple(states), option.number)
+            assert demo.chosen_features == option.chosen
+            kept = by_machine if count and verdict is Verdict.DONE else 0
+            assert (demo.machine_steps, demo.method) == (kept, option.method or TREES)
+            option.number += 1
+            option.method = option.method or TREES
+            option.shown[demo.uuid] = states[0]
+            option.not_here |= {demo.uuid} if verdict is Verdict.NOT_HERE else set()
+            if states[0] in option.starts:
+                option.starts.remove(states[0])
+            self.path, self.again, self.awaited = [], '', demo.uuid
+
+    @precondition(lambda self: self.phase in (Phase.READY, Phase.FINISHED))
+    @rule(actions=st.lists(st.sampled_from(['north', 'west']), max_size=3), met=st.booleans())
+    def show(self, actions: list[str], met: bool) -> None:
+        """Give a whole demonstration that is learned from."""
+        self.begin('', False)
+        for action in actions if self.path else ():
+            self.step(action, False)
+        self.end(Verdict.DONE if actions else Verdict.NOT_HERE, False, False)
+        self.report(met)
+
+    @rule(met=st.booleans())
+    def report(self, met: bool) -> None:
+        """Let the learner count everything in and out, and say whether the criteria are met."""
+        option, key = self.taught, (self.who, self.name)
+        self.reports.pop(key, None)
+        if option is not None and option.shown:
+            criteria = (Criterion('return', 0.0, 1.0, met),)
+            n_not_here = len(option.not_here & option.shown.keys())
+            self.reports[key] = (
+                OptionSummary(
+                    self.name,
+                    self.who,
+                    option.chosen,
+                    option.method or TREES,
+                    len(option.shown) - n_not_here,
+                    n_not_here,
+                    next(reversed(option.shown)),
+                    criteria,
+                ),
+                met,
+            )
+        self.table.lesson.update_summaries([summary for summary, _ in self.reports.values()])
+        newest = next(reversed(option.shown), '') if option is not None else ''
+        if option is not None and self.awaited in (newest, *option.withdrawn):
+            self.awaited = ''
+
+    @rule(silent=st.booleans())
+    def learner_fails(self, silent: bool) -> None:
+        if silent:
+            self.table.lesson.learner_silent()
+        else:
+            self.table.lesson.learner_refused(self.awaited or 'another', 'the disk is full')
+        self.awaited = ''
+
+    @rule(place=st.integers(0, 4))
+    def withdraw(self, place: int) -> None:
+        option = self.taught
+        uuid = ['', 'unknown', *(option.shown if option is not None else ())][: place + 1][-1]
+        if option is None or self.path or self.awaited:
+            self.ask(WithdrawDemonstration(uuid), WRONG)
+        elif uuid == 'unknown' or not option.shown:
+            self.ask(WithdrawDemonstration(uuid), RequestStatus.NO_DEMONSTRATION)
+        else:
+            answer = self.ask(WithdrawDemonstration(uuid), OK)
+            assert answer.uuid == (uuid or next(reversed(option.shown)))
+            option.withdrawn[answer.uuid] = option.shown.pop(answer.uuid)
+            option.starts.append(option.withdrawn[answer.uuid])
+            self.awaited, self.again = answer.uuid, ''
+
+    @rule(name=NAMES, new=st.sampled_from(['', 'go', 'fetch', 'renamed']))
+    def change(self, name: str, new: str) -> None:
+        old, key = self.options.get((self.who, name)), (self.who, new)
+        if self.path or self.awaited:
+            self.ask(ChangeOption(name, new), WRONG)
+        elif old is None:
+            self.ask(ChangeOption(name, new), RequestStatus.NO_OPTION)
+        elif key in self.options:
+            self.ask(ChangeOption(name, new), RequestStatus.NAME_TAKEN)
+        else:
+            answer = self.ask(ChangeOption(name, new), OK)
+            del self.options[self.who, name]
+            self.moved |= dict.fromkeys([*old.shown, *old.withdrawn], True)
+            self.numbers[self.who, name] = old.number
+            assert answer.known_options == tuple(
+                n for w, n in (*self.options, *([key] if new else [])) if w == self.who
+            )
+            if new:
+                moved = [demo for demo in answer.unsent if not demo.withdrawn]
+                assert [demo.states[0] for demo in moved] == list(old.shown.values())
+                number = self.numbers.get(key, 1)
+                fresh = self.options[key] = Taught(number + len(moved), old.method, old.answers)
+                fresh.shown = {demo.uuid: demo.states[0] for demo in moved}
+                fresh.not_here = {d.uuid for d in moved if d.kind is Kind.NOT_HERE}
+                self.answered[self.who] += len(old.answers)
+                self.sessions[self.who, self.session] = new
+                self.turn_to(new)
+                self.awaited = moved[-1].uuid if moved else ''
+            elif name == self.name:
+                self.turn_to('')
+
+    @rule()
+    def restart_game(self) -> None:
+        self.table.lesson.game_restarted()
+        self.table.episode = 0
+        if self.path:
+            self.abandon()
+
+    @precondition(lambda self: self.who)
+    @rule()
+    def restart_lesson(self) -> None:
+        """Start the lesson's process again: it goes on where the other one was."""
+        self._start_lesson()
+        assert self.table.lesson.resume(self.who, self.session).ok
+        self.name = self.sessions[self.who, self.session]
+        self.name = self.name if self.taught is not None else ''
+        self.awaited = next(reversed(self.taught.shown), '') if self.taught is not None else ''
+
+    @rule()
+    def pause(self) -> None:
+        """While it is paused nothing new begins, and then all is as it was."""
+        before = self.table.lesson.view
+        self.table.lesson.pause('the disk is full')
+        for request in (OpenSession('p2'), DefineOption('go'), BeginDemonstration()):
+            assert self.table.ask(request).status is RequestStatus.PAUSED
+        paused = self.table.lesson.view
+        assert (paused.phase, paused.paused) == (before.phase, 'the disk is full')
+        self.table.lesson.pause('')
+        assert self.table.lesson.view == before
+
+    @property
+    def met(self) -> bool:
+        """Whether the newest report says that the criteria are met, for what is taught now."""
+        report, met = self.reports.get((self.who, self.name), (None, False))
+        option = self.taught
+        return (
+            met
+            and report is not None
+            and option is not None
+            and report.last_uuid in option.shown
+            and report.n_demonstrations + report.n_not_here <= len(option.shown)
+            and (report.features, report.method) == (option.chosen, option.method or TREES)
+        )
+
+    @property
+    def phase(self) -> Phase:
+        option = self.taught
+        if not self.who:
+            return Phase.NO_SESSION
+        if option is None:
+            return Phase.NO_OPTION
+        if self.path:
+            return Phase.DEMONSTRATING
+        if len(option.answers) < len(FEATURES):
+            return Phase.ASKING
+        if self.awaited:
+            return Phase.LEARNING
+        return Phase.FINISHED if self.met or len(option.shown) >= BUDGET else Phase.READY
+
+    @invariant()
+    def the_view_is_that_of_the_model(self) -> None:
+        view, option = self.table.lesson.view, self.taught
+        assert (view.phase, view.participant, view.session) == (self.phase, self.who, self.session)
+        assert (view.option_name, view.criteria_met) == (self.name, self.met)
+        assert view.text
+        if option is not None:
+            asking = len(option.answers) < len(FEATURES)
+            n_not_here = len(option.not_here & option.shown.keys())
+            assert view.n_not_here == n_not_here
+            assert view.n_demonstrations == len(option.shown) - n_not_here
+            assert view.last_uuid == next(reversed(option.shown), '')
+            assert view.chosen_features == option.chosen
+            assert view.earlier_features == (option.earlier if asking else ())
+            assert view.question_feature == (FEATURES[len(option.answers)] if asking else '')
+            assert view.question_id == (self.answered[self.who] + 1 if asking else 0)
+            assert view.method == (option.method or TREES)
+
+    @invariant()
+    def no_demonstration_is_lost(self) -> None:
+        expected = dict(self.moved)
+        for option in self.options.values():
+            expected |= dict.fromkeys(option.shown, False) | dict.fromkeys(option.withdrawn, True)
+        kept = {demo.uuid: demo.withdrawn for demo in self.table.lesson.demonstrations()}
+        assert kept == expected
+
+
+LessonMachine.TestCase.settings = settings(max_examples=60, stateful_step_count=40, deadline=None)
+TestLesson = LessonMachine.TestCase
+
+
+class Transcript(Table):
+    """A lesson that writes down what is asked, what is answered, and what is then shown."""
+
+    lines: list[str]
+
+    def ask(self, request: LessonRequest) -> Answer:
+        answer = super().ask(request)
+        given = (
+            f'{each.name}={getattr(request, each.name)!r}'
+            for each in fields(request)
+            if getattr(request, each.name) != each.default
+        )
+        self.lines.append(f'{type(request).__name__} {", ".join(given)}'.rstrip())
+        self.lines.append(f'    {answer.status.name}: {answer.detail}')
+        if answer.contradiction:
+            self.lines.append(f'    in {answer.situation}: {answer.contradiction}')
+        return answer
+
+    def news(self, *what: str) -> 'Transcript':
+        """Write down what has happened, and what the lesson then shows."""
+        self.lines += [f'... {each}' for each in what]
+        self.lines.append(f'    [{self.lesson.phase.value}] {self.lesson.view.text}')
+        return self
+
+
+Begin = Callable[..., Transcript]
+
+
+@pytest.fixture
+def script(tmp_path: Path) -> Iterator[list[Transcript]]:
+    """The transcripts of a test, in order."""
+    told: list[Transcript] = []
+    yield told
+    for each in told:
+        each.store.close()
+
+
+@pytest.fixture
+def begin(tmp_path: Path, script: list[Transcript]) -> Begin:
+    """Begin a transcript in a phase, in a folder of its own; nothing before is written down."""
+
+    def begin(title: str, phase: Phase = Phase.READY, **options: Any) -> Transcript:
+        table = Transcript(DemonstrationStore(tmp_path / str(len(script))), **options)
+        table.lines = []
+        TO_PHASE[phase](table)
+        table.lines = [f'# {title}']
+        script.append(table)
+        return table
+
+    return begin
+
+
+def test_what_is_asked_is_answered_in_words(begin: Begin, script: list[Transcript]) -> None:
+    table = begin('Codes and names', Phase.NO_SESSION)
+    for code in ('', 'a b', '../x', '..', 'x' * 61, 'Zo\u00eb'):
+        table.ask(OpenSession(code))
+    table.ask(OpenSession('p1', 's/1'))
+    assert [path.name for path in table.store.directory.iterdir()] == ['.lock']
+    for code in ('p1', 'p1', 'p2', 'P1'):
+        table.ask(OpenSession(code))
+    for name in ('', '   ', 'x' * 61, 'two\nlines', 'bell\a', 'action:north', '\u200b'):
+        table.ask(DefineOption(name))
+    table.ask(DefineOption('go', method='maps'))
+    table.ask(DefineOption('abhängen'))
+    table.ask(DefineOption('abha\u0308ngen'))  # the same letters
+    for new in ('x' * 61, '  ', 'action:north', 'abhängen', 'ho\u0308her'):
+        table.ask(ChangeOption('abhängen', new))
+    table.ask(ListDemonstrations('höher'))
+    table.ask(ListDemonstrations('unknown'))
+    begin('No plan where states cannot be listed', Phase.NO_SESSION, domain=PacMan()).opened().ask(
+        DefineOption('go', method=GOAL)
+    )
+    table = begin('Every answer is no', Phase.ASKING).news()
+    table.answer_all(())
+    table.news().answer_all()
+    table.ask(AnswerQuestion(0, back=True))
+    table.ask(AnswerQuestion(7, yes=True))
+    table = begin('Starts and verdicts')
+    for start in ('nowhere', 'taxi 9,9 passenger R destination G',
+                  'taxi 0,0 passenger R destination R'):  # fmt: skip
+        table.ask(BeginDemonstration(start))
+    table.began(START).news()
+    table.end()
+    table.end(None)
+    table.drive('west').end(Verdict.NOT_HERE)
+    table.ask(EndDemonstration(Verdict.DONE, 1, 0))
+    table.ask(DefineOption('another'))
+    table.end()
+    table.news().ask(WithdrawDemonstration())
+    table.learned()
+    table.ask(WithdrawDemonstration('unknown'))
+    table.ask(WithdrawDemonstration())
+    table.learned()
+    table.lesson.update_summaries([])
+    table.news('counted out').ask(WithdrawDemonstration())
+    table.ask(ChangeOption(OPTION))
+    table.news().ask(BeginDemonstration())
+    table = begin('The task is over').began('taxi 0,4 passenger aboard destination G')
+    assert table.drive('dropoff').news().end().demonstration.terminated
+    table = begin('A run that is watched to its end').began(START, watch=True)
+    table.drive('west', source=MACHINE).end()
+    table.end(machine=True)
+    table = begin('The budget', budget=1).shown().news()
+    table.ask(BeginDemonstration())
+    begin('All criteria are met', Phase.FINISHED).news()
+    table = begin('All are met, and some starts fail')
+    table.starts.more = True
+    table.began().drive('west').end()
+    table.learned(met=True)
+    table.news().began().news()
+    snapshot.check('lesson_answers.txt', '\n\n'.join('\n'.join(t.lines) for t in script))
+
+
+def test_news_of_game_learner_and_recorder_are_told_in_words(
+    begin: Begin, script: list[Transcript]
+) -> None:
+    def moved(table: Transcript, **changes: Any) -> Transcript:
+        """Have another state come than the one after the last."""
+        assert table.here is not None
+        table.lesson.add_transition(replace(table.here, **changes))
+        return table
+
+    def driven(title: str) -> Transcript:
+        table = begin(title).began(START)
+        table.lines = [f'# {title}']
+        return table.drive('west')
+
+    table = driven('The game')
+    table.episode += 1
+    table.arrives(START)
+    table.news('it is reset').ask(EndDemonstration(Verdict.DONE, 1, 1))
+    driven('').drive('west', source=MACHINE).news('a machine moves')
+    moved(driven(''), step=3).news('a state is lost')
+    table = driven('')
+    table.lesson.game_restarted()
+    table.news('it is restarted')
+    table = begin('')
+    table.lesson.began(1, table.ask(BeginDemonstration(START)).state)
+    table.episode = 1
+    table.arrives('taxi 4,4 passenger B destination R')
+    table.news('it begins elsewhere')
+    elsewhere = 'taxi 4,4 passenger R destination G'
+    row = tuple(TAXI.feature_values(TAXI.decode(elsewhere)).tolist())
+    for changes in (
+        {'step': 2, 'previous_action': 'north', 'state': elsewhere, 'features': row},
+        {'step': 2, 'reward': float('nan')},
+    ):
+        table = moved(driven(''), **changes)
+        table.here = replace(table.here, **changes)
+        table.end()
+        table.news('it breaks the rules')
+    table = begin('')
+    table.ask(BeginDemonstration(START))
+    table.lesson.not_begun(RequestStatus.NO_GAME, 'Game does not answer.')
+    table.news('it is silent').began()
+    table = begin('The learner', Phase.LEARNING)
+    table.lesson.learner_refused('another', 'not this one')
+    table.lesson.learner_refused(table.lesson.awaited, 'it has no steps')
+    table.news('it refuses').ask(WithdrawDemonstration())
+    table.lesson.learner_refused(table.lesson.awaited, 'cannot write')
+    table.news('it refuses again').began().drive('west').end()
+    table.lesson.learner_silent()
+    table.news('it is silent').ask(WithdrawDemonstration())
+    table.lesson.learner_silent()
+    table.news('it is still silent')
+    table = driven('The recorder')
+    table.lesson.pause('The disk is full.')
+    table.drive('west').news('it has stopped').end(Verdict.NOT_HERE)
+    table.end()
+    table.news()
+    table.learned()
+    table.news().ask(BeginDemonstration())
+    again = Transcript(table.store)
+    again.lines = table.lines
+    again.lesson.resume('p1', 's1')
+    again.news('The lesson is restarted')
+    snapshot.check('lesson_news.txt', '\n'.join('\n'.join(t.lines) for t in script))
+
+
+def test_contradictions_are_told_with_the_demonstration_that_showed_it(
+    begin: Begin, script: list[Transcript]
+) -> None:
+    west, around = ('west', 'pickup'), ('south', 'west', 'north', 'pickup')
+    for title, method, *ways in (
+        ('Another way', TREES, west, around),
+        ('An end that was passed by is told before a way', TREES, west, ('west',)),
+        ('Shown in two ways already', TREES, west, around, west),
+        ('By goal, ways contradict nothing', GOAL, west, around),
+        ('By goal, ends do', GOAL, west, ('west',)),
+        ('Not here', TREES, west, ()),
+    ):
+        table = begin(title, Phase.ASKING)
+        table.answer_all((*CHOSEN, 'passenger_in_taxi'))
+        table.ask(DefineOption(OPTION, method=method))
+        table.lines, kept = [f'# {title}'], []
+        for way in ways:
+            table.began(START).drive(*way)
+            kept.append(table.end(Verdict.DONE if way else Verdict.NOT_HERE))
+            table.learned()
+        assert kept[-1].contradicts == (kept[0].uuid if kept[-1].contradiction else '')
+    assert table.ask(WithdrawDemonstration()).ok
+    table.lesson.update_summaries([])
+    assert not table.began(START).drive('west', 'pickup').end().contradiction
+    snapshot.check('lesson_contradictions.txt', '\n'.join('\n'.join(t.lines) for t in script))
+
+
+def test_every_request_is_answered_in_every_phase(tmp_path: Path) -> None:
+    asked = [
+        *(OpenSession('p2'), DefineOption('another'), AnswerQuestion(1, yes=True)),
+        *(AnswerQuestion(0, back=True), BeginDemonstration(), WithdrawDemonstration()),
+        *(ChangeOption(OPTION, 'another'), EndDemonstration(Verdict.DONE, 1, 0)),
+        ListDemonstrations(),
+    ]
+    rows = {}
+    for phase in Phase:
+        for request in asked:
+            with DemonstrationStore(tmp_path / f'{phase.name}-{len(rows)}') as store:
+                table = TO_PHASE[phase](Table(store))
+                assert table.lesson.phase is phase
+                answer = table.ask(request)
+                assert answer.detail
+                assert answer.ok or table.lesson.phase is phase
+                rows[repr(request), phase.value] = answer.status.value
+    frame = pd.Series(rows).unstack(sort=False)
+    snapshot.check('lesson_statuses.txt', frame.to_string())
+
+
+def test_a_demonstration_holds_what_was_shown(table: Table) -> None:
+    table.ready().began(START)
+    table.time += 2.5
+    kept = table.drive('west', 'west', 'pickup').end(again=True).demonstration
+    assert kept is not None
+    assert kept.kind is Kind.TRAJECTORY
+    assert (kept.states[0], len(kept.states), len(kept.features)) == (START, 4, 4)
+    assert kept.actions == ('west', 'west', 'pickup')
+    assert kept.rewards == (-1.0, -1.0, 0.0)
+    assert (kept.participant, kept.session, kept.option_name) == ('p1', 's1', OPTION)
+    assert (kept.number, kept.chosen_features) == (1, CHOSEN)
+    assert (kept.can_start_at_end, kept.terminated, kept.seconds) == (True, False, 2.5)
+    table.learned()
+    refusal = table.began(START).end(Verdict.NOT_HERE, again=True).demonstration
+    assert refusal is not None
+    assert (refusal.kind, refusal.states, refusal.actions) == (Kind.NOT_HERE, (START,), ())
+    assert not refusal.can_start_at_end
+
+
+def test_the_same_lesson_gives_the_same_uuids_and_any_difference_others(tmp_path: Path) -> None:
+    folders = count()
+
+    def uuid(*steps: str, seconds: float = 0.0, by: Source = Source.PERSON) -> str:
+        with DemonstrationStore(tmp_path / str(next(folders))) as store:
+            table = Table(store).ready().began(START, watch=True)
+            table.time += seconds
+            return table.drive(*steps, source=by).drive('south').end(machine=True).uuid
+
+    assert uuid('west') == uuid('west', seconds=9.0)
+    assert len({uuid('west'), uuid('south'), uuid('west', by=MACHINE)}) == 3
+
+
+def test_states_may_come_before_or_after_games_answer_and_late(table: Table) -> None:
+    state = table.ready().ask(BeginDemonstration()).state
+    table.lesson.began(4, state)
+    table.episode = 3
+    table.arrives(START)
+    table.drive('west')  # of the episode before
+    assert table.lesson.phase is Phase.DEMONSTRATING
+    assert not table.lesson.reached(4, 0)
+    table.episode = 4
+    table.arrives(state)
+    assert table.lesson.reached(4, 0)
+    assert not table.lesson.reached(4, 1)
+    assert table.drive('west').end().ok
+
+
+def test_a_reset_before_the_first_state_came_ends_the_demonstration(table: Table) -> None:
+    begin = BeginDemonstration(START)
+    begun = table.lesson.began(1, table.ready().ask(begin).state)
+    table.episode = 2
+    assert table.arrives(START)
+    view = table.lesson.view
+    assert (view.phase, view.start_state) == (Phase.READY, '')
+    # A client that sees no earlier view does not wait for one.
+    assert settled(begin, begun, World(game=Transition(episode=2), lesson=view))
+
+
+def test_an_episode_that_begins_after_the_pause_is_no_demonstration(table: Table) -> None:
+    table.ready().ask(BeginDemonstration(START))
+    for asked in (
+        OpenSession('p2'),
+        DefineOption('b'),
+        WithdrawDemonstration(),
+        ChangeOption('b'),
+    ):
+        assert table.ask(asked).status is WRONG  # nothing comes between
+    table.lesson.pause('The disk is full.')
+    assert table.lesson.began(1, START).status is RequestStatus.PAUSED
+    assert table.lesson.phase is Phase.READY
+
+
+def test_an_unreadable_file_of_a_person_is_told(table: Table) -> None:
+    kept = table.ready().began(START).drive('west').end().demonstration
+    assert table.ask(OpenSession('p2')).ok
+    path = table.store.directory / 'p1.jsonl'
+    aside = path.rename(path.with_suffix('.aside'))
+    path.mkdir()
+    answer = table.ask(OpenSession('p1'))
+    assert answer.status is RequestStatus.NOT_SAVED
+    assert 'cannot read what p1 did' in answer.detail
+    assert table.lesson.view.participant == 'p2'
+    path.rmdir()
+    aside.rename(path)
+    assert table.ask(OpenSession('p1')).ok
+    assert kept in table.store.entries('p1')
+
+
+def test_demonstrations_of_other_domains_are_kept_apart(store: DemonstrationStore) -> None:
+    demo = Table(store).ready().began(START).drive('west').end().demonstration
+    assert demo is not None
+    store.append(replace(demo, domain_parameters='{"rows": 9}', uuid='another'))
+    table = Table(store).defined()
+    assert table.lesson.demonstrations() == [demo]
+    assert table.lesson.view.n_demonstrations == 1
+
+
+def test_an_option_goes_on_by_its_method_whatever_is_usual(store: DemonstrationStore) -> None:
+    assert Table(store, method=GOAL).ready().began().drive('west').end().ok
+    resumed = Table(store).opened()
+    resumed.ask(DefineOption(OPTION))
+    assert resumed.lesson.view.method == GOAL
+
+
+def test_a_renamed_option_can_be_learned(table: Table) -> None:
+    table.ready().began(START).drive('west').end()
+    table.learned()
+    (moved, _) = table.ask(ChangeOption(OPTION, 'fetch')).unsent
+    assert learn_option([moved], TAXI, 0).n_demonstrations == 1
+
+
+def test_the_lesson_waits_for_learner_and_start_states(table: Table) -> None:
+    table.ready()
+    table.starts.known = set()
+    assert table.began().end(Verdict.NOT_HERE).ok
+    table.learned()
+    assert table.lesson.phase is Phase.READY  # "not here" alone teaches start states nothing
+    table.starts.known = None
+    table.shown().starts.known = set()
+    table.began(START).drive('west').end()
+    for other in (status(last_uuid='older'), status('p2', last_uuid=table.lesson.awaited)):
+        table.lesson.update_summaries([other])
+        assert table.lesson.phase is Phase.LEARNING
+    uuid = table.lesson.awaited
+    table.learned()
+    assert table.lesson.phase is Phase.LEARNING
+    table.starts.known.add(uuid)
+    table.lesson.update_option('p1', OPTION, 'the option')
+    assert table.lesson.phase is Phase.READY
+    table.ask(WithdrawDemonstration(uuid))
+    table.lesson.update_summaries([])
+    assert table.lesson.phase is Phase.LEARNING
+    table.starts.known.clear()
+    table.lesson.update_option('p1', OPTION, 'the option without it')
+    assert table.lesson.phase is Phase.READY
+
+
+@pytest.fixture(scope='module')
+def few(taxi_lesson: list[Demonstration]) -> list[Demonstration]:
+    """A few demonstrations: not enough to learn the option."""
+    return [demo for demo in taxi_lesson if demo.option_name == OPTION][:6]
+
+
+@pytest.fixture(scope='module')
+def option(few: list[Demonstration]) -> LearnedOption:
+    return learn_option(few, TAXI, 0)
+
+
+def history(shown: Sequence[Demonstration], features: Sequence[Any]) -> OptionHistory:
+    found = OptionHistory('p1', shown[0].option_name, features)
+    for demo in shown:
+        found.add(demo)
+    return found
+
+
+def starts(domain: Domain[Any], text: str = '', **rules: Any) -> SeededStarts:
+    """Return the start states of a lesson to which the learner has published an option."""
+    found = SeededStarts(domain, LessonRules(**rules))
+    if text:
+        found.learned('p1', OPTION, text)
+    return found
+
+
+def test_failures_asks_for_a_state_where_the_learned_option_fails(
+    taxi: Any, few: list[Demonstration], option: LearnedOption
+) -> None:
+    text, known = option_to_json(option, []), history(few, taxi.features)
+    failing = find_failures(option, taxi, few).failing
+    assert failing.any()
+    for seed in range(5):
+        start = starts(taxi, text, seed=seed).draw(known)
+        assert failing[taxi.index(taxi.decode(start))]
+    assert not starts(taxi, text).exhausted(known)
+    assert starts(taxi, text, until_no_failures=False).exhausted(known)
+    assert starts(taxi, text, strategy='random').exhausted(known)
+
+
+def test_it_counts_what_the_newest_option_was_learned_from(
+    few: list[Demonstration], option: LearnedOption
+) -> None:
+    known, newer = history(few, TAXI.features), replace(few[0], uuid='newer')
+    assert not starts(TAXI).counts(known, few[0])
+    chooser = starts(TAXI, option_to_json(option, []))
+    assert all(chooser.counts(known, demo) for demo in few)
+    assert not chooser.counts(known, replace(few[0], withdrawn=True))
+    assert not chooser.counts(known, newer)
+    assert chooser.counts(known, replace(newer, withdrawn=True))
+    assert starts(TAXI, strategy='random').counts(known, newer)
+
+
+@pytest.mark.parametrize('strategy', ['random', 'coverage', 'failures'])
+def test_a_sample_that_is_drawn_ahead_changes_no_start_state(
+    yard: Domain[Any], yard_lesson: list[Demonstration], strategy: str
+) -> None:
+    shown = [demo for demo in yard_lesson if demo.option_name == yard_lesson[0].option_name][:6]
+    text = option_to_json(learn_option(shown[:2], yard, 0), [])
+    known, empty = history(shown, yard.features), OptionHistory('p1', OPTION, yard.features)
+    plain, ahead = (starts(yard, strategy=strategy) for _ in range(2))
+    for chooser in (plain, ahead):
+        chooser.learned('p1', known.name, text)
+    for each in (known, known, empty):
+        drawn = plain.draw(each)
+        ahead.draw_ahead(empty)
+        ahead.draw_ahead(each)
+        assert ahead.draw(each) == drawn
+    known.number += 1
+    assert ahead.draw(known) == plain.draw(known)
+
+
+def test_what_is_no_option_of_the_domain_is_refused(option: LearnedOption) -> None:
+    larger = make_domain('taxi', {'rows': 6, 'cols': 6})
+    for domain, text in ((TAXI, '{}'), (TAXI, 'not JSON'), (larger, option_to_json(option, []))):
+        with pytest.raises(OptionError):
+            starts(domain, text)
