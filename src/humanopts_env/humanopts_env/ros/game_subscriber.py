@@ -161,10 +161,6 @@ class GameSubscriber:
         """Name of the game's node, without its namespace; empty: it is not found yet."""
         return signer(self.publisher_id).rpartition('/')[2]
 
-    def is_there(self) -> bool:
-        """Return whether the game is on the graph."""
-        return self.publisher_id in game_ids(self._node)
-
     def _is_game(self, publisher_id: str) -> bool:
         """
         Return whether a message is from the game; False: the graph may list it as such later.
