@@ -33,7 +33,7 @@ unexport PYTHONDONTWRITEBYTECODE COLCON_DEFAULTS_FILE
 unexport $(shell sed -n 's/^unset //p' tools/environment.sh)
 export COLCON_HOME := $(CURDIR)/build/colcon
 
-.PHONY: help setup checked demo test test-quick test-floor test-whole test-slow test-browser test-hosts test-stress soak lint docs screens format lock clean
+.PHONY: help setup checked demo test test-quick test-floor test-whole test-slow test-browser test-hosts test-stress soak lint docs format lock clean
 
 help:
 	@echo 'make demo    teach a simulated agent two options for Taxi, plan, drive, report (OUT=, SEED=)'
@@ -48,7 +48,6 @@ help:
 	@echo 'make soak    a long lesson among random faults and garbage (SECONDS=, SEED=)'
 	@echo 'make lint    ruff, mypy --strict, rosdep keys and pages of the packages'
 	@echo 'make docs    build the documentation as a site, build/site/index.html'
-	@echo 'make screens take the pictures of all screens of the dialogue, docs/reference/screens.md'
 	@echo 'make setup   only the set-up that the others do when it is needed'
 	@echo 'make format  reformat the Python code'
 	@echo 'make lock    resolve requirements*.in into requirements*.lock again'
@@ -146,9 +145,6 @@ lint: checked
 docs: $(VENV)/.test-locked
 	@NO_MKDOCS_2_WARNING=1 $(VENV)/bin/mkdocs build --strict 2> >(grep -v '^INFO' >&2)
 	@echo 'The documentation is build/site/index.html'
-
-screens: checked
-	@$(WITH_ROS) $(VENV)/bin/python tools/make_screens.py
 
 format: checked
 	@$(VENV)/bin/ruff check --fix --quiet $(CHECKED)

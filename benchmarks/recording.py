@@ -13,8 +13,8 @@ from typing import Any
 
 from humanopts_interfaces.msg import ActionCommand, GameState
 from humanopts_ros.qos import STREAM
+from humanopts_teach.bags.info import summarise
 from humanopts_teach.bags.reader import open_bag
-from humanopts_teach.bags.sequence_numbers import count_loss
 from humanopts_teach.launching.launcher import Launcher
 from humanopts_teach.launching.processes import ProcessSpec
 from humanopts_teach.launching.usage import usage_of
@@ -94,7 +94,7 @@ def _received(folder: Path) -> tuple[int, float]:
     bag, topics = open_bag(folder / 'bag'), [f'{NAMESPACE}/{name}' for name in KINDS]
     statuses = bag.messages([f'{NAMESPACE}/recorder_status'])
     waited = max(recorded.message.lag for recorded in statuses)
-    return sum(s.received for s in count_loss(bag) if s.topic in topics), waited
+    return sum(s.received for s in summarise(bag).streams if s.topic in topics), waited
 
 
 class Sender(Client):

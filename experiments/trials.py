@@ -176,12 +176,12 @@ def _executor(jobs: int, dask: str) -> Iterator[Executor | None]:
             '--dask needs the packages dask and distributed, which are not installed'
         ) from None
     try:
-        client = Client(dask, timeout=ANSWERS_WITHIN)  # type: ignore[no-untyped-call]
+        client = Client(dask, timeout=ANSWERS_WITHIN)
     except (OSError, ValueError) as error:
         raise ClusterError(f'no Dask scheduler answers at {dask}: {error}') from error
     with client:
         _check_cluster(client, dask)
-        yield client.get_executor(pure=False)  # type: ignore[no-untyped-call]
+        yield client.get_executor(pure=False)
 
 
 def _check_cluster(client: Any, dask: str) -> None:

@@ -9,6 +9,7 @@ from graph_support.command import DemoRun, EPISODES, shared_demo
 from graph_support.live import free_domain_id, Graph, open_graph
 from humanopts_ros.environment import prepare_discovery, PROFILES
 import pytest
+from teach_support.bags import write_lesson
 
 os.environ['ROS_PYTHON_CHECK_FIELDS'] = '1'  # a misspelt field is an error, here and in the nodes
 os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
@@ -100,3 +101,9 @@ def demo(tmp_path_factory: pytest.TempPathFactory, worker_id: str) -> DemoRun:
     everybodys = own if worker_id == 'master' else own.parent
     arguments = ('--domain', 'taxi', '--seed', 1, '--episodes', EPISODES)
     return shared_demo(everybodys / 'demo', *arguments)
+
+
+@pytest.fixture(scope='session')
+def lesson_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A bag of a short lesson on Taxi."""
+    return write_lesson(tmp_path_factory.mktemp('lesson') / 'bag')

@@ -17,8 +17,8 @@ from humanopts_learner.demonstrations import GOAL, Kind, METHODS
 from humanopts_learner.options.files import option_from_json
 from humanopts_teach.bags.check import check_bag
 from humanopts_teach.bags.contents import Episode, read_episodes
+from humanopts_teach.bags.info import summarise
 from humanopts_teach.bags.reader import Bag, DEMONSTRATION, open_bag
-from humanopts_teach.bags.sequence_numbers import count_loss
 from humanopts_teach.cli import main
 from humanopts_teach.evaluation.tables import OPTIONS, PLANS, SECONDS
 import numpy as np
@@ -194,7 +194,7 @@ def _all(bag: Bag, topic: str) -> list[Any]:
 
 
 def test_no_message_is_lost_and_the_summary_counts_them(demo: DemoRun, bag: Bag) -> None:
-    streams = list(count_loss(bag))
+    streams = summarise(bag).streams
     assert [stream for stream in streams if stream.missing or stream.duplicates] == []
     assert len(streams) > 20
     assert bag.damage == ''

@@ -14,14 +14,13 @@ from humanopts_teach.cli import main
 import pytest
 import yaml
 
-BAG = Path(__file__).parent / 'data' / 'earlier' / 'bag'  # a short lesson
 TOOLS = Path(sys.executable).parent
 TOPICS = ('/game_state', '/domain_info', '/demonstrations', '/lesson_state')
 
 
-def convert(out: Path, *options: str) -> Path:
+def convert(bag: Path, out: Path, *options: str) -> Path:
     """Convert a lesson with the tool of rosbags."""
-    tool = [TOOLS / 'rosbags-convert', '--src', BAG, '--dst', out, '--dst-storage']
+    tool = [TOOLS / 'rosbags-convert', '--src', bag, '--dst', out, '--dst-storage']
     subprocess.run([*tool, *options, '--include-topic', *TOPICS], check=True)
     return out
 
@@ -44,10 +43,15 @@ def refusal(bag: Path, capsys: pytest.CaptureFixture[str], command: str = 'check
     ],
 )
 def test_a_compressed_bag_says_so_and_the_command_that_it_names_makes_one_that_is_read(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], storage: str, mode: str, said: str
+    tmp_path: Path,
+    lesson_bag: Path,
+    capsys: pytest.CaptureFixture[str],
+    storage: str,
+    mode: str,
+    said: str,
 ) -> None:
     compress = ['--compress', 'zstd', '--compress-mode', mode]
-    bag = convert(tmp_path / 'bag_of_others', storage, *compress)
+    bag = convert(lesson_bag, tmp_path / 'bag_of_others', storage, *compress)
     for command in ('check', 'eval', 'info', 'table1'):
         line = refusal(bag, capsys, command)
         assert re.search(said, line)
@@ -56,7 +60,7 @@ def test_a_compressed_bag_says_so_and_the_command_that_it_names_makes_one_that_i
     if storage == 'mcap':
         assert re.search(said, refusal(bag, capsys))
     shutil.rmtree(bag)
-    convert(bag, storage, *compress)
+    convert(lesson_bag, bag, storage, *compress)
     tool, *arguments = shlex.split(line.partition('convert it: ')[2])
     subprocess.run([TOOLS / tool, *arguments], check=True)
     made = Path(arguments[arguments.index('--dst') + 1])
@@ -68,11 +72,15 @@ def test_a_compressed_bag_says_so_and_the_command_that_it_names_makes_one_that_i
     [('.gz', gzip.compress), ('.bz2', bz2.compress), ('.xz', lzma.compress), ('', gzip.compress)],
 )
 def test_a_compressed_file_names_the_command_that_decompresses_it(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], suffix: str, compress: object
+    tmp_path: Path,
+    lesson_bag: Path,
+    capsys: pytest.CaptureFixture[str],
+    suffix: str,
+    compress: object,
 ) -> None:
     assert callable(compress)
     packed = tmp_path / f'a lesson.mcap{suffix}'
-    packed.write_bytes(compress((BAG / 'bag_0.mcap').read_bytes()))
+    packed.write_bytes(compress((lesson_bag / 'bag_0.mcap').read_bytes()))
     command = refusal(packed, capsys).partition('decompress it: ')[2]
     subprocess.run(command, shell=True, check=True)
     made = shlex.split(command)[-1]
@@ -80,9 +88,9 @@ def test_a_compressed_file_names_the_command_that_decompresses_it(
 
 
 def test_one_compressed_file_of_several_is_named(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, lesson_bag: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    bag = Path(shutil.copytree(BAG, tmp_path / 'bag'))
+    bag = Path(shutil.copytree(lesson_bag, tmp_path / 'bag'))
     (bag / 'bag_1.mcap.zstd').write_bytes(b'\x28\xb5\x2f\xfd')
     metadata = yaml.safe_load((bag / 'metadata.yaml').read_text())
     metadata['rosbag2_bagfile_information']['relative_file_paths'].append('bag_1.mcap.zstd')
@@ -95,9 +103,9 @@ def test_one_compressed_file_of_several_is_named(
 
 @pytest.mark.parametrize('left', ['key', 'null', 'empty'])
 def test_facts_that_another_tool_has_dropped_are_no_damage(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], left: str
+    tmp_path: Path, lesson_bag: Path, capsys: pytest.CaptureFixture[str], left: str
 ) -> None:
-    bag = Path(shutil.copytree(BAG, tmp_path / 'bag'))
+    bag = Path(shutil.copytree(lesson_bag, tmp_path / 'bag'))
     metadata = yaml.safe_load((bag / 'metadata.yaml').read_text())
     information = metadata['rosbag2_bagfile_information']
     del information['custom_data']

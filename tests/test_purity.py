@@ -78,7 +78,6 @@ def test_dependencies_run_one_way() -> None:
         assert others <= {package, *lower}, path
 
 
-BAG = Path(__file__).parent / 'data' / 'earlier' / 'bag'  # a short lesson
 # What a machine without ROS has: nothing to import, and no libraries to load.
 WITHOUT_ROS = """
 import json
@@ -103,8 +102,8 @@ for command in json.loads(sys.argv[1]):
 """
 
 
-def test_a_bag_is_read_where_there_is_no_ros(tmp_path: Path) -> None:
-    bag = str(BAG)
+def test_a_bag_is_read_where_there_is_no_ros(tmp_path: Path, lesson_bag: Path) -> None:
+    bag = str(lesson_bag)
     commands = {
         ('info', bag): 'demonstrations',
         ('eval', bag): 'go to passenger and pickup',

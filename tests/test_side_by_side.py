@@ -124,7 +124,7 @@ def test_a_bag_with_forged_messages_is_read_as_the_nodes_saw_it(
         if command == 'eval':
             assert f'left out: 1 message on /domain_info: {why}' in said.err
     found = summarise(open_bag(bag))
-    assert (found.participants, found.option_runs) == (('p1',), {})
+    assert (found.participants, found.results['option runs']) == (['p1'], {})
     with live.hurried():
         for name in ('/learner', '/lesson', '/option_server', '/planner'):
             guard = live.node_called(name).guard
@@ -229,7 +229,7 @@ def test_a_bag_of_another_program_with_several_graphs_is_read_one_at_a_time(
         Lesson(live, '/b', 'p2').taught(NORTH, domain='rooms'),
     ]
     for bag, who in zip(bags, ('p1', 'p2')):
-        assert summarise(open_bag(bag)).participants == (who,)
+        assert summarise(open_bag(bag)).participants == [who]
         assert check_bag(open_bag(bag)).whole
     everything = tmp_path / 'all'
     with BagWriter(everything) as writer:

@@ -1,16 +1,23 @@
 """Bags of what the test says, and what is in them."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 import os
 from pathlib import Path
 from typing import Any
 
+from graph_support.scripted import DELIVER, FETCH
 from humanopts_env.domains.base import Domain
+from humanopts_env.domains.registry import make_domain
 from humanopts_env.game import Command, Game, Source, Transition
-from humanopts_interfaces.msg import GameState
+from humanopts_env.ros.convert import domain_to_info, transition_to_message
+from humanopts_interfaces.msg import ActionCommand, GameState, LessonState
+from humanopts_learner.ros.convert import demonstration_to_message
 from humanopts_ros.senders import SENDERS
+from humanopts_teach.bags.provenance import software
 from humanopts_teach.bags.reader import Bag, open_bag
 from humanopts_teach.bags.writer import BagWriter, Limits, NO_LIMITS
+from humanopts_teach.lesson.in_process import teach
+from humanopts_teach.lesson.simulated_teacher import TeacherSettings
 from mcap.reader import make_reader
 from mcap.writer import Writer
 from rclpy.serialization import serialize_message
@@ -55,10 +62,12 @@ def steps(path: Path) -> list[int]:
     return [recorded.message.step for recorded in open_bag(path).messages()]
 
 
-def write_messages(path: Path, entries: Iterable[tuple[str, Any]]) -> Bag:
+def write_messages(
+    path: Path, entries: Iterable[tuple[str, Any]], facts: Mapping[str, str] | None = None
+) -> Bag:
     """Write (topic, message) pairs, signed and numbered per topic, and open the bag."""
     numbers: dict[str, int] = {}
-    with BagWriter(path) as writer:
+    with BagWriter(path, facts) as writer:
         for time, (topic, message) in enumerate(entries, start=1):
             package, kind = type(message).__module__.split('.')[:2]
             writer.add_topic(topic, f'{package}/{kind}/{type(message).__name__}')
@@ -68,6 +77,8 @@ def write_messages(path: Path, entries: Iterable[tuple[str, Any]]) -> Bag:
                 message.publisher_id = f'{topic.rpartition("/")[0]}/{sender}#1'
                 message.sequence = numbers[topic]
             writer.write(topic, serialize_message(message), time * 10**9)
+            if time % 20 == 0:
+                writer.flush()
     return open_bag(path)
 
 
@@ -87,6 +98,48 @@ def play(domain: Domain[Any], actions: list[str]) -> list[Transition]:
         game.command(Command('/x#1', number, Source.MACHINE, 1, number - 1, action))
         moments.append(game.transition)
     return moments
+
+
+def write_lesson(path: Path) -> Path:
+    """
+    Record a short lesson of two options on Taxi, whose demonstrations are then played by them.
+
+    The facts are those of a launch.
+    """
+    domain = make_domain('taxi')
+    teacher = TeacherSettings(options=(FETCH, DELIVER), participant='p1')
+    shown = teach(domain, teacher, enough=lambda demos, _: len(demos) >= 8).demonstrations
+    facts = {
+        'domain': domain.name,
+        'domain_parameters': '{}',
+        'namespace': '/',
+        'seed': '1',
+        'budget': '12',
+        'strategy': 'failures',
+        'participant': 'p1',
+        'return_delta': '2.0',
+        'initiation_error': '0.05',
+        'termination_error': '0.05',
+        'teacher_error_rate': '0.0',
+    }
+    sent: list[tuple[str, Any]] = [('/domain_info', domain_to_info(domain))]
+    sent.append(('/lesson_state', LessonState(participant='p1', session='s1')))
+    sent += [('/demonstrations', demonstration_to_message(demo)) for demo in shown]
+    game, number = Game(domain), 0
+    for demo in filter(lambda demo: demo.actions, shown):
+        game.reset(demo.states[0], 1, Source.MACHINE)
+        sent.append(('/game_state', transition_to_message(game.transition)))
+        for action in demo.actions:
+            number += 1
+            at = game.transition
+            sender = '/option_server#1', number
+            game.command(Command(*sender, Source.MACHINE, at.episode, at.step, action))
+            command = ActionCommand(action=action, option_name=demo.option_name)
+            command.publisher_id, command.sequence = sender
+            sent.append(('/action', command))
+            sent.append(('/game_state', transition_to_message(game.transition)))
+    write_messages(path, sent, {**software(), **facts})
+    return path
 
 
 def without(bag: Path, copy: Path, type_name: str, leave_out: Callable[[Any], bool]) -> Path:

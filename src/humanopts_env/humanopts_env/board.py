@@ -11,6 +11,7 @@ without being listed.
 
 from dataclasses import dataclass
 from itertools import groupby
+import math
 
 import numpy as np
 
@@ -50,6 +51,18 @@ class Board:
     colour: str = ''  # of blocks and walls
     dotted: bool = True  # a dot in each empty cell makes it easy to count them
     picture: str = ''  # a drawing in characters that a world without cells brings with it
+
+    def places(self) -> list[tuple[Mark, tuple[float, float], float]]:
+        """Return each mark with its place in rows and columns, and its size in cells."""
+        found = []
+        for (row, col), marks in self.marks_by_cell().items():
+            across = math.ceil(math.sqrt(len(marks)))
+            down = math.ceil(len(marks) / across)
+            for number, mark in enumerate(marks):
+                part = divmod(number, across)
+                place = row + (part[0] + 0.5) / down, col + (part[1] + 0.5) / across
+                found.append((mark, place, 1 / across))
+        return found
 
     def marks_by_cell(self) -> dict[Cell, list[Mark]]:
         """Return the marks of each cell that has any."""

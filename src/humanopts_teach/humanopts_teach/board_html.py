@@ -50,7 +50,7 @@ def board_html(board: Board) -> str:
         f'<path class="blocks {walls}" d="{blocks}"/>',
         f'<path class="walls {walls}" d="M0 0H{width}V{height}H0z{lines}"/>',
         f'<path class="dots" d="{dots}"/>',
-        *(_mark(*each) for marks in board.marks_by_cell().values() for each in _places(marks)),
+        *(_mark(*each) for each in board.places()),
     ]
     return (
         f'<svg class="board" role="img" aria-label="the board" '
@@ -72,19 +72,9 @@ def notes_html(board: Board) -> list[str]:
     ]
 
 
-def _places(marks: list[Mark]) -> list[tuple[Mark, float, float]]:
-    """Return the marks of a cell with their places and sizes, side by side; the first is last."""
-    count = len(marks)
-    size = 1.6 if count == 1 else 2.4 / count
-    return [
-        (mark, (number + 0.5) / count if count > 1 else 0.5, size)
-        for number, mark in reversed(list(enumerate(marks)))
-    ]
-
-
-def _mark(mark: Mark, across: float, size: float) -> str:
-    (row, col), name = mark.cell, style_classes(mark.colour)
-    at = f'translate({(col + across) * CELL:g} {(row + 0.5) * CELL:g}) scale({size:.3g})'
+def _mark(mark: Mark, place: tuple[float, float], size: float) -> str:
+    name, scale = style_classes(mark.colour), 1.4 if size == 1 else 2 * size
+    at = f'translate({place[1] * CELL:g} {place[0] * CELL:g}) scale({scale:.3g})'
     shape = _SHAPES.get(mark.kind) or f'<text y="6">{html.escape(mark.kind)}</text>'
     return f'<g class="{name}" transform="{at}">{shape}</g>'
 

@@ -80,10 +80,8 @@ def scene(board: Board) -> Iterator[Shape]:
         if cells:
             centres = tuple((col + 0.5, height - row - 0.5) for row, col in cells)
             yield Shape('board', kind, centres, (of,), size)
-    for (row, col), marks in board.marks_by_cell().items():
-        for number, mark in enumerate(marks):
-            at = col + (number + 0.5) / len(marks), height - row - 0.5
-            yield _sign(mark, at, 1.0 if len(marks) == 1 else 0.7)
+    for mark, (row, col), part in board.places():
+        yield _sign(mark, (col, height - row), 1.0 if part == 1 else 0.7)
     lines = [*board.picture.split('\n'), *(''.join(s for s, _ in line) for line in caption(board))]
     for number, note in enumerate(filter(None, lines)):
         yield Shape(

@@ -1,6 +1,6 @@
 """Tables as lines of text, for terminals."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from humanopts_ros.limits import shown
 
@@ -19,6 +19,11 @@ def table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
     return '\n'.join(
         aligned([head, *([shown(str(value), _WIDEST) for value in row] for row in rows)], right)
     )
+
+
+def table_of(rows: Sequence[Mapping[str, object]]) -> str:
+    """Lay out rows whose keys are the heads of the columns, as ``table`` does."""
+    return table(list(rows[0]), [list(row.values()) for row in rows]) if rows else ''
 
 
 def aligned(rows: Sequence[Sequence[str]], right: Sequence[bool]) -> list[str]:

@@ -16,7 +16,6 @@ from humanopts_learner.demonstrations import (
 from humanopts_learner.ros.convert import demonstration_to_message
 from humanopts_teach.bags import BagError
 from humanopts_teach.bags.contents import (
-    Actors,
     find_episodes,
     read_actors,
     read_demonstrations,
@@ -214,7 +213,7 @@ def test_messages_whose_definition_is_another_are_left_out_and_said(
     assert list(read_episodes(bag)) == []
     assert summarise(bag).episodes == 0
     assert read_demonstrations(bag) == []
-    assert read_actors(bag).name('', 0) == ''
+    assert read_actors(bag) == {}
     with pytest.raises(BagError, match='does not say which domain'):
         read_domain(bag)
     assert len(bag.damage.splitlines()) >= 4
@@ -275,18 +274,6 @@ def test_a_state_after_a_later_episode_is_left_out_and_said(
     bag = write_messages(tmp_path / 'bag', [*entries, late])
     assert [len(episode.transitions) for episode in read_episodes(bag)] == [2, 2, 4, 2]
     assert 'after a later episode are left out' in bag.damage
-
-
-@given(
-    strategies.lists(strategies.tuples(strategies.integers(1, 40), strategies.sampled_from('abc')))
-)
-def test_actors_are_those_of_the_commands_whatever_their_order(
-    commands: list[tuple[int, str]],
-) -> None:
-    actors, told = Actors(), dict(reversed(commands))  # the first of a number counts
-    for number, name in commands:
-        actors.add('/o#1', number, name)
-    assert [actors.name('/o#1', n) for n in range(42)] == [told.get(n, '') for n in range(42)]
 
 
 def test_more_gaps_than_are_kept_hide_no_loss() -> None:

@@ -22,7 +22,6 @@ from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.ros.convert import demonstration_to_message
 from humanopts_teach.bags.info import summarise
 from humanopts_teach.bags.reader import open_bag
-from humanopts_teach.bags.sequence_numbers import count_loss
 from humanopts_teach.bags.writer import BagWriter
 from humanopts_teach.cli import main
 import pytest
@@ -39,21 +38,21 @@ def test_gaps_made_by_hand_are_counted_per_topic_and_publisher(tmp_path: Path) -
     entries += [('/b', numbered(n)) for n in (1, 2, 3)]
     entries += [('/rosout', String(data='not numbered'))]
     bag = write_messages(tmp_path / 'bag', entries)
+    info = summarise(bag)
     rows = {
         (s.topic, s.publisher): (s.first, s.last, s.received, s.missing, s.duplicates)
-        for s in count_loss(bag)
+        for s in info.streams
     }
     assert rows == {
         ('/a', '/game#1'): (1, 6, 4, 2, 1),
         ('/a', '/game#2'): (3, 4, 2, 2, 0),
         ('/b', '/game#1'): (1, 3, 3, 0, 0),
     }
-    info = summarise(bag)
     assert info.missing == 4
-    assert [(t.name, t.messages, t.counted) for t in info.topics] == [
-        ('/a', 7, True),
-        ('/b', 3, True),
-        ('/rosout', 1, False),
+    assert [(t.name, t.messages, t.publishers, t.lost) for t in info.topics] == [
+        ('/a', 7, 2, 4),
+        ('/b', 3, 1, 0),
+        ('/rosout', 1, None, None),
     ]
     assert 'missing: 4 messages' in info.to_text()
 
@@ -65,7 +64,7 @@ def test_however_long_names_are_and_however_many_the_text_is_short(tmp_path: Pat
     text = replace(info, domains=['y' * 50_000]).to_text()
     assert max(map(len, text.splitlines())) < 500
     assert text.endswith('and 11 streams more')
-    assert re.search(r'missing: 68 messages\n.*\n/a +worst +9 +8 +0\n', text)
+    assert re.search(r'missing: 68 messages\n.*\n/a +worst +9 +1 +8 +0 +0 +0\n', text)
 
 
 def test_the_summary_counts_what_was_taught_and_done(
@@ -103,11 +102,12 @@ def test_the_summary_counts_what_was_taught_and_done(
     assert pickup.withdrawn == 1
     assert pickup.steps == sum(len(demo.actions) for demo in demos)
     assert pickup.criteria_met
-    assert info.participants == ('p1',)
-    assert info.sessions == ('s1', 's2')
-    assert info.option_runs == {'reached': 2, 'interrupted': 1, 'stopped_by_plan': 1}
-    assert info.plans == {'converged': 1}
-    assert info.policy_runs == {'done': 1, 'canceled': 1}
+    assert (info.participants, info.sessions) == (['p1'], ['s1', 's2'])
+    assert info.results == {
+        'option runs': {'reached': 2, 'interrupted': 1, 'stopped_by_plan': 1},
+        'plans': {'converged': 1},
+        'policy runs': {'done': 1, 'canceled': 1},
+    }
     assert (info.interruptions, info.execution_changes) == (5, 1)
     assert (info.episodes, info.episodes_ended) == (1, 0)
     assert info.messages == len(entries)
@@ -167,14 +167,10 @@ def test_info_tells_when_each_criterion_held_first_and_how_it_developed(tmp_path
         )
         statuses.append(LearningStatus(options=[option]))
     info = summarise(write_messages(tmp_path / 'bag', [('/learning_status', s) for s in statuses]))
-    (row,) = info.criteria
-    assert [(p.demonstrations, p.value, p.seconds) for p in row.points] == [
+    assert [(row.demonstrations, row.value, row.seconds) for row in info.criteria] == [
         *((1, None, 0.0), (2, 0.3, 1.0), (3, 0.05, 3.0), (4, 0.2, 4.0)),
     ]
-    assert row.first_met == row.points[2]
-    assert json.loads(json.dumps(info.to_dict(), allow_nan=False))['criteria'][0]['points'][2][
-        'met'
-    ]
+    assert json.loads(json.dumps(info.to_dict(), allow_nan=False))['criteria'][2]['met']
     assert re.search(r'initiation +0\.1 +3 shown, 0 not here +3\.0 +0\.05 +0\.2\n', info.to_text())
 
 

@@ -30,9 +30,7 @@ def episode(domain: Domain[Any], actions: list[str], number: int = 1) -> Episode
 def replay(taxi: Domain[Any]) -> Replay:
     """Two episodes, of three steps and one."""
     episodes = [episode(taxi, ['pickup', 'south', 'east']), episode(taxi, ['east'], 2)]
-    actors = Actors()
-    for command in COMMANDS:
-        actors.add(*command)
+    actors: Actors = {(sender, number): name for sender, number, name in COMMANDS}
     return Replay(taxi, [lambda e=e: e for e in episodes], lambda _: actors)
 
 

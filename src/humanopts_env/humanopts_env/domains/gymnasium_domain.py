@@ -39,7 +39,7 @@ from numpy.typing import NDArray
 START, GOAL, FLOOR, NEVER = 'S', 'G', DOT, HATCHED_BOX
 TILES = {  # name and colour of what a cell is; of floor only that it is empty
     START: ('start', GREEN),
-    'F': ('ice', ''),
+    'F': ('ice', GREY),
     'H': ('hole', RED),
     NEVER: ('never entered', GREY),
     GOAL: ('goal', TEAL),

@@ -11,7 +11,7 @@ from humanopts_teach.bags.reader import Bag
 from humanopts_teach.bags.rosbag2 import Extent, FILE, profiles
 from humanopts_teach.bags.sequence_numbers import MessageCounter, Stamp, Stream
 from humanopts_teach.bags.writer import BagWriter, RECORD, SELF
-from humanopts_teach.text_table import table
+from humanopts_teach.text_table import table_of
 
 RECORDER = '(recorder)'  # shown as publisher where only the recorder numbers messages
 UNNUMBERED = '(nobody)'  # shown where messages have no numbers, so loss cannot be counted
@@ -53,7 +53,7 @@ class Check:
             'path': self.path,
             'messages': self.messages,
             'damage': list(self.damage),
-            'accounts': [_columns(stream) for stream in self.streams],
+            'streams': [stream.to_dict() for stream in self.streams],
             'recording': self.recording,
             'whole': self.whole,
             'findings': list(self.findings),
@@ -62,8 +62,6 @@ class Check:
 
     def to_text(self) -> str:
         """Return the check as text for a person."""
-        rows = [_columns(stream) for stream in self.streams]
-        numbers = table(list(rows[0]), [list(row.values()) for row in rows]) if rows else ''
         if self.recording:
             wrong = 'something is wrong' if self.findings else 'none missing'
             verdict = f'{self.path} is being recorded: {self.messages} messages so far, {wrong}'
@@ -72,20 +70,8 @@ class Check:
         else:
             verdict = f'{self.path} is damaged or incomplete: {self.messages} messages were read'
         lines = *self.findings, *(f'not counted: {text}' for text in self.strangers)
-        told = [verdict, *(f'- {text}' for text in lines)]
-        return '\n'.join([*map(one_line, told), '', numbers])
-
-
-def _columns(stream: Stream) -> dict[str, str | int]:
-    return {
-        'topic': stream.topic,
-        'publisher': stream.publisher,
-        'sent': stream.last,  # up to the last message that was recorded
-        'recorded': stream.received,
-        'missing': stream.missing,
-        'repeated': stream.duplicates,
-        'late': stream.late,
-    }
+        numbers = table_of([stream.to_dict() for stream in self.streams])
+        return '\n'.join([one_line(verdict), *(f'- {one_line(e)}' for e in lines), '', numbers])
 
 
 def check_bag(bag: Bag) -> Check:
@@ -152,15 +138,12 @@ def _compare(bag: Bag, counts: Counter[str], extent: Extent) -> None:
 
 REPAIR = 'humanopts_repair'  # name of the MCAP metadata record that describes a repair
 
-MOST_AT_ONCE = 10_000  # messages of one log time among which repetitions are found
-
 
 def repair(bag: Bag, out: Path) -> int:
     """
     Write what can be read of a bag as a new one, and leave the old one alone.
 
-    Messages keep their bytes, times and order, and the numbers that our recorder gave them. Copies
-    of one message (same number, time and bytes) are written once.
+    Messages keep their bytes, times and order, and the numbers that our recorder gave them.
 
     :param out: folder of the new bag; must not exist.
     :return: number of messages written.
@@ -169,37 +152,19 @@ def repair(bag: Bag, out: Path) -> int:
     """
     if out.resolve().is_relative_to(bag.path.resolve()):
         raise BagError(f'{out} is inside {bag.path}, which a repair leaves alone; name another')
-    with BagWriter(out, bag.metadata.get(RECORD)) as writer:
+    with BagWriter(out, bag.facts) as writer:
         for topic in bag.topics.values():
-            writer.add_topic(
-                topic.name, topic.type, profiles(topic.qos), topic.type_hash, topic.schema
-            )
-        repeated = _copy(bag, writer)
+            qos = profiles(topic.qos)
+            writer.add_topic(topic.name, topic.type, qos, topic.type_hash, topic.schema)
+        for recorded in bag.messages():
+            number = recorded.sequence if bag.numbered else None
+            times = recorded.log_time, recorded.publish_time
+            writer.write(recorded.topic, recorded.data, *times, number)
         for file in bag.attached():
-            times = (file.create_time, file.log_time)
+            times = file.create_time, file.log_time
             writer.attach(file.name, file.data, file.media_type, times)
         for name, values in bag.metadata.items():
             if name not in (RECORD, SELF, REPAIR):
                 writer.note(name, values)
-        facts = {'from': bag.path.name, 'damage': bag.damage, 'repeated': str(repeated)}
-        before = bag.metadata.get(REPAIR, {})
-        writer.note(REPAIR, {**facts, **{f'earlier {k}': v for k, v in before.items()}})
+        writer.note(REPAIR, {'from': bag.path.name, 'damage': bag.damage})
         return writer.extent.messages
-
-
-def _copy(bag: Bag, writer: BagWriter) -> int:
-    """Copy the messages; return how many repetitions were left out."""
-    repeated, time = 0, -1
-    now: set[tuple[str, int, bytes]] = set()  # messages of this log time that were written
-    for recorded in bag.messages():
-        if recorded.log_time != time or len(now) == MOST_AT_ONCE:
-            time = recorded.log_time
-            now.clear()
-        key = (recorded.topic, recorded.sequence, recorded.data)
-        if bag.numbered and key in now:
-            repeated += 1
-        else:
-            now.add(key)
-            number = recorded.sequence if bag.numbered else None
-            writer.write(recorded.topic, recorded.data, time, recorded.publish_time, number)
-    return repeated

@@ -1,9 +1,9 @@
 """What was recorded of a study: its domain, demonstrations, episodes, and who acted in them."""
 
-from bisect import bisect_right
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field
 from functools import partial
+from sys import intern
 from typing import Any
 
 from humanopts_env.domains.base import Domain, DomainError
@@ -153,49 +153,48 @@ class EpisodeMessages:
     last: int = 0
     states: dict[int, bytes] = field(default_factory=dict)  # CDR by step
 
+    def transitions(self, bag: Bag) -> Iterator[Transition]:
+        """Yield the transitions that can be decoded, in order."""
+        for step in sorted(self.states):
+            found = bag.convert(self.topic, self.states[step], transition_from_message)
+            if found is not None:
+                yield found
 
-class EpisodeGrouping:
+
+def state_topics(bag: Bag) -> set[str]:
+    """Return the topics of game states, without those that repeat the last state."""
+    states = [name for name in bag.of_type(GAME_STATE) if name.rpartition('/')[2] != STATE_COPY]
+    topics = {name for name in states if has_step(bag.topics[name].schema)}
+    for name in sorted({*states} - topics):
+        bag.note(f'{name} is left out: its messages do not begin with their place')
+    return topics
+
+
+def group_episodes(bag: Bag, between: tuple[int, int] = ALWAYS) -> Iterator[EpisodeMessages]:
     """
-    Groups the messages of games by episode.
+    Yield the messages of each episode, once its game begins a later one or the bag ends.
 
-    An episode is over when its game begins a later one; messages of it that come after that are
-    left out.
+    Messages of an episode that come after that are left out.
     """
-
-    def __init__(self, bag: Bag) -> None:
-        """Begin with nothing; topics whose messages do not tell their episode are left out."""
-        states = [t for t in bag.of_type(GAME_STATE) if t.rpartition('/')[2] != STATE_COPY]
-        self.topics = {name for name in states if has_step(bag.topics[name].schema)}
-        for name in sorted({*states} - self.topics):
-            bag.note(f'{name} is left out: its messages do not begin with their place')
-        self._bag = bag
-        self._under_way: dict[tuple[str, str], EpisodeMessages] = {}
-
-    def add(self, recorded: Recorded) -> EpisodeMessages | None:
-        """Add a message of ``topics``; return the episode that it shows to be over."""
+    under_way: dict[tuple[str, str], EpisodeMessages] = {}
+    for recorded in filter(bag.is_genuine, bag.messages(state_topics(bag), between)):
         stamp = read_stamp(recorded.data, with_step=True)
         if stamp is None:
-            self._bag.note(f'a message on {recorded.topic} does not decode')
-            return None
-        if stamp.episode == 0:
-            return None
-        game = (recorded.topic, stamp.publisher_id)
-        before = self._under_way.get(game)
-        if before is not None and stamp.episode < before.number:
-            self._bag.note(f'{recorded.topic}: states after a later episode are left out')
-            return None
-        group = before
-        if group is None or stamp.episode > group.number:
-            group = EpisodeMessages(*game, stamp.episode, recorded.log_time)
-            self._under_way[game] = group
-        group.states[stamp.step] = recorded.data
-        group.first = min(group.first, recorded.log_time)
-        group.last = max(group.last, recorded.log_time)
-        return None if group is before else before
-
-    def unfinished(self) -> list[EpisodeMessages]:
-        """Return the last episode of every game."""
-        return list(self._under_way.values())
+            bag.note(f'a message on {recorded.topic} does not decode')
+        elif stamp.episode:
+            game = (recorded.topic, stamp.publisher_id)
+            group = under_way.get(game)
+            if group is not None and stamp.episode < group.number:
+                bag.note(f'{recorded.topic}: states after a later episode are left out')
+                continue
+            if group is None or stamp.episode > group.number:
+                if group is not None:
+                    yield group
+                group = EpisodeMessages(*game, stamp.episode, recorded.log_time)
+                under_way[game] = group
+            group.states[stamp.step] = recorded.data
+            group.last = recorded.log_time
+    yield from under_way.values()
 
 
 def read_episodes(
@@ -209,9 +208,8 @@ def read_episodes(
     :param between: log times that are read, ns.
     :param chosen: tells which episodes are decoded and yielded.
     """
-    for group in filter(chosen, _groups(bag, between)):
-        transitions = tuple(_transitions(bag, group))
-        if transitions:
+    for group in filter(chosen, group_episodes(bag, between)):
+        if transitions := tuple(group.transitions(bag)):
             times = (group.first, group.last)
             yield Episode(group.topic, group.publisher_id, group.number, transitions, times)
 
@@ -222,48 +220,21 @@ def find_episodes(bag: Bag) -> list[Callable[[], Episode]]:
 
     It raises ``BagError`` where the episode cannot be read any more.
     """
+
+    def read_again(group: EpisodeMessages) -> Episode:
+        key = (group.topic, group.publisher_id, group.number)
+        times = (group.first, group.last)
+        for episode in read_episodes(bag, times):
+            if (episode.topic, episode.publisher_id, episode.number) == key:
+                return episode
+        raise BagError(f'{bag.path}: episode {group.number} cannot be read any more')
+
     found: list[Callable[[], Episode]] = []
-    for group in _groups(bag, ALWAYS):
-        if next(_transitions(bag, group), None) is not None:
+    for group in group_episodes(bag):
+        if next(group.transitions(bag), None) is not None:
             group.states.clear()
-            found.append(partial(_read_again, bag, group))
+            found.append(partial(read_again, group))
     return found
-
-
-def _read_again(bag: Bag, group: EpisodeMessages) -> Episode:
-    """
-    Read an episode.
-
-    :raises BagError: it cannot be read any more.
-    """
-    key = (group.topic, group.publisher_id, group.number)
-    for episode in read_episodes(
-        bag, (group.first, group.last), lambda g: (g.topic, g.publisher_id, g.number) == key
-    ):
-        return episode
-    raise BagError(f'{bag.path}: episode {group.number} cannot be read any more')
-
-
-def is_ended(bag: Bag, group: EpisodeMessages) -> bool:
-    """Return whether the last recorded state of an episode is terminal or truncated."""
-    last = group.states[max(group.states)]
-    return bool(bag.convert(group.topic, last, lambda state: state.terminated or state.truncated))
-
-
-def _groups(bag: Bag, between: tuple[int, int]) -> Iterator[EpisodeMessages]:
-    games = EpisodeGrouping(bag)
-    for recorded in filter(bag.is_genuine, bag.messages(games.topics, between)):
-        if (over := games.add(recorded)) is not None:
-            yield over
-    yield from games.unfinished()
-
-
-def _transitions(bag: Bag, group: EpisodeMessages) -> Iterator[Transition]:
-    """Yield the transitions of an episode that can be decoded, in order."""
-    for step in sorted(group.states):
-        found = bag.convert(group.topic, group.states[step], transition_from_message)
-        if found is not None:
-            yield found
 
 
 ACTION_COMMAND = 'humanopts_interfaces/msg/ActionCommand'
@@ -273,38 +244,7 @@ _REQUEST, _RESPONSE = 1, 2  # ServiceEventInfo: REQUEST_RECEIVED, RESPONSE_SENT;
 _EVENTS = '/reset_game/_service_event'
 
 
-@dataclass(slots=True)
-class _Run:
-    """Consecutive commands of one option, by their sequence numbers."""
-
-    first: int
-    last: int
-    name: str  # of the option
-
-
-class Actors:
-    """The option that sent each command, by the command's publisher and sequence number."""
-
-    def __init__(self) -> None:
-        self._runs: dict[str, list[_Run]] = {}  # ascending, by publisher
-
-    def add(self, publisher_id: str, sequence: int, name: str) -> None:
-        """Add a command; a repetition changes nothing."""
-        runs = self._runs.setdefault(publisher_id, [])
-        at = bisect_right(runs, sequence, key=lambda run: run.first)
-        before = runs[at - 1] if at else _Run(-1, -1, '')
-        if before.last == sequence - 1 and before.name == name and at:
-            before.last = sequence
-        elif before.last < sequence:
-            runs.insert(at, _Run(sequence, sequence, name))
-
-    def name(self, publisher_id: str, sequence: int) -> str:
-        """Return an option's name, or action:NAME; empty: a person's command, or not known."""
-        runs = self._runs.get(publisher_id, [])
-        at = bisect_right(runs, sequence, key=lambda run: run.first)
-        return runs[at - 1].name if at and sequence <= runs[at - 1].last else ''
-
-
+Actors = dict[tuple[str, int], str]  # option by publisher and sequence number of a command
 Beginnings = dict[tuple[str, int, str], Any]  # by namespace, number and first state
 
 
@@ -315,15 +255,12 @@ def namespace(topic: str) -> str:
 
 def read_actors(bag: Bag, between: tuple[int, int] = ALWAYS) -> Actors:
     """Return which option sent each command of a bag, between two log times, ns."""
-    actors = Actors()
-    for command in bag.converted(ACTION_COMMAND, _sender, between):
-        actors.add(*command)
-    return actors
-
-
-def _sender(command: Any) -> tuple[str, int, str]:
-    name = getattr(command, 'option_name', '')  # older versions have no such field
-    return command.publisher_id, command.sequence, name
+    commands = bag.converted(
+        ACTION_COMMAND, lambda sent: (sent.publisher_id, sent.sequence, sent.option_name), between
+    )
+    return {
+        (intern(sender), sequence): intern(name) for sender, sequence, name in commands if name
+    }
 
 
 def actors_in(bag: Bag, episode: Episode) -> Actors:
@@ -334,7 +271,7 @@ def actors_in(bag: Bag, episode: Episode) -> Actors:
 
 def actor_of(transition: Transition, actors: Actors) -> str:
     """Return the option or action:NAME whose action led to a transition; empty: a person."""
-    return actors.name(transition.action_publisher_id, transition.action_sequence)
+    return actors.get((transition.action_publisher_id, transition.action_sequence), '')
 
 
 def source_of(transition: Transition) -> str:

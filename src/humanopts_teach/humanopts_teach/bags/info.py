@@ -4,11 +4,14 @@ What ``humanopts bag info`` prints, found in one pass and shown as text and as J
 These are the facts about a bag: people, options, runs, plans, episodes and loss.
 """
 
+from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from datetime import datetime, UTC
 from functools import lru_cache, partial
+from itertools import chain
 import math
+from operator import attrgetter
 from typing import Any
 
 from humanopts_learner.demonstrations import (
@@ -18,13 +21,7 @@ from humanopts_learner.demonstrations import (
     Kind,
 )
 from humanopts_ros.limits import one_line, shown
-from humanopts_teach.bags.contents import (
-    domains_played,
-    EpisodeGrouping,
-    EpisodeMessages,
-    is_ended,
-    of_the_game,
-)
+from humanopts_teach.bags.contents import domains_played, of_the_game, state_topics
 from humanopts_teach.bags.reader import (
     Bag,
     BEING_RECORDED,
@@ -32,36 +29,22 @@ from humanopts_teach.bags.reader import (
     LESSON_STATE,
     Recorded,
 )
-from humanopts_teach.bags.rosbag2 import Topic
 from humanopts_teach.bags.schemas import constants
-from humanopts_teach.bags.sequence_numbers import MessageCounter, Stream
-from humanopts_teach.text_table import table
+from humanopts_teach.bags.sequence_numbers import MessageCounter, read_stamp, Stream
+from humanopts_teach.text_table import table, table_of
 from mcap.records import AttachmentIndex
 
 _FACT_TEXTS = {
     ('teacher_error_rate', 'None'): 'none: a person taught',
     ('return_delta', 'None'): 'none: a tenth of the range',
 }
-_MOST_ROWS = 50  # streams that are told in a text, the worst
+_MAX_ROWS = 50  # streams with losses in a text
 _STATUS = 'humanopts_interfaces/msg/LearningStatus'
 _OPTION_RESULT = 'humanopts_interfaces/msg/OptionResult'
 PLAN_RESULT = 'humanopts_interfaces/msg/PlanResult'
 _POLICY_RESULT = 'humanopts_interfaces/msg/PolicyResult'
+_RESULTS = {_OPTION_RESULT: 'option runs', PLAN_RESULT: 'plans', _POLICY_RESULT: 'policy runs'}
 _constants = lru_cache(constants)
-# What JSON has of a topic and of a stream.
-_OF_TOPIC = ('name', 'type', 'messages', 'counted')
-_OF_STREAM = (
-    *('topic', 'publisher', 'first', 'last', 'received'),
-    *('missing', 'replaced', 'duplicates'),
-)
-_TAUGHT = (
-    *('participant', 'option', 'shown', 'not here', 'taken back'),
-    *('steps', 'seconds', 'criteria met'),
-)
-_CRITERIA = (
-    *('participant', 'option', 'criterion', 'target'),
-    *('first held after', 'at second', 'value', 'at the end'),
-)
 
 
 @dataclass(frozen=True)
@@ -73,11 +56,6 @@ class TopicRow:
     messages: int
     publishers: int | None = None  # that number their messages; None: they carry no numbers
     lost: int | None = None  # by gaps in the numbers; None: it is not known
-
-    @property
-    def counted(self) -> bool:
-        """Whether its messages carry sequence numbers, by which loss is counted."""
-        return self.publishers is not None
 
 
 @dataclass(frozen=True)
@@ -97,121 +75,86 @@ class OptionRow:
 
 
 @dataclass(frozen=True)
-class CriterionPoint:
-    """A criterion after a demonstration, by the learning status."""
-
-    seconds: float  # from the beginning of the bag
-    demonstrations: int  # shown so far
-    not_here: int  # "not here" answers so far
-    value: float | None  # None: not yet measurable
-    met: bool
-
-
-@dataclass
 class CriterionRow:
-    """The values of one criterion of one option over time."""
+    """A criterion of an option after a demonstration, by the learning status."""
 
     participant: str
     option: str
     criterion: str  # return, initiation or termination
-    threshold: float = math.nan  # the last; NaN: not measured yet
-    points: list[CriterionPoint] = field(default_factory=list)
+    seconds: float  # from the beginning of the bag
+    demonstrations: int  # shown so far
+    not_here: int  # "not here" answers so far
+    threshold: float | None  # None: not yet known
+    value: float | None  # None: not yet measurable
+    met: bool
 
-    @property
-    def first_met(self) -> CriterionPoint | None:
-        """Return the first point at which the criterion held."""
-        return next((point for point in self.points if point.met), None)
 
-
-@dataclass
+@dataclass(frozen=True)
 class BagInfo:
-    """What a bag holds, filled in while it is read."""
+    """What a bag holds."""
 
     path: str
-    recording: bool = False  # it is being recorded; what follows is so far
-    damage: str = ''  # what is wrong with the bag, a line each; empty: nothing
-    left_out: Sequence[str] = ()  # what does not count, as it is not of the graph, in words
-    start: int = 0  # of the first message, ns since the epoch
-    duration: int = 0  # to the last message, ns
-    files: int = 0  # MCAP files
-    bytes: int = 0  # size of the MCAP files
-    facts: Mapping[str, str] = field(default_factory=dict)  # that the recorder was given
-    attached: Sequence[AttachmentIndex] = ()
-    domains: list[str] = field(default_factory=list)  # name and parameters
-    open_sessions: list[tuple[str, str]] = field(default_factory=list)  # participant, session
-    topics: Sequence[TopicRow] = ()
-    options: Sequence[OptionRow] = ()
-    criteria: Sequence[CriterionRow] = ()  # over time, as the learner published them
-    option_runs: dict[str, int] = field(default_factory=dict)  # by status
-    plans: dict[str, int] = field(default_factory=dict)
-    policy_runs: dict[str, int] = field(default_factory=dict)
-    interruptions: int = 0  # options that policies interrupted, since another was worth more
-    execution_changes: int = 0  # of policies while they ran
-    episodes: int = 0
-    episodes_ended: int = 0  # whose last state was recorded
-    streams: Sequence[Stream] = ()
-
-    @property
-    def messages(self) -> int:
-        """Number of messages."""
-        return sum(topic.messages for topic in self.topics)
-
-    @property
-    def missing(self) -> int:
-        """Number of messages that were sent and are not in the bag."""
-        return sum(stream.missing for stream in self.streams)
-
-    @property
-    def participants(self) -> tuple[str, ...]:
-        """Codes of the people who taught or sat down to, sorted."""
-        taught = {option.participant for option in self.options}
-        return tuple(sorted(taught | {participant for participant, _ in self.open_sessions}))
-
-    @property
-    def sessions(self) -> tuple[str, ...]:
-        """Return the codes of all sessions, sorted."""
-        taught = {code for option in self.options for code in option.sessions}
-        return tuple(sorted(taught | {session for _, session in self.open_sessions}))
+    recording: bool  # it is being recorded; what follows is so far
+    damage: Sequence[str]  # what is wrong with the bag
+    left_out: Sequence[str]  # what does not count, as it is not of the graph
+    start: int  # of the first message, ns since the epoch
+    duration: int  # to the last message, ns
+    messages: int
+    missing: int  # messages that were sent and are not in the bag
+    files: int  # MCAP files
+    bytes: int  # size of the MCAP files
+    facts: Mapping[str, str]  # that the recorder was given
+    attached: Sequence[AttachmentIndex]
+    domains: Sequence[str]  # name and parameters
+    participants: Sequence[str]  # who taught or sat down to, sorted
+    sessions: Sequence[str]  # sorted
+    topics: Sequence[TopicRow]
+    options: Sequence[OptionRow]
+    criteria: Sequence[CriterionRow]  # in order of time, where something has changed
+    results: Mapping[str, Mapping[str, int]]  # option runs, plans and policy runs, by status
+    interruptions: int  # options that policies interrupted, since another was worth more
+    execution_changes: int  # of policies while they ran
+    episodes: int
+    episodes_ended: int  # whose last state was recorded
+    streams: Sequence[Stream]
 
     def to_dict(self) -> dict[str, Any]:
         """Return the facts as JSON data."""
-        facts = asdict(replace(self, streams=()))
-        return {
-            'sittings': facts.pop('open_sessions'),  # the key of version 0.1.0
-            **facts,
+        return asdict(replace(self, streams=())) | {
             'attached': [
                 {'name': file.name, 'bytes': file.data_size, 'media_type': file.media_type}
                 for file in self.attached
             ],
-            'topics': [{name: getattr(t, name) for name in _OF_TOPIC} for t in self.topics],
-            'streams': [{name: getattr(s, name) for name in _OF_STREAM} for s in self.streams],
-            'messages': self.messages,
-            'missing': self.missing,
-            'participants': list(self.participants),
-            'sessions': list(self.sessions),
+            'streams': [stream.to_dict() for stream in self.streams],
         }
 
     def to_text(self) -> str:
         """Return the facts as text for a person."""
-        told = [
+        facts = [
             (name.replace('_', ' '), _FACT_TEXTS.get((name, value), value))
             for name, value in sorted(self.facts.items())
         ]
         attached = [(file.name, file.data_size, file.media_type) for file in self.attached]
-        topics = [(topic.name, topic.messages, topic.type) for topic in self.topics]
-        taught = [
-            (
-                *(o.participant, o.option, o.demonstrations, o.not_here, o.withdrawn),
-                *(o.steps, round(o.seconds), 'yes' if o.criteria_met else 'no'),
-            )
-            for o in self.options
+        options = [
+            {
+                'participant': row.participant,
+                'option': row.option,
+                'shown': row.demonstrations,
+                'not here': row.not_here,
+                'taken back': row.withdrawn,
+                'steps': row.steps,
+                'seconds': round(row.seconds),
+                'criteria met': 'yes' if row.criteria_met else 'no',
+            }
+            for row in self.options
         ]
+        topics = [(topic.name, topic.messages, topic.type) for topic in self.topics]
         parts = [
             self._head(),
-            table(('recorded with', ''), told),
+            table(('recorded with', ''), facts),
             table(('attached file', 'bytes', 'type'), attached),
-            table(_TAUGHT, taught),
-            table(_CRITERIA, list(map(_criterion, self.criteria))),
+            table_of(options),
+            table_of(self._criteria()),
             self._events(),
             table(('topic', 'messages', 'type'), topics),
             self._loss(),
@@ -223,7 +166,7 @@ class BagInfo:
         pairs = [
             ('bag', self.path),
             *([('recording', BEING_RECORDED)] if self.recording else []),
-            *(('DAMAGED', line) for line in self.damage.splitlines()),
+            *(('DAMAGED', line) for line in self.damage),
             *(('left out', line) for line in self.left_out),
             ('begun', begun if self.messages else 'nothing was recorded'),
             ('duration', f'{self.duration / 1e9:.1f} s'),
@@ -236,13 +179,35 @@ class BagInfo:
         width = max(len(name) for name, _ in pairs)
         return '\n'.join(f'{name:{width}}  {shown(value)}' for name, value in pairs)
 
+    def _criteria(self) -> list[dict[str, object]]:
+        """Return when each criterion held first, and its value then and at the end."""
+        histories = defaultdict[tuple[str, str, str], list[CriterionRow]](list)
+        for row in self.criteria:
+            histories[row.participant, row.option, row.criterion].append(row)
+        found: list[dict[str, object]] = []
+        for (participant, option, criterion), rows in histories.items():
+            met = next((row for row in rows if row.met), None)
+            first = f'{met.demonstrations} shown, {met.not_here} not here' if met else 'never'
+            found.append(
+                {
+                    'participant': participant,
+                    'option': option,
+                    'criterion': criterion,
+                    'target': _measured(rows[-1].threshold),
+                    'first held after': first,
+                    'at second': f'{met.seconds:.1f}' if met else '-',
+                    'value': _measured(met.value if met else None),
+                    'at the end': _measured(rows[-1].value),
+                }
+            )
+        return found
+
     def _events(self) -> str:
         lines = [f'episodes: {self.episodes}, {self.episodes_ended} recorded to their end']
-        for name in ('option_runs', 'plans', 'policy_runs'):
-            if counts := getattr(self, name):
-                each = ', '.join(f'{status} {count}' for status, count in sorted(counts.items()))
-                lines.append(one_line(f'{name.replace("_", " ")}: {each}'))
-        if self.policy_runs:
+        for name, counts in self.results.items():
+            each = ', '.join(f'{status} {count}' for status, count in sorted(counts.items()))
+            lines += [one_line(f'{name}: {each}')] if counts else []
+        if self.results[_RESULTS[_POLICY_RESULT]]:
             lines.append(
                 f'in policy runs: {self.interruptions} options stopped by the plan, '
                 f'{self.execution_changes} changes of execution'
@@ -253,35 +218,38 @@ class BagInfo:
         odd = [row for row in self.streams if row.missing or row.duplicates]
         if not odd:
             return f'missing: 0 messages (by the numbers in {len(self.streams)} streams)'
-        worst = sorted(odd, key=lambda row: (row.missing, row.duplicates), reverse=True)[
-            :_MOST_ROWS
-        ]
-        told = table(
-            ('topic', 'publisher', 'sent', 'missing', 'repeated'),
-            [(row.topic, row.publisher, row.last, row.missing, row.duplicates) for row in worst],
-        )
-        more = f'\nand {len(odd) - len(worst)} streams more' if len(odd) > len(worst) else ''
-        return f'missing: {self.missing} messages\n{told}{more}'
+        odd.sort(key=lambda row: (row.missing, row.duplicates), reverse=True)
+        rows = table_of([stream.to_dict() for stream in odd[:_MAX_ROWS]])
+        more = f'\nand {len(odd) - _MAX_ROWS} streams more' if len(odd) > _MAX_ROWS else ''
+        return f'missing: {self.missing} messages\n{rows}{more}'
 
 
-def _criterion(row: CriterionRow) -> tuple[object, ...]:
-    """Return when a criterion held first, and its value then and at the end, as ``_CRITERIA``."""
-
-    def measured(point: CriterionPoint) -> str:
-        return '-' if point.value is None else f'{point.value:.3g}'
-
-    first = ('never', '-', '-')
-    if (met := row.first_met) is not None:
-        shown = f'{met.demonstrations} shown, {met.not_here} not here'
-        first = (shown, f'{met.seconds:.1f}', measured(met))
-    threshold = '-' if math.isnan(row.threshold) else f'{row.threshold:.3g}'
-    named = (row.participant, row.option, row.criterion, threshold)
-    return (*named, *first, measured(row.points[-1]))
+def _measured(value: float | None) -> str:
+    return '-' if value is None else f'{value:.3g}'
 
 
 def option_rows(bag: Bag) -> Sequence[OptionRow]:
     """Return the options that were taught."""
     return summarise(bag, bag.of_type(DEMONSTRATION) + bag.of_type(_STATUS)).options
+
+
+def _criterion_rows(status: Any, seconds: float) -> list[CriterionRow]:
+    """Return the criteria in a LearningStatus."""
+    return [
+        CriterionRow(
+            option.participant,
+            option.option_name,
+            criterion.name,
+            seconds,
+            option.n_demonstrations,
+            option.n_not_here,
+            None if math.isnan(criterion.threshold) else criterion.threshold,
+            criterion.value if criterion.measurable else None,
+            criterion.met,
+        )
+        for option in status.options
+        for criterion in option.criteria
+    ]
 
 
 def summarise(bag: Bag, topics: Collection[str] | None = None) -> BagInfo:
@@ -290,103 +258,88 @@ def summarise(bag: Bag, topics: Collection[str] | None = None) -> BagInfo:
 
     :param topics: that are read; None: all.
     """
-    info, counter, games = BagInfo(str(bag.path)), MessageCounter(bag), EpisodeGrouping(bag)
-    if topics is None:
-        info.domains = [f'{name} {parameters}' for name, parameters in domains_played(bag)]
-    demonstrations: list[Demonstration] = []
+    counter, is_of_game, states = MessageCounter(bag), of_the_game(bag), state_topics(bag)
+    last_states: dict[tuple[str, str, int], tuple[int, str, bytes]] = {}  # by episode
+    found = defaultdict[str, list[Any]](list)  # what was made of messages, by type
+    criteria: dict[tuple[str, str, str], list[CriterionRow]] = {}
     met: dict[tuple[str, str], bool] = {}  # all criteria, by participant and option
-    criteria: dict[tuple[str, str, str], CriterionRow] = {}
-    results = {
-        _OPTION_RESULT: info.option_runs,
-        PLAN_RESULT: info.plans,
-        _POLICY_RESULT: info.policy_runs,
-    }
-
-    def episode(group: EpisodeMessages) -> None:
-        info.episodes += 1
-        info.episodes_ended += is_ended(bag, group)
 
     def status(recorded: Recorded, message: Any) -> None:
-        for option in message.options:
-            taught = (option.participant, option.option_name)
-            met[taught] = option.criteria_met
-            for criterion in option.criteria:
-                key = (*taught, criterion.name)
-                row = criteria.setdefault(key, CriterionRow(*key))
-                row.threshold, last = criterion.threshold, row.points[-1:]
-                point = CriterionPoint(
-                    (recorded.log_time - counter.extent.first) / 1e9,
-                    option.n_demonstrations,
-                    option.n_not_here,
-                    criterion.value if criterion.measurable else None,
-                    criterion.met,
-                )
-                if [replace(point, seconds=each.seconds) for each in last] != last or not last:
-                    row.points.append(point)
+        seconds = (recorded.log_time - counter.extent.first) / 1e9
+        met.update(((o.participant, o.option_name), o.criteria_met) for o in message.options)
+        for row in _criterion_rows(message, seconds):
+            rows = criteria.setdefault((row.participant, row.option, row.criterion), [])
+            if not rows or replace(row, seconds=rows[-1].seconds) != rows[-1]:
+                rows.append(row)
 
-    def result(recorded: Recorded, message: Any) -> None:
-        names = _constants(bag.topics[recorded.topic].schema, 'STATUS_')
-        name = names.get(message.status, f'status {message.status}').lower()
-        counts = results[recorded.type]
-        counts[name] = counts.get(name, 0) + 1
-        if recorded.type == _POLICY_RESULT:  # older versions have no such fields
-            info.interruptions += getattr(message, 'interruptions', 0)
-            info.execution_changes += getattr(message, 'execution_changes', 0)
-
-    def lesson(_: Recorded, message: Any) -> None:
-        opened = (message.participant, message.session)
-        if message.participant and opened not in info.open_sessions:
-            info.open_sessions.append(opened)
-
-    is_of_game = of_the_game(bag)
-
-    def demonstration(recorded: Recorded, message: Any) -> None:
+    def demonstration(recorded: Recorded, message: Any) -> Demonstration | None:
         demo = demonstration_from_message(message)
-        if is_of_game(recorded, demo):
-            demonstrations.append(demo)
+        return demo if is_of_game(recorded, demo) else None
 
-    handlers: dict[str, Callable[[Recorded, Any], None]] = {
+    def result(recorded: Recorded, message: Any) -> tuple[str, Any]:
+        names = _constants(bag.topics[recorded.topic].schema, 'STATUS_')
+        return names.get(message.status, f'status {message.status}').lower(), message
+
+    handlers: dict[str, Callable[[Recorded, Any], Any]] = {
         DEMONSTRATION: demonstration,
-        LESSON_STATE: lesson,
+        LESSON_STATE: lambda _, message: (message.participant, message.session),
         _STATUS: status,
-        **dict.fromkeys(results, result),
+        **dict.fromkeys(_RESULTS, result),
     }
     for recorded in bag.messages(topics):
         if not counter.add(recorded) or not bag.is_genuine(recorded):
             continue
-        if recorded.topic in games.topics and (group := games.add(recorded)) is not None:
-            episode(group)
-        if (handler := handlers.get(recorded.type)) is not None:
-            bag.convert(recorded.topic, recorded.data, partial(handler, recorded))
-    for group in games.unfinished():
-        episode(group)
+        if recorded.topic in states and (stamp := read_stamp(recorded.data, with_step=True)):
+            key = recorded.topic, stamp.publisher_id, stamp.episode
+            if stamp.episode and last_states.get(key, (-1,))[0] < stamp.step:
+                last_states[key] = stamp.step, recorded.topic, recorded.data
+        elif handler := handlers.get(recorded.type):
+            made = bag.convert(recorded.topic, recorded.data, partial(handler, recorded))
+            if made is not None:
+                found[recorded.type].append(made)
+    ended = [
+        bag.convert(topic, data, lambda state: state.terminated or state.truncated)
+        for _, topic, data in last_states.values()
+    ]
     taught: dict[tuple[str, str], list[Demonstration]] = {}
-    for demo in each_once(demonstrations):
+    for demo in each_once(found[DEMONSTRATION]):
         taught.setdefault((demo.participant, demo.option_name), []).append(demo)
-    return replace(
-        info,
+    options = [_option_row(demos, met.get(key, False)) for key, demos in taught.items()]
+    opened = {(who, session) for who, session in found[LESSON_STATE] if who}
+    policies = [message for _, message in found[_POLICY_RESULT]]
+    streams = list(counter.losses)
+    return BagInfo(
+        path=str(bag.path),
         recording=bag.recording,
-        damage=bag.damage,
+        damage=bag.damage.splitlines(),
         left_out=bag.left_out,
         start=counter.extent.first if counter.extent.messages else 0,
         duration=counter.extent.duration,
+        messages=counter.extent.messages,
+        missing=sum(stream.missing for stream in streams),
         files=len(bag.files),
         bytes=sum(file.stat().st_size for file in bag.files),
         facts=bag.graph_facts,
         attached=list(bag.attachments.values()),
-        topics=[_topic_row(topic, counter) for topic in bag.topics.values()],
-        options=[_option_row(demos, met.get(key, False)) for key, demos in taught.items()],
-        criteria=list(criteria.values()),
-        streams=list(counter.losses),
+        domains=[' '.join(each) for each in domains_played(bag)] if topics is None else [],
+        participants=sorted({row.participant for row in options} | {who for who, _ in opened}),
+        sessions=sorted({s for row in options for s in row.sessions} | {s for _, s in opened}),
+        topics=[
+            TopicRow(topic.name, topic.type, counter.counts[topic.name], *counter.loss(topic.name))
+            for topic in bag.topics.values()
+        ],
+        options=options,
+        criteria=sorted(chain(*criteria.values()), key=attrgetter('seconds')),
+        results={
+            name: dict(Counter(status for status, _ in found[kind]))
+            for kind, name in _RESULTS.items()
+        },
+        interruptions=sum(message.interruptions for message in policies),
+        execution_changes=sum(message.execution_changes for message in policies),
+        episodes=len(last_states),
+        episodes_ended=sum(map(bool, ended)),
+        streams=streams,
     )
-
-
-def _topic_row(topic: Topic, counter: MessageCounter) -> TopicRow:
-    loss = tuple[int, ...]()
-    if topic.name in counter.stamped:
-        missing = [stream.missing for stream in counter.losses if stream.topic == topic.name]
-        loss = len(missing), sum(missing)
-    return TopicRow(topic.name, topic.type, counter.counts[topic.name], *loss)
 
 
 def _option_row(demos: Sequence[Demonstration], criteria_met: bool) -> OptionRow:

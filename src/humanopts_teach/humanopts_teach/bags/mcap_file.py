@@ -18,7 +18,7 @@ import zlib
 from humanopts_teach.bags import BagError
 from humanopts_teach.bags.rosbag2 import convert, unpack
 from mcap.data_stream import ReadDataStream
-from mcap.exceptions import EndOfFile, McapError
+from mcap.exceptions import EndOfFile, McapError, RecordLengthLimitExceeded
 from mcap.reader import FOOTER_SIZE, SeekingReader
 from mcap.records import (
     Attachment,
@@ -169,7 +169,11 @@ def _scan(file: McapFile, stream: BinaryIO, on_offset: OffsetCallback) -> bool:
             at = stream.tell()
             closed = closed or isinstance(record, DataEnd)
             on_offset(at)
-    except (EndOfFile, struct.error):  # there are fewer bytes than were to be read
+    except (
+        EndOfFile,
+        RecordLengthLimitExceeded,
+        struct.error,
+    ):  # it has fewer bytes than it says
         if not (closed or file.growing):
             cut = f'is cut short in the record at byte {at} of {size}'
             file.note(f'it {cut if at < size else "was not closed: it ends without an index"}')

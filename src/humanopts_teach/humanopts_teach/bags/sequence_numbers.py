@@ -119,6 +119,19 @@ class Stream:
         """Number of current values that newer ones replaced before they were received."""
         return self.last - self.received if self.latched else 0
 
+    def to_dict(self) -> dict[str, str | int]:
+        """Return the counts as JSON data."""
+        return {
+            'topic': self.topic,
+            'publisher': self.publisher,
+            'sent': self.last,  # up to the last message that was recorded
+            'recorded': self.received,
+            'missing': self.missing,
+            'replaced': self.replaced,
+            'repeated': self.duplicates,
+            'late': self.late,
+        }
+
     def _fill(self, sequence: int) -> bool:
         """Remove a late message from its gap; False: it was received before."""
         at = bisect_right(self._gaps, (sequence, self.last)) - 1
@@ -173,6 +186,11 @@ class MessageCounter:
         self._own = {t for t in bag.topics if namespace is None or own_name(t, namespace)}
         self._bag = bag
 
+    def loss(self, topic: str) -> tuple[int, ...]:
+        """Return a topic's number of publishers and of lost messages; (): they are not known."""
+        missing = [stream.missing for stream in self.losses if stream.topic == topic]
+        return (len(missing), sum(missing)) if topic in self.stamped else ()
+
     def add(self, recorded: 'Recorded') -> bool:
         """Count a message; False: it does not decode, which ``Bag.damage`` then says."""
         self.counts[recorded.topic] += 1
@@ -186,11 +204,3 @@ class MessageCounter:
                 topic, latched = recorded.topic, recorded.topic in self._latched
                 self.losses.add(topic, stamp, latched=latched, own=topic in self._own)
         return True
-
-
-def count_loss(bag: 'Bag') -> LossCounter:
-    """Count what is missing in a bag, by the numbers in every humanopts message."""
-    counter = MessageCounter(bag)
-    for recorded in bag.messages(counter.stamped):
-        counter.add(recorded)
-    return counter.losses
