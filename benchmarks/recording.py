@@ -161,7 +161,7 @@ class Sender(Client):
             message.source = ActionCommand.SOURCE_MACHINE
             message.action, message.option_name = 'north', 'go to passenger and pickup'
         else:
-            message.state, message.features = 'taxi 2,3 passenger R destination B', [0] * 10
+            message.state, message.features = 'taxi 2,3 passenger R destination B', [0.0] * 10
             message.previous_action, message.action_source = 'north', GameState.SOURCE_MACHINE
             message.action_publisher_id, message.action_sequence = sender, turn + 1
             message.reward = -1.0

@@ -159,7 +159,7 @@ def spoilt(change: Callable[[DemonstrationMessage], object]) -> DemonstrationMes
 # All that is refused is in test_demonstrations.py of humanopts_learner.
 REFUSED: list[tuple[str, Callable[[DemonstrationMessage], object], str]] = [
     ('NaN', lambda m: setattr(m, 'rewards', [-1.0, math.nan]), 'not finite'),
-    ('no table', lambda m: setattr(m, 'features', [1, 2, 3]), '3 states but 1 rows of features'),
+    ('no table', lambda m: setattr(m, 'features', [1.0]), '3 states but 1 rows of features'),
     ('a jump', lambda m: setattr(m, 'actions', ['east', 'pickup']), 'east does not lead'),
     ('no kind', lambda m: setattr(m, 'kind', 0), 'kind'),
 ]

@@ -6,4 +6,4 @@ from numpy.typing import NDArray
 Flags = NDArray[np.bool_]
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]  # indices and counts
-Rows = NDArray[np.int32]  # (N, F) features of N states, indices into ``Feature.values``
+Rows = NDArray[np.float64]  # (N, F) features of N states, as ``Feature`` describes them

@@ -20,6 +20,7 @@ import time
 from typing import Any
 
 from humanopts_env import colours
+from humanopts_env.arrays import Rows
 from humanopts_env.board import Board, board_text
 from humanopts_env.domains.base import (
     Action,
@@ -27,6 +28,7 @@ from humanopts_env.domains.base import (
     DomainError,
     EnumerableDomain,
     Feature,
+    FeatureKind,
     is_enumerable,
     Outcome,
 )
@@ -105,7 +107,7 @@ class DomainContract:
         domain = self.make()
         for state in _states(domain):
             check_state(domain, state)
-            assert domain.feature_values(state).dtype == np.int32
+            assert domain.feature_values(state).dtype == np.float64
             assert hash(domain.decode(domain.encode(state))) == hash(state)
 
     def test_text_that_is_no_state_is_refused(self) -> None:
@@ -182,7 +184,7 @@ class DomainContract:
         states = _states(domain)
         rows = _rows(domain, states)
         for shown in (*_single_features(domain), None):
-            alike = _alike(domain, states, rows, shown)
+            alike = _alike(domain, states, rows, shown, in_words=True)
             drawn = {board_text(board_of(domain, group[0], shown)) for group in alike}
             assert len(drawn) == len(alike), f'{shown} cannot be seen on the board'
 
@@ -218,7 +220,7 @@ class DomainContract:
             'probability': (table.probability, np.float64, shape),
             'reward': (table.reward, np.float64, shape),
             'terminated': (table.terminated, np.bool_, shape),
-            'feature_table': (domain.feature_table(), np.int32, (count, len(domain.features))),
+            'feature_table': (domain.feature_table(), np.float64, (count, len(domain.features))),
             'over': (domain.over(), np.bool_, (count,)),
             'start_states': (domain.start_states(), np.int32, domain.start_states().shape),
         }
@@ -484,13 +486,14 @@ class DomainContract:
             variant = type(domain)(**{**domain.parameters, **changed})
             assert variant.name == domain.name
             assert list(variant.features) == list(domain.features)
-        for settings in (found.primitive, found.interrupted):
+        for settings in (found.primitive, found.interrupted, found.interrupted_mixture):
             assert settings is None or 0 < settings.gamma <= 1
         if found.heuristic is not None:
-            played, again = (found.heuristic(5, 1) for _ in range(2))
-            assert played.total.shape == (5,)
-            assert np.array_equal(played.total, again.total)
-            assert all(values.shape == (5,) for values in played.outcomes.values())
+            for to_end in (True, False):
+                played, again = (found.heuristic(5, 1, to_end=to_end) for _ in range(2))
+                assert played.total.shape == (5,)
+                assert np.array_equal(played.total, again.total)
+                assert all(values.shape == (5,) for values in played.outcomes.values())
 
 
 def _rng(*purpose: str | int) -> np.random.Generator:
@@ -524,8 +527,8 @@ def _states(domain: Domain[Any]) -> list[Any]:
 _SEEN: dict[tuple[type, str], list[Any]] = {}  # states of the game that was tested last
 
 
-def _rows(domain: Domain[Any], states: list[Any]) -> NDArray[np.int32]:
-    return np.array([domain.feature_values(state) for state in states], dtype=np.int32)
+def _rows(domain: Domain[Any], states: list[Any]) -> Rows:
+    return np.array([domain.feature_values(state) for state in states])
 
 
 def _sample(domain: EnumerableDomain[Any]) -> Iterator[int]:
@@ -538,18 +541,25 @@ def _single_features(domain: Domain[Any]) -> list[set[str]]:
 
 
 def _alike(
-    domain: Domain[Any], states: list[Any], rows: NDArray[np.int32], shown: set[str] | None
+    domain: Domain[Any],
+    states: list[Any],
+    rows: Rows,
+    shown: set[str] | None,
+    *,
+    in_words: bool = False,
 ) -> list[list[Any]]:
     """
     Return the states in groups that agree in the features that are shown.
 
     :param rows: feature values (S, F) of the states.
     :param shown: names of features; None: all.
+    :param in_words: agree in the texts of their values, which continuous values are rounded for.
     """
-    seen = [shown is None or feature.name in shown for feature in domain.features]
-    groups: dict[tuple[int, ...], list[Any]] = {}
-    for state, row in zip(states, rows[:, seen].tolist()):
-        groups.setdefault(tuple(row), []).append(state)
+    seen = [(k, f) for k, f in enumerate(domain.features) if shown is None or f.name in shown]
+    groups: dict[tuple[float | str, ...], list[Any]] = {}
+    for state, row in zip(states, rows.tolist()):
+        key = tuple(feature.text(row[k]) if in_words else row[k] for k, feature in seen)
+        groups.setdefault(key, []).append(state)
     return list(groups.values())
 
 
@@ -628,7 +638,13 @@ def check_form(domain: Domain[Any]) -> None:
         for one in names:
             _expect(NAME.fullmatch(one), f'the {kind} name {one!r} is not snake_case')
     for feature in domain.features:
-        _expect(feature.values, f'the feature {feature.name} has no values')
+        if feature.kind is FeatureKind.CONTINUOUS:
+            _expect(
+                math.isfinite(feature.span) and feature.low < feature.high,
+                f'the feature {feature.name} has the range {feature.low} to {feature.high}',
+            )
+        else:
+            _expect(feature.values, f'the feature {feature.name} has no values')
     keys = [action.key for action in domain.actions]
     _expect(len(set(keys)) == len(keys), f'two actions have one key: {keys}')
     for key in keys:
@@ -678,15 +694,15 @@ def check_state(domain: Domain[Any], state: Any) -> None:
         _expect(inside, f'{mark.name} is drawn outside the board in {text!r}')
 
 
-def _check_values(domain: Domain[Any], rows: Any, where: str) -> None:
-    for column, feature in enumerate(domain.features):
-        low, high = int(rows[:, column].min()), int(rows[:, column].max())
-        fits = 0 <= low <= high < len(feature.values)
-        _expect(
-            fits,
-            f'the feature {feature.name} is {low if low < 0 else high} in {where}, out of its '
-            f'range 0..{len(feature.values) - 1}',
-        )
+def _check_values(domain: Domain[Any], rows: Rows, where: str) -> None:
+    for feature, column in zip(domain.features, rows.T):
+        high = feature.low + feature.span
+        for value in np.unique(column):
+            _expect(
+                feature.has(value),
+                f'the feature {feature.name} is {value:g} in {where}, out of its range '
+                f'{feature.low:g}..{high:g}',
+            )
 
 
 def check_refusals(domain: Domain[Any]) -> None:

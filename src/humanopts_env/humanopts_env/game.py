@@ -6,6 +6,7 @@ The values mirror the messages of humanopts_interfaces: the enums have the numbe
 ``SetControl``, and the dataclasses their fields.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from enum import IntEnum
 import math
@@ -78,7 +79,7 @@ class Transition:
     episode: int = 0
     step: int = 0
     state: str = ''
-    features: tuple[int, ...] = ()
+    features: tuple[float, ...] = ()
     previous_action: str = ''
     action_source: Source = Source.NONE
     action_publisher_id: str = ''
@@ -112,7 +113,7 @@ def transition_from_message(message: Any) -> Transition:
     if not math.isfinite(message.reward):
         raise ValueError(f'its reward is {message.reward}')
     values = {field.name: getattr(message, field.name) for field in fields(Transition)}
-    values['features'] = tuple(map(int, message.features))
+    values['features'] = tuple(map(float, message.features))
     values['action_source'] = Source(message.action_source)
     return Transition(**values)
 
@@ -129,13 +130,23 @@ def check_transition(transition: Transition, domain: Domain[Any]) -> Any:
     if len(transition.state) > MOST_STATE:
         raise ValueError(f'its state has {len(transition.state):,} characters')
     state = domain.decode(transition.state)
-    sizes = [len(feature.values) for feature in domain.features]
-    values = transition.features
-    if len(values) != len(sizes) or any(not 0 <= v < n for v, n in zip(values, sizes)):
-        raise ValueError(f'its features are not those of {domain.name}')
+    check_features(transition.features, domain)
     if transition.step:
         action_index(domain, transition.previous_action)
     return state
+
+
+def check_features(values: Sequence[float], domain: Domain[Any]) -> None:
+    """
+    Check the features of a state.
+
+    :raises ValueError: there are more or fewer than the domain has, or one is out of its range.
+    """
+    if len(values) != len(domain.features):
+        raise ValueError(f'its features are not those of {domain.name}')
+    for feature, value in zip(domain.features, values):
+        if not feature.has(value):
+            raise ValueError(f'its feature {feature.name} of {domain.name} cannot be {value:g}')
 
 
 @dataclass(frozen=True, slots=True)
@@ -308,7 +319,7 @@ class Game:
             raise StateError(f'the task is already over in {text!r}')
         return state
 
-    def _observed(self) -> tuple[str, tuple[int, ...]]:
+    def _observed(self) -> tuple[str, tuple[float, ...]]:
         values = self.domain.feature_values(self._state)
         return self.domain.encode(self._state), tuple(values.tolist())
 

@@ -9,6 +9,7 @@ Importing this module registers them, so any of these works::
     env = gymnasium.make('humanopts_env.gym_env:humanopts/PacMan-v0', ghosts='chase')
 """
 
+from collections.abc import Sequence
 from functools import cached_property
 from typing import Any
 
@@ -18,8 +19,9 @@ from humanopts_env.arrays import Floats
 from humanopts_env.board import board_text
 from humanopts_env.domains.base import (
     Domain,
-    DomainError,
     EnumerableDomain,
+    Feature,
+    FeatureKind,
     is_enumerable,
     Parameter,
     Transitions,
@@ -47,10 +49,12 @@ class DomainEnv(gymnasium.Env[Any, Any]):
     A domain; actions are action indices.
 
     An observation is the state's index where the states can be listed. Elsewhere it is the value
-    of every feature, an index into the feature's ``values``, in the order of ``domain.features``.
+    of every feature, in the order of ``domain.features``: an index into the feature's ``values``,
+    or, where one is continuous, a ``Box`` of float64.
 
     ``info['action_mask']`` (A,) is 1 for the actions that can change something, as in Gymnasium's
-    Taxi; ``action_space.sample(mask)`` draws among them. The others are allowed too.
+    Taxi, and for all where that is not known; ``action_space.sample(mask)`` draws among them. The
+    others are allowed too.
 
     :ivar domain: the rules, with ``features``, ``actions`` and ``decode``.
     """
@@ -65,18 +69,15 @@ class DomainEnv(gymnasium.Env[Any, Any]):
 
         :param domain: the domain's name; ``parameters`` are those of the domain, such as rows.
         :param render_mode: 'ansi' for text, or None.
-        :raises DomainError: there is no such domain, it refuses the parameters, or it has no
-            Gymnasium environment.
+        :raises DomainError: there is no such domain, or it refuses the parameters.
         """
         self.domain: Domain[Any] = make_domain(domain, parameters)
-        _check(self.domain)
         self.render_mode = render_mode
         self.action_space = gymnasium.spaces.Discrete(len(self.domain.actions))
         if is_enumerable(self.domain):
             self.observation_space = gymnasium.spaces.Discrete(self.domain.n_states)
         else:
-            sizes = [len(feature.values) for feature in self.domain.features]
-            self.observation_space = gymnasium.spaces.MultiDiscrete(sizes, dtype=np.int32)
+            self.observation_space = _feature_space(self.domain.features)
         self._now: Any = None
         self._steps = 0
 
@@ -84,12 +85,14 @@ class DomainEnv(gymnasium.Env[Any, Any]):
         """Return the observation of a state."""
         if is_enumerable(self.domain):
             return self.domain.index(state)
-        return self.domain.feature_values(state)
+        return self.domain.feature_values(state).astype(self.observation_space.dtype)
 
     def action_mask(self, state: Any) -> Mask:
         """Return (A,): 1 for the actions that can change something."""
         if isinstance(self.domain, HasActionMask):
             return self.domain.action_mask(state)
+        if not is_enumerable(self.domain):
+            return np.ones(len(self.domain.actions), dtype=np.int8)
         mask: Mask = self._masks[self._listed.index(state)]
         return mask.copy()
 
@@ -177,20 +180,19 @@ class DomainEnv(gymnasium.Env[Any, Any]):
 
 
 def spec_of(domain: Domain[Any]) -> EnvSpec:
-    """
-    Return the specification from which ``gymnasium.make`` makes a domain's environment.
-
-    :raises DomainError: it has none.
-    """
-    _check(domain)
+    """Return the specification from which ``gymnasium.make`` makes a domain's environment."""
     names = {known: name for name, known in ENVIRONMENTS.items()}
     name = names.get(domain.name, 'humanopts/Table-v0')
     return EnvSpec(name, _ENTRY_POINT, kwargs={'domain': domain.name, **domain.parameters})
 
 
-def _check(domain: Domain[Any]) -> None:
-    if not (is_enumerable(domain) or isinstance(domain, HasActionMask)):
-        raise DomainError(f'there is no Gymnasium environment of {domain.name}')
+def _feature_space(features: Sequence[Feature]) -> gymnasium.Space[Any]:
+    if all(feature.kind is not FeatureKind.CONTINUOUS for feature in features):
+        sizes = [len(feature.values) for feature in features]
+        return gymnasium.spaces.MultiDiscrete(sizes, dtype=np.int32)
+    lowest = np.array([feature.low for feature in features])  # 0 of the others
+    highest = lowest + [feature.span for feature in features]
+    return gymnasium.spaces.Box(lowest, highest, dtype=np.float64)
 
 
 def register_all() -> None:

@@ -39,7 +39,7 @@ def test_games_agree_with_the_single_form_step_by_step(
     states = [rules.start()] * 8
     for step in range(150):
         moves = rng.integers(4, size=8)
-        wanted = read(batch)[:, towards_food]
+        wanted = read(batch)[:, towards_food].astype(int)
         moves = np.where((rng.random(8) < hunger) & (wanted < 4), wanted, moves)
         draws = batch.draws(rng)
         points = batch.step(moves, draws)
@@ -61,7 +61,7 @@ def test_agreement_is_tested_on_everything_that_can_happen() -> None:
     read, rng = FeatureReader(batch.rules), generator(0, 'everything')
     towards_food, ate = read.names.index('food_direction'), 0
     for _ in range(400):
-        batch.step(read(batch)[:, towards_food] % 4, batch.draws(rng))
+        batch.step(read(batch)[:, towards_food].astype(int) % 4, batch.draws(rng))
         ate |= int(np.bitwise_or.reduce(batch.ate))
     assert ate == 1 | 2 | 4 | 8
     assert (batch.food_left == 0).any()

@@ -36,7 +36,7 @@ LATER = (
 def features_of(text: str) -> dict[str, str]:
     """Return how each feature of a state reads to a person."""
     values = DOMAIN.feature_values(DOMAIN.decode(text))
-    return {f.name: f.values[value] for f, value in zip(DOMAIN.features, values)}
+    return {f.name: f.text(value) for f, value in zip(DOMAIN.features, values)}
 
 
 def test_features_of_the_start() -> None:
@@ -97,7 +97,7 @@ def test_the_papers_list_is_positions_and_timers() -> None:
     assert set(names) == {*wanted, 'ghost_1_scared', 'ghost_2_scared', 'ate'}
     for text in (START, LATER):
         values = named.feature_values(named.decode(text))
-        said = {f.name: f.values[value] for f, value in zip(named.features, values)}
+        said = {f.name: f.text(value) for f, value in zip(named.features, values)}
         assert said == {name: features_of(text)[name] for name in names}
 
 
@@ -119,6 +119,12 @@ def test_only_the_papers_list_is_among_the_parameters() -> None:
     """Files and bags from before there were two lists are of the default."""
     assert 'features' not in PacMan(features='directions').parameters
     assert PacMan(features='paper').parameters['features'] == 'paper'
+
+
+def test_questions_complete_the_sentence() -> None:
+    """'Does OPTION depend on ...?'."""
+    starts = ('which ', 'whether ', 'how many ', 'what ')
+    assert all(feature.question.startswith(starts) for feature in PacMan().features)
 
 
 def test_masks_and_directions_have_no_order() -> None:

@@ -18,9 +18,9 @@ column                  what it holds
 ======================  =========================================================================
 
 Rows may be in any order, and columns with other names are left alone. A feature is written as the
-domain words its value, or as its index. The apostrophe before text that a spreadsheet would take
-for a formula is not part of the text. A data frame means what its cells say, whatever their type:
-1, 1.0, True and 'TRUE' are the same flag.
+domain words its value, or as its index; a continuous one as a number. The apostrophe before text
+that a spreadsheet would take for a formula is not part of the text. A data frame means what its
+cells say, whatever their type: 1, 1.0, True and 'TRUE' are the same flag.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -31,7 +31,13 @@ from pathlib import Path
 import re
 from typing import Any, TYPE_CHECKING, TypeVar
 
-from humanopts_env.domains.base import Domain, EnumerableDomain, is_enumerable
+from humanopts_env.domains.base import (
+    Domain,
+    EnumerableDomain,
+    Feature,
+    FeatureKind,
+    is_enumerable,
+)
 from humanopts_learner.demonstrations import Demonstration, DemonstrationError, make_demonstration
 from humanopts_learner.spreadsheet import EXCEL, from_cell
 from humanopts_ros.limits import composed
@@ -287,7 +293,7 @@ def _state_with(domain: EnumerableDomain[Any], row: _Row) -> Any:
     alike, given = np.ones(domain.n_states, dtype=np.bool_), []
     for column, feature in enumerate(domain.features):
         if feature.name in row.cells:
-            value = row.read(feature.name, partial(_value, words=feature.values))
+            value = row.read(feature.name, partial(_value, feature=feature))
             alike &= domain.feature_table()[:, column] == value
             given.append(f'{feature.name} {row.cells[feature.name]}')
     found = np.flatnonzero(alike)
@@ -298,7 +304,10 @@ def _state_with(domain: EnumerableDomain[Any], row: _Row) -> Any:
     return domain.state_at(int(found[0]))
 
 
-def _value(text: str, words: Sequence[str]) -> int:
+def _value(text: str, feature: Feature) -> float:
+    words = feature.values
+    if feature.kind is FeatureKind.CONTINUOUS:
+        return _number(text)
     if text in words:
         return words.index(text)
     if tuple(words) == ('no', 'yes') and text.lower() in FLAGS:

@@ -60,15 +60,19 @@ def _whole(value: Any, least: int = -MAX_WHOLE) -> int:
     return value
 
 
+def _real(value: Any) -> float:
+    return float(_of_type(value, float, int))
+
+
 _CONVERT: Mapping[Any, Callable[[Any], Any]] = {  # plain values into the types of the fields
     Kind: Kind,
     bool: lambda flag: _of_type(flag, bool),
     int: lambda number: _whole(number, least=0),
-    float: lambda number: float(_of_type(number, float, int)),
+    float: _real,
     str: lambda text: intern(_of_type(text, str)),  # states and names repeat; each is kept once
     tuple[str, ...]: lambda texts: tuple(intern(_of_type(text, str)) for text in texts),
-    tuple[float, ...]: lambda numbers: tuple(float(_of_type(n, float, int)) for n in numbers),
-    tuple[tuple[int, ...], ...]: lambda rows: tuple(tuple(map(_whole, row)) for row in rows),
+    tuple[float, ...]: lambda numbers: tuple(map(_real, numbers)),
+    tuple[tuple[float, ...], ...]: lambda rows: tuple(tuple(map(_real, row)) for row in rows),
 }
 
 
@@ -90,7 +94,7 @@ class Demonstration:
     number: int  # 1, 2, 3, ... within participant and option
     chosen_features: tuple[str, ...]
     feature_names: tuple[str, ...]
-    features: tuple[tuple[int, ...], ...]  # (T + 1) rows of all features
+    features: tuple[tuple[float, ...], ...]  # (T + 1) rows of all features
     states: tuple[str, ...]  # T + 1
     actions: tuple[str, ...]  # T
     rewards: tuple[float, ...]  # T
@@ -106,7 +110,12 @@ class Demonstration:
     @cached_property
     def feature_rows(self) -> Rows:
         """All features of all states, (T + 1, F)."""
-        return np.array(self.features, dtype=np.int32).reshape(len(self.states), -1)
+        return np.array(self.features).reshape(len(self.states), -1)
+
+    @property
+    def plain_features(self) -> list[list[float]]:
+        """``features`` as files have them: whole numbers, as indices are, without a point."""
+        return [[int(v) if float(v).is_integer() else v for v in row] for row in self.features]
 
     @property
     def total_reward(self) -> float:
@@ -117,6 +126,7 @@ class Demonstration:
         """Return the demonstration as one line of JSON."""
         values = asdict(self)
         values['kind'] = self.kind.value
+        values['features'] = self.plain_features
         for name, usual in _OPTIONAL.items():
             if values[name] == usual:
                 del values[name]

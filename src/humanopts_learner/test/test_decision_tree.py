@@ -224,7 +224,7 @@ COUNTS = tuple(len(feature.values) for feature in DOMAIN.features)
 def _rows(seed: int, count: int) -> Rows:
     rng = generator(seed, 'rows')
     values = [rng.integers(len(f.values), size=count) for f in DOMAIN.features]
-    return np.stack(values, axis=1).astype(np.int32)
+    return np.stack(values, axis=1).astype(np.float64)
 
 
 def _option(seed: int, examples: int) -> LearnedOption:

@@ -164,7 +164,7 @@ def test_text_that_is_no_demonstration_is_refused(text: str) -> None:
 def test_return_is_the_undiscounted_sum(demo: Demonstration) -> None:
     assert demo.total_reward == -(len(demo.actions) - 1)  # 0 for the pickup
     assert demo.feature_rows.shape == (len(demo.actions) + 1, len(TAXI.features))
-    assert demo.feature_rows.dtype == np.int32
+    assert demo.feature_rows.dtype == np.float64
 
 
 def test_groups_keep_people_apart_and_count_repeats_once(demo: Demonstration) -> None:

@@ -55,9 +55,9 @@ def option(
     return option_from_table(domain, table, names, rows, participant=participant)
 
 
-def feature(name: str) -> NDArray[np.int32]:
+def feature(name: str) -> NDArray[np.float64]:
     """Return one feature of every state, (S,)."""
-    column: NDArray[np.int32] = TAXI.feature_table()[
+    column: NDArray[np.float64] = TAXI.feature_table()[
         :, [f.name for f in TAXI.features].index(name)
     ]
     return column

@@ -297,7 +297,7 @@ def test_no_number_of_demonstrations_takes_a_value_below_a_threshold_of_nothing(
 
 
 def test_examples_of_one_class_have_no_balanced_error() -> None:
-    alike = Examples(np.zeros((4, 1), dtype=np.int32), np.full(4, MEMBER), np.arange(4))
+    alike = Examples(np.zeros((4, 1), dtype=np.float64), np.full(4, MEMBER), np.arange(4))
     always = [lambda rows: np.ones(len(rows), dtype=np.bool_)] * 2
     folds = np.array([0, 1, 0, 1])
     assert balanced_error(alike, always, folds) is None

@@ -134,15 +134,15 @@ def test_step_table_has_every_state_with_the_step_that_led_to_it(
     action = [a.name for a in taxi.actions].index(steps['action'][1])
     outcome = taxi.step(first, action, generator(0, 'not used'))
     assert (outcome.state, outcome.reward) == (second, steps['reward'][1])
-    row = taxi.features[0].values[taxi.feature_values(second)[0]]
+    row = taxi.features[0].text(taxi.feature_values(second)[0])
     assert steps['feature:taxi_row'][1] == row
     assert steps['option'][:4] == ['', 'module 1', 'module 0', 'module 1']
     assert steps['source'][:2] == ['', 'machine']
 
 
-@pytest.mark.parametrize('features', [[999], [-1], []])
+@pytest.mark.parametrize('features', [[999.0], [-1.0], [0.5], []])
 def test_features_that_the_domain_does_not_have_here_are_left_empty_and_said(
-    tmp_path: Path, taxi: Domain[Any], features: list[int]
+    tmp_path: Path, taxi: Domain[Any], features: list[float]
 ) -> None:
     with BagWriter(tmp_path / 'bag') as writer:
         for time, (topic, kind, message) in enumerate(entries(taxi, 1, [])):

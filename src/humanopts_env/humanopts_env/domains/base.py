@@ -1,4 +1,4 @@
-"""What a domain is: discrete named features, named actions, and rules without hidden state."""
+"""What a domain is: named features, named actions, and rules without hidden state."""
 
 from collections.abc import Collection, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -6,7 +6,7 @@ from enum import Enum
 from itertools import compress, product
 from typing import Generic, Protocol, runtime_checkable, TypeGuard, TypeVar
 
-from humanopts_env.arrays import Flags, Floats
+from humanopts_env.arrays import Flags, Floats, Rows
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,20 +23,29 @@ class StateError(DomainError):
 
 
 class FeatureKind(Enum):
-    """Whether the values of a feature have an order."""
+    """What the values of a feature are."""
 
-    ORDINAL = 'ordinal'
-    NOMINAL = 'nominal'  # one-hot for the trees
+    ORDINAL = 'ordinal'  # indices into texts that have an order
+    NOMINAL = 'nominal'  # indices into texts that have none; one-hot for the trees
+    CONTINUOUS = 'continuous'  # numbers in a range
 
 
 @dataclass(frozen=True, slots=True)
 class Feature:
-    """One discrete feature; its value in a state is an index into ``values``."""
+    """
+    One feature; its value in a state is a float64.
+
+    An ordinal or nominal value is an index into ``values``, a continuous one a number from
+    ``low`` to ``high``.
+    """
 
     name: str  # snake_case
     question: str  # completes "Does OPTION depend on ...?"
     kind: FeatureKind
-    values: tuple[str, ...]  # the text of each value, for people
+    values: tuple[str, ...] = ()  # the text of each ordinal or nominal value, for people
+    unit: str = ''  # of a continuous feature, such as m or rad; empty: none
+    low: float = 0.0  # range of a continuous feature; both finite
+    high: float = 0.0
 
     @classmethod
     def number(cls, name: str, question: str, count: int, *more: str) -> 'Feature':
@@ -47,6 +56,32 @@ class Feature:
     def nominal(cls, name: str, question: str, values: Iterable[str]) -> 'Feature':
         """Return a feature whose values have no order."""
         return cls(name, question, FeatureKind.NOMINAL, tuple(values))
+
+    @classmethod
+    def continuous(
+        cls, name: str, question: str, low: float, high: float, unit: str = ''
+    ) -> 'Feature':
+        """Return a feature of the real numbers from ``low`` to ``high``."""
+        return cls(name, question, FeatureKind.CONTINUOUS, (), unit, low, high)
+
+    def has(self, value: float) -> bool:
+        """Return whether the feature can have a value."""
+        if self.kind is FeatureKind.CONTINUOUS:
+            return self.low <= value <= self.high
+        return 0 <= value < len(self.values) and value == int(value)
+
+    def text(self, value: float) -> str:
+        """Return a value as people read it: continuous ones to four digits, with the unit."""
+        if self.kind is FeatureKind.CONTINUOUS:
+            return f'{value:.4g} {self.unit}'.strip()
+        return self.values[int(value)]
+
+    @property
+    def span(self) -> float:
+        """Highest minus lowest value, at least 1 where these are indices."""
+        if self.kind is FeatureKind.CONTINUOUS:
+            return self.high - self.low
+        return max(len(self.values) - 1, 1)
 
 
 def subset_names(names: Sequence[str], joint: str = ', ', none: str = 'none') -> list[str]:
@@ -104,8 +139,8 @@ class Domain(Protocol[S]):
     def can_follow(self, state: S, action: int, successor: S) -> bool:
         """Return whether ``step`` can lead from ``state`` by ``action`` to ``successor``."""
 
-    def feature_values(self, state: S) -> NDArray[np.int32]:
-        """Return the value of every feature, (F,), indices into ``Feature.values``."""
+    def feature_values(self, state: S) -> Floats:
+        """Return the value of every feature, (F,), as ``Feature`` describes it."""
 
     def encode(self, state: S) -> str:
         """Return the state in the domain's notation, one line."""
@@ -175,7 +210,7 @@ class EnumerableDomain(Domain[S], Protocol[S]):
     def transitions(self) -> Transitions:
         """Return the exact transitions; built once, then shared and read-only."""
 
-    def feature_table(self) -> NDArray[np.int32]:
+    def feature_table(self) -> Rows:
         """Return (S, F): ``feature_values`` of every state; shared and read-only."""
 
     def start_states(self) -> NDArray[np.int32]:
@@ -203,7 +238,7 @@ def shown_values(
     :param shown: names of the features that may be revealed; None: all.
     """
     return {
-        feature.name: feature.values[value]
+        feature.name: feature.text(value)
         for feature, value in zip(domain.features, domain.feature_values(state).tolist())
         if shown is None or feature.name in shown
     }

@@ -21,7 +21,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol, runtime_checkable
 
-from humanopts_env.arrays import Flags, Ints
+from humanopts_env.arrays import Flags, Ints, Rows
 from humanopts_env.board import Board
 from humanopts_env.domains.base import Domain, Parameter, shown_values
 from humanopts_env.domains.search_space import SearchSpace
@@ -110,7 +110,7 @@ class BatchGames(Protocol):
     def batch_over(self, batch: Any) -> Flags:
         """Return (N,): whether each game is over."""
 
-    def batch_features(self, batch: Any) -> NDArray[np.int32]:
+    def batch_features(self, batch: Any) -> Rows:
         """Return (N, F): all features."""
 
     def batch_outcome(self, batch: Any) -> Mapping[str, NDArray[Any]]:
@@ -124,9 +124,7 @@ class BatchGames(Protocol):
             need. Only the latter may have a ``mixture``.
         """
 
-    def abstract_features(
-        self, batch: Any, rows: NDArray[np.int32], *, fine: bool
-    ) -> NDArray[np.int32]:
+    def abstract_features(self, batch: Any, rows: Rows, *, fine: bool) -> NDArray[np.int32]:
         """
         Return (N, P): the values of the abstract features, from 0.
 
@@ -162,13 +160,13 @@ class DrawsAhead(Protocol):
         """
 
 
-def feature_rows(domain: Domain[Any], states: Sequence[Any]) -> NDArray[np.int32]:
+def feature_rows(domain: Domain[Any], states: Sequence[Any]) -> Rows:
     """Return the features of N states, (N, F), all at once where the domain can."""
     if isinstance(domain, HasBatchGames):
         games = domain.batch_games()
         return games.batch_features(games.batch_of(states))
     values = [domain.feature_values(state) for state in states]
-    return np.array(values, dtype=np.int32).reshape(len(states), len(domain.features))
+    return np.array(values, dtype=np.float64).reshape(len(states), len(domain.features))
 
 
 @runtime_checkable
@@ -216,8 +214,12 @@ class Scores:
 class Heuristic(Protocol):
     """A rule written by hand that chooses among the reference options."""
 
-    def __call__(self, games: int, seed: int, /) -> Scores:
-        """Play games until they are over or cut off, with a choice at every step."""
+    def __call__(self, games: int, seed: int, *, to_end: bool) -> Scores:
+        """
+        Play games until they are over or cut off.
+
+        :param to_end: True: an option runs to its end; False: an option is chosen at every step.
+        """
 
 
 @dataclass(frozen=True)
@@ -226,9 +228,11 @@ class Baselines:
 
     variants: Mapping[str, Mapping[str, Parameter]] = field(default_factory=dict)
     """Changed parameters of each variant of the game to compare in, by the variant's name."""
-    paper_options: tuple[str, ...] = ()  # names, for a plan with these options alone
+    targets: tuple[float, ...] = ()  # mean returns of interest, for these parameters
+    fewer_options: tuple[tuple[str, ...], ...] = ()  # names, for plans with these options alone
     primitive: PlanSettings | None = None  # for plans with primitive actions
     interrupted: PlanSettings | None = None  # for plans with options that are interrupted
+    interrupted_mixture: PlanSettings | None = None  # the same with primitive actions beside them
     heuristic: Heuristic | None = None
 
 
@@ -242,7 +246,7 @@ class HasBaselines(Protocol):
 
 @runtime_checkable
 class HasActionMask(Protocol):
-    """A domain that tells which actions can change something, so that Gymnasium can play it."""
+    """A domain that tells which actions can change something."""
 
     def action_mask(self, state: Any) -> NDArray[np.int8]:
         """Return (A,): 1 for those that can."""

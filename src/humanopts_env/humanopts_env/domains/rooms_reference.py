@@ -31,7 +31,7 @@ def reference_options(domain: Domain) -> dict[str, TabularReferenceOption]:
 
 def _pairs(domain: Domain) -> list[tuple[str, str]]:
     """Return room and doorway of each option."""
-    room, doorway = (feature_column(domain, name) for name in ('room', 'doorway'))
+    room, doorway = (feature_column(domain, name).astype(np.intp) for name in ('room', 'doorway'))
     successor = domain.transitions().successor
     pairs = []
     for number, name in enumerate(ROOMS.values()):

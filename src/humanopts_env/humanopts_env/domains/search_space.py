@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-from humanopts_env.arrays import Flags, Ints
+from humanopts_env.arrays import Flags, Ints, Rows
 from humanopts_env.domains.base import (
     BoardSlice,
     EnumerableDomain,
@@ -21,7 +21,6 @@ from humanopts_env.domains.base import (
 )
 from humanopts_env.domains.tabular import reachable
 import numpy as np
-from numpy.typing import NDArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +36,7 @@ class SearchSpace:
     status: Ints  # (S,) a change of the status is an event
     events: tuple[str, ...]  # name of the event that leads to each status; none: no events
     situation: Ints  # (S,) 0..M-1
-    rows: NDArray[np.int32]  # (S, F) the domain's features; only ``columns`` are meaningful
+    rows: Rows  # (S, F) the domain's features; only ``columns`` are meaningful
     columns: tuple[int, ...]  # indices of the features that the options may depend on
     board: BoardSlice | None = None  # states laid out for a figure
 
@@ -69,7 +68,7 @@ def plain_space(
     transitions: Transitions,
     over: Flags,
     reached: Flags,
-    rows: NDArray[np.int32],
+    rows: Rows,
     columns: Sequence[int],
     cell_names: Sequence[str],
     board: BoardSlice | None,
@@ -141,11 +140,11 @@ def plain_cell_name(values: tuple[int, ...]) -> str:
     return f'cell {",".join(map(str, values))}'
 
 
-def _groups(domain: EnumerableDomain[Any], names: Sequence[str]) -> tuple[NDArray[np.int32], Ints]:
+def _groups(domain: EnumerableDomain[Any], names: Sequence[str]) -> tuple[Ints, Ints]:
     """Return the distinct values of some features, and (S,) the index of each state's values."""
     rows = domain.feature_table()[:, feature_columns(domain, names)]
     values, group = np.unique(rows, axis=0, return_inverse=True)
-    return values, group.ravel()
+    return values.astype(np.intp), group.ravel()
 
 
 def _best_ends(transitions: Transitions) -> Flags:

@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from functools import cached_property, wraps
 from typing import Any, TypeVar
 
-from humanopts_env.arrays import Flags, Floats, Ints
+from humanopts_env.arrays import Flags, Floats, Ints, Rows
 from humanopts_env.domains.base import (
     DomainError,
     EnumerableDomain,
@@ -48,8 +48,8 @@ class SharedTables(EnumerableDomain[S], ABC):
     def _open(self) -> Ints:
         """Indices of the states that an episode can pass through, never over."""
 
-    def feature_values(self, state: S) -> NDArray[np.int32]:
-        values: NDArray[np.int32] = self.feature_table()[self.index(state)]
+    def feature_values(self, state: S) -> Floats:
+        values: Floats = self.feature_table()[self.index(state)]
         return values
 
     def reset(self, rng: np.random.Generator) -> S:
@@ -125,8 +125,8 @@ class TableDomain(SharedTables[S]):
         """Return whether an episode can begin in ``state``; all such states are equally likely."""
 
     @abstractmethod
-    def values_of(self, state: S) -> Sequence[int]:
-        """Return the value of every feature, indices into ``Feature.values``."""
+    def values_of(self, state: S) -> Sequence[float]:
+        """Return the value of every feature, as ``Feature`` describes it."""
 
     @property
     def n_states(self) -> int:
@@ -176,8 +176,8 @@ class TableDomain(SharedTables[S]):
         )
 
     @built_once
-    def feature_table(self) -> NDArray[np.int32]:
-        return read_only(np.array([self.values_of(s) for s in self._states], dtype=np.int32))
+    def feature_table(self) -> Rows:
+        return read_only(np.array([self.values_of(s) for s in self._states], dtype=np.float64))
 
     @built_once
     def start_states(self) -> NDArray[np.int32]:

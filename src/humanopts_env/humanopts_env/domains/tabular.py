@@ -17,9 +17,9 @@ def read_only(array: NDArray[Scalar]) -> NDArray[Scalar]:
     return array
 
 
-def feature_column(domain: EnumerableDomain[Any], name: str) -> NDArray[np.int32]:
+def feature_column(domain: EnumerableDomain[Any], name: str) -> Floats:
     """Return (S,): the value of one feature in every state."""
-    values: NDArray[np.int32] = domain.feature_table()[:, feature_columns(domain, [name])[0]]
+    values: Floats = domain.feature_table()[:, feature_columns(domain, [name])[0]]
     return values
 
 

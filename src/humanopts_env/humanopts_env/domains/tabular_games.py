@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import Any
 
-from humanopts_env.arrays import Flags, Floats, Ints
+from humanopts_env.arrays import Flags, Floats, Ints, Rows
 from humanopts_env.domains.base import EnumerableDomain
 from humanopts_env.domains.capabilities import Abstraction, BatchGames
 from humanopts_env.domains.tabular import TabularSimulator
@@ -61,8 +61,8 @@ class TabularGames(BatchGames):
         found: Flags = self._listed.over()[batch[0]]
         return found
 
-    def batch_features(self, batch: Batch) -> NDArray[np.int32]:
-        found: NDArray[np.int32] = self._listed.feature_table()[batch[0]]
+    def batch_features(self, batch: Batch) -> Rows:
+        found: Rows = self._listed.feature_table()[batch[0]]
         return found
 
     def batch_outcome(self, batch: Batch) -> Mapping[str, NDArray[Any]]:
@@ -73,8 +73,6 @@ class TabularGames(BatchGames):
         """Return the one abstract feature: the state."""
         return Abstraction((self._listed.n_states,))
 
-    def abstract_features(
-        self, batch: Batch, rows: NDArray[np.int32], *, fine: bool
-    ) -> NDArray[np.int32]:
+    def abstract_features(self, batch: Batch, rows: Rows, *, fine: bool) -> NDArray[np.int32]:
         """Return the states, (N, 1)."""
         return batch.T.astype(np.int32)

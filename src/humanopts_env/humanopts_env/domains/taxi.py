@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from functools import cached_property
 import re
 
-from humanopts_env.arrays import Flags, Ints
+from humanopts_env.arrays import Flags, Ints, Rows
 from humanopts_env.board import Board, BOX, FLAG, HATCHED_BOX, Mark, OPEN_BOX, PERSON, Wall
 from humanopts_env.colours import BLUE, GREEN, MAGENTA, ORANGE, RED, TEAL
 from humanopts_env.domains.base import (
@@ -338,12 +338,12 @@ class Taxi(SharedTables[TaxiState]):
         )
 
     @built_once
-    def feature_table(self) -> NDArray[np.int32]:
+    def feature_table(self) -> Rows:
         cell, passenger, destination = self._parts()
         waiting_at, target = self._passenger_cells(), self._landmarks[destination]
         # bit 0 south, 1 north, 2 east, 3 west
         mask = blocked_moves(self.rows, self.cols) @ (1 << np.arange(4))
-        table = np.empty((len(cell), 10), dtype=np.int32)
+        table = np.empty((len(cell), 10))
         for column, place in ((0, cell), (2, waiting_at), (4, target)):
             table[:, column], table[:, column + 1] = divmod(place, self.cols)
         table[:, 6] = passenger == ABOARD

@@ -20,6 +20,7 @@ from humanopts_interfaces.msg import (
 _KINDS = {
     FeatureKind.ORDINAL: FeatureInfo.KIND_ORDINAL,
     FeatureKind.NOMINAL: FeatureInfo.KIND_NOMINAL,
+    FeatureKind.CONTINUOUS: FeatureInfo.KIND_CONTINUOUS,
 }
 
 
@@ -36,6 +37,9 @@ def domain_to_info(domain: Domain[Any]) -> DomainInfo:
                 question=feature.question,
                 kind=_KINDS[feature.kind],
                 value_names=list(feature.values),
+                unit=feature.unit,
+                low=feature.low,
+                high=feature.high,
             )
             for feature in domain.features
         ],

@@ -8,10 +8,12 @@ policy, initiation set or termination condition over these features can learn.
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
+from math import factorial, prod
 from typing import Any
 
 from humanopts_env.arrays import Rows
-from humanopts_env.domains.base import Domain
+from humanopts_env.domains.base import Domain, Feature, FeatureKind
 from humanopts_learner.demonstrations import Demonstration, Kind, TREES
 from humanopts_learner.options.learn import Dataset, Examples, make_dataset
 import numpy as np
@@ -19,6 +21,7 @@ from numpy.typing import NDArray
 
 MOST_TEXTS = 10
 NO_START = 'cannot start here'  # in the words of a situation
+CHANCE = 0.05  # probability with which a continuous feature may separate examples by chance
 SLIP = 1  # so many different actions in a situation may be a slip of the hand
 
 
@@ -39,8 +42,20 @@ class _Conflict:
     text: str
     structural: bool  # False: it may be a slip
 
-    def separated_by(self, index: int) -> bool:
-        """Return whether examples that are alike in one more feature have equal labels."""
+    def separated_by(self, index: int, feature: Feature) -> bool:
+        """
+        Return whether examples that are alike in one more feature have equal labels.
+
+        Few examples are alike in a continuous feature. It must put those of each label side by
+        side, in more examples than chance would.
+        """
+        if feature.kind is FeatureKind.CONTINUOUS:
+            classes, counts = np.unique(self.labels, return_counts=True)
+            of_class = [self.rows[self.labels == label, index] for label in classes]
+            ranges = sorted((values.min(), values.max()) for values in of_class)
+            apart = all(one[1] < other[0] for one, other in pairwise(ranges))
+            orders = factorial(len(self.labels)) // prod(map(factorial, counts.tolist()))
+            return apart and factorial(len(classes)) <= CHANCE * orders
         pairs = set(zip(self.rows[:, index].tolist(), self.labels.tolist()))
         return len(pairs) == len({value for value, _ in pairs})
 
@@ -60,7 +75,10 @@ def find_conflicts(data: Dataset, domain: Domain[Any]) -> Conflicts:
     found.sort(key=lambda conflict: -len(conflict.labels))
     structural = [conflict for conflict in found if conflict.structural]
     others = [index for index in range(len(domain.features)) if index not in chosen]
-    separated = {i: sum(conflict.separated_by(i) for conflict in structural) for i in others}
+    separated = {
+        index: sum(conflict.separated_by(index, domain.features[index]) for conflict in structural)
+        for index in others
+    }
     best = max(separated, key=lambda index: separated[index], default=None)
     suggested = None
     if best is not None and 2 * separated[best] > len(structural):
@@ -98,7 +116,7 @@ def contradiction(
     for examples, word, is_action in [others[0], ends] if starts_first else [ends, *others]:
         if is_action and data.method != TREES:
             continue
-        keys = list(map(tuple, examples.rows[:, chosen].tolist()))
+        keys = list(map(tuple, examples.rows[:, chosen].astype(np.float32).tolist()))
         shown = list(zip(keys, examples.labels.tolist(), examples.source.tolist()))
         before = {key: (label, source) for key, label, source in shown if source < last}
         agreed = {(key, label) for key, label, source in shown if source < last}
@@ -136,7 +154,8 @@ def _conflicts(
     word: Callable[[int], str],
     may_slip: bool,
 ) -> list[_Conflict]:
-    _, group = np.unique(examples.rows[:, chosen], axis=0, return_inverse=True)
+    seen = examples.rows[:, chosen].astype(np.float32)  # as trees see them
+    _, group = np.unique(seen, axis=0, return_inverse=True)
     pairs = np.unique(np.stack([group.ravel(), examples.labels]), axis=1)[0]
     found = []
     for number in np.flatnonzero(np.bincount(pairs) > 1):
@@ -152,6 +171,6 @@ def _conflicts(
 def _situation(row: Rows, chosen: Sequence[int], domain: Domain[Any]) -> str:
     features = [domain.features[index] for index in chosen]
     return ', '.join(
-        f'{feature.name.replace("_", " ")} {feature.values[row[index]]}'
+        f'{feature.name.replace("_", " ")} {feature.text(row[index])}'
         for index, feature in zip(chosen, features)
     )

@@ -1,7 +1,8 @@
 """
 Decision trees: fitted by scikit-learn, kept and evaluated as plain arrays.
 
-A tree looks at encoded features: an ordinal feature is a number, a nominal one is one-hot.
+A tree looks at encoded features: an ordinal or continuous feature is a number, a nominal one is
+one-hot. They are float32, as scikit-learn sees them, when it is fitted and when it is evaluated.
 scikit-learn is imported when the first tree is fitted.
 """
 
@@ -13,7 +14,7 @@ import sys
 from types import ModuleType
 from typing import Any
 
-from humanopts_env.arrays import Floats, Ints
+from humanopts_env.arrays import Floats, Ints, Rows
 from humanopts_env.domains.base import Domain, feature_columns, FeatureKind
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +29,7 @@ class TreeError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class EncodedFeature:
-    """One number that a tree sees: an ordinal feature, or whether a nominal one has a value."""
+    """One number that a tree sees: a feature, or whether a nominal one has a value."""
 
     feature: str
     index: int  # of the feature among all features of the domain
@@ -56,24 +57,22 @@ class EncodedFeature:
 
 def feature_encoding(domain: Domain[Any], features: Sequence[str]) -> tuple[EncodedFeature, ...]:
     """
-    Return how selected features are encoded: ordinal ones as they are, nominal ones one-hot.
+    Return how selected features are encoded: nominal ones one-hot, the others as they are.
 
     :raises DomainError: a name is not a feature of the domain.
     """
     encoding: list[EncodedFeature] = []
     for index in feature_columns(domain, features):
         feature = domain.features[index]
-        if feature.kind is FeatureKind.ORDINAL:
-            encoding.append(EncodedFeature(feature.name, index))
-        else:
+        if feature.kind is FeatureKind.NOMINAL:
             values = range(len(feature.values))
             encoding += [EncodedFeature(feature.name, index, value) for value in values]
+        else:
+            encoding.append(EncodedFeature(feature.name, index))
     return tuple(encoding)
 
 
-def encode_rows(
-    encoding: Sequence[EncodedFeature], rows: NDArray[np.int32]
-) -> NDArray[np.float32]:
+def encode_rows(encoding: Sequence[EncodedFeature], rows: Rows) -> NDArray[np.float32]:
     """
     Return what the trees see.
 
@@ -90,11 +89,9 @@ class Encoder:
         values = [encoded.value for encoded in encoding]
         self._index = np.array([encoded.index for encoded in encoding], dtype=np.intp)
         self._one_hot = np.array([value is not None for value in values], dtype=np.bool_)
-        self._wanted = np.array([value or 0 for value in values], dtype=np.int32)
+        self._wanted = np.array([value or 0 for value in values], dtype=np.float64)
 
-    def __call__(
-        self, rows: NDArray[np.int32], tested: Ints | slice = slice(None)
-    ) -> NDArray[np.float32]:
+    def __call__(self, rows: Rows, tested: Ints | slice = slice(None)) -> NDArray[np.float32]:
         """
         Return what ``encode_rows`` does.
 

@@ -120,7 +120,7 @@ def in_doubt(option: LearnedOption, rows: Rows, demonstrations: Sequence[Demonst
 
 
 def _encoded(option: LearnedOption, parts: Sequence[Rows]) -> NDArray[np.float32]:
-    return encode_rows(option.encoding, np.concatenate(parts))
+    return encode_rows(option.encoding, np.concatenate(parts)) + np.float32(0)  # no -0.0
 
 
 def _shown(

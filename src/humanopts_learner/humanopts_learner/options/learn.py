@@ -234,7 +234,7 @@ def _initiation_labels(demo: Demonstration, again: bool) -> tuple[Rows, list[int
 
 
 def _termination_labels(
-    demo: Demonstration, picked: Sequence[int], ends: Collection[tuple[int, ...]]
+    demo: Demonstration, picked: Sequence[int], ends: Collection[tuple[float, ...]]
 ) -> tuple[Rows, list[int]]:
     """
     Label the states of a demonstration as ends or not.

@@ -46,7 +46,7 @@ class _Table:
     def __call__(self, rows: Rows) -> NDArray[Any]:
         at = np.zeros(len(rows), dtype=np.intp)
         for feature, place in self.places:
-            at += place.take(rows[:, feature])
+            at += place.take(rows[:, feature].astype(np.intp))
         found: NDArray[Any] = self.values.take(at)
         return found
 
@@ -56,7 +56,7 @@ def decisions(option: LearnedOption, counts: tuple[int, ...]) -> Decisions:
     """
     Return the decisions of an option; the next plan with the same option has them at once.
 
-    :param counts: number of values of each of the F features of its domain.
+    :param counts: number of values of each of the F features of its domain; 0: it is continuous.
     """
     best = option.policy.shares.argmax(axis=1).astype(np.min_scalar_type(len(option.actions)))
     starts, ends = (
@@ -75,10 +75,12 @@ def tree_table(
     """
     Return a function of rows (N, F) that gives the value of each row's leaf, (N,).
 
-    :param counts: number of values of each of the F features.
+    :param counts: number of values of each of the F features; 0: it is continuous.
     :param values: one for each node of the tree.
-    :return: None: there are more than ``LARGEST`` combinations.
+    :return: None: there are more than ``LARGEST`` combinations, or it tests a continuous feature.
     """
+    if not all(counts[encoding[column].index] for column in tree.tested):
+        return None
     tests = {}  # by node: its feature, and which of the feature's values (V,) go left
     for node in np.flatnonzero(tree.left != LEAF).tolist():
         encoded = encoding[int(tree.feature[node])]

@@ -180,14 +180,12 @@ def _farthest(
     """
     Return the state whose nearest shown state is farthest in the chosen features.
 
-    An ordinal feature differs by 0..1, a nominal one by 0 or 1, a half in each of
+    An ordinal or continuous feature differs by 0..1, a nominal one by 0 or 1, a half in each of
     two encoded features.
     """
     encoding = feature_encoding(domain, demonstrations[-1].chosen_features)
     features = [domain.features[encoded.index] for encoded in encoding]
-    scale = [
-        1 / max(len(f.values) - 1, 1) if f.kind is FeatureKind.ORDINAL else 0.5 for f in features
-    ]
+    scale = [0.5 if f.kind is FeatureKind.NOMINAL else 1 / f.span for f in features]
     shown = np.unique(np.concatenate([demo.feature_rows for demo in demonstrations]), axis=0)
     here, there = (
         encode_rows(encoding, r) * np.array(scale) for r in (feature_rows(domain, states), shown)

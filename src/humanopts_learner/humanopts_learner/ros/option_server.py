@@ -122,7 +122,7 @@ class OptionServerNode(NodeBase):
 
     async def _execute(self, handle: ServerGoalHandle) -> ExecuteOption.Result:
         def on_step(run: Run, state: Transition) -> None:
-            row = np.array([state.features], dtype=np.int32)
+            row = np.array([state.features])
             handle.publish_feedback(
                 ExecuteOption.Feedback(
                     step_count=run.step_count,

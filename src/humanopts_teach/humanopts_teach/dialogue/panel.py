@@ -354,11 +354,11 @@ def _standing(world: World, lesson: LessonView) -> Line:
 def _features(app: App, lesson: LessonView) -> Features:
     """Return what the option depends on, with its values in the state that is shown."""
     domain, game = app.domain, app.world.game
-    values: Sequence[int] = []
+    values: list[float] = []
     if game.state and lesson.phase is Phase.DEMONSTRATING:
         values = domain.feature_values(domain.decode(game.state)).tolist()
     shown = [
-        FeatureShown(_plain(feature.name), feature.values[values[index]] if len(values) else '')
+        FeatureShown(_plain(feature.name), feature.text(values[index]) if values else '')
         for index, feature in enumerate(domain.features)
         if feature.name in lesson.chosen_features
     ]

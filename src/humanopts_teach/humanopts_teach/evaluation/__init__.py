@@ -1,5 +1,1 @@
 """Offline evaluation: the numbers of a lesson, from its demonstrations alone."""
-
-from collections.abc import Callable
-
-ProgressCallback = Callable[[float, float, str], object]  # done, total, what is under way

@@ -12,7 +12,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 import warnings
 
-from humanopts_env.domains.base import action_index, Domain, DomainError
+from humanopts_env.domains.base import action_index, Domain
 from humanopts_env.gym_env import spec_of
 from humanopts_teach.bags.contents import (
     Beginnings,
@@ -45,8 +45,8 @@ def write_dataset(bag: Bag, out: Path) -> tuple[str, int]:
     :param out: folder that Minari is to look in, from now on in this process.
     :return: id of the dataset, and how many episodes it has; ``Bag.damage`` says what is left out.
     :raises BagError: the bag does not say which domain was played, or it is not installed.
-    :raises ExportError: Minari is not installed, there is nothing to write, the domain is no
-        Gymnasium environment, or the dataset is there already.
+    :raises ExportError: Minari is not installed, there is nothing to write, or the dataset is
+        there already.
     """
     try:
         import minari
@@ -64,10 +64,7 @@ def write_dataset(bag: Bag, out: Path) -> tuple[str, int]:
     first = next(whole, None)
     if first is None:
         raise ExportError(f'{bag.path} holds no episode that was recorded without a gap')
-    try:
-        spec = spec_of(domain)
-    except DomainError as error:
-        raise ExportError(str(error)) from error
+    spec = spec_of(domain)
     env = spec.make()
     begun = read_beginnings(bag)
     buffers = (

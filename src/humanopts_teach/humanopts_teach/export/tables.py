@@ -14,6 +14,7 @@ import math
 from pathlib import Path, PurePosixPath
 from typing import Any
 
+from humanopts_env.domains.base import Feature, FeatureKind
 from humanopts_learner.demonstrations import Demonstration, each_once
 from humanopts_learner.spreadsheet import EXCEL, to_cell
 from humanopts_teach.bags.contents import (
@@ -76,38 +77,36 @@ def _steps_table(bag: Bag) -> Table:
     """Return a table with a row for each recorded state and the step that led to it."""
     features = read_domain(bag).features
     names = (f'{FEATURE_PREFIX}{feature.name}' for feature in features)
-    rows = _steps(bag, [feature.values for feature in features], read_actors(bag))
+    rows = _steps(bag, features, read_actors(bag))
     return Table('steps', (*_STEPS, *names, *_MOVES), rows)
 
 
-def _steps(
-    bag: Bag, features: Sequence[Sequence[str]], actors: Actors
-) -> Iterator[tuple[Any, ...]]:
+def _steps(bag: Bag, features: Sequence[Feature], actors: Actors) -> Iterator[tuple[Any, ...]]:
     for number, episode in enumerate(read_episodes(bag), start=1):
         for at in episode.transitions:
-            words = _words(features, at.features)
-            if words is None:
+            cells = _cells(features, at.features)
+            if cells is None:
                 bag.note(f'{episode.topic}: states with other features have none in the table')
             yield (
                 *(number, episode.publisher_id, episode.number, at.step, at.state),
-                *(words or (None,) * len(features)),
+                *(cells or (None,) * len(features)),
                 *(at.previous_action, at.reward, at.terminated, at.truncated),
                 *(source_of(at), actor_of(at, actors)),
             )
 
 
-def _words(features: Sequence[Sequence[str]], values: Sequence[int]) -> list[str] | None:
-    """Return values of features in words; None: the domain has other features here."""
-    if len(values) != len(features):
-        return None
+def _cells(features: Sequence[Feature], values: Sequence[float]) -> list[float | str] | None:
+    """Return values of features, in words unless continuous; None: they are of another domain."""
     pairs = list(zip(features, values))
-    known = all(0 <= value < len(words) for words, value in pairs)
-    return [words[value] for words, value in pairs] if known else None
+    if len(values) != len(features) or not all(feature.has(value) for feature, value in pairs):
+        return None
+    return [v if f.kind is FeatureKind.CONTINUOUS else f.text(v) for f, v in pairs]
 
 
 def _demonstration(demo: Demonstration) -> dict[str, Any]:
     counted = {'steps': len(demo.actions), 'total_reward': demo.total_reward}
-    return {**asdict(demo), 'kind': demo.kind.value, **counted}
+    plain = {'kind': demo.kind.value, 'features': demo.plain_features}
+    return {**asdict(demo), **plain, **counted}
 
 
 def _plans(bag: Bag) -> Iterator[dict[str, Any]]:

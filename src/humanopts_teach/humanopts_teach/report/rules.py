@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import math
 from typing import Any
 
-from humanopts_env.domains.base import Domain
+from humanopts_env.domains.base import Domain, FeatureKind
 from humanopts_learner.options.decision_tree import EncodedFeature, LEAF, Tree
 from humanopts_learner.options.option import LearnedOption
 
@@ -71,11 +71,14 @@ def tree_lines(
 def _test(column: EncodedFeature, threshold: float, domain: Domain[Any]) -> tuple[str, str]:
     """Return the test in words where it fails the threshold (right) and where not (left)."""
     name = column.feature.replace('_', ' ')
-    values = domain.features[column.index].values
+    feature = domain.features[column.index]
+    values = feature.values
     if column.value is not None:
         value = values[column.value]
         opposite = values[1 - column.value] if len(values) == 2 else f'not {value}'
         return f'{name} is {value}', f'{name} is {opposite}'
+    if feature.kind is FeatureKind.CONTINUOUS:
+        return f'{name} > {feature.text(threshold)}', f'{name} ≤ {feature.text(threshold)}'
     highest = math.floor(threshold)
     return f'{name} ≥ {values[highest + 1]}', f'{name} ≤ {values[highest]}'
 

@@ -7,6 +7,7 @@ and three lives. The rules are in ``rules``.
 
 from collections.abc import Collection, Mapping, Sequence
 
+from humanopts_env.arrays import Floats, Rows
 from humanopts_env.board import Board
 from humanopts_env.domains.base import (
     Action,
@@ -157,11 +158,11 @@ class PacMan(Domain[PacManState]):
             return False
         return self.rules.can_follow(state, action, successor)
 
-    def feature_values(self, state: PacManState) -> NDArray[np.int32]:
-        values: NDArray[np.int32] = self.read_features(self.rules.game_at(state))[0]
+    def feature_values(self, state: PacManState) -> Floats:
+        values: Floats = self.read_features(self.rules.game_at(state))[0]
         return values
 
-    def read_features(self, batch: PacManBatch) -> NDArray[np.int32]:
+    def read_features(self, batch: PacManBatch) -> Rows:
         """Return the values of every feature in N games, (N, F)."""
         rows = self.read_all_features(batch)
         return rows if self.has_all_features else rows[:, self._listed]
@@ -211,7 +212,7 @@ class PacMan(Domain[PacManState]):
             moves, np.ones(moves.shape), np.zeros(moves.shape), np.zeros(moves.shape, np.bool_)
         )
         columns = feature_columns(self, ('pacman_row', 'pacman_col'))
-        rows = np.zeros((len(maze.cells), len(self.features)), dtype=np.int32)
+        rows = np.zeros((len(maze.cells), len(self.features)))
         rows[:, columns] = maze.cells
         cells = np.full((maze.rows, maze.cols), -1, dtype=np.int32)
         cells[tuple(np.transpose(maze.cells))] = range(len(maze.cells))
@@ -221,4 +222,4 @@ class PacMan(Domain[PacManState]):
         return plain_space(transitions, over, ~over, rows, columns, names, board)
 
     def baselines(self) -> Baselines:
-        return pacman_baselines(self)
+        return pacman_baselines(self, usual=self.parameters == PacMan().parameters)

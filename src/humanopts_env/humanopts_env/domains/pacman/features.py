@@ -17,7 +17,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
-from humanopts_env.arrays import Flags, Ints
+from humanopts_env.arrays import Flags, Ints, Rows
 from humanopts_env.domains.base import Feature, FeatureKind, subset_names
 from humanopts_env.domains.capabilities import FeatureGroup
 from humanopts_env.domains.pacman.paths import FIRST_MOVE, Masks, MOVES, STAY
@@ -138,7 +138,7 @@ class FeatureReader:
         """Names of the features."""
         return tuple(feature.name for feature in pacman_features(self.rules))
 
-    def __call__(self, batch: PacManBatch) -> NDArray[np.int32]:
+    def __call__(self, batch: PacManBatch) -> Rows:
         """Return the features of every game, (N, F)."""
         here, tables, groups = batch.pacman, batch.tables, len(batch.ghosts)
         food = nearest_key(tables.food_number, here, batch.food_taken)
@@ -153,7 +153,7 @@ class FeatureReader:
         scared, ghosts = batch.scared > 0, ways[:groups] | self._ghosts
         for thing, chosen in ((-2, ~scared), (-1, scared)):
             ways[thing] = np.where(chosen, ghosts, self._no_way).min(axis=0, initial=self._no_way)
-        out = np.empty((len(self.names), len(batch)), dtype=np.int32)
+        out = np.empty((len(self.names), len(batch)))
         out[:2] = self._place.take(here, axis=1)
         for axis in range(2):
             out[self._rows + axis] = self._place[axis].take(cells)

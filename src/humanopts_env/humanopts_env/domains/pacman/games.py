@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import Any, TYPE_CHECKING
 
-from humanopts_env.arrays import Flags, Ints
+from humanopts_env.arrays import Flags, Ints, Rows
 from humanopts_env.domains.capabilities import Abstraction, BatchGames
 from humanopts_env.domains.pacman.features import (
     DIRECTIONS,
@@ -125,7 +125,7 @@ class PacManGames(BatchGames):
     def batch_over(self, batch: PacManBatch) -> Flags:
         return batch.over
 
-    def batch_features(self, batch: PacManBatch) -> NDArray[np.int32]:
+    def batch_features(self, batch: PacManBatch) -> Rows:
         return self.domain.read_features(batch)
 
     def batch_outcome(self, batch: PacManBatch) -> Mapping[str, NDArray[Any]]:
@@ -150,7 +150,7 @@ class PacManGames(BatchGames):
         )
 
     def abstract_features(
-        self, batch: PacManBatch, rows: NDArray[np.int32], *, fine: bool
+        self, batch: PacManBatch, rows: Rows, *, fine: bool
     ) -> NDArray[np.int32]:
         if not fine:
             return abstract_features(batch)
@@ -165,21 +165,21 @@ class PacManGames(BatchGames):
         values[6] = self._way(rows, 'pill', self._of(rows, 'pill_distance'))
         return values.T
 
-    def _of(self, rows: NDArray[np.int32], name: str) -> NDArray[np.int32]:
-        return rows[:, self._column[name]]
+    def _of(self, rows: Rows, name: str) -> NDArray[np.int32]:
+        return rows[:, self._column[name]].astype(np.int32)
 
-    def _way(self, rows: NDArray[np.int32], thing: str, away: NDArray[Any]) -> Ints:
+    def _way(self, rows: Rows, thing: str, away: NDArray[Any]) -> Ints:
         """Return the direction of a thing and the bucket of its distance as one number (N,)."""
         key = away * N_DIRECTIONS + self._of(rows, f'{thing}_direction')
         found: Ints = _WAYS[thing].take(key, mode='clip')
         return found
 
-    def _prey(self, batch: PacManBatch, rows: NDArray[np.int32]) -> NDArray[Any]:
+    def _prey(self, batch: PacManBatch, rows: Rows) -> NDArray[Any]:
         """Return steps (N,) to the nearest scared ghost that can be reached while it is scared."""
         away = self._of(rows, 'prey_distance')
         return np.where(away > batch.scared.max(axis=0, initial=0), AFAR, away)
 
-    def _dangers(self, batch: PacManBatch, rows: NDArray[np.int32]) -> list[Ints]:
+    def _dangers(self, batch: PacManBatch, rows: Rows) -> list[Ints]:
         """Return the ways to the nearest and the second nearest dangerous ghost."""
         none = AFAR << STEPS
         keys = np.empty(batch.ghosts.shape, dtype=np.int32)

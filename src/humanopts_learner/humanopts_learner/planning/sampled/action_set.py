@@ -103,7 +103,7 @@ class StateAbstraction:
         self.context = tuple(range(len(self._mixture))) if self._mixture else own.context
         """Indices of the abstract features that hardly decide which option is the best."""
 
-    def observe(self, batch: Any) -> tuple[NDArray[np.int32], Codes]:
+    def observe(self, batch: Any) -> tuple[Rows, Codes]:
         """Return all features (N, F) and the codes of the abstract states (N,) of a batch."""
         rows = self.games.batch_features(batch)
         features = self.games.abstract_features(batch, rows, fine=self._fine)
