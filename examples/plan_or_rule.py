@@ -12,10 +12,9 @@ from humanopts_env import make_domain
 from humanopts_env.domains.registry import reference_options
 from humanopts_learner.intervals import Interval, level_of_each
 from humanopts_learner.options.files import load_options
-from humanopts_teach.evaluation.games import every_baseline, GAMES, play_baseline
+from humanopts_teach.evaluation.games import every_baseline, GAMES, play_baseline, RULE_NAME
 
 PLAN = 'human, 5 options, interrupted, 4-fold steps'
-RULE = 'hand-written rule, at every step'
 
 
 def main() -> None:
@@ -37,12 +36,12 @@ def main() -> None:
         ways = {way.name: way for way in every_baseline(domain, options, given.game_steps)}
         for seed in given.seeds:
             plan, rule = (
-                play_baseline(domain, ways[name], seed, given.games) for name in (PLAN, RULE)
+                play_baseline(domain, ways[name], seed, given.games) for name in (PLAN, RULE_NAME)
             )
             more = Interval.of_difference(plan.scores, rule.scores, level)
             print(
-                f'ghosts={ghosts} seed {seed}: plan {plan.score.mean:.0f}, '
-                f'rule {rule.score.mean:.0f}, more {more.mean:.0f} '
+                f'ghosts={ghosts} seed {seed}: plan {plan.scores.mean():.0f}, '
+                f'rule {rule.scores.mean():.0f}, more {more.mean:.0f} '
                 f'({more.low:.0f} to {more.high:.0f})',
                 flush=True,
             )

@@ -30,7 +30,7 @@ from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.options.start_states import STRATEGIES
 from humanopts_teach.bags.contents import read_domain
 from humanopts_teach.bags.reader import open_bag
-from humanopts_teach.evaluation.measures import accuracies, finite
+from humanopts_teach.evaluation.tables import accuracies, finite
 from humanopts_teach.lesson.in_process import SECONDS, teach
 from humanopts_teach.lesson.seeded_starts import LessonRules
 from humanopts_teach.report.figures import Drawing
@@ -191,7 +191,7 @@ def _measured(
     if reference:
         returns = [finite(each) for each in average_returns([*options, None], domain, reference)]
     points = [
-        [option.n_demonstrations, option.n_not_here, its, *accuracies(option, domain, reference)]
+        [option.n_demonstrations, option.n_not_here, its, *accuracies(option, domain).values()]
         for option, its in zip(options, returns)
     ]
     others = [

@@ -29,7 +29,7 @@ from humanopts_teach.bags import BagError
 from humanopts_teach.bags.contents import read_demonstrations, read_domain
 from humanopts_teach.bags.reader import Bag, open_bag
 from humanopts_teach.evaluation.bag_evaluation import usable_demonstrations
-from humanopts_teach.evaluation.measures import settings_from_facts
+from humanopts_teach.evaluation.settings import settings_from_facts
 from humanopts_teach.lesson.in_process import teach
 from humanopts_teach.lesson.seeded_starts import LessonRules
 from humanopts_teach.lesson.simulated_teacher import TeacherSettings

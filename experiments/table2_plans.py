@@ -43,7 +43,7 @@ from humanopts_learner.planning.sampled.plan import (
 )
 from humanopts_learner.planning.sampled.policies import UniformPolicy
 from humanopts_teach.evaluation.games import carried_over
-from humanopts_teach.evaluation.measures import finite
+from humanopts_teach.evaluation.tables import finite
 import numpy as np
 from numpy.typing import NDArray
 

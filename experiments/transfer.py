@@ -9,19 +9,19 @@ are the independent units, so differences are paired by maze.
 
 from collections.abc import Mapping
 from functools import partial
-import re
 from typing import Any
 
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.seeding import generator
 from humanopts_learner.intervals import Interval, level_of_each
+from humanopts_learner.planning.request import PRIMITIVE
 from humanopts_teach.evaluation.games import (
     baselines_of,
     every_baseline,
-    HEURISTIC,
     PLAN,
     play_baseline,
     RANDOM,
+    RULE,
 )
 from humanopts_teach.report.figures import Drawing
 from humanopts_teach.report.pages import counted
@@ -39,8 +39,6 @@ MAZES = 2  # for each seed of the study
 STEPS, GAMES = 100_000, 150  # game steps of a plan; games that each way to play is judged by
 COST = 60.0
 KEYS = ['game', 'way to play']
-INTERRUPTED = re.compile('human,.*interrupted')  # names of plans with options alone
-LARGER = re.compile('human.*interrupted, .*-fold steps')  # of plans from more game steps
 
 
 def trials(study: Study) -> list[Trial]:
@@ -79,18 +77,9 @@ def play_in_maze(parameters: Mapping[str, Any]) -> list[dict[str, Any]]:
     for name, changed in baselines_of(maze).variants.items():
         domain = make_domain(DOMAIN, {**maze.parameters, **changed})
         for baseline in every_baseline(domain, options, parameters['steps']):
-            found = play_baseline(domain, baseline, seed, parameters['games'])
-            rows.append(
-                {
-                    'game': name,
-                    'way to play': found.name,
-                    'kind': found.kind,
-                    'score': found.score.mean,
-                    **{outcome: of.mean for outcome, of in found.outcomes.items()},
-                    'fallbacks': found.fallbacks,
-                    'seconds': found.seconds,
-                }
-            )
+            row = dict(play_baseline(domain, baseline, seed, parameters['games']).row)
+            outcomes = {outcome: of['mean'] for outcome, of in row.pop('outcomes').items()}
+            rows.append({'game': name, 'way to play': row.pop('name'), **row, **outcomes})
     return rows
 
 
@@ -141,7 +130,7 @@ def _by_maze(rows: pd.DataFrame) -> dict[str, pd.Series]:
 
 def _comparisons(scores: pd.DataFrame) -> list[report.Comparison]:
     """
-    Compare the plan with all options, interrupted, with each baseline; larger ones with the rule.
+    Compare the plan with all options, interrupted, with chance, the rule and primitive actions.
 
     The intervals of the differences hold for all of these at once.
     """
@@ -149,18 +138,11 @@ def _comparisons(scores: pd.DataFrame) -> list[report.Comparison]:
     for (game,), rows in report.grouped(scores, ['game']):
         by_way = _by_maze(rows)
         kinds = dict(zip(rows['way to play'], rows['kind']))
-        for plan in [n for n in by_way if kinds[n] == PLAN and INTERRUPTED.fullmatch(n)][-1:]:
-            asked += [
-                (game, by_way, plan, other)
-                for other in by_way
-                if kinds[other] in (RANDOM, HEURISTIC) or other.startswith('primitive')
-            ]
+        *_, plan = (name for name in by_way if kinds[name] == PLAN and name != PRIMITIVE)
         asked += [
-            (game, by_way, plan, rule)
-            for plan in by_way
-            if kinds[plan] == PLAN and LARGER.fullmatch(plan)
-            for rule in by_way
-            if kinds[rule] == HEURISTIC
+            (game, by_way, plan, other)
+            for other in by_way
+            if kinds[other] in (RANDOM, RULE) or other == PRIMITIVE
         ]
     found = []
     for game, by_way, plan, other in asked:
@@ -168,8 +150,7 @@ def _comparisons(scores: pd.DataFrame) -> list[report.Comparison]:
         values = {name: Interval.of(by_way[name]) for name in (plan, other)}
         case = f'{game}, {counted(len(by_way[plan]), "maze")}'
         text = report.listed(case, {**values, 'more': more}, ',.0f')
-        which = 'planned with from many steps' if LARGER.fullmatch(plan) else 'planned with'
-        said = f'Options that are {which} and interrupted score more than: {other}.'
+        said = f'Options that are planned with and interrupted score more than: {other}.'
         found.append(report.compared(Statement(said, report.OURS), text, more.above()))
     return found
 

@@ -10,14 +10,8 @@ from humanopts_greenhouse.greenhouse import GreenhouseState
 from humanopts_greenhouse.reference import reference_options
 
 
-def play_heuristic(
-    domain: EnumerableDomain[GreenhouseState], games: int, seed: int, *, to_end: bool
-) -> Scores:
-    """
-    Play games by the option that can start; there is never more than one.
-
-    :param to_end: makes no difference, as an option ends only where the other can start.
-    """
+def play_heuristic(domain: EnumerableDomain[GreenhouseState], games: int, seed: int) -> Scores:
+    """Play games by the option that can start; there is never more than one."""
     options = reference_options(domain).values()
     optimal = np.any([option.optimal for option in options], axis=0)
     batched, rng = TabularGames(domain), generator(seed, 'greenhouse', 'heuristic')

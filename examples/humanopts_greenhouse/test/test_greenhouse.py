@@ -13,7 +13,8 @@ from humanopts_greenhouse.reference import reference_options
 from humanopts_learner.automatic.extract import find_options
 from humanopts_learner.automatic.subgoals import Extraction
 from humanopts_learner.options.option import options_from_references
-from humanopts_teach.evaluation.games import Baseline, HEURISTIC, PLAN, play_baseline, RANDOM
+from humanopts_learner.planning.request import HUMAN, PlanRequest, PRIMITIVE
+from humanopts_teach.evaluation.games import Baseline, PLAN, play_baseline, RANDOM, RULE
 import numpy as np
 import pytest
 
@@ -133,13 +134,13 @@ def test_a_plan_with_options_plays_like_the_rule_written_by_hand() -> None:
     """Both in many games at once; random moves are worse."""
     options = options_from_references(HOUSE, reference_options(HOUSE).values())
     baselines = [
-        Baseline('planned', PLAN, options=options, budget_steps=4000),
-        Baseline('rule', HEURISTIC),
-        Baseline('moves', RANDOM, 'primitive'),
+        Baseline('planned', PLAN, options, PlanRequest(HUMAN, game_steps=4000)),
+        Baseline('rule', RULE),
+        Baseline('moves', RANDOM, request=PlanRequest(PRIMITIVE)),
     ]
-    planned, rule, moves = (play_baseline(HOUSE, each, seed=1, games=60) for each in baselines)
-    assert planned.score.mean == pytest.approx(rule.score.mean, abs=2.0)
-    assert moves.score.high < rule.score.low
+    planned, rule, moves = (play_baseline(HOUSE, each, seed=1, games=60).row for each in baselines)
+    assert planned['score'] == pytest.approx(rule['score'], abs=2.0)
+    assert moves['score_high'] < rule['score_low']
 
 
 @pytest.mark.parametrize(

@@ -486,14 +486,13 @@ class DomainContract:
             variant = type(domain)(**{**domain.parameters, **changed})
             assert variant.name == domain.name
             assert list(variant.features) == list(domain.features)
-        for settings in (found.primitive, found.interrupted, found.interrupted_mixture):
+        for settings in (found.primitive, found.interrupted):
             assert settings is None or 0 < settings.gamma <= 1
         if found.heuristic is not None:
-            for to_end in (True, False):
-                played, again = (found.heuristic(5, 1, to_end=to_end) for _ in range(2))
-                assert played.total.shape == (5,)
-                assert np.array_equal(played.total, again.total)
-                assert all(values.shape == (5,) for values in played.outcomes.values())
+            played, again = (found.heuristic(5, 1) for _ in range(2))
+            assert played.total.shape == (5,)
+            assert np.array_equal(played.total, again.total)
+            assert all(values.shape == (5,) for values in played.outcomes.values())
 
 
 def _rng(*purpose: str | int) -> np.random.Generator:

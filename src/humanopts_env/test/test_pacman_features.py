@@ -121,12 +121,6 @@ def test_only_the_papers_list_is_among_the_parameters() -> None:
     assert PacMan(features='paper').parameters['features'] == 'paper'
 
 
-def test_questions_complete_the_sentence() -> None:
-    """'Does OPTION depend on ...?'."""
-    starts = ('which ', 'whether ', 'how many ', 'what ')
-    assert all(feature.question.startswith(starts) for feature in PacMan().features)
-
-
 def test_masks_and_directions_have_no_order() -> None:
     """Rows, columns, distances and times have one."""
     nominal = {f.name for f in PacMan().features if f.kind is FeatureKind.NOMINAL}

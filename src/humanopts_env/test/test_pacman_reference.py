@@ -116,24 +116,23 @@ def random_moves(domain: PacMan, games: int) -> Ints:
 
 @pytest.mark.heavy
 def test_better_players_score_more() -> None:
-    """Random moves, and a rule over the options, to their end and at every step."""
+    """A rule over the options scores more than random moves."""
     for ghosts in ('random', 'chase'):
         domain = PacMan(ghosts=ghosts)
-        by_rule, every_step = (play_heuristic(domain, 60, 1, to_end=end) for end in (True, False))
-        means = [s.mean() for s in (random_moves(domain, 60), by_rule.total, every_step.total)]
-        assert means == sorted(means)
+        by_rule = play_heuristic(domain, 60, 1)
+        assert random_moves(domain, 60).mean() < by_rule.total.mean()
         assert max(by_rule.total) <= 2080
-        assert (every_step.outcomes['lives left'][every_step.outcomes['cleared']] > 0).all()
+        assert (by_rule.outcomes['lives left'][by_rule.outcomes['cleared']] > 0).all()
 
 
 def test_the_same_seed_plays_the_same_baseline_games() -> None:
     domain = PacMan('yard', max_steps=200)
-    runs = [play_heuristic(domain, 20, seed, to_end=True).total for seed in (1, 1, 2)]
+    runs = [play_heuristic(domain, 20, seed).total for seed in (1, 1, 2)]
     assert np.array_equal(runs[0], runs[1])
     assert not np.array_equal(runs[0], runs[2])
 
 
 def test_the_rule_goes_for_fruit_as_plans_may() -> None:
     """It scored about 1,905 while it ate fruit only where it was the closest food."""
-    played = play_heuristic(PacMan(ghosts='random'), 200, 1, to_end=False)
+    played = play_heuristic(PacMan(ghosts='random'), 200, 1)
     assert played.total.mean() > 1930

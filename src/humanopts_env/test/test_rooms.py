@@ -4,7 +4,7 @@ from collections import Counter
 
 from humanopts_env.domains.base import DomainError, StateError
 from humanopts_env.domains.reference import TabularReferenceOption
-from humanopts_env.domains.rooms import ACTIONS, Rooms, RoomsState
+from humanopts_env.domains.rooms import Rooms, RoomsState
 from humanopts_env.domains.rooms_reference import reference_options
 from humanopts_env.domains.tabular import best_ways, draw_outcomes, outcome_limits
 from humanopts_env.seeding import generator
@@ -78,18 +78,6 @@ def test_moves_slip_as_the_paper_says(
     assert found == pytest.approx(arrivals)
 
 
-def test_the_first_outcome_is_what_was_intended() -> None:
-    """Figures read from it which way an action moves."""
-    here = ROOMS.index(RoomsState(8, 2))
-    ahead = ROOMS.transitions().successor[here, :, 0]
-    assert [ROOMS.encode(ROOMS.state_at(int(s))) for s in ahead] == [
-        'cell 7,2',
-        'cell 9,2',
-        'cell 8,1',
-        'cell 8,3',
-    ]
-
-
 @pytest.mark.parametrize(('goal', 'cell'), [('G1', (6, 8)), ('G2', (8, 8))])
 def test_entering_the_goal_is_worth_one_and_ends_the_task(
     goal: str, cell: tuple[int, int]
@@ -125,11 +113,6 @@ def test_an_outcome_that_cannot_happen_is_never_drawn() -> None:
     zeros = np.zeros(4, dtype=np.intp)
     drawn = draw_outcomes(outcome_limits(table), zeros, zeros, numbers)
     assert drawn.tolist() == [1, 1, 3, 3]
-
-
-def test_actions_are_the_arrows() -> None:
-    assert [action.name for action in ACTIONS] == ['up', 'down', 'left', 'right']
-    assert [action.key for action in ACTIONS] == ['up', 'down', 'left', 'right']
 
 
 OPTIONS = reference_options(ROOMS)

@@ -118,13 +118,6 @@ def test_walls_block_moves_from_both_sides() -> None:
     assert mask == 0b1101
 
 
-def test_questions_complete_the_sentence() -> None:
-    """'Does OPTION depend on ...?'."""
-    questions = [feature.question for feature in Taxi().features]
-    assert questions[0] == 'which row the taxi is in'
-    assert all(question.startswith(('which ', 'whether ')) for question in questions)
-
-
 @pytest.mark.parametrize(
     'text',
     [
@@ -159,12 +152,6 @@ def test_a_state_of_another_grid_is_refused(bad: TaxiState) -> None:
         Taxi().index(bad)
 
 
-def test_nothing_follows_once_the_task_is_over() -> None:
-    domain = Taxi()
-    state = domain.state_at(int(domain.over().argmax()))
-    assert not domain.can_follow(state, 0, state)
-
-
 class OneByOne:
     """A reference option that judges one state at a time."""
 
@@ -192,19 +179,6 @@ def test_every_open_state_of_any_grid_is_reachable(rows: int, cols: int) -> None
     visited = reachable(domain)
     assert visited[~domain.over()].all()
     assert (visited & domain.over()).sum() == 4
-
-
-def test_larger_grids_have_longer_episodes() -> None:
-    """200 steps on the original; on any grid enough to cross it many times."""
-    assert (Taxi().max_steps, Taxi(10, 10).max_steps) == (200, 400)
-
-
-def test_slices_lay_the_taxis_cells_out_as_on_the_board() -> None:
-    """Only the taxi's place differs within a slice."""
-    domain = Taxi(4, 6)
-    waiting, aboard = domain.board_slices()
-    assert domain.state_at(int(waiting.states[3, 5])) == TaxiState(3, 5, 0, 3)
-    assert domain.state_at(int(aboard.states[1, 2])) == TaxiState(1, 2, 4, 3)
 
 
 def test_states_to_show_are_drawn_from_all_that_are_open() -> None:
@@ -287,26 +261,6 @@ def test_an_option_has_ended_where_it_cannot_start(name: str, state: str) -> Non
     assert not option.can_start(end)
     assert option.optimal_actions(end) == ()
     assert option.distance[DOMAIN.index(end)] == -1
-
-
-@pytest.mark.parametrize(
-    ('name', 'count'),
-    [
-        (PICKUP, 300),
-        (DROPOFF, 100),
-        (PASSENGER, 288),
-        (DESTINATION, 384),
-        (EITHER, 16),
-        (AWAY, 336),
-    ],
-)
-def test_sizes_of_initiation_sets(name: str, count: int) -> None:
-    """Of 25 cells, 4 passengers or aboard, 4 destinations; 4 of the cells are open all round."""
-    option = OPTIONS[name]
-    assert option.initiation.sum() == count
-    assert (option.distance[option.initiation] > 0).all()
-    assert option.optimal[option.initiation].any(axis=1).all()
-    assert not option.optimal[~option.initiation].any()
 
 
 def test_states_after_the_end_are_judged_only_where_the_option_can_lead_there() -> None:

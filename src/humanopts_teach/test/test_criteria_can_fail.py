@@ -11,8 +11,8 @@ from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.options.criteria import judge, Thresholds
 from humanopts_learner.options.learn import learn_option
-from humanopts_teach.evaluation.bag_evaluation import CurvePoint
-from humanopts_teach.evaluation.measures import option_block
+from humanopts_teach.evaluation.bag_evaluation import OptionEvaluation
+from humanopts_teach.evaluation.tables import option_row, OPTIONS, table
 from humanopts_teach.lesson.in_process import teach
 from humanopts_teach.lesson.seeded_starts import LessonRules
 from humanopts_teach.lesson.simulated_teacher import TeacherSettings
@@ -97,8 +97,8 @@ def test_where_no_reward_can_be_told_from_random_actions_the_return_is_not_measu
     assert (judgement.settled, judgement.criteria_met) == (True, False)
     with warnings.catch_warnings():
         warnings.simplefilter('error')
-        point = CurvePoint(option, judgement, option_block(option, judgement, rooms), 0.0)
-        (figure, *_) = learning_curves([point], 'option', SOUTH)
+        learning = table(OPTIONS, [option_row(judgement, option, rooms)])
+        (figure, *_) = learning_curves(OptionEvaluation(option, judgement, learning), 'option')
     assert 'not measurable' in figure
     asked = judge(demonstrations, rooms, Thresholds(return_delta=0.5), 1)
     assert asked.criteria[0].threshold == 0.5

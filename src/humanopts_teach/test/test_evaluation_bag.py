@@ -1,25 +1,24 @@
 """Options learned again from demonstrations and bags, and their numbers live and offline."""
 
 from collections.abc import Iterable
-from dataclasses import asdict, fields, replace
+from dataclasses import replace
 import json
-import math
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 import uuid
 
 from humanopts_env.domains.base import Domain
-from humanopts_env.domains.registry import reference_options
 from humanopts_env.ros.convert import domain_to_info
 from humanopts_interfaces.msg import GameState, OptionResult
 from humanopts_learner.demonstrations import Demonstration, group_by_option, Kind
 from humanopts_learner.options.criteria import judge, Thresholds
 from humanopts_learner.options.files import option_to_json
 from humanopts_learner.options.learn import learn_option
-from humanopts_learner.options.option import LearnedOption
-from humanopts_learner.ros.convert import demonstration_to_message
-from humanopts_learner.summary import OptionSummary
+from humanopts_learner.ros.convert import (
+    demonstration_to_message,
+    summary_from_message,
+    summary_to_message,
+)
 from humanopts_teach.bags import BagError
 from humanopts_teach.bags.provenance import UNKNOWN
 from humanopts_teach.bags.writer import BagWriter
@@ -31,12 +30,7 @@ from humanopts_teach.evaluation.bag_evaluation import (
     evaluate_bag,
     EvaluationError,
 )
-from humanopts_teach.evaluation.measures import (
-    option_block,
-    OptionBlock,
-    Settings,
-    settings_from_facts,
-)
+from humanopts_teach.evaluation.settings import Settings, settings_from_facts
 from humanopts_teach.evaluation.summary import (
     differences,
     Execution,
@@ -44,6 +38,7 @@ from humanopts_teach.evaluation.summary import (
     SummaryError,
     write_json,
 )
+from humanopts_teach.evaluation.tables import option_row, OPTIONS, records, table
 from humanopts_teach.evaluation.text import evaluation_text
 import pytest
 from rclpy.serialization import serialize_message
@@ -108,12 +103,17 @@ def first(taxi_lesson: Lesson) -> Lesson:
     return [demo for demo in taxi_lesson if demo.option_name == taxi_lesson[0].option_name]
 
 
+def numbers(evaluation: BagEvaluation) -> list[dict[str, Any]]:
+    """Return what is known of each option."""
+    return records(evaluation.option_table)
+
+
 @pytest.mark.heavy
 def test_order_and_repetitions_change_no_number(
     taxi: Domain[Any], first: Lesson, evaluation: BagEvaluation
 ) -> None:
     mixed = [*reversed(first), *first]
-    assert evaluate(mixed, taxi, SETTINGS).blocks == evaluation.blocks[:1]
+    assert numbers(evaluate(mixed, taxi, SETTINGS)) == numbers(evaluation)[:1]
 
 
 def test_one_demonstration_less_changes_the_numbers(
@@ -121,8 +121,9 @@ def test_one_demonstration_less_changes_the_numbers(
 ) -> None:
     gone = next(i for i, d in enumerate(taxi_lesson) if d.kind is Kind.TRAJECTORY)
     fewer = evaluate(taxi_lesson[:gone] + taxi_lesson[gone + 1 :], taxi, SETTINGS)
-    assert fewer.blocks[0] != evaluation.blocks[0]
-    assert fewer.blocks[1] == evaluation.blocks[1]
+    (changed, same), (first, second) = numbers(fewer), numbers(evaluation)
+    assert changed != first
+    assert same == second
 
 
 @pytest.mark.heavy
@@ -131,29 +132,22 @@ def test_what_was_taken_back_is_as_if_it_had_never_been_shown(
 ) -> None:
     wrong = replace(first[3], uuid=str(uuid.uuid4()), can_start_at_end=True, number=1000)
     told = [*first[:9], wrong, replace(wrong, withdrawn=True), *first[9:], wrong]
-    assert evaluate([*first, wrong], taxi, SETTINGS).blocks != evaluation.blocks[:1]
+    assert numbers(evaluate([*first, wrong], taxi, SETTINGS)) != numbers(evaluation)[:1]
     found = evaluate(told, taxi, SETTINGS)
-    assert found.blocks == evaluation.blocks[:1]
-    assert found.options[0].curve == evaluation.options[0].curve
+    assert found.options[0].learning.equals(evaluation.options[0].learning)
 
 
-def test_the_learning_curve_ends_at_the_options_block(evaluation: BagEvaluation) -> None:
+def test_a_row_of_the_learning_curve_is_added_by_each_answer(evaluation: BagEvaluation) -> None:
     for option in evaluation.options:
-        point, block = option.to_dict()['learning_curve'][-1], asdict(option.last.block)
-        assert {name: point[name] for name in block if name in point}.items() <= block.items()
-        for name in ('initiation', 'termination'):
-            assert point['criteria'][name]['value'] == block[f'cv_error_{name}']
-        counts = [p.option.n_demonstrations + p.option.n_not_here for p in option.curve]
-        assert counts == list(range(counts[0], counts[-1] + 1))
+        counts = option.learning['n_demonstrations'] + option.learning['n_not_here']
+        assert list(counts) == list(range(counts.iloc[0], counts.iloc[-1] + 1))
 
 
 def test_primitive_actions_plan_at_least_as_well_as_options(evaluation: BagEvaluation) -> None:
-    human, primitive = evaluation.planning
-    assert (human.action_set, primitive.action_set) == ('human', 'primitive')
-    assert human.converged
-    assert primitive.mean_return is not None
-    assert human.mean_return is not None
-    assert human.mean_return <= primitive.mean_return
+    plans = evaluation.plan_table
+    assert list(plans['action_set']) == ['human', 'primitive']
+    assert plans['converged'].all()
+    assert plans['mean_return'].is_monotonic_increasing
 
 
 @pytest.mark.heavy
@@ -163,8 +157,8 @@ def test_people_are_evaluated_apart(taxi: Domain[Any], first: Lesson) -> None:
         for demo in first
     ]
     both = evaluate([*first, *other], taxi, SETTINGS)
-    assert [option.participant for option in both.options] == ['p1', 'p2']
-    assert tuple(both.named_plans) == ('human by p1', 'human by p2', 'primitive')
+    assert both.people == ['p1', 'p2']
+    assert [*both.plans] == ['human by p1', 'human by p2', 'primitive']
 
 
 def test_progress_ends_at_its_total(
@@ -177,9 +171,11 @@ def test_progress_ends_at_its_total(
 
 def test_json_holds_no_nan_and_the_text_names_every_option(evaluation: BagEvaluation) -> None:
     values = json.loads(json.dumps(evaluation.to_dict(), allow_nan=False))
-    assert len(values['options'][0]['learning_curve']) == len(evaluation.options[0].curve)
+    for found, option in zip(values['options'], evaluation.options, strict=True):
+        assert len(found['learning_curve']) == len(option.learning)
+        assert found['learning_curve'][-1].items() <= found.items()
     text = evaluation_text(evaluation)
-    assert all(block.name in text for block in evaluation.blocks)
+    assert all(option.option.name in text for option in evaluation.options)
     assert 'nan' not in text
 
 
@@ -188,7 +184,7 @@ def test_a_demonstration_of_another_game_is_left_out_and_named(
 ) -> None:
     stray = replace(first[0], domain='chess', uuid='00000000-0000-4000-8000-000000000000')
     found = evaluate([*first, stray], taxi, SETTINGS)
-    assert found.blocks == evaluation.blocks[:1]
+    assert numbers(found) == numbers(evaluation)[:1]
     assert any(stray.uuid in warning and 'chess' in warning for warning in found.warnings)
 
 
@@ -231,7 +227,7 @@ def test_a_fact_that_makes_no_sense_is_replaced_and_named(name: str, text: str) 
 
 def files_of(evaluation: BagEvaluation, lesson: Lesson) -> dict[tuple[str, str], dict[str, Any]]:
     """Return the option files of a lesson."""
-    options = [each.last.option for each in evaluation.options]
+    options = [each.option for each in evaluation.options]
     shown = {demo.uuid: demo for demo in lesson}
     return {
         (o.participant, o.name): json.loads(option_to_json(o, [shown[u] for u in o.uuids]))
@@ -242,7 +238,7 @@ def files_of(evaluation: BagEvaluation, lesson: Lesson) -> dict[tuple[str, str],
 def test_options_learned_again_are_compared_with_their_files(
     taxi_lesson: Lesson, evaluation: BagEvaluation
 ) -> None:
-    files, options = files_of(evaluation, taxi_lesson), [e.last.option for e in evaluation.options]
+    files, options = files_of(evaluation, taxi_lesson), [e.option for e in evaluation.options]
     first, second = files
     assert compare_options(files, options, taxi_lesson) == ({first: True, second: True}, [])
     files[first]['policy']['nodes'][0]['counts'][0] += 1e-9
@@ -326,8 +322,7 @@ def test_a_bag_gives_the_numbers_of_its_demonstrations_exactly(
 ) -> None:
     live = evaluate(first, taxi, RECORDED)
     assert of_bag.settings == RECORDED
-    assert of_bag.blocks[:1] == live.blocks
-    assert of_bag.options[0].curve == live.options[0].curve
+    assert of_bag.options[0].learning.equals(live.options[0].learning)
     assert of_bag.warnings == ()
 
 
@@ -362,7 +357,7 @@ def test_deep_json_in_a_bag_is_named_and_the_rest_is_evaluated(
     deep = [replace(known[0], uuid=str(uuid.uuid4()), domain_parameters=DEEP)]
     bag = record_lesson(tmp_path / 'bag', taxi, [*known, *deep])
     found = evaluate_bag(bag)
-    assert [block.name for block in found.blocks] == [known[0].option_name]
+    assert [option.option.name for option in found.options] == [known[0].option_name]
     assert 'nested more than' in ' '.join(found.warnings)
     info = domain_to_info(taxi)
     info.parameters = DEEP
@@ -389,77 +384,44 @@ def test_no_escape_sequence_in_a_name_reaches_the_terminal(
     assert all(char.isprintable() or char == '\n' for char in out.out + out.err)
 
 
-KEYS = {part.name for part in fields(OptionBlock)}  # tests/test_demo.py has their list
-Taught = tuple[LearnedOption, OptionSummary]
-
-
-def learn(domain: Domain[Any], demos: list[Demonstration], count: int = 100) -> Taught:
-    """Learn and judge the first option from its first demonstrations."""
-    shown = next(iter(group_by_option(demos).values()))[:count]
-    return learn_option(shown, domain, 3), judge(shown, domain, Thresholds(), 3)
-
-
-def as_message(judgement: OptionSummary) -> SimpleNamespace:
-    """Return what OptionStatus carries: plain numbers, NaN where there is none."""
-    criteria = [
-        SimpleNamespace(name=c.name, value=math.nan if c.value is None else c.value)
-        for c in judgement.criteria
-    ]
-    return SimpleNamespace(
-        criteria=criteria,
-        criteria_met=judgement.criteria_met,
-        mean_return_demonstrations=judgement.mean_return_demonstrations,
-        mean_return_policy=judgement.mean_return_policy,
-    )
-
-
 @pytest.mark.parametrize('count', [1, 12])
-def test_a_message_and_the_judgement_it_carried_give_the_same_block(
-    taxi: Domain[Any], taxi_lesson: list[Demonstration], count: int
+def test_a_message_and_the_summary_it_carried_give_the_same_row(
+    taxi: Domain[Any], first: Lesson, count: int
 ) -> None:
-    option, judgement = learn(taxi, taxi_lesson, count)
-    reference = reference_options(taxi)[option.name]
-    offline = option_block(option, judgement, taxi, reference)
-    assert option_block(option, as_message(judgement), taxi, reference) == offline
-
-
-def test_what_cannot_be_measured_is_null_and_never_nan(
-    taxi: Domain[Any], taxi_lesson: list[Demonstration]
-) -> None:
-    option, judgement = learn(taxi, taxi_lesson, 1)
-    block = option_block(option, as_message(judgement), taxi)
-    values = json.loads(json.dumps(asdict(block), allow_nan=False))
-    unknown = {name for name, value in values.items() if value is None}
-    assert unknown == {name for name in KEYS if name.startswith(('cv_', 'policy_', 'classif'))}
+    shown = next(iter(group_by_option(first).values()))[:count]
+    option, summary = learn_option(shown, taxi, 3), judge(shown, taxi, Thresholds(), 3)
+    sent = summary_from_message(summary_to_message(summary))
+    live, offline = (table(OPTIONS, [option_row(s, option, taxi)]) for s in (sent, summary))
+    seen = [name for name, column in OPTIONS.items() if column.live]
+    assert live[seen].equals(offline[seen])
+    (row,) = json.loads(json.dumps(records(live[seen]), allow_nan=False))
+    unknown = {name for name, value in row.items() if value is None}
+    assert unknown == ({'return', 'initiation', 'termination'} if count == 1 else set())
 
 
 def test_a_difference_names_what_differs_and_both_values(
-    taxi: Domain[Any], taxi_lesson: list[Demonstration]
+    taxi: Domain[Any], taxi_lesson: Lesson
 ) -> None:
     offline = evaluate(taxi_lesson, taxi, Settings(seed=3))
-    block, other = offline.blocks
-    human, primitive = offline.planning
-    live = Live(offline.blocks, offline.planning, Execution(1, 1, 0, -10.0))
+    options, plans = offline.option_table, offline.plan_table
+    live = Live(options, plans, Execution(1, 1, 0, -10.0))
     assert differences(live, offline) == []
+    slower = plans.assign(model_seconds=plans['model_seconds'] + 1.0)
+    assert differences(replace(live, plans=slower), offline) == []
 
-    changed = replace(block, mean_return_policy=-1.25)
-    was = f'mean_return_policy of {block.name!r} was -1.25 live'
-    found = differences(replace(live, options=(changed, other)), offline)
-    assert found == [f'{was} and is {block.mean_return_policy!r} offline']
-    for shown, why in (
-        ((block,), f'{other.name!r} is in the bag but was not learned live'),
-        ((block, other, replace(other, name='x')), "'x' was learned live but is not in the bag"),
-        ((block, other, other), f"'{other.name} (2)' was learned live but is not in the bag"),
-    ):
-        assert differences(replace(live, options=shown), offline) == [why]
-
-    slower = replace(human, model_seconds=human.model_seconds + 1.0)
-    assert differences(replace(live, planning=(slower, primitive)), offline) == []
-    more = replace(human, sweeps=human.sweeps + 1)
-    (plan,) = differences(replace(live, planning=(more, primitive)), offline)
-    assert plan.startswith('sweeps of the human plan was')
-    (gone,) = differences(live, replace(offline, plans=offline.plans[:1]))
-    assert gone == 'the plan with primitive actions cannot be made from the bag'
+    first, second = options['option_name']
+    changed = options.assign(mean_return_policy=[-1.25, options['mean_return_policy'][1]])
+    assert differences(replace(live, options=changed), offline) == [
+        f"mean_return_policy of the option {first!r} 'p1' was -1.25 live and is "
+        f'{float(options["mean_return_policy"][0])!r} offline'
+    ]
+    assert differences(replace(live, options=options[:1]), offline) == [
+        f"the option {second!r} 'p1' is not in what was live"
+    ]
+    plan, _ = differences(replace(live, plans=plans.assign(sweeps=0)), offline)
+    assert plan.startswith("sweeps of the plan 'human' was 0 live")
+    fewer = replace(offline, plans={'human': offline.plans['human']})
+    assert differences(live, fewer) == ["the plan 'primitive' is not in the bag"]
 
 
 def test_a_written_file_reads_back_equal_and_leaves_nothing_else(tmp_path: Path) -> None:

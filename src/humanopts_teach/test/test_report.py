@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from html.parser import HTMLParser
+import math
 from pathlib import Path
 import re
 from typing import Any
@@ -9,12 +10,13 @@ from typing import Any
 from humanopts_env.domains.base import Domain
 from humanopts_env.domains.registry import reference_options
 from humanopts_learner.demonstrations import Demonstration
+from humanopts_learner.intervals import Interval
 from humanopts_learner.options.criteria import Thresholds
 from humanopts_learner.planning.exact import ExactPlan
 from humanopts_learner.summary import Criterion
 from humanopts_teach.bags.info import TopicRow
-from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, evaluate
-from humanopts_teach.evaluation.measures import Settings
+from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, evaluate, OptionEvaluation
+from humanopts_teach.evaluation.settings import Settings
 from humanopts_teach.evaluation.summary import Execution, Live, SummaryError
 from humanopts_teach.evaluation.text import evaluation_text
 from humanopts_teach.report import charts
@@ -55,12 +57,16 @@ def evaluation(taxi: Domain[Any], taxi_lesson: list[Demonstration]) -> BagEvalua
     return evaluate(taxi_lesson, taxi, SETTINGS)
 
 
+def shortened(option: OptionEvaluation, **changed: Any) -> OptionEvaluation:
+    """Return an option as it was learned last, with some columns changed."""
+    return replace(option, learning=option.learning[-1:].assign(**changed))
+
+
 @pytest.fixture(scope='module')
 def brief(evaluation: BagEvaluation) -> BagEvaluation:
     """One of its options as it was learned last, and one of its plans."""
-    first = evaluation.options[0]
-    options = (replace(first, curve=first.curve[-1:]),)
-    return replace(evaluation, options=options, plans=evaluation.plans[:1])
+    options, plans = evaluation.options[:1], {'human': evaluation.plans['human']}
+    return replace(evaluation, options=(shortened(*options),), plans=plans)
 
 
 @pytest.fixture(scope='module')
@@ -73,17 +79,15 @@ def brief_page(brief: BagEvaluation, tmp_path_factory: pytest.TempPathFactory) -
 
 def undrawn(evaluation: BagEvaluation) -> BagEvaluation:
     """Return an evaluation without what takes long to draw: no demonstrations, no plans."""
-    options = []
-    for option in evaluation.options:
-        last = replace(option.last, block=replace(option.last.block, n_demonstrations=0))
-        options.append(replace(option, curve=(last,)))
-    return replace(evaluation, options=tuple(options), plans=())
+    options = tuple(shortened(option, n_demonstrations=0) for option in evaluation.options)
+    return replace(evaluation, options=options, plans={})
 
 
 @pytest.fixture(scope='module')
 def data(evaluation: BagEvaluation) -> ReportData:
     """Everything that a report can show."""
-    live = Live(evaluation.blocks, evaluation.planning, Execution(100, 100, 0, -11.375))
+    played = Execution(100, 100, 0, -11.375)
+    live = Live(evaluation.option_table, evaluation.plan_table, played)
     return ReportData('Taxi, taught', evaluation, live, FRAMES, TOPICS, {'bag': 'demo/bag'})
 
 
@@ -147,8 +151,7 @@ def test_the_same_data_makes_the_same_page(brief: BagEvaluation, brief_page: str
 
 
 def test_every_criterion_is_drawn_with_its_own_threshold(evaluation: BagEvaluation) -> None:
-    option = evaluation.options[0]
-    figures = learning_curves(option.curve, 'curve', option.last.block.name)
+    figures = learning_curves(evaluation.options[0], 'curve')
     assert len(figures) == 5
     assert '95 % interval, same starts' in figures[-1]
     for figure, threshold in zip(figures, ('2.25', '0.0625', '0.125')):
@@ -158,78 +161,66 @@ def test_every_criterion_is_drawn_with_its_own_threshold(evaluation: BagEvaluati
 
 def test_a_criterion_that_is_not_yet_known_is_called_so(brief: BagEvaluation) -> None:
     option = brief.options[0]
-    judgement = option.last.judgement
     unsure = Criterion.of('return', 1.25, 2.25, 3.5)
-    point = replace(
-        option.last,
-        judgement=replace(judgement, criteria=(unsure, *judgement.criteria[1:]), more_needed=7),
-        block=replace(option.last.block, criteria_met=False),
-    )
-    found = replace(brief, options=(replace(option, curve=(point,)),))
+    criteria = (unsure, *option.summary.criteria[1:])
+    summary = replace(option.summary, criteria=criteria, more_needed=7)
+    columns = {'return': 1.25, 'return_high': 3.5, 'criteria_met': False}
+    found = replace(brief, options=(replace(shortened(option, **columns), summary=summary),))
     text = evaluation_text(found)
     assert 'return is not yet known: about 1.25, at most 3.5 with 95 % confidence' in text
     assert 'perhaps 1 to 21 more demonstrations are needed' in text
     told = [finding.text for finding in findings(found) if 'Not yet' in finding.text]
     assert any('return not yet known: at most 3.5, needs 2.25' in each for each in told)
     assert 'not yet known</td>' in render_report(ReportData('Taxi', undrawn(found)))
-    figure, *_ = learning_curves(found.options[0].curve, 'curve', 'x')
+    figure, *_ = learning_curves(found.options[0], 'curve')
     assert 'upper limit' in figure
 
 
 def test_an_option_that_nothing_is_known_of_is_drawn_without_accuracy(
     evaluation: BagEvaluation,
 ) -> None:
-    first = evaluation.options[0].curve[0]
-    unknown = replace(
-        first.block,
-        policy_accuracy=None,
-        classification_accuracy_initiation=None,
-        classification_accuracy_termination=None,
+    option = evaluation.options[0]
+    unknown = {name: math.nan for name in option.learning if 'accuracy' in str(name)}
+    unmeasured = tuple(Criterion.of(c.name, None, None) for c in option.summary.criteria)
+    first = replace(
+        option,
+        learning=option.learning[:1].assign(**unknown),
+        summary=replace(option.summary, criteria=unmeasured),
     )
-    point = replace(first, block=unknown)
-    figures = learning_curves([point], 'curve', 'x')
+    figures = learning_curves(first, 'curve')
     assert len(figures) == 3
     assert all('not yet measurable' in figure for figure in figures)
-    assert learning_curves([], 'curve', 'x') == []
 
 
-def test_a_plan_with_an_option_whose_criteria_do_not_hold_says_so(
-    evaluation: BagEvaluation,
+@pytest.mark.parametrize('met', [(True, True), (True, False), (False, False)])
+def test_a_plan_with_an_option_that_does_not_meet_the_criteria_says_so(
+    evaluation: BagEvaluation, met: tuple[bool, bool]
 ) -> None:
-    first, second = evaluation.options
-
-    def with_met(*met: bool) -> BagEvaluation:
-        options = tuple(
-            replace(
-                each, curve=(replace(each.last, block=replace(each.last.block, criteria_met=m)),)
-            )
-            for each, m in zip((first, second), met)
-        )
-        return replace(evaluation, options=options)
-
-    for met, named in (((True, True), []), ((True, False), TAUGHT[1:]), ((False, False), TAUGHT)):
-        told = with_met(*met)
-        lines = [line for line in evaluation_text(told).splitlines() if 'do not hold' in line]
-        texts = [finding.text for finding in findings(told) if 'uses' in finding.text]
-        assert lines == (
-            [f'human uses options whose criteria do not hold: {", ".join(named)}'] if named else []
-        )
-        assert [text.count('“') for text in texts] == ([len(named)] if named else [])
-        assert all(f'“{name}”' in texts[0] for name in named)
+    options = [
+        replace(o, summary=replace(o.summary, criteria=[Criterion('return', 1.0, 1.0, each)]))
+        for o, each in zip(evaluation.options, met)
+    ]
+    told = replace(evaluation, options=tuple(options))
+    named = [name for name, each in zip(TAUGHT, met) if not each]
+    lines = [line for line in evaluation_text(told).splitlines() if 'do not meet' in line]
+    texts = [finding.text for finding in findings(told) if 'uses' in finding.text]
+    said = f'human uses options that do not meet the criteria: {", ".join(named)}'
+    assert lines == ([said] if named else [])
+    assert [text.count('“') for text in texts] == ([len(named)] if named else [])
+    assert all(f'“{name}”' in texts[0] for name in named)
 
 
 def test_numbers_on_the_page_are_those_of_the_data(data: ReportData, page: str) -> None:
     assert f'{MINUS}11.38' in page  # the mean return of the execution
     assert '4,321' in page
     assert 'demo/bag' in page
-    assert all(block.name in page for block in data.evaluation.blocks)
+    assert all(each.option.name in page for each in data.evaluation.options)
     assert 'return at most 2.25 reward units short' in page
 
 
 def test_the_words_say_what_was_played_what_was_lost_and_what_differs(data: ReportData) -> None:
     assert data.live is not None
-    block = replace(data.live.options[0], n_demonstrations=999)
-    live = replace(data.live, options=(block, *data.live.options[1:]))
+    live = replace(data.live, options=data.live.options.assign(n_demonstrations=999))
     lost = replace(TOPICS[0], lost=3)
     texts = {finding.text: finding.good for finding in findings(data.evaluation, live, [lost])}
     assert texts['3 messages lost, on /game_state.'] is False
@@ -259,12 +250,12 @@ def test_what_options_lose_is_that_within_episodes(
 ) -> None:
     """May be 2 % of the return of primitive actions, here 0.5; episodes differ by far more."""
     luck = 100.0 * np.arange(100)
-    human, primitive = evaluation.plans
-    row = replace(primitive.row, mean_return=-25.0)
-    plans = (
-        replace(human, judged=replace(human.judged, totals=luck - lost)),
-        replace(primitive, row=row, judged=replace(primitive.judged, totals=luck)),
-    )
+    human, primitive = evaluation.plans.values()
+    mean = Interval(-25.0, -26.0, -24.0)
+    plans = {
+        'human': replace(human, judged=replace(human.judged, totals=luck - lost)),
+        'primitive': replace(primitive, judged=replace(primitive.judged, totals=luck, total=mean)),
+    }
     texts = {f.text: f.good for f in findings(replace(evaluation, plans=plans))}
     (found,) = [text for text in texts if 'from the same start states' in text]
     assert (texts[found], words in found) == (good, True), found
@@ -273,7 +264,7 @@ def test_what_options_lose_is_that_within_episodes(
 def test_rules_say_when_an_option_starts_and_ends(
     taxi: Domain[Any], evaluation: BagEvaluation
 ) -> None:
-    initiation, termination, policy = option_rules(evaluation.options[0].last.option, taxi)
+    initiation, termination, policy = option_rules(evaluation.options[0].option, taxi)
     assert 'passenger in taxi is yes: may not start' in initiation.text
     assert 'passenger in taxi is no: goes on' in termination.text
     assert termination.depth == 1
@@ -285,7 +276,7 @@ def test_rules_say_when_an_option_starts_and_ends(
 def test_sweeps_of_every_plan_are_in_the_table_up_to_its_last(
     evaluation: BagEvaluation, page: str
 ) -> None:
-    plans = {p.plan.action_set: p.plan for p in evaluation.plans if isinstance(p.plan, ExactPlan)}
+    plans = {n: p.plan for n, p in evaluation.plans.items() if isinstance(p.plan, ExactPlan)}
     sweeps = sweep_report(plans, 'sweeps')
     assert sweeps is not None
     assert sweeps.names == ['human', 'primitive']
@@ -305,8 +296,8 @@ def test_sweeps_of_every_plan_are_in_the_table_up_to_its_last(
 def test_plans_of_a_large_domain_are_not_made_again(
     evaluation: BagEvaluation, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    plans = {p.plan.action_set: p.plan for p in evaluation.plans if isinstance(p.plan, ExactPlan)}
-    monkeypatch.setattr(charts, 'MOST_VALUES', 499)
+    plans = {n: p.plan for n, p in evaluation.plans.items() if isinstance(p.plan, ExactPlan)}
+    monkeypatch.setattr(charts, 'MAX_VALUES', 499)
     assert sweep_report(plans, 'sweeps') is None
     assert sweep_report({}, 'sweeps') is None
 
@@ -342,9 +333,9 @@ def test_the_page_has_demonstrations_references_and_intervals(
     page, option = brief_page, brief.options[0]
     assert f'<summary>{len(taxi_lesson)} demonstrations' in page
     assert all(f'<code>{demo.states[0]}</code>' in page for demo in taxi_lesson)
-    assert reference_options(taxi)[option.last.block.name].definition in Text(page).text
-    own = replace(option.last, block=replace(option.last.block, name='my own'))
-    other = undrawn(replace(brief, options=(replace(option, curve=(own,)),)))
+    assert reference_options(taxi)[option.option.name].definition in Text(page).text
+    own = shortened(option, option_name='my own')
+    other = undrawn(replace(brief, options=(own,)))
     assert 'It has no reference option' in render_report(ReportData('Taxi', other))
     returns = np.array([sum(demo.rewards) for demo in taxi_lesson[:12] if demo.actions])
     low, high = stats.t.interval(0.95, len(returns) - 1, returns.mean(), stats.sem(returns))
@@ -355,20 +346,24 @@ def test_the_page_has_demonstrations_references_and_intervals(
 
 
 def test_people_are_compared_by_option_and_by_their_plans(evaluation: BagEvaluation) -> None:
-    others = tuple(replace(option, participant='ben') for option in evaluation.options)
-    human, primitive = evaluation.plans
+    others = tuple(
+        replace(each, option=replace(each.option, participant='ben'))
+        for each in evaluation.options
+    )
+    human, primitive = evaluation.plans.values()
     totals = human.judged.totals
     lost = np.arange(len(totals))
     judged = replace(human.judged, totals=totals - lost)
-    worse = replace(human, participant='ben', judged=judged)
-    two = replace(
-        evaluation,
-        options=(*evaluation.options, *others),
-        plans=(human, worse, replace(human, participant='cleo'), primitive),
-    )
+    plans = {
+        'human by p1': human,
+        'human by ben': replace(human, participant='ben', judged=judged),
+        'human by cleo': replace(human, participant='cleo'),
+        'primitive': primitive,
+    }
+    two = replace(evaluation, options=(*evaluation.options, *others), plans=plans)
     taught = [option for option, _, _ in teachers(two)]
-    assert [option.participant for option in taught] == ['p1', 'ben'] * 2
-    assert [option.last.block.name for option in taught] == [n for n in TAUGHT for _ in range(2)]
+    assert [each.option.participant for each in taught] == ['p1', 'ben'] * 2
+    assert [each.option.name for each in taught] == [n for n in TAUGHT for _ in range(2)]
     assert teachers(evaluation) == []
     texts = [f.text for f in findings(two) if 'A plan with the options of' in f.text]
     half = stats.t.ppf(1 - 0.05 / 3 / 2, len(lost) - 1) * stats.sem(lost)

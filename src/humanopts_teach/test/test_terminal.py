@@ -9,8 +9,11 @@ from typing import Any
 from humanopts_env import colours
 from humanopts_env.domains.base import Action, Domain
 from humanopts_env.domains.registry import make_domain
+from humanopts_env.domains.taxi import Taxi
 from humanopts_env.seeding import generator
+from humanopts_teach.browser.markup import parts
 from humanopts_teach.dialogue.keys import Command, key_table, SUSPEND
+from humanopts_teach.dialogue.panel import view
 from humanopts_teach.lesson.requests import Drive, LessonView, Phase
 from humanopts_teach.terminal import drawing
 from humanopts_teach.terminal.device import key_of, usable_colours
@@ -89,6 +92,19 @@ def test_the_fullest_screen_of_pac_man_fits_in_80_by_24(pacman_shower: Person) -
         assert text in ' '.join(screen.split()) or text in screen
     assert 'higher window' not in screen
     assert '…' not in screen
+
+
+class Undrawn(Taxi):
+    """A world without a board."""
+
+    board = None  # type: ignore[assignment]
+
+
+def test_a_world_that_is_not_drawn_lists_the_features_that_may_be_seen(shower: Person) -> None:
+    shower.world.domain = Undrawn()
+    listed = [line.split('  ')[0] for line in shower.sees().splitlines()[1:6]]
+    assert listed == ['taxi row: 2', 'taxi col: 3', 'passenger row: 0', 'passenger col: 0', '']
+    assert '<span>taxi row: 2</span>' in parts(view(shower.app))['board']
 
 
 def test_menus_are_not_cut_beside_a_wide_board(pacman_teacher: Person) -> None:

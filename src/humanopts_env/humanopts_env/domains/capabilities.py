@@ -214,12 +214,8 @@ class Scores:
 class Heuristic(Protocol):
     """A rule written by hand that chooses among the reference options."""
 
-    def __call__(self, games: int, seed: int, *, to_end: bool) -> Scores:
-        """
-        Play games until they are over or cut off.
-
-        :param to_end: True: an option runs to its end; False: an option is chosen at every step.
-        """
+    def __call__(self, games: int, seed: int, /) -> Scores:
+        """Play games until they are over or cut off, with a choice at every step."""
 
 
 @dataclass(frozen=True)
@@ -228,11 +224,9 @@ class Baselines:
 
     variants: Mapping[str, Mapping[str, Parameter]] = field(default_factory=dict)
     """Changed parameters of each variant of the game to compare in, by the variant's name."""
-    targets: tuple[float, ...] = ()  # mean returns of interest, for these parameters
-    fewer_options: tuple[tuple[str, ...], ...] = ()  # names, for plans with these options alone
+    paper_options: tuple[str, ...] = ()  # names, for a plan with these options alone
     primitive: PlanSettings | None = None  # for plans with primitive actions
     interrupted: PlanSettings | None = None  # for plans with options that are interrupted
-    interrupted_mixture: PlanSettings | None = None  # the same with primitive actions beside them
     heuristic: Heuristic | None = None
 
 

@@ -9,7 +9,7 @@ import threading
 from typing import Any
 
 from humanopts_env.domains.base import Domain, DomainError, is_enumerable
-from humanopts_env.domains.registry import make_domain, reference_options
+from humanopts_env.domains.registry import make_domain
 from humanopts_learner.options.decision_tree import import_scikit_learn
 from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.planning.request import (
@@ -41,9 +41,6 @@ from humanopts_teach.evaluation.bag_evaluation import (
     judged_by,
     with_games,
 )
-from humanopts_teach.evaluation.games import earlier_calls, PlayKey
-from humanopts_teach.evaluation.measures import option_block, row_of_result
-from humanopts_teach.evaluation.side_by_side import Meanwhile
 from humanopts_teach.evaluation.summary import (
     differences,
     Execution,
@@ -51,6 +48,14 @@ from humanopts_teach.evaluation.summary import (
     summary,
     SummaryError,
     write_json,
+)
+from humanopts_teach.evaluation.tables import (
+    option_row,
+    OPTIONS,
+    plan_row_of_result,
+    PLANS,
+    SECONDS,
+    table,
 )
 from humanopts_teach.evaluation.text import criteria_text, games_text
 from humanopts_teach.launching import LaunchError
@@ -91,24 +96,18 @@ def run_demo(
     exact = is_enumerable(domain)
     played = episodes or (EPISODES if exact else LONG_EPISODES)
     judged = played if exact else games or judged_by(domain)
-    compares = games > 0 and not exact  # in games; some can be played before their turn
-    with DemoProgress() as progress, Meanwhile[PlayKey, Any]() as earlier:
-        if compares:
-            earlier.begin(earlier_calls(domain, (), setup.seed, games, game_steps))
+    compares = games > 0 and not exact
+    with DemoProgress() as progress:
         with session(setup, launch.namespace, progress, new=True) as running:
             taught = _teach(running, progress)
-            options = [option for option, _ in taught]
-            if compares and options:
-                earlier.begin(earlier_calls(domain, options, setup.seed, games, game_steps))
-            learns = exact or compares  # this process, not others, as they have enough to do
-            live = _plan_and_play(running, domain, taught, played, judged, learns, progress)
+            live = _plan_and_play(running, domain, taught, played, judged, exact, progress)
         progress.stage('evaluating the bag')
         try:
             bag = open_bag(running.bags[-1])
-            evaluation = evaluate_bag(bag, progress.evaluating, judged, jobs=1 if learns else 0)
+            evaluation = evaluate_bag(bag, progress.evaluating, judged)
             if compares:
                 progress.stage(f'playing {games} games with each')
-                evaluation = with_games(evaluation, games, progress.comparing, earlier)
+                evaluation = with_games(evaluation, games, progress.comparing)
         except BagError as error:
             raise LaunchError(f'the recording cannot be evaluated: {error}') from error
         progress.stage('writing the report')
@@ -171,11 +170,11 @@ def _plan_and_play(
     learns: bool,
     progress: DemoProgress,
 ) -> Live:
+    from humanopts_learner.ros.convert import summary_from_message  # slow to import
+
     graph, setup = running.graph, running.setup
-    references = reference_options(domain)
     options = [
-        option_block(option, status, domain, references.get(option.name))
-        for option, status in taught
+        option_row(summary_from_message(status), option, domain) for option, status in taught
     ]
     progress.stage('planning')
     plans = [
@@ -189,7 +188,7 @@ def _plan_and_play(
     graph.wait(graph.all_recorded, NEWS_SECONDS, 'what was shown to be in the newest bag')
     importing.join()  # nothing is imported beside scikit-learn, which hides pandas meanwhile
     execution = Execution(played.episodes, played.successes, played.fallbacks, played.mean_return)
-    return Live(tuple(options), tuple(map(row_of_result, plans)), execution)
+    return Live(table(OPTIONS, options), table(PLANS, map(plan_row_of_result, plans)), execution)
 
 
 def _import_what_follows(learns: bool) -> None:
@@ -207,12 +206,12 @@ def _problems(
     taught: Sequence[str], live: Live, evaluation: BagEvaluation, topics: Sequence[TopicRow]
 ) -> list[str]:
     """Return a sentence for each check of the demo that failed."""
-    learned = {block.name for block in live.options}
+    learned = {*live.options['option_name']}
     found = [f'{name!r} was not learned' for name in taught if name not in learned]
     found += [
-        f'the criteria of {option.last.block.name!r} are not met'
-        for option in evaluation.options
-        if not option.last.judgement.settled
+        f'the criteria of {each.option.name!r} are not met'
+        for each in evaluation.options
+        if not each.summary.settled
     ]
     found += [f'{topic.lost} messages of {topic.name} are lost' for topic in topics if topic.lost]
     found += differences(live, evaluation)
@@ -224,16 +223,16 @@ def _problems(
 
 def _print_results(live: Live, evaluation: BagEvaluation) -> None:
     played = live.execution
-    for option in evaluation.options:
-        block = option.last.block
-        print(f'{block.name}: {block.n_demonstrations} demonstrations, {criteria_text(option)}')
-    exact = {plan.row.action_set: plan.exact_mean_return for plan in evaluation.plans}
-    for row in live.planning:
-        known = exact.get(row.action_set)
+    for each in evaluation.options:
+        shown = each.summary.n_demonstrations
+        print(f'{each.option.name}: {shown} demonstrations, {criteria_text(each)}')
+    exact = evaluation.plan_table['exact_mean_return'].dropna()
+    for _, row in live.plans.iterrows():
+        seconds, name = sum(row[part] for part in SECONDS), row.action_set
         print(
-            f'planning with {row.action_set}: {row.sweeps} sweeps, {1000 * row.seconds:.1f} ms, '
+            f'planning with {name}: {row.sweeps} sweeps, {1000 * seconds:.1f} ms, '
             f'mean return {row.mean_return:.2f}'
-            + ('' if known is None else f', over all starts {known:.2f}')
+            + (f', over all starts {exact[name]:.2f}' if name in exact else '')
         )
     print(
         f'{played.successes} of {played.episodes} episodes done by running options, '

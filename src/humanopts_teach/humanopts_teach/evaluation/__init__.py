@@ -1,1 +1,5 @@
 """Offline evaluation: the numbers of a lesson, from its demonstrations alone."""
+
+from collections.abc import Callable
+
+ProgressCallback = Callable[[float, float, str], object]  # done, total, what is under way

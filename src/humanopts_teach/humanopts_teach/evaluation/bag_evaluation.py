@@ -1,16 +1,15 @@
 """Evaluation of a bag: every option learned again from its demonstrations, and planned with."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 import json
 import math
 from pathlib import Path
 import time
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
 from humanopts_env.domains.base import Domain, is_enumerable
-from humanopts_env.domains.registry import reference_options
 from humanopts_learner.demonstrations import (
     check_demonstration,
     Demonstration,
@@ -22,8 +21,6 @@ from humanopts_learner.options.criteria import judge
 from humanopts_learner.options.files import FORMAT, option_to_json
 from humanopts_learner.options.learn import learn_option
 from humanopts_learner.options.option import LearnedOption
-from humanopts_learner.planning.exact import ExactPlan
-from humanopts_learner.planning.interruption import exact_mean_return
 from humanopts_learner.planning.plan import AnyPlan, judge_plan, make_plan, Performance
 from humanopts_learner.planning.request import (
     batch_games,
@@ -39,34 +36,17 @@ from humanopts_teach.bags import BagError
 from humanopts_teach.bags.contents import read_demonstrations, read_domain
 from humanopts_teach.bags.provenance import software, UNKNOWN
 from humanopts_teach.bags.reader import Bag, ignore_progress, open_bag
-from humanopts_teach.evaluation.games import (
-    evaluate_games,
-    GAMES,
-    GamesEvaluation,
-    judged_plan,
-    PlayKey,
-    ProgressCallback,
-)
-from humanopts_teach.evaluation.measures import (
-    finite,
-    option_block,
-    OptionBlock,
-    PlanningRow,
-    row_of_plan,
-    Settings,
-    settings_from_facts,
-)
-from humanopts_teach.evaluation.side_by_side import all_of, Meanwhile
+from humanopts_teach.evaluation import ProgressCallback
+from humanopts_teach.evaluation.games import evaluate_games, GAMES, GamesEvaluation
+from humanopts_teach.evaluation.settings import Settings, settings_from_facts
+from humanopts_teach.evaluation.side_by_side import all_of
+from humanopts_teach.evaluation.tables import option_row, OPTIONS, plan_row, PLANS, records, table
+
+if TYPE_CHECKING:
+    import pandas as pd  # slow to import
 
 EPISODES = 100  # that plans are judged by, where models are exact
 SOFTWARE = ('humanopts_version', 'numpy', 'scikit-learn')  # that learning depends on
-_OF_CURVE = (  # fields of an OptionBlock that a learning curve has
-    'n_demonstrations',
-    'policy_accuracy',
-    'classification_accuracy_initiation',
-    'classification_accuracy_termination',
-    'criteria_met',
-)
 Key = tuple[str, str]  # participant and name of an option
 
 
@@ -75,54 +55,25 @@ class EvaluationError(BagError):
 
 
 @dataclass(frozen=True)
-class CurvePoint:
-    """An option as it was after some of its demonstrations."""
-
-    option: LearnedOption = field(compare=False)
-    judgement: OptionSummary
-    block: OptionBlock
-    seconds: float  # of the person's time so far
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the point as JSON data, the criteria by name."""
-        return {
-            **{name: getattr(self.block, name) for name in _OF_CURVE},
-            'n_not_here': self.option.n_not_here,
-            'seconds': self.seconds,
-            'criteria': {
-                c.name: {
-                    'value': finite(c.value),
-                    'high': finite(c.high),
-                    'threshold': finite(c.threshold),
-                    'met': c.met,
-                }
-                for c in self.judgement.criteria
-            },
-        }
-
-
-@dataclass(frozen=True)
 class OptionEvaluation:
-    """One option of one participant, learned again."""
+    """
+    One option of one participant, learned again.
 
-    participant: str
-    curve: tuple[CurvePoint, ...]  # from the first trajectory on; the last is the whole option
-    reproduced: bool | None = None  # equals the option file in the bag; None: there is none
+    :ivar summary: of all its demonstrations.
+    :ivar learning: a row after each demonstration, from the first trajectory on; columns
+        ``OPTIONS``.
+    :ivar reproduced: equals the option file in the bag; None: there is none.
+    """
+
+    option: LearnedOption
+    summary: OptionSummary
+    learning: 'pd.DataFrame'
+    reproduced: bool | None = None
 
     @property
-    def last(self) -> CurvePoint:
-        """The option with all its demonstrations."""
-        return self.curve[-1]
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the evaluation as JSON data."""
-        return {
-            'participant': self.participant,
-            **asdict(self.last.block),
-            'n_not_here': self.last.option.n_not_here,
-            'equals_option_file': self.reproduced,
-            'learning_curve': [point.to_dict() for point in self.curve],
-        }
+    def row(self) -> Any:
+        """The last row: attributes by column."""
+        return next(self.learning.tail(1).itertuples(index=False))
 
 
 @dataclass(frozen=True)
@@ -131,62 +82,54 @@ class PlanEvaluation:
 
     participant: str
     plan: AnyPlan
-    row: PlanningRow
-    judged: Performance = field(compare=False, repr=False)
-
-    @cached_property
-    def exact_mean_return(self) -> float | None:
-        """Undiscounted, over all start states; None where it is not known exactly."""
-        return exact_mean_return(self.plan) if isinstance(self.plan, ExactPlan) else None
+    judged: Performance
 
 
 @dataclass(frozen=True)
 class BagEvaluation:
-    """The options and plans that come out of a bag alone."""
+    """
+    The options and plans that come out of a bag alone.
+
+    :ivar options: in order of first demonstration.
+    :ivar plans: by action set and, where several people taught, person.
+    :ivar warnings: sentences on what was assumed or left out.
+    :ivar games: by participant, if asked for.
+    :ivar demonstrations: all that were given, also those that were taken back or left out.
+    """
 
     domain: Domain[Any]
     settings: Settings
-    options: tuple[OptionEvaluation, ...]  # in order of first demonstration
-    plans: tuple[PlanEvaluation, ...]
-    warnings: tuple[str, ...]  # sentences on what was assumed or left out
-    games: Mapping[str, GamesEvaluation] = field(default_factory=dict)  # by participant; if asked
-    demonstrations: Sequence[Demonstration] = field(default=(), compare=False, repr=False)
-    """All that were given, also those that were taken back or left out."""
+    options: tuple[OptionEvaluation, ...]
+    plans: Mapping[str, PlanEvaluation]
+    warnings: tuple[str, ...] = ()
+    games: Mapping[str, GamesEvaluation] = field(default_factory=dict)
+    demonstrations: Sequence[Demonstration] = ()
+
+    @cached_property
+    def option_table(self) -> 'pd.DataFrame':
+        """A row for each option with all its demonstrations; columns ``OPTIONS``."""
+        rows = [row for each in self.options for row in records(each.learning.tail(1))]
+        return table(OPTIONS, rows)
+
+    @cached_property
+    def plan_table(self) -> 'pd.DataFrame':
+        """A row for each plan, by its name; columns ``PLANS``."""
+        rows = [plan_row(each.plan, each.judged, each.participant) for each in self.plans.values()]
+        return table(PLANS, rows).set_axis([*self.plans])
 
     @property
-    def blocks(self) -> tuple[OptionBlock, ...]:
-        """The options block of summary.json."""
-        return tuple(option.last.block for option in self.options)
-
-    @property
-    def planning(self) -> tuple[PlanningRow, ...]:
-        """The planning block of summary.json."""
-        return tuple(plan.row for plan in self.plans)
-
-    @property
-    def people(self) -> tuple[str, ...]:
+    def people(self) -> list[str]:
         """The participants, in order of their first demonstrations."""
-        return tuple(dict.fromkeys(option.participant for option in self.options))
+        return list(dict.fromkeys(each.option.participant for each in self.options))
 
     def of(self, participant: str) -> list[OptionEvaluation]:
         """Return the options of one participant."""
-        return [option for option in self.options if option.participant == participant]
+        return [each for each in self.options if each.option.participant == participant]
 
     def unready(self, plan: PlanEvaluation) -> list[str]:
-        """Return the options of a plan whose criteria do not hold."""
-        blocks = [option.last.block for option in self.of(plan.participant)]
-        return [block.name for block in blocks if not block.criteria_met]
-
-    @property
-    def named_plans(self) -> dict[str, PlanEvaluation]:
-        """The plans by action set and, where several people taught, person."""
-        several = len(self.people) > 1
-        return {
-            f'{plan.row.action_set} by {plan.participant}'
-            if several and plan.participant
-            else plan.row.action_set: plan
-            for plan in self.plans
-        }
+        """Return the options of a plan that do not meet the criteria."""
+        of = self.of(plan.participant)
+        return [each.option.name for each in of if not each.summary.criteria_met]
 
     def to_dict(self) -> dict[str, Any]:
         """Return the evaluation as JSON data, without NaN."""
@@ -194,17 +137,22 @@ class BagEvaluation:
             'domain': self.domain.name,
             'domain_parameters': dict(self.domain.parameters),
             **self.settings.to_dict(),
-            'options': [option.to_dict() for option in self.options],
-            'planning': [
-                {'participant': plan.participant, **asdict(plan.row)} for plan in self.plans
+            'options': [
+                {
+                    **records(each.learning)[-1],
+                    'equals_option_file': each.reproduced,
+                    'learning_curve': records(each.learning),
+                }
+                for each in self.options
             ],
+            'planning': records(self.plan_table),
             'games': {person: found.to_dict() for person, found in self.games.items()},
             'warnings': list(self.warnings),
         }
 
 
 def judged_by(domain: Domain[Any]) -> int:
-    """Return how many episodes plans are judged by, where nothing else is asked."""
+    """Return the default number of episodes in which plans are judged."""
     return EPISODES if is_enumerable(domain) else GAMES
 
 
@@ -231,10 +179,10 @@ def evaluate_bag(
     warnings = [*opened.notes, *assumed, *software_notes(opened.facts)]
     jobs = jobs or int(is_enumerable(domain))
     found = evaluate(demonstrations, domain, settings, warnings, progress, episodes, jobs)
-    learned = [evaluated.last.option for evaluated in found.options]
+    learned = [evaluated.option for evaluated in found.options]
     equal, differing = compare_options(attached, learned, demonstrations)
     options = (
-        replace(each, reproduced=equal.get((each.participant, each.last.option.name)))
+        replace(each, reproduced=equal.get((each.option.participant, each.option.name)))
         for each in found.options
     )
     return replace(found, options=tuple(options), warnings=(*found.warnings, *differing))
@@ -272,22 +220,17 @@ def evaluate(
     progress(0, len(work), f'{len(demonstrations)} demonstrations')
     calls, names, costs = zip(*work)
     results = all_of(calls, names, costs, progress, jobs)
-    options = [
-        OptionEvaluation(participant, curve) for (participant, _), curve in zip(groups, results)
-    ]
-    plans = []
+    plans, several = {}, len({person for person, _ in groups}) > 1
     for (person, action_set), found in zip(requests, results[len(groups) :]):
+        name = f'{action_set} by {person}' if several and person else action_set
         if isinstance(found, PlanError):
             notes.append(f'no plan with {action_set} actions: {found}')
         else:
-            plans.append(PlanEvaluation(person, found[0], row_of_plan(*found), found[1]))
+            plans[name] = PlanEvaluation(person, *found)
+    options = tuple(results[: len(groups)])
+    found_notes = (*warnings, *notes)
     return BagEvaluation(
-        domain,
-        settings,
-        tuple(options),
-        tuple(plans),
-        (*warnings, *notes),
-        demonstrations=demonstrations,
+        domain, settings, options, plans, found_notes, demonstrations=demonstrations
     )
 
 
@@ -312,19 +255,16 @@ def usable_demonstrations(
 
 def _learning_curve(
     demos: Sequence[Demonstration], domain: Domain[Any], settings: Settings
-) -> tuple[CurvePoint, ...]:
+) -> OptionEvaluation:
     """Learn an option after every demonstration, from the first trajectory on."""
-    reference = reference_options(domain).get(demos[0].option_name)
     first = next(i for i, demo in enumerate(demos, start=1) if demo.kind is Kind.TRAJECTORY)
-    curve = []
+    rows = []
     for count in range(first, len(demos) + 1):
         seen = demos[:count]
         option = learn_option(seen, domain, settings.seed)
-        judgement = judge(seen, domain, settings.thresholds, settings.seed, option)
-        block = option_block(option, judgement, domain, reference)
-        seconds = sum(demo.seconds for demo in seen)
-        curve.append(CurvePoint(option, judgement, block, seconds))
-    return tuple(curve)
+        summary = judge(seen, domain, settings.thresholds, settings.seed, option)
+        rows.append(option_row(summary, option, domain, sum(demo.seconds for demo in seen)))
+    return OptionEvaluation(option, summary, table(OPTIONS, rows))
 
 
 def _evaluate_plan(
@@ -419,39 +359,33 @@ def check_games(domain: Domain[Any]) -> None:
 
 
 def with_games(
-    evaluation: BagEvaluation,
-    games: int = GAMES,
-    progress: ProgressCallback = ignore_progress,
-    earlier: Meanwhile[PlayKey, Any] | None = None,
+    evaluation: BagEvaluation, games: int = GAMES, progress: ProgressCallback = ignore_progress
 ) -> BagEvaluation:
     """
-    Compare each participant's options with their baselines in many games.
+    Compare plans with each participant's options with other policies in many games.
 
-    :param games: that each way to play is judged by, two or more.
+    :param games: in which each policy is judged, two or more.
     :param progress: called as the work goes on.
-    :param earlier: as of ``evaluate_games``.
     :raises EvaluationError: plans of the domain are exact, or it cannot play many games.
     """
     domain, people, settings = evaluation.domain, evaluation.people, evaluation.settings
     check_games(domain)
     found = {}
     for number, person in enumerate(people):
-        options = [each.last.option for each in evaluation.of(person)]
-        judged = dict(
-            judged_plan(each.plan, each.judged, settings.seed)
-            for each in evaluation.plans
+        options = [each.option for each in evaluation.of(person)]
+        known = [
+            (each.plan, each.judged)
+            for each in evaluation.plans.values()
             if each.participant == person and isinstance(each.plan, SampledPlan)
-        )
+        ]
 
         def report(done: float, total: float, text: str, before: int = number) -> None:
             progress(before + done / total, len(people), text)
 
         try:
             found[person] = evaluate_games(
-                *(domain, options, settings.seed, games, settings.game_steps),
-                progress=report,
-                known=judged,
-                earlier=earlier,
+                *(domain, options, settings.seed, games, settings.game_steps, report),
+                known=next(iter(known), None),
             )
         except PlanError as error:
             raise EvaluationError(f'the games cannot be played: {error}') from error

@@ -1,16 +1,19 @@
 """What a demo writes about its lesson: ``summary.json``, and how live and offline differ."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 import json
 import os
 from pathlib import Path
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
 from humanopts_learner.append_only_log import sync
 from humanopts_teach.evaluation.bag_evaluation import BagEvaluation
-from humanopts_teach.evaluation.measures import OptionBlock, PlanningRow
+from humanopts_teach.evaluation.tables import Column, OPTIONS, PLANS, records, SECONDS
+
+if TYPE_CHECKING:
+    import pandas as pd  # slow to import
 
 
 class SummaryError(OSError):
@@ -29,10 +32,15 @@ class Execution:
 
 @dataclass(frozen=True)
 class Live:
-    """What was seen while the graph ran."""
+    """
+    What was seen while the graph ran.
 
-    options: tuple[OptionBlock, ...]
-    planning: tuple[PlanningRow, ...]
+    :ivar options: columns ``OPTIONS``; what is not seen live is NaN.
+    :ivar plans: columns ``PLANS``.
+    """
+
+    options: 'pd.DataFrame'
+    plans: 'pd.DataFrame'
     execution: Execution
 
 
@@ -47,17 +55,14 @@ def summary(live: Live, offline: BagEvaluation, bag: Mapping[str, Any]) -> dict[
     return {
         'domain': offline.domain.name,
         'seed': settings.pop('seed'),
-        'options': [asdict(block) for block in live.options],
+        'options': records(live.options[_seen_live(OPTIONS)]),
         'teaching': settings,
-        'planning': [asdict(row) for row in live.planning],
+        'planning': records(live.plans[[*_seen_live(PLANS), *SECONDS]]),
         'execution': asdict(live.execution),
         'bag': dict(bag),
         'offline': {
-            'options': [asdict(block) for block in offline.blocks],
-            'planning': [
-                {**asdict(plan.row), 'exact_mean_return': plan.exact_mean_return}
-                for plan in offline.plans
-            ],
+            'options': records(offline.option_table[_seen_live(OPTIONS)]),
+            'planning': records(offline.plan_table.drop(columns='participant')),
         },
         'games': next((games.to_dict() for games in offline.games.values()), None),
     }
@@ -65,37 +70,32 @@ def summary(live: Live, offline: BagEvaluation, bag: Mapping[str, Any]) -> dict[
 
 def differences(live: Live, offline: BagEvaluation) -> list[str]:
     """Return a sentence for each difference of the numbers, seconds apart; none: all are equal."""
-    there, here = _by_name(live.options), _by_name(offline.blocks)
-    found = [f'{name!r} was learned live but is not in the bag' for name in there.keys() - here]
-    found += [f'{name!r} is in the bag but was not learned live' for name in here.keys() - there]
-    for name in there.keys() & here:
-        found += _field_differences(there[name], here[name], repr(name))
-    found.sort()
-    plans = {row.action_set: row for row in offline.planning}
-    for row in live.planning:
-        if row.action_set not in plans:
-            found.append(f'the plan with {row.action_set} actions cannot be made from the bag')
-            continue
-        found += _field_differences(row, plans[row.action_set], f'the {row.action_set} plan')
+    found = []
+    for what, columns, keys, seen, again in (
+        ('option', OPTIONS, ['participant', 'option_name'], live.options, offline.option_table),
+        ('plan', PLANS, ['action_set'], live.plans, offline.plan_table),
+    ):
+        there, here = (
+            {tuple(row[key] for key in keys): row for row in records(frame[_seen_live(columns)])}
+            for frame in (seen, again)
+        )
+        for key in dict.fromkeys([*there, *here]):
+            called = f'the {what} {" ".join(map(repr, key[::-1]))}'
+            if key not in there or key not in here:
+                found.append(
+                    f'{called} is not in {"the bag" if key in there else "what was live"}'
+                )
+                continue
+            found += [
+                f'{name} of {called} was {value!r} live and is {here[key][name]!r} offline'
+                for name, value in there[key].items()
+                if value != here[key][name]
+            ]
     return found
 
 
-def _by_name(blocks: Sequence[OptionBlock]) -> dict[str, OptionBlock]:
-    """Return blocks by name; of the same name (several people taught it), numbered."""
-    found: dict[str, OptionBlock] = {}
-    for block in blocks:
-        again = sum(other.name == block.name for other in found.values())
-        found[f'{block.name} ({again + 1})' if again else block.name] = block
-    return found
-
-
-def _field_differences(
-    live: OptionBlock | PlanningRow, offline: OptionBlock | PlanningRow, called: str
-) -> Iterator[str]:
-    here = asdict(offline)
-    for name, value in asdict(live).items():
-        if value != here[name] and not name.endswith('_seconds'):
-            yield f'{name} of {called} was {value!r} live and is {here[name]!r} offline'
+def _seen_live(columns: Mapping[str, Column]) -> list[str]:
+    return [name for name, column in columns.items() if column.live]
 
 
 def write_json(path: Path, values: Mapping[str, Any]) -> None:

@@ -19,7 +19,7 @@ from humanopts_ros.text_files import read_yaml
 from humanopts_teach.bags import BagError
 from humanopts_teach.bags.contents import domains_played, read_demonstrations
 from humanopts_teach.bags.reader import Bag, DEMONSTRATION, LESSON_STATE
-from humanopts_teach.evaluation.measures import finite_parts
+from humanopts_teach.evaluation.tables import finite_parts
 from humanopts_teach.study.events import ButtonSuggested, Event, event_of, last_attempts
 from humanopts_teach.text_table import aligned
 import numpy as np

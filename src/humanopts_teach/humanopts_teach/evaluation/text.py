@@ -1,19 +1,20 @@
 """An evaluation as plain text, for terminals."""
 
 from collections.abc import Sequence
+import math
+from typing import Any, TYPE_CHECKING
 
 from humanopts_learner.demonstrations import METHODS
-from humanopts_learner.intervals import Interval
 from humanopts_learner.options.criteria import likely_range, Thresholds
 from humanopts_learner.summary import Criterion, NO_RANGE
 from humanopts_ros.limits import one_line
-from humanopts_teach.evaluation.bag_evaluation import (
-    BagEvaluation,
-    OptionEvaluation,
-    PlanEvaluation,
-)
-from humanopts_teach.evaluation.games import GamesEvaluation, PLAN, RANDOM
+from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, OptionEvaluation
+from humanopts_teach.evaluation.games import GamesEvaluation
+from humanopts_teach.evaluation.tables import rows_of, SECONDS
 from humanopts_teach.text_table import aligned
+
+if TYPE_CHECKING:
+    import pandas as pd  # slow to import
 
 A_TENTH = 'a tenth of the range from random actions to the demonstrations'
 MOST_POINTS = 12  # of a learning curve that are printed
@@ -43,17 +44,16 @@ def evaluation_text(evaluation: BagEvaluation) -> str:
     for option in evaluation.options:
         lines += ['', *_option(option)]
     if evaluation.plans:
-        lines += ['', 'plans']
-        plans = evaluation.named_plans.items()
-        lines += table(PLAN_HEAD, [_plan(name, plan) for name, plan in plans])
+        rows = [_plan(*row) for row in evaluation.plan_table.iterrows()]
+        lines += ['', 'plans', *table(PLAN_HEAD, rows)]
         lines += [
-            f'{name} uses options whose criteria do not hold: {", ".join(unready)}'
-            for name, plan in plans
+            f'{name} uses options that do not meet the criteria: {", ".join(unready)}'
+            for name, plan in evaluation.plans.items()
             if (unready := evaluation.unready(plan))
         ]
     for person, games in evaluation.games.items():
-        whose = f' with the options of {person}' if len(evaluation.games) > 1 else ''
-        lines += ['', f'{games.games} games each{whose}', *games_text(games)]
+        by = f' with the options of {person}' if len(evaluation.games) > 1 else ''
+        lines += ['', f'{games.rows["games"].max()} games each{by}', *games_text(games)]
     return '\n'.join(map(one_line, lines))
 
 
@@ -64,45 +64,41 @@ def return_limit(limits: Thresholds) -> str:
 
 def criteria_text(option: OptionEvaluation) -> str:
     """Return whether the criteria of an option are met."""
-    judgement = option.last.judgement
-    if judgement.criteria_met:
+    if option.summary.criteria_met:
         return 'criteria met'
-    if judgement.settled:
+    if option.summary.settled:
         return 'the return cannot be measured, the other criteria are met'
     return 'criteria not met'
 
 
 def games_text(games: GamesEvaluation) -> list[str]:
-    """Return lines that compare all ways to play, with 95 % intervals, and the curves."""
+    """Return lines that compare all policies, with 95 % intervals."""
     lines = []
-    for setting in games.settings:
-        outcomes = list(dict.fromkeys(name for row in setting.rows for name in row.outcomes))
-        head = (setting.name or 'plays by', 'score', *outcomes, 'planning s')
-        rows = [
+    for setting, rows in games.rows.groupby('setting', sort=False):
+        outcomes = list(dict.fromkeys(name for each in rows['outcomes'] for name in each))
+        head = (setting or 'policy', 'score', *outcomes, 'planning s')
+        cells = [
             [
                 row.name,
-                interval(row.score, 0),
-                *(interval(row.outcomes[name], 2) for name in outcomes),
-                '-' if row.seconds is None else f'{row.seconds:.1f}',
+                interval(row.score, row.score_low, row.score_high, 0),
+                *(interval(**row.outcomes[name], digits=2) for name in outcomes),
+                number(row.seconds, 3),
             ]
-            for row in setting.rows
+            for row in rows_of(rows)
         ]
-        gain = f'{setting.largest(PLAN).name} less {setting.largest(RANDOM).name}, game by game'
-        lines += ['', *table(head, rows), f'{gain}: {interval(setting.gain, 0)}']
-        if setting.over_rule is not None:
-            plan, rule, more = setting.over_rule
-            lines.append(f'{plan.name} less {rule.name}, game by game: {interval(more, 0)}')
-    for target in games.targets:
-        reached = [f'{curve.name} {curve.reached(target)}' for curve in games.curves]
-        lines.append(f'planning to a score of {target:.0f}: {", ".join(reached)}')
+        lines += ['', *table(head, cells)]
+        lines += [
+            f'{row.name} less {row.less}, game by game: {interval(row.mean, row.low, row.high, 0)}'
+            for row in rows_of(games.gains)
+            if row.setting == setting
+        ]
     return lines
 
 
-def interval(found: Interval, digits: int) -> str:
+def interval(mean: float, low: float, high: float, digits: int) -> str:
     """Return a mean and its interval."""
-    numbers = found.mean, found.low, found.high
-    mean, low, high = (f'{round(x, digits) + 0.0:.{digits}f}' for x in numbers)  # no -0.00
-    return f'{mean} [{low}, {high}]'
+    texts = [f'{round(x, digits) + 0.0:.{digits}f}' for x in (mean, low, high)]  # no -0.00
+    return f'{texts[0]} [{texts[1]}, {texts[2]}]'
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
@@ -113,44 +109,45 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
 
 def number(value: float | None, digits: int = 4) -> str:
     """Return a number, or - where there is none."""
-    return '-' if value is None else f'{value:.{digits}g}'
+    return '-' if value is None or math.isnan(value) else f'{value:.{digits}g}'
 
 
-def share(value: float | None) -> str:
+def share(value: float) -> str:
     """Return a percentage, or - where there is none."""
-    return '-' if value is None else f'{100 * value:.1f}%'
+    return '-' if math.isnan(value) else f'{100 * value:.1f}%'
 
 
 def _option(option: OptionEvaluation) -> list[str]:
-    block, judgement = option.last.block, option.last.judgement
-    points = option.curve
-    chosen = sorted({round(i * (len(points) - 1) / (MOST_POINTS - 1)) for i in range(MOST_POINTS)})
+    learned, summary, learning = option.option, option.summary, option.learning
+    shown = sorted(
+        {round(i * (len(learning) - 1) / (MOST_POINTS - 1)) for i in range(MOST_POINTS)}
+    )
     rows = [
         [
-            str(point.block.n_demonstrations),
-            str(point.option.n_not_here),
-            *(number(criterion.value, 3) for criterion in point.judgement.criteria),
-            share(point.block.policy_accuracy),
-            share(point.block.classification_accuracy_initiation),
-            share(point.block.classification_accuracy_termination),
-            'yes' if point.block.criteria_met else 'no',
+            str(row.n_demonstrations),
+            str(row.n_not_here),
+            *(number(row[name], 3) for name in ('return', 'initiation', 'termination')),
+            share(row.policy_accuracy),
+            share(row.classification_accuracy_initiation),
+            share(row.classification_accuracy_termination),
+            'yes' if row.criteria_met else 'no',
         ]
-        for point in (points[i] for i in chosen)
+        for _, row in learning.iloc[shown].iterrows()
     ]
     lines = [
-        f'{block.name} (by {option.participant or "-"}): {criteria_text(option)}',
-        f'features: {", ".join(block.features)}',
-        f'policy: {METHODS[block.method]}',
+        f'{learned.name} (by {learned.participant or "-"}): {criteria_text(option)}',
+        f'features: {", ".join(learned.features)}',
+        f'policy: {METHODS[learned.method]}',
     ]
     if option.reproduced is not None:
         lines.append(f'learned again: {REPRODUCED[option.reproduced]}')
     lines += [
-        f'mean return: demonstrations {number(block.mean_return_demonstrations)}, '
-        f'policy {number(block.mean_return_policy)}',
-        *(f'not met: {_unmet(c)}' for c in judgement.criteria if not c.met),
+        f'mean return: demonstrations {number(summary.mean_return_demonstrations)}, '
+        f'policy {number(summary.mean_return_policy)}',
+        *(f'not met: {_unmet(c)}' for c in summary.criteria if not c.met),
     ]
-    if judgement.more_needed > 0:
-        low, high = likely_range(judgement.more_needed)
+    if summary.more_needed > 0:
+        low, high = likely_range(summary.more_needed)
         lines.append(f'perhaps {low} to {high} more demonstrations are needed')
     return [*lines, *table(CURVE_HEAD, rows)]
 
@@ -166,17 +163,16 @@ def _unmet(criterion: Criterion) -> str:
     return f'{criterion.name} is {is_now}, needs {needs} or less'
 
 
-def _plan(name: str, plan: PlanEvaluation) -> list[str]:
-    row = plan.row
+def _plan(name: Any, row: 'pd.Series') -> list[str]:
     return [
-        name,
+        str(name),
         number(row.gamma),
         f'{row.game_steps:,}' if row.game_steps else '-',
-        number(1e3 * row.seconds, 3),
+        number(1e3 * sum(row[part] for part in SECONDS), 3),
         str(row.sweeps),
         str(row.episodes),
         number(row.mean_return),
         f'{number(row.mean_return_low)} to {number(row.mean_return_high)}',
-        number(plan.exact_mean_return),
+        number(row.exact_mean_return),
         number(row.mean_discounted_return),
     ]

@@ -7,19 +7,17 @@ The charts of a report: learning curves, planning and its sweeps, and games.
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from itertools import pairwise, zip_longest
+from itertools import zip_longest
 import math
 from typing import Any, Literal
 
-from humanopts_learner.intervals import Interval
 from humanopts_learner.planning.exact import build_model, ExactPlan
 from humanopts_learner.planning.value_iteration import sweep_table, SweepRow
-from humanopts_teach.evaluation.bag_evaluation import CurvePoint
+from humanopts_teach.evaluation.bag_evaluation import OptionEvaluation
 from humanopts_teach.evaluation.games import GamesEvaluation
-from humanopts_teach.evaluation.measures import PlanningRow
+from humanopts_teach.evaluation.tables import SECONDS
 from humanopts_teach.report.figures import Drawing, drawing, MUTED, SERIES
 from humanopts_teach.report.pages import number
-from matplotlib.axes import Axes
 from matplotlib.ticker import (
     LogLocator,
     MaxNLocator,
@@ -28,38 +26,34 @@ from matplotlib.ticker import (
     StrMethodFormatter,
 )
 import numpy as np
+import pandas as pd
 
 SIZE = (5.0, 2.9)  # inches
 MARGINS = {'left': 0.15, 'right': 0.985, 'bottom': 0.165, 'top': 0.9}  # shares, for six digits
-MOST_MARKERS = 30  # on a curve
-PANELS = (  # criterion, title, unit
+MAX_MARKERS = 30  # on a curve
+CRITERIA = (  # criterion, title, unit
     ('return', 'Return: shortfall', 'reward units'),
     ('initiation', 'Initiation: held-out error (may it start?)', 'balanced error'),
     ('termination', 'Termination: held-out error (does it end?)', 'balanced error'),
 )
 ACCURACIES = {
-    'policy': 'policy_accuracy',
-    'I': 'classification_accuracy_initiation',
-    'β': 'classification_accuracy_termination',
+    'policy_accuracy': 'policy',
+    'classification_accuracy_initiation': 'I',
+    'classification_accuracy_termination': 'β',
 }
 CURVES: tuple[dict[str, Any], ...] = (  # curves of one chart that coincide stay visible
     {'color': SERIES[0], 'marker': 'o', 'ms': 3.5},
     {'color': SERIES[1], 'marker': 's', 'ms': 7, 'mfc': 'none', 'ls': '--', 'lw': 1.1},
     {'color': SERIES[3], 'marker': '^', 'ms': 3.5, 'ls': ':', 'lw': 1.1},
 )
-STAGES = (
-    ('table_seconds', 'policy tables', 0),
-    ('model_seconds', 'models', 1),
-    ('sweep_seconds', 'sweeps', 3),
-)
+STAGES = dict(zip(SECONDS, (('policy tables', 0), ('models', 1), ('sweeps', 3))))
 RETURNS = (('undiscounted', 'mean_return'), ('discounted', 'mean_discounted_return'))
 MARKERS = 'osD^'
 WIDTH, ROW_HEIGHT = 5.6, 0.33  # inches
 CLEARED = 'cleared'
-MOST_VALUES = 20_000_000  # states by sweeps, up to which plans are made again for their sweeps
-ALL_ROWS, STEP = 30, 1.1  # sweeps that are all in the table; from there on each so many times on
+MAX_VALUES = 20_000_000  # states by sweeps, up to which plans are made again for their sweeps
+ALL_ROWS, STEP = 30, 1.1  # sweeps that are all in the table; ratio of the later ones
 NEAR = 1e-3  # a value so close to its end, in reward units, is settled
-_Curves = Mapping[str, Mapping[int, float | None]]  # by label and demonstrations; None: not known
 
 
 @contextmanager
@@ -88,148 +82,125 @@ def _series(index: int) -> dict[str, Any]:
     return {'color': SERIES[index % len(SERIES)], 'marker': MARKERS[index % len(MARKERS)]}
 
 
-def learning_curves(points: Sequence[CurvePoint], name: str, option: str) -> list[str]:
+def learning_curves(option: OptionEvaluation, name: str) -> list[str]:
     """
     Return one SVG for each criterion, one of the accuracies and one of the gain where known.
 
-    :param points: in order of demonstrations; of several with equally many trajectories (between
-        them came "not here" answers) the last is drawn.
+    Of several rows with as many trajectories (between them came "not here" answers) the last is
+    drawn.
     """
-    drawn = {p.block.n_demonstrations: p for p in points if p.block.n_demonstrations}
-    figures = []
+    points = option.learning[option.learning['n_demonstrations'] > 0]
+    points = points.drop_duplicates('n_demonstrations', keep='last').set_index('n_demonstrations')
+    if points.empty:
+        return []
+    last, figures = int(points.index.max()), []
 
     @contextmanager
-    def chart(
-        part: str, title: str, unit: str, curves: _Curves, nothing: str = ''
-    ) -> Iterator[Axes]:
-        axes_of: dict[str, Any] = {'title': title, 'xlabel': 'demonstrations', 'ylabel': unit}
-        with _chart(f'{name}-{part}', f'{title}: {option}', **axes_of) as work:
-            _draw_curves(work.axes, curves, nothing)
-            yield work.axes
-            work.axes.set_xlim(0, max(drawn) + 0.6)
-            work.axes.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=7))
-            if work.axes.get_legend_handles_labels()[0]:  # else nothing is measured
-                work.axes.legend(loc='best')
+    def chart(part: str, title: str, unit: str, curves: pd.DataFrame) -> Iterator[Drawing]:
+        """Draw curves with so few markers that they do not overlap."""
+        labels: dict[str, Any] = {'title': title, 'xlabel': 'demonstrations', 'ylabel': unit}
+        with _chart(f'{name}-{part}', f'{title}: {option.option.name}', **labels) as work:
+            axes = work.axes
+            for style, (label, curve) in zip(CURVES, curves.items()):
+                known = curve.dropna()
+                if len(known):
+                    every = -(-len(known) // MAX_MARKERS)
+                    axes.plot(known.index, known, markevery=every, label=str(label), **style)
+            yield work
+            axes.set_xlim(0, last + 0.6)
+            axes.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=7))
+            if axes.get_legend_handles_labels()[0]:  # else nothing is measured
+                axes.legend(loc='best')
             work.figure.set_layout_engine(None)  # to lay out takes as long as to draw
             work.figure.subplots_adjust(**MARGINS)
         figures.append(work.svg)
 
-    for criterion, title, unit in PANELS if drawn else ():
-        known = {
-            n: c for n, p in drawn.items() for c in p.judgement.criteria if c.name == criterion
-        }
-        curves: _Curves = {
-            'measured': {n: c.value for n, c in known.items()},
-            'upper limit': {n: c.high for n, c in known.items() if c.high != c.value},
-        }
-        with chart(criterion, title, unit, curves, list(known.values())[-1].verdict) as axes:
-            limits = {n: c.threshold for n, c in known.items() if c.threshold is not None}
-            if not limits:
-                continue
-            last, constant = list(limits.values())[-1], len(set(limits.values())) == 1
-            least = min([0.0, *limits.values(), *_known(*curves.values())])
-            style: dict[str, Any] = {'color': SERIES[2]}
-            label = f'met at or below {last:.3g}' + ('' if constant else ' in the end')
-            if constant:
-                axes.axhline(last, ls='--', lw=1.4, label=label, **style)
-                axes.axhspan(least, last, alpha=0.13, lw=0, **style)
-            else:
-                axes.plot(
-                    list(limits), list(limits.values()), ls='--', lw=1.4, label=label, **style
-                )
-                axes.fill_between(
-                    list(limits), least, list(limits.values()), alpha=0.13, lw=0, **style
-                )
-    curves = {
-        part: {n: getattr(p.block, field) for n, p in drawn.items()}
-        for part, field in ACCURACIES.items()
-    }
-    if _known(*curves.values()):
+    verdicts = {criterion.name: criterion.verdict for criterion in option.summary.criteria}
+    for criterion, title, unit in CRITERIA:
+        curves = pd.DataFrame({'measured': points[criterion]})
+        if criterion == 'return':
+            high = points['return_high']
+            curves['upper limit'] = high.where(high != points[criterion])
+        with chart(criterion, title, unit, curves) as work:
+            if curves.isna().all(axis=None):
+                where = work.axes.transAxes
+                work.axes.text(0.5, 0.7, verdicts[criterion], transform=where, ha='center')
+            limits = points[f'{criterion}_threshold'].reindex(range(last + 1)).bfill().ffill()
+            if limits.notna().any():
+                constant = '' if limits.nunique() == 1 else ' in the end'
+                label = f'met at or below {limits[last]:.3g}{constant}'
+                least = min(0.0, limits.min(), curves.min().min())
+                style: dict[str, Any] = {'color': SERIES[2]}
+                work.axes.plot(limits.index, limits, ls='--', lw=1.4, label=label, **style)
+                work.axes.fill_between(limits.index, least, limits, alpha=0.13, lw=0, **style)
+    accuracies = points[[*ACCURACIES]].rename(columns=ACCURACIES)
+    if accuracies.notna().any(axis=None):
         title = 'Accuracy against the reference option'
-        with chart('accuracy', title, 'share of states', curves) as axes:
-            axes.set_ylim(top=1.03)
-            axes.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
-    gains = {n: p.judgement.gain for n, p in drawn.items() if not math.isnan(p.judgement.gain.low)}
-    if gains:
-        curves = {'mean': {n: gain.mean for n, gain in gains.items()}}
+        with chart('accuracy', title, 'share of states', accuracies) as work:
+            work.axes.set_ylim(top=1.03)
+            work.axes.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
+    gains = points[points['gain_low'].notna()]
+    if len(gains):
         title = 'Return of the policy less that shown'
-        with chart('gain', title, 'reward units', curves) as axes:
-            _fill(axes, list(gains), list(gains.values()), SERIES[0], '95 % interval, same starts')
-            axes.axhline(0, color=MUTED, lw=0.8)
+        curves = gains[['gain']].rename(columns={'gain': 'mean'})
+        with chart('gain', title, 'reward units', curves) as work:
+            label = '95 % interval, same starts'
+            _fill(work, gains.index, gains['gain_low'], gains['gain_high'], SERIES[0], label)
+            work.axes.axhline(0, color=MUTED, lw=0.8)
     return figures
 
 
-def _draw_curves(axes: Axes, curves: _Curves, nothing: str) -> None:
-    """
-    Draw values by demonstrations, with so few markers that they do not overlap.
-
-    :param nothing: to write where there is no value.
-    """
-    for style, (label, curve) in zip(CURVES, curves.items()):
-        known = {n: value for n, value in curve.items() if value is not None}
-        if known:
-            every = -(-len(known) // MOST_MARKERS)
-            axes.plot(list(known), list(known.values()), markevery=every, label=label, **style)
-    if not _known(*curves.values()):
-        axes.text(0.5, 0.7, nothing, transform=axes.transAxes, ha='center')
-
-
-def _known(*curves: Mapping[int, float | None]) -> list[float]:
-    return [value for curve in curves for value in curve.values() if value is not None]
-
-
-def _fill(
-    axes: Axes, x: Sequence[float], found: Sequence[Interval], color: str, label: str | None = None
-) -> None:
+def _fill(work: Drawing, x: Any, low: Any, high: Any, color: str, label: str) -> None:
     """Shade intervals beside one another."""
-    low, high = [each.low for each in found], [each.high for each in found]
-    axes.fill_between(x, low, high, color=color, alpha=0.2, lw=0, label=label)
+    work.axes.fill_between(x, low, high, color=color, alpha=0.2, lw=0, label=label)
 
 
-def planning_figures(rows: Mapping[str, PlanningRow], name: str) -> list[str]:
+def planning_figures(plans: pd.DataFrame, name: str) -> list[str]:
     """
     Return the planning time and, where it was measured, the return, by action set.
 
-    :param rows: by the names of the plans.
+    :param plans: by name; columns ``PLANS``.
     """
-    returns = {called: row for called, row in rows.items() if row.mean_return is not None}
-    figures = [_planning_times(rows, f'{name}-time')] if rows else []
-    return [*figures, _mean_returns(returns, f'{name}-return')] if returns else figures
-
-
-def _planning_times(rows: Mapping[str, PlanningRow], name: str) -> str:
-    longest = max(row.seconds for row in rows.values())
+    if plans.empty:
+        return []
+    figures, longest = [], plans[[*SECONDS]].sum(axis=1).max()
     scale, unit, word = (1.0, 's', 'seconds') if longest >= 1.0 else (1e3, 'ms', 'milliseconds')
-    title, size = 'Planning time', (5.0, 1.3 + 0.6 * len(rows))
-    with _chart(name, f'{title} by action set', size, 'x', title=title, xlabel=word) as work:
-        left = np.zeros(len(rows))
-        for field, label, color in STAGES:
-            values = scale * np.array([getattr(row, field) for row in rows.values()])
-            told = label if values.any() else ''
-            style: dict[str, Any] = {'color': SERIES[color], 'label': told}
-            bars = work.axes.barh(list(rows), values, 0.55, left=left, **style)
+    title, size = 'Planning time', (5.0, 1.3 + 0.6 * len(plans))
+    label = f'{title} by action set'
+    with _chart(f'{name}-time', label, size, 'x', title=title, xlabel=word) as work:
+        left = np.zeros(len(plans))
+        for field, (stage, color) in STAGES.items():
+            values = scale * plans[field].to_numpy()
+            style: dict[str, Any] = {
+                'color': SERIES[color],
+                'label': stage if values.any() else '',
+            }
+            bars = work.axes.barh(list(plans.index), values, 0.55, left=left, **style)
             left += values
         work.axes.bar_label(bars, [f'{total:.3g} {unit}' for total in left], padding=5, size=9)
         work.axes.set_xlim(0, 1.22 * left.max())
         work.axes.invert_yaxis()
         work.figure.legend(loc='outside lower center', ncols=3)
-    return work.svg
-
-
-def _mean_returns(returns: Mapping[str, PlanningRow], name: str) -> str:
-    title, size = 'Mean return of an episode, with 95 % interval', (5.0, 1.3 + 0.6 * len(returns))
-    label, unit, rows = 'Mean return by action set', 'reward units', returns.values()
-    with _chart(name, label, size, 'x', title=title, xlabel=unit) as work:
+    figures.append(work.svg)
+    judged = plans[plans['mean_return'].notna()]
+    if judged.empty:
+        return figures
+    title = 'Mean return of an episode, with 95 % interval'
+    size, label, names = (
+        (5.0, 1.3 + 0.6 * len(judged)),
+        'Mean return by action set',
+        list(judged.index),
+    )
+    with _chart(f'{name}-return', label, size, 'x', title=title, xlabel='reward units') as work:
         for series, (kind, field) in enumerate(RETURNS):
-            means = np.array([getattr(row, field) for row in rows], float)  # NaN: not measured
-            work.axes.plot(means, list(returns), label=kind, ms=8, ls='', **_series(series))
-        ends = np.array([(row.mean_return_low, row.mean_return_high) for row in rows], float)
-        work.axes.hlines(list(returns), *ends.T, color=SERIES[0], lw=2.0, alpha=0.5)
+            work.axes.plot(judged[field], names, label=kind, ms=8, ls='', **_series(series))
+        ends = judged['mean_return_low'], judged['mean_return_high']
+        work.axes.hlines(names, *ends, color=SERIES[0], lw=2.0, alpha=0.5)
         work.axes.axvline(0, color=MUTED, lw=0.8)
-        work.axes.set_ylim(len(returns) - 0.4, -0.6)
+        work.axes.set_ylim(len(judged) - 0.4, -0.6)
         work.axes.xaxis.set_major_locator(MaxNLocator(6))
         work.figure.legend(loc='outside lower center', ncols=2)
-    return work.svg
+    return [*figures, work.svg]
 
 
 @dataclass(frozen=True)
@@ -249,7 +220,7 @@ def sweep_report(plans: Mapping[str, ExactPlan], name: str) -> SweepReport | Non
     :param plans: with exact models, by name.
     """
     values = [plan.domain.n_states * plan.solution.sweeps for plan in plans.values()]
-    if not values or max(values) > MOST_VALUES:
+    if not values or max(values) > MAX_VALUES:
         return None
     tables = {}
     for called, plan in plans.items():
@@ -299,70 +270,42 @@ def _residuals(tables: Mapping[str, Sequence[SweepRow]], name: str) -> str:
 
 
 def games_figures(games: GamesEvaluation, name: str) -> list[str]:
-    """Return the scores, the share of mazes cleared where there are mazes, and the curves."""
-    rows = [row for setting in games.settings for row in setting.rows]
-    scores = [row.score for row in rows]
-    figures = [_intervals(games, scores, f'{name}-score', 'Mean score', 'points')]
-    if all(CLEARED in row.outcomes for row in rows):
-        cleared = [row.outcomes[CLEARED] for row in rows]
+    """Return the scores and, where there are mazes, the share of mazes cleared."""
+    rows = games.rows
+    score = rows[['score', 'score_low', 'score_high']].to_numpy()
+    figures = [_intervals(rows, score, f'{name}-score', 'Mean score', 'points')]
+    if all(CLEARED in outcomes for outcomes in rows['outcomes']):
+        cleared = np.array([list(each[CLEARED].values()) for each in rows['outcomes']])
         figures.append(
-            _intervals(games, cleared, f'{name}-cleared', 'Mazes cleared', 'share of games')
+            _intervals(rows, cleared, f'{name}-cleared', 'Mazes cleared', 'share of games')
         )
-    return [*figures, _score_curves(games, f'{name}-curve')]
+    return figures
 
 
-def _intervals(
-    games: GamesEvaluation, found: Sequence[Interval], name: str, title: str, unit: str
-) -> str:
-    """Draw an interval for each row of each setting, the settings beside one another."""
-    rows, settings = games.settings[0].rows, games.settings
-    size = WIDTH, 1.2 + ROW_HEIGHT * len(rows)
-    label = f'{title} by what plays, with 95 % intervals'
+def _intervals(rows: pd.DataFrame, ends: Any, name: str, title: str, unit: str) -> str:
+    """
+    Draw an interval for each policy, the settings beside one another.
+
+    :param ends: mean, low and high of each row, (N, 3).
+    """
+    names, settings = list(rows['name'].unique()), list(rows['setting'].unique())
+    size = WIDTH, 1.2 + ROW_HEIGHT * len(names)
+    label = f'{title} by policy, with 95 % intervals'
     with _chart(name, label, size, 'x', title=title, xlabel=f'{unit}, with 95 % interval') as work:
-        axes, ends = work.axes, np.array([(each.mean, each.low, each.high) for each in found])
-        for index, (setting, part) in enumerate(zip(settings, np.split(ends, len(settings)))):
-            heights = np.arange(len(rows)) + 0.2 * (index - (len(settings) - 1) / 2)
+        axes = work.axes
+        for index, setting in enumerate(settings):
+            own = (rows['setting'] == setting).to_numpy()
+            heights = rows['name'][own].map(names.index) + 0.2 * (index - (len(settings) - 1) / 2)
+            mean, low, high = ends[own].T
             style = _series(index)
-            axes.hlines(heights, part[:, 1], part[:, 2], color=style['color'], lw=2.0)
-            axes.plot(part[:, 0], heights, ls='', ms=4.5, label=setting.name or None, **style)
-        for row, (one, other) in enumerate(pairwise(rows)):
-            if one.kind != other.kind:
-                axes.axhline(row + 0.5, color=MUTED, lw=0.6, alpha=0.5)
-        axes.set_yticks(range(len(rows)), [row.name for row in rows])
-        axes.set_ylim(len(rows) - 0.5, -0.5)
+            axes.hlines(heights, low, high, color=style['color'], lw=2.0)
+            axes.plot(mean, heights, ls='', ms=4.5, label=setting or None, **style)
+        axes.set_yticks(range(len(names)), names)
+        axes.set_ylim(len(names) - 0.5, -0.5)
         axes.set_xlim(left=min(0.0, axes.get_xlim()[0]))
         if unit.startswith('share'):
             axes.set_xlim(-0.02, 1.02)
             axes.xaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
-        if settings[0].name:
+        if settings[0]:
             work.figure.legend(loc='outside lower center', ncols=len(settings))
-    return work.svg
-
-
-def _score_curves(games: GamesEvaluation, name: str) -> str:
-    where = f', {games.curve_setting}' if games.curve_setting else ''
-    names = {
-        'title': f'Score against planning time{where}',
-        'xlabel': 'planning seconds of the processor (models counted)',
-        'ylabel': 'mean score, with 95 % interval',
-        'xscale': 'log',
-    }
-    label = f'Mean score by planning seconds{where}'
-    with _chart(name, label, (WIDTH, 4.4), 'both', **names) as work:
-        axes = work.axes
-        for index, curve in enumerate(games.curves):
-            seconds, scores = [r.seconds for r in curve.rows], [r.score for r in curve.rows]
-            style = _series(index)
-            _fill(axes, seconds, scores, style['color'])
-            times = [f'{target:,.0f} {curve.reached(target)}' for target in games.targets]
-            label = ': '.join([curve.name, ', '.join(times)] if times else [curve.name])
-            axes.plot(seconds, [score.mean for score in scores], ms=4.5, label=label, **style)
-        for target in games.targets:
-            axes.axhline(target, color=MUTED, ls='--', lw=1.0)
-            at = axes.get_yaxis_transform()
-            axes.text(1.01, target, f'{target:,.0f}', transform=at, va='center', color=MUTED)
-        axes.xaxis.set_major_formatter(StrMethodFormatter('{x:g}'))
-        axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-        axes.xaxis.set_minor_locator(NullLocator())
-        work.figure.legend(loc='outside lower left', ncols=1)
     return work.svg

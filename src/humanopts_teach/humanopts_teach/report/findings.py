@@ -3,21 +3,21 @@
 from collections.abc import Sequence
 from functools import cache
 from itertools import combinations
-import math
 import re
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
 from humanopts_learner.intervals import Interval, level_of_each
 from humanopts_teach.bags.info import TopicRow
 from humanopts_teach.evaluation.bag_evaluation import BagEvaluation
-from humanopts_teach.evaluation.games import GamesEvaluation, TENFOLD
-from humanopts_teach.evaluation.measures import PlanningRow
 from humanopts_teach.evaluation.summary import differences, Live
-from humanopts_teach.report.pages import counted, Finding, MARKS, number, templates
+from humanopts_teach.evaluation.tables import SECONDS
+from humanopts_teach.report.pages import counted, Finding, MARKS, MINUS, number, templates
 import numpy as np
 
+if TYPE_CHECKING:
+    import pandas as pd  # slow to import
+
 ALLOWED = 0.02  # share of the return that options may lose against primitive actions
-MARGIN = 80.0  # points by which a plan shall be better than random choice among its options
 
 
 def findings(
@@ -30,28 +30,27 @@ def findings(
     :param topics: of the bag; none: they are not known.
     """
     different = [] if live is None else differences(live, evaluation)
-    return _worded('all', evaluation, live, planning_rows(evaluation, live), topics, different)
-
-
-def games_findings(games: GamesEvaluation) -> list[Finding]:
-    """Return the findings of a comparison in games."""
-    return _worded('games', games)
-
-
-def planning_rows(evaluation: BagEvaluation, live: Live | None) -> dict[str, PlanningRow]:
-    """Return the results of planning by the names of the plans: live ones where they are known."""
-    if live is not None:
-        return {row.action_set: row for row in live.planning}
-    return {name: plan.row for name, plan in evaluation.named_plans.items()}
-
-
-def _worded(macro: str, *values: Any) -> list[Finding]:
-    """Return what a macro of the template says; a line that has no mark goes on with the last."""
+    plans = plans_by_name(plans_shown(evaluation, live))
+    text = _words().all(evaluation, live, plans, topics, different)
     marks = {mark: good for good, mark in MARKS.items()}
-    _, *parts = re.split(rf'^([{"".join(marks)}]) ', getattr(_words(), macro)(*values), flags=re.M)
+    # A line that has no mark goes on with the last.
+    _, *parts = re.split(rf'^([{"".join(marks)}]) ', text, flags=re.M)
     return [
         Finding(marks[mark], ' '.join(text.split())) for mark, text in zip(parts[::2], parts[1::2])
     ]
+
+
+def plans_shown(evaluation: BagEvaluation, live: Live | None) -> 'pd.DataFrame':
+    """Return the plans by name, columns ``PLANS``: live ones where they are known."""
+    if live is None:
+        return evaluation.plan_table
+    return live.plans.set_axis([*live.plans['action_set']])
+
+
+def plans_by_name(plans: 'pd.DataFrame') -> dict[str, Any]:
+    """Return the rows of plans by name: attributes by column, and the seconds of planning."""
+    plans = plans.assign(seconds=plans[[*SECONDS]].sum(axis=1))
+    return {str(row.Index): row for row in plans.itertuples()}
 
 
 @cache
@@ -65,12 +64,11 @@ def _words() -> Any:
         'level_of_each': level_of_each,
         'pairs': lambda plans: list(combinations(plans, 2)),
         'lost': _lost,
-        'points': lambda found: f'{found.mean:,.0f} ({found.low:,.0f} to {found.high:,.0f})',
-        'times': _times,
+        'points': lambda mean, low, high: f'{mean:,.0f} ({low:,.0f} to {high:,.0f})'.replace(
+            '-', MINUS
+        ),
+        'more': lambda row: Interval(row['mean'], row['low'], row['high']).above(),
         'ALLOWED': ALLOWED,
-        'MARGIN': MARGIN,
-        'TENFOLD': TENFOLD,
-        'INFINITE': math.inf,
     }
     return templates(__package__).get_template('findings.txt', globals=known).module
 
@@ -83,8 +81,3 @@ def _lost(loss: Interval) -> str:
     sign = -1.0 if loss.above() is False else 1.0
     low, high = sorted((sign * loss.low, sign * loss.high))
     return f'{words[loss.above()]} {number(sign * loss.mean)} ({number(low)} to {number(high)})'
-
-
-def _times(times: float) -> str:
-    """Return so many times in words, never more than there are."""
-    return f'{math.floor(times * 10) / 10:g}' if times < TENFOLD else f'{math.floor(times)}'

@@ -11,7 +11,7 @@ def shown_demonstrations(evaluation: BagEvaluation) -> list[tuple[Demonstration,
 
     They are sorted by person and option as these came, and by number.
     """
-    used = {uuid for option in evaluation.options for uuid in option.last.option.uuids}
+    used = {uuid for option in evaluation.options for uuid in option.option.uuids}
     demos = each_once(evaluation.demonstrations)
     order = list(dict.fromkeys((demo.participant, demo.option_name) for demo in demos))
     demos.sort(key=lambda d: (order.index((d.participant, d.option_name)), d.number))
@@ -27,7 +27,7 @@ def _verdict(demo: Demonstration, used: bool) -> str:
 
 def shown_return(evaluation: BagEvaluation, option: OptionEvaluation) -> Interval:
     """Return the mean return of an option's demonstrations, by Student's t over them."""
-    used = set(option.last.option.uuids)
+    used = set(option.option.uuids)
     return Interval.of(
         [
             demo.total_reward
@@ -51,8 +51,8 @@ def teachers(evaluation: BagEvaluation) -> list[tuple[OptionEvaluation, int, Int
         if demo.withdrawn
     ]
     return [
-        (option, back.count((option.participant, name)), shown_return(evaluation, option))
-        for name in dict.fromkeys(block.name for block in evaluation.blocks)
-        for option in evaluation.options
-        if option.last.block.name == name
+        (each, back.count((each.option.participant, name)), shown_return(evaluation, each))
+        for name in dict.fromkeys(each.option.name for each in evaluation.options)
+        for each in evaluation.options
+        if each.option.name == name
     ]

@@ -23,17 +23,17 @@ from humanopts_teach.report.charts import (
     sweep_report,
 )
 from humanopts_teach.report.episode import episode_strip, Frame, read_last_episode
-from humanopts_teach.report.findings import findings, planning_rows
+from humanopts_teach.report.findings import findings, plans_by_name, plans_shown
 from humanopts_teach.report.pages import render
 from humanopts_teach.report.people import shown_demonstrations, shown_return, teachers
 from humanopts_teach.report.rules import option_rules
 
-MEASURES = (  # field of OptionBlock, how it reads, whether it is a share
+MEASURES = (  # column of ``OPTIONS``, how it reads, whether it is a share
     ('n_demonstrations', 'demonstrations', False),
     ('mean_return_demonstrations', 'mean return of the demonstrations', False),
     ('mean_return_policy', 'mean return of the policy, same starts', False),
-    ('cv_error_initiation', 'initiation: held-out balanced error', False),
-    ('cv_error_termination', 'termination: held-out balanced error', False),
+    ('initiation', 'initiation: held-out balanced error', False),
+    ('termination', 'termination: held-out balanced error', False),
     ('policy_accuracy', 'policy accuracy', True),
     ('classification_accuracy_initiation', 'classification accuracy of I', True),
     ('classification_accuracy_termination', 'classification accuracy of β', True),
@@ -82,11 +82,11 @@ def render_report(data: ReportData) -> str:
     :raises StateError: a state of the episode is not of the domain.
     """
     evaluation, live = data.evaluation, data.live
-    planning = planning_rows(evaluation, live)
+    plans = plans_shown(evaluation, live)
     episode = episode_strip(evaluation.domain, data.frames)  # first: it can fail
     exact = {
         name: found.plan
-        for name, found in evaluation.named_plans.items()
+        for name, found in evaluation.plans.items()
         if isinstance(found.plan, ExactPlan)
     }
     values = {
@@ -97,12 +97,12 @@ def render_report(data: ReportData) -> str:
             for index, (person, games) in enumerate(evaluation.games.items())
         ],
         'sweeps': sweep_report(exact, 'sweeps'),
-        'sampled': any(row.game_steps for row in planning.values()),
+        'sampled': bool(plans['game_steps'].any()),
         'options': [
             (
                 option,
-                learning_curves(option.curve, f'option-{index}', option.last.block.name),
-                option_rules(option.last.option, evaluation.domain),
+                learning_curves(option, f'option-{index}'),
+                option_rules(option.option, evaluation.domain),
             )
             for index, option in enumerate(evaluation.options)
         ],
@@ -114,16 +114,16 @@ def render_report(data: ReportData) -> str:
         'several': len(evaluation.people) > 1,
         'references': reference_options(evaluation.domain),
         'exact_accuracy': is_enumerable(evaluation.domain),
-        'live': None if live is None else {block.name: block for block in live.options},
+        'live': None if live is None else {o.option_name: o for o in live.options.itertuples()},
         'measures': MEASURES,
         'methods': METHODS,
         'reproduced': REPRODUCED,
         'return_limit': return_limit,
         'NO_RANGE': NO_RANGE,
         'boards': board_figures(exact, 'board'),
-        'planning': planning,
+        'planning': plans_by_name(plans),
         'evaluation': evaluation,
-        'planning_figures': planning_figures(planning, 'planning'),
+        'planning_figures': planning_figures(plans, 'planning'),
         'episode': episode,
         'topics': data.topics,
         'provenance': data.provenance,

@@ -119,8 +119,6 @@ def _middle(view: panel.View, width: int) -> RenderableType:
         return beside
     board, notes = board_texts(view.board)
     board_width = max(cell_len(line) for line in board.plain.split('\n'))
-    if not board_width:  # a world that is not drawn lists its features
-        return Group(notes, beside, below)
     table = Table.grid(padding=(0, 3, 0, 0), expand=True)
     table.add_column(width=board_width, no_wrap=True)
     table.add_column(ratio=1)
@@ -132,12 +130,18 @@ def _middle(view: panel.View, width: int) -> RenderableType:
 
 
 def board_texts(board: Board) -> tuple[Text, Text]:
-    """Return a board in colour, and the lines below it, which may be wider."""
-    drawn, below = (
-        Text('\n').join(Text.assemble(*runs(line)) for line in lines)
-        for lines in (signs(board), caption(board))
+    """
+    Return a board in colour, and the lines below it, which may be wider.
+
+    A world that is not drawn has a list of its features in place of a board.
+    """
+    drawn, below = signs(board), caption(board)
+    if not drawn:
+        drawn, below = caption(board, width=0), []
+    board_text, notes = (
+        Text('\n').join(Text.assemble(*runs(line)) for line in lines) for lines in (drawn, below)
     )
-    return drawn, below
+    return board_text, notes
 
 
 @singledispatch

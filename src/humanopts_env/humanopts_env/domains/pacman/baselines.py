@@ -1,9 +1,8 @@
 """
 The baselines of plans in Pac-Man, under the same rules.
 
-The heuristic is a short hand-written rule over the reference options. A chosen option runs to its
-end, or one is chosen at every step. The plan settings were found by hand in the default maze, with
-the reference options.
+The heuristic is a short hand-written rule over the reference options. The plan settings were found
+by hand in the default maze, with the reference options.
 """
 
 from collections.abc import Sequence
@@ -32,9 +31,6 @@ TOO_NEAR = 3  # steps to a dangerous ghost at which the hand-written rule flees
 
 
 PRIMITIVE = PlanSettings(0.95, {'rounds': 16})  # with either rule of the ghosts
-INTERRUPTED_MIXTURE = PlanSettings(
-    0.95, {'rounds': 16, 'shrinkage': 30.0, 'primitive_penalty': 15.0, 'interruption_margin': 5.0}
-)
 INTERRUPTED = {  # by the rule of the ghosts
     'random': PlanSettings(
         0.985,
@@ -48,49 +44,32 @@ INTERRUPTED = {  # by the rule of the ghosts
     ),
     'chase': PlanSettings(0.985, {'shrinkage': 1000.0}),
 }
-TARGETS = (1800.0, 1850.0)  # mean scores of interest with the default parameters
 PAPER_OPTIONS = (CLOSEST_FOOD, AVOID_GHOST, NEAREST_PILL)  # of Subramanian et al., section 7
-NAMED_OPTIONS = (*PAPER_OPTIONS, EAT_GHOST)  # in their table 1
 
 
-def pacman_baselines(domain: 'PacMan', *, usual: bool) -> Baselines:
-    """
-    Return the baselines in one variant of the game.
-
-    :param usual: it has the default parameters, for which ``TARGETS`` are known to be reachable.
-    """
-    ghosts = domain.rules.ghosts
+def pacman_baselines(domain: 'PacMan') -> Baselines:
+    """Return the baselines in one variant of the game."""
     return Baselines(
         variants={f'ghosts={rule}': {'ghosts': rule} for rule in GHOST_RULES},
-        targets=TARGETS if usual else (),
-        fewer_options=(PAPER_OPTIONS, NAMED_OPTIONS),
+        paper_options=PAPER_OPTIONS,
         primitive=PRIMITIVE,
-        interrupted=INTERRUPTED[ghosts],
-        interrupted_mixture=INTERRUPTED_MIXTURE,
+        interrupted=INTERRUPTED[domain.rules.ghosts],
         heuristic=partial(play_heuristic, domain),
     )
 
 
-def play_heuristic(domain: 'PacMan', games: int, seed: int, *, to_end: bool) -> Scores:
-    """
-    Play games by the hand-written rule, with the first of equally good moves.
-
-    The parameters are those of ``Heuristic``.
-    """
+def play_heuristic(domain: 'PacMan', games: int, seed: int) -> Scores:
+    """Play games by the hand-written rule, with the first of equally good moves."""
     options, rng = list(reference_options(domain).values()), generator(seed, 'baseline', 'options')
     names = [option.name for option in options]
-    running = np.full(games, -1, dtype=np.intp)
     batch, each = PacManBatch.begin(domain.rules, games), np.arange(games)
     for _ in range(domain.max_steps):
         if batch.over.all():
             break
         seen = look_around(batch)
         said = [option.judge(batch, seen) for option in options]
-        ended = np.stack([judgement.termination for judgement in said])[running, each]
-        can_start = np.stack([judgement.initiation for judgement in said])
-        chosen = _by_rule(names, batch, seen, can_start, to_end=to_end)
-        running = np.where(ended | (running < 0) | (not to_end), chosen, running)
-        moves: Ints = np.stack([j.optimal for j in said])[running, each].argmax(axis=1)
+        chosen = _by_rule(names, batch, seen, np.stack([judged.initiation for judged in said]))
+        moves: Ints = np.stack([judged.optimal for judged in said])[chosen, each].argmax(axis=1)
         batch.step(moves, batch.draws(rng))
     return Scores(batch.score, domain.batch_games().batch_outcome(batch))
 
@@ -100,8 +79,6 @@ def _by_rule(
     batch: PacManBatch,
     seen: Surroundings,
     available: Flags,
-    *,
-    to_end: bool,
 ) -> Ints:
     """
     Return (N,): the index of the option that the hand-written rule chooses, by their names (O,).
@@ -109,12 +86,10 @@ def _by_rule(
     The rule is: eat a scared ghost that can be caught in time, unless a dangerous one is near;
     else, where a dangerous ghost is too near, go to a power pill that is nearer; else go to fruit
     that can be reached in time, unless a dangerous ghost is near; else avoid a ghost that is too
-    near; else go to the closest food. A way to fruit that is gone to its end, whatever comes, is
-    begun only where a dangerous ghost is more than twice as far.
+    near; else go to the closest food.
 
-    Of 23 places and conditions of the clause for fruit, these scored best over both kinds of
-    ghosts in 1,000 games of a seed that no reported result uses, with a choice at every step, and
-    with options that run to their end.
+    Of 23 places and conditions of the clause for fruit, this one scored best over both kinds of
+    ghosts in 1,000 games of a seed that no reported result uses.
 
     :param available: (O, N) whether each option can start.
     """
@@ -122,12 +97,11 @@ def _by_rule(
     food, avoid, pill, eat, fruit = map(names.index, order)
     threatened = seen.danger <= TOO_NEAR
     steps = batch.rules.paths.distance[batch.pacman, batch.fruit_at].astype(np.intp)
-    safe = seen.danger > (2 * steps if to_end else 2)
     return np.select(
         [
             available[eat] & (seen.prey <= seen.fear) & (seen.danger > 2),
             available[pill] & threatened & (seen.pill < TOO_NEAR),
-            available[fruit] & (steps <= batch.fruit) & safe,
+            available[fruit] & (steps <= batch.fruit) & (seen.danger > 2),
             available[avoid] & threatened,
         ],
         [eat, pill, fruit, avoid],

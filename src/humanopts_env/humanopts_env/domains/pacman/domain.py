@@ -222,4 +222,4 @@ class PacMan(Domain[PacManState]):
         return plain_space(transitions, over, ~over, rows, columns, names, board)
 
     def baselines(self) -> Baselines:
-        return pacman_baselines(self, usual=self.parameters == PacMan().parameters)
+        return pacman_baselines(self)
