@@ -1,10 +1,9 @@
 """Conversion between messages and domain values."""
 
 from collections.abc import Hashable
-from dataclasses import asdict, fields
 from typing import Any
 
-from humanopts_env.domains.base import Domain, DomainError, FeatureKind
+from humanopts_env.domains.base import Action, Domain, DomainError, Feature
 from humanopts_env.domains.registry import domain_from_json, parameters_json
 from humanopts_env.game import Command, Control, Pacing, Refused, Transition
 from humanopts_interfaces.msg import (
@@ -16,12 +15,20 @@ from humanopts_interfaces.msg import (
     FeatureInfo,
     GameState,
 )
+from humanopts_ros.codec import Codec
 
-_KINDS = {
-    FeatureKind.ORDINAL: FeatureInfo.KIND_ORDINAL,
-    FeatureKind.NOMINAL: FeatureInfo.KIND_NOMINAL,
-    FeatureKind.CONTINUOUS: FeatureInfo.KIND_CONTINUOUS,
-}
+_FEATURE = Codec(Feature, FeatureInfo, of_value=['values'], of_message=['value_names'])
+_ACTION = Codec(Action, ActionInfo)
+transition_to_message = Codec(Transition, GameState).encode
+command_from_message = Codec(Command, ActionCommand, of_message=['option_name']).decode
+_CONTROL = Codec(Control, ControlState, of_message=['step_period', 'paused_by'])
+_COMMAND_FIELDS = 'publisher_id', 'sequence', 'episode', 'step', 'action'
+_REFUSED = Codec(
+    Refused,
+    ActionRefusal,
+    of_value=['command'],
+    of_message=[f'command_{name}' for name in _COMMAND_FIELDS],
+)
 
 
 def domain_to_info(domain: Domain[Any]) -> DomainInfo:
@@ -32,18 +39,10 @@ def domain_to_info(domain: Domain[Any]) -> DomainInfo:
         gamma=domain.gamma,
         max_steps=domain.max_steps,
         features=[
-            FeatureInfo(
-                name=feature.name,
-                question=feature.question,
-                kind=_KINDS[feature.kind],
-                value_names=list(feature.values),
-                unit=feature.unit,
-                low=feature.low,
-                high=feature.high,
-            )
+            _FEATURE.encode(feature, value_names=list(feature.values))
             for feature in domain.features
         ],
-        actions=[ActionInfo(**asdict(action)) for action in domain.actions],
+        actions=list(map(_ACTION.encode, domain.actions)),
     )
 
 
@@ -64,39 +63,12 @@ def domain_from_info(info: DomainInfo) -> Domain[Hashable]:
     return domain
 
 
-def transition_to_message(transition: Transition) -> GameState:
-    """Encode a transition; header, publisher_id and sequence are left to the publisher."""
-    values = {field.name: getattr(transition, field.name) for field in fields(transition)}
-    values['features'] = list(transition.features)
-    values['action_source'] = int(transition.action_source)
-    return GameState(**values)
-
-
-def command_from_message(message: ActionCommand) -> Command:
-    """Decode a command."""
-    names = (field.name for field in fields(Command))
-    return Command(**{name: getattr(message, name) for name in names})
-
-
 def refusal_to_message(refused: Refused) -> ActionRefusal:
     """Encode a refusal."""
-    command = {f'command_{name}': value for name, value in asdict(refused.command).items()}
-    del command['command_source']  # the topic does not carry it
-    return ActionRefusal(
-        reason=int(refused.reason),
-        detail=refused.detail,
-        episode=refused.episode,
-        step=refused.step,
-        **command,
-    )
+    command = {f'command_{name}': getattr(refused.command, name) for name in _COMMAND_FIELDS}
+    return _REFUSED.encode(refused, **command)
 
 
 def control_to_message(control: Control, pacing: Pacing) -> ControlState:
     """Encode who holds control, and the pace of the machine."""
-    return ControlState(
-        holder=int(control.holder),
-        holder_id=control.holder_id,
-        reason=control.reason,
-        step_period=pacing.period,
-        paused_by=pacing.paused_by,
-    )
+    return _CONTROL.encode(control, step_period=pacing.period, paused_by=pacing.paused_by)

@@ -2,70 +2,43 @@
 
 from array import array
 from collections.abc import Sequence
-from dataclasses import asdict, fields
 import math
 from typing import Any, TYPE_CHECKING
 
 from humanopts_env.arrays import Floats
 from humanopts_interfaces import msg
 from humanopts_interfaces.action import Plan
-from humanopts_learner.demonstrations import Demonstration, KIND_NUMBERS
+from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.planning.request import PlanError, PlanRequest
 from humanopts_learner.summary import Criterion, OptionSummary
+from humanopts_ros.codec import Codec
 import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:  # slow to import, and terminals convert none of them
-    from humanopts_learner.execution import RunResult
     from humanopts_learner.planning.evaluate import Coverage
     from humanopts_learner.planning.interruption import OptionValues
     from humanopts_learner.planning.plan import AnyPlan, Performance
 
+_CRITERION = Codec(Criterion, msg.Criterion, of_value=['high'], computed=['measurable'])
+_SUMMARY = Codec(
+    OptionSummary,
+    msg.OptionStatus,
+    of_value=['gain'],
+    computed=['criteria_met'],
+    parts={'criteria': (_CRITERION.encode, _CRITERION.decode)},
+)
+# None is sent as NaN; confidence limits are not sent.
+summary_to_message, summary_from_message = _SUMMARY.encode, _SUMMARY.decode
+_DEMONSTRATION = Codec(
+    Demonstration, msg.Demonstration, of_value=['features'], of_message=['features']
+)
+
 
 def demonstration_to_message(demo: Demonstration) -> msg.Demonstration:
     """Encode a demonstration; header, publisher_id and sequence are left to the publisher."""
-    values = {field.name: getattr(demo, field.name) for field in fields(demo)}
-    values |= {name: list(each) for name, each in values.items() if isinstance(each, tuple)}
-    values['kind'] = KIND_NUMBERS[demo.kind]
-    values['features'] = [value for row in demo.features for value in row]
-    return msg.Demonstration(**values)
-
-
-def summary_to_message(summary: OptionSummary) -> msg.OptionStatus:
-    """Encode how far an option is learned; None is sent as NaN."""
-    values = {f.name: getattr(summary, f.name) for f in fields(summary) if f.name != 'gain'}
-    values |= {name: list(each) for name, each in values.items() if isinstance(each, tuple)}
-    values['criteria'] = [
-        msg.Criterion(
-            name=criterion.name,
-            value=math.nan if criterion.value is None else criterion.value,
-            threshold=math.nan if criterion.threshold is None else criterion.threshold,
-            measurable=criterion.measurable,
-            met=criterion.met,
-            no_range=criterion.no_range,
-        )
-        for criterion in summary.criteria
-    ]
-    return msg.OptionStatus(criteria_met=summary.criteria_met, **values)
-
-
-def summary_from_message(message: msg.OptionStatus) -> OptionSummary:
-    """Decode how far an option is learned; confidence limits are not sent."""
-    names = {f.name for f in fields(OptionSummary)} - {'gain', 'criteria'}
-    values = {name: getattr(message, name) for name in names}
-    values |= {name: tuple(each) for name, each in values.items() if isinstance(each, list)}
-    criteria = tuple(
-        Criterion(
-            found.name,
-            found.value if found.measurable else None,
-            None if math.isnan(found.threshold) else found.threshold,
-            found.met,
-            no_range=found.no_range,
-        )
-        for found in message.criteria
-    )
-    return OptionSummary(criteria=criteria, **values)
+    return _DEMONSTRATION.encode(demo, features=[value for row in demo.features for value in row])
 
 
 def plan_goal_to_message(
@@ -207,22 +180,4 @@ def option_values_from_message(message: msg.OptionValues) -> 'OptionValues':
         continuation_values=table('continuation_values'),
         interruption_margin=float(message.interruption_margin),
         sampled=bool(message.sampled),
-    )
-
-
-def end_to_message(end: 'RunResult', run_id: str, execution: str = '') -> msg.OptionResult:
-    """
-    Encode how a run ended.
-
-    :param run_id: empty for a refusal.
-    :param execution: in force at the end; empty for a refusal.
-    """
-    values = {**asdict(end), 'status': int(end.status)}
-    acted = values.pop('acted')
-    return msg.OptionResult(
-        run_id=run_id,
-        execution=execution,
-        acted_names=list(acted),
-        acted_steps=list(acted.values()),
-        **values,
     )

@@ -36,7 +36,8 @@ from humanopts_learner.library import OptionLibrary, RunnableOption, UnknownOpti
 from humanopts_learner.options.option import Mode
 from humanopts_learner.planning.interruption import OptionValues as PlanValues
 from humanopts_learner.planning.request import Execution, MODULAR, PlanError
-from humanopts_learner.ros.convert import end_to_message, option_values_from_message
+from humanopts_learner.ros.convert import option_values_from_message
+from humanopts_ros.codec import Codec
 from humanopts_ros.limits import shown
 from humanopts_ros.node_base import NodeBase
 from humanopts_ros.qos import CURRENT
@@ -48,6 +49,26 @@ _CHECK_PERIOD = 0.1  # s between checks of the deadline of a command
 
 class RunCanceled(Exception):  # noqa: N818 - no error: the client has canceled
     """A run was canceled, or the node ends, before its first action."""
+
+
+_RESULT = Codec(
+    RunResult,
+    OptionResult,
+    of_value=['acted'],
+    of_message=['run_id', 'execution', 'acted_names', 'acted_steps'],
+)
+
+
+def _result(end: RunResult, run_id: str = '', execution: str = '') -> OptionResult:
+    """
+    Encode how a run ended.
+
+    :param run_id: empty for a refusal.
+    :param execution: in force at the end; empty for a refusal.
+    """
+    names, steps = list(end.acted), list(end.acted.values())
+    ids = {'run_id': run_id, 'execution': execution}
+    return _RESULT.encode(end, **ids, acted_names=names, acted_steps=steps)
 
 
 @dataclass(frozen=True)
@@ -260,7 +281,7 @@ class Runner:
         run, arbiter = self._prepare(request, execution, library, position)
         end = run.begin(state.state, *position)
         if end is not None:
-            return end_to_message(end, '')
+            return _result(end)
         run_id = str(uuid.uuid4())
         self._active = active = _Active(
             run, run_id, request, library, execution, arbiter, *position
@@ -268,7 +289,7 @@ class Runner:
         self._announce(active)
         self._send(active)
         end = await active.done
-        return end_to_message(end, run_id, active.execution)
+        return _result(end, run_id, active.execution)
 
     async def _wait(self, request: RunRequest, condition: Callable[[], bool]) -> None:
         """
@@ -478,7 +499,7 @@ def _check(goal: RunOption.Request | ExecuteOption.Goal, library: OptionLibrary)
 
 
 def _refused(request: RunRequest, status: RunStatus, detail: str = '') -> OptionResult:
-    return end_to_message(refusal(status, request.goal.option_name, detail), '')
+    return _result(refusal(status, request.goal.option_name, detail))
 
 
 def _checked(message: ExecutionState) -> ExecutionState:

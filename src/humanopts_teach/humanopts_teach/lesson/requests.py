@@ -41,13 +41,18 @@ class Verdict(Enum):
 class RequestStatus(Enum):
     """How a request ended; the names are those of the services' STATUS constants."""
 
+    UNKNOWN = 'unknown'
     OK = 'ok'
     BAD_METHOD = 'bad method'
     BAD_NAME = 'bad name'
     BAD_PERIOD = 'bad period'
+    BAD_REQUEST = 'bad request'
+    BAD_SOURCE = 'bad source'
     BAD_STATE = 'bad state'
     BAD_VERDICT = 'bad verdict'
     BUDGET_SPENT = 'budget spent'
+    FAILED = 'failed'
+    HELD_BY_PERSON = 'held by person'
     NAME_TAKEN = 'name taken'
     NOT_ASKED = 'not asked'
     NOT_CURRENT = 'not current'
@@ -57,10 +62,12 @@ class RequestStatus(Enum):
     NO_FEATURE = 'no feature'
     NO_GAME = 'no game'
     NO_OPTION = 'no option'
+    NO_RUN = 'no run'
     NO_STEPS = 'no steps'
     PAUSED = 'paused'
     REFUSED = 'refused'
     STEPS_TAKEN = 'steps taken'
+    UNKNOWN_PARTICIPANT = 'unknown participant'
     WRONG_PHASE = 'wrong phase'
 
 

@@ -1,88 +1,84 @@
-"""Messages to teaching values and back: the only module of this package that knows both."""
+"""The services and actions of the graph as teaching values, and the state of the lesson."""
 
 from collections.abc import Mapping
-from dataclasses import fields
-from enum import Enum
-from typing import Any, TypeVar
+from dataclasses import dataclass
+from typing import Any
 
-from humanopts_interfaces import srv
-from humanopts_learner.demonstrations import Demonstration, demonstration_from_message
+from humanopts_interfaces import action, msg, srv
+from humanopts_learner.demonstrations import demonstration_from_message
 from humanopts_learner.ros.convert import demonstration_to_message
+from humanopts_ros.codec import Codec
 from humanopts_teach.lesson import requests
-from humanopts_teach.lesson.requests import Phase, RequestStatus, Verdict
+from humanopts_teach.lesson.requests import Answer, Drive, LessonView
 
-V = TypeVar('V')
-
-# By kind of request: the type of its service, and the name.
-LESSON_SERVICES: Mapping[type, tuple[Any, str]] = {
-    requests.OpenSession: (srv.OpenSession, 'lesson/open_session'),
-    requests.DefineOption: (srv.DefineOption, 'lesson/define_option'),
-    requests.AnswerQuestion: (srv.AnswerQuestion, 'lesson/answer_question'),
-    requests.BeginDemonstration: (srv.BeginDemonstration, 'lesson/begin_demonstration'),
-    requests.EndDemonstration: (srv.EndDemonstration, 'lesson/end_demonstration'),
-    requests.WithdrawDemonstration: (srv.WithdrawDemonstration, 'lesson/withdraw_demonstration'),
-    requests.ListDemonstrations: (srv.ListDemonstrations, 'lesson/list_demonstrations'),
-    requests.ChangeOption: (srv.ChangeOption, 'lesson/change_option'),
-}
-CONTROL_SERVICES: Mapping[type, tuple[Any, str]] = {
-    requests.SetControl: (srv.SetControl, 'set_control')
-}
-TERMINAL_SERVICES: Mapping[type, tuple[Any, str]] = {
-    requests.SetPace: (srv.SetPace, 'set_pace'),
-    requests.NewEpisode: (srv.ResetGame, 'reset_game'),
-    requests.ListOptions: (srv.ListOptions, 'list_options'),
-    requests.SetExecution: (srv.SetExecution, 'set_execution'),
-}
-# Fields that are constants in messages: PHASE_READY is Phase.READY.
-_ENUMS: Mapping[str, type[Enum]] = {
-    'phase': Phase,
-    'status': RequestStatus,
-    'verdict': Verdict,
-}
+LESSON_STATE = Codec(LessonView, msg.LessonState)
+DRIVE = Codec(Drive, msg.ActionCommand, of_message=['source', 'option_name'])
 
 
-def encode(value: Any, message: Any) -> Any:
-    """Copy the fields that a value and a message have in common, and return the message."""
-    for name in message.get_fields_and_field_types():
-        found = getattr(value, name, None)
-        if isinstance(found, Enum) and name in _ENUMS:
-            found = getattr(type(message), f'{name.upper()}_{found.name}')
-        elif isinstance(found, tuple):
-            found = [
-                demonstration_to_message(v) if isinstance(v, Demonstration) else v for v in found
-            ]
-        if found is not None:
-            setattr(message, name, found)
-    return message
+_DEMONSTRATIONS = {'demonstrations': (demonstration_to_message, demonstration_from_message)}
 
 
-def decode(kind: type[V], message: Any) -> V:
+@dataclass(frozen=True)
+class Endpoint:
+    """A service or an action, and what it is asked."""
+
+    kind: Any
+    name: str
+    request: Codec[Any, Any]  # of its requests or goals
+    answer: Codec[Answer, Any] | None = None  # of its responses; None: it is an action
+
+
+def _service(
+    request: type, name: str, *more: str, answers: tuple[str, ...] = (), kind: Any = None
+) -> tuple[type, Endpoint]:
     """
-    Build a value from the fields that it has in common with a message.
+    Return a type of requests and their service.
 
-    A verdict that does not exist is None, and a status that the lesson does not know REFUSED.
-
-    :param kind: one of the dataclasses of ``lesson.requests``.
-    :raises ValueError: the lesson is in a phase that does not exist.
+    :param more: fields that only the request message has.
+    :param answers: fields that only the response message has.
+    :param kind: type of the service; None: it has the name of the requests.
     """
-    found: dict[str, Any] = {}
-    for field in fields(kind):  # type: ignore[arg-type]
-        if not hasattr(message, field.name):
-            continue
-        value = getattr(message, field.name)
-        if field.name in _ENUMS:
-            value = _enum_value(field.name, message)
-        elif field.name == 'demonstrations':
-            value = list(map(demonstration_from_message, value))
-        found[field.name] = tuple(value) if isinstance(value, list) else value
-    return kind(**found)
+    service = kind or getattr(srv, request.__name__)
+    asked: Codec[Any, Any] = Codec(request, service.Request, of_message=more)
+    answer: Codec[Answer, Any] = Codec(
+        Answer, service.Response, of_message=answers, subset=True, parts=_DEMONSTRATIONS
+    )
+    return request, Endpoint(service, name, asked, answer)
 
 
-def _enum_value(name: str, message: Any) -> Enum | None:
-    number = getattr(message, name)
-    for member in _ENUMS[name]:
-        if getattr(type(message), f'{name.upper()}_{member.name}', None) == number:
-            return member
-    if name == 'phase':
-        raise ValueError(f'the lesson is in unknown phase {number}')
-    return RequestStatus.REFUSED if name == 'status' else None
+LESSON_SERVICES: Mapping[type, Endpoint] = dict(
+    _service(request, f'lesson/{name}')
+    for request, name in (
+        (requests.OpenSession, 'open_session'),
+        (requests.DefineOption, 'define_option'),
+        (requests.AnswerQuestion, 'answer_question'),
+        (requests.BeginDemonstration, 'begin_demonstration'),
+        (requests.EndDemonstration, 'end_demonstration'),
+        (requests.WithdrawDemonstration, 'withdraw_demonstration'),
+        (requests.ListDemonstrations, 'list_demonstrations'),
+        (requests.ChangeOption, 'change_option'),
+    )
+)
+CONTROL_SERVICES = dict([_service(requests.SetControl, 'set_control', 'holder_id')])
+TERMINAL_SERVICES = dict(
+    [
+        _service(requests.SetPace, 'set_pace', 'holder_id'),
+        _service(requests.NewEpisode, 'reset_game', 'source', 'start_state', kind=srv.ResetGame),
+        _service(
+            requests.ListOptions,
+            'list_options',
+            answers=('participants', 'n_demonstrations', 'primitive_actions'),
+        ),
+        _service(requests.SetExecution, 'set_execution', answers=('previous',)),
+    ]
+)
+_OF_RUNS = 'max_steps', 'episode', 'step', 'execution', 'plan_id'
+_OF_PLANS = 'options', 'gamma', 'tolerance', 'max_sweeps', 'game_steps', 'options_sequence'
+ACTIONS: Mapping[type, Endpoint] = {
+    request: Endpoint(kind, name, Codec(request, kind.Goal, of_message=more))
+    for request, kind, name, more in (
+        (requests.RunOption, action.ExecuteOption, 'execute_option', _OF_RUNS),
+        (requests.PlanOptions, action.Plan, 'plan', _OF_PLANS),
+        (requests.PlayEpisodes, action.RunPolicy, 'run_policy', ('max_decisions',)),
+    )
+}

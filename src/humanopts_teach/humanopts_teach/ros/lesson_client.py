@@ -34,7 +34,13 @@ from humanopts_teach.lesson.requests import (
     UNKNOWN,
     World,
 )
-from humanopts_teach.ros.convert import CONTROL_SERVICES, decode, encode, LESSON_SERVICES
+from humanopts_teach.ros.convert import (
+    CONTROL_SERVICES,
+    DRIVE,
+    Endpoint,
+    LESSON_SERVICES,
+    LESSON_STATE,
+)
 import rclpy
 from rclpy.client import Client
 from rclpy.executors import SingleThreadedExecutor
@@ -76,7 +82,7 @@ class LessonClient:
     def __init__(
         self,
         node: NodeBase,
-        services: Mapping[type, tuple[Any, str]] = LESSON_SERVICES,
+        services: Mapping[type, Endpoint] = LESSON_SERVICES,
         *,
         patience: float = _PATIENCE,
         on_news: Callable[[], None] = lambda: None,
@@ -96,7 +102,8 @@ class LessonClient:
         self._asked: list[tuple[str, Future]] = []  # node and answer; not answered yet
         self._services = {**services, **CONTROL_SERVICES}
         self._clients: dict[type, Client] = {
-            kind: node.recorded_client(*service) for kind, service in self._services.items()
+            kind: node.recorded_client(service.kind, service.name)
+            for kind, service in self._services.items()
         }
         self._action = node.stamped_publisher(msg.ActionCommand, 'action')
         self._renewal = node.create_timer(_RENEWAL, node.publish_status_again, autostart=False)
@@ -105,7 +112,7 @@ class LessonClient:
         self._subscriptions = [
             self._game.follow('current_state', self._on_game, CURRENT),
             node.subscribe(
-                msg.LessonState, 'lesson_state', self._read_lesson, self._on_lesson, CURRENT
+                msg.LessonState, 'lesson_state', LESSON_STATE.decode, self._on_lesson, CURRENT
             ),
             self._game.follow_control(self._on_control),
             self._game.follow_refusals(self._on_refusal, DISPLAY),
@@ -226,10 +233,11 @@ class LessonClient:
         answer = Future()
         if isinstance(request, Drive):
             person = msg.ActionCommand.SOURCE_PERSON
-            self._action.publish(encode(request, msg.ActionCommand(source=person)))
+            self._action.publish(DRIVE.encode(request, source=person))
             self._driven.append((request, self._action.sequence, answer))
             return answer
-        message = encode(request, self._services[type(request)][0].Request())
+        service = self._services[type(request)]
+        message = service.request.encode(request)
         if isinstance(request, SetControl | SetPace):
             message.holder_id = self._node.publisher_id
         elif isinstance(request, NewEpisode):
@@ -238,7 +246,11 @@ class LessonClient:
         def on_response(done: Future) -> None:
             if answer.done():  # its server was started again
                 return
-            found = decode(Answer, done.result())
+            assert service.answer is not None, 'it is no action'
+            try:
+                found = service.answer.decode(done.result())
+            except ValueError as error:
+                found = Answer(RequestStatus.UNKNOWN, str(error))
             if isinstance(request, ListOptions):  # that there are none is an answer, too
                 found = replace(found, status=RequestStatus.OK)
             answer.set_result(found)
@@ -276,9 +288,6 @@ class LessonClient:
     def _on_domain(self, domain: Domain[Any]) -> None:
         self.world.domain = domain
         self._changed()
-
-    def _read_lesson(self, message: msg.LessonState) -> LessonView:
-        return decode(LessonView, message)
 
     def _on_lesson(self, lesson: LessonView) -> None:
         self.world.lesson = lesson

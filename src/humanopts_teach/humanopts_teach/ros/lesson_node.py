@@ -37,11 +37,7 @@ from humanopts_teach.lesson.requests import (
 )
 from humanopts_teach.lesson.seeded_starts import LessonRules, SeededStarts
 from humanopts_teach.lesson.store import DemonstrationStore, OpenSessionFile, StoreError
-from humanopts_teach.ros.convert import (
-    decode,
-    encode,
-    LESSON_SERVICES,
-)
+from humanopts_teach.ros.convert import Endpoint, LESSON_SERVICES, LESSON_STATE
 from rclpy.callback_groups import ReentrantCallbackGroup
 
 _NO_NAME_YET = '_NODE_NAME_UNKNOWN_'  # of a node that was found just now, as the middleware says
@@ -167,8 +163,10 @@ class LessonNode(NodeBase):
             answer = self._opened.carry_out(OpenSession(self._participant, self._session))
         if (left is not None or self._participant) and not answer.ok:
             raise StartError(answer.detail)
-        for kind, (service, name) in LESSON_SERVICES.items():
-            self.recorded_service(service, name, self._handler(kind), self._reentrant)
+        for service in LESSON_SERVICES.values():
+            self.recorded_service(
+                service.kind, service.name, self._handler(service), self._reentrant
+            )
         for kind, topic, use, qos in (
             (msg.DemonstrationReceipt, 'demonstration_receipts', self._on_receipt, STREAM),
             (msg.LearningStatus, 'learning_status', self._on_status, CURRENT),
@@ -178,11 +176,11 @@ class LessonNode(NodeBase):
 
     # What the person asks for.
 
-    def _handler(self, kind: type) -> Callable[[Any, Any], Awaitable[Any]]:
-        """Return the callback of the service of one kind of request."""
+    def _handler(self, service: Endpoint) -> Callable[[Any, Any], Awaitable[Any]]:
+        """Return the callback of a service."""
 
         async def handle(message: Any, response: Any) -> Any:
-            request: LessonRequest = decode(kind, message)
+            request: LessonRequest = service.request.decode(message)
             if isinstance(request, EndDemonstration) and request.verdict in _KEEPING:
                 # States that the person saw may still be on their way.
                 seen = request.episode, request.step
@@ -198,7 +196,8 @@ class LessonNode(NodeBase):
             self._show()
             if answer.unsent:
                 self._lesson.draw_ahead()
-            return encode(answer, response)
+            assert service.answer is not None, 'it is no action'
+            return service.answer.encode(answer)
 
         return handle
 
@@ -343,7 +342,7 @@ class LessonNode(NodeBase):
     def _send_view(self) -> None:
         view = self._lesson.view
         if view != self._shown:
-            self._state_out.publish(encode(view, msg.LessonState()))
+            self._state_out.publish(LESSON_STATE.encode(view))
             self._shown = view
 
 

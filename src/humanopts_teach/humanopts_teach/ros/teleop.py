@@ -33,19 +33,13 @@ from humanopts_teach.dialogue.study import StudyApp
 from humanopts_teach.lesson.requests import (
     Answer,
     CancelRun,
-    PlanOptions,
-    PlayEpisodes,
     Request,
     RequestStatus,
     Run,
     RunOption,
     server,
 )
-from humanopts_teach.ros.convert import (
-    encode,
-    LESSON_SERVICES,
-    TERMINAL_SERVICES,
-)
+from humanopts_teach.ros.convert import ACTIONS, LESSON_SERVICES, TERMINAL_SERVICES
 from humanopts_teach.ros.lesson_client import LessonClient
 from humanopts_teach.study.plan import PARTS
 from humanopts_teach.study.record import OpenRecord, TOPIC
@@ -59,11 +53,6 @@ _SETTLING_SECONDS = 0.1  # a frame waits so long for the answer to what was just
 _PRESENCE_SECONDS = 0.5  # between looks who is on the graph
 _START_SECONDS = 5.0  # before a node that has not come is called missing
 _NEEDED = {'game': 'current_state', 'lesson': 'lesson_state'}  # and what shows that they are there
-_ACTIONS: dict[type[Run], tuple[Any, str]] = {
-    RunOption: (actions.ExecuteOption, 'execute_option'),
-    PlanOptions: (actions.Plan, 'plan'),
-    PlayEpisodes: (actions.RunPolicy, 'run_policy'),
-}
 _WELL = ('REACHED', 'EPISODE_OVER', 'CONVERGED', 'NOT_CONVERGED', 'DONE')
 
 
@@ -251,7 +240,8 @@ class Runs:
         self._app = app
         NodeRestarts(node, self._on_restart)
         self._clients = {
-            kind: ActionClient(node, *spec, **ACTION) for kind, spec in _ACTIONS.items()
+            kind: ActionClient(node, action.kind, action.name, **ACTION)
+            for kind, action in ACTIONS.items()
         }
         self._handle: Any = None  # of the run under way
 
@@ -261,7 +251,7 @@ class Runs:
 
     def start(self, run: Run) -> None:
         """Send the goal; the app gets the answer once the server has accepted it or not."""
-        goal = encode(run, _ACTIONS[type(run)][0].Goal())
+        goal = ACTIONS[type(run)].request.encode(run)
         if isinstance(run, RunOption):
             game = self._app.world.game
             goal.episode, goal.step = game.episode, game.step

@@ -1,0 +1,128 @@
+"""Dataclasses as messages and back: fields of the same name are the same."""
+
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import fields
+from enum import Enum
+from functools import partial
+import math
+from typing import Any, cast, Generic, get_args, get_type_hints, TypeVar
+
+V = TypeVar('V')
+M = TypeVar('M')
+_STAMP = {'header', 'publisher_id', 'sequence'}  # that the publisher fills in
+Convert = Callable[[Any], Any]
+
+
+class Codec(Generic[V, M]):
+    """
+    Copies the values of one dataclass into messages of one type, and back.
+
+    The member ``NAME`` of an enum in a field such as ``action_source`` is the constant
+    ``SOURCE_NAME`` of the message, by the last word of the field's name. A tuple is a sequence,
+    and None in a field of numbers is NaN.
+    """
+
+    def __init__(
+        self,
+        kind: type[V],
+        message: type[M],
+        *,
+        of_value: Collection[str] = (),
+        of_message: Collection[str] = (),
+        computed: Collection[str] = (),
+        subset: bool = False,
+        parts: Mapping[str, tuple[Convert, Convert]] | None = None,
+    ) -> None:
+        """
+        Compare the two.
+
+        :param of_value: fields that only the dataclass has, each with a default to be decoded.
+        :param of_message: fields that only the message has, for the caller to fill in.
+        :param computed: properties of the dataclass that are fields of the message.
+        :param subset: the dataclass may have other fields and statuses as well.
+        :param parts: how to encode and decode each message of a sequence, by field.
+        :raises TypeError: another field, or the constant of an enum, is missing on one side.
+        """
+        self._kind: type[V] = kind
+        self._message = cast(Any, message)
+        hints = get_type_hints(kind)
+        named = {field.name for field in fields(kind)} - set(of_value)  # type: ignore[arg-type]
+        there = set(self._message.get_fields_and_field_types()) - {*of_message, *computed}
+        there -= _STAMP - named
+        lacking = (there - named) | (set() if subset else named - there)
+        if lacking:
+            raise TypeError(f'{kind.__name__} and {message.__name__} do not share {lacking}')
+        self._encode: dict[str, Convert | None] = dict.fromkeys(computed)
+        self._decode: dict[str, Convert | None] = {}
+        for name in sorted(there):
+            hint = hints[name]
+            converts: tuple[Convert | None, Convert | None] = None, None
+            members = [t for t in (hint, *get_args(hint)) if isinstance(t, type)]
+            enum = next((t for t in members if issubclass(t, Enum)), None)
+            if parts and name in parts:
+                encode, decode = parts[name]
+                converts = partial(_each, list, encode), partial(_each, tuple, decode)
+            elif enum is not None:
+                converts = _enum_converts(enum, message, name, subset, type(None) in members)
+            elif type(None) in members:
+                converts = (
+                    lambda value: math.nan if value is None else value,
+                    lambda found: None if math.isnan(found) else found,
+                )
+            elif getattr(hint, '__origin__', None) is tuple:
+                converts = list, tuple
+            self._encode[name], self._decode[name] = converts
+
+    def encode(self, value: V, /, **more: Any) -> M:
+        """
+        Return a message.
+
+        :param more: the fields that only the message has; the others have their defaults.
+        """
+        for name, convert in self._encode.items():
+            field = getattr(value, name)
+            more[name] = field if convert is None else convert(field)
+        found: M = self._message(**more)
+        return found
+
+    def decode(self, message: Any, /, **more: Any) -> V:
+        """
+        Return the value of a message.
+
+        :param more: fields that only the dataclass has; the others have their defaults.
+        :raises ValueError: a number is no constant of its enum.
+        """
+        for name, convert in self._decode.items():
+            found = getattr(message, name)
+            more[name] = found if convert is None else convert(found)
+        return self._kind(**more)
+
+
+def _each(kind: type, convert: Convert, values: Any) -> Any:
+    return kind(map(convert, values))
+
+
+def _enum_converts(
+    enum: type[Enum], message: Any, name: str, subset: bool, optional: bool
+) -> tuple[Convert, Convert]:
+    """Return the conversions of an enum's members to the constants of a message, and back."""
+    prefix = f'{name.rpartition("_")[2].upper()}_'
+    numbers: dict[Enum | None, int] = {
+        member: number
+        for member in enum
+        if (number := getattr(message, prefix + member.name, None)) is not None
+    }
+    constants = {each for each in dir(type(message)) if each.startswith(prefix)}
+    strange = constants - {prefix + member.name for member in enum} - {f'{prefix}UNKNOWN'}
+    if strange or not (subset or len(numbers) == len(enum)):
+        raise TypeError(f'{enum.__name__} and the {prefix} of {message.__name__} differ')
+    values = {number: member for member, number in numbers.items()}
+    if optional:
+        numbers[None] = 0
+
+    def decode(number: int) -> Enum | None:
+        if number not in values and not optional:
+            raise ValueError(f'{name} is {number}, which is no {prefix}')
+        return values.get(number)
+
+    return numbers.__getitem__, decode
