@@ -165,7 +165,7 @@ def _plain(words: str) -> list[Sign]:
 
 
 def _style(mark: Mark) -> str:
-    return f'bold {mark.colour}'.rstrip()
+    return mark.colour if mark.kind == DOT else f'bold {mark.colour}'.rstrip()
 
 
 def runs(line: list[Sign]) -> list[Sign]:

@@ -1,7 +1,6 @@
 """The whole screen as lines of a given size."""
 
 from collections.abc import Iterator, Sequence
-from functools import singledispatch
 from io import StringIO
 from typing import Literal
 
@@ -40,23 +39,47 @@ def frame(app: App, width: int, height: int, colours: Colours | None = None) -> 
     :param colours: as rich names what the terminal can do; None: plain text.
     """
     if width < SMALLEST[0] or height < SMALLEST[1]:
-        return fit(lines_of(_too_small(width, height), width, colours), height)
-    shown = panel.view(app)
-    rule = Text('─' * width, 'dim')
-    foot = Group(rule, drawn(shown.said), *key_bar(shown.keys, width))
-    bottom = lines_of(foot, width, colours)
-    gap = [Text()] if height > _ROOMY else []
-    middle = Group(_head(shown, width), *_pause(shown, height), *gap, _middle(shown, width))
-    top = lines_of(middle, width, colours)
-    return fit(top, height - len(bottom)) + bottom
+        words = (
+            f'This window has {width} x {height} characters, and {SMALLEST[0]} x {SMALLEST[1]} '
+            'are needed: please make it larger. (Ctrl-C quits; everything taught is saved.)'
+        )
+        return framed([Text(words)], [], width, height, colours)
+    view = panel.view(app)
+    top: list[RenderableType] = [title(' · '.join(view.head), width)]
+    if view.paused:
+        why = Text.assemble(('PAUSED: ', 'bold'), one_line(view.paused), overflow='ellipsis')
+        why.no_wrap = height < _ROOMY
+        top.append(Padding(why, (0, 1), style=f'color(231) on {RED}'))
+    if height > _ROOMY:
+        top.append(Text())
+    top.append(_middle(view, width))
+    foot = [Text('─' * width, 'dim'), drawn(view.said), *key_bar(view.keys, width)]
+    return framed(top, foot, width, height, colours)
 
 
-def lines_of(renderable: RenderableType, width: int, colours: Colours | None) -> list[str]:
-    """
-    Lay something out.
+def title(words: str, width: int) -> Text:
+    """Return the first line of the screen."""
+    return Text(set_cell_size(one_line(f' {words}'), width), 'reverse')
 
-    :param colours: as for ``frame``.
-    """
+
+def framed(
+    top: Sequence[RenderableType],
+    foot: Sequence[RenderableType],
+    width: int,
+    height: int,
+    colours: Colours | None,
+) -> list[str]:
+    """Return ``height`` lines: the top, cut where it is too long, and the foot below."""
+    upper, lower = (_lines_of(Group(*part), width, colours) for part in (top, foot))
+    room = height - len(lower)
+    if len(upper) > room:
+        upper = [*upper[: max(room - 1, 0)], '... (a higher window shows more)']
+    return (upper + [''] * room)[:room] + lower
+
+
+def _lines_of(group: Group, width: int, colours: Colours | None) -> list[str]:
+    if not group.renderables:
+        return []
     file = StringIO()
     console = Console(
         file=file,
@@ -68,7 +91,7 @@ def lines_of(renderable: RenderableType, width: int, colours: Colours | None) ->
         markup=False,
         emoji=False,
     )
-    console.print(_Printable(renderable))
+    console.print(_Printable(group))
     return [line.rstrip() for line in file.getvalue().rstrip('\n').split('\n')]
 
 
@@ -83,34 +106,6 @@ class _Printable:
         for text, style, control in console.render(self._renderable, options):
             plain = ''.join(c for c in text if c.isprintable() or c == '\n')
             yield Segment(plain, style, control)
-
-
-def fit(lines: list[str], height: int) -> list[str]:
-    """Cut or fill to the height, and say so when something is cut."""
-    if len(lines) > height:
-        lines = [*lines[: max(height - 1, 0)], '... (a higher window shows more)']
-    return (lines + [''] * height)[:height]
-
-
-def _too_small(width: int, height: int) -> Text:
-    need = f'{SMALLEST[0]} x {SMALLEST[1]}'
-    return Text(
-        f'This window has {width} x {height} characters, and {need} are needed: please make it '
-        'larger. (Ctrl-C quits; everything taught is saved.)'
-    )
-
-
-def _head(view: panel.View, width: int) -> Text:
-    return Text(set_cell_size(one_line(f' {" · ".join(view.head)}'), width), 'reverse')
-
-
-def _pause(view: panel.View, height: int) -> list[RenderableType]:
-    """Return why nothing new can be taught now; in a low window its beginning."""
-    if not view.paused:
-        return []
-    why = Text.assemble(('PAUSED: ', 'bold'), one_line(view.paused), overflow='ellipsis')
-    why.no_wrap = height < _ROOMY
-    return [Padding(why, (0, 1), style=f'color(231) on {RED}')]
 
 
 def _middle(view: panel.View, width: int) -> RenderableType:
@@ -144,77 +139,48 @@ def board_texts(board: Board) -> tuple[Text, Text]:
     return board_text, notes
 
 
-@singledispatch
 def drawn(block: panel.Block) -> RenderableType:
     """Draw a part of a panel."""
-    raise TypeError(f'{type(block).__name__} cannot be drawn')
+    match block:
+        case panel.Page(text):
+            from rich.markdown import Markdown  # only studies have such pages
 
-
-@drawn.register
-def _page(page: panel.Page) -> RenderableType:
-    from rich.markdown import Markdown  # only studies have such pages
-
-    return Markdown(page.text)
-
-
-@drawn.register
-def _line(line: panel.Line) -> RenderableType:
-    text = Text(one_line(line.text), _style(line))
-    for piece in line.more:
-        text.append(one_line(piece.text), _style(piece))
-    return text
+            return Markdown(text)
+        case panel.Line():
+            pieces = (block, *block.more)
+            return Text.assemble(*((one_line(piece.text), _style(piece)) for piece in pieces))
+        case panel.TypedText(text):
+            return Text.assemble('> ', (text, 'bold'), ('█', TEAL), overflow='fold')
+        case panel.Features(shown, hidden):
+            parts: list[str | tuple[str, str]] = [('depends on: ', 'dim')]
+            for number, feature in enumerate(shown):
+                parts += [(', ' if number else '', 'dim'), feature.name]
+                parts.append((f' {feature.value}' if feature.value else '', f'bold {TEAL}'))
+            return Text.assemble(*parts, (f'; {hidden}' if hidden else '', 'dim'))
+    table = Table.grid(padding=(0, 2, 0, 0))
+    match block:
+        case panel.KeyList(rows):
+            table.add_column(justify='right', style=KEY)
+            for key, words in rows:
+                table.add_row(Text(key), Text(words))
+        case panel.Criteria(criteria):
+            for row in criteria:
+                style = STYLES[row.tone]
+                name = Text.assemble((row.mark, style), f' {row.name}')
+                table.add_row(name, Text(row.now, style), Text(row.needs, 'dim'))
+        case panel.Choices(items, at):
+            table = Table.grid()
+            first = at - at % PAGE
+            for number, item in enumerate(items[first : first + PAGE]):
+                chosen = first + number == at
+                mark = Text('> ' if chosen else '  ', KEY, no_wrap=True)
+                name = (one_line(f'{number + 1} {item.text}'), 'bold' if chosen else '')
+                table.add_row(mark, Text.assemble(name, (one_line(f'  {item.note}'), 'dim')))
+    return table
 
 
 def _style(line: panel.Line) -> str:
-    return ' '.join(filter(None, (STYLES[line.tone], 'bold' if line.strong else '')))
-
-
-@drawn.register
-def _typed(typed: panel.TypedText) -> RenderableType:
-    return Text.assemble('> ', (typed.text, 'bold'), ('█', TEAL), overflow='fold')
-
-
-@drawn.register
-def _choices(choices: panel.Choices) -> RenderableType:
-    table, first = Table.grid(), choices.at - choices.at % PAGE
-    for number, item in enumerate(choices.items[first : first + PAGE]):
-        chosen = first + number == choices.at
-        mark = Text('> ' if chosen else '  ', KEY, no_wrap=True)
-        name = (one_line(f'{number + 1} {item.text}'), 'bold' if chosen else '')
-        table.add_row(mark, Text.assemble(name, (one_line(f'  {item.note}'), 'dim')))
-    return table
-
-
-@drawn.register
-def _key_table(keys: panel.KeyList) -> RenderableType:
-    table = Table.grid(padding=(0, 2))
-    for key, words in keys.rows:
-        table.add_row(Text(key, KEY, justify='right'), Text(words))
-    return table
-
-
-@drawn.register
-def _features(features: panel.Features) -> RenderableType:
-    text = Text('depends on: ', 'dim')
-    for number, feature in enumerate(features.shown):
-        text.append(', ' if number else '', 'dim')
-        text.append(feature.name, 'not dim')
-        if feature.value:
-            text.append(f' {feature.value}', f'not dim bold {TEAL}')
-    if features.hidden:
-        text.append(f'; {features.hidden}', 'dim')
-    return text
-
-
-@drawn.register
-def _criteria(criteria: panel.Criteria) -> RenderableType:
-    table = Table.grid(padding=(0, 2, 0, 0))
-    for shown in criteria.rows:
-        style = STYLES[shown.tone]
-        name = Text(f'{shown.mark} {shown.name}')
-        name.stylize(style, 0, 1)
-        table.add_row(name, Text(shown.now, style), Text(shown.needs, 'dim'))
-    return table
+    return f'{STYLES[line.tone]} {"bold" if line.strong else ""}'
 
 
 def key_bar(keys: Sequence[tuple[str, str]], width: int) -> list[Text]:

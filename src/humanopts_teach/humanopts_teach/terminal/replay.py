@@ -10,9 +10,7 @@ from humanopts_env.game import effect_between
 from humanopts_ros.limits import one_line
 from humanopts_teach.bags.contents import actor_of, Actors, Episode, source_of
 from humanopts_teach.dialogue.keys import END_OF_FILE, ESCAPE, INTERRUPT, LEFT, RIGHT, SPACE
-from humanopts_teach.terminal.drawing import board_texts, Colours, fit, key_bar, lines_of
-from rich.cells import set_cell_size
-from rich.console import Group
+from humanopts_teach.terminal.drawing import board_texts, Colours, framed, key_bar, title
 from rich.text import Text
 
 STEP_SECONDS = 0.5  # of a step, at speed 1
@@ -89,14 +87,11 @@ class Replay:
 
     def frame(self, width: int, height: int, colours: Colours | None = None) -> list[str]:
         """Return the screen as ``height`` lines, each ``width`` cells wide at most."""
-        board, notes = self._board()
         how = f'speed {self.speed:g}' if self.running else 'paused'
-        head = Text(set_cell_size(f' humanopts · {self._domain.name} · {how}', width), 'reverse')
-        words = Text(self._words(), 'bold')
-        top = lines_of(Group(head, Text(), board, notes, Text(), words), width, colours)
-        keys = Group(Text('─' * width, 'dim'), *key_bar(_KEYS, width))
-        bottom = lines_of(keys, width, colours) if height >= _ROOM_FOR_KEYS else []
-        return fit(top, height - len(bottom)) + bottom
+        head = title(f'humanopts · {self._domain.name} · {how}', width)
+        top = [head, Text(), *self._board(), Text(), Text(self._words(), 'bold')]
+        keys = [Text('─' * width, 'dim'), *key_bar(_KEYS, width)]
+        return framed(top, keys if height >= _ROOM_FOR_KEYS else [], width, height, colours)
 
     def plain(self) -> Iterator[str]:
         """Yield what is seen in each step of the episode, as text."""
