@@ -28,6 +28,8 @@ def from_cell(text: str) -> str:
 
 def csv_of(frame: 'pd.DataFrame') -> str:
     """Return a table as CSV, with all text, in its head too, as it is written into cells."""
-    cells = frame.map(to_cell).rename(columns=to_cell)
+    cells = frame.rename(columns=to_cell)
+    for name in cells.select_dtypes(exclude=['number', 'bool']):
+        cells[name] = cells[name].map({value: to_cell(value) for value in cells[name].unique()})
     # With these ends of lines (RFC 4180), pandas quotes text that holds either character.
     return str(cells.to_csv(index=False, lineterminator='\r\n'))

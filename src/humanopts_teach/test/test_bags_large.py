@@ -23,7 +23,6 @@ from humanopts_teach.bags.contents import find_episodes, read_episodes
 from humanopts_teach.bags.info import summarise
 from humanopts_teach.bags.reader import Bag, open_bag
 from humanopts_teach.bags.writer import BagWriter
-from humanopts_teach.export.tables import bag_tables
 import pexpect
 import pytest
 from rclpy.serialization import serialize_message
@@ -132,7 +131,6 @@ READERS: dict[str, Callable[[Bag], object]] = {
     'check': check_bag,
     'episodes': lambda bag: drain(read_episodes(bag)),
     'played': find_episodes,
-    'tables': lambda bag: [drain(table.rows) for table in bag_tables(bag)],
 }
 
 

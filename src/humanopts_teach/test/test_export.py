@@ -1,7 +1,6 @@
 """Bags for other tools: tables and datasets say what was recorded, and step again."""
 
 from collections.abc import Iterator
-import csv
 import json
 from pathlib import Path
 from typing import Any
@@ -18,16 +17,10 @@ from humanopts_learner.ros.convert import demonstration_to_message
 from humanopts_teach.bags.reader import Bag, open_bag
 from humanopts_teach.bags.writer import BagWriter
 from humanopts_teach.cli import main
-from humanopts_teach.export import tables as export_tables
 from humanopts_teach.export.minari_dataset import dataset_name, FOLDER, write_dataset
-from humanopts_teach.export.tables import (
-    bag_tables,
-    ExportError,
-    Table,
-    write_csv,
-    write_parquet,
-)
+from humanopts_teach.export.tables import bag_tables, ExportError, write_tables
 import numpy as np
+import pandas as pd
 import pytest
 from rclpy.serialization import serialize_message
 from service_msgs.msg import ServiceEventInfo
@@ -115,19 +108,11 @@ def bag(
     return record(tmp_path_factory.mktemp('exported') / 'bag', taxi, 3, taxi_lesson[:2])
 
 
-def columns(tables: list[Table]) -> dict[str, dict[str, list[Any]]]:
-    """Return the columns of every table, by its name."""
-    return {
-        table.name: dict(zip(table.head, map(list, zip(*table.rows)), strict=True))
-        for table in tables
-    }
-
-
 def test_step_table_has_every_state_with_the_step_that_led_to_it(
     bag: Bag, taxi: Domain[Any]
 ) -> None:
-    steps = columns(bag_tables(bag))['steps']
-    assert set(map(len, steps.values())) == {3 * (STEPS + 1)}
+    steps = bag_tables(bag)['steps']
+    assert len(steps) == 3 * (STEPS + 1)
     assert list(steps['episode']) == [1] * 31 + [2] * 31 + [3] * 31
     assert list(steps['step'][:32]) == [*range(31), 0]
     first, second = (taxi.decode(text) for text in steps['state'][:2])
@@ -136,8 +121,8 @@ def test_step_table_has_every_state_with_the_step_that_led_to_it(
     assert (outcome.state, outcome.reward) == (second, steps['reward'][1])
     row = taxi.features[0].text(taxi.feature_values(second)[0])
     assert steps['feature:taxi_row'][1] == row
-    assert steps['option'][:4] == ['', 'module 1', 'module 0', 'module 1']
-    assert steps['source'][:2] == ['', 'machine']
+    assert list(steps['option'][:4]) == ['', 'module 1', 'module 0', 'module 1']
+    assert list(steps['source'][:2]) == ['', 'machine']
 
 
 @pytest.mark.parametrize('features', [[999.0], [-1.0], [0.5], []])
@@ -151,8 +136,8 @@ def test_features_that_the_domain_does_not_have_here_are_left_empty_and_said(
             writer.add_topic(topic, kind)
             writer.write(topic, serialize_message(message), time)
     bag = open_bag(tmp_path / 'bag')
-    steps = columns(bag_tables(bag)[:1])['steps']
-    empty = [place for place, word in enumerate(steps['feature:taxi_col']) if word is None]
+    steps = bag_tables(bag)['steps']
+    empty = list(steps.index[steps['feature:taxi_col'].isna()])
     assert (len(steps['state']), empty) == (STEPS + 1, [3])
     assert 'states with other features' in bag.damage
 
@@ -160,48 +145,30 @@ def test_features_that_the_domain_does_not_have_here_are_left_empty_and_said(
 def test_tables_of_demonstrations_options_and_plans_say_what_was_recorded(
     bag: Bag, taxi_lesson: list[Demonstration]
 ) -> None:
-    tables = columns(bag_tables(bag))
+    tables = bag_tables(bag)
     demos, options = tables['demonstrations'], tables['options']
     assert list(demos['uuid']) == [demo.uuid for demo in taxi_lesson[:2]]
     assert [tuple(json.loads(text)) for text in demos['states']] == [
         demo.states for demo in taxi_lesson[:2]
     ]
     assert json.loads(demos['features'][0]) == [list(row) for row in taxi_lesson[0].features]
-    assert options['option'] == [taxi_lesson[0].option_name]
+    assert list(options['option']) == [taxi_lesson[0].option_name]
     plans = tables['plans']
-    assert plans['status'] == ['converged']
-    assert plans['option_names'] == ['["eat", "flee"]']
-    assert plans['mean_return'] == [None]  # NaN: not evaluated
+    assert list(plans['status']) == ['converged']
+    assert list(plans['option_names']) == ['["eat", "flee"]']
+    assert list(plans['mean_return'].isna()) == [True]  # NaN: not evaluated
 
 
-def test_csv_files_hold_the_tables(tmp_path: Path, bag: Bag) -> None:
-    paths = write_csv(bag_tables(bag), tmp_path)
-    for path, table in zip(paths, bag_tables(bag), strict=True):
-        with path.open(encoding='utf-8', newline='') as file:
-            head, *rows = csv.reader(file)
-        assert (path.name, head) == (f'{table.name}.csv', list(table.head))
-        assert rows == [['' if v is None else str(v) for v in row] for row in table.rows]
-
-
-@pytest.mark.parametrize('rows', [4, 50_000])
-def test_parquet_files_hold_the_tables(
-    tmp_path: Path, bag: Bag, monkeypatch: pytest.MonkeyPatch, rows: int
-) -> None:
-    parquet = pytest.importorskip('pyarrow.parquet', exc_type=ImportError)
-    monkeypatch.setattr(export_tables, 'BATCH', rows)
-    found = columns(bag_tables(bag))
-    for path in write_parquet(bag_tables(bag), tmp_path):
-        assert parquet.read_table(path).to_pydict() == found[path.stem]
-
-
-def test_a_parquet_column_may_begin_with_many_unknown_values(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    parquet = pytest.importorskip('pyarrow.parquet', exc_type=ImportError)
-    monkeypatch.setattr(export_tables, 'BATCH', 2)
-    options = [None, None, None, 'flee']
-    (path,) = write_parquet([Table('steps', ('option',), [(name,) for name in options])], tmp_path)
-    assert parquet.read_table(path).to_pydict() == {'option': options}
+@pytest.mark.parametrize('kind', ['csv', 'parquet'])
+def test_files_hold_the_tables(tmp_path: Path, bag: Bag, kind: str) -> None:
+    if kind == 'parquet':
+        pytest.importorskip('pyarrow.parquet', exc_type=ImportError)
+    tables = bag_tables(bag)
+    for path, (name, table) in zip(write_tables(tables, tmp_path, kind), tables.items()):
+        read = pd.read_parquet(path) if kind == 'parquet' else pd.read_csv(path)
+        assert (path.name, list(read.columns)) == (f'{name}.{kind}', list(table.columns))
+        as_read = [[*map(str, row)] for row in read.fillna('').values.tolist()]
+        assert as_read == [[*map(str, row)] for row in table.fillna('').values.tolist()]
 
 
 @pytest.mark.parametrize('write', ['parquet', 'minari'])
@@ -211,7 +178,7 @@ def test_export_says_which_package_is_missing(
     monkeypatch.setitem(__import__('sys').modules, 'pyarrow', None)  # import fails
     out = tmp_path / 'out'
     with pytest.raises(ExportError, match='not installed: pip install'):
-        write_parquet([], out) if write == 'parquet' else write_dataset(bag, out)
+        write_tables({}, out, write) if write == 'parquet' else write_dataset(bag, out)
     assert not out.exists()
 
 
@@ -368,10 +335,10 @@ def test_attached_files_that_are_all_damaged_are_refused(
 
 def test_text_that_a_spreadsheet_would_run_is_text_in_csv_alone(tmp_path: Path) -> None:
     parquet = pytest.importorskip('pyarrow.parquet', exc_type=ImportError)
-    table = Table('steps', ('option', 'reward'), [('=1+1', -5.0), ('größer', None)])
-    (path,) = write_csv([table], tmp_path)
+    tables = {'steps': pd.DataFrame({'option': ['=1+1', 'größer'], 'reward': [-5.0, None]})}
+    (path,) = write_tables(tables, tmp_path, 'csv')
     assert path.read_text('utf-8').splitlines() == ['option,reward', "'=1+1,-5.0", 'größer,']
-    (path,) = write_csv([table], tmp_path, excel=True)
+    (path,) = write_tables(tables, tmp_path, 'csv', excel=True)
     assert path.read_bytes().startswith(b'\xef\xbb\xbfoption')
-    (path,) = write_parquet([table], tmp_path)
+    (path,) = write_tables(tables, tmp_path, 'parquet')
     assert parquet.read_table(path).to_pydict()['option'] == ['=1+1', 'größer']

@@ -310,11 +310,7 @@ def export(
                 written = [one_line(str(path)) for path in tables.write_attached(opened, out)]
             else:
                 found = tables.bag_tables(opened)
-                if to == 'csv':
-                    paths = tables.write_csv(found, out, excel=excel)
-                else:
-                    paths = tables.write_parquet(found, out)
-                written = list(map(str, paths))
+                written = list(map(str, tables.write_tables(found, out, to, excel=excel)))
     except (tables.ExportError, StateError) as error:
         raise CommandError(one_line(str(error))) from error
     except OSError as error:

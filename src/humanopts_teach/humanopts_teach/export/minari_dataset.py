@@ -1,9 +1,6 @@
 """Episodes of a bag as a Minari dataset, which steps through our Gymnasium environments."""
 
-from collections import Counter
-from collections.abc import Iterator
 from hashlib import sha256
-from itertools import chain
 import os
 from pathlib import Path
 import re
@@ -56,13 +53,18 @@ def write_dataset(bag: Bag, out: Path) -> tuple[str, int]:
         raise ExportError(
             'a Minari dataset needs minari, which is not installed: pip install "minari[arrow]"'
         ) from error
-    domain, counts = read_domain(bag), Counter[bool]()
+    domain = read_domain(bag)
     name = dataset_name(domain, bag.path)
     if (out / name).exists():
         raise ExportError(f'{out / name} already exists; choose another folder, or remove it')
-    whole = _whole_episodes(bag, counts)
-    first = next(whole, None)
-    if first is None:
+    episodes = list(read_episodes(bag))
+    whole = [
+        each
+        for each in episodes
+        if len(each.transitions) > 1
+        and [at.step for at in each.transitions] == list(range(len(each.transitions)))
+    ]
+    if not whole:
         raise ExportError(f'{bag.path} holds no episode that was recorded without a gap')
     spec = spec_of(domain)
     env = spec.make()
@@ -71,7 +73,7 @@ def write_dataset(bag: Bag, out: Path) -> tuple[str, int]:
         EpisodeBuffer(
             id=number, options=_reset_options(begun, one), **_columns(env.unwrapped, one)
         )
-        for number, one in enumerate(chain([first], whole))
+        for number, one in enumerate(whole)
     )
     description = (
         f'Recorded episodes of {domain.name}. Begin each with '
@@ -90,9 +92,9 @@ def write_dataset(bag: Bag, out: Path) -> tuple[str, int]:
                 raise ExportError(f'the dataset cannot be written: {error}') from error
         _move_dataset(Path(unfinished), out, name)
     os.environ[FOLDER] = os.path.abspath(out)
-    if counts[False]:
-        bag.note(f'{counts[False]} episodes are left out: of one state, or with steps missing')
-    return name, counts[True]
+    if left_out := len(episodes) - len(whole):
+        bag.note(f'{left_out} episodes are left out: of one state, or with steps missing')
+    return name, len(whole)
 
 
 def dataset_name(domain: Domain[Any], bag: Path) -> str:
@@ -121,16 +123,6 @@ def _move_dataset(source: Path, target: Path, name: str) -> None:
             if not (target / above / known.name).exists():
                 shutil.copyfile(known, target / above / known.name)
     (source / name).rename(target / name)
-
-
-def _whole_episodes(bag: Bag, counts: Counter[bool]) -> Iterator[Episode]:
-    """Yield the episodes that were recorded without a gap; count those, and the others."""
-    for episode in read_episodes(bag):
-        steps = [each.step for each in episode.transitions]
-        whole = len(steps) > 1 and steps == list(range(len(steps)))
-        counts[whole] += 1
-        if whole:
-            yield episode
 
 
 def _reset_options(begun: Beginnings, episode: Episode) -> dict[str, Any]:

@@ -1,25 +1,16 @@
-"""
-What a bag holds as files: tables of steps, demonstrations, options and plans, and attached files.
+"""A bag as files: tables of steps, demonstrations, options and plans, and attached files."""
 
-Tables are written while the bag is read, so that a long one takes no memory.
-"""
-
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack
-import csv
-from dataclasses import asdict, dataclass, fields
-from itertools import chain, islice
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, fields
 import json
-import math
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
-from humanopts_env.domains.base import Feature, FeatureKind
+from humanopts_env.domains.base import Domain, Feature, FeatureKind
 from humanopts_learner.demonstrations import Demonstration, each_once
-from humanopts_learner.spreadsheet import EXCEL, to_cell
+from humanopts_learner.spreadsheet import csv_of, EXCEL
 from humanopts_teach.bags.contents import (
     actor_of,
-    Actors,
     read_actors,
     read_demonstrations,
     read_domain,
@@ -30,12 +21,10 @@ from humanopts_teach.bags.info import option_rows, OptionRow, PLAN_RESULT
 from humanopts_teach.bags.reader import Bag, DEMONSTRATION
 from humanopts_teach.bags.schemas import constants
 
-BATCH = 50_000  # rows of a Parquet table that are held in memory
+if TYPE_CHECKING:
+    import pandas as pd
+
 FEATURE_PREFIX = 'feature:'  # before the name of a feature, in the head of a column
-_STEPS = ('episode', 'game', 'game_episode', 'step', 'state')
-_MOVES = ('action', 'reward', 'terminated', 'truncated', 'source', 'option')
-_DEMONSTRATION = (*(field.name for field in fields(Demonstration)), 'steps', 'total_reward')
-_OPTION = tuple(field.name for field in fields(OptionRow))
 _PLAN = (  # of PlanResult
     *('plan_id', 'status', 'action_set', 'option_names', 'gamma', 'n_states', 'game_steps'),
     *('table_seconds', 'model_seconds', 'sweep_seconds', 'sweeps', 'residual', 'converged'),
@@ -49,39 +38,39 @@ class ExportError(ValueError):
     """A bag cannot be exported as asked; the text says why."""
 
 
-@dataclass(frozen=True)
-class Table:
-    """Rows of plain values, read when they are needed; a list is JSON text, None is unknown."""
-
-    name: str
-    head: tuple[str, ...]
-    rows: Iterable[tuple[Any, ...]]
-
-
-def bag_tables(bag: Bag) -> list[Table]:
+def bag_tables(bag: Bag) -> 'dict[str, pd.DataFrame]':
     """
-    Return the four tables.
+    Return the tables steps, demonstrations, options and plans; a list is JSON text.
 
     :raises BagError: the bag does not say which domain was played, or it is not installed.
     """
+    import pandas as pd  # slow to import
+
+    domain = read_domain(bag)
     demonstrations = each_once(read_demonstrations(bag)) if bag.of_type(DEMONSTRATION) else []
+    counted = [*(field.name for field in fields(Demonstration)), 'steps', 'total_reward']
+    return {
+        'steps': pd.DataFrame(_steps(bag, domain), columns=_step_columns(domain)),
+        'demonstrations': pd.DataFrame(map(_demonstration, demonstrations), columns=counted),
+        'options': pd.DataFrame(
+            (_plain(asdict(row)) for row in option_rows(bag)),
+            columns=[field.name for field in fields(OptionRow)],
+        ),
+        'plans': pd.DataFrame(_plans(bag), columns=_PLAN),
+    }
+
+
+def _step_columns(domain: Domain[Any]) -> list[str]:
     return [
-        _steps_table(bag),
-        _table('demonstrations', _DEMONSTRATION, map(_demonstration, demonstrations)),
-        _table('options', _OPTION, map(asdict, option_rows(bag))),
-        _table('plans', _PLAN, _plans(bag)),
+        *('episode', 'game', 'game_episode', 'step', 'state'),
+        *(f'{FEATURE_PREFIX}{feature.name}' for feature in domain.features),
+        *('action', 'reward', 'terminated', 'truncated', 'source', 'option'),
     ]
 
 
-def _steps_table(bag: Bag) -> Table:
-    """Return a table with a row for each recorded state and the step that led to it."""
-    features = read_domain(bag).features
-    names = (f'{FEATURE_PREFIX}{feature.name}' for feature in features)
-    rows = _steps(bag, features, read_actors(bag))
-    return Table('steps', (*_STEPS, *names, *_MOVES), rows)
-
-
-def _steps(bag: Bag, features: Sequence[Feature], actors: Actors) -> Iterator[tuple[Any, ...]]:
+def _steps(bag: Bag, domain: Domain[Any]) -> Iterator[tuple[Any, ...]]:
+    """Yield a row for each recorded state and the step that led to it."""
+    actors, features = read_actors(bag), domain.features
     for number, episode in enumerate(read_episodes(bag), start=1):
         for at in episode.transitions:
             cells = _cells(features, at.features)
@@ -106,95 +95,60 @@ def _cells(features: Sequence[Feature], values: Sequence[float]) -> list[float |
 def _demonstration(demo: Demonstration) -> dict[str, Any]:
     counted = {'steps': len(demo.actions), 'total_reward': demo.total_reward}
     plain = {'kind': demo.kind.value, 'features': demo.plain_features}
-    return {**asdict(demo), **plain, **counted}
+    return _plain({**asdict(demo), **plain, **counted})
 
 
 def _plans(bag: Bag) -> Iterator[dict[str, Any]]:
-    """Yield the results of plans; bags of older versions lack some fields."""
+    """Yield the results of plans."""
     for recorded in bag.genuine(PLAN_RESULT):
+        names = constants(bag.topics[recorded.topic].schema, 'STATUS_')
         if (result := recorded.message) is not None:
-            names = constants(bag.topics[recorded.topic].schema, 'STATUS_')
             status = names.get(result.status, str(result.status)).lower()
-            yield {**{name: getattr(result, name, None) for name in _PLAN}, 'status': status}
+            yield {**_plain({name: getattr(result, name) for name in _PLAN}), 'status': status}
 
 
-def _plain(value: Any) -> Any:
-    """Return a list as JSON, and nothing in place of NaN, in lists too."""
-    value = _known(value)
-    return json.dumps(value, ensure_ascii=False) if isinstance(value, list) else value
+def _plain(row: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a row with lists as JSON, and null in place of NaN in them."""
+    return {
+        name: json.dumps(_without_nan(value), ensure_ascii=False)
+        if isinstance(value, list | tuple)
+        else value
+        for name, value in row.items()
+    }
 
 
-def _known(value: Any) -> Any:
+def _without_nan(value: Any) -> Any:
     if isinstance(value, list | tuple):
-        return [_known(part) for part in value]
-    return None if isinstance(value, float) and math.isnan(value) else value
+        return [_without_nan(part) for part in value]
+    return None if value != value else value
 
 
-def _table(name: str, head: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> Table:
-    return Table(name, tuple(head), (tuple(_plain(row[key]) for key in head) for row in rows))
-
-
-def write_csv(tables: Sequence[Table], out: Path, *, excel: bool = False) -> list[Path]:
+def write_tables(
+    tables: 'Mapping[str, pd.DataFrame]', out: Path, kind: str, *, excel: bool = False
+) -> list[Path]:
     """
-    Write a UTF-8 file for each table, with a head; unknown values are empty.
+    Write a file for each table; unknown values are empty.
 
-    :param excel: write a byte order mark.
+    :param kind: csv, which is UTF-8 with a head, or parquet.
+    :param excel: write a byte order mark into CSV.
+    :raises ExportError: pyarrow is not installed, and Parquet needs it.
     :raises OSError: the folder cannot be written to.
     """
+    if kind == 'parquet':
+        try:
+            import pyarrow  # noqa: F401, what pandas writes with
+        except ImportError as error:
+            raise ExportError(
+                'Parquet needs pyarrow, which is not installed: pip install pyarrow'
+            ) from error
     out.mkdir(parents=True, exist_ok=True)
-    paths = []
-    for table in tables:
-        paths.append(out / f'{table.name}.csv')
-        encoding = EXCEL if excel else 'utf-8'
-        with paths[-1].open('w', encoding=encoding, newline='') as file:
-            writer = csv.writer(file)
-            writer.writerows(map(to_cell, row) for row in chain([table.head], table.rows))
+    paths = [out / f'{name}.{kind}' for name in tables]
+    for path, table in zip(paths, tables.values()):
+        if kind == 'parquet':
+            table.to_parquet(path, index=False)
+        else:
+            path.write_bytes(csv_of(table).encode(EXCEL if excel else 'utf-8'))
     return paths
-
-
-def write_parquet(tables: Sequence[Table], out: Path) -> list[Path]:
-    """
-    Write a file for each table.
-
-    :raises ExportError: pyarrow is not installed.
-    :raises OSError: the folder cannot be written to.
-    """
-    try:
-        import pyarrow
-        from pyarrow import parquet
-    except ImportError as error:
-        raise ExportError(
-            'Parquet needs pyarrow, which is not installed: pip install pyarrow'
-        ) from error
-    out.mkdir(parents=True, exist_ok=True)
-    paths = []
-    for table in tables:
-        paths.append(out / f'{table.name}.parquet')
-        _write_batches(table, paths[-1], pyarrow, parquet)
-    return paths
-
-
-def _write_batches(table: Table, path: Path, pyarrow: Any, parquet: Any) -> None:
-    """
-    Write a table in parts.
-
-    All parts have the column types of the first; a column that is empty there is text.
-    """
-    rows, schema = iter(table.rows), None
-    with ExitStack() as stack:
-        while (part := list(islice(rows, BATCH))) or schema is None:
-            columns = dict(zip(table.head, zip(*part))) or dict.fromkeys(table.head, ())
-            batch = pyarrow.table({name: list(c) for name, c in columns.items()}, schema)
-            if schema is None:
-                types = {f.name: f.type for f in batch.schema}
-                empty = dict.fromkeys(
-                    (name for name, kind in types.items() if kind == pyarrow.null()),
-                    pyarrow.string(),
-                )
-                batch = batch.cast(pyarrow.schema({**types, **empty}))
-                schema = batch.schema
-                writer = stack.enter_context(parquet.ParquetWriter(path, schema))
-            writer.write_table(batch)
 
 
 def write_attached(bag: Bag, out: Path) -> list[Path]:
