@@ -109,7 +109,7 @@ def test_strategies_on_offer_are_those_of_the_learner() -> None:
     [
         ('dumb', 'can move its cursor'),
         ('', 'TERM is not set'),
-        ('xterm-of-mars', 'not known here'),
+        ('xterm-of-mars', 'this machine does not know'),
     ],
 )
 @pytest.mark.parametrize('command', ['teach rooms', 'study plan.yaml --participant p1'])

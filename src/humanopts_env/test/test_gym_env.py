@@ -145,22 +145,6 @@ def test_pacman_is_observed_by_its_features() -> None:
         make('humanopts/PacMan-v0', ghosts='slow')
 
 
-def test_pacman_is_cut_off_after_a_thousand_steps() -> None:
-    maze = '%%%%%\n%P .%\n%%%%%'
-    env = make('humanopts/PacMan-v0', maze=maze)
-    env.reset(seed=0)
-    flags = [env.step(1)[2:4] for _ in range(1000)]
-    assert flags == [(False, False)] * 999 + [(False, True)]
-
-
-def test_games_of_pacman_are_played_side_by_side() -> None:
-    envs = gymnasium.make_vec('humanopts/PacMan-v0', num_envs=3, vectorization_mode='sync')
-    observations, _ = envs.reset(seed=4)
-    after, rewards, *_ = envs.step(np.array([1, 2, 1]))
-    assert observations.shape == after.shape == (3, len(envs.get_attr('domain')[0].features))
-    assert rewards.shape == (3,)
-
-
 @pytest.mark.parametrize('start', [False, True])
 @pytest.mark.parametrize('name', ['taxi', 'rooms', 'pacman'])
 def test_game_seed_gives_the_episode_of_the_node_game(name: str, start: bool) -> None:

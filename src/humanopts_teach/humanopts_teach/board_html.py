@@ -1,4 +1,4 @@
-"""A board as HTML for pages: a picture in SVG, and what stands below it."""
+"""A board as HTML: an SVG picture and its caption."""
 
 from functools import cache
 import html
@@ -34,7 +34,7 @@ _SHAPES = {
 
 
 def board_html(board: Board) -> str:
-    """Return the board as a picture, in which the style sheet sets the colours of classes."""
+    """Return the board as an SVG picture; the style sheet sets the colours of its classes."""
     if not board.rows:
         return f'<pre class="board">{html.escape(board.picture)}</pre>' if board.picture else ''
     width, height, walls = board.cols * CELL, board.rows * CELL, style_classes(board.colour)
@@ -59,7 +59,7 @@ def board_html(board: Board) -> str:
 
 
 def notes_html(board: Board) -> list[str]:
-    """Return what stands below the board, a piece of HTML for each thing."""
+    """Return the caption of a board, a piece of HTML for each part."""
     return [
         ''.join(
             f'<b class="{style_classes(style)}">{html.escape(text)}</b>'

@@ -202,7 +202,7 @@ class Server(uvicorn.Server):
             ws='wsproto',
             ws_max_size=_MAX_MESSAGE,
             log_config=None,
-            log_level='error',  # what is no request is not worth a line
+            log_level='error',  # malformed requests are not logged
             proxy_headers=False,  # nothing here asks for addresses
             server_header=False,
             timeout_graceful_shutdown=1,

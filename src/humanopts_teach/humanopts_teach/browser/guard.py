@@ -1,5 +1,5 @@
 """
-What stands before the pages: whoever does not name the token reaches nothing of NiceGUI.
+Guards the pages: a client without the token reaches no part of NiceGUI.
 
 The token is the first part of every path: of pages, of what they load, and of their sockets. A
 stranger gets a short text, and no state is kept for one.

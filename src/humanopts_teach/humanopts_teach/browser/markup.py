@@ -1,7 +1,7 @@
 """
-What is shown as HTML, in parts of the page; ``page.html`` is their template.
+A view as HTML, one piece for each part of the page; ``page.html`` is the template.
 
-What can be pressed has the keys that it stands for in ``data-keys``, which ``page.js`` sends.
+Buttons have their keys in ``data-keys``, which ``page.js`` sends.
 """
 
 from collections.abc import Callable, Sequence
@@ -32,7 +32,7 @@ class _Key(NamedTuple):
 
 @cache
 def head_html() -> str:
-    """Return what the head of each page needs: style, and what sends keys."""
+    """Return the head of each page: its style sheet and script."""
     folder = files(_PACKAGE)
     style, script = (folder.joinpath(f'page.{end}').read_text('utf-8') for end in ('css', 'js'))
     return f'<style>{page_style()}{style}</style><script>{script}</script>'
@@ -73,7 +73,7 @@ def parts(view: View) -> dict[str, str]:
 
 
 def _keys(keys: Keys, blocks: Sequence[Block]) -> tuple[list[_Key], list[_Key], list[_Key]]:
-    """Return a pad of arrows, what is used most beside it, and all other buttons."""
+    """Return the arrow pad, the main buttons beside it, and all other buttons."""
     kinds = {type(block) for block in blocks}
     known = [
         _Key(key_of(each), each, words if each == label else f'{words} {each}')
@@ -94,12 +94,12 @@ def _keys(keys: Keys, blocks: Sequence[Block]) -> tuple[list[_Key], list[_Key], 
 
 
 def _can_press(label: str) -> bool:
-    """Return whether a label stands for a key of the page."""
+    """Return whether a label names a single key of the page."""
     return key_of(label) not in ('', INTERRUPT)
 
 
 def _picking(choices: Choices, number: int) -> list[str]:
-    """Return the keys that pick one of the choices, on the shorter way around."""
+    """Return the keys that pick a choice, moving the shorter way around."""
     if number // PAGE == choices.at // PAGE:
         return [str(number % PAGE + 1)]
     count = len(choices.items)

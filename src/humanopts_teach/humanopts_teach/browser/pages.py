@@ -1,4 +1,4 @@
-"""The pages that are served: who teaches, and the seat of a participant; made with NiceGUI."""
+"""The NiceGUI pages: one asks for the participant's code, one shows a seat."""
 
 import asyncio
 from collections.abc import Callable, Collection
@@ -21,16 +21,16 @@ from humanopts_teach.dialogue.panel import Line, panel, Tone, View
 from humanopts_teach.lesson.store import CODE, CODE_RULE
 from nicegui import Client, core, ui
 
-_RECONNECTING = 10.0  # s that a page which lost its connection is kept as it is
-_ANSWER = 1.0  # s that a page has to say that it has everything
-_LOOK = 0.1  # s between looks whether the server is to end
+_RECONNECTING = 10.0  # s for which a page without a connection is kept
+_ANSWER = 1.0  # s in which a page confirms the last frame
+_LOOK = 0.1  # s between checks whether to stop the server
 
 
 class PageWindow(Window):
-    """One page: it shows frames, and hands on what is pressed on them."""
+    """One page: shows frames and forwards key presses."""
 
     def __init__(self) -> None:
-        """Lay out the page that is being built."""
+        """Lay out the current page."""
         self._press: Press = lambda keys, frame: None
         self._client = ui.context.client
         ui.add_head_html(head_html())
@@ -39,7 +39,7 @@ class PageWindow(Window):
         ui.on('press', self._on_press)
 
     def show(self, view: View, frame: int) -> None:
-        """Show a frame; parts that have not changed are left as they are."""
+        """Show a frame, updating only the parts that changed."""
         for name, html in parts(view).items():
             if self._parts[name].content != html:
                 self._parts[name].set_content(html)
@@ -57,11 +57,11 @@ class PageWindow(Window):
                 await self._client.run_javascript('0', timeout=_ANSWER)
 
     def go_to(self, path: str) -> None:
-        """Open another page, below the token."""
+        """Open another page below the token."""
         self._client.open(path)
 
     def _on_press(self, event: Any) -> None:
-        """Take what is pressed, if it is as ``page.js`` sends it."""
+        """Forward key presses in the form that ``page.js`` sends."""
         given = event.args if isinstance(event.args, dict) else {}
         keys, frame = given.get('keys'), given.get('frame')
         if isinstance(keys, list) and len(keys) <= MOST_KEYS and isinstance(frame, int):
@@ -72,7 +72,7 @@ def add_pages(seats: Seats, proposed: str) -> None:
     """
     Define the pages.
 
-    :param proposed: code that is proposed to who teaches.
+    :param proposed: default code of the participant.
     """
 
     @ui.page('/')
@@ -103,7 +103,7 @@ def add_pages(seats: Seats, proposed: str) -> None:
 
 
 def _ask_code(window: PageWindow, domain: str, proposed: str) -> None:
-    """Ask who teaches, and go to the page of their seat."""
+    """Ask for the participant's code, and open the page of that seat."""
 
     def go(code: str, app: App) -> None:
         if CODE.fullmatch(code):
@@ -140,9 +140,9 @@ async def serve(
     """
     Serve the pages until ``stop`` returns True, then end all games.
 
-    :param listening: socket on which browsers connect.
-    :param token: first part of each address, without which nothing is served.
-    :param hosts: names by which browsers may call this machine, besides its own.
+    :param listening: socket that browsers connect to.
+    :param token: first part of every path; required for everything.
+    :param hosts: additional host names that browsers may use for this machine.
     """
     add_pages(seats, proposed)
     web = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
@@ -155,7 +155,7 @@ async def serve(
         show_welcome_message=False,
         viewport='width=device-width, initial-scale=1, viewport-fit=cover',
     )
-    core.sio.on('log', lambda *_: None)  # a page has nothing to write into the terminal
+    core.sio.on('log', lambda *_: None)  # pages must not write to the terminal
     idle = Idle()
     server = Server(Guard(web, token, hosts, idle.admitted), idle)
     with limited_log():

@@ -1,7 +1,7 @@
 """
-The participants who teach at the same time: each has a seat, which has a game of its own.
+Participants who teach at the same time, each in a seat with a game of its own.
 
-A seat outlives its window for a while: a page that is loaded again goes on where it was.
+A seat outlives its window for a while, so a reloaded page continues where it was.
 """
 
 import asyncio
@@ -19,20 +19,20 @@ _IN_LINE = (
     'All games are taken. You are number {} in line. Keep this page open: your game starts '
     'by itself.'
 )
-_GAME_BYTES = 350_000_000  # of a game's processes, until one is measured that has more
-_SPARE_BYTES = 1_000_000_000  # that are left to other programs; a tenth where memory is small
-_LOOK = 0.5  # s between looks whether another game may begin
+_GAME_BYTES = 350_000_000  # memory of a game, until a larger one is measured
+_SPARE_BYTES = 1_000_000_000  # left to other programs; a tenth of a small memory
+_LOOK = 0.5  # s between checks whether another game may start
 Press = Callable[[list[str], int], None]  # keys, and the number of the frame they were pressed on
 
 
 def another_fits(available: int, total: int, taken: Sequence[int], games: int) -> bool:
     """
-    Return whether the memory of a machine holds another game; the first one is always let in.
+    Return whether another game fits into memory; the first one always does.
 
-    :param available: bytes that programs may still take, without swapping.
-    :param total: bytes of the machine.
-    :param taken: bytes of each game that is measured; it may have begun just now, and grows.
-    :param games: number of all games, some of which may have no process yet.
+    :param available: bytes that programs can still use without swapping.
+    :param total: bytes of memory.
+    :param taken: bytes of each measured game; a new game still grows.
+    :param games: number of all games, including those without a process yet.
     """
     each = max([_GAME_BYTES, *taken])
     to_come = each * games - sum(taken)
@@ -46,20 +46,20 @@ class Window(Protocol):
         """Show a frame."""
 
     def listen(self, press: Press) -> None:
-        """Hand on from now on what is pressed."""
+        """Pass key presses to ``press`` from now on."""
 
     def reload(self) -> None:
-        """Load the page again."""
+        """Reload the page."""
 
     async def taken(self) -> None:
-        """Wait until the page has what was shown last, or seems to be gone."""
+        """Wait until the page has received the last frame, or seems to be gone."""
 
 
 class GameError(Exception):
     """A participant's game cannot be started, or has ended; the text says why."""
 
 
-# Opens the game of a seat; it shows frames, and may end the seat. Its value takes keys.
+# Opens the game of a seat, which shows frames and may end the seat; yields what takes keys.
 OpenGame = Callable[['Seat'], AbstractAsyncContextManager[Press]]
 
 
@@ -67,8 +67,8 @@ class Seat:
     """
     The place of one participant.
 
-    :ivar number: from 1; no other game has it meanwhile. 0: it is in line for a game.
-    :ivar window: on which it is shown; None: none is open.
+    :ivar number: from 1, unique among current games; 0: waiting in line for a game.
+    :ivar window: shows the seat; None: no window is open.
     """
 
     def __init__(self, participant: str, domain: str) -> None:
@@ -82,17 +82,17 @@ class Seat:
         self._leaving: asyncio.TimerHandle | None = None
 
     def show(self, view: View, frame: int) -> None:
-        """Show a frame, now or when a window comes."""
+        """Show a frame now, or once a window opens."""
         self._shown = view, frame
         if self.window is not None:
             self.window.show(view, frame)
 
     def listen(self, press: Press) -> None:
-        """Hand on from now on what is pressed."""
+        """Pass key presses to ``press`` from now on."""
         self._press = press
 
     def enter(self, window: Window) -> None:
-        """Show the seat in a window; another one that shows it is told so."""
+        """Show the seat in a window; a previous window says where the lesson continues."""
         if self._leaving is not None:
             self._leaving.cancel()
         if self.window is not None and self.window is not window:
@@ -103,19 +103,19 @@ class Seat:
         window.show(*self._shown)
 
     def leave(self, window: Window, seconds: float) -> None:
-        """Give the seat up after a time, unless a window comes."""
+        """Give up the seat after a while, unless a window opens."""
         if self.window is window:
             self.window = None
             loop = asyncio.get_running_loop()
             self._leaving = loop.call_later(seconds, self.over.set)
 
     def end(self, farewell: str = FAREWELL) -> None:
-        """Give the seat up now."""
+        """Give up the seat now."""
         self.farewell = farewell
         self.over.set()
 
     async def closed(self) -> None:
-        """Say farewell, and wait until the page has it; from now on a key loads the page again."""
+        """Say goodbye, and wait until the page shows it; from then on a key reloads the page."""
         if self._leaving is not None:
             self._leaving.cancel()
         if (window := self.window) is not None:
@@ -142,9 +142,9 @@ class ConditionSeat:
 
 class Seats:
     """
-    Those who teach now.
+    The seats of all current participants.
 
-    :ivar linger: how long a seat is kept without a window, s.
+    :ivar linger: s for which a seat is kept without a window.
     """
 
     def __init__(
@@ -156,22 +156,22 @@ class Seats:
         known: Callable[[], Sequence[str]] = tuple,
     ) -> None:
         """
-        Have no participant yet.
+        Start without participants.
 
-        :param fits: whether there may be another game beside that many; called in a thread.
-        :param known: returns the codes of those who have taught before.
+        :param fits: returns whether another game fits beside that many; called in a thread.
+        :param known: returns the codes of earlier participants.
         """
         self.domain, self.linger, self._known = domain, linger, known
         self._open_game, self._fits = open_game, fits
-        self._line: list[Seat] = []  # whose game has yet to begin
+        self._line: list[Seat] = []  # waiting for a game
         self._playing: set[Seat] = set()
-        self._door = asyncio.Lock()  # through which one goes at a time
+        self._door = asyncio.Lock()  # one seat checks and enters at a time
         self._seats: dict[str, Seat] = {}  # by participant
         self._tasks: dict[str, asyncio.Task[None]] = {}
-        self._waiting: dict[str, list[Window]] = {}  # at a seat that another window shows
+        self._waiting: dict[str, list[Window]] = {}  # for a seat shown in another window
 
     def enter(self, participant: str, window: Window) -> None:
-        """Show a participant's seat in a window, or ask where another window shows it."""
+        """Show a participant's seat in a window; ask first if another window shows it."""
         seat = self._seats.get(participant)
         if seat is None or seat.over.is_set():
             seat = self._begin(participant, window)
@@ -181,11 +181,11 @@ class Seats:
         seat.enter(window)
 
     def similar(self, participant: str) -> str:
-        """Return a code in use that differs only in case; empty: there is none."""
+        """Return a known code that differs only in case; empty: none."""
         return similar_code(participant, (*self._seats, *self._known()))
 
     def leave(self, participant: str, window: Window) -> None:
-        """Note that a window is gone; one that waits for its seat gets it."""
+        """Note that a window closed; the next waiting window gets its seat."""
         waiting = self._waiting.get(participant, [])
         if window in waiting:
             waiting.remove(window)
@@ -208,9 +208,9 @@ class Seats:
         return seat
 
     async def _play(self, seat: Seat, before: 'asyncio.Task[None] | None') -> None:
-        """Keep a game from its begin, once it may begin, to its end."""
+        """Run a game from its turn to its end."""
         if before is not None:
-            await before  # of the same participant, whose files are still in use
+            await before  # the same participant's files are still in use
         try:
             if await self._gets_turn(seat):
                 async with self._open_game(seat) as press:
@@ -228,11 +228,11 @@ class Seats:
 
     async def _gets_turn(self, seat: Seat) -> bool:
         """
-        Wait in line, and show the position, until there may be a game.
+        Wait in line, showing the position, until a game may start.
 
-        Who has no page keeps the place for as long as a seat, and lets others pass.
+        A participant without an open page keeps the place for ``linger`` and lets others pass.
 
-        :return: whether the game may begin; else the seat is over.
+        :return: whether the game may start; False: the seat is over.
         """
         self._line.append(seat)
         shown = ''
@@ -259,7 +259,7 @@ class Seats:
             self._line.remove(seat)
 
     def _ask(self, seat: Seat, window: Window) -> None:
-        """Ask whether to go on here; the other window keeps the seat until then."""
+        """Ask whether to continue here; the other window keeps the seat until then."""
         waiting = self._waiting.setdefault(seat.participant, [])
         if window not in waiting:
             waiting.append(window)
@@ -275,15 +275,15 @@ class Seats:
 
 def message(head: tuple[str, ...], text: str, enter: str = '') -> View:
     """
-    Return a view that says something.
+    Return a view with a message.
 
-    :param enter: what Enter does; empty: nothing.
+    :param enter: label of Enter; empty: it does nothing.
     """
     keys = [('Enter', enter)] if enter else []
     return View(head, '', None, Panel((Line(text, strong=True),)), Line('', Tone.PLAIN), keys)
 
 
 def prompt(window: Window, view: View, then: Callable[[], None]) -> None:
-    """Show a view on which Enter does something."""
+    """Show a view on which Enter calls ``then``."""
     window.listen(lambda keys, frame: then() if 'enter' in keys else None)
     window.show(view, 0)

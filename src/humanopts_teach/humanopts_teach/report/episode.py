@@ -23,7 +23,7 @@ COLOURS = 4  # of options, classes o0 to o3
 MOST_PICTURES = 60  # of longer episodes only the ends of runs are shown
 FIRST = 40  # of the pictures that are shown where even these are too many; the others are the last
 LEAST_WIDTH = 10.6  # rem
-REM = 0.49  # of width for each character that a board is wide in text
+REM = 0.49  # of width per character of the board as text
 _OPTION_RESULT = 'humanopts_interfaces/msg/OptionResult'
 
 

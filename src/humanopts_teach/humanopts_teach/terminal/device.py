@@ -1,4 +1,4 @@
-"""The terminal itself: raw keys in, lines out, and everything put back at the end."""
+"""The terminal: reads raw keys, draws lines, and restores its state at the end."""
 
 from collections.abc import Callable, Mapping, Sequence
 import curses
@@ -17,9 +17,9 @@ from prompt_toolkit.key_binding.key_processor import KeyPress
 from prompt_toolkit.keys import Keys
 from rich.console import Console
 
-ESCAPE_SECONDS = 0.1  # after which an escape character was the key, not the head of a sequence
-_TAKEN_SECONDS = 1.0  # within which a shell takes the terminal of a job that is suspended
-_SETTLED_SECONDS = 0.1  # after which it has set the terminal of a job that goes on
+ESCAPE_SECONDS = 0.1  # after which an escape character is a key, not the start of a sequence
+_TAKEN_SECONDS = 1.0  # in which a shell takes back the terminal of a suspended job
+_SETTLED_SECONDS = 0.1  # after which it has set up the terminal of a resumed job
 _ENTER = '\x1b[?1049h\x1b[?25l\x1b[2J'  # alternate screen, hidden cursor, cleared
 _LEAVE = '\x1b[0m\x1b[?25h\x1b[?1049l'
 _NAMED: Mapping[str, str] = {
@@ -36,12 +36,12 @@ _NAMED: Mapping[str, str] = {
     Keys.ControlU: keys.CLEAR,
     Keys.ControlZ: keys.SUSPEND,
 }
-_USUAL_TERM = 'where it can do what most can: export TERM=xterm-256color'
+_USUAL_TERM = 'for most terminals: export TERM=xterm-256color'
 _HUNG_UP = select.POLLHUP | select.POLLERR | select.POLLNVAL
 
 
 def why_not() -> str:
-    """Return why standard input and output cannot be drawn on; empty: they can."""
+    """Return why standard input and output cannot be used; empty: they can."""
     if not sys.stdin.isatty() or not sys.stdout.isatty():
         return 'it needs a terminal for input and output'
     if not (name := os.environ.get('TERM', '')):
@@ -49,14 +49,14 @@ def why_not() -> str:
     try:
         curses.setupterm(name, 1)
     except curses.error:
-        return f'TERM is {name!r}, a terminal that is not known here; {_USUAL_TERM}'
+        return f'TERM is {name!r}, which this machine does not know; {_USUAL_TERM}'
     if name == 'dumb' or curses.tigetstr('cup') is None:
         return f'it needs a terminal that can move its cursor, and TERM is {name!r}; {_USUAL_TERM}'
     return ''
 
 
 def key_of(press: KeyPress) -> str:
-    """Return our name of a key press; empty: a key that we do not use."""
+    """Return our name of a key press; empty: the key is not used."""
     if press.key in _NAMED:
         return _NAMED[press.key]
     key = str(press.key)
@@ -64,14 +64,14 @@ def key_of(press: KeyPress) -> str:
 
 
 def usable_colours(console: Console) -> Colours | None:
-    """Return what the terminal can show; None: no colours, or NO_COLOR asks for none."""
+    """Return the colours that the terminal can show; None: none, or NO_COLOR is set."""
     system = None if console.no_color else console.color_system
     return cast(Colours | None, system)
 
 
 class Device:
     """
-    Standard input in raw mode and the alternate screen, for the length of a ``with``.
+    Standard input in raw mode and the alternate screen, inside a ``with`` block.
 
     A job in the background leaves the terminal to the shell: nothing is read or drawn until
     ``ours`` says that it is in the foreground.
@@ -79,9 +79,9 @@ class Device:
 
     def __init__(self, farewell: str = '') -> None:
         """
-        Look at the terminal.
+        Inspect the terminal.
 
-        :param farewell: line that is left behind at a clean end.
+        :param farewell: line to print at a clean end.
         """
         self._farewell = farewell
         self._input = Vt100Input(sys.stdin)
@@ -110,13 +110,13 @@ class Device:
             self._write(f'{self._farewell}\n')
 
     def suspend(self) -> None:
-        """Give the terminal back and stop the job, as Ctrl-Z does elsewhere, if a shell can."""
+        """Restore the terminal and suspend the job, as Ctrl-Z usually does."""
         self._give_back()
         self._asked_at, self._taken, self._since = time.monotonic(), False, None
         os.killpg(os.getpgrp(), signal.SIGTSTP)
 
     def ours(self) -> bool:
-        """Return whether to read and draw; after ``suspend`` that is when the job is back."""
+        """Return whether to read and draw; after ``suspend``: once it is in the foreground."""
         if self._held or self.closed:
             return True
         now = time.monotonic()
@@ -142,7 +142,7 @@ class Device:
             self._held = False
 
     def read(self) -> list[str]:
-        """Return the keys that were pressed; waits for nothing."""
+        """Return the keys pressed since the last call, without waiting."""
         events = [event for _, event in self._poll.poll(0)]
         presses = self._input.read_keys() if any(e & select.POLLIN for e in events) else []
         self.closed |= self._input.closed
@@ -155,15 +155,15 @@ class Device:
         return [key for key in map(key_of, presses) if key]
 
     def wait(self, seconds: float) -> None:
-        """Wait for a key, at most so long."""
+        """Wait for a key, up to a time limit."""
         self._poll.poll(1e3 * seconds)
 
     def resized(self) -> bool:
-        """Return whether the window has another size than what was drawn."""
+        """Return whether the size of the window has changed since the last drawing."""
         return self._window() != self._size
 
     def draw(self, frame: Callable[[int, int, Colours | None], Sequence[str]]) -> None:
-        """Show the lines of a frame, writing only those that have changed."""
+        """Draw a frame, writing only the lines that changed."""
         size = self._window()
         lines = list(frame(*size, self._colours))
         old = self._drawn if size == self._size else []

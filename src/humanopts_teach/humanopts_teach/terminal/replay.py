@@ -1,4 +1,4 @@
-"""A text replay of recorded episodes: what a key does, and what is seen."""
+"""A replay of recorded episodes as text: its keys and its screen."""
 
 from collections.abc import Callable, Iterator, Sequence
 import math
@@ -25,10 +25,10 @@ _QUIT = {'q', 'Q', ESCAPE, INTERRUPT, END_OF_FILE}
 
 class Replay:
     """
-    Where the replay is, and how it goes on.
+    The position in a replay, and its pace.
 
-    :ivar running: steps follow each other until the episode is over.
-    :ivar over: the person has had enough.
+    :ivar running: steps are shown one after another until the episode ends.
+    :ivar over: the person quit.
     """
 
     def __init__(
@@ -40,10 +40,10 @@ class Replay:
         speed: float = 1.0,
     ) -> None:
         """
-        Stand at the first step of an episode.
+        Start at the first step of an episode.
 
-        :param episodes: one or more, each a function that reads it.
-        :param actors_of: whose the commands in an episode were.
+        :param episodes: functions that each read one episode; at least one.
+        :param actors_of: returns who sent the commands of an episode.
         :param index: of the episode, from 0.
         :param speed: 2 is twice as fast.
         """
@@ -55,7 +55,7 @@ class Replay:
 
     @property
     def seconds(self) -> float:
-        """How long a step is shown."""
+        """Seconds for which a step is shown."""
         return STEP_SECONDS / self.speed
 
     @property
@@ -63,13 +63,13 @@ class Replay:
         return len(self._episode.transitions) - 1
 
     def advance(self) -> None:
-        """Show the next step, if the replay runs; it stops at the last."""
+        """Show the next step while the replay runs; stop at the last one."""
         if self.running:
             self._go(self._step + 1)
             self.running = self._step < self._last
 
     def press(self, key: str) -> None:
-        """Do what a key means; others mean nothing."""
+        """Act on a key; ignore unknown ones."""
         if key in _QUIT:
             self.over = True
         elif key == SPACE:
@@ -94,7 +94,7 @@ class Replay:
         return framed(top, keys if height >= _ROOM_FOR_KEYS else [], width, height, colours)
 
     def plain(self) -> Iterator[str]:
-        """Yield what is seen in each step of the episode, as text."""
+        """Yield each step of the episode as text."""
         for step in range(self._last + 1):
             self._step = step
             board, notes = (part.plain for part in self._board())
@@ -104,7 +104,7 @@ class Replay:
         self._step = min(max(step, 0), self._last)
 
     def _begin(self, index: int) -> None:
-        """Stand at the first step of an episode."""
+        """Start at the first step of an episode."""
         self._index, self._step = index, 0
         self._episode = self._episodes[index]()
         self._actors = self._actors_of(self._episode)
@@ -120,7 +120,7 @@ class Replay:
         return board_texts(board_of(self._domain, self._domain.decode(state)))
 
     def _words(self) -> str:
-        """Return where we are, who did what, and what it brought."""
+        """Return the position, the actor, the action and its reward."""
         episode, transitions = self._episode, self._episode.transitions
         at = transitions[self._step]
         parts = [
