@@ -7,7 +7,8 @@ from pathlib import Path
 
 from graph_support.command import DemoRun, EPISODES, shared_demo
 from graph_support.live import free_domain_id, Graph, open_graph
-from humanopts_ros.environment import prepare_discovery, PROFILES
+from humanopts_ros.middleware import PROFILES
+from humanopts_ros.workarounds import prepare_discovery
 import pytest
 from teach_support.bags import write_lesson
 

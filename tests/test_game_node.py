@@ -15,9 +15,10 @@ from graph_support.player import MACHINE, ME, PERSON, Player
 from graph_support.scripted import TAXI
 from humanopts_interfaces.msg import ActionRefusal, ControlState, DomainInfo, GameState, NodeStatus
 from humanopts_interfaces.srv import ResetGame, SetControl, SetPace
-from humanopts_ros.environment import PROFILES, RANGE, READ_PROFILES
+from humanopts_ros.middleware import PROFILES, RANGE
 from humanopts_ros.node_base import NodeBase
 from humanopts_ros.qos import CURRENT, LATCHED
+from humanopts_ros.workarounds import READ_PROFILES
 import pytest
 import rclpy
 from rclpy.context import Context

@@ -14,9 +14,9 @@ import sys
 from types import SimpleNamespace
 
 from graph_support.live import GAME, Graph, LEARNER
-from humanopts_ros import environment
-from humanopts_ros.environment import prepare_discovery, READ_PROFILES
+from humanopts_ros import workarounds
 from humanopts_ros.middleware import address_towards, PEERS, PROFILES, RANGE
+from humanopts_ros.workarounds import prepare_discovery, READ_PROFILES
 import psutil
 import pytest
 
@@ -37,7 +37,7 @@ def test_every_socket_of_a_node_is_bound_to_the_loopback_interface(
 
 
 BURST = """
-from humanopts_ros.environment import prepare_discovery
+from humanopts_ros.workarounds import prepare_discovery
 import psutil
 prepare_discovery()
 import rclpy
@@ -120,7 +120,7 @@ def test_the_profile_follows_from_the_range(
         monkeypatch.delenv(name, raising=False)
     for name, value in given.items():
         monkeypatch.setenv(name, value)
-    monkeypatch.setattr(environment, '_await_network', lambda: None)
+    monkeypatch.setattr(workarounds, '_await_network', lambda: None)
     prepare_discovery()
     found = os.environ.get(PROFILES[0])
     assert os.environ.get(PROFILES[1]) == (found or given.get(PROFILES[1]))
@@ -172,7 +172,7 @@ def test_it_waits_for_the_carrier_of_the_cable_to_the_other_machine(cable: list[
 def test_where_no_network_comes_up_it_says_so_and_goes_on(
     cable: list[bool], monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(environment, '_NETWORK_WAIT', 0.0)
+    monkeypatch.setattr(workarounds, '_NETWORK_WAIT', 0.0)
     os.environ.update(AWAY)
     prepare_discovery()
     assert f'no network is up towards {OTHER}:' in capfd.readouterr().err
@@ -182,7 +182,7 @@ def test_where_no_network_comes_up_it_says_so_and_goes_on(
 def test_a_loopback_address_is_no_network_of_others(
     cable: list[bool], monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(environment, '_NETWORK_WAIT', 0.3)
+    monkeypatch.setattr(workarounds, '_NETWORK_WAIT', 0.3)
     os.environ[RANGE] = 'SUBNET'
     prepare_discovery()
     assert 'no network is up towards other machines:' in capfd.readouterr().err

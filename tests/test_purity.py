@@ -20,13 +20,12 @@ MODULES = sorted(
 OUTSIDE = sorted(path for name in ORDER[-2:] for path in (SOURCE.parent / name).rglob('*.py'))
 PURE = [path for path in MODULES if 'ros' not in path.relative_to(SOURCE).parts]
 PURE_OF_ROS = (
-    'humanopts_ros.environment',
     'humanopts_ros.limits',
     'humanopts_ros.middleware',
     'humanopts_ros.recording',
     'humanopts_ros.senders',
     'humanopts_ros.text_files',
-    'humanopts_ros.time_of_day',
+    'humanopts_ros.workarounds',
 )
 PURE += [SOURCE / 'humanopts_ros' / f'{name.replace(".", "/")}.py' for name in PURE_OF_ROS]
 ROS = ('rclpy', 'humanopts_interfaces', 'rcl_interfaces', 'builtin_interfaces', 'action_msgs')

@@ -13,7 +13,7 @@ import signal
 import subprocess
 import sys
 
-from humanopts_ros.environment import PROFILES
+from humanopts_ros.middleware import PROFILES
 
 ADDRESSES = '10.77.0.1', '10.77.0.2'
 CABLE = 'cable'

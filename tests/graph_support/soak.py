@@ -32,7 +32,7 @@ from humanopts_env.domains.registry import make_domain
 from humanopts_interfaces.msg import NodeStatus
 from humanopts_learner.demonstrations import check_demonstration, Demonstration
 from humanopts_learner.planning.request import PRIMITIVE
-from humanopts_ros.environment import prepare_discovery
+from humanopts_ros.workarounds import prepare_discovery
 from humanopts_teach.bags.check import check_bag
 from humanopts_teach.bags.reader import open_bag
 from humanopts_teach.commands.session import Session, session

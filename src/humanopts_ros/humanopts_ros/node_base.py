@@ -6,22 +6,20 @@ from dataclasses import replace
 import functools
 from itertools import chain
 import os
-import threading
 import time
 from typing import Any, TypeVar
 import uuid
 import weakref
 
 from humanopts_interfaces.msg import NodeStatus
-from humanopts_ros.environment import INSTANCE, prepare_discovery
 from humanopts_ros.graph import node_names
 from humanopts_ros.guard import Guard
-from humanopts_ros.middleware import MiddlewareError
+from humanopts_ros.middleware import INSTANCE, MiddlewareError
 from humanopts_ros.publisher import M, PublishError, StampedPublisher, without_source
 from humanopts_ros.qos import ACTION, LATCHED, SERVICE, STREAM
 from humanopts_ros.recording import Selection
 from humanopts_ros.senders import check_sender, sender_of
-from humanopts_ros.time_of_day import TimeOfDay
+from humanopts_ros.workarounds import prepare_discovery, watch_time
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 import rclpy
 from rclpy.action.server import ActionServer, CancelResponse, ServerGoalHandle
@@ -54,7 +52,6 @@ _REMARK_PERIOD = 1.0  # s between statuses that differ in what was refused or fa
 _PROVISION = 5.0  # s that a request waits until the node is ready for it
 _LATE = 5.0  # s after which a node that still starts says what it waits for
 _CHECK_PERIOD = 0.02  # s between checks while a node starts or ends, or a coroutine waits
-_TIME_PERIOD = 0.5  # s between looks at the time of day
 _STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 
 
@@ -203,15 +200,15 @@ class NodeBase(Node):
         self._start_timer = super().create_timer(_CHECK_PERIOD, self._try_start, clock=_STEADY)
         self._begun = monotonic()
         self._start_fault: Exception | None = None
-        self._destroyed = False
-        threading.Thread(target=_watch_time, args=(weakref.ref(self),), daemon=True).start()
+        self.destroyed = False
+        watch_time(weakref.ref(self))
 
     def get_logger(self) -> RcutilsLogger:
         logger: RcutilsLogger = super().get_logger()  # type: ignore[no-untyped-call]
         return logger
 
     def destroy_node(self) -> None:
-        self._destroyed = True
+        self.destroyed = True
         super().destroy_node()  # type: ignore[no-untyped-call]
 
     def create_timer(
@@ -587,7 +584,7 @@ class NodeBase(Node):
                 executor.create_task(self.guard.guarded(self._on_time_set), seconds)
 
     def _on_time_set(self, seconds: float) -> None:
-        if self._destroyed:
+        if self.destroyed:
             return
         self.get_logger().warning(f'somebody set the time of day by {seconds:+.3f} s')
         self.publish_status_again()  # what is sent wakes the middleware's own threads, too
@@ -624,26 +621,6 @@ class NodeBase(Node):
         )
         topic = next(lacking, None)
         return None if topic is None else f'the recorder to subscribe to {topic}'
-
-
-def _watch_time(watched: Callable[[], NodeBase | None]) -> None:
-    """
-    Let a node go on although somebody sets the time of day.
-
-    The Fast DDS in the wheels of ROS ends its waits by the time of day. Where that is set back, a
-    wait for what does not come would hold up the node for as long.
-
-    :param watched: returns the node; None: it is gone.
-    """
-    time_of_day = TimeOfDay()
-    while True:
-        time.sleep(_TIME_PERIOD)
-        node = watched()
-        if node is None or node._destroyed:
-            return
-        if by := time_of_day.look():
-            node.tell_time_set(by / 1e9)
-        del node  # so that it is free while this sleeps
 
 
 def _failed(answer: Any, text: str) -> Any:

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from itertools import count
 
-from humanopts_ros.time_of_day import TimeOfDay
+from humanopts_ros.workarounds import TimeOfDay
 from humanopts_teach.bags.arrival_times import ArrivalTimes
 from hypothesis import given
 from hypothesis import strategies as st

@@ -1,6 +1,6 @@
 """When messages arrived at the recorder, although somebody sets the time of day."""
 
-from humanopts_ros.time_of_day import TimeOfDay
+from humanopts_ros.workarounds import TimeOfDay
 
 
 class ArrivalTimes:

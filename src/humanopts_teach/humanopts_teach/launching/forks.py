@@ -21,7 +21,7 @@ import threading
 import traceback
 from typing import NoReturn
 
-from humanopts_ros.environment import LAUNCHER_PID
+from humanopts_ros.middleware import LAUNCHER_PID
 from humanopts_teach.launching import MODULES, USUAL
 from setproctitle import setproctitle
 

@@ -21,8 +21,8 @@ import termios
 import time
 import uuid
 
-from humanopts_ros.environment import INSTANCE, LAUNCHER_PID
 from humanopts_ros.limits import one_line, printable
+from humanopts_ros.middleware import INSTANCE, LAUNCHER_PID
 from humanopts_teach.launching import LaunchError, OccupiedError
 from humanopts_teach.launching.forks import start
 from humanopts_teach.launching.job import in_foreground

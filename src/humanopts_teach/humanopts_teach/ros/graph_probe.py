@@ -10,11 +10,11 @@ import time
 from typing import Any
 
 from humanopts_interfaces import msg
-from humanopts_ros.environment import on_loopback, prepare_discovery
 from humanopts_ros.graph import game_ids
 from humanopts_ros.node_base import start_ros, starting_ros
 from humanopts_ros.qos import CURRENT
 from humanopts_ros.senders import sender_of, signer
+from humanopts_ros.workarounds import on_loopback, prepare_discovery
 from humanopts_teach.launching import MODULES, OccupiedError
 from humanopts_teach.launching.launcher import CONDUCTOR, PARAMETERS
 from humanopts_teach.launching.place import domain_id, holder

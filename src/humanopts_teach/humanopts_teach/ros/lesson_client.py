@@ -13,10 +13,10 @@ from humanopts_env.domains.base import Domain
 from humanopts_env.game import Transition
 from humanopts_env.ros.game_subscriber import GameSubscriber, Observed
 from humanopts_interfaces import msg, srv
-from humanopts_ros.environment import prepare_discovery
 from humanopts_ros.node_base import NodeBase, starting_ros
 from humanopts_ros.node_restarts import NodeRestarts
 from humanopts_ros.qos import CURRENT, DISPLAY
+from humanopts_ros.workarounds import prepare_discovery
 from humanopts_teach.lesson.requests import (
     Answer,
     Drive,

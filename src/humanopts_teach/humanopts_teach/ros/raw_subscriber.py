@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 from humanopts_ros.graph import publishers_of
 from humanopts_ros.polled import never_called, Polled
 from humanopts_ros.recording import INTERFACES, is_own, prefix_of, Selection, SHARED
-from humanopts_ros.time_of_day import TimeOfDay
+from humanopts_ros.workarounds import TimeOfDay
 from humanopts_teach.bags.arrival_times import ArrivalTimes
 from rclpy.duration import Duration
 from rclpy.node import Node
