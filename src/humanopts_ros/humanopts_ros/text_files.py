@@ -5,16 +5,20 @@ Code that reads a file named by a person, a plan or a bag uses the functions her
 a device, an endless file nor a text made to blow up can stop or end a command.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 import errno
+import json
 import os
 from pathlib import Path
 import re
 import stat
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
 from humanopts_ros.limits import MOST_DEPTH, MOST_INTEGER, shown
 import yaml
+
+if TYPE_CHECKING:
+    from pydantic import ValidationError
 
 MAX_TEXT = 2**20  # bytes of a text file
 MAX_YAML = 4 * 2**20  # characters of a YAML text
@@ -136,6 +140,25 @@ def parse_yaml(text: str) -> Any:
 
 def _place(mark: Any) -> str:
     return f' (line {mark.line + 1}, column {mark.column + 1})' if mark is not None else ''
+
+
+def fault_in(error: 'ValidationError', known: Iterable[str] = ()) -> str:
+    """
+    Return the first thing that is wrong with the values of a file, in one line.
+
+    :param known: keys that the file may have.
+    """
+    first = error.errors(include_url=False)[0]
+    place = ' '.join(str(each + 1 if isinstance(each, int) else each) for each in first['loc'])
+    why = re.sub('^Value error, ', '', first['msg']).replace('Input should', 'it should')
+    given = first['input']
+    if first['type'] == 'extra_forbidden':
+        why = f'unknown key; use {", ".join(known)}' if known else 'unknown key'
+    elif not isinstance(given, dict | list):
+        why += f', not {shown(json.dumps(given, ensure_ascii=False), 60)}'
+    if first['type'] == 'string_type' and isinstance(given, bool | float):
+        why += ': put it in quotes'
+    return shown(f'{place}: {why}' if place else why)
 
 
 class _Document:

@@ -275,9 +275,7 @@ def nothing_in_it(path: Path) -> None:
 def sqlite_bag(path: Path) -> None:
     """Make what ros2 bag makes with its other storage."""
     path.mkdir()
-    (path / 'metadata.yaml').write_text(
-        'rosbag2_bagfile_information:\n  storage_identifier: sqlite3\n'
-    )
+    (path / 'bag_0.db3').touch()
 
 
 @pytest.mark.parametrize(

@@ -230,7 +230,6 @@ def test_no_number_of_a_mutated_bag_is_wrong_without_a_warning(
         repaired = open_bag(again)
         assert not check_bag(repaired).damage, number
         kept = [(r.topic, r.log_time, r.data) for r in repaired.messages()]
-        assert len(set(kept)) == len(kept), number
         assert set(kept) <= sent, number
         assert all(file.data == ATTACHED for file in repaired.attached()), number
         shutil.rmtree(again)

@@ -112,27 +112,20 @@ def _compare(bag: Bag, counts: Counter[str], extent: Extent) -> None:
     for name, count in indexed.items():
         if count != counts[name]:
             bag.note(f'{name}: {counts[name]} of {count} messages were read')
-    if bag.recording or not bag.information:
+    said = bag.information
+    if bag.recording or said is None:
         return
-    told = bag.information
-    try:
-        total = int(told['message_count'])
-        counted = {
-            str(entry['topic_metadata']['name']): int(entry['message_count'])
-            for entry in told['topics_with_message_count']
-        }
-        start = int(told['starting_time']['nanoseconds_since_epoch'])
-        duration = int(told['duration']['nanoseconds'])
-    except (KeyError, TypeError, ValueError):
-        bag.note(f'{FILE} does not tell the counts and times of messages')
-        return
-    if total != extent.messages:
-        bag.note(f'{FILE} tells of {total} messages, and {extent.messages} were read')
+    if said.message_count != extent.messages:
+        bag.note(f'{FILE} tells of {said.message_count} messages, and {extent.messages} were read')
         return  # so that the rest differs too, as in a recording that was not closed
-    for name in sorted(counted.keys() | counts.keys()):
-        if counted.get(name, 0) not in (counts[name], indexed.get(name)):
-            bag.note(f'{name}: {FILE} tells of {counted.get(name, 0)}, {counts[name]} were read')
-    if (start, duration) != (extent.first, extent.duration):
+    told = {
+        each.topic_metadata.name: each.message_count for each in said.topics_with_message_count
+    }
+    for name in sorted(told.keys() | counts.keys()):
+        if told.get(name, 0) not in (counts[name], indexed.get(name)):
+            bag.note(f'{name}: {FILE} tells of {told.get(name, 0)}, {counts[name]} were read')
+    times = said.starting_time.nanoseconds_since_epoch, said.duration.nanoseconds
+    if times != (extent.first, extent.duration):
         bag.note(f'{FILE} tells of another beginning or duration than its messages')
 
 

@@ -37,7 +37,7 @@ from mcap.summary import Summary
 from mcap.writer import MCAP0_MAGIC
 import zstandard
 
-OffsetCallback = Callable[[int], object]  # takes the offset up to which a file was read
+ReadCallback = Callable[[int, int], object]  # takes how much is read, and of how much
 ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'
 _PACKED_MAGIC = {
     '.zst': ZSTD_MAGIC,
@@ -91,13 +91,17 @@ class McapFile:
         return channel is not None and channel.schema_id in {0, *self.summary.schemas}
 
 
+def ignore_progress(*_: object) -> None:
+    """Show no progress."""
+
+
 def open_file(
-    path: Path, on_offset: OffsetCallback = lambda _: None, *, growing: bool = False
+    path: Path, on_read: ReadCallback = ignore_progress, *, growing: bool = False
 ) -> McapFile:
     """
     Find out what a file holds.
 
-    :param on_offset: is called while a file without an index is scanned.
+    :param on_read: is called while a file without an index is scanned.
     :param growing: the file is being written.
     :raises BagError: the file cannot be read, is empty, or is not an MCAP file.
     """
@@ -115,7 +119,7 @@ def open_file(
                 indexed, problem = False, f'its index is damaged: {error}'
             if not indexed:
                 file = McapFile(path, growing)
-                if _scan(file, stream, on_offset) and problem:
+                if _scan(file, stream, on_read) and problem:
                     file.note(problem)
             return file
     except OSError as error:
@@ -158,7 +162,7 @@ def _read_summary(file: McapFile, stream: BinaryIO) -> bool:
     return bool(summary.chunk_indexes and file.counts) and all(map(file.describes, file.counts))
 
 
-def _scan(file: McapFile, stream: BinaryIO, on_offset: OffsetCallback) -> bool:
+def _scan(file: McapFile, stream: BinaryIO, on_read: ReadCallback) -> bool:
     """Read a file without an index up to its end, or to damage; return whether it has an end."""
     size, at, closed = stream.seek(0, SEEK_END), MAGIC_SIZE, False
     stream.seek(0)
@@ -168,7 +172,7 @@ def _scan(file: McapFile, stream: BinaryIO, on_offset: OffsetCallback) -> bool:
             _add(file, record, at, stream.tell())
             at = stream.tell()
             closed = closed or isinstance(record, DataEnd)
-            on_offset(at)
+            on_read(at, size)
     except (
         EndOfFile,
         RecordLengthLimitExceeded,
@@ -241,12 +245,13 @@ def read_chunk(stream: BinaryIO, index: ChunkIndex) -> list[Message]:
     return [each for each in breakup_chunk(chunk, validate_crc=True) if isinstance(each, Message)]
 
 
-def check_bytes(path: Path, on_offset: OffsetCallback = lambda _: None) -> str:
+def check_bytes(path: Path, on_read: ReadCallback = ignore_progress) -> str:
     """Compare all bytes of a closed file with the checksum over them; return what is wrong."""
+    size = path.stat().st_size
     with path.open('rb') as stream:
         try:
             for _ in StreamReader(stream, emit_chunks=True, validate_crcs=True).records:
-                on_offset(stream.tell())
+                on_read(stream.tell(), size)
         except DAMAGE as error:
             return str(error)
     return ''

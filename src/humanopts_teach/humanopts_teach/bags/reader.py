@@ -2,7 +2,7 @@
 
 from bisect import bisect_left
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator
 from contextlib import ExitStack
 from functools import cached_property, partial
 from operator import itemgetter
@@ -12,18 +12,27 @@ from typing import Any, NamedTuple, TypeVar
 from humanopts_ros.limits import parse_json, shown
 from humanopts_ros.recording import INTERFACES, own_name
 from humanopts_ros.senders import GAME_TOPICS, sender_of, signer
-from humanopts_ros.text_files import parse_yaml, YamlError
+from humanopts_ros.text_files import FileError, parse_yaml
 from humanopts_teach.bags import BagError
 from humanopts_teach.bags.mcap_file import (
     check_bytes,
     DAMAGE,
+    ignore_progress,
     McapFile,
     open_file,
     read_attachment,
     read_chunk,
+    ReadCallback,
     ZSTD_MAGIC,
 )
-from humanopts_teach.bags.rosbag2 import convert, FILE, find_files, Topic
+from humanopts_teach.bags.rosbag2 import (
+    check_information,
+    convert,
+    FILE,
+    find_files,
+    Information,
+    Topic,
+)
 from humanopts_teach.bags.schemas import Decoder, make_decoder
 from humanopts_teach.bags.sequence_numbers import read_stamp
 from humanopts_teach.bags.writer import (
@@ -47,12 +56,7 @@ GAME_STATE = f'{INTERFACES}msg/GameState'
 LESSON_STATE = f'{INTERFACES}msg/LessonState'
 MOST_NOTES = 1000  # kinds of damage that are kept
 _UNDECODABLE = (*DAMAGE, IndexError, TypeError, AttributeError)  # what bytes of another type raise
-ReadCallback = Callable[[int, int], object]  # takes how many bytes are read, and of how many
 T = TypeVar('T')
-
-
-def ignore_progress(*_: object) -> None:
-    """Show no progress."""
 
 
 class Recorded(NamedTuple):
@@ -76,7 +80,7 @@ class Bag:
     """
     A bag that was opened; it can be read any number of times.
 
-    :ivar information: the contents of metadata.yaml; {}: there is none.
+    :ivar information: what metadata.yaml says; None: it is missing or damaged.
     :ivar on_read: called in every pass.
     :ivar files: the MCAP files.
     :ivar metadata: the MCAP metadata records by name.
@@ -88,7 +92,7 @@ class Bag:
     """
 
     def __init__(
-        self, path: Path, files: list[McapFile], information: dict[str, Any], damage: list[str]
+        self, path: Path, files: list[McapFile], information: Information | None, damage: list[str]
     ) -> None:
         self.path = path
         self.information = information
@@ -160,10 +164,9 @@ class Bag:
 
     def compare_bytes(self) -> None:
         """Compare every file with the checksum over it; ``damage`` says where they differ."""
-        report = _by_file(self.files, self.on_read)
-        for number, file in enumerate(self._files):
+        for file in self._files:
             closed = not (file.growing or file.damage)  # else there is no checksum to compare with
-            if closed and (fault := check_bytes(file.path, partial(report, number))):
+            if closed and (fault := check_bytes(file.path, self.on_read)):
                 self.note(f'{file.path.name}: {fault}')
 
     @property
@@ -335,10 +338,9 @@ class Bag:
                 )
             batches.sort(key=itemgetter(0))
             starts = [*(start for start, _ in batches[1:]), (ALWAYS[1], 0, 0)]
-            report = _by_file(self.files, self.on_read)
             held: list[tuple[int, int, int, int, Message]] = []  # time, file, offset, place in it
-            for ((_, number, offset), read), following in zip(batches, starts):
-                report(number, offset)
+            for place, ((_, number, offset), read) in enumerate(batches):
+                self.on_read(place, len(batches))
                 messages = []
                 try:
                     messages = read()
@@ -346,13 +348,13 @@ class Bag:
                     what = f'the chunk at byte {offset} is damaged and left out: {error}'
                     self.note(f'{self.files[number].name}: {what}')
                 held += (
-                    (message.log_time, number, offset, place, message)
-                    for place, message in enumerate(messages)
+                    (message.log_time, number, offset, order, message)
+                    for order, message in enumerate(messages)
                     if message.channel_id in wanted[number]
                     and between[0] <= message.log_time <= between[1]
                 )
                 held.sort()
-                due = bisect_left(held, following)
+                due = bisect_left(held, starts[place])
                 for _, file_number, _, _, message in held[:due]:
                     topic = wanted[file_number][message.channel_id]
                     yield Recorded(
@@ -460,15 +462,15 @@ class Bag:
         for file in self._files:
             if file.metadata.get(RECORD, facts) != facts:
                 self.note(f'{file.path.name} has other facts than the last file')
-        copies = {FILE: self.information} if self.information else {}
+        copies = {FILE: self.information}
         try:
-            own = parse_yaml(self.metadata.get(SELF, {}).get(SELF_TEXT, ''))
-            copies.update({f'the record {SELF}': own} if isinstance(own, dict) else {})
-        except YamlError:
+            if text := self.metadata.get(SELF, {}).get(SELF_TEXT, ''):
+                copies[f'the record {SELF}'] = check_information(parse_yaml(text))
+        except FileError:
             self.note(f'the record {SELF} is damaged')
         for place, copy in copies.items():
-            told = copy.get('custom_data')
-            if told and told != facts:  # other programs leave it out, which loses nothing
+            # Other programs leave the facts out, which loses nothing.
+            if copy is not None and copy.custom_data and copy.custom_data != facts:
                 self.note(f'{place} and the record {RECORD} differ: one of them is damaged')
 
 
@@ -481,20 +483,19 @@ def open_bag(
     A file that was cut short or not closed is opened with all that is whole in it; ``Bag.damage``
     then says what is wrong. One that is being recorded is opened with what is on the disk so far.
 
-    :param on_read: is called with the bytes read so far in every pass over the bag, the first of
-        which finds the messages of a file without an index.
+    :param on_read: is called with how much is read, and of how much, in every pass over the bag;
+        the first of which finds the messages of a file without an index.
     :param namespace: of the graph to read, where the bag holds several; empty: the bag's own.
     :raises BagError: there is nothing, it is empty, was written by another program, or holds no
         humanopts topics and was not begun by our recorder.
     """
     path = Path(path)
     paths, information, damage = find_files(path)
-    report = _by_file(paths, on_read)
     files, errors = [], []
-    for number, file in enumerate(paths):
+    for file in paths:
         try:
             growing = is_being_written(file)  # asked before reading: it may be closed meanwhile
-            files.append(open_file(file, partial(report, number), growing=growing))
+            files.append(open_file(file, on_read, growing=growing))
         except BagError as error:
             errors.append(error)
     if not files:
@@ -512,11 +513,3 @@ def open_bag(
         raise BagError(f'each message of {path} is compressed; {convert(path)}')
     bag.on_read = on_read
     return bag
-
-
-def _by_file(files: Sequence[Path], on_read: ReadCallback) -> Callable[[int, int], object]:
-    """Return what takes the number of a file and the offset up to which it is read."""
-    sizes = [file.stat().st_size if file.exists() else 0 for file in files]
-    total = sum(sizes)
-    before = [sum(sizes[:number]) for number in range(len(sizes))]
-    return lambda number, offset: on_read(before[number] + offset, total)

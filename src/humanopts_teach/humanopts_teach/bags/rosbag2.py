@@ -1,16 +1,23 @@
 """A rosbag2 directory (version 9, Jazzy): its metadata.yaml and its MCAP files."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import islice
 from pathlib import Path
 from shlex import quote
 from textwrap import indent
-from typing import Any
+from typing import Any, NoReturn
 
-from humanopts_ros.text_files import FileError, MAX_YAML, parse_yaml, read_text, YamlError
+from humanopts_ros.text_files import (
+    fault_in,
+    FileError,
+    MAX_YAML,
+    parse_yaml,
+    read_text,
+    YamlError,
+)
 from humanopts_teach.bags import BagError
+from pydantic import BaseModel, ConfigDict, ValidationError
 import yaml
 
 FILE = 'metadata.yaml'
@@ -156,60 +163,126 @@ PACKED = {  # what decompresses a file, by its suffix
     '.xz': 'xz -d',
     '.lz4': 'lz4 -d',
 }
-MOST_FILES = 100_000  # larger numbers in a file's name are not taken for its place
-_MOST_GAPS = 100  # missing files that are named
-_MOST_DIGITS = 9  # of a file's number
-_MOST_NAMED = 3  # bags below a folder that are named in an error message
+_MAX_NAMED = 3  # bags below a folder that are named in an error message
 
 
-def find_files(path: Path) -> tuple[list[Path], dict[str, Any], list[str]]:
+class _Values(BaseModel):
+    model_config = ConfigDict(strict=True, frozen=True)
+
+
+class _StartingTime(_Values):
+    nanoseconds_since_epoch: int
+
+
+class _Duration(_Values):
+    nanoseconds: int
+
+
+class _TopicMetadata(_Values):
+    name: str
+
+
+class _TopicCount(_Values):
+    topic_metadata: _TopicMetadata
+    message_count: int
+
+
+class Information(_Values):
+    """What metadata.yaml says of a bag."""
+
+    relative_file_paths: list[str]
+    starting_time: _StartingTime
+    duration: _Duration
+    message_count: int
+    topics_with_message_count: list[_TopicCount]
+    custom_data: dict[str, Any] | None = None
+
+
+def find_files(path: Path) -> tuple[list[Path], Information | None, list[str]]:
     """
     Find the files of a bag.
 
-    :return: the files in order; the contents of metadata.yaml, {} where it is missing or damaged;
-        what is wrong with either, in words.
+    :return: the files in order; what metadata.yaml says, None where it is missing or damaged; what
+        is wrong with either, in words.
     :raises BagError: the path does not exist, or there is no MCAP file.
     """
     if path.is_file():
-        return [path], {}, []
+        return [path], None, []
     if not path.is_dir():
         raise BagError(f'there is no bag at {path}')
-    found = sorted(path.glob('*.mcap'), key=_place)
-    information, damage = _information(path / FILE)
+    found = sorted(path.glob('*.mcap'))
     if not found:
-        _check_storage(path, information)
-    listed = [path / Path(str(name)).name for name in information.get('relative_file_paths', [])]
+        _refuse(path)
+    try:
+        information = _read_information(path / FILE)
+    except FileError as error:
+        return found, None, [str(error)]
+    listed = [path / Path(name).name for name in information.relative_file_paths]
     packed = [file for file in listed if file.suffix in PACKED and file.exists()]
-    damage += [f'{file.name} is left out: {unpack(file, file.suffix)}' for file in packed]
-    missing = [file for file in listed if file not in [*found, *packed]]
-    unlisted = [file for file in found if file not in listed] if listed else []
-    damage += [f'{file.name} is in {FILE} but is not there' for file in missing]
-    damage += [f'{file.name} is not in {FILE}, and is read too' for file in unlisted]
-    damage += [f'{name} is not there, and later files are' for name in _gaps([*found, *listed])]
-    files = [*dict.fromkeys(file for file in listed if file in found), *unlisted] or found
-    if not files:
-        raise BagError(f'{path} is not a bag: there is no MCAP file in it{_below(path)}')
-    return files, information, damage
+    unlisted = [file for file in found if file not in listed]
+    files = [*dict.fromkeys(file for file in listed if file in found), *unlisted]
+    return (
+        files,
+        information,
+        [
+            *(f'{file.name} is left out: {unpack(file, file.suffix)}' for file in packed),
+            *(
+                f'{file.name} is in {FILE} but is not there'
+                for file in listed
+                if file not in [*found, *packed]
+            ),
+            *(f'{file.name} is not in {FILE}, and is read too' for file in unlisted),
+        ],
+    )
 
 
-def _check_storage(path: Path, information: Mapping[str, Any]) -> None:
+def _read_information(path: Path) -> Information:
     """
-    Refuse a bag whose messages are not in MCAP files, or in compressed ones.
+    Read metadata.yaml.
 
-    :raises BagError: the text says what it is, and how to convert it.
+    :raises FileError: it is missing or damaged.
+    """
+    text = read_text(path, MAX_YAML)
+    try:
+        document = parse_yaml(text)
+        return check_information(document.get(ROOT) if isinstance(document, dict) else None)
+    except FileError as error:
+        raise FileError(f'{path.name} is damaged: {error}') from error
+
+
+def check_information(values: Any) -> Information:
+    """
+    Return what metadata.yaml says, from its values below ``ROOT``.
+
+    :raises FileError: a value is missing or of another type.
+    """
+    try:
+        return Information.model_validate(values)
+    except ValidationError as error:
+        raise FileError(fault_in(error)) from None
+
+
+def _refuse(path: Path) -> NoReturn:
+    """
+    Say what a folder without MCAP files is, and how to make a bag of it.
+
+    :raises BagError: always.
     """
     files = sorted(file for file in path.iterdir() if file.is_file())
     packed = [file.name for file in files if file.suffix in PACKED]
-    storage = str(information.get('storage_identifier', 'mcap'))
     if any('.db3' in file.suffixes for file in files):
-        storage = 'sqlite3'
-    compressed = f', with compressed files such as {packed[0]}' if packed else ''
-    if storage != 'mcap':
-        raise BagError(f'{path} is a bag in {storage} format{compressed}; {convert(path)}')
+        compressed = f', with compressed files such as {packed[0]}' if packed else ''
+        raise BagError(f'{path} is a bag in sqlite3 format{compressed}; {convert(path)}')
     if packed:
         raise BagError(f'the files of {path} are compressed, such as {packed[0]}; {convert(path)}')
     if any(file.suffix == '.bag' for file in files):
         raise BagError(f'{path} holds a bag of ROS 1; {convert(path)}')
+    below = [*path.glob(f'*/{FILE}'), *path.glob(f'*/*/{FILE}')]
+    below.sort(key=lambda file: file.parent.stat().st_mtime, reverse=True)
+    more = f' and {len(below) - _MAX_NAMED} more' if len(below) > _MAX_NAMED else ''
+    named = ', '.join(str(file.parent) for file in below[:_MAX_NAMED]) + more
+    hint = f'; bags below it: {named}' if below else ''
+    raise BagError(f'{path} is not a bag: there is no MCAP file in it{hint}')
 
 
 def convert(path: Path) -> str:
@@ -230,53 +303,3 @@ def unpack(path: Path, suffix: str) -> str:
     new = path.with_suffix('') if path.suffix in PACKED else path.with_name(f'new-{path.name}')
     command = f'{PACKED[suffix]} -c < {quote(str(path))} > {quote(str(new))}'
     return f'it is compressed; decompress it: {command}'
-
-
-def _below(path: Path) -> str:
-    """Name the bags up to two levels below a folder, newest first; empty: there are none."""
-    there = [*path.glob(f'*/{FILE}'), *path.glob(f'*/*/{FILE}')]
-    newest = sorted(
-        (file.parent for file in there), key=lambda bag: bag.stat().st_mtime, reverse=True
-    )
-    if not newest:
-        return ''
-    more = f' and {len(newest) - _MOST_NAMED} more' if len(newest) > _MOST_NAMED else ''
-    return f'; bags below it: {", ".join(map(str, newest[:_MOST_NAMED]))}{more}'
-
-
-def _place(file: Path) -> tuple[str, int]:
-    """Return the name of a file without its number, and the number: NAME_2.mcap is the third."""
-    name, _, number = file.stem.rpartition('_')
-    counted = number.isdecimal() and len(number) <= _MOST_DIGITS
-    return (name, int(number)) if counted else (file.stem, -1)
-
-
-def _gaps(files: Sequence[Path]) -> list[str]:
-    """Return the names of files whose numbers are missing among the others, up to a limit."""
-    found: dict[str, set[int]] = {}
-    for name, number in map(_place, files):
-        found.setdefault(name, set()).add(number)
-    missing = (
-        f'{name}_{number}.mcap'
-        for name, numbers in found.items()
-        if 0 in numbers
-        for number in range(min(max(numbers), MOST_FILES))
-        if number not in numbers
-    )
-    return list(islice(missing, _MOST_GAPS))
-
-
-def _information(path: Path) -> tuple[dict[str, Any], list[str]]:
-    """Return the contents of metadata.yaml, and what is wrong with it; {} if it is unusable."""
-    try:
-        values = parse_yaml(read_text(path, MAX_YAML))
-    except YamlError as error:
-        return {}, [f'{path.name} is damaged: {error}']
-    except FileError as error:
-        return {}, [str(error)]
-    information = values.get(ROOT) if isinstance(values, dict) else None
-    if not isinstance(information, dict):
-        return {}, [f'{path.name} is not that of a bag']
-    if not isinstance(information.get('relative_file_paths', []), list):
-        return {}, [f'{path.name} is damaged']
-    return information, []

@@ -211,7 +211,8 @@ def play(
     """Play an episode again in this terminal; as plain text where this is no terminal."""
     from humanopts_env.domains.base import StateError
     from humanopts_teach.bags.contents import actors_in, find_episodes, read_domain
-    from humanopts_teach.bags.reader import ignore_progress, open_bag
+    from humanopts_teach.bags.mcap_file import ignore_progress
+    from humanopts_teach.bags.reader import open_bag
     from humanopts_teach.terminal.device import Device, why_not
     from humanopts_teach.terminal.replay import Replay
 

@@ -34,8 +34,9 @@ from humanopts_learner.summary import OptionSummary
 from humanopts_ros.limits import parse_json
 from humanopts_teach.bags import BagError
 from humanopts_teach.bags.contents import read_demonstrations, read_domain
+from humanopts_teach.bags.mcap_file import ignore_progress
 from humanopts_teach.bags.provenance import software, UNKNOWN
-from humanopts_teach.bags.reader import Bag, ignore_progress, open_bag
+from humanopts_teach.bags.reader import Bag, open_bag
 from humanopts_teach.evaluation import ProgressCallback
 from humanopts_teach.evaluation.games import evaluate_games, GAMES, GamesEvaluation
 from humanopts_teach.evaluation.settings import Settings, settings_from_facts

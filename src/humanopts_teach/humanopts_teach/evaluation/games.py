@@ -32,7 +32,7 @@ from humanopts_learner.planning.sampled.action_set import ActionSet
 from humanopts_learner.planning.sampled.games import play_games
 from humanopts_learner.planning.sampled.plan import make_sampled_plan, SampledPlan
 from humanopts_learner.planning.sampled.policies import UniformPolicy
-from humanopts_teach.bags.reader import ignore_progress
+from humanopts_teach.bags.mcap_file import ignore_progress
 from humanopts_teach.evaluation import ProgressCallback
 from humanopts_teach.evaluation.side_by_side import all_of
 from humanopts_teach.evaluation.tables import finite_parts, records, table

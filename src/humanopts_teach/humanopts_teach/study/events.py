@@ -9,8 +9,9 @@ from dataclasses import dataclass, field
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 from humanopts_ros.limits import composed, parse_json
+from humanopts_ros.text_files import fault_in
 from humanopts_teach.lesson.store import CODE
-from humanopts_teach.study.plan import fault_in, Kind, MAX_POINTS
+from humanopts_teach.study.plan import Kind, MAX_POINTS
 from pydantic import (
     AfterValidator,
     BaseModel,

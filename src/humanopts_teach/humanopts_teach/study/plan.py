@@ -18,7 +18,7 @@ from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import check_method
 from humanopts_learner.options.start_states import STRATEGIES
 from humanopts_ros.limits import shown
-from humanopts_ros.text_files import FileError, read_text, read_yaml
+from humanopts_ros.text_files import fault_in, FileError, read_text, read_yaml
 from humanopts_teach.lesson import BUDGET, METHOD, STRATEGY
 from pydantic import (
     AfterValidator,
@@ -46,25 +46,6 @@ MAX_MINUTES = 10**6
 
 class PlanFileError(ValueError):
     """A plan cannot be used; the text names the place and says why."""
-
-
-def fault_in(error: ValidationError, known: Iterable[str] = ()) -> str:
-    """
-    Return the first thing that is wrong with the values of a file, in one line.
-
-    :param known: keys that the file may have.
-    """
-    first = error.errors(include_url=False)[0]
-    place = ' '.join(str(each + 1 if isinstance(each, int) else each) for each in first['loc'])
-    why = re.sub('^Value error, ', '', first['msg']).replace('Input should', 'it should')
-    given = first['input']
-    if first['type'] == 'extra_forbidden':
-        why = f'unknown key; use {", ".join(known)}' if known else 'unknown key'
-    elif not isinstance(given, dict | list):
-        why += f', not {shown(json.dumps(given, ensure_ascii=False), 60)}'
-    if first['type'] == 'string_type' and isinstance(given, bool | float):
-        why += ': put it in quotes'
-    return shown(f'{place}: {why}' if place else why)
 
 
 class _Values(BaseModel):

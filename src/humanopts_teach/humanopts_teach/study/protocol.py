@@ -14,7 +14,8 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 from humanopts_learner.append_only_log import AppendOnlyLog, read_lines
 from humanopts_ros.limits import MOST_JSON
-from humanopts_teach.study.plan import fault_in, StudyPlan
+from humanopts_ros.text_files import fault_in
+from humanopts_teach.study.plan import StudyPlan
 from pydantic import BaseModel, ConfigDict, Field, model_validator, ValidationError
 
 FILE = 'protocol.jsonl'
