@@ -11,7 +11,6 @@ from humanopts_interfaces.msg import ActionCommand, GameState, OptionResult
 from humanopts_learner.demonstrations import (
     check_demonstration,
     Demonstration,
-    DemonstrationError,
 )
 from humanopts_learner.ros.convert import demonstration_to_message
 from humanopts_teach.bags import BagError
@@ -23,8 +22,8 @@ from humanopts_teach.bags.contents import (
     read_episodes,
 )
 from humanopts_teach.bags.info import summarise
-from humanopts_teach.bags.reader import MOST_NOTES, open_bag
-from humanopts_teach.bags.sequence_numbers import MOST_GAPS, read_stamp, Stamp, Stream
+from humanopts_teach.bags.reader import open_bag
+from humanopts_teach.bags.sequence_numbers import read_stamp, Stamp, Stream
 from humanopts_teach.bags.writer import BagWriter, GAME, GAME_IDS
 from humanopts_teach.report.episode import read_last_episode
 from hypothesis import given, strategies
@@ -57,16 +56,6 @@ def test_a_demonstration_of_no_kind_is_left_out_and_said(
     )
     assert read_demonstrations(bag) == [taxi_lesson[1]]
     assert 'left out' in bag.damage
-
-
-def test_features_that_make_no_whole_rows_are_refused_as_live(
-    tmp_path: Path, taxi: Domain[Any], taxi_lesson: list[Demonstration]
-) -> None:
-    broken = demonstration_to_message(taxi_lesson[0])
-    broken.features.pop()
-    (found,) = read_demonstrations(write_messages(tmp_path / 'bag', [('/demonstrations', broken)]))
-    with pytest.raises(DemonstrationError, match='rows'):
-        check_demonstration(found, taxi)
 
 
 def test_a_bag_without_demonstrations_says_so(tmp_path: Path) -> None:
@@ -149,9 +138,7 @@ def test_a_stream_counts_like_a_set(numbers: list[int]) -> None:
     distinct, last = set(numbers), max(numbers)
     assert (stream.first, stream.last, stream.received) == (min(distinct), last, len(distinct))
     assert stream.duplicates == len(numbers) - len(distinct)
-    gaps = [n for low, high in stream._gaps for n in range(low, high + 1)]
-    assert gaps == [n for n in range(1, last) if n not in distinct]
-    assert stream.missing == len(gaps)
+    assert stream.missing == last - len(distinct)
 
 
 def test_the_last_episode_is_of_the_chosen_game_even_where_two_count_alike(
@@ -236,24 +223,6 @@ def games(taxi: Domain[Any]) -> list[tuple[str, GameState]]:
     return entries
 
 
-def test_episodes_that_are_read_when_asked_for_are_those_that_are_read_in_order(
-    tmp_path: Path, taxi: Domain[Any]
-) -> None:
-    bag = write_messages(tmp_path / 'bag', games(taxi))
-    listed, found = list(read_episodes(bag)), find_episodes(bag)
-    assert [len(episode.transitions) for episode in listed] == [3, 2, 4, 2]
-    assert [found[place]() for place in (3, 1, 0, 2)] == [listed[place] for place in (3, 1, 0, 2)]
-    assert len(found) == len(listed)
-
-
-def test_damage_of_ever_other_kinds_takes_little_room(tmp_path: Path) -> None:
-    bag = write_messages(tmp_path / 'bag', [('/game_state', numbered(1))])
-    for number in range(10 * MOST_NOTES):
-        bag.note(f'kind {number}')
-    assert len(bag.damage.splitlines()) == MOST_NOTES + 1
-    assert bag.damage.endswith('and more of the kind')
-
-
 def test_an_episode_of_which_nothing_can_be_read_has_no_place(
     tmp_path: Path, taxi: Domain[Any]
 ) -> None:
@@ -262,7 +231,8 @@ def test_an_episode_of_which_nothing_can_be_read_has_no_place(
         state.action_source = 77
     bag = write_messages(tmp_path / 'bag', entries)
     assert [episode.number for episode in read_episodes(bag)] == [1, 3, 1]
-    assert [read() for read in find_episodes(bag)] == list(read_episodes(bag))
+    episodes, found = list(read_episodes(bag)), find_episodes(bag)
+    assert [found[place]() for place in (2, 0, 1)] == [episodes[place] for place in (2, 0, 1)]
     assert '77 is not a valid Source' in bag.damage
 
 
@@ -274,16 +244,6 @@ def test_a_state_after_a_later_episode_is_left_out_and_said(
     bag = write_messages(tmp_path / 'bag', [*entries, late])
     assert [len(episode.transitions) for episode in read_episodes(bag)] == [2, 2, 4, 2]
     assert 'after a later episode are left out' in bag.damage
-
-
-def test_more_gaps_than_are_kept_hide_no_loss() -> None:
-    stream = Stream()
-    for number in range(2, 6 * MOST_GAPS, 2):
-        stream.add(number)
-    lost = stream.missing
-    stream.add(1)  # so late that its gap is not kept
-    assert (stream.missing, stream.duplicates, stream.late) == (lost, 1, 0)
-    assert len(stream._gaps) <= 2 * MOST_GAPS
 
 
 def forged(taxi: Domain[Any], publisher: str) -> list[tuple[str, Any]]:

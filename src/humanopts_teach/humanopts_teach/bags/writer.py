@@ -89,7 +89,7 @@ class _File:
             compression=CompressionType.ZSTD,
             enable_data_crcs=True,
         )
-        # The package has no public way; a test of the memory fails where it changes this name.
+        # The package has no public way.
         vars(self.writer)['_Writer__chunk_indices'] = _PackedChunkIndexes()
         try:
             self.writer.start(profile='ros2', library=LIBRARY)
