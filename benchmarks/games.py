@@ -3,11 +3,10 @@
 from collections.abc import Callable
 from typing import Any
 
-from humanopts_env.domains.base import Domain, is_enumerable
+from humanopts_env.domains.base import Domain
 from humanopts_env.domains.registry import make_domain
-from humanopts_env.domains.tabular_games import TabularGames
+from humanopts_env.games import new_games
 from humanopts_env.seeding import generator
-from humanopts_learner.planning.request import batch_games
 import numpy as np
 import pytest
 
@@ -28,16 +27,14 @@ def bench_steps(benchmark: Any, domain: str, features: bool, together: bool) -> 
 
 def _side_by_side(domain: Domain[Any], features: bool) -> Callable[[], None]:
     """Return a function that takes a step of each game."""
-    games = TabularGames(domain) if is_enumerable(domain) else batch_games(domain)
     rng = generator(1, 'benchmark', 'games')
-    batch = games.batch_reset(STEPS, rng)
+    games = new_games(domain, STEPS, rng)
 
     def step() -> None:
-        games.batch_step(batch, rng.integers(len(domain.actions), size=STEPS), rng)
+        steps = games.step(rng.integers(len(domain.actions), size=STEPS), rng)
         if features:
-            games.batch_features(batch)
-        over = np.flatnonzero(games.batch_over(batch))
-        games.batch_put(batch, over, games.batch_reset(len(over), rng))
+            games.features()
+        games.reset(np.flatnonzero(steps.over), rng)
 
     return step
 

@@ -13,14 +13,14 @@ import math
 from typing import Any
 
 from humanopts_env.domains.base import Domain, EnumerableDomain, is_enumerable
-from humanopts_env.domains.pacman.baselines import INTERRUPTED
-from humanopts_env.domains.pacman.baselines import PRIMITIVE as PRIMITIVE_SETTINGS
+from humanopts_env.domains.capabilities import HasBaselines
 from humanopts_env.domains.registry import make_domain
+from humanopts_env.games import TableGames
 from humanopts_env.seeding import generator
+from humanopts_learner.execution import play
 from humanopts_learner.options.option import LearnedOption, TabularOption, tabulate
-from humanopts_learner.options.rollout import tabular_rollouts
-from humanopts_learner.planning.evaluate import play, Returns
-from humanopts_learner.planning.exact import ExactPlan, make_exact_plan
+from humanopts_learner.planning.evaluate import AnyAvailable, play_plan, Returns
+from humanopts_learner.planning.exact import ExactPlan, make_exact_plan, option_table
 from humanopts_learner.planning.interruption import as_executed, policy_values
 from humanopts_learner.planning.plan import AnyPlan
 from humanopts_learner.planning.request import (
@@ -35,11 +35,9 @@ from humanopts_learner.planning.request import (
     Sampling,
 )
 from humanopts_learner.planning.sampled.action_set import ActionSet
-from humanopts_learner.planning.sampled.games import play_games
 from humanopts_learner.planning.sampled.plan import (
     make_sampled_plan,
-    make_sampled_plans,
-    play_in_step,
+    play_games,
 )
 from humanopts_learner.planning.sampled.policies import UniformPolicy
 from humanopts_teach.evaluation.games import carried_over
@@ -252,7 +250,7 @@ def choose_by_chance(
             done = returns.successes
         else:
             actions, games = ActionSet(domain, HUMAN, options), _seed_for(seed, 'games', number)
-            policy = UniformPolicy(actions)
+            policy = UniformPolicy(generator(seed, 'table 2', 'chance', number))
             returns = play_games(actions, policy, domain.gamma, games, effort.games)
             done = returns.outcomes['cleared']
         rows.append(_record(0, None, returns, done))
@@ -265,31 +263,11 @@ def play_states_by_chance(
     rng: np.random.Generator,
 ) -> Returns:
     """Play an episode from every start state of a domain in which every action has one outcome."""
-    everywhere = np.ones(domain.n_states, dtype=np.bool_)
-    tables = [tabulate(option, domain) for option in options]
-    tables += [
-        TabularOption(action.name, 1, np.full(domain.n_states, index), everywhere, everywhere)
-        for index, action in enumerate(domain.actions)
-    ]
-    can = np.array([table.initiation for table in tables])  # (O + A, S)
-    can[len(options) :] = ~can[: len(options)].any(axis=0)
-    longest = np.array([table.max_steps for table in tables])
-    at = domain.start_states().astype(np.intp)
-    returns, going = Returns.of_none(np.zeros(len(at), dtype=np.bool_)), np.arange(len(at))
-    while going.size:
-        draws = np.where(can[:, at[going]], rng.random((len(tables), len(going))), -1.0)
-        which = draws.argmax(axis=0)
-        limits = np.minimum(longest[which], domain.max_steps - returns.steps[going])
-        runs = tabular_rollouts(domain, tables, which, at[going], limits)
-        returns.total[going] += runs.total_reward
-        returns.steps[going] += runs.steps
-        returns.decisions[going] += 1
-        returns.fallbacks[going] += which >= len(options)
-        returns.successes[going] = runs.over
-        at[going] = runs.final
-        going = going[~runs.over & (returns.steps[going] < domain.max_steps)]
-    returns.discounted[:] = np.nan  # what a run earned is known, not when
-    return returns
+    action_set = HUMAN if options else PRIMITIVE
+    table = option_table(domain, action_set, [tabulate(option, domain) for option in options])
+    games = TableGames(domain, domain.start_states().astype(np.intp))
+    played = play(games, table, AnyAvailable(rng), rng, domain.max_steps, gamma=domain.gamma)
+    return Returns.of(played, domain.gamma, len(options))
 
 
 def _seed_for(seed: int, purpose: str, number: int = 0) -> int:
@@ -323,7 +301,7 @@ def plan_exactly(
         made = [make(max_sweeps) for _ in range(REPEATS)]
         made.sort(key=lambda pair: sum(getattr(pair[0], name) for name in SECONDS))
         plan, executed = made[REPEATS // 2]
-        returns = play(executed, domain.start_states())
+        returns = play_plan(executed, domain.start_states())
         return plan, _record(max_sweeps, plan, returns, returns.successes)
 
     curve, converged, sweeps = [], False, 1
@@ -341,21 +319,27 @@ def plan_exactly(
     return tables
 
 
-def settings_to_try(variant: Variant, gamma: float, count: int) -> list[PlanRequest]:
+def settings_to_try(variant: Variant, domain: Domain[Any], count: int) -> list[PlanRequest]:
     """
     Return requests without budgets, with the same settings for every variant.
 
-    The first are the usual ones. The second were found by hand with primitive actions, the third
-    and fourth with the reference options, in either kind of ghosts; the last look farther ahead.
-
-    :param gamma: the domain's own.
-    :param count: 1 to 5.
+    :param domain: its baselines say which columns primitive actions need.
+    :param count: 1 to 5; the first are the usual settings.
     """
-    by_hand = (PRIMITIVE_SETTINGS, *INTERRUPTED.values())
-    settings = [(gamma, {}), *((one.gamma, one.sampling) for one in by_hand), (0.985, {})]
+    settings: list[tuple[float, dict[str, Any]]] = [
+        *((domain.gamma, {}), (0.985, {}), (0.95, {'rounds': 16})),
+        *((0.985, {'min_samples': 2}), (0.985, {'interruption_margin': 30.0})),
+    ]
+    columns: tuple[str, ...] = ()
+    if variant.action_set == PRIMITIVE and isinstance(domain, HasBaselines):
+        columns = domain.baselines().primitive_columns
     return [
         PlanRequest(
-            variant.action_set, gamma, sampling=Sampling(**how), execution=variant.execution
+            variant.action_set,
+            gamma,
+            sampling=Sampling(**how),
+            columns=columns,
+            execution=variant.execution,
         )
         for gamma, how in settings[:count]
     ]
@@ -380,12 +364,12 @@ def plan_from_samples(
     few, most = effort.steps(variant)
 
     settings, search = (
-        settings_to_try(variant, domain.gamma, effort.tried),
+        settings_to_try(variant, domain, effort.tried),
         _seed_for(seed, 'search'),
     )
     asked = [replace(one, game_steps=few, seed=search) for one in settings]
-    candidates = make_sampled_plans(domain, options, asked)
-    searched = play_in_step([(plan, search, None) for plan in candidates], effort.search_games)
+    candidates = [make_sampled_plan(domain, options, one) for one in asked]
+    searched = [plan.play(search, effort.search_games) for plan in candidates]
     tried = [float(returns.total.mean()) for returns in searched]
     best = settings[int(np.argmax(tried))]
 
@@ -401,7 +385,7 @@ def plan_from_samples(
         for budget, number in zip(budgets, numbers)
     ]
     games = [_seed_for(seed, 'games', number) for number in numbers]
-    played = play_in_step([(plan, one, None) for plan, one in zip(made, games)], effort.games)
+    played = [plan.play(one, effort.games) for plan, one in zip(made, games)]
     records = [
         _record(budget, plan, returns, returns.outcomes['cleared'])
         for budget, plan, returns in zip(budgets, made, played)
@@ -412,15 +396,13 @@ def plan_from_samples(
         if variant == TO_END
         for plan, game, before in zip(made[-plans:], games[-plans:], played[-plans:])
     ]
-    stopped = [(plan, game, other.execution) for other, plan, game, _ in again]
+    stopped = [plan.play(game, effort.games, other.execution) for other, plan, game, _ in again]
     how = best.sampling
     setting = {
         'gamma': best.gamma,
         'rounds': how.rounds,
         'explore': how.explore,
         'min_samples': how.min_samples,
-        'penalty': how.penalty,
-        'pooling': how.shrinkage,
         'margin': how.interruption_margin,
         'return in the search': max(tried),
         'mean of all tried': float(np.mean(tried)),
@@ -431,6 +413,6 @@ def plan_from_samples(
         'settings': [setting],
         'gains': [
             {'carried out as': other.name, 'mean': float(now.total.mean() - then.total.mean())}
-            for (other, _, _, then), now in zip(again, play_in_step(stopped, effort.games))
+            for (other, _, _, then), now in zip(again, stopped)
         ],
     }

@@ -14,7 +14,7 @@ from humanopts_env.domains.base import is_enumerable
 from humanopts_env.domains.registry import make_domain, reference_options
 from humanopts_learner import load_option
 from humanopts_learner.options.option import options_from_references
-from humanopts_learner.planning.evaluate import play
+from humanopts_learner.planning.evaluate import play_plan
 from humanopts_learner.planning.plan import make_plan
 from humanopts_learner.planning.request import PlanRequest
 import pytest
@@ -62,7 +62,7 @@ def test_it_is_planned_in_by_its_name(size: int) -> None:
     human, primitive = (
         make_plan(domain, options, PlanRequest(name)) for name in ('human', 'primitive')
     )
-    returns = play(human, starts)
+    returns = play_plan(human, starts)
     assert returns.successes.all()
     assert (returns.decisions == 6).all()  # fill and water, three times
     assert returns.fallbacks.sum() == 0

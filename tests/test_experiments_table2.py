@@ -8,7 +8,7 @@ from typing import Any
 
 from graph_support.scripted import expert
 from humanopts_env.domains.pacman.domain import PacMan
-from humanopts_env.domains.registry import reference_options
+from humanopts_env.domains.registry import make_domain, reference_options
 from humanopts_env.domains.taxi import Taxi
 from humanopts_env.seeding import generator
 from humanopts_learner.automatic.extract import find_options, to_learned_options
@@ -90,7 +90,7 @@ def test_domains_that_nobody_in_the_bags_taught_are_left_out() -> None:
 
 
 def test_all_action_sets_try_the_same_settings_and_the_first_is_the_usual_one() -> None:
-    few, many = (settings_to_try(VARIANTS[0], 0.97, count) for count in (2, 5))
+    few, many = (settings_to_try(VARIANTS[0], make_domain('taxi'), count) for count in (2, 5))
     assert many[:2] == few
     assert many[0].sampling == Sampling()
     assert len(set(many)) == 5

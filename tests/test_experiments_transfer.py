@@ -7,6 +7,7 @@ from graph_support.scripted import expert
 from humanopts_env.domains.pacman.domain import PacMan
 from humanopts_env.domains.pacman.maze import load_maze
 from humanopts_env.domains.pacman.paths import maze_paths, STAY
+from humanopts_env.games import new_games
 from humanopts_env.seeding import generator
 from humanopts_learner.options.learn import learn_option
 from humanopts_teach.evaluation.games import Baseline, every_baseline
@@ -132,9 +133,7 @@ def test_mazes_are_those_of_the_seed_and_differ() -> None:
 
 def test_a_maze_is_played_to_the_end_by_random_moves() -> None:
     rng = generator(3, 'test', 'play')
-    games = PacMan(maze=random_maze(rng).text).batch_games()
-    batch = games.batch_reset(20, rng)
-    for _ in range(2000):
-        games.batch_step(batch, rng.integers(STAY, size=20), rng)
-    assert games.batch_over(batch).all()
-    assert batch.score.min() > 0
+    games = new_games(PacMan(maze=random_maze(rng).text), 20, rng)
+    gained = sum(games.step(rng.integers(STAY, size=20), rng).reward for _ in range(2000))
+    assert games.over().all()
+    assert min(gained) > 0

@@ -47,7 +47,7 @@ def numbers(world: str, seed: int) -> dict[str, Any]:
     option, rows = learn_option(demonstrations, domain, seed), domain.feature_table()
     judgement = judge(demonstrations, domain, Thresholds(), seed, option)
     found = {
-        'option': digest(option.greedy_action(rows), option.can_start(rows), option.ends(rows)),
+        'option': digest(option.action(rows), option.can_start(rows), option.ends(rows)),
         'criteria': [each.value for each in judgement.criteria],
         'mean return': [judgement.mean_return_demonstrations, judgement.mean_return_policy],
     }

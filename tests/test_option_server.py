@@ -20,10 +20,11 @@ from humanopts_interfaces.msg import (
     LearnedOption as OptionMessage,
 )
 from humanopts_interfaces.srv import ListOptions, QueryOption, RunOption, SetPace
-from humanopts_learner.execution import Run
+from humanopts_learner.option import Mode
 from humanopts_learner.options.files import option_to_json, save_option
 from humanopts_learner.options.learn import learn_option
-from humanopts_learner.options.option import LearnedOption, Mode
+from humanopts_learner.options.option import LearnedOption
+from humanopts_learner.run import Run
 from humanopts_ros.qos import STREAM
 import pytest
 from rclpy.parameter import Parameter
@@ -332,7 +333,7 @@ def test_a_query_answers_with_the_numbers_of_the_option(runs: Runs, name: str, t
     assert answer.termination == option.termination_probability(row)[0]
     assert answer.actions == [action.name for action in TAXI.actions]
     assert answer.action_probabilities.tolist() == option.action_probabilities(row)[0].tolist()
-    assert answer.greedy_action == TAXI.actions[option.greedy_action(row)[0]].name
+    assert answer.action == TAXI.actions[option.action(row)[0]].name
 
 
 def test_a_query_that_makes_no_sense_is_refused_in_words(runs: Runs) -> None:

@@ -10,7 +10,7 @@ from graph_support.player import PERSON
 from graph_support.scripted import FETCH, taught, TAXI
 from humanopts_interfaces.action import Plan, RunPolicy
 from humanopts_interfaces.msg import NodeStatus, PlanResult, PolicyResult
-from humanopts_learner.planning.evaluate import episode_starts, find_coverage, play
+from humanopts_learner.planning.evaluate import episode_starts, find_coverage, play_plan
 from humanopts_learner.planning.plan import judge_plan, make_plan
 from humanopts_learner.planning.request import PlanRequest
 from humanopts_ros.qos import CURRENT
@@ -38,7 +38,7 @@ def planning(at_work: Planning) -> Planning:
 def test_a_plan_is_the_plan_of_the_pure_code(planning: Planning, action_set: str) -> None:
     result = planning.plan(action_set, evaluation_episodes=EPISODES)
     plan = make_plan(TAXI, OPTIONS, PlanRequest(action_set))
-    returns = play(plan, episode_starts(TAXI, SEED, EPISODES))
+    returns = play_plan(plan, episode_starts(TAXI, SEED, EPISODES))
     assert result.status == PlanResult.STATUS_CONVERGED
     assert (result.action_set, tuple(result.option_names)) == (action_set, plan.names)
     assert (result.gamma, result.n_states) == (0.99, 500)
@@ -83,7 +83,7 @@ def test_some_of_the_options_can_be_planned_with(planning: Planning) -> None:
     result = planning.plan('human', options=[FETCH], evaluation_episodes=3)
     alone = make_plan(TAXI, FIRST_ONLY, PlanRequest('human'))
     assert tuple(result.option_names) == alone.names
-    returns = play(alone, episode_starts(TAXI, SEED, 3))
+    returns = play_plan(alone, episode_starts(TAXI, SEED, 3))
     assert result.fallbacks == returns.fallbacks.sum() > 0
     missing = find_coverage(alone)
     assert result.coverage_known
@@ -165,7 +165,7 @@ def test_playing_by_a_plan_is_what_the_pure_code_says(planning: Planning) -> Non
     planned = planning.plan('human')
     runs = [planning.play('human') for _ in range(2)]
     plan = make_plan(TAXI, OPTIONS, PlanRequest('human'))
-    returns = play(plan, episode_starts(TAXI, SEED, EPISODES))
+    returns = play_plan(plan, episode_starts(TAXI, SEED, EPISODES))
     for result in runs:
         assert result.status == PolicyResult.STATUS_DONE
         assert (result.episodes, result.successes) == (EPISODES, returns.successes.sum())
@@ -182,7 +182,7 @@ def test_fallbacks_are_counted(planning: Planning) -> None:
     planning.plan('human')
     result = planning.play('human', episodes=3)
     plan = make_plan(TAXI, FIRST_ONLY, PlanRequest('human'))
-    returns = play(plan, episode_starts(TAXI, SEED, 3))
+    returns = play_plan(plan, episode_starts(TAXI, SEED, 3))
     assert result.status == PolicyResult.STATUS_DONE
     assert result.fallbacks == returns.fallbacks.sum() > 0
     assert result.mean_return == returns.total.mean()

@@ -12,7 +12,7 @@ from humanopts_env.domains.registry import make_domain, parameters_json
 from humanopts_env.seeding import generator
 from humanopts_interfaces.msg import PlanResult, PolicyResult
 from humanopts_learner.library import OptionLibrary
-from humanopts_learner.options.option import LearnedOption, Mode
+from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.planning.evaluate import episode_start
 from humanopts_learner.planning.plan import AnyPlan, judge_plan, make_plan
 from humanopts_learner.planning.request import Execution, MODULAR, PlanRequest
@@ -116,16 +116,19 @@ def arbitrated(
         if MAZE.is_over(state):
             break
         seen = plan.actions.observe_state(state)
-        if column >= 0 and policy.stops(seen, np.array([column]), rng)[0]:
-            stopped, column = stopped + 1, -1
+        if column >= 0:
+            stops = policy.stops(seen, np.array([column]))
+            if stops is not None and stops[0]:
+                stopped, column = stopped + 1, -1
         if column < 0:
-            decisions, column = decisions + 1, int(policy(seen, rng).option[0])
+            choice = policy.choose(seen, np.zeros(1, dtype=np.intp))
+            decisions, column = decisions + 1, int(choice.option[0])
         option = library.resolve(plan.names[column])
-        action = option.choose_action(MAZE.feature_values(state), Mode.GREEDY, rng)
-        outcome = MAZE.step(state, action, rng)
+        action = option.action(MAZE.feature_values(state)[None])
+        outcome = MAZE.step(state, int(action[0]), rng)
         state, total = outcome.state, total + outcome.reward
         modules = execution in MODULAR
-        if modules or option.choose_end(MAZE.feature_values(state), Mode.GREEDY, rng):
+        if modules or option.ends(MAZE.feature_values(state)[None])[0]:
             column = -1
     return total, decisions, stopped
 

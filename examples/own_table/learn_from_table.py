@@ -60,7 +60,7 @@ def draw_option(axes: Any, domain: EnumerableDomain[Any], option: LearnedOption)
     colours[floor & starts[cells]] = 0.8
     axes.imshow(colours)
     for row, col in np.argwhere(floor & starts[cells]):
-        action = option.greedy_action(rows[cells[row, col]][None])[0]
+        action = option.action(rows[cells[row, col]][None])[0]
         right, down = ARROWS[domain.actions[action].name]
         start = col - 0.3 * right, row - 0.3 * down
         axes.arrow(*start, 0.3 * right, 0.3 * down, head_width=0.3, color='black')

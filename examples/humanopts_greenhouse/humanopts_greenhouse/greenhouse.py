@@ -28,7 +28,6 @@ from humanopts_env.domains.capabilities import (
 )
 from humanopts_env.domains.search_space import SearchSpace, space_by_features
 from humanopts_env.domains.table_domain import TableDomain
-from humanopts_env.domains.tabular_games import TabularGames
 import numpy as np
 
 SMALLEST, LARGEST = 3, 9  # cells along a side
@@ -163,10 +162,6 @@ class Greenhouse(TableDomain[GreenhouseState]):
             BoardSlice(f'can {text}, every bed dry', states[:, :, full, -1])
             for full, text in enumerate(('empty', 'full'))
         ]
-
-    def batch_games(self) -> TabularGames:
-        """Return what plays many games at once."""
-        return TabularGames(self)
 
     def search_space(self) -> SearchSpace:
         """Return the search space whose cells are the gardener's; the can changes by events."""

@@ -2,7 +2,7 @@
 
 from humanopts_env.domains.base import EnumerableDomain
 from humanopts_env.domains.capabilities import Scores
-from humanopts_env.domains.tabular_games import TabularGames
+from humanopts_env.games import TableGames
 from humanopts_env.seeding import generator
 import numpy as np
 
@@ -14,9 +14,9 @@ def play_heuristic(domain: EnumerableDomain[GreenhouseState], games: int, seed: 
     """Play games by the option that can start; there is never more than one."""
     options = reference_options(domain).values()
     optimal = np.any([option.optimal for option in options], axis=0)
-    batched, rng = TabularGames(domain), generator(seed, 'greenhouse', 'heuristic')
-    batch = batched.batch_reset(games, rng)
+    rng = generator(seed, 'greenhouse', 'heuristic')
+    played = TableGames(domain, rng.choice(domain.start_states().astype(np.intp), games))
     total = np.zeros(games)
     for _ in range(domain.max_steps):
-        total += batched.batch_step(batch, optimal[batch[0]].argmax(axis=1), rng)
-    return Scores(total, batched.batch_outcome(batch))
+        total += played.step(optimal[played.state].argmax(axis=1), rng).reward
+    return Scores(total, played.outcomes())

@@ -34,17 +34,17 @@ from humanopts_env.domains.base import (
 )
 from humanopts_env.domains.capabilities import (
     board_of,
-    DrawsAhead,
     explanation,
     feature_groups,
     HasBaselines,
-    HasBatchGames,
+    HasPlanningFeatures,
     HasSearchSpace,
     HasStepEffects,
     HasTeachingDefaults,
     step_effect,
 )
 from humanopts_env.domains.tabular import reachable
+from humanopts_env.games import games_at, new_games
 from humanopts_env.seeding import generator
 import numpy as np
 from numpy.typing import NDArray
@@ -313,103 +313,77 @@ class DomainContract:
 
     def test_many_games_are_the_same_game(self) -> None:
         """Features, end and step outcome of each game agree with those of its state."""
-        domain = self.make()
-        if not isinstance(domain, HasBatchGames):
-            return
-        games, rng = domain.batch_games(), _rng('batch')
+        domain, rng = self.make(), _rng('games')
         states = [s for s in _states(domain) if not domain.is_over(s)][:MANY]
-        batch = games.batch_of(states)
+        games = games_at(domain, states)
         assert games.domain is domain
-        assert games.batch_states(batch) == states
-        assert np.array_equal(games.batch_features(batch), _rows(domain, states))
-        assert not games.batch_over(batch).any()
+        assert games.states() == states
+        assert np.array_equal(games.features(), _rows(domain, states))
+        assert not games.over().any()
         actions = rng.integers(len(domain.actions), size=len(states))
-        rewards = games.batch_step(batch, actions, rng)
-        rows, over = games.batch_features(batch), games.batch_over(batch)
+        steps = games.step(actions, rng)
+        rows = games.features()
+        assert np.array_equal(games.over(), steps.over)
         for number in range(0, len(states), max(1, len(states) // 8)):
-            came = (float(rewards[number]), bool(over[number]), rows[number].tolist())
+            came = (float(steps.reward[number]), bool(steps.over[number]), rows[number].tolist())
             outcomes = (
-                domain.step(states[number], int(actions[number]), _rng('batch', number, draw))
+                domain.step(states[number], int(actions[number]), _rng('games', number, draw))
                 for draw in range(DRAWN)
             )
             assert any(
                 (o.reward, o.terminated, domain.feature_values(o.state).tolist()) == came
                 for o in outcomes
             ), domain.encode(states[number])
-        assert all(len(values) == len(states) for values in games.batch_outcome(batch).values())
+        assert all(len(values) == len(states) for values in games.outcomes().values())
 
     def test_many_games_with_chance_of_their_own_are_single_games(self) -> None:
         """Each comes to what a step of the rules comes to, and draws the same from its chance."""
-        domain = self.make()
-        if not isinstance(domain, HasBatchGames):
-            return
-        games, rng = domain.batch_games(), _rng('batch', 'each')
+        domain, rng = self.make(), _rng('games', 'each')
         states = [s for s in _states(domain) if not domain.is_over(s)][:MANY]
         actions = rng.integers(len(domain.actions), size=len(states))
         ours, theirs = ([_rng('each', n) for n in range(len(states))] for _ in range(2))
-        batch = games.batch_of(states)
-        rewards = games.batch_step_each(batch, actions, ours)
-        if isinstance(games, DrawsAhead):
-            self._test_draws_ahead(games, states, actions, rewards)
+        games = games_at(domain, states)
+        steps = games.step(actions, ours)
         outcomes = [domain.step(*each) for each in zip(states, actions.tolist(), theirs)]
-        assert list(rewards) == [outcome.reward for outcome in outcomes]
-        assert list(games.batch_over(batch)) == [outcome.terminated for outcome in outcomes]
-        assert np.array_equal(
-            games.batch_features(batch), _rows(domain, [outcome.state for outcome in outcomes])
-        )
+        assert list(steps.reward) == [outcome.reward for outcome in outcomes]
+        assert list(steps.over) == [outcome.terminated for outcome in outcomes]
+        assert games.states() == [outcome.state for outcome in outcomes]
         assert [own.random() for own in ours] == [own.random() for own in theirs]
 
-    def _test_draws_ahead(self, games: Any, states: list[Any], actions: Any, rewards: Any) -> None:
-        """Draws of several steps are those of one step after another."""
-        rngs = [_rng('each', n) for n in range(len(states))]
-        draws = np.array([games.draws_ahead(rng, 3) for rng in rngs])
-        for rng, ahead in zip((_rng('each', n) for n in range(len(states))), draws):
-            again = np.concatenate([games.draws_ahead(rng, steps) for steps in (1, 2)])
-            assert np.array_equal(again, ahead)
-        batch = games.batch_of(states)
-        assert list(games.batch_step_drawn(batch, actions, draws[:, 0])) == list(rewards)
-
-    def test_games_are_copied_set_and_over_by_themselves(self) -> None:
+    def test_games_are_copied_begun_and_over_by_themselves(self) -> None:
         """Copies are independent; games that are over do not change and earn nothing."""
-        domain = self.make()
-        if not isinstance(domain, HasBatchGames):
-            return
-        games, rng = domain.batch_games(), _rng('batch', 'copies')
+        domain, rng = self.make(), _rng('games', 'copies')
         states = _states(domain)[:MANY]
-        batch, before = games.batch_of(states), _rows(domain, states)
-        chosen = np.array([0, len(states) - 1, 0])
-        some = games.batch_take(batch, chosen)
-        assert np.array_equal(games.batch_features(some), before[chosen])
+        games = games_at(domain, states)
+        some = games.take(np.array([0, len(states) - 1, 0]))
+        assert some.states() == [states[0], states[-1], states[0]]
         for _ in range(5):
-            games.batch_step(some, rng.integers(len(domain.actions), size=3), rng)
-        assert np.array_equal(games.batch_features(batch), before)
-        games.batch_put(batch, np.array([1, 2]), games.batch_take(batch, np.array([3, 4])))
-        assert np.array_equal(games.batch_features(batch)[:3], before[[0, 3, 4]])
-        begun = games.batch_reset(MANY, rng)
-        assert len(games.batch_over(begun)) == MANY
-        assert not games.batch_over(begun).any()
+            some.step(rng.integers(len(domain.actions), size=3), rng)
+        assert games.states() == states
+        games.reset(np.array([1]), rng)
+        assert games.states()[2:] == states[2:]
+        begun = new_games(domain, MANY, rng)
+        assert len(begun) == MANY
+        assert not begun.over().any()
         for _ in range(100):
-            over, rows = games.batch_over(begun), games.batch_features(begun)
-            rewards = games.batch_step(begun, rng.integers(len(domain.actions), size=MANY), rng)
-            assert not rewards[over].any()
-            assert np.array_equal(games.batch_features(begun)[over], rows[over])
+            over, before = begun.over(), begun.states()
+            steps = begun.step(rng.integers(len(domain.actions), size=MANY), rng)
+            assert not steps.reward[over].any()
+            assert steps.over[over].all()
+            after = begun.states()
+            assert [after[n] for n in np.flatnonzero(over)] == [
+                before[n] for n in np.flatnonzero(over)
+            ]
 
-    def test_abstract_features_are_within_their_sizes(self) -> None:
-        """Abstract states can be numbered; context and mixture are indices of features."""
+    def test_planning_features_are_whole_numbers_from_0(self) -> None:
         domain = self.make()
-        if not isinstance(domain, HasBatchGames):
+        games = games_at(domain, _states(domain))
+        if not isinstance(games, HasPlanningFeatures):
             return
-        games = domain.batch_games()
-        batch = games.batch_of(_states(domain))
-        rows = games.batch_features(batch)
-        for fine in (False, True):
-            abstraction = games.abstraction(fine=fine)
-            values, sizes = games.abstract_features(batch, rows, fine=fine), abstraction.sizes
-            assert values.shape == (len(rows), len(sizes))
-            assert ((values >= 0) & (values < sizes)).all()
-            columns = range(len(sizes))
-            assert set(abstraction.context) <= set(columns)
-            assert set(abstraction.mixture) <= set(columns if not fine else ())
+        values = games.planning_features()
+        assert values.ndim == 2
+        assert len(values) == len(games)
+        assert (values >= 0).all()
 
     def test_a_search_space_is_whole(self) -> None:
         """Steps lead to states of the space, every cell has a name, and features differ."""
@@ -486,8 +460,6 @@ class DomainContract:
             variant = type(domain)(**{**domain.parameters, **changed})
             assert variant.name == domain.name
             assert list(variant.features) == list(domain.features)
-        for settings in (found.primitive, found.interrupted):
-            assert settings is None or 0 < settings.gamma <= 1
         if found.heuristic is not None:
             played, again = (found.heuristic(5, 1) for _ in range(2))
             assert played.total.shape == (5,)

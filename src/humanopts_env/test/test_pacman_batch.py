@@ -92,7 +92,7 @@ def test_games_that_are_over_stay_as_they_are() -> None:
 
 def test_chosen_games_are_copied_put_and_begun_again() -> None:
     rules, rng = PacMan().rules, generator(0, 'chosen')
-    batch = sample_games(rules, [rng], 6)
+    batch = sample_games(rules, rng, 6)
     states = batch.states()
     some = batch.take(np.array([4, 4, 1]))
     assert some.states() == [states[4], states[4], states[1]]
@@ -115,7 +115,7 @@ def test_draws_are_all_alike_and_depend_on_the_generator_alone() -> None:
 
 def test_sampled_games_come_from_all_parts_of_the_game() -> None:
     """None is over; food, pills, fear, fruit and lives are there in all amounts."""
-    batch = sample_games(PacMan().rules, [generator(0, 'sample')], 2000)
+    batch = sample_games(PacMan().rules, generator(0, 'sample'), 2000)
     assert not batch.over.any()
     left = batch.food_left / 98
     for low in (0.0, 0.25, 0.5, 0.75):
@@ -123,7 +123,7 @@ def test_sampled_games_come_from_all_parts_of_the_game() -> None:
     assert (batch.scared > 0).any(axis=0).mean() > 0.1
     assert (batch.fruit > 0).mean() > 0.1
     assert set(batch.lives.tolist()) == {1, 2, 3}
-    assert len(sample_games(batch.rules, [generator(0, 'none')], 0)) == 0
+    assert len(sample_games(batch.rules, generator(0, 'none'), 0)) == 0
 
 
 def rate(call: Callable[[], object], games: int) -> float:
@@ -143,7 +143,7 @@ def test_a_million_steps_a_second_and_200_000_with_all_features(ghosts: str) -> 
     """On one core, many games at once, with the drawing of chance and restarts."""
     rules: Rules = PacMan(ghosts=ghosts).rules
     games, rng = 4096, generator(0, 'speed')
-    batch, read = sample_games(rules, [rng], games), FeatureReader(rules)
+    batch, read = sample_games(rules, rng, games), FeatureReader(rules)
 
     def play(steps: int = 20) -> None:
         for _ in range(steps):

@@ -4,13 +4,9 @@ from humanopts_env.domains.base import FeatureKind
 from humanopts_env.domains.capabilities import feature_groups
 from humanopts_env.domains.pacman.domain import PacMan
 from humanopts_env.domains.pacman.games import (
-    ABSTRACT_FEATURES,
-    abstract_features,
     arrival_steps,
-    CONTEXT,
-    N_DIRECTIONS,
-    NEAR,
-    NEAR_FOOD,
+    PLANNING_FEATURES,
+    planning_features,
     sample_games,
 )
 from humanopts_env.domains.pacman.paths import STAY
@@ -106,13 +102,8 @@ def test_the_papers_list_plays_the_same_game() -> None:
     full, named = PacMan('yard'), PacMan('yard', features='paper')
     states = full.sample_states(generator(0, 'lists'), 50)
     assert named.sample_states(generator(0, 'lists'), 50) == states
-    for fine in (False, True):
-        found = []
-        for games in (full.batch_games(), named.batch_games()):
-            batch = games.batch_of(states)
-            rows = games.batch_features(batch)
-            found.append(games.abstract_features(batch, rows, fine=fine))
-        assert (found[0] == found[1]).all()
+    found = [domain.games(states).planning_features() for domain in (full, named)]
+    assert (found[0] == found[1]).all()
 
 
 def test_only_the_papers_list_is_among_the_parameters() -> None:
@@ -131,11 +122,11 @@ def test_masks_and_directions_have_no_order() -> None:
 def buckets_of(text: str) -> dict[str, int]:
     """Return the planning features of one state."""
     batch = PacManBatch.from_states(DOMAIN.rules, [DOMAIN.decode(text)])
-    values = abstract_features(batch)[0].tolist()
-    return dict(zip(ABSTRACT_FEATURES, values))
+    values = planning_features(batch)[0].tolist()
+    return dict(zip(PLANNING_FEATURES, values))
 
 
-def test_abstract_features_by_hand() -> None:
+def test_planning_features_by_hand() -> None:
     """A ghost is 3 steps away, and 4 from either cell beside Pac-Man; the pill is 4 away."""
     assert buckets_of(START) == {
         'danger': 2,  # 3
@@ -176,31 +167,13 @@ def test_nobody_arrives_sooner_than_by_a_shortest_path() -> None:
         assert (steps >= paths.distance[:, None]).all()
 
 
-def test_context_is_some_of_the_abstract_features() -> None:
-    """A name that is misspelt would pool nothing."""
-    assert set(CONTEXT) < ABSTRACT_FEATURES.keys()
-
-
 @pytest.mark.parametrize('maze', ['gardens', 'yard', '%%%%%\n%P..%\n%%%%%'])
-def test_abstract_features_are_within_their_buckets(maze: str) -> None:
-    batch = sample_games(PacMan(maze).rules, [generator(0, 'buckets')], 500)
-    values = abstract_features(batch)
+def test_planning_features_are_within_their_buckets(maze: str) -> None:
+    batch = sample_games(PacMan(maze).rules, generator(0, 'buckets'), 500)
+    values = planning_features(batch)
     assert (
-        (values >= 0) & (values < [len(edges) + 1 for edges in ABSTRACT_FEATURES.values()])
+        (values >= 0) & (values < [len(edges) + 1 for edges in PLANNING_FEATURES.values()])
     ).all()
-
-
-def test_in_a_long_maze_things_are_in_the_last_bucket() -> None:
-    turns = ['%' * side + ' ' + '%' * (65 - side) for side in (64, 1)] * 10
-    corridor = [row for turn in turns for row in (f'%{" " * 64}%', turn)]
-    maze = ['%' * 66, f'%P{" " * 63}%', *corridor[1:], f'%.oG{" " * 61}%', '%' * 66]
-    domain = PacMan('\n'.join(maze))
-    games = domain.batch_games()
-    batch = games.batch_of([domain.reset(generator(0, 'start'))])
-    assert domain.rules.paths.longest > 1000
-    found = games.abstract_features(batch, games.batch_features(batch), fine=True)[0].tolist()
-    ways = [len(NEAR[thing]) * N_DIRECTIONS for thing in ('danger', 'second', 'prey', 'pill')]
-    assert found[2:] == [len(NEAR_FOOD), *ways]
 
 
 def test_pac_mans_features_are_grouped_by_the_thing_that_they_are_about() -> None:

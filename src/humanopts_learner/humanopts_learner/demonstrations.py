@@ -18,9 +18,9 @@ from humanopts_env.domains.base import (
     feature_columns,
     is_enumerable,
 )
-from humanopts_env.domains.capabilities import feature_rows
 from humanopts_env.domains.parameters import MAX_PARAMETERS
 from humanopts_env.domains.registry import parameters_json
+from humanopts_env.games import feature_rows
 from humanopts_ros.limits import composed, JsonError, MAX_WHOLE, parse_json
 import numpy as np
 

@@ -1,347 +1,310 @@
 """
-Execution of one option, or of options as modules: the rules of the runner, without the graph.
+Options that run in N games: the one place that decides when an option starts, goes on and ends.
 
-The caller asks for the next action, sends it to the game, and reports the state that it led to.
-Between two actions an ``Arbiter`` says whether a plan interrupts the option. It decides by
-``OptionValues``, which a message can carry, and as the vectorised play of plans does.
+``Execution`` knows the rules of a run; the live runner uses it with one game. ``play`` is the loop
+around it: rollouts, held-out returns, accuracy, start states and evaluation call it with different
+options and policies.
 """
 
-from collections import Counter
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from enum import IntEnum
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields
+from functools import cached_property
+from typing import Any, Generic, Protocol, Self, TypeVar
 
-from humanopts_env.arrays import Floats, Rows
-from humanopts_env.domains.base import Domain, is_enumerable
-from humanopts_learner.library import RunnableOption
-from humanopts_learner.options.option import LearnedOption, Mode
-from humanopts_learner.options.rollout import is_deterministic
-from humanopts_learner.planning.interruption import arbitrate, interruptions, OptionValues
-from humanopts_learner.planning.request import Execution, MODULAR, PlanError
-from humanopts_learner.planning.sampled.action_set import ActionSet
-from humanopts_learner.planning.sampled.policies import GreedyPolicy
+from humanopts_env.arrays import Flags, Floats, Ints, Rows
+from humanopts_env.games import Chance, chance_of, Games, Steps
+from humanopts_learner.option import Option
 import numpy as np
+from numpy.typing import NDArray
+
+NONE = -1  # in place of an option: a choice is due
 
 
-class RunStatus(IntEnum):
-    """How a run ended, or why it was refused; numbers as in ``OptionResult.msg``."""
+class Seen(Protocol):
+    """What is seen of N games, and what the options of a set decide there."""
 
-    REACHED = 1
-    EPISODE_OVER = 2
-    MAX_STEPS = 3
-    NO_PROGRESS = 4
-    INTERRUPTED = 5
-    CANCELED = 6
-    BUSY = 7
-    UNKNOWN_OPTION = 8
-    NOT_AVAILABLE = 9
-    NO_EPISODE = 10
-    FAILED = 11
-    STOPPED_BY_PLAN = 12
-    EXECUTION_CHANGED = 13
-    NO_VALUES = 14
-    BAD_REQUEST = 15
+    def take(self, games: Ints) -> Self:
+        """Return the same of chosen games (M,)."""
+
+    def action(self, option: Ints) -> Ints:
+        """Return (N,): the primitive action of each game's option (N,)."""
+
+    def ends(self, option: Ints) -> Flags:
+        """Return (N,): whether each game's option (N,) ends there."""
 
 
-TEXT = {
-    RunStatus.REACHED: 'its termination condition holds',
-    RunStatus.EPISODE_OVER: 'the episode ended',
-    RunStatus.MAX_STEPS: 'it was cut off at its step limit',
-    RunStatus.NO_PROGRESS: 'the game did not answer before the deadline',
-    RunStatus.INTERRUPTED: 'a person or another node acted, or the game was reset',
-    RunStatus.CANCELED: 'it was canceled',
-    RunStatus.BUSY: 'refused: another run is under way',
-    RunStatus.UNKNOWN_OPTION: 'refused: there is no such option',
-    RunStatus.NOT_AVAILABLE: 'refused: the option cannot start in this state',
-    RunStatus.NO_EPISODE: 'refused: no episode is under way',
-    RunStatus.FAILED: 'it failed',
-    RunStatus.STOPPED_BY_PLAN: 'choosing anew is worth more than going on',
-    RunStatus.EXECUTION_CHANGED: 'the execution was changed',
-    RunStatus.NO_VALUES: 'refused: the option values of the plan are missing or do not fit',
-    RunStatus.BAD_REQUEST: 'refused',
-}
+S = TypeVar('S', bound=Seen)
+S_in = TypeVar('S_in', bound=Seen, contravariant=True)
+S_out = TypeVar('S_out', bound=Seen, covariant=True)
 
 
-class RunError(RuntimeError):
-    """The methods of a run were called out of order, or a request is wrong; the text says how."""
+class Options(Protocol[S_out]):
+    """O options of one domain, by index."""
+
+    @property
+    def limits(self) -> Ints:
+        """(O,) steps after which a run of each option is cut off."""
+
+    def see(self, games: Games) -> S_out:
+        """Look at games."""
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """The next options in N games."""
+
+    option: Ints  # (N,) indices
+    unknown: Flags | bool = False  # (N,) no option was sampled enough to choose by its value
+
+
+class Policy(Protocol[S_in]):
+    """Chooses the options to run."""
+
+    def choose(self, seen: S_in, games: Ints) -> Choice:
+        """
+        Return the next option in some games.
+
+        :param games: (N,) their numbers.
+        """
+
+    def stops(self, seen: S_in, option: Ints) -> Flags | None:
+        """Return (N,): whether each game's option (N,) is stopped; None: nowhere."""
 
 
 @dataclass(frozen=True)
-class RunResult:
-    """How a run ended; fields as in ``OptionResult.msg``."""
+class Fixed:
+    """The policy that runs the same option in a game again and again."""
 
-    status: RunStatus
-    detail: str  # the status in words
-    option_name: str
-    episode: int = 0
-    first_step: int = 0
-    step_count: int = 0  # k
-    total_reward: float = 0.0  # sum of r[i], i = 0..k-1
-    discounted_return: float = 0.0  # sum of gamma**i * r[i]
-    final_state: str = ''  # in the domain's notation
-    terminated: bool = False
-    truncated: bool = False
-    acted: Mapping[str, int] = field(default_factory=dict)  # steps by the option that acted
+    option: Ints  # (N,) of each game
+
+    def choose(self, seen: Seen, games: Ints) -> Choice:
+        return Choice(self.option.take(games))
+
+    def stops(self, seen: Seen, option: Ints) -> Flags | None:
+        return None
 
 
-def execution_named(name: str) -> Execution:
+@dataclass(frozen=True)
+class Runs:
+    """R runs of options in N games, in the order in which they ended."""
+
+    game: Ints  # (R,)
+    option: Ints  # (R,)
+    begun: Ints  # (R,) steps of the game before the run
+    steps: Ints  # (R,) of the run, k
+    total: Floats  # (R,) sum of r[i], i = 0..k-1
+    discounted: Floats  # (R,) sum of gamma**i * r[i]
+    reached: Flags  # (R,) the termination condition holds
+    over: Flags  # (R,) the task is over
+    stopped: Flags  # (R,) the policy stopped it
+    unknown: Flags  # (R,) as ``Choice.unknown``
+
+
+class Execution(Generic[S]):
     """
-    Return the execution of a name; an empty name means to run to the end.
+    One option at a time in each of N games.
 
-    :raises RunError: no execution has this name; the text lists them.
-    """
-    try:
-        return Execution(name or Execution.RUN_TO_END)
-    except ValueError as error:
-        known = ', '.join(execution.value for execution in Execution)
-        raise RunError(f'no execution {name!r}; there is {known}') from error
+    A run ends where the termination condition holds, which is looked at only after a step; where
+    the task is over; after ``max_steps``; or where the policy stops it.
 
-
-def refusal(status: RunStatus, option_name: str, detail: str = '') -> RunResult:
-    """
-    Return the answer to a request that did not become a run.
-
-    :param detail: more about it, put after the status's own text.
-    """
-    return RunResult(status, _describe(status, detail), option_name)
-
-
-class Arbiter:
-    """
-    Decides before each step, by the values of a plan, which option acts; nothing is drawn.
-
-    :ivar execution: by which it decides.
+    :ivar games: (N,) their numbers.
+    :ivar option: (N,) indices of the options that run; ``NONE``: a choice is due.
+    :ivar decided: (M,) places among the N of the latest choices.
     """
 
     def __init__(
         self,
-        values: OptionValues,
-        execution: Execution,
-        domain: Domain[Any],
-        options: Mapping[str, RunnableOption],
+        options: Options[S],
+        policy: Policy[S],
+        count: int,
+        gamma: float = 1.0,
+        limits: Ints | None = None,
     ) -> None:
         """
-        Take the values of a plan.
+        Begin with no option in any game.
 
-        :param options: by name: all of the plan, and every primitive action.
-        :raises PlanError: the values do not fit the domain.
+        :param count: number of games, N.
+        :param gamma: discount per primitive step.
+        :param limits: (N,) steps after which a run in each game is cut off; None: the options'.
         """
-        self.execution, self._values, self._domain = execution, values, domain
-        self._options, self._rng = options, np.random.default_rng(0)  # nothing draws from it
-        among = [options[name] for name in values.names]
-        learned = [option for option in among if isinstance(option, LearnedOption)]
-        if values.sampled:
-            actions = ActionSet(domain, values.action_set, learned)
-            if actions.names[: actions.first_fallback] != values.names:
-                raise PlanError(f'the values are not for the actions of {domain.name}')
-            self._policy = GreedyPolicy(actions, values, execution)
-        elif not is_enumerable(domain) or domain.n_states != len(values.states):
-            raise PlanError(f'the values are not for every state of {domain.name}')
+        self.policy, self._gamma = policy, gamma
+        self._of_option, self._of_game = options.limits, limits
+        self.games = self.decided = np.arange(count)
+        self.option = np.full(count, NONE, dtype=np.intp)
+        self._ran, self._age = np.zeros((2, count), dtype=np.intp)
+        self._total, self._discounted = np.zeros((2, count))
+        self._unknown = np.zeros(count, dtype=np.bool_)
 
-    def stops(self, state: Any, running: str) -> bool:
+    def act(self, seen: S) -> Ints:
+        """Return the primitive actions (N,), after a choice wherever one is due."""
+        self.decided = due = np.flatnonzero(self.option == NONE)
+        if due.size:
+            among = seen if len(due) == len(self.option) else seen.take(due)
+            choice = self.policy.choose(among, self.games.take(due))
+            self.option[due], self._unknown[due] = choice.option, choice.unknown
+            self._ran[due], self._total[due], self._discounted[due] = 0, 0.0, 0.0
+        return seen.action(self.option)
+
+    def observe(self, seen: S, steps: Steps, cut_off: Flags | bool = False) -> Runs:
         """
-        Return whether an option is stopped in a state in which the task is not over.
+        Take in what the actions led to, and return the runs that ended.
 
-        :param running: name of the option, after its first step. Only interruption stops options.
+        :param seen: of the games after the step.
+        :param cut_off: (N,) whether each game ends here for a reason of its own.
         """
-        if self.execution is not Execution.INTERRUPTED or running not in self._values.names:
-            return False
-        option = self._values.names.index(running)
-        if self._values.sampled:
-            seen = self._policy.actions.observe_state(state)
-            return bool(self._policy.stops(seen, np.array([option]), self._rng)[0])
-        stopped = interruptions(*self._values_at(state), self._values.interruption_margin)
-        return bool(stopped[0, option])
-
-    def module(self, state: Any) -> RunnableOption:
-        """
-        Return the module that acts in a state in which the task is not over.
-
-        :raises PlanError: the execution is not modular.
-        """
-        if self.execution not in MODULAR:
-            raise PlanError(f'{self.execution} runs no modules')
-        if self._values.sampled:
-            actions = self._policy.actions
-            chosen = self._policy(actions.observe_state(state), self._rng).option[0]
-            return self._options[actions.names[int(chosen)]]
-        modules = [self._options[name] for name in self._values.names]
-        row = self._domain.feature_values(state)
-        action = np.array([[m.choose_action(row, Mode.GREEDY, self._rng) for m in modules]])
-        winner = arbitrate(self.execution, *self._values_at(state), action)
-        return modules[int(winner[0])]
-
-    def _values_at(self, state: Any) -> tuple[Floats, Floats]:
-        """Return the exact option and continuation values of a state, (1, O)."""
-        assert is_enumerable(self._domain)
-        at = [self._domain.index(state)]
-        return self._values.option_values[at], self._values.continuation_values[at]
-
-
-class Run:
-    """
-    One run of an option or of modules: ``begin``, then ``next_action`` and ``observe`` in turn.
-
-    It ends, in this order of precedence: REACHED where the option's termination condition holds,
-    which is looked at only after a step, even if the episode ends there too
-    (``RunResult.terminated`` and ``truncated`` tell); EPISODE_OVER where the episode ended, by the
-    task's end or at its step limit; MAX_STEPS after ``max_steps`` steps. Modules never reach an
-    end of their own.
-
-    :ivar name: of the option; empty for modules.
-    :ivar max_steps: 0: none but the domain's.
-    :ivar acting: the option that took the last action.
-    :ivar acted: steps by the name of the option that acted.
-    """
-
-    acting: RunnableOption
-
-    def __init__(
-        self,
-        runs: RunnableOption | Arbiter,
-        domain: Domain[Any],
-        gamma: float,
-        max_steps: int = 0,
-        mode: Mode = Mode.GREEDY,
-        rng: np.random.Generator | None = None,
-    ) -> None:
-        """
-        Prepare a run.
-
-        :param runs: an option; or the arbiter of a modular execution, for modules.
-        :param max_steps: 0: the option's own limit; for modules none but the domain's.
-        :param rng: what the sampled mode draws from; the greedy mode draws nothing.
-        :raises RunError: the sampled mode has nothing to draw from, max_steps is negative, or
-            modules would never be cut off.
-        """
-        if mode is Mode.SAMPLED and rng is None:
-            raise RunError('the sampled mode needs a random generator')
-        if max_steps < 0:
-            raise RunError(f'max_steps is {max_steps}, and must be 0 or greater')
-        self._modules = runs if isinstance(runs, Arbiter) else None
-        if isinstance(runs, Arbiter):
-            if not (max_steps or domain.max_steps):
-                raise RunError(f'{domain.name} never cuts an episode off: give max_steps')
-            self.name, self.max_steps = '', max_steps
-        else:
-            self.name, self.max_steps = runs.name, max_steps or runs.max_steps
-            self.acting = runs
-        self.step_count = 0
-        self.total_reward = 0.0
-        self.discounted_return = 0.0
-        self.acted: Counter[str] = Counter()
-        self._domain, self._gamma, self._mode = domain, gamma, mode
-        self._rng = rng or np.random.default_rng(0)  # not drawn from in the greedy mode
-        self._state: Any = None
-        self._episode = self._first_step = 0
-        self._terminated = self._truncated = False
-        self._path: list[Any] = []  # states in which it acted
-        self._going = False
-
-    def begin(self, state: Any, episode: int, step: int) -> RunResult | None:
-        """
-        Start in a state of the game.
-
-        :param episode: number of the episode; 0: none was begun yet.
-        :return: the refusal, where it cannot run from here.
-        """
-        if self._path or self._going:
-            raise RunError('the run has begun already')
-        self._state, self._episode, self._first_step = state, episode, step
-        if episode == 0 or self._domain.is_over(state):
-            return self.end(RunStatus.NO_EPISODE)
-        if self._modules is None and not self.acting.can_start(self._row()[None])[0]:
-            return self.end(RunStatus.NOT_AVAILABLE, self._domain.encode(state))
-        self._going = True
-        return None
-
-    def next_action(self) -> int:
-        """Return the index of the action to take now."""
-        self._check_going()
-        if self._modules is not None:
-            self.acting = self._modules.module(self._state)
-        return self.acting.choose_action(self._row(), self._mode, self._rng)
-
-    def observe(
-        self, state: Any, reward: float, terminated: bool, truncated: bool
-    ) -> RunResult | None:
-        """
-        Record the state that the action led to.
-
-        :param terminated: the task is over in ``state``.
-        :param truncated: the episode was cut off there.
-        :return: how the run ended; None while it continues.
-        """
-        self._check_going()
-        self._path.append(self._state)
-        self._state = state
-        self.total_reward += reward
-        self.discounted_return += self._gamma**self.step_count * reward
-        self.step_count += 1
-        self.acted[self.acting.name] += 1
-        self._terminated, self._truncated = terminated, truncated
-        if self._modules is None and self.acting.choose_end(self._row(), self._mode, self._rng):
-            return self.end(RunStatus.REACHED)
-        if terminated or truncated:
-            why = 'the task is over' if terminated else 'at its step limit'
-            return self.end(RunStatus.EPISODE_OVER, why)
-        if self.step_count == self.max_steps:
-            return self.end(RunStatus.MAX_STEPS, self._cut_off())
-        return None
-
-    def stopped(self, arbiter: Arbiter) -> RunResult | None:
-        """
-        Ask a plan whether to stop the option before its next action, but not before the first.
-
-        :return: how the run ended; None while it continues.
-        """
-        self._check_going()
-        stops = arbiter.stops(self._state, self.name)
-        return self.end(RunStatus.STOPPED_BY_PLAN) if stops else None
-
-    def end(self, status: RunStatus, detail: str = '') -> RunResult:
-        """
-        End the run from outside: canceled, interrupted, no progress, failed.
-
-        :param detail: more about it, put after the status's own text.
-        """
-        self._going = False
-        return RunResult(
-            status=status,
-            detail=_describe(status, detail),
-            option_name=self.name,
-            episode=self._episode,
-            first_step=self._first_step,
-            step_count=self.step_count,
-            total_reward=self.total_reward,
-            discounted_return=self.discounted_return,
-            final_state='' if self._state is None else self._domain.encode(self._state),
-            terminated=self._terminated,
-            truncated=self._truncated,
-            acted=dict(self.acted),
+        self._total += steps.reward
+        self._discounted += self._gamma**self._ran * steps.reward
+        self._ran += 1
+        self._age += 1
+        reached = seen.ends(self.option)
+        limits = self._of_option.take(self.option) if self._of_game is None else self._of_game
+        ended = reached | steps.over | cut_off | (self._ran >= limits)
+        stopped = self.policy.stops(seen, self.option)
+        stopped = np.zeros_like(ended) if stopped is None else stopped & ~ended
+        at = np.flatnonzero(ended | stopped)
+        runs = Runs(
+            self.games.take(at),
+            self.option.take(at),
+            (self._age - self._ran).take(at),
+            self._ran.take(at),
+            self._total.take(at),
+            self._discounted.take(at),
+            reached.take(at),
+            steps.over.take(at),
+            stopped.take(at),
+            self._unknown.take(at),
         )
+        self.option[at] = NONE
+        return runs
 
-    def _row(self) -> Rows:
-        return self._domain.feature_values(self._state)
-
-    def _check_going(self) -> None:
-        if not self._going:
-            raise RunError('the run has not begun, or has ended')
-
-    def _cut_off(self) -> str:
-        """Return the length of the run in words, and its circle if it certainly walked in one."""
-        text = f'{self.max_steps} steps'
-        certain = self._mode is Mode.GREEDY and is_deterministic(self._domain)
-        seen: dict[Any, int] = {}
-        for step, state in enumerate([*self._path, self._state]):
-            if state in seen and certain:
-                length = step - seen[state]
-                where = self._domain.encode(state)
-                return f'{text}; it walked in a circle of {length} through {where}'
-            seen[state] = step
-        return text
+    def keep(self, chosen: Ints) -> None:
+        """Keep chosen games (M,) only."""
+        self.games, self.option = self.games.take(chosen), self.option.take(chosen)
+        self._ran, self._age = self._ran.take(chosen), self._age.take(chosen)
+        self._total = self._total.take(chosen)
+        self._discounted = self._discounted.take(chosen)
+        self._unknown = self._unknown.take(chosen)
+        if self._of_game is not None:
+            self._of_game = self._of_game.take(chosen)
 
 
-def _describe(status: RunStatus, detail: str) -> str:
-    return f'{TEXT[status]}: {detail}' if detail else TEXT[status]
+@dataclass(frozen=True)
+class Played:
+    """What was played in N games."""
+
+    over: Flags  # (N,) whether each is over; else it was cut off
+    runs: Runs
+    outcomes: Mapping[str, NDArray[Any]]  # (N,) each, as ``Games.outcomes``
+
+    def by_game(self, values: Any) -> Floats:
+        """Return (N,): the sum of values (R,) over the runs of each game."""
+        weights = np.asarray(values, dtype=np.float64)
+        found: Floats = np.bincount(self.runs.game, weights, minlength=len(self.over)).astype(
+            float
+        )
+        return found
+
+
+def play(
+    games: Games,
+    options: Options[S],
+    policy: Policy[S],
+    chance: Chance,
+    max_steps: int,
+    *,
+    gamma: float = 1.0,
+    limits: Ints | None = None,
+    once: bool = False,
+    on_step: Callable[[int, Execution[S], S], object] | None = None,
+) -> Played:
+    """
+    Play games by a policy until each is over.
+
+    :param games: N of them, which are changed; those that are over have no runs.
+    :param chance: of the steps; one generator for each game makes it independent of the others.
+    :param max_steps: steps after which a game is cut off.
+    :param gamma: discount per primitive step.
+    :param limits: (N,) steps after which a run in each game is cut off; None: the options'.
+    :param once: a game ends with its first run.
+    :param on_step: called in every step, after the choices, with its number; what it raises
+        passes through.
+    """
+    outcomes = {name: values.copy() for name, values in games.outcomes().items()}
+    execution, parts = Execution(options, policy, len(games), gamma, limits), []
+    done = games.over()
+    over = done.copy()
+    seen = options.see(games)
+    for step in range(max_steps):
+        if done.any():
+            for name, values in games.outcomes().items():
+                outcomes[name][execution.games] = values
+            on = np.flatnonzero(~done)
+            games, seen, chance = games.take(on), seen.take(on), chance_of(chance, on)
+            execution.keep(on)
+        if not execution.games.size:
+            break
+        actions = execution.act(seen)
+        if on_step is not None:
+            on_step(step, execution, seen)
+        steps = games.step(actions, chance)
+        seen = options.see(games)
+        parts.append(execution.observe(seen, steps, step + 1 == max_steps))
+        over[execution.games] = steps.over
+        done = steps.over | (execution.option == NONE) if once else steps.over
+    for name, values in games.outcomes().items():
+        outcomes[name][execution.games] = values
+    return Played(over, joined(parts), outcomes)
+
+
+def joined(parts: Sequence[Runs]) -> Runs:
+    """Return the runs that ended in several steps as one."""
+    if not parts:
+        ints, floats, flags = np.zeros(0, dtype=np.intp), np.zeros(0), np.zeros(0, dtype=np.bool_)
+        return Runs(ints, ints, ints, ints, floats, floats, flags, flags, flags, flags)
+    values: list[Any] = [
+        np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Runs)
+    ]
+    return Runs(*values)
+
+
+class RowOptions:
+    """Options that are evaluated on the features of games, as they are needed."""
+
+    def __init__(self, options: Sequence[Option]) -> None:
+        self.options = tuple(options)
+        self.limits = np.array([option.max_steps for option in options], dtype=np.intp)
+
+    def see(self, games: Games) -> 'SeenRows':
+        return SeenRows(self.options, games.features())
+
+
+@dataclass(frozen=True)
+class SeenRows:
+    """The features of N games, and what options decide there."""
+
+    options: Sequence[Option]
+    rows: Rows  # (N, F)
+
+    def take(self, games: Ints) -> 'SeenRows':
+        return SeenRows(self.options, self.rows.take(games, axis=0))
+
+    def action(self, option: Ints) -> Ints:
+        return self._each(option, lambda one, rows: one.action(rows)).astype(np.intp)
+
+    def ends(self, option: Ints) -> Flags:
+        return self._each(option, lambda one, rows: one.ends(rows)).astype(np.bool_)
+
+    @cached_property
+    def startable(self) -> Flags:
+        """(N, O) which options can start."""
+        return np.stack([option.can_start(self.rows) for option in self.options], axis=1)
+
+    def _each(self, option: Ints, answer: Callable[[Option, Rows], NDArray[Any]]) -> NDArray[Any]:
+        found = np.zeros(len(option), dtype=np.intp)
+        for index, one in enumerate(self.options):
+            at = np.flatnonzero(option == index)
+            if len(at) == len(option):
+                return answer(one, self.rows)
+            if at.size:
+                found[at] = answer(one, self.rows.take(at, axis=0))
+        return found

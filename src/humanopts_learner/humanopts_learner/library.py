@@ -1,15 +1,13 @@
 """What can be run in a domain: options that were taught, and its primitive actions."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from typing import Any
 
-from humanopts_env.arrays import Flags, Floats, Rows
 from humanopts_env.domains.base import Domain
 from humanopts_learner.demonstrations import PRIMITIVE_PREFIX
-from humanopts_learner.options.option import LearnedOption, Mode, OptionError
+from humanopts_learner.option import PrimitiveOption
+from humanopts_learner.options.option import LearnedOption, OptionError
 from humanopts_ros.limits import composed
-import numpy as np
 
 
 class UnknownOptionError(ValueError):
@@ -28,39 +26,6 @@ def taught_nothing(participant: str, others: Iterable[str]) -> str:
     """
     known = ', '.join(sorted(set(others))) or 'nobody'
     return f'{participant!r} taught no option; those who did: {known}'
-
-
-@dataclass(frozen=True)
-class PrimitiveOption:
-    """
-    A primitive action as an option of one step that can start everywhere.
-
-    It answers as ``LearnedOption`` does; rows (N, F) are of all features.
-    """
-
-    name: str  # action:NAME
-    action: int
-    n_actions: int
-    max_steps: int = 1
-
-    def action_probabilities(self, rows: Rows) -> Floats:
-        return np.tile(np.eye(self.n_actions)[self.action], (len(rows), 1))
-
-    def initiation_probability(self, rows: Rows) -> Floats:
-        return np.ones(len(rows))
-
-    def termination_probability(self, rows: Rows) -> Floats:
-        return np.ones(len(rows))
-
-    def can_start(self, rows: Rows) -> Flags:
-        return np.ones(len(rows), dtype=np.bool_)
-
-    def choose_action(self, row: Rows, mode: Mode, rng: np.random.Generator) -> int:
-        return self.action
-
-    def choose_end(self, row: Rows, mode: Mode, rng: np.random.Generator) -> bool:
-        """Return True: it ends after its step."""
-        return True
 
 
 RunnableOption = LearnedOption | PrimitiveOption

@@ -26,7 +26,7 @@ from humanopts_env.arrays import Flags, Floats, Ints
 from humanopts_env.domains.base import EnumerableDomain
 from humanopts_env.domains.tabular import TabularSimulator
 from humanopts_env.seeding import generator
-from humanopts_learner.planning.exact import OptionTable
+from humanopts_learner.options.option import OptionTable
 from humanopts_learner.planning.request import PlanError
 import numpy as np
 from numpy.typing import NDArray

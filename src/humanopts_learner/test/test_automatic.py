@@ -18,11 +18,11 @@ from humanopts_learner.automatic.extract import (
     to_learned_options,
 )
 from humanopts_learner.automatic.subgoals import draw_tasks, Extraction, USUAL
+from humanopts_learner.execution import Execution
 from humanopts_learner.options.files import option_from_json, option_to_json
 from humanopts_learner.options.option import LearnedOption, tabulate
 from humanopts_learner.planning.plan import make_plan
 from humanopts_learner.planning.request import (
-    batch_games,
     NoOptionsError,
     PlanCanceled,
     PlanError,
@@ -30,7 +30,6 @@ from humanopts_learner.planning.request import (
     select_options,
 )
 from humanopts_learner.planning.sampled.action_set import ActionSet
-from humanopts_learner.planning.sampled.games import run_in_step, Runs
 from humanopts_learner.planning.sampled.policies import UniformPolicy
 import numpy as np
 import pytest
@@ -166,21 +165,19 @@ def test_pacman_options_run_to_their_cells_in_the_real_game() -> None:
     """Without ghosts nothing is in their way."""
     domain = PacMan(maze=CROSSING)
     found_here = find_options(domain, 0, QUICK)
-    games = batch_games(domain)
     actions = ActionSet(domain, 'human', to_learned_options(domain, found_here))
     rng = generator(0, 'test')
-    batch = games.batch_reset(50, rng)
-    runs = Runs(actions, batch, actions.observe([batch])[0], rng)
-    runs.decide(UniformPolicy(actions))
-    began = runs.option < actions.first_fallback
-    target = np.array([o.target.cell for o in found_here.options])[runs.option * began]
-    came = np.zeros(50, dtype=np.bool_)
+    games = domain.games([domain.rules.start()] * 50)
+    target = np.array([option.target.cell for option in found_here.options])
+    execution, came = Execution(actions, UniformPolicy(rng), 50), set[int]()
     for _ in range(10):
-        _, ended, _, _ = run_in_step(actions, [runs.step()])[0]
-        assert (runs.batch.pacman[began & ended & ~came] == target[began & ended & ~came]).all()
-        came |= ended
-    assert began.any()
-    assert came.all()
+        steps = games.step(execution.act(actions.see(games)), rng)
+        runs = execution.observe(actions.see(games), steps)
+        ended = runs.option < actions.first_fallback
+        at = runs.game[ended]
+        assert (games.batch.pacman[at] == target[runs.option[ended]]).all()
+        came |= set(at.tolist())
+    assert came
 
 
 @pytest.mark.heavy
@@ -270,16 +267,16 @@ def test_trees_say_what_the_tables_say_wherever_an_episode_goes_on(name: str) ->
 @pytest.mark.heavy
 def test_options_of_pacman_see_his_place_and_do_the_same_in_every_game() -> None:
     domain = domain_of('pacman')
-    games, rng = batch_games(domain), np.random.default_rng(0)
-    batch = games.batch_reset(200, rng)
+    rng = np.random.default_rng(0)
+    games = domain.games([domain.rules.start()] * 200)
     for _ in range(30):
-        games.batch_step(batch, rng.integers(4, size=200), rng)
-    rows, cells = games.batch_features(batch), batch.pacman
+        games.step(rng.integers(4, size=200), rng)
+    rows, cells = games.features(), games.batch.pacman
     for option, learned in zip(found('pacman').options, options('pacman'), strict=True):
         can = option.initiation[cells]
         assert learned.features == ('pacman_row', 'pacman_col')
         assert (learned.can_start(rows) == can).all()
-        assert (learned.greedy_action(rows) == option.action[cells])[can].all()
+        assert (learned.action(rows) == option.action[cells])[can].all()
         assert (learned.ends(rows) == option.termination[cells]).all()
 
 

@@ -256,7 +256,7 @@ def _option(seed: int, examples: int) -> LearnedOption:
 
 def _same(option: LearnedOption, rows: Rows) -> None:
     found = decisions(option, COUNTS)
-    for name in ('greedy_action', 'can_start', 'ends'):
+    for name in ('action', 'can_start', 'ends'):
         expected, given = getattr(option, name)(rows), getattr(found, name)(rows)
         np.testing.assert_array_equal(given, expected)
 
@@ -271,7 +271,7 @@ def test_a_tree_with_too_many_combinations_is_walked(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(lookup, 'LARGEST', 3)
     option = _option(7, 40)
     found = decisions(option, COUNTS)
-    assert found.greedy_action == option.greedy_action
+    assert found.action == option.action
     _same(option, _rows(8, 500))
 
 

@@ -4,7 +4,21 @@ from pathlib import Path
 import re
 
 from humanopts_env.domains.taxi import Taxi, TaxiState
-from humanopts_learner.execution import (
+from humanopts_learner.library import (
+    AmbiguousOptionError,
+    OptionLibrary,
+    UnknownOptionError,
+)
+from humanopts_learner.option import Mode, PrimitiveOption
+from humanopts_learner.options.option import (
+    LearnedOption,
+    option_from_table,
+    OptionError,
+    TabularOption,
+)
+from humanopts_learner.planning.interruption import OptionValues
+from humanopts_learner.planning.request import Execution
+from humanopts_learner.run import (
     Arbiter,
     execution_named,
     refusal,
@@ -14,21 +28,6 @@ from humanopts_learner.execution import (
     RunStatus,
     TEXT,
 )
-from humanopts_learner.library import (
-    AmbiguousOptionError,
-    OptionLibrary,
-    PrimitiveOption,
-    UnknownOptionError,
-)
-from humanopts_learner.options.option import (
-    LearnedOption,
-    Mode,
-    option_from_table,
-    OptionError,
-    TabularOption,
-)
-from humanopts_learner.planning.interruption import OptionValues
-from humanopts_learner.planning.request import Execution
 import numpy as np
 from numpy.typing import NDArray
 import pytest

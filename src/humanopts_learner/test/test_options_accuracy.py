@@ -6,12 +6,12 @@ from typing import Any
 
 from humanopts_env.arrays import Rows
 from humanopts_env.domains.base import Domain
-from humanopts_env.domains.capabilities import feature_rows
 from humanopts_env.domains.pacman.domain import PacMan
 from humanopts_env.domains.reference import judge_states, ReferenceOption
 from humanopts_env.domains.registry import parameters_json, reference_options
 from humanopts_env.domains.rooms import Rooms
 from humanopts_env.domains.taxi import Taxi
+from humanopts_env.games import feature_rows
 from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.options.accuracy import (
@@ -87,7 +87,7 @@ def test_accuracy_is_the_share_of_optimal_states(fetching: list[Demonstration]) 
     option = learn_option(fetching, TAXI, 0)
     states = reference.initiation.nonzero()[0]
     good = sum(
-        int(option.greedy_action(TAXI.feature_values(TAXI.state_at(i))[None])[0])
+        int(option.action(TAXI.feature_values(TAXI.state_at(i))[None])[0])
         in reference.optimal_actions(TAXI.state_at(i))
         for i in states.tolist()
     )
@@ -156,7 +156,7 @@ def test_average_return_is_that_of_runs_to_the_references_end(
     for index in np.flatnonzero(begun).tolist():
         state, total, rng = TAXI.state_at(index), 0.0, generator(0, 'no chance')
         for _ in range(100):
-            action = int(option.greedy_action(TAXI.feature_values(state)[None])[0])
+            action = int(option.action(TAXI.feature_values(state)[None])[0])
             outcome = TAXI.step(state, action, rng)
             state, total = outcome.state, total + outcome.reward
             if reference.ends(state):

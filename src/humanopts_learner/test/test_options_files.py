@@ -132,7 +132,7 @@ def test_a_file_with_any_number_replaced_is_refused_or_can_be_used(
             loaded.append((*place, last))
             found.check_domain(TAXI)
             assert found.termination_probability(rows).min() >= 0
-            assert found.greedy_action(rows).max() < len(TAXI.actions)
+            assert found.action(rows).max() < len(TAXI.actions)
             assert option_from_json(option_to_json(found, shown)) == (found, shown)
             demonstration_to_message(shown[0]) if shown else None
             rollouts(found, TAXI, [TAXI.decode(fetching[0].states[0])])

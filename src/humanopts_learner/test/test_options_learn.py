@@ -9,7 +9,6 @@ import uuid
 from graph_support.scripted import expert
 from humanopts_env.arrays import Flags
 from humanopts_env.domains.base import Domain, DomainError
-from humanopts_env.domains.capabilities import feature_rows, HasBatchGames
 from humanopts_env.domains.pacman.domain import PacMan
 from humanopts_env.domains.pacman.reference import CLOSEST_FOOD
 from humanopts_env.domains.pacman.reference import reference_options as pacman_options
@@ -20,6 +19,7 @@ from humanopts_env.domains.rooms_reference import reference_options as rooms_opt
 from humanopts_env.domains.tabular import best_ways, distance_to
 from humanopts_env.domains.taxi import Taxi, TaxiState
 from humanopts_env.domains.taxi_reference import reference_options
+from humanopts_env.games import feature_rows, games_at
 from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import (
     check_demonstration,
@@ -29,12 +29,12 @@ from humanopts_learner.demonstrations import (
     make_demonstration,
     TREES,
 )
+from humanopts_learner.option import DrawnOption
 from humanopts_learner.options.accuracy import policy_accuracy
 from humanopts_learner.options.criteria import FEWEST_TO_A_GOAL, judge, Thresholds
 from humanopts_learner.options.files import option_from_json, option_to_json
 from humanopts_learner.options.learn import learn_option, make_dataset, NotLearnableError
 from humanopts_learner.options.option import (
-    Mode,
     option_from_table,
     OptionError,
     options_from_references,
@@ -62,7 +62,7 @@ def test_visited_states_are_in_i_and_end_states_are_in_beta(person: Callable[...
     option = learn_option([one], TAXI, 0)
     assert option.can_start(one.feature_rows).tolist() == [True, True, False]
     assert option.ends(one.feature_rows).tolist() == [False, False, True]
-    assert option.greedy_action(one.feature_rows[:2]).tolist() == [1, 4]
+    assert option.action(one.feature_rows[:2]).tolist() == [1, 4]
 
 
 def test_an_option_that_can_start_again_keeps_its_end_in_i(person: Callable[..., Any]) -> None:
@@ -157,8 +157,8 @@ def test_equal_counts_go_to_the_first_action(person: Callable[..., Any]) -> None
     )
     option = learn_option([slip], TAXI, 0)
     assert option.action_probabilities(row(NEAR))[0].tolist() == [0, 0.5, 0, 0.5, 0, 0]
-    assert option.greedy_action(row(NEAR)).tolist() == [1]
-    drawn = {option.choose_action(row(NEAR)[0], Mode.SAMPLED, rng) for rng in generators(20)}
+    assert option.action(row(NEAR)).tolist() == [1]
+    drawn = {int(DrawnOption(option, rng).action(row(NEAR))[0]) for rng in generators(20)}
     assert drawn == {1, 3}
 
 
@@ -245,13 +245,13 @@ def test_trees_that_do_not_fit_make_no_option(fetching: Shown) -> None:
 class OneByOne(PacMan):
     """Pac-Man without what plays many games at once."""
 
-    batch_games = None  # type: ignore[assignment]
+    games = None  # type: ignore[assignment]
 
 
 def test_runs_in_one_batch_are_those_of_single_steps() -> None:
     """Where a domain plays many games at once, every run keeps chance of its own."""
     domain, single = PacMan('yard', 'chase'), OneByOne('yard', 'chase')
-    assert not isinstance(single, HasBatchGames)
+    assert type(games_at(single, [])) is not type(games_at(domain, []))
     reference = pacman_options(domain)[CLOSEST_FOOD]
     states = domain.sample_states(generator(1, 'runs'), 80)
     rows = feature_rows(domain, states)
@@ -340,7 +340,7 @@ def test_an_end_that_was_passed_by_is_not_meant() -> None:
     for row, col in product(range(5), range(5)):
         at, taken = TaxiState(row, col, 4, 1), 0
         while at.passenger == 4 and taken < 20:
-            action = int(option.greedy_action(TAXI.feature_values(at)[None])[0])
+            action = int(option.action(TAXI.feature_values(at)[None])[0])
             at, taken = TAXI.step(at, action, generator(0, 'none')).state, taken + 1
         assert at == states[-1]
 
@@ -351,7 +351,7 @@ def test_of_equal_ways_the_shown_one_is_taken(person: Callable[..., Any]) -> Non
         option = learn_option(planned(shown), TAXI, 0)
         rows = np.concatenate([demo.feature_rows[:-1] for demo in shown])
         names = [name for demo in shown for name in demo.actions]
-        assert [TAXI.actions[a].name for a in option.greedy_action(rows)] == names
+        assert [TAXI.actions[a].name for a in option.action(rows)] == names
 
 
 def test_with_chance_the_way_is_the_one_that_best_arrives() -> None:

@@ -6,22 +6,19 @@ from functools import cache
 from typing import Any
 
 from humanopts_env.domains.base import Action, Feature, FeatureKind
-from humanopts_env.domains.capabilities import Abstraction
 from humanopts_env.domains.registry import reference_options
 from humanopts_env.domains.rooms import Rooms
 from humanopts_env.domains.table_domain import TableDomain
-from humanopts_env.domains.tabular_games import TabularGames
 from humanopts_env.domains.taxi import Taxi
+from humanopts_env.games import new_games, TableGames
 from humanopts_env.seeding import generator
-from humanopts_learner.execution import Arbiter, Run
 from humanopts_learner.library import OptionLibrary
 from humanopts_learner.options.option import (
     LearnedOption,
-    Mode,
     options_from_references,
     TabularOption,
 )
-from humanopts_learner.planning.evaluate import play
+from humanopts_learner.planning.evaluate import play_plan
 from humanopts_learner.planning.exact import ExactPlan, make_exact_plan
 from humanopts_learner.planning.interruption import (
     arbitrate,
@@ -34,6 +31,7 @@ from humanopts_learner.planning.plan import make_plan
 from humanopts_learner.planning.request import Execution, MODULAR, PlanError, PlanRequest, Sampling
 from humanopts_learner.planning.sampled.plan import make_sampled_plan, SampledPlan
 from humanopts_learner.ros.convert import option_values_from_message, option_values_to_message
+from humanopts_learner.run import Arbiter, Run
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
@@ -212,11 +210,11 @@ def test_play_earns_what_the_linear_solve_says(execution: Execution) -> None:
     taxi = Taxi()
     plan = make_exact_plan(taxi, tabled(taxi, 4), PlanRequest('human'))
     acting, starts = as_executed(plan, execution), taxi.start_states()
-    returns, values = play(acting, starts, max_steps=2000), policy_values(acting)
+    returns, values = play_plan(acting, starts, max_steps=2000), policy_values(acting)
     assert returns.discounted == pytest.approx(values[starts], abs=1e-6)
     acting = as_executed(rooms_plan('human+primitive', 'G2'), execution)
     starts = np.tile(Rooms('G2').start_states(), 30)
-    found = play(acting, starts, max_steps=400, seed=3).discounted
+    found = play_plan(acting, starts, max_steps=400, seed=3).discounted
     error = found.std() / np.sqrt(len(found))
     assert found.mean() == pytest.approx(policy_values(acting)[starts].mean(), abs=5 * error)
 
@@ -231,7 +229,7 @@ def test_an_option_that_walks_in_a_circle_is_stopped() -> None:
     plan = make_exact_plan(taxi, options, PlanRequest('human'))
     wrong = replace(plan.solution, best=np.where(everywhere, 2, -1).astype(np.int32))
     starts = taxi.start_states()
-    obstinate = play(replace(plan, solution=wrong), starts)
+    obstinate = play_plan(replace(plan, solution=wrong), starts)
     assert not obstinate.successes.any()
     stop = as_executed(plan, Execution.INTERRUPTED).options[2].termination
     away = plan.solution.values > option_values(plan).continuation_values[:, 2] + 1e-6
@@ -291,7 +289,7 @@ def test_the_exact_mean_return_is_that_of_episodes_from_every_start() -> None:
     for options, action_set in (((), 'primitive'), (tabled(taxi, 4), 'human')):
         plan = make_exact_plan(taxi, options, PlanRequest(action_set))
         starts = taxi.start_states()
-        played = play(plan, starts, max_steps=2000).total
+        played = play_plan(plan, starts, max_steps=2000).total
         assert exact_mean_return(plan) == pytest.approx(played.mean())
 
 
@@ -310,31 +308,25 @@ TAXI_OPTIONS = ('go to passenger', 'go to destination', 'pickup/dropoff')
 LIMIT = 60
 
 
-class TaxiGames(TabularGames):
+class TaxiGames(TableGames):
     """Games whose abstract states hide where the passenger is."""
 
-    def abstraction(self, *, fine: bool) -> Abstraction:
-        """Abstract a state to the places of the taxi and the destination."""
-        return Abstraction((25, 4))
-
-    def abstract_features(
-        self, batch: NDArray[np.int64], rows: NDArray[np.int32], *, fine: bool
-    ) -> NDArray[np.int32]:
-        """Abstract a state to the places of the taxi and the destination."""
-        return np.stack([batch[0] // 20, batch[0] % 4], axis=1).astype(np.int32)
+    def planning_features(self) -> NDArray[np.integer]:
+        """Return the places of the taxi and the destination."""
+        return np.stack([self.state // 20, self.state % 4], axis=1)
 
 
-class BatchTaxi(Taxi):
-    """Taxi that brings its batched form."""
+class AliasedTaxi(Taxi):
+    """Taxi whose games are cut off soon."""
 
     def __init__(self) -> None:
         """Cut games off soon."""
         super().__init__()
         self.max_steps = LIMIT
 
-    def batch_games(self) -> TaxiGames:
-        """Return it."""
-        return TaxiGames(self)
+    def games(self, states: Sequence[Any]) -> TaxiGames:
+        """Return games in given states."""
+        return TaxiGames.at(self, states)
 
 
 @cache
@@ -345,7 +337,7 @@ def options_of(domain: Any) -> list[LearnedOption]:
     return options_from_references(domain, [known[name] for name in names])
 
 
-TAXI, BATCH_TAXI, ROOMS = Taxi(), BatchTaxi(), Rooms('G2')
+TAXI, ALIASED, ROOMS = Taxi(), AliasedTaxi(), Rooms('G2')
 
 
 def library_of(domain: Any) -> OptionLibrary:
@@ -382,8 +374,9 @@ class LiveGame:
                 self._run()
 
     def _module(self) -> None:
-        option, row = self._arbiter.module(self.state), self._domain.feature_values(self.state)
-        self._step(option.name, option.choose_action(row, Mode.GREEDY, self._rng))
+        option = self._arbiter.modules[self._arbiter.module(self.state)]
+        row = self._domain.feature_values(self.state)[None]
+        self._step(option.name, int(option.action(row)[0]))
         self.decisions += 1
 
     def _run(self) -> None:
@@ -415,18 +408,18 @@ def exact_plan() -> ExactPlan:
 @cache
 def sampled_plan(execution: Execution = Execution.RUN_TO_END) -> SampledPlan:
     """Return a plan over aliased abstract states, so that options are often stopped."""
-    config = Sampling(n_games=200, game_steps=LIMIT, interruption_margin=0.1)
+    config = Sampling(n_games=200, game_steps=LIMIT, interruption_margin=0.0)
     return make_sampled_plan(
-        BATCH_TAXI,
-        options_of(BATCH_TAXI),
-        PlanRequest('human', game_steps=24_000, seed=1, execution=execution, sampling=config),
+        ALIASED,
+        options_of(ALIASED),
+        PlanRequest('human', 0.8, game_steps=6_000, seed=1, execution=execution, sampling=config),
     )
 
 
 @pytest.mark.parametrize('execution', Execution)
 def test_a_live_game_is_the_vectorised_one_with_exact_values(execution: Execution) -> None:
     plan, starts = exact_plan(), TAXI.start_states()[::13]
-    returns = play(as_executed(plan, execution), starts, max_steps=LIMIT)
+    returns = play_plan(as_executed(plan, execution), starts, max_steps=LIMIT)
     for episode, start in enumerate(starts.tolist()):
         game = LiveGame(plan, execution, TAXI.state_at(start))
         assert sum(game.rewards) == returns.total[episode]
@@ -439,12 +432,11 @@ def test_a_live_game_is_the_vectorised_one_with_exact_values(execution: Executio
 def test_a_live_game_is_the_vectorised_one_with_sampled_values(execution: Execution) -> None:
     plan = sampled_plan()
     for seed in range(12):
-        first = TaxiGames(TAXI).batch_reset(1, generator(seed, 'play_games'))
-        game = LiveGame(plan, execution, TAXI.state_at(int(first[0, 0])))
+        first = new_games(ALIASED, 1, generator(seed, 'play_games')).states()[0]
+        game = LiveGame(plan, execution, first)
         returns = plan.play(seed, 1, execution)
         assert sum(game.rewards) == returns.total[0]
         assert game.decisions == returns.decisions[0]
-        assert BATCH_TAXI.index(game.state) == returns.outcomes['state'][0]
 
 
 def test_the_executions_differ_where_values_are_aliased() -> None:
@@ -467,7 +459,7 @@ def test_rulings_in_the_rooms_follow_the_policy_that_is_carried_out(execution: E
         state = ROOMS.state_at(index)
         if execution in MODULAR:
             winner = plan.names[acting.solution.best[index]]
-            assert arbiter.module(state).name == winner
+            assert plan.names[arbiter.module(state)] == winner
             continue
         for before, after in zip(plan.options, acting.options):
             if not before.termination[index]:
@@ -495,4 +487,4 @@ def test_values_that_do_not_fit_the_domain_are_refused() -> None:
         Arbiter(values, Execution.INTERRUPTED, Taxi(6, 6), options)
     values = replace(sampled_plan().policy.values, action_set='human+primitive')
     with pytest.raises(PlanError, match='the actions of taxi'):
-        Arbiter(values, Execution.INTERRUPTED, BATCH_TAXI, options)
+        Arbiter(values, Execution.INTERRUPTED, ALIASED, options)

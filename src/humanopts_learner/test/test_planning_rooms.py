@@ -3,10 +3,10 @@
 from collections.abc import Mapping
 from functools import cache
 
-from humanopts_env.domains.rooms import LAYOUT, places, Rooms, RoomsState
+from humanopts_env.domains.rooms import LAYOUT, PLACES, Rooms, RoomsState
 from humanopts_env.domains.rooms_reference import reference_options
 from humanopts_learner.options.option import LearnedOption, options_from_references, tabulate
-from humanopts_learner.planning.evaluate import episode_starts, play
+from humanopts_learner.planning.evaluate import episode_starts, play_plan
 from humanopts_learner.planning.exact import build_model, ExactPlan
 from humanopts_learner.planning.plan import make_plan
 from humanopts_learner.planning.request import PlanRequest
@@ -70,7 +70,7 @@ def test_values_spread_room_by_room_with_options_and_cell_by_cell_without(
     A primitive action carries value from the cells beside a cell. A hallway option carries it from
     the doorways of a room, and from a goal in the room, to all that can start there.
     """
-    cells = places()
+    cells = PLACES
     rooms = [{c for c in cells if LAYOUT[c[0]][c[1]] == room} for room in 'abcd']
     rooms = [room | {c for c in cells if beside(c) & room} for room in rooms]
     doors = {c for c in cells if sum(c in room for room in rooms) == 2}
@@ -95,7 +95,7 @@ def beside(cell: tuple[int, int]) -> set[tuple[int, int]]:
 
 def test_one_sweep_over_options_values_the_rooms_at_the_goal_exactly() -> None:
     """Figure 4: by the best way to the goal without leaving the room, from a walk on the board."""
-    cells, goal = places(), (6, 8)
+    cells, goal = PLACES, (6, 8)
     after_one = dict(zip(cells, value_history(model('human'))[1], strict=True))
     for letter in 'bd':
         room = [c for c in cells if LAYOUT[c[0]][c[1]] == letter]
@@ -154,20 +154,20 @@ def test_played_returns_agree_with_the_planned_values(action_set: str) -> None:
     """20,000 episodes from one corner, within five standard errors."""
     found = plan(action_set)
     start = ROOMS.index(RoomsState(0, 0))
-    returns = play(found, np.full(20_000, start), seed=1)
+    returns = play_plan(found, np.full(20_000, start), seed=1)
     assert returns.successes.all()
     check(float(found.solution.values[start]), returns.discounted)
 
 
 def test_play_is_keyed_by_the_seed_and_the_number_of_the_episode() -> None:
     found, starts = plan('human'), episode_starts(ROOMS, 0, 50)
-    all_of_them, some = play(found, starts, seed=5), play(found, starts[:20], seed=5)
+    all_of_them, some = play_plan(found, starts, seed=5), play_plan(found, starts[:20], seed=5)
     assert (some.steps == all_of_them.steps[:20]).all()
     assert (some.discounted == all_of_them.discounted[:20]).all()
-    assert (play(found, starts, seed=6).steps != all_of_them.steps).any()
+    assert (play_plan(found, starts, seed=6).steps != all_of_them.steps).any()
 
 
 def test_play_stops_at_the_step_limit() -> None:
-    returns = play(plan('primitive'), episode_starts(ROOMS, 0, 200), max_steps=5)
+    returns = play_plan(plan('primitive'), episode_starts(ROOMS, 0, 200), max_steps=5)
     assert returns.steps.max() == 5
     assert 0 < returns.successes.mean() < 0.5

@@ -1,13 +1,12 @@
 """Sampled models and plans against exact ones, in domains small enough to have both."""
 
-from dataclasses import replace
 from functools import cache
 from typing import Any
 
-from humanopts_env.domains.capabilities import Abstraction
+from humanopts_env.domains.registry import make_domain
 from humanopts_env.domains.rooms import Rooms
 from humanopts_env.domains.rooms_reference import reference_options
-from humanopts_env.domains.tabular_games import TabularGames
+from humanopts_env.games import TableGames
 from humanopts_env.seeding import generator
 from humanopts_learner.intervals import Interval
 from humanopts_learner.options.option import LearnedOption, options_from_references
@@ -21,43 +20,24 @@ from humanopts_learner.planning.request import (
     Progress,
     Sampling,
 )
-from humanopts_learner.planning.sampled.action_set import ActionSet, CodeTable, StateAbstraction
-from humanopts_learner.planning.sampled.games import (
-    Recording,
-    run_in_step,
-    Runs,
-    Sampler,
-)
-from humanopts_learner.planning.sampled.plan import (
-    make_sampled_plan,
-    make_sampled_plans,
-    play_in_step,
-    SampledPlan,
-)
+from humanopts_learner.planning.sampled.abstraction import Abstraction
+from humanopts_learner.planning.sampled.action_set import ActionSet, CodeTable
+from humanopts_learner.planning.sampled.games import Recording, Sampler
+from humanopts_learner.planning.sampled.plan import make_sampled_plan, SampledPlan
 from humanopts_learner.planning.sampled.policies import UniformPolicy
 from humanopts_learner.planning.sampled.sampled_models import (
     SampleCounts,
     Samples,
-    Shrinkage,
     StateIndex,
 )
 from humanopts_learner.planning.value_iteration import solve_smdp
 import numpy as np
-from numpy.typing import NDArray
 import pytest
 
 pytestmark = pytest.mark.heavy
 
 GAMMA = 0.9
-EXACT = Sampling(n_games=2000, game_steps=100, penalty=0.0, explore=0.5, interruption_margin=0.0)
-
-
-class BatchRooms(Rooms):
-    """Rooms that brings its batched form."""
-
-    def batch_games(self) -> TabularGames:
-        """Return it."""
-        return TabularGames(self)
+EXACT = Sampling(n_games=2000, game_steps=100, explore=0.5, interruption_margin=0.0)
 
 
 def rooms_options(domain: Rooms) -> list[LearnedOption]:
@@ -73,7 +53,7 @@ def new_plan(
     **kwargs: Any,
 ) -> SampledPlan:
     """Plan in the rooms from samples."""
-    domain = BatchRooms(goal)
+    domain = Rooms(goal)
     settings: dict[str, Any] = {'seed': 1, 'sampling': EXACT, **kwargs}
     request = PlanRequest(action_set, game_steps=steps, **settings)
     return make_sampled_plan(domain, rooms_options(domain), request, progress)
@@ -86,12 +66,12 @@ rooms_plan = cache(new_plan)  # plans are read only
 def test_values_come_near_those_of_exact_models(action_set: str) -> None:
     """Where starts are drawn from, after 200,000 steps; Rooms has chance and eight options."""
     plan = rooms_plan(action_set)
-    domain = BatchRooms()
+    domain = Rooms()
     exact = make_plan(domain, rooms_options(domain), PlanRequest(action_set)).solution.values
     starts = domain.start_states()
-    states = plan.policy.values.states
-    number = states.searchsorted(starts)
-    assert (states[number] == starts).all()
+    rows = plan.actions.see(TableGames(domain, starts.astype(np.intp))).states
+    number = plan.policy.values.states.searchsorted(rows)
+    assert (plan.policy.values.states[number] == rows).all()
     assert plan.solution.values[number] == pytest.approx(exact[starts], abs=0.03)
 
 
@@ -101,18 +81,18 @@ def samples(*rows: tuple[int, int, float, float, int]) -> Samples:
     return Samples(state, option, reward.astype(float), discount.astype(float), successor)
 
 
-def test_a_model_is_the_mean_of_its_samples_less_the_penalty() -> None:
+def test_a_model_is_the_mean_of_its_samples() -> None:
     """By hand: pair (7, a) has rewards 1 and 3, and ends in 9 after one step and after two."""
     counts = SampleCounts(('a', 'b'))
     counts.add(samples((7, 0, 1.0, 0.9, 9), (9, 1, 5.0, 0.0, 9)))
     counts.add(samples((7, 0, 3.0, 0.81, 9), (9, 1, 5.0, 0.0, 9)))
-    model = counts.model(min_samples=2, penalty=1.0)
+    model = counts.model(min_samples=2)
     seven, nine = counts.index.add(np.array([7, 9]))
     assert model.available[[seven, nine]].tolist() == [[True, False], [False, True]]
-    assert model.reward[seven, 0] == pytest.approx(2.0 - 1.0 / np.sqrt(2))
+    assert model.reward[seven, 0] == pytest.approx(2.0)
     assert model.rows.toarray()[seven, nine] == pytest.approx((0.9 + 0.81) / 2)
     assert model.rows.toarray()[2 + nine].sum() == 0.0
-    assert solve_smdp(model).values[nine] == pytest.approx(5.0 - 1.0 / np.sqrt(2))
+    assert solve_smdp(model).values[nine] == pytest.approx(5.0)
 
 
 def test_pairs_with_too_few_samples_and_pairs_that_lead_to_nothing_else_are_not_available() -> (
@@ -123,9 +103,9 @@ def test_pairs_with_too_few_samples_and_pairs_that_lead_to_nothing_else_are_not_
     counts.add(
         samples(*[(1, 0, 0.0, 0.9, 2)] * 2, *[(2, 0, 0.0, 0.9, 3)] * 2, (3, 0, 9.0, 0.0, 3))
     )
-    model = counts.model(min_samples=2, penalty=0.0)
+    model = counts.model(min_samples=2)
     assert not model.available.any()
-    assert counts.model(min_samples=1, penalty=0.0).available.all()
+    assert counts.model(min_samples=1).available.all()
 
 
 def test_successors_that_nothing_is_known_of_count_as_the_known_ones() -> None:
@@ -133,7 +113,7 @@ def test_successors_that_nothing_is_known_of_count_as_the_known_ones() -> None:
     counts = SampleCounts(('a',))
     counts.add(samples((1, 0, 0.0, 0.9, 2), (1, 0, 0.0, 0.9, 2), (1, 0, 0.0, 0.6, 3)))
     counts.add(samples(*[(2, 0, 1.0, 0.0, 2)] * 2))
-    model = counts.model(min_samples=2, penalty=0.0)
+    model = counts.model(min_samples=2)
     one, two, three = counts.index.add(np.array([1, 2, 3]))
     assert model.rows.toarray()[one, two] == pytest.approx(0.8)
     assert model.rows.toarray()[one, three] == 0.0
@@ -143,25 +123,14 @@ def test_what_cannot_be_chosen_makes_no_state_known() -> None:
     """State 2 was only passed by a run that could not have started there."""
     counts = SampleCounts(('a', 'going on: a'), choosable=1)
     counts.add(samples(*[(1, 0, 0.0, 0.9, 2)] * 2, *[(2, 1, 0.0, 0.9, 3)] * 2))
-    assert not counts.model(min_samples=2, penalty=0.0).available.any()
+    assert not counts.model(min_samples=2).available.any()
     counts.add(samples(*[(3, 0, 1.0, 0.0, 3)] * 2))
-    model = counts.model(min_samples=2, penalty=0.0)
+    model = counts.model(min_samples=2)
     one, two, three = counts.index.add(np.array([1, 2, 3]))
     expected = [[False, False], [False, True], [True, False]]
     assert model.available[[one, two, three]].tolist() == expected
     assert model.rows.toarray()[3 + two, three] == pytest.approx(0.9)
     assert model.first(1).names == ('a',)
-
-
-def test_shrinkage_moves_advantages_towards_those_of_the_group() -> None:
-    """By hand: advantages of b are -4 with 1 sample and -1 with 3, so -1.75 in the mean."""
-    values = np.array([[10.0, 6.0], [2.0, 1.0], [5.0, -np.inf], [7.0, 6.0]])
-    count = np.array([[1.0, 1.0], [3.0, 3.0], [1.0, 0.0], [2.0, 2.0]])
-    found = Shrinkage(np.isfinite(values), count, np.array([0, 0, 0, 1]), 1.0)(values)
-    assert found[:, 0] == pytest.approx([10.0, 2.0, 5.0, 7.0])
-    assert found[:, 1] == pytest.approx(
-        [10 - (4 + 1.75) / 2, 2 - (3 + 1.75) / 4, 5 - 1.75, 7 - (2 + 1) / 3]
-    )
 
 
 @pytest.mark.parametrize('count', [0, 1, 3, 5000])
@@ -200,12 +169,11 @@ def test_every_end_of_a_run_is_a_sample_of_its_own() -> None:
 
 def test_sampling_keeps_to_its_budget() -> None:
     """Rounded down to whole steps of all games."""
-    games = TabularGames(BatchRooms())
-    actions = ActionSet(games.domain, 'primitive', [])
-    sampler = Sampler(actions, SampleCounts(actions.names), 50, GAMMA, generator(1, 'test'))
+    actions = ActionSet(Rooms(), 'primitive', [])
+    rng = generator(1, 'test')
+    sampler = Sampler(actions, SampleCounts(actions.names), 50, GAMMA, rng)
     reported: list[int] = []
-    play = sampler.play(UniformPolicy(actions), 5_049, reported.append)
-    assert run_in_step(actions, [play]) == [5_000]
+    assert sampler.play(UniformPolicy(rng), 5_049, reported.append) == 5_000
     assert reported[-1] == 5_000
 
 
@@ -215,41 +183,10 @@ def test_the_same_seed_gives_the_same_plan_and_another_another() -> None:
     assert not np.array_equal(first.solution.values, other.solution.values)
 
 
-def test_plans_in_step_are_those_made_and_played_one_by_one() -> None:
-    """With other rounds, budgets, seeds and executions, so that they end at different times."""
-    domain = BatchRooms()
-    options = rooms_options(domain)
-    few = Sampling(rounds=4, n_games=300, game_steps=50)
-    requests = [
-        PlanRequest('human', game_steps=20_000, seed=1, sampling=EXACT),
-        PlanRequest('human', game_steps=5_000, seed=2, sampling=few),
-        PlanRequest('human', 0.95, game_steps=8_000, execution=Execution.INTERRUPTED),
-    ]
-    together = make_sampled_plans(domain, options, requests)
-    alone = [make_sampled_plan(domain, options, request) for request in requests]
-    for one, other in zip(together, alone):
-        assert one.game_steps == other.game_steps
-        assert np.array_equal(one.solution.values, other.solution.values)
-        assert np.array_equal(one.policy.values.states, other.policy.values.states)
-    executions = (None, Execution.RUN_TO_END, Execution.MODULAR_MASS)
-    played = play_in_step(list(zip(together, (3, 3, 4), executions)), 40)
-    for plan, seed, execution, returns in zip(alone, (3, 3, 4), executions, played):
-        expected = plan.play(seed, 40, execution)
-        assert np.array_equal(returns.steps, expected.steps)
-        assert np.array_equal(returns.discounted, expected.discounted)
-        assert np.array_equal(returns.outcomes['state'], expected.outcomes['state'])
-
-
-def test_plans_in_step_have_one_action_set() -> None:
-    requests = [PlanRequest(name, game_steps=5_000) for name in ('human', 'primitive')]
-    with pytest.raises(PlanError, match='one action set'):
-        make_sampled_plans(BatchRooms(), rooms_options(BatchRooms()), requests)
-
-
 def test_a_plan_chooses_as_it_plays() -> None:
     """One state at a time, an available option, and a fallback only where no option can start."""
     plan = rooms_plan('human')
-    domain = BatchRooms()
+    domain = Rooms()
     for state in domain.sample_states(generator(1, 'states'), 20):
         decision = plan.choose(state)
         row = domain.feature_values(state)[None]
@@ -270,7 +207,6 @@ def test_play_counts_what_happens() -> None:
     assert returns.discounted[won] == pytest.approx(GAMMA ** (returns.steps[won] - 1.0))
     assert (returns.decisions >= returns.fallbacks).all()
     assert (returns.steps >= returns.decisions).all()
-    assert set(returns.outcomes['state'][won]) == set(np.flatnonzero(BatchRooms().over()))
 
 
 @pytest.mark.parametrize('execution', [Execution.INTERRUPTED, Execution.MODULAR_STRONGEST])
@@ -314,81 +250,51 @@ def test_progress_rises_and_can_cancel() -> None:
         new_plan('human', 20_000, progress=stop)
 
 
-def test_games_that_begin_again_are_seen_as_they_are() -> None:
-    """The others are where they are without that."""
-    games = TabularGames(BatchRooms())
-    actions = ActionSet(games.domain, 'primitive', [])
-    batch = games.batch_reset(50, generator(1, 'begin'))
-    cut_off = np.isin(np.arange(50), [3, 40])
-    found = []
-    for last in (None, cut_off):
-        start = batch.copy()
-        runs = Runs(actions, start, actions.observe([start])[0], generator(1, 'play'))
-        for _ in range(5):
-            runs.decide(UniformPolicy(actions))
-            run_in_step(actions, [runs.step()])
-        runs.decide(UniformPolicy(actions))
-        *_, over, states = run_in_step(actions, [runs.step(last)])[0]
-        (seen,) = actions.observe([runs.batch])
-        assert np.array_equal(runs.seen.states, seen.states)
-        assert np.array_equal(runs.seen.wanted, seen.wanted)
-        found.append((states, runs.batch[0]))
-    (ends, going_on), (ends_too, begun) = found
-    assert np.array_equal(ends, ends_too)  # abstract states before they begin again
-    again = over | cut_off
-    assert np.array_equal(going_on[~again], begun[~again])
-    assert (going_on[again] != begun[again]).any()
+def test_games_begin_again_where_they_are_over_or_cut_off() -> None:
+    """So that no game goes farther than three steps lead: to ten cells."""
+    lake = make_domain('gymnasium:FrozenLake-v1', {'is_slippery': False})
+    lake.max_steps = 3
+    actions, rng = ActionSet(lake, 'primitive', []), generator(1, 'test')
+    counts = SampleCounts(actions.names)
+    Sampler(actions, counts, 20, GAMMA, rng).play(UniformPolicy(rng), 2_000, lambda _: None)
+    assert len(counts.index) == 10
 
 
-class _TwoAbstractions(TabularGames):
-    """Games with one abstract state for primitive actions, and one for each state for options."""
-
-    def abstraction(self, *, fine: bool) -> Abstraction:
-        """One abstract state, or one for each state; plans with both see the latter, too."""
-        sizes = super().abstraction(fine=False).sizes
-        return Abstraction((1,)) if fine else Abstraction(sizes, mixture=tuple(range(len(sizes))))
-
-    def abstract_features(
-        self, batch: NDArray[np.int64], rows: NDArray[np.int32], *, fine: bool
-    ) -> NDArray[np.int32]:
-        """Return nothing, or the state."""
-        features = super().abstract_features(batch, rows, fine=False)
-        return np.zeros((len(features), 1), dtype=np.int32) if fine else features
-
-
-class _TooFine(TabularGames):
-    """Abstract features whose values cannot be numbered."""
-
-    def abstraction(self, *, fine: bool) -> Abstraction:
-        """Return 60 features of two values."""
-        return Abstraction((2,) * 60)
-
-
-def test_abstract_features_of_too_many_values_are_refused() -> None:
-    with pytest.raises(PlanError, match='too fine'):
-        StateAbstraction(_TooFine(Rooms()), 'human')
-
-
-def test_plans_with_options_and_primitive_actions_see_the_features_of_both() -> None:
-    """With the features of primitive actions alone, all states would be one."""
+def test_games_with_equal_columns_are_in_one_abstract_state() -> None:
+    """Named features, in bins or each value by itself."""
     domain = Rooms()
-    mixed = StateAbstraction(_TwoAbstractions(domain), 'human+primitive')
-    assert len(mixed.context) == len(_TwoAbstractions(domain).abstraction(fine=False).sizes)
-    batch = np.arange(domain.n_states)[None]
-    _, states = mixed.observe(batch)
-    assert len(set(states.tolist())) == domain.n_states
-    assert set(mixed.without_context(states).tolist()) == {0}
-    primitive = StateAbstraction(_TwoAbstractions(domain), 'primitive')
-    assert set(primitive.observe(batch)[1].tolist()) == {0}
+    games = TableGames(domain, np.arange(domain.n_states))
+    rows = games.features()
+    assert len(set(Abstraction(domain).codes(games, rows, []))) == domain.n_states
+    names = [feature.name for feature in domain.features]
+    by_row = Abstraction(domain, [names[0]]).codes(games, rows, [])
+    assert len(set(by_row)) == len(set(rows[:, 0].tolist()))
+    halves = Abstraction(domain, [f'{names[0]}:4', f'{names[1]}:4']).codes(games, rows, [])
+    assert len(set(halves)) == 4
+    symbol = rows[:, 0] == rows[:, 1]
+    both = Abstraction(domain, [names[0]]).codes(games, rows, [symbol])
+    assert len(set(both)) == len(set(zip(rows[:, 0].tolist(), symbol.tolist())))
 
 
-def test_a_primitive_penalty_leaves_primitive_actions_where_they_gain_less() -> None:
-    """So great a penalty leaves only options wherever one can start."""
-    plan = rooms_plan('human+primitive', sampling=replace(EXACT, primitive_penalty=100.0))
-    values = plan.policy.values.option_values
-    n_options = len(plan.actions.options)
-    some = np.isfinite(values[:, :n_options]).any(axis=1)
-    assert some.any()
-    assert (values[some].argmax(axis=1) < n_options).all()
-    free = rooms_plan('human+primitive').policy.values.option_values
-    assert (free[some[: len(free)]].argmax(axis=1) >= n_options).any()
+@pytest.mark.parametrize(
+    ('column', 'complaint'),
+    [('colour', 'no feature'), ('row:1,x', 'could not convert'), ('row:3,2', 'do not ascend')],
+)
+def test_a_wrong_column_is_refused(column: str, complaint: str) -> None:
+    with pytest.raises(PlanError, match=complaint):
+        Abstraction(Rooms(), [column])
+
+
+def test_where_no_option_can_start_the_likeliest_one_acts() -> None:
+    """Its action is taken, as a fallback."""
+    domain = Rooms()
+    options = rooms_options(domain)[:2]
+    actions = ActionSet(domain, 'human', options)
+    games = TableGames(domain, np.flatnonzero(~domain.over()))
+    rows, seen = games.features(), actions.see(games)
+    stuck = np.flatnonzero(~np.any([option.can_start(rows) for option in options], axis=0))
+    assert np.array_equal(np.flatnonzero(seen.fallback >= 0), stuck)
+    chance = np.stack([option.initiation_probability(rows) for option in options])
+    wanted = np.stack([option.action(rows) for option in options])
+    likeliest = wanted[chance.argmax(axis=0), np.arange(len(rows))]
+    assert np.array_equal(seen.fallback[stuck] - len(options), likeliest[stuck])

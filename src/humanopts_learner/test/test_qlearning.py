@@ -11,8 +11,8 @@ from humanopts_env.domains.rooms import Rooms
 from humanopts_env.domains.taxi import Taxi
 from humanopts_env.seeding import generator
 from humanopts_learner.intervals import Interval
-from humanopts_learner.options.option import TabularOption
-from humanopts_learner.planning.exact import build_model, option_table, OptionTable
+from humanopts_learner.options.option import OptionTable, TabularOption
+from humanopts_learner.planning.exact import build_model, option_table
 from humanopts_learner.planning.request import NoOptionsError, PlanError
 from humanopts_learner.planning.value_iteration import solve_smdp
 from humanopts_learner.qlearning import (

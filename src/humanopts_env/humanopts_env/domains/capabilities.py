@@ -4,8 +4,6 @@ Capabilities that a domain may have beside its rules; the learner and the teachi
 A domain has a capability by having the method or attribute; nothing is registered.
 
 - ``HasBoard``: it says what is where on its board, so that it can be drawn.
-- ``HasBatchGames``: it plays many games at once, so that plans can be made from samples.
-  ``DrawsAhead``: their chance can be drawn before they are played.
 - ``HasSearchSpace``: it defines where subgoals of automatic options are searched for.
 - ``HasTeachingDefaults``: it names the options to teach.
 - ``HasBaselines``: it names the baselines of plans, and the variants of the game to compare in.
@@ -21,7 +19,6 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol, runtime_checkable
 
-from humanopts_env.arrays import Flags, Ints, Rows
 from humanopts_env.board import Board
 from humanopts_env.domains.base import Domain, Parameter, shown_values
 from humanopts_env.domains.search_space import SearchSpace
@@ -59,114 +56,16 @@ def in_words(values: Mapping[str, str], drawn: Collection[str] = ()) -> tuple[st
     )
 
 
-@dataclass(frozen=True)
-class Abstraction:
-    """The P abstract features of a state abstraction, named by their indices."""
-
-    sizes: tuple[int, ...]  # number of values of each
-    context: tuple[int, ...] = ()  # indices of features that hardly decide which option is better
-    mixture: tuple[int, ...] = ()  # indices of those also used in plans with both
-
-
-class BatchGames(Protocol):
-    """
-    Many games of one domain at once. A batch is an object of any type: N games that step in place.
-
-    Planning sees games through a state abstraction: games with equal abstract features are in one
-    abstract state, and these are few enough that each is visited often. Primitive actions need a
-    finer abstraction than options, which have policies of their own.
-    """
-
-    domain: Domain[Any]  # that the games are of
-
-    def batch_reset(self, count: int, rng: np.random.Generator) -> Any:
-        """Begin games."""
-
-    def batch_of(self, states: Sequence[Any]) -> Any:
-        """Return games that stand at given states."""
-
-    def batch_states(self, batch: Any) -> list[Any]:
-        """Return the state of each game."""
-
-    def batch_take(self, batch: Any, games: Ints) -> Any:
-        """Return copies of chosen games, by their indices (M,)."""
-
-    def batch_put(self, batch: Any, games: Ints, source: Any) -> None:
-        """Set chosen games, by their indices (M,), each once, to the M games of another batch."""
-
-    def batch_step(self, batch: Any, actions: Ints, rng: np.random.Generator) -> NDArray[Any]:
-        """Take one step in every game that is not over, in place; return the rewards (N,)."""
-
-    def batch_step_each(
-        self, batch: Any, actions: Ints, rngs: Sequence[np.random.Generator]
-    ) -> NDArray[Any]:
-        """
-        Take the step of ``Domain.step`` in every game, in place; return the rewards (N,).
-
-        :param batch: games that are not over.
-        :param rngs: (N,) the chance of each game, drawn from as ``Domain.step`` does.
-        """
-
-    def batch_over(self, batch: Any) -> Flags:
-        """Return (N,): whether each game is over."""
-
-    def batch_features(self, batch: Any) -> Rows:
-        """Return (N, F): all features."""
-
-    def batch_outcome(self, batch: Any) -> Mapping[str, NDArray[Any]]:
-        """Return the measures that are reported beside the return, each (N,), by name."""
-
-    def abstraction(self, *, fine: bool) -> Abstraction:
-        """
-        Return the abstract features.
-
-        :param fine: True: the features that primitive actions need; False: those that options
-            need. Only the latter may have a ``mixture``.
-        """
-
-    def abstract_features(self, batch: Any, rows: Rows, *, fine: bool) -> NDArray[np.int32]:
-        """
-        Return (N, P): the values of the abstract features, from 0.
-
-        :param rows: (N, F) features of the games.
-        """
-
-
 @runtime_checkable
-class HasBatchGames(Protocol):
-    """A domain that plays many games at once."""
-
-    def batch_games(self) -> BatchGames:
-        """Return the object that plays them."""
-
-
-@runtime_checkable
-class DrawsAhead(Protocol):
+class HasPlanningFeatures(Protocol):
     """
-    ``BatchGames`` whose chance does not depend on states, so that it can be drawn ahead.
+    Games with features that planning needs and people are not asked about.
 
-    Games that are compared with the same chance then draw it once.
+    They have few values, so that abstract states are visited often.
     """
 
-    def draws_ahead(self, rng: np.random.Generator, steps: int) -> NDArray[Any]:
-        """Return (steps, D): what one game draws in so many steps of ``Domain.step``."""
-
-    def batch_step_drawn(self, batch: Any, actions: Ints, draws: NDArray[Any]) -> NDArray[Any]:
-        """
-        Take the step of ``Domain.step`` in every game, in place; return the rewards (N,).
-
-        :param batch: games that are not over.
-        :param draws: (N, D) the chance of this step.
-        """
-
-
-def feature_rows(domain: Domain[Any], states: Sequence[Any]) -> Rows:
-    """Return the features of N states, (N, F), all at once where the domain can."""
-    if isinstance(domain, HasBatchGames):
-        games = domain.batch_games()
-        return games.batch_features(games.batch_of(states))
-    values = [domain.feature_values(state) for state in states]
-    return np.array(values, dtype=np.float64).reshape(len(states), len(domain.features))
+    def planning_features(self) -> NDArray[np.integer]:
+        """Return (N, P): their values, whole numbers from 0."""
 
 
 @runtime_checkable
@@ -196,19 +95,11 @@ class HasTeachingDefaults(Protocol):
 
 
 @dataclass(frozen=True)
-class PlanSettings:
-    """How to plan from samples; found by hand, on other seeds than those of reported results."""
-
-    gamma: float  # discount per primitive step
-    sampling: Mapping[str, Any]  # numbers by the names of the learner's ``Sampling``
-
-
-@dataclass(frozen=True)
 class Scores:
     """The results of N games."""
 
     total: NDArray[Any]  # (N,) undiscounted return
-    outcomes: Mapping[str, NDArray[Any]]  # (N,) each, as ``BatchGames.batch_outcome``
+    outcomes: Mapping[str, NDArray[Any]]  # (N,) each, as ``Games.outcomes``
 
 
 class Heuristic(Protocol):
@@ -225,8 +116,7 @@ class Baselines:
     variants: Mapping[str, Mapping[str, Parameter]] = field(default_factory=dict)
     """Changed parameters of each variant of the game to compare in, by the variant's name."""
     paper_options: tuple[str, ...] = ()  # names, for a plan with these options alone
-    primitive: PlanSettings | None = None  # for plans with primitive actions
-    interrupted: PlanSettings | None = None  # for plans with options that are interrupted
+    primitive_columns: tuple[str, ...] = ()  # of abstract states, for primitive actions
     heuristic: Heuristic | None = None
 
 

@@ -11,6 +11,7 @@ from typing import Any, Protocol, runtime_checkable
 
 from humanopts_env.arrays import Flags
 from humanopts_env.domains.base import EnumerableDomain
+from humanopts_env.games import Games
 import numpy as np
 from numpy.typing import NDArray
 
@@ -59,9 +60,9 @@ class ManyStates(Protocol):
 
 @runtime_checkable
 class ManyGames(Protocol):
-    """A reference option that judges games of ``BatchGames`` as they are."""
+    """A reference option that judges ``Games`` as they are."""
 
-    def judge_games(self, batch: Any) -> Judgement:
+    def judge_games(self, games: Any) -> Judgement:
         """Judge the states of N games."""
 
 
@@ -77,6 +78,13 @@ def judge_states(option: ReferenceOption, states: Sequence[Any], n_actions: int)
         np.array([option.ends(state) for state in states], dtype=np.bool_),
         optimal,
     )
+
+
+def judge_games(option: ReferenceOption, games: Games) -> Judgement:
+    """Judge the states of N games by a reference option."""
+    if isinstance(option, ManyGames):
+        return option.judge_games(games)
+    return judge_states(option, games.states(), len(games.domain.actions))
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,21 +19,21 @@ from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any, Generic, TypeVar
 
-from humanopts_env.arrays import Flags, Floats, Ints, Rows
+from humanopts_env.arrays import Flags, Ints, Rows
 from humanopts_env.domains.base import Domain, EnumerableDomain, is_enumerable
-from humanopts_env.domains.capabilities import DrawsAhead, feature_rows
 from humanopts_env.domains.reference import (
+    judge_games,
     judge_states,
     Judgement,
-    ManyGames,
     ReferenceOption,
     TabularReferenceOption,
 )
 from humanopts_env.domains.registry import parameters_json
-from humanopts_env.domains.tabular_games import TabularGames
+from humanopts_env.games import Chance, feature_rows, Games, games_at
 from humanopts_env.seeding import generator
-from humanopts_learner.options.option import LearnedOption, TabularOption
-from humanopts_learner.options.rollout import games_of, is_deterministic, tabular_rollouts
+from humanopts_learner.execution import Fixed, play
+from humanopts_learner.options.option import LearnedOption, OptionTable, TabularOption
+from humanopts_learner.options.rollout import is_deterministic
 import numpy as np
 
 T = TypeVar('T')
@@ -65,7 +65,7 @@ def policy_accuracy(
     :raises OptionError: the option was not learned in this domain.
     """
     option.check_domain(domain)
-    return action_accuracy(option.greedy_action, domain, reference)
+    return action_accuracy(option.action, domain, reference)
 
 
 def action_accuracy(
@@ -105,76 +105,59 @@ def average_returns(
     starts = _answers(domain, reference).starts
     if not starts or not options:
         return [float('nan')] * len(options)
-    if is_deterministic(domain) and isinstance(reference, TabularReferenceOption):
-        returns = _tabular_returns(options, domain, reference, starts)
+    count = len(starts)
+    games = games_at(domain, list(starts) * len(options))
+    which = np.repeat(np.arange(len(options)), count)
+    chance: Chance = np.random.default_rng(0)  # nothing is drawn from it
+    if not is_deterministic(domain):
+        keys = [('accuracy', 'return', domain.name, run) for run in range(count)]
+        chance = [generator(0, *key) for key in keys * len(options)]
+    policy = Fixed(which)
+    if is_enumerable(domain) and isinstance(reference, TabularReferenceOption):
+        best = TabularOption.of_reference(reference, LONGEST)
+        rows = domain.feature_table()
+        table = OptionTable([replace(best, action=o.action(rows)) if o else best for o in options])
+        played = play(games, table, policy, chance, LONGEST, once=True)
     else:
-        returns = _played_returns(options, domain, reference, starts)
+        judged = _UntilReference(options, reference)
+        played = play(games, judged, policy, chance, LONGEST, once=True)
+    returns = played.by_game(played.runs.total)
     return [float(each.mean()) for each in returns.reshape(len(options), -1)]
 
 
-def _tabular_returns(
-    options: Sequence[LearnedOption | None],
-    domain: EnumerableDomain[Any],
-    reference: TabularReferenceOption,
-    starts: Sequence[Any],
-) -> Floats:
-    """Return the undiscounted returns of each option from each state, where nothing is drawn."""
-    best = TabularOption.of_reference(reference, LONGEST)
-    runs = [
-        replace(best, action=option.greedy_action(domain.feature_table())) if option else best
-        for option in options
-    ]
-    which = np.repeat(np.arange(len(options)), len(starts))
-    at = np.tile([domain.index(state) for state in starts], len(options)).astype(np.intp)
-    return tabular_rollouts(domain, runs, which, at, np.full_like(at, LONGEST)).total_reward
+class _UntilReference:
+    """Options that all end where a reference option ends; None: the reference option itself."""
+
+    def __init__(
+        self, options: Sequence[LearnedOption | None], reference: ReferenceOption
+    ) -> None:
+        self.options, self.reference = options, reference
+        self.limits = np.full(len(options), LONGEST)
+
+    def see(self, games: Games) -> '_Seen':
+        return _Seen(self, games, games.features(), judge_games(self.reference, games))
 
 
-def _played_returns(
-    options: Sequence[LearnedOption | None],
-    domain: Domain[Any],
-    reference: ReferenceOption,
-    starts: Sequence[Any],
-) -> Floats:
-    """Return the undiscounted returns of each option, in one run from each start state."""
-    games: Any = TabularGames(domain) if is_enumerable(domain) else games_of(domain)
-    count = len(starts)
+@dataclass(frozen=True)
+class _Seen:
+    until: _UntilReference
+    games: Games
+    rows: Rows
+    judged: Judgement
 
-    def judge(batch: Any) -> Judgement:
-        if isinstance(reference, ManyGames):
-            return reference.judge_games(batch)
-        return judge_states(reference, games.batch_states(batch), len(domain.actions))
+    def take(self, games: Ints) -> '_Seen':
+        return self.until.see(self.games.take(games))
 
-    def chance(run: int) -> np.random.Generator:
-        return generator(0, 'accuracy', 'return', domain.name, run)
+    def action(self, option: Ints) -> Ints:
+        action: Ints = self.judged.optimal.argmax(axis=1)
+        for index, one in enumerate(self.until.options):
+            at = np.flatnonzero(option == index)
+            if one is not None and at.size:
+                action[at] = one.action(self.rows[at])
+        return action
 
-    draws, rngs = np.empty(0), []
-    if isinstance(games, DrawsAhead):
-        draws = np.array([games.draws_ahead(chance(run), LONGEST) for run in range(count)])
-    else:
-        rngs = [chance(run) for _ in options for run in range(count)]
-    total, going = np.zeros(len(options) * count), np.arange(len(options) * count)
-    batch = games.batch_take(games.batch_of(starts), going % count)
-    for step in range(LONGEST):
-        rows, action = games.batch_features(batch), np.empty(len(going), dtype=np.intp)
-        ends = np.searchsorted(going, np.arange(1, len(options) + 1) * count).tolist()
-        for option, begin, end in zip(options, [0, *ends], ends):
-            if begin == end:
-                continue
-            if option is None:
-                its = games.batch_take(batch, np.arange(begin, end))
-                action[begin:end] = judge(its).optimal.argmax(axis=1)
-            else:
-                action[begin:end] = option.greedy_action(rows[begin:end])
-        if isinstance(games, DrawsAhead):
-            total[going] += games.batch_step_drawn(batch, action, draws[going % count, step])
-        else:
-            total[going] += games.batch_step_each(batch, action, [rngs[run] for run in going])
-        on = np.flatnonzero(~judge(batch).termination & ~games.batch_over(batch))
-        if len(on) < len(going):
-            going, batch = going[on], games.batch_take(batch, on)
-        if not going.size:
-            break
-    return total
+    def ends(self, option: Ints) -> Flags:
+        return self.judged.termination
 
 
 def classification_accuracy(

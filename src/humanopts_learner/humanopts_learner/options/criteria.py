@@ -363,7 +363,7 @@ def _follow(
     for index, (option, demo) in enumerate(zip(options, demos, strict=True)):
         rows = demo.feature_rows
         shown = [action_index(domain, action) for action in demo.actions]
-        acts_otherwise = np.append(option.greedy_action(rows[:-1]) != shown, True)
+        acts_otherwise = np.append(option.action(rows[:-1]) != shown, True)
         ends = option.ends(rows)
         ends[0] = False  # not asked before the first step
         ends[-1] |= demo.terminated

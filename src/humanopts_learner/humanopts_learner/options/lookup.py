@@ -26,7 +26,7 @@ LARGEST = 2**20  # combinations of buckets; a tree with more of them is walked
 class Decisions:
     """What ``LearnedOption`` decides in N states, by the rows (N, F) of all features."""
 
-    greedy_action: Callable[[Rows], NDArray[np.integer]]
+    action: Callable[[Rows], NDArray[np.integer]]
     can_start: Callable[[Rows], Flags]
     ends: Callable[[Rows], Flags]
 
@@ -63,7 +63,7 @@ def decisions(option: LearnedOption, counts: tuple[int, ...]) -> Decisions:
         tree.shares[:, MEMBER] >= HALF for tree in (option.initiation, option.termination)
     )
     return Decisions(
-        tree_table(option.policy, option.policy_encoding, counts, best) or option.greedy_action,
+        tree_table(option.policy, option.policy_encoding, counts, best) or option.action,
         tree_table(option.initiation, option.encoding, counts, starts) or option.can_start,
         tree_table(option.termination, option.encoding, counts, ends) or option.ends,
     )

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from enum import Enum
 from functools import cached_property
 from typing import Any
 
@@ -10,6 +9,7 @@ from humanopts_env.arrays import Flags, Floats, Ints, Rows
 from humanopts_env.domains.base import Domain, DomainError, EnumerableDomain
 from humanopts_env.domains.reference import ReferenceOption, TabularReferenceOption
 from humanopts_env.domains.registry import parameters_json
+from humanopts_env.games import Games, TableGames
 from humanopts_learner.demonstrations import METHODS, TREES
 from humanopts_learner.options.decision_tree import (
     encode_rows,
@@ -31,13 +31,6 @@ REFERENCE_MAX_STEPS = 200
 
 class OptionError(ValueError):
     """An option cannot be used as asked; the text says why."""
-
-
-class Mode(Enum):
-    """How the probabilities of an option become decisions in execution; models are greedy."""
-
-    GREEDY = 'greedy'  # the likeliest action; ends where beta is 0.5 or more
-    SAMPLED = 'sampled'  # drawn
 
 
 @dataclass(frozen=True)
@@ -128,7 +121,7 @@ class LearnedOption:
         """Return (N,): beta of each state."""
         return self.termination.probability_of(MEMBER, self._encode(rows, self.termination.tested))
 
-    def greedy_action(self, rows: Rows) -> Ints:
+    def action(self, rows: Rows) -> Ints:
         """Return (N,): the likeliest action, the lowest index among equals."""
         return self.policy.likeliest(self._encode_for_policy(rows, self.policy.tested))
 
@@ -137,20 +130,8 @@ class LearnedOption:
         return self.initiation_probability(rows) >= HALF
 
     def ends(self, rows: Rows) -> Flags:
-        """Return (N,): whether the option ends in each state; not asked before its first step."""
+        """Return (N,): whether the option ends in each state; ignored before its first step."""
         return self.termination_probability(rows) >= HALF
-
-    def choose_action(self, row: Rows, mode: Mode, rng: np.random.Generator) -> int:
-        """Return the action in one state (F,)."""
-        if mode is Mode.GREEDY:
-            return int(self.greedy_action(row[None])[0])
-        return int(rng.choice(len(self.actions), p=self.action_probabilities(row[None])[0]))
-
-    def choose_end(self, row: Rows, mode: Mode, rng: np.random.Generator) -> bool:
-        """Return whether the option ends in one state (F,), after a step."""
-        if mode is Mode.GREEDY:
-            return bool(self.ends(row[None])[0])
-        return bool(self.termination_probability(row[None])[0] >= 1.0 - rng.random())
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,10 +168,61 @@ def tabulate(
     return TabularOption(
         option.name,
         option.max_steps,
-        option.greedy_action(rows),
+        option.action(rows),
         option.can_start(rows),
         option.ends(rows),
     )
+
+
+class OptionTable:
+    """
+    O options over the S states of a domain.
+
+    :ivar names: (O,).
+    :ivar action: (O, S) primitive action.
+    :ivar ends: (O, S) whether the option ends there, after one step or more.
+    :ivar available: (S, O) whether it can be chosen.
+    :ivar limits: (O,) steps after which it is cut off.
+    """
+
+    def __init__(self, options: Sequence[TabularOption], over: Flags | None = None) -> None:
+        """
+        Put options into one table.
+
+        :param over: (S,) states where none can be chosen, because the task is over.
+        """
+        self.names = tuple(option.name for option in options)
+        self.action = np.array([option.action for option in options], dtype=np.intp)
+        self.ends = np.array([option.termination for option in options])
+        can_start = np.array([option.initiation for option in options])
+        self.available = (can_start if over is None else can_start & ~over).T.copy()
+        self.limits = np.array([option.max_steps for option in options], dtype=np.intp)
+
+    def see(self, games: Games) -> 'SeenStates':
+        """Look at games whose states are listed."""
+        assert isinstance(games, TableGames)
+        return SeenStates(self, games.state)
+
+
+@dataclass(frozen=True, slots=True)
+class SeenStates:
+    """The states of N games, and what options decide there."""
+
+    table: OptionTable
+    states: Ints  # (N,) indices
+
+    def take(self, games: Ints) -> 'SeenStates':
+        return SeenStates(self.table, self.states.take(games))
+
+    def action(self, option: Ints) -> Ints:
+        actions = self.table.action
+        found: Ints = actions.take(option * actions.shape[1] + self.states)
+        return found
+
+    def ends(self, option: Ints) -> Flags:
+        ends = self.table.ends
+        found: Flags = ends.take(option * ends.shape[1] + self.states)
+        return found
 
 
 def options_from_references(

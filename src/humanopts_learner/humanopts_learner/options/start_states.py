@@ -15,8 +15,8 @@ from typing import Any
 
 from humanopts_env.arrays import Flags, Floats, Rows
 from humanopts_env.domains.base import Domain, EnumerableDomain, FeatureKind, is_enumerable
-from humanopts_env.domains.capabilities import feature_rows
 from humanopts_env.domains.tabular import reachable
+from humanopts_env.games import feature_rows
 from humanopts_learner.demonstrations import Demonstration, Kind
 from humanopts_learner.options.criteria import fit_leave_fold_out, fold_of
 from humanopts_learner.options.decision_tree import encode_rows, feature_encoding
@@ -259,14 +259,14 @@ def committee_disagrees(
     each of ten folds. Where one of these differs in I, or in the action inside I, too little was
     shown, or a slip counts too much. One trajectory has no committee: it disagrees all over I.
     """
-    inside, action = option.can_start(rows), option.greedy_action(rows)
+    inside, action = option.can_start(rows), option.action(rows)
     data = make_dataset(demonstrations, domain)
     if len(data.trajectories) < 2:
         return inside
     found = np.zeros(len(rows), dtype=np.bool_)
     for other in fit_leave_fold_out(data, fold_of(data, seed), domain, seed):
         found |= other.can_start(rows) != inside
-        found |= inside & (other.greedy_action(rows) != action)
+        found |= inside & (other.action(rows) != action)
     return found
 
 

@@ -5,15 +5,17 @@ So it shows what the options of a plan do not cover: where a person can teach mo
 section 8).
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 import math
 from typing import Any
 
 from humanopts_env.arrays import Flags, Floats, Ints
 from humanopts_env.domains.base import Domain, EnumerableDomain, S
-from humanopts_env.domains.tabular import TabularSimulator
+from humanopts_env.games import Chance, TableGames
 from humanopts_env.seeding import generator
+from humanopts_learner.execution import Choice, Execution, play, Played
+from humanopts_learner.options.option import SeenStates
 from humanopts_learner.planning.exact import ExactPlan, option_table
 from humanopts_learner.planning.request import ignore_progress, PlanError, Progress
 from humanopts_learner.planning.smdp import look_ahead, primitive_model
@@ -39,11 +41,24 @@ class Returns:
     """(E,) each: other results that the domain reports of its games; exact: none."""
 
     @classmethod
-    def of_none(cls, over: Flags, outcomes: Mapping[str, NDArray[Any]] | None = None) -> 'Returns':
-        """Return the results of E episodes before their first step; ``over`` (E,) are done."""
-        steps, decisions, fallbacks, unknown = np.zeros((4, len(over)), dtype=np.intp)
-        total, discounted = np.zeros((2, len(over)))
-        return cls(total, discounted, steps, over, decisions, fallbacks, unknown, outcomes or {})
+    def of(cls, played: Played, gamma: float, first_fallback: int) -> 'Returns':
+        """Return the results of episodes; ``first_fallback`` as of ``PolicyPlan``."""
+        runs, by_game = played.runs, played.by_game
+        ones = np.ones(len(runs.game))
+        steps, decisions, fallbacks, unknown = (
+            by_game(values).astype(np.intp)
+            for values in (runs.steps, ones, runs.option >= first_fallback, runs.unknown)
+        )
+        return cls(
+            total=by_game(runs.total),
+            discounted=by_game(gamma**runs.begun * runs.discounted),
+            steps=steps,
+            successes=played.over,
+            decisions=decisions,
+            fallbacks=fallbacks,
+            unknown=unknown,
+            outcomes=played.outcomes,
+        )
 
 
 def episode_starts(
@@ -68,7 +83,34 @@ def episode_start(domain: Domain[S], seed: int, episode: int) -> S:
     return domain.reset(generator(seed, 'episode_start', episode))
 
 
-def play(
+@dataclass(frozen=True)
+class PlannedOptions:
+    """The policy of an exact plan: each option runs to its end."""
+
+    best: NDArray[np.integer]  # (S,) index of the option that is begun
+
+    def choose(self, seen: SeenStates, games: Ints) -> Choice:
+        return Choice(self.best.take(seen.states).astype(np.intp))
+
+    def stops(self, seen: SeenStates, option: Ints) -> Flags | None:
+        return None
+
+
+@dataclass(frozen=True)
+class AnyAvailable:
+    """Any option that can be chosen, all with the same probability; each runs to its end."""
+
+    rng: np.random.Generator
+
+    def choose(self, seen: SeenStates, games: Ints) -> Choice:
+        can = seen.table.available.take(seen.states, axis=0)
+        return Choice(np.where(can, self.rng.random(can.shape), -1.0).argmax(axis=1))
+
+    def stops(self, seen: SeenStates, option: Ints) -> Flags | None:
+        return None
+
+
+def play_plan(
     plan: ExactPlan,
     starts: NDArray[np.integer],
     max_steps: int = 0,
@@ -78,11 +120,12 @@ def play(
     """
     Run each option of the policy to its end, as the runner does, until the episode ends.
 
-    Chance has its own generator for each step, so episode i is the same however many are played.
+    Chance has its own generator for each episode, so episode i is the same however many are
+    played.
 
     :param starts: (E,) state indices.
     :param seed: of the outcomes; not used where every action has one.
-    :param max_steps: episodes are cut off after so many steps; 0: the domain's own limit.
+    :param max_steps: episodes are cut off after this many steps; 0: the domain's own limit.
     :param progress: called with the stage evaluation; what it raises passes through.
     :raises PlanError: neither limits the episodes, or a start is not a state.
     """
@@ -91,61 +134,29 @@ def play(
         raise PlanError(f'{plan.domain.name} never cuts an episode off: give max_steps')
     if len(starts) and not 0 <= starts.min() <= starts.max() < plan.domain.n_states:
         raise PlanError(f'a start is not within 0..{plan.domain.n_states - 1}')
-    episodes = Episodes(plan, starts)
-    for step in range(limit):
-        if not len(episodes.live):
-            break
+    chance: Chance = np.random.default_rng(0)  # nothing is drawn from it
+    if not plan.domain.transitions().deterministic:
+        chance = [generator(seed, 'play', episode) for episode in range(len(starts))]
+
+    def on_step(step: int, *_: Any) -> None:
         progress('evaluation', step / limit, 0, math.nan)
-        episodes.decide()
-        episodes.step(generator(seed, 'play', step))
-    return episodes.returns
+
+    return Returns.of(
+        _played(plan, starts, chance, limit, on_step), plan.gamma, plan.first_fallback
+    )
 
 
-class Episodes:
-    """E episodes side by side; ``live`` are those that go on."""
-
-    def __init__(self, plan: ExactPlan, starts: NDArray[np.integer]) -> None:
-        count = len(starts)
-        self._plan = plan
-        over = plan.domain.over()
-        self._simulator = TabularSimulator(plan.domain.transitions(), over)
-        self._options = option_table(plan.domain, plan.action_set, plan.options)
-        self._state = starts.astype(np.intp)
-        self._option = np.full(count, -1, dtype=np.intp)  # -1: to be decided
-        self._ran = np.zeros(count, dtype=np.intp)  # steps of the running option
-        self._discount = np.ones(count)
-        self.live = np.flatnonzero(~over[self._state])
-        self.returns = Returns.of_none(over[self._state])
-
-    def decide(self) -> Ints:
-        """Begin an option wherever none is running; return the states of these decisions, (N,)."""
-        free = self.live[self._option[self.live] < 0]
-        option = self._plan.solution.best[self._state[free]]
-        self._option[free], self._ran[free] = option, 0
-        self.returns.decisions[free] += 1
-        self.returns.fallbacks[free] += option >= self._plan.first_fallback
-        return self._state[free]
-
-    def step(self, rng: np.random.Generator) -> None:
-        """Take one primitive step in every episode that goes on."""
-        live, returns = self.live, self.returns
-        state, option = self._state[live], self._option[live]
-        action = self._options.action[option, state]
-        drawn = self._simulator.draw(rng, len(self._state))
-        arrived, reward, over = self._simulator.step(
-            state, action, None if drawn is None else drawn[live]
-        )
-        returns.total[live] += reward
-        returns.discounted[live] += self._discount[live] * reward
-        returns.steps[live] += 1
-        returns.successes[live] = over
-        self._discount[live] *= self._plan.gamma
-        self._state[live] = arrived
-        self._ran[live] += 1
-        cut_off = self._ran[live] >= self._options.limits[option]
-        ended = self._options.ends[option, arrived] | cut_off
-        self._option[live[ended]] = -1
-        self.live = live[~over]
+def _played(
+    plan: ExactPlan,
+    starts: NDArray[np.integer],
+    chance: Chance,
+    limit: int,
+    on_step: Callable[[int, Execution[SeenStates], SeenStates], object],
+) -> Played:
+    games = TableGames(plan.domain, starts.astype(np.intp))
+    options = option_table(plan.domain, plan.action_set, plan.options)
+    policy = PlannedOptions(plan.solution.best)
+    return play(games, options, policy, chance, limit, gamma=plan.gamma, on_step=on_step)
 
 
 @dataclass(frozen=True)
@@ -175,10 +186,11 @@ def find_coverage(plan: ExactPlan, most: int = 20) -> Coverage:
     starts = domain.start_states()
     starts = starts[:: -(-len(starts) // _STARTS)]
     visits = np.zeros(domain.n_states, dtype=np.intp)
-    episodes = Episodes(plan, starts)
-    for step in range(domain.max_steps):
-        visits += np.bincount(episodes.decide(), minlength=domain.n_states)
-        episodes.step(generator(0, 'coverage', step))
+
+    def count(step: int, execution: Execution[SeenStates], seen: SeenStates) -> None:
+        np.add.at(visits, seen.states.take(execution.decided), 1)
+
+    _played(plan, starts, generator(0, 'coverage'), domain.max_steps, count)
     chosen, values = plan.solution.best, plan.solution.values
     decided = visits > 0
     fallback = np.flatnonzero(decided & (chosen >= plan.first_fallback))

@@ -7,10 +7,10 @@ import math
 import time
 from typing import Any
 
-from humanopts_env.arrays import Flags, Ints
+from humanopts_env.arrays import Flags
 from humanopts_env.domains.base import Domain, EnumerableDomain
 from humanopts_learner.demonstrations import PRIMITIVE_PREFIX
-from humanopts_learner.options.option import LearnedOption, TabularOption, tabulate
+from humanopts_learner.options.option import LearnedOption, OptionTable, TabularOption, tabulate
 from humanopts_learner.planning.option_models import model_option, OptionModel
 from humanopts_learner.planning.request import (
     Clock,
@@ -203,17 +203,6 @@ def _primitive_states(
     return free
 
 
-@dataclass(frozen=True)
-class OptionTable:
-    """O options over S states: those given, then the primitive actions if the set needs them."""
-
-    names: tuple[str, ...]  # (O,)
-    action: Ints  # (O, S) primitive action
-    ends: Flags  # (O, S) whether the option ends there, after one step or more
-    available: Flags  # (S, O) whether the option can be chosen; none where the task is over
-    limits: Ints  # (O,) steps after which the option is cut off
-
-
 def option_table(
     domain: EnumerableDomain[Any], action_set: str, options: Sequence[TabularOption]
 ) -> OptionTable:
@@ -236,14 +225,7 @@ def option_table(
         )
         for index, action in enumerate(domain.actions)
     ]
-    every = [*used, *primitives] if free.any() else used
-    return OptionTable(
-        names=tuple(option.name for option in every),
-        action=np.array([option.action for option in every], dtype=np.intp),
-        ends=np.array([option.termination for option in every]),
-        available=(np.array([option.initiation for option in every]) & ~domain.over()).T.copy(),
-        limits=np.array([option.max_steps for option in every], dtype=np.intp),
-    )
+    return OptionTable([*used, *primitives] if free.any() else used, domain.over())
 
 
 def _option_models(

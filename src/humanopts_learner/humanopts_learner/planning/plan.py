@@ -15,7 +15,7 @@ from humanopts_env.arrays import Floats
 from humanopts_env.domains.base import Domain, is_enumerable
 from humanopts_learner.intervals import Interval
 from humanopts_learner.options.option import LearnedOption
-from humanopts_learner.planning.evaluate import episode_starts, play
+from humanopts_learner.planning.evaluate import episode_starts, play_plan
 from humanopts_learner.planning.exact import ExactPlan, make_exact_plan
 from humanopts_learner.planning.request import (
     Clock,
@@ -109,7 +109,7 @@ def judge_plan(
         raise PlanError(f'cannot play {episodes} episodes')
     if isinstance(plan, ExactPlan):
         starts = episode_starts(plan.domain, seed, episodes, progress)
-        returns = play(plan, starts, seed=seed, progress=progress)
+        returns = play_plan(plan, starts, seed=seed, progress=progress)
     else:
         returns = plan.play(seed, episodes, progress=progress)
     progress('evaluation', 1.0, 0, math.nan)

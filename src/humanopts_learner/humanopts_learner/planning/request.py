@@ -7,7 +7,6 @@ import math
 from typing import Any, Protocol
 
 from humanopts_env.domains.base import Domain, is_enumerable
-from humanopts_env.domains.capabilities import BatchGames, HasBatchGames
 from humanopts_learner.demonstrations import MACHINE
 from humanopts_learner.library import taught_nothing
 from humanopts_learner.options.option import LearnedOption, OptionError
@@ -97,9 +96,6 @@ class Sampling:
     game_steps: int = 400  # smallest number of steps of each game in all
     explore: float = 0.2  # share of random decisions, from the second round on
     min_samples: int = 1  # pairs of state and option with fewer are not available
-    penalty: float = 0.0  # reward units, by the square root of the number of samples
-    shrinkage: float = 0.0  # weight, in samples, of the mean over states of other context
-    primitive_penalty: float = 0.0  # reward units off a primitive action's value
     interruption_margin: float = 10.0  # reward units that stopping an option must gain
 
     def __post_init__(self) -> None:
@@ -107,15 +103,8 @@ class Sampling:
             raise PlanError(f'{self} needs at least two rounds, one game and one sample')
         if self.game_steps < self.rounds:
             raise PlanError(f'{self} needs at least one step of each game in every round')
-        numbers = (
-            self.penalty,
-            self.shrinkage,
-            self.primitive_penalty,
-            self.interruption_margin,
-        )
-        finite = all(0.0 <= number < math.inf for number in numbers)
-        if not 0.0 <= self.explore <= 1.0 or not finite:
-            raise PlanError(f'{self} needs explore from 0 to 1, and the others finite, 0 or more')
+        if not (0.0 <= self.explore <= 1.0 and 0.0 <= self.interruption_margin < math.inf):
+            raise PlanError(f'{self} needs explore from 0 to 1, and a finite margin, 0 or more')
 
 
 @dataclass(frozen=True)
@@ -133,6 +122,7 @@ class PlanRequest:
     game_steps: int = 0  # sampled in all; default: 800,000. Exact models need none: always 0
     seed: int = 0  # of the samples
     sampling: Sampling = Sampling()
+    columns: tuple[str, ...] = ()  # of sampled abstract states, as of ``Abstraction``
     execution: Execution = Execution.RUN_TO_END
     """
     How the policy so far is executed while sampling, from the second round on. Where options are
@@ -172,7 +162,6 @@ class PlanRequest:
         if self.action_set != PRIMITIVE:
             _check_options(domain, self.action_set, options)
         if sampled:
-            batch_games(domain)  # raises where there are none
             fewest = self.sampling.game_steps
             if asked.game_steps < fewest:
                 raise PlanError(f'game_steps is {asked.game_steps}, and must be at least {fewest}')
@@ -211,20 +200,6 @@ def _check_options(domain: Domain[Any], action_set: str, options: Sequence[Any])
                 option.check_domain(domain)
             except OptionError as error:
                 raise PlanError(str(error)) from error
-
-
-def batch_games(domain: Domain[Any]) -> BatchGames:
-    """
-    Return the object that plays many games of a domain at once.
-
-    :raises PlanError: the domain cannot do that, so neither kind of planning is possible.
-    """
-    if isinstance(domain, HasBatchGames):
-        return domain.batch_games()
-    raise PlanError(
-        f'the states of {domain.name} cannot all be listed, so it has no exact models; and it has '
-        'no method batch_games, so it has no sampled ones'
-    )
 
 
 def select_options(

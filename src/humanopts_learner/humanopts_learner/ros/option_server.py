@@ -11,13 +11,14 @@ from humanopts_env.ros.game_subscriber import GameSubscriber
 from humanopts_interfaces.action import ExecuteOption
 from humanopts_interfaces.msg import OptionResult
 from humanopts_interfaces.srv import ListOptions, QueryOption, RunOption
-from humanopts_learner.execution import Run
 from humanopts_learner.library import OptionLibrary, taught_nothing, UnknownOptionError
+from humanopts_learner.option import Mode
 from humanopts_learner.options.files import load_options
-from humanopts_learner.options.option import LearnedOption, Mode, OptionError
+from humanopts_learner.options.option import LearnedOption, OptionError
 from humanopts_learner.ros import OPTION_SERVER
 from humanopts_learner.ros.learned_options import OptionSubscriber
 from humanopts_learner.ros.runner import Runner, RunRequest
+from humanopts_learner.run import Run
 from humanopts_ros.node_base import end_goal, NodeBase, PATIENCE, SEEDS
 from humanopts_ros.process import run_node
 import numpy as np
@@ -196,7 +197,7 @@ class OptionServerNode(NodeBase):
         response.initiation = float(option.initiation_probability(row)[0])
         response.termination = float(option.termination_probability(row)[0])
         response.actions, response.action_probabilities = names, chances.tolist()
-        response.greedy_action = names[int(chances.argmax())]
+        response.action = names[int(chances.argmax())]
         return response
 
 

@@ -14,7 +14,6 @@ from humanopts_interfaces.msg import (
     PolicyResult,
 )
 from humanopts_interfaces.srv import ResetGame, RunOption, SetExecution
-from humanopts_learner.execution import execution_named, RunError
 from humanopts_learner.planning.evaluate import episode_start
 from humanopts_learner.planning.exact import ExactPlan
 from humanopts_learner.planning.interruption import option_values
@@ -22,6 +21,7 @@ from humanopts_learner.planning.plan import AnyPlan
 from humanopts_learner.planning.request import Execution, MODULAR, PRIMITIVE
 from humanopts_learner.ros.convert import option_values_to_message
 from humanopts_learner.ros.planner_actions import in_thread, MadePlan, PlannerState, STOPS
+from humanopts_learner.run import execution_named, RunError
 from humanopts_ros.node_base import end_goal, NodeBase
 from humanopts_ros.node_restarts import NodeRestarts
 from humanopts_ros.qos import LATCHED

@@ -23,7 +23,12 @@ from humanopts_interfaces.msg import (
     OptionValues,
 )
 from humanopts_interfaces.srv import RunOption
-from humanopts_learner.execution import (
+from humanopts_learner.library import OptionLibrary, RunnableOption, UnknownOptionError
+from humanopts_learner.option import Mode
+from humanopts_learner.planning.interruption import OptionValues as PlanValues
+from humanopts_learner.planning.request import Execution, MODULAR, PlanError
+from humanopts_learner.ros.convert import option_values_from_message
+from humanopts_learner.run import (
     Arbiter,
     execution_named,
     refusal,
@@ -32,11 +37,6 @@ from humanopts_learner.execution import (
     RunResult,
     RunStatus,
 )
-from humanopts_learner.library import OptionLibrary, RunnableOption, UnknownOptionError
-from humanopts_learner.options.option import Mode
-from humanopts_learner.planning.interruption import OptionValues as PlanValues
-from humanopts_learner.planning.request import Execution, MODULAR, PlanError
-from humanopts_learner.ros.convert import option_values_from_message
 from humanopts_ros.codec import Codec
 from humanopts_ros.limits import shown
 from humanopts_ros.node_base import NodeBase

@@ -13,7 +13,6 @@ from humanopts_env.domains.registry import make_domain
 from humanopts_learner.options.decision_tree import import_scikit_learn
 from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.planning.request import (
-    batch_games,
     HUMAN,
     PlanError,
     PlanRequest,
@@ -139,14 +138,8 @@ def _demo_domain(name: str, launch: LaunchOptions, game_steps: int) -> Domain[An
     """Return the domain; refuse one that cannot be planned in, or not so."""
     try:
         domain = make_domain(name, dict(launch.parameter))
-        if not is_enumerable(domain):
-            batch_games(domain)
     except DomainError as error:
         raise CommandError(str(error)) from error
-    except PlanError as error:
-        raise CommandError(
-            f'the demo plans: {error}; teach it yourself: humanopts teach {name}'
-        ) from error
     try:
         PlanRequest(PRIMITIVE, game_steps=game_steps).in_force(domain, ())
     except PlanError as error:

@@ -23,7 +23,6 @@ from humanopts_learner.options.learn import learn_option
 from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.planning.plan import AnyPlan, judge_plan, make_plan, Performance
 from humanopts_learner.planning.request import (
-    batch_games,
     HUMAN,
     PlanError,
     PlanRequest,
@@ -353,10 +352,6 @@ def check_games(domain: Domain[Any]) -> None:
     """
     if is_enumerable(domain):
         raise EvaluationError(f'plans in {domain.name} are exact: there is nothing to estimate')
-    try:
-        batch_games(domain)
-    except PlanError as error:
-        raise EvaluationError(f'the games cannot be played: {error}') from error
 
 
 def with_games(

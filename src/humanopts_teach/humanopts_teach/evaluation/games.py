@@ -14,8 +14,9 @@ from typing import Any, TYPE_CHECKING
 
 from humanopts_env.arrays import Floats
 from humanopts_env.domains.base import Domain
-from humanopts_env.domains.capabilities import Baselines, HasBaselines, PlanSettings
+from humanopts_env.domains.capabilities import Baselines, HasBaselines
 from humanopts_env.domains.registry import make_domain, parameters_json
+from humanopts_env.seeding import generator
 from humanopts_learner.intervals import Interval
 from humanopts_learner.options.option import LearnedOption, OptionError
 from humanopts_learner.planning.plan import judge_plan, Performance
@@ -26,11 +27,9 @@ from humanopts_learner.planning.request import (
     PlanError,
     PlanRequest,
     PRIMITIVE,
-    Sampling,
 )
 from humanopts_learner.planning.sampled.action_set import ActionSet
-from humanopts_learner.planning.sampled.games import play_games
-from humanopts_learner.planning.sampled.plan import make_sampled_plan, SampledPlan
+from humanopts_learner.planning.sampled.plan import make_sampled_plan, play_games, SampledPlan
 from humanopts_learner.planning.sampled.policies import UniformPolicy
 from humanopts_teach.bags.mcap_file import ignore_progress
 from humanopts_teach.evaluation import ProgressCallback
@@ -145,7 +144,8 @@ def play_baseline(
     counts: dict[str, Any] = {}
     if baseline.kind == RANDOM:
         actions = ActionSet(domain, baseline.request.action_set, baseline.options)
-        results: Any = play_games(actions, UniformPolicy(actions), domain.gamma, seed, games)
+        policy = UniformPolicy(generator(seed, 'random choice'))
+        results: Any = play_games(actions, policy, domain.gamma, seed, games)
         counts = {'decisions': results.decisions.mean(), 'fallbacks': results.fallbacks.mean()}
     elif (rule := baselines_of(domain).heuristic) is not None:
         results = rule(games, seed)
@@ -203,21 +203,12 @@ def every_baseline(
     found = [Baseline(f'human, {count}', PLAN, moved, human)]
     if 0 < len(usual.paper_options) == len(papers) < len(moved):
         found.insert(0, Baseline(f'human, {len(papers)} options', PLAN, papers, human))
-    if usual.interrupted is not None:
-        request = PlanRequest(HUMAN, game_steps=FOLD * steps, execution=Execution.INTERRUPTED)
-        name = f'human, {count}, interrupted, {FOLD}-fold steps'
-        found.append(Baseline(name, PLAN, moved, _with(request, usual.interrupted)))
-    primitive = PlanRequest(PRIMITIVE, game_steps=steps)
-    found.append(Baseline(PRIMITIVE, PLAN, (), _with(primitive, usual.primitive)))
+    stopped = PlanRequest(HUMAN, game_steps=FOLD * steps, execution=Execution.INTERRUPTED)
+    found.append(Baseline(f'human, {count}, interrupted, {FOLD}-fold steps', PLAN, moved, stopped))
+    primitive = PlanRequest(PRIMITIVE, game_steps=steps, columns=usual.primitive_columns)
+    found.append(Baseline(PRIMITIVE, PLAN, (), primitive))
     found.append(Baseline(f'random choice, {count}', RANDOM, moved))
     return found if usual.heuristic is None else [*found, Baseline(RULE_NAME, RULE)]
-
-
-def _with(request: PlanRequest, settings: PlanSettings | None) -> PlanRequest:
-    """Return a request with the settings that were found by hand, where there are any."""
-    if settings is None:
-        return request
-    return replace(request, gamma=settings.gamma, sampling=Sampling(**settings.sampling))
 
 
 def evaluate_games(

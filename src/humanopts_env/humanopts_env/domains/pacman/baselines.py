@@ -10,8 +10,9 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from humanopts_env.arrays import Flags, Ints
-from humanopts_env.domains.capabilities import Baselines, PlanSettings, Scores
+from humanopts_env.domains.capabilities import Baselines, Scores
 from humanopts_env.domains.pacman.features import look_around, Surroundings
+from humanopts_env.domains.pacman.games import PacManGames
 from humanopts_env.domains.pacman.reference import (
     AVOID_GHOST,
     CLOSEST_FOOD,
@@ -30,20 +31,11 @@ if TYPE_CHECKING:
 TOO_NEAR = 3  # steps to a dangerous ghost at which the hand-written rule flees
 
 
-PRIMITIVE = PlanSettings(0.95, {'rounds': 16})  # with either rule of the ghosts
-INTERRUPTED = {  # by the rule of the ghosts
-    'random': PlanSettings(
-        0.985,
-        {
-            'explore': 0.3,
-            'min_samples': 2,
-            'penalty': 30.0,
-            'shrinkage': 300.0,
-            'interruption_margin': 30.0,
-        },
-    ),
-    'chase': PlanSettings(0.985, {'shrinkage': 1000.0}),
-}
+PRIMITIVE_COLUMNS = (  # of abstract states for primitive actions: what is near enough to matter
+    *('legal_moves', 'food_direction', 'food_distance:2,3,5,9'),
+    *('danger_direction', 'danger_distance:2,3,4,5,7'),
+    *('prey_direction', 'prey_distance:3,6,13', 'pill_direction', 'pill_distance:3,9'),
+)
 PAPER_OPTIONS = (CLOSEST_FOOD, AVOID_GHOST, NEAREST_PILL)  # of Subramanian et al., section 7
 
 
@@ -52,8 +44,7 @@ def pacman_baselines(domain: 'PacMan') -> Baselines:
     return Baselines(
         variants={f'ghosts={rule}': {'ghosts': rule} for rule in GHOST_RULES},
         paper_options=PAPER_OPTIONS,
-        primitive=PRIMITIVE,
-        interrupted=INTERRUPTED[domain.rules.ghosts],
+        primitive_columns=PRIMITIVE_COLUMNS,
         heuristic=partial(play_heuristic, domain),
     )
 
@@ -71,7 +62,7 @@ def play_heuristic(domain: 'PacMan', games: int, seed: int) -> Scores:
         chosen = _by_rule(names, batch, seen, np.stack([judged.initiation for judged in said]))
         moves: Ints = np.stack([judged.optimal for judged in said])[chosen, each].argmax(axis=1)
         batch.step(moves, batch.draws(rng))
-    return Scores(batch.score, domain.batch_games().batch_outcome(batch))
+    return Scores(batch.score, PacManGames(domain, batch).outcomes())
 
 
 def _by_rule(

@@ -175,7 +175,7 @@ class PacMan(Domain[PacManState]):
 
     def sample_states(self, rng: np.random.Generator, count: int) -> list[PacManState]:
         """Draw states from games that are played with several aims, never over."""
-        return sample_games(self.rules, [rng], count).states()
+        return sample_games(self.rules, rng, count).states()
 
     def board(self, state: PacManState, shown: Collection[str] | None = None) -> Board:
         if shown is None:
@@ -202,8 +202,8 @@ class PacMan(Domain[PacManState]):
         mask: NDArray[np.int8] = HAS_MOVE[self.rules.paths.legal[state.pacman]].astype(np.int8)
         return mask
 
-    def batch_games(self) -> PacManGames:
-        return PacManGames(self)
+    def games(self, states: Sequence[PacManState]) -> PacManGames:
+        return PacManGames(self, PacManBatch.from_states(self.rules, states))
 
     def search_space(self) -> SearchSpace:
         """Return the cells of the maze and the moves between them, without the ghosts."""

@@ -27,6 +27,7 @@ import numpy as np
 
 if TYPE_CHECKING:
     from humanopts_env.domains.pacman.domain import PacMan
+    from humanopts_env.domains.pacman.games import PacManGames
 
 CLOSEST_FOOD = 'go to the closest food'
 AVOID_GHOST = 'avoid ghost'
@@ -90,10 +91,13 @@ class PacManOption:
 
     def judge_states(self, states: Sequence[PacManState]) -> Judgement:
         """Judge N states at once."""
-        return self.judge_games(PacManBatch.from_states(self.rules, states))
+        return self._judge(PacManBatch.from_states(self.rules, states))
 
-    def judge_games(self, batch: PacManBatch) -> Judgement:
+    def judge_games(self, games: 'PacManGames') -> Judgement:
         """Judge the states of N games."""
+        return self._judge(games.batch)
+
+    def _judge(self, batch: PacManBatch) -> Judgement:
         return self.judge(batch, look_around(batch))
 
 

@@ -12,16 +12,15 @@ from typing import Any
 
 from humanopts_env.arrays import Flags, Ints, Rows
 from humanopts_env.domains.base import Domain
-from humanopts_env.domains.capabilities import BatchGames
+from humanopts_env.games import Games, games_at
 from humanopts_learner.demonstrations import PRIMITIVE_PREFIX
 from humanopts_learner.options.lookup import decisions
 from humanopts_learner.options.option import LearnedOption
-from humanopts_learner.planning.request import batch_games, OPTIONS_ONLY, PlanError, PRIMITIVE
+from humanopts_learner.planning.request import OPTIONS_ONLY, PRIMITIVE
+from humanopts_learner.planning.sampled.abstraction import Abstraction, Codes
 import numpy as np
 from numpy.typing import NDArray
 
-Codes = NDArray[np.int64]
-LARGEST_CODE = 2**53  # abstract states are numbered below this
 GOLDEN = np.uint64(0x9E3779B97F4A7C15)  # 2**64 by the golden ratio, odd: for hashing
 
 
@@ -55,7 +54,7 @@ class CodeTable:
         return mixed.view(np.int64)
 
 
-@dataclass
+@dataclass(frozen=True)
 class Observation:
     """The abstract states of N games, and what O options, fallback aside, decide."""
 
@@ -64,61 +63,36 @@ class Observation:
     wanted: NDArray[np.int16]  # (N, O) the primitive action of each
     ending: Flags  # (N, O) whether each, if it runs, ends
     fallback: Ints  # (N,) index of the primitive action where no option can start; -1 elsewhere
+    n_options: int  # options before the primitive actions
 
-    def take(self, chosen: Ints) -> 'Observation':
-        """Return the observation of chosen games (M,)."""
-        return Observation(*(array.take(chosen, axis=0) for array in vars(self).values()))
+    def take(self, games: Ints) -> 'Observation':
+        return Observation(
+            self.states.take(games),
+            self.startable.take(games, axis=0),
+            self.wanted.take(games, axis=0),
+            self.ending.take(games, axis=0),
+            self.fallback.take(games),
+            self.n_options,
+        )
 
-    def part(self, begin: int, end: int) -> 'Observation':
-        """Return the observation of the games from ``begin`` up to ``end``, in the same memory."""
-        return Observation(*(array[begin:end] for array in vars(self).values()))
+    def action(self, option: Ints) -> Ints:
+        action = option - self.n_options
+        running = np.flatnonzero(action < 0)
+        action[running] = self.wanted[running, option[running]]
+        return action
 
-    def put(self, chosen: Ints, source: 'Observation') -> None:
-        """Set chosen games (M,) to those of another observation."""
-        for mine, its in zip(vars(self).values(), vars(source).values()):
-            mine[chosen] = its
+    def ends(self, option: Ints) -> Flags:
+        """Return (N,): whether each game's option ends there; primitive actions always do."""
+        ends = np.ones(len(option), dtype=np.bool_)
+        running = np.flatnonzero(option < self.n_options)
+        ends[running] = self.ending[running, option[running]]
+        return ends
 
-
-class StateAbstraction:
-    """Maps games to abstract states, for one action set."""
-
-    def __init__(self, games: BatchGames, action_set: str) -> None:
-        """
-        Choose the abstract features that an action set needs.
-
-        Plans with options and primitive actions use the features of both. With the fine features
-        alone, states that differ in the progress of the game would be one abstract state, and
-        primitive actions, which are valued step by step, would wander among them.
-
-        :raises PlanError: the abstract features have too many values.
-        """
-        self.games, self._fine = games, action_set not in OPTIONS_ONLY
-        coarse, own = games.abstraction(fine=False), games.abstraction(fine=self._fine)
-        mixed = action_set not in (*OPTIONS_ONLY, PRIMITIVE)
-        self._mixture = coarse.mixture if mixed else ()  # coarse features, before the fine ones
-        sizes = (*(coarse.sizes[feature] for feature in self._mixture), *own.sizes)
-        if np.prod(sizes, dtype=np.float64) > LARGEST_CODE:
-            raise PlanError(f'abstract features of {sizes} values are too fine')
-        self._sizes, self._radix = sizes, np.cumprod([1, *sizes[:-1]], dtype=np.float64)
-        self.context = tuple(range(len(self._mixture))) if self._mixture else own.context
-        """Indices of the abstract features that hardly decide which option is the best."""
-
-    def observe(self, batch: Any) -> tuple[Rows, Codes]:
-        """Return all features (N, F) and the codes of the abstract states (N,) of a batch."""
-        rows = self.games.batch_features(batch)
-        features = self.games.abstract_features(batch, rows, fine=self._fine)
-        if self._mixture:
-            coarse = self.games.abstract_features(batch, rows, fine=False)
-            features = np.concatenate([coarse.T[list(self._mixture)], features.T]).T
-        # Products of floats are exact below LARGEST_CODE, and faster than those of integers.
-        return rows, (features.astype(np.float64) @ self._radix).astype(np.int64)
-
-    def without_context(self, states: Codes) -> Codes:
-        """Return the codes (N,) of abstract states with all context features set to 0."""
-        for feature in self.context:
-            radix = int(self._radix[feature])
-            states = states - states // radix % self._sizes[feature] * radix
-        return states
+    def can_start(self, option: Ints) -> Flags:
+        """Return (N,): whether each game's option could start there; False of a fallback."""
+        found: Flags = option < self.startable.shape[1]
+        found[found] = self.startable[found, option[found]]
+        return found
 
 
 class ActionSet:
@@ -126,25 +100,28 @@ class ActionSet:
     Options, then all primitive actions as options of one step, by option index. Those from
     ``first_fallback`` on run only where no option can start.
 
-    :ivar games: plays many games of the domain at once.
-    :ivar abstraction: of the states that the options are chosen in.
     """
 
     def __init__(
-        self, domain: Domain[Any], action_set: str, options: Sequence[LearnedOption]
+        self,
+        domain: Domain[Any],
+        action_set: str,
+        options: Sequence[LearnedOption],
+        columns: Sequence[str] = (),
     ) -> None:
         """
         Set up an action set.
 
         :param options: ignored in the set ``primitive``.
-        :raises PlanError: the domain does not play many games at once.
+        :param columns: feature columns of abstract states, as of ``Abstraction``.
+        :raises PlanError: a column is wrong.
         """
         self.options = () if action_set == PRIMITIVE else tuple(options)
         self.action_set, self.n_actions = action_set, len(domain.actions)
         counts = tuple(len(feature.values) for feature in domain.features)
         self._decide = [decisions(option, counts) for option in self.options]
-        self.games = batch_games(domain)
-        self.abstraction = StateAbstraction(self.games, action_set)
+        self.domain = domain
+        self._abstraction = Abstraction(domain, columns)
         self.names = (
             *(option.name for option in self.options),
             *(PRIMITIVE_PREFIX + action.name for action in domain.actions),
@@ -153,24 +130,13 @@ class ActionSet:
         self.first_fallback = len(self.options) if only else len(self.names)
         self.limits = np.array([*(o.max_steps for o in self.options), *[1] * self.n_actions])
 
-    def observe(self, batches: Sequence[Any]) -> list[Observation]:
-        """Return the observation of each of some batches, which are looked at as one."""
-        if len(batches) == 1:
-            return [self._observe(batches[0])]
-        ends = np.cumsum([len(self.games.batch_over(batch)) for batch in batches]).tolist()
-        parts = list(zip([0, *ends], ends))
-        joined = self.games.batch_take(batches[0], np.zeros(ends[-1], dtype=np.intp))
-        for batch, (begin, end) in zip(batches, parts):
-            self.games.batch_put(joined, np.arange(begin, end), batch)
-        seen = self._observe(joined)
-        return [seen.part(begin, end) for begin, end in parts]
-
     def observe_state(self, state: Any) -> Observation:
         """Return the observation of one game that is in a state of the domain."""
-        return self._observe(self.games.batch_of([state]))
+        return self.see(games_at(self.domain, [state]))
 
-    def _observe(self, batch: Any) -> Observation:
-        rows, states = self.abstraction.observe(batch)
+    def see(self, games: Games) -> Observation:
+        """Look at games."""
+        rows = games.features()
         shape, n_options = (len(rows), self.first_fallback), len(self.options)
         startable, ending = np.ones(shape, dtype=np.bool_), np.ones(shape, dtype=np.bool_)
         wanted = np.empty(shape, dtype=np.int16)
@@ -179,12 +145,15 @@ class ActionSet:
         for o, decide in enumerate(self._decide):
             startable[:, o] = can_start = decide.can_start(rows)
             stuck &= ~can_start
-            wanted[:, o] = decide.greedy_action(rows)
+            wanted[:, o] = decide.action(rows)
             ending[:, o] = decide.ends(rows)
+        symbols = [*startable.T[:n_options], *ending.T[:n_options], *wanted.T[:n_options]]
+        states = self._abstraction.codes(games, rows, symbols)
         fallback = np.full(len(rows), -1, dtype=np.intp)
-        if stuck.any():
-            fallback[stuck] = self._fallback(rows[stuck])
-        return Observation(states, startable, wanted, ending, fallback)
+        at = np.flatnonzero(stuck)
+        if at.size:
+            fallback[at] = n_options + self._fallback(rows[at], wanted[at])
+        return Observation(states, startable, wanted, ending, fallback, n_options)
 
     @property
     def modelled(self) -> tuple[str, ...]:
@@ -192,37 +161,9 @@ class ActionSet:
         names = self.names[: self.first_fallback]
         return (*names, *(f'going on: {option.name}' for option in self.options))
 
-    def _fallback(self, rows: Rows) -> Ints:
-        """
-        Return (N,): the index of the primitive action where no option can start.
-
-        A hash of all features chooses among all actions evenly: always the same action for equal
-        features, and most often another one when a feature changes.
-        """
-        weights = 2 * np.arange(rows.shape[1], dtype=np.uint64) + GOLDEN
-        mixed = (rows.astype(np.uint64) + np.uint64(1)) * weights
-        mixed ^= mixed >> np.uint64(29)
-        number = (mixed * weights).sum(axis=1, dtype=np.uint64) >> np.uint64(33)
-        chosen: Ints = len(self.options) + (number % np.uint64(self.n_actions)).astype(np.intp)
-        return chosen
-
-    def actions(self, seen: Observation, option: Ints) -> Ints:
-        """Return (N,): the primitive action of each game's option."""
-        action = option - len(self.options)
-        running = np.flatnonzero(action < 0)
-        action[running] = seen.wanted[running, option[running]]
+    def _fallback(self, rows: Rows, wanted: NDArray[np.int16]) -> Ints:
+        """Return (N,): the action of the option that could most probably start."""
+        chances = [option.initiation_probability(rows) for option in self.options]
+        nearest = np.stack(chances, axis=1).argmax(axis=1)
+        action: Ints = wanted[np.arange(len(rows)), nearest].astype(np.intp)
         return action
-
-    def ends(self, seen: Observation, option: Ints) -> Flags:
-        """Return (N,): whether each game's option ends there; primitive actions always do."""
-        ends = np.ones(len(option), dtype=np.bool_)
-        running = np.flatnonzero(option < len(self.options))
-        ends[running] = seen.ending[running, option[running]]
-        return ends
-
-    def can_start(self, seen: Observation, option: Ints) -> Flags:
-        """Return (N,): whether each game's option could start there."""
-        modelled = option < self.first_fallback
-        found: Flags = modelled.copy()
-        found[modelled] = seen.startable[modelled, option[modelled]]
-        return found

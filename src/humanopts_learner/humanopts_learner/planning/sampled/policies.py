@@ -2,9 +2,9 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
 
 from humanopts_env.arrays import Flags, Floats, Ints
+from humanopts_learner.execution import Choice
 from humanopts_learner.planning.interruption import arbitrate, interruptions, OptionValues
 from humanopts_learner.planning.request import Execution, MODULAR
 from humanopts_learner.planning.sampled.action_set import ActionSet, CodeTable, Observation
@@ -13,43 +13,23 @@ from numpy.typing import NDArray
 
 
 @dataclass(frozen=True)
-class Choice:
-    """The next options in N games."""
-
-    option: Ints  # (N,) indices
-    unknown: Flags  # (N,) whether options can start, but none was sampled enough
-
-
-class Policy(Protocol):
-    """Chooses the options to run."""
-
-    def __call__(self, seen: Observation, rng: np.random.Generator) -> Choice:
-        """Return the next option in each game."""
-        ...
-
-    def stops(self, seen: Observation, option: Ints, rng: np.random.Generator) -> Flags:
-        """Return (N,): whether the running option is stopped; called only after its first step."""
-        ...
-
-
-@dataclass(frozen=True)
 class UniformPolicy:
     """Any option that can start, all with the same probability; each runs to its end."""
 
-    actions: ActionSet
+    rng: np.random.Generator
 
-    def __call__(self, seen: Observation, rng: np.random.Generator) -> Choice:
-        option = self.drawn(seen, rng.random(seen.startable.shape))
-        return Choice(option, np.zeros(len(option), dtype=np.bool_))
+    def choose(self, seen: Observation, games: Ints) -> Choice:
+        return Choice(drawn(seen, self.rng.random(seen.startable.shape)))
 
-    def drawn(self, seen: Observation, draws: Floats) -> Ints:
-        """Return the option of the greatest draw (N, O) in each game, (N,)."""
-        option: Ints = np.where(seen.startable, draws, -1.0).argmax(axis=1)
-        np.copyto(option, seen.fallback, where=seen.fallback >= 0)
-        return option
+    def stops(self, seen: Observation, option: Ints) -> Flags | None:
+        return None
 
-    def stops(self, seen: Observation, option: Ints, rng: np.random.Generator) -> Flags:
-        return np.zeros(len(option), dtype=np.bool_)
+
+def drawn(seen: Observation, draws: Floats) -> Ints:
+    """Return the option of the greatest draw (N, O) in each game, (N,)."""
+    option: Ints = np.where(seen.startable, draws, -1.0).argmax(axis=1)
+    np.copyto(option, seen.fallback, where=seen.fallback >= 0)
+    return option
 
 
 @dataclass(frozen=True)
@@ -75,11 +55,11 @@ class GreedyPolicy:
         best = values[np.isfinite(values).any(axis=1)].argmax(axis=1)
         return np.bincount(best, minlength=self.actions.first_fallback)
 
-    def __call__(self, seen: Observation, rng: np.random.Generator) -> Choice:
+    def choose(self, seen: Observation, games: Ints) -> Choice:
         """Return the next option in each game; of modules the one that acts for a step."""
         row = self._row(seen)
         option_values = self._option_values(seen, row)
-        choice = self._choose(seen, option_values)
+        choice = self._best(seen, option_values)
         if self.execution not in MODULAR:
             return choice
         going_on = self._table[2].take(row, axis=0)
@@ -88,18 +68,19 @@ class GreedyPolicy:
         competing = continuation_values if strongest else option_values
         known = np.isfinite(competing).any(axis=1)
         winner = arbitrate(self.execution, option_values, continuation_values, seen.wanted)
-        return Choice(np.where(known, winner, choice.option), choice.unknown & ~known)
+        unknown: Flags = np.logical_and(choice.unknown, ~known)
+        return Choice(np.where(known, winner, choice.option), unknown)
 
-    def choose(self, seen: Observation) -> Choice:
-        """Return the option of the greatest value in each game, whatever the execution."""
-        return self._choose(seen, self._option_values(seen, self._row(seen)))
+    def best(self, seen: Observation) -> Ints:
+        """Return (N,): the option of the greatest value, whatever the execution."""
+        return self._best(seen, self._option_values(seen, self._row(seen))).option
 
-    def stops(self, seen: Observation, option: Ints, rng: np.random.Generator) -> Flags:
-        """Return (N,): whether the running option is stopped; modules run for one step."""
-        if self.execution in MODULAR:
-            return option >= 0
-        stopped = np.zeros(len(option), dtype=np.bool_)
+    def stops(self, seen: Observation, option: Ints) -> Flags | None:
+        """Return (N,): whether each game's option is stopped; modules run for one step."""
         if self.execution is Execution.RUN_TO_END:
+            return None
+        stopped = np.full(len(option), self.execution in MODULAR)
+        if self.execution in MODULAR:
             return stopped
         running = np.flatnonzero((option >= 0) & (option < self.actions.first_fallback))
         seen = seen.take(running)
@@ -111,7 +92,7 @@ class GreedyPolicy:
         stopped[running] = interruptions(best, worth[:, None], margin)[:, 0]
         return stopped
 
-    def _choose(self, seen: Observation, values: Floats) -> Choice:
+    def _best(self, seen: Observation, values: Floats) -> Choice:
         """Return the best option by its values (N, O), among those that can start there."""
         option = values.argmax(axis=1)
         unknown = np.zeros(len(option), dtype=np.bool_)
@@ -152,17 +133,17 @@ class ExploringPolicy:
 
     greedy: GreedyPolicy
     share: float  # of decisions that explore
+    rng: np.random.Generator
 
-    def __call__(self, seen: Observation, rng: np.random.Generator) -> Choice:
-        best = self.greedy(seen, rng)
-        draws = rng.random(seen.startable.shape)
-        explore = np.flatnonzero(rng.random(len(best.option)) < self.share)
-        uniform = UniformPolicy(self.greedy.actions)
-        best.option[explore] = uniform.drawn(seen.take(explore), draws.take(explore, axis=0))
+    def choose(self, seen: Observation, games: Ints) -> Choice:
+        best = self.greedy.choose(seen, games)
+        draws = self.rng.random(seen.startable.shape)
+        explore = np.flatnonzero(self.rng.random(len(best.option)) < self.share)
+        best.option[explore] = drawn(seen.take(explore), draws.take(explore, axis=0))
         return best
 
-    def stops(self, seen: Observation, option: Ints, rng: np.random.Generator) -> Flags:
-        stop = self.greedy.stops(seen, option, rng)
-        if self.greedy.execution is Execution.RUN_TO_END:
-            return stop
-        return stop & (rng.random(len(option)) >= self.share)
+    def stops(self, seen: Observation, option: Ints) -> Flags | None:
+        stopped = self.greedy.stops(seen, option)
+        if stopped is None:
+            return None
+        return stopped & (self.rng.random(len(option)) >= self.share)

@@ -1,16 +1,10 @@
-"""
-Sampled option models: runs counted into a multi-time model of the abstract states visited.
-
-Most abstract states are visited too seldom to rank options of nearly the same value. The remaining
-points decide the value of a state, but hardly which option is the best there. So ``shrunk`` moves
-the *advantage* of an option (its value less that of the best one) towards its mean over the states
-that differ in such context only, as an empirical Bayes estimate would be (Efron and Morris 1973).
-"""
+"""Sampled option models: runs counted into a multi-time model of the abstract states visited."""
 
 from dataclasses import dataclass
 
 from humanopts_env.arrays import Flags, Floats, Ints
-from humanopts_learner.planning.sampled.action_set import Codes, CodeTable
+from humanopts_learner.planning.sampled.abstraction import Codes
+from humanopts_learner.planning.sampled.action_set import CodeTable
 from humanopts_learner.planning.smdp import Rows, SparseMultiTimeModel
 import numpy as np
 from numpy.typing import NDArray
@@ -98,12 +92,7 @@ class SampleCounts:
         at = (row, rows.col)
         self._rows = coo_array((rows.data, at), (options * states, states)).tocsr()
 
-    @property
-    def samples(self) -> Floats:
-        """(S, O) number of samples of each pair."""
-        return self._count.T
-
-    def model(self, min_samples: int, penalty: float) -> SparseMultiTimeModel:
+    def model(self, min_samples: int) -> SparseMultiTimeModel:
         """
         Return the mean of the samples.
 
@@ -111,13 +100,10 @@ class SampleCounts:
         an available pair that can be chosen have no value: samples that end there count as if they
         had ended like the other samples of their pair, and pairs with no other samples are not
         available.
-
-        :param penalty: reward units that are subtracted from the value of a pair, divided by the
-            square root of its number of samples.
         """
         enough, rows = self._known(self._count >= max(min_samples, 1))
         count, reward = self._count[enough], np.zeros(enough.shape)
-        reward[enough] = self._reward[enough] / count - penalty / np.sqrt(count)
+        reward[enough] = self._reward[enough] / count
         return SparseMultiTimeModel(self.names, reward.T, enough.T, rows)
 
     def _known(self, enough: Flags) -> tuple[Flags, Rows]:
@@ -142,52 +128,3 @@ class SampleCounts:
         lengths[pairs + 1] = np.diff(rows.indptr)
         parts = rows.data, rows.indices, np.cumsum(lengths, dtype=lengths.dtype)
         return enough, csr_array(parts, shape=self._rows.shape)
-
-
-class Shrinkage:
-    """
-    Shrinks advantages towards those of each state's group.
-
-    A pair that was not sampled in a state, but was in others of its group, gets their mean.
-    """
-
-    def __init__(
-        self, available: Flags, count: Floats, group: NDArray[np.integer], weight: float
-    ) -> None:
-        """
-        Sum the samples of each group; they are the same for all values.
-
-        :param available: (S, O).
-        :param count: (S, O) samples of each pair.
-        :param group: (S,) number of each state's group, from 0.
-        :param weight: of the mean of the group, in samples.
-        """
-        self._available = np.ascontiguousarray(available.T)  # this and all arrays below: (O, ..)
-        self._known = np.asarray(self._available.any(axis=0))
-        self._count = np.where(self._available, count.T, 0.0)
-        self._group, self._weight = group, weight
-        samples = self._sums(self._count)
-        self._samples = np.maximum(samples, 1.0)
-        self._found = (samples > 0).take(group, axis=1) & self._known
-        self._total = np.maximum(self._count + weight, 1.0)
-
-    def __call__(self, values: Floats) -> Floats:
-        """
-        Return the values (S, O) with advantages shrunk; -inf where nothing is known.
-
-        :param values: (S, O), -inf where not available.
-        """
-        values = values.T
-        best = np.where(self._known, values.max(axis=0), 0.0)
-        advantage = np.where(self._available, values, best) - best
-        advantage *= self._count
-        mean = self._sums(advantage)
-        mean /= self._samples
-        advantage += self._weight * mean.take(self._group, axis=1)
-        advantage /= self._total
-        advantage += best
-        return np.where(self._found, advantage, -np.inf).T
-
-    def _sums(self, values: Floats) -> Floats:
-        """Return the sums (O, G) of the columns (O, S) of each group."""
-        return np.stack([np.bincount(self._group, of_option) for of_option in values])

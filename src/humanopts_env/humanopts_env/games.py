@@ -1,0 +1,196 @@
+"""
+N independent games of one domain, stepped in place.
+
+There are three ways to play them: ``TableGames`` where all states can be listed, the arrays of a
+domain that has them (``HasGames``), and ``StateGames``, one state after another, in any domain.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol, runtime_checkable, Self
+
+from humanopts_env.arrays import Flags, Floats, Ints, Rows
+from humanopts_env.domains.base import Domain, EnumerableDomain, is_enumerable
+from humanopts_env.domains.tabular import TabularSimulator
+import numpy as np
+from numpy.typing import NDArray
+
+# Where the outcomes of steps are drawn from: one generator for all games, or one for each of the
+# N. With its own, a game draws what ``Domain.step`` draws, whatever the other games do.
+Chance = np.random.Generator | Sequence[np.random.Generator]
+
+
+@dataclass(frozen=True, slots=True)
+class Steps:
+    """The results of one step of N games."""
+
+    reward: Floats  # (N,); 0 where the game was over before
+    over: Flags  # (N,) the task is over now
+
+
+class Games(Protocol):
+    """N games of one domain; games that are over stay as they are."""
+
+    @property
+    def domain(self) -> Domain[Any]:
+        """The domain."""
+
+    def __len__(self) -> int:
+        """Return the number of games, N."""
+
+    def features(self) -> Rows:
+        """Return (N, F): all features."""
+
+    def over(self) -> Flags:
+        """Return (N,): whether the task is over."""
+
+    def step(self, actions: Ints, chance: Chance) -> Steps:
+        """
+        Take one step in every game that is not over.
+
+        :param actions: (N,) indices of primitive actions.
+        """
+
+    def reset(self, games: Ints, chance: np.random.Generator) -> None:
+        """Begin chosen games (M,) anew, as ``Domain.reset`` does."""
+
+    def take(self, games: Ints) -> Self:
+        """Return copies of chosen games (M,), in any order and number."""
+
+    def states(self) -> list[Any]:
+        """Return the state of each game."""
+
+    def outcomes(self) -> Mapping[str, NDArray[Any]]:
+        """Return what is reported of games beside the return, (N,) each, by name."""
+
+
+@runtime_checkable
+class HasGames(Protocol):
+    """A domain that plays many games at once by arrays of its own."""
+
+    def games(self, states: Sequence[Any]) -> Games:
+        """Return games that are in given states."""
+
+
+def games_at(domain: Domain[Any], states: Sequence[Any]) -> Games:
+    """Return games of a domain that are in given states, in its fastest way to play them."""
+    if isinstance(domain, HasGames):
+        return domain.games(states)
+    if is_enumerable(domain):
+        return TableGames.at(domain, states)
+    return StateGames(domain, list(states))
+
+
+def new_games(domain: Domain[Any], count: int, chance: np.random.Generator) -> Games:
+    """Begin N games at the start of the task."""
+    one = games_at(domain, [domain.reset(np.random.default_rng(0))])
+    games = one.take(np.zeros(count, dtype=np.intp))
+    games.reset(np.arange(count), chance)
+    return games
+
+
+def feature_rows(domain: Domain[Any], states: Sequence[Any]) -> Rows:
+    """Return the features of N states, (N, F)."""
+    return games_at(domain, states).features()
+
+
+def chance_of(chance: Chance, games: Ints) -> Chance:
+    """Return the chance of chosen games (M,)."""
+    if isinstance(chance, np.random.Generator):
+        return chance
+    return [chance[game] for game in games.tolist()]
+
+
+class TableGames:
+    """Games of an enumerable domain; ``state`` (N,) has the index of each game's state."""
+
+    def __init__(
+        self, domain: EnumerableDomain[Any], state: Ints, simulator: TabularSimulator | None = None
+    ) -> None:
+        """
+        Take the games over.
+
+        :param simulator: of the domain; None: it is made here.
+        """
+        self.domain, self.state = domain, state
+        self._simulator = simulator or TabularSimulator(domain.transitions(), domain.over())
+
+    @classmethod
+    def at(cls, domain: EnumerableDomain[Any], states: Sequence[Any]) -> Self:
+        """Return games that are in given states."""
+        return cls(domain, np.array([domain.index(state) for state in states], dtype=np.intp))
+
+    def __len__(self) -> int:
+        return len(self.state)
+
+    def features(self) -> Rows:
+        return self.domain.feature_table().take(self.state, axis=0)
+
+    def over(self) -> Flags:
+        return self.domain.over().take(self.state)
+
+    def step(self, actions: Ints, chance: Chance) -> Steps:
+        drawn = None
+        if self._simulator.deterministic:
+            pass
+        elif isinstance(chance, np.random.Generator):
+            drawn = chance.random(len(self.state))
+        else:
+            drawn = np.array([rng.random() for rng in chance])
+        there, reward, over = self._simulator.step(self.state, actions, drawn)
+        before = self.over()
+        if before.any():
+            there, reward = np.where(before, self.state, there), np.where(before, 0.0, reward)
+        self.state = there
+        return Steps(reward, over | before)
+
+    def reset(self, games: Ints, chance: np.random.Generator) -> None:
+        self.state[games] = chance.choice(self.domain.start_states(), len(games))
+
+    def take(self, games: Ints) -> Self:
+        return type(self)(self.domain, self.state.take(games), self._simulator)
+
+    def states(self) -> list[Any]:
+        return [self.domain.state_at(index) for index in self.state.tolist()]
+
+    def outcomes(self) -> Mapping[str, NDArray[Any]]:
+        return {}
+
+
+class StateGames:
+    """Games of any domain, as a list of states that are stepped one after another."""
+
+    def __init__(self, domain: Domain[Any], states: list[Any]) -> None:
+        self.domain, self._states = domain, states
+
+    def __len__(self) -> int:
+        return len(self._states)
+
+    def features(self) -> Rows:
+        rows = [self.domain.feature_values(state) for state in self._states]
+        return np.array(rows, dtype=np.float64).reshape(len(rows), len(self.domain.features))
+
+    def over(self) -> Flags:
+        return np.array([self.domain.is_over(state) for state in self._states], dtype=np.bool_)
+
+    def step(self, actions: Ints, chance: Chance) -> Steps:
+        reward, over = np.zeros(len(self)), self.over()
+        for game in np.flatnonzero(~over).tolist():
+            rng = chance if isinstance(chance, np.random.Generator) else chance[game]
+            outcome = self.domain.step(self._states[game], int(actions[game]), rng)
+            self._states[game], reward[game] = outcome.state, outcome.reward
+            over[game] = outcome.terminated
+        return Steps(reward, over)
+
+    def reset(self, games: Ints, chance: np.random.Generator) -> None:
+        for game in games.tolist():
+            self._states[game] = self.domain.reset(chance)
+
+    def take(self, games: Ints) -> 'StateGames':
+        return StateGames(self.domain, [self._states[game] for game in games.tolist()])
+
+    def states(self) -> list[Any]:
+        return list(self._states)
+
+    def outcomes(self) -> Mapping[str, NDArray[Any]]:
+        return {}

@@ -1,0 +1,133 @@
+"""What an option is: where it can start (I), what it does (pi), and where it ends (beta)."""
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import Protocol, runtime_checkable
+
+from humanopts_env.arrays import Flags, Floats, Ints, Rows
+import numpy as np
+
+
+class Mode(Enum):
+    """How the probabilities of an option become decisions in execution; models are greedy."""
+
+    GREEDY = 'greedy'  # the likeliest action; ends where beta is 0.5 or more
+    SAMPLED = 'sampled'  # drawn
+
+
+class Option(Protocol):
+    """
+    An option, evaluated on rows (N, F) of all features of its domain.
+
+    Learned options, primitive actions, reference options and automatic options all answer so.
+    """
+
+    @property
+    def name(self) -> str:
+        """Name, unique among the options that are used together."""
+
+    @property
+    def max_steps(self) -> int:
+        """Number of steps after which a run is cut off, 1 or more."""
+
+    def can_start(self, rows: Rows) -> Flags:
+        """Return (N,): whether each state is in the initiation set I."""
+
+    def action(self, rows: Rows) -> Ints:
+        """Return (N,): the action that pi takes in each state."""
+
+    def ends(self, rows: Rows) -> Flags:
+        """Return (N,): whether beta holds in each state; ignored before the first step."""
+
+
+@runtime_checkable
+class StochasticOption(Option, Protocol):
+    """An option that has probabilities, not decisions alone."""
+
+    def action_probabilities(self, rows: Rows) -> Floats:
+        """Return (N, A): pi of every action in each state."""
+
+    def initiation_probability(self, rows: Rows) -> Floats:
+        """Return (N,): the probability that each state is in I."""
+
+    def termination_probability(self, rows: Rows) -> Floats:
+        """Return (N,): beta of each state."""
+
+
+@dataclass(frozen=True)
+class PrimitiveOption:
+    """A primitive action as an option of one step that can start everywhere."""
+
+    name: str  # action:NAME
+    index: int  # of the action
+    n_actions: int
+    max_steps: int = 1
+
+    def can_start(self, rows: Rows) -> Flags:
+        return np.ones(len(rows), dtype=np.bool_)
+
+    def action(self, rows: Rows) -> Ints:
+        return np.full(len(rows), self.index)
+
+    def ends(self, rows: Rows) -> Flags:
+        return np.ones(len(rows), dtype=np.bool_)
+
+    def action_probabilities(self, rows: Rows) -> Floats:
+        return np.tile(np.eye(self.n_actions)[self.index], (len(rows), 1))
+
+    def initiation_probability(self, rows: Rows) -> Floats:
+        return np.ones(len(rows))
+
+    def termination_probability(self, rows: Rows) -> Floats:
+        return np.ones(len(rows))
+
+
+@dataclass(frozen=True)
+class RandomActions:
+    """The option that takes random actions until another option would end."""
+
+    other: Option
+    n_actions: int
+    rng: np.random.Generator
+    name: str = 'random actions'
+
+    @property
+    def max_steps(self) -> int:
+        return self.other.max_steps
+
+    def can_start(self, rows: Rows) -> Flags:
+        return np.ones(len(rows), dtype=np.bool_)
+
+    def action(self, rows: Rows) -> Ints:
+        return self.rng.integers(self.n_actions, size=len(rows))
+
+    def ends(self, rows: Rows) -> Flags:
+        return self.other.ends(rows)
+
+
+@dataclass(frozen=True)
+class DrawnOption:
+    """An option whose decisions are drawn from its probabilities."""
+
+    option: StochasticOption
+    rng: np.random.Generator
+
+    @property
+    def name(self) -> str:
+        return self.option.name
+
+    @property
+    def max_steps(self) -> int:
+        return self.option.max_steps
+
+    def can_start(self, rows: Rows) -> Flags:
+        return self.option.can_start(rows)
+
+    def action(self, rows: Rows) -> Ints:
+        shares = self.option.action_probabilities(rows)
+        drawn = [self.rng.choice(shares.shape[1], p=each) for each in shares]
+        return np.array(drawn, dtype=np.intp)
+
+    def ends(self, rows: Rows) -> Flags:
+        draws = 1.0 - self.rng.random(len(rows))  # never 0
+        return self.option.termination_probability(rows) >= draws

@@ -1,0 +1,90 @@
+"""
+Abstract states: games with equal columns are in one abstract state.
+
+Symbol columns are what the options decide: whether each can start, whether it would end, and the
+action that it takes. The preconditions and effects of options are the symbols that planning with
+them needs (Konidaris, Kaelbling and Lozano-Perez 2018), and every domain has them. Feature columns
+are named features with bins, or the planning features of the domain.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+from humanopts_env.arrays import Flags, Ints, Rows
+from humanopts_env.domains.base import Domain, DomainError, feature_columns
+from humanopts_env.domains.capabilities import HasPlanningFeatures
+from humanopts_env.games import Games, TableGames
+from humanopts_env.seeding import generator
+from humanopts_learner.planning.request import PlanError
+import numpy as np
+from numpy.typing import NDArray
+
+Codes = NDArray[np.int64]  # of abstract states
+_MAX_COLUMNS = 1000
+
+
+class Column:
+    """
+    A feature column, from a text such as ``food_distance:2,4,8`` or ``legal_moves``.
+
+    Bin k holds values from the k-th number on, below the next; without numbers, every value is a
+    bin of its own.
+
+    :raises PlanError: there is no such feature, or the numbers do not ascend.
+    """
+
+    def __init__(self, text: str, domain: Domain[Any]) -> None:
+        name, _, numbers = text.partition(':')
+        try:
+            self.index = feature_columns(domain, [name])[0]
+            self.edges = np.array([float(number) for number in numbers.split(',') if numbers])
+        except (DomainError, ValueError) as error:
+            raise PlanError(f'column {text!r}: {error}') from error
+        if (np.diff(self.edges) <= 0).any():
+            raise PlanError(f'column {text!r}: its numbers do not ascend')
+
+    def bins(self, rows: Rows) -> Ints:
+        """Return the bin of each row (N, F), (N,)."""
+        values = rows[:, self.index]
+        if self.edges.size:
+            return self.edges.searchsorted(values, side='right')
+        return values.astype(np.intp)
+
+
+class Abstraction:
+    """Maps games to abstract states."""
+
+    def __init__(self, domain: Domain[Any], columns: Sequence[str] = ()) -> None:
+        """
+        Choose the feature columns.
+
+        :param columns: as of ``Column``; none: the domain's planning features, or the states
+            where they can all be listed; where there are no symbols either, all features.
+        :raises PlanError: a column is wrong.
+        """
+        self._columns = [Column(text, domain) for text in columns]
+        rng = generator(0, 'abstraction')  # the same codes in every process
+        self._weights = rng.integers(2**64, size=_MAX_COLUMNS, dtype=np.uint64) | np.uint64(1)
+
+    def codes(self, games: Games, rows: Rows, symbols: Sequence[Ints | Flags]) -> Codes:
+        """
+        Return the codes of the abstract states of games, (N,).
+
+        A code is the sum of all columns, each times a random number of 64 bits, so two of a
+        million states have the same code with a probability below 1e-6.
+
+        :param rows: (N, F) features of the games.
+        :param symbols: symbol columns, (N,) each.
+        """
+        columns = [*symbols, *(column.bins(rows) for column in self._columns)]
+        if not self._columns:
+            if isinstance(games, HasPlanningFeatures):
+                columns += list(games.planning_features().T)
+            elif isinstance(games, TableGames):
+                columns.append(games.state)
+            elif not symbols:
+                columns += list(rows.T)
+        total = np.zeros(len(rows), dtype=np.uint64)
+        for column, weight in zip(columns, self._weights):
+            total += column.astype(np.uint64) * weight
+        return total.view(np.int64)
