@@ -189,6 +189,7 @@ def test_an_option_is_taught_by_key_presses_left_resumed_and_run(terminals: Term
     again.press(ENTER)
     assert person.show(10)
     again.see('All criteria are met.')  # the lesson's end and the criteria come as two messages
+    again.see('initiation')
 
     again.press('r')
     again.see(f'Run: {PICKUP}')

@@ -326,7 +326,7 @@ UNKNOWN = LessonView(Phase.NO_SESSION)  # nothing was heard of the lesson
 _NO_GAME = Transition()
 
 
-@dataclass
+@dataclass(slots=True)
 class World:
     """The newest of everything that the graph has published."""
 

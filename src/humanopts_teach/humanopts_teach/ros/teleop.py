@@ -87,7 +87,7 @@ class TeleopNode(NodeBase):
         self._parted_at = 0.0
         execution, running = attrgetter('execution'), attrgetter('option_name')
         for kind, topic, shown, read, qos in (
-            (LearningStatus, 'learning_status', 'progress', _progress, CURRENT),
+            (LearningStatus, 'learning_status', 'summaries', _summaries, CURRENT),
             (ExecutionState, 'execution', 'execution', execution, CURRENT),
             (OptionGoal, 'option_goals', 'running', running, DISPLAY),
         ):
@@ -229,7 +229,7 @@ def published_record(node: NodeBase, path: Path, participant: str) -> OpenRecord
     return OpenRecord(path, publish)
 
 
-def _progress(message: LearningStatus) -> list[OptionSummary]:
+def _summaries(message: LearningStatus) -> list[OptionSummary]:
     return [summary_from_message(status) for status in message.options]
 
 
