@@ -246,7 +246,7 @@ def test_a_shell_completes_what_is_typed(
         (('up', 'taxi', '--parameter', 'rows=NaN'), ['not finite']),
         (('up', 'taxi', '--parameter', 'rows'), ["'rows' is not NAME=VALUE"]),
         (('up', 'taxi', '--namespace', 'left'), ["'left' is not a namespace"]),
-        (('up', 'taxi', '--only', 'games'), ["no node 'games'", 'recorder, game']),
+        (('up', 'taxi', '--only', 'games'), ["unknown node 'games'", 'recorder, game']),
         (('teach', 'taxi', '--browser', '--only', 'game'), ['--only is not for --browser']),
         (('up', 'taxi', '--namespace', '/left hand'), ["'/left hand' is not a namespace"]),
         (('teach', 'taxi'), ['terminal']),

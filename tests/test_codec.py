@@ -63,5 +63,5 @@ def test_none_is_nan_and_what_only_the_message_has_is_given() -> None:
 def test_a_number_that_is_no_constant_is_refused() -> None:
     from humanopts_teach.ros.convert import LESSON_STATE
 
-    with pytest.raises(ValueError, match='phase is 0, which is no PHASE_'):
+    with pytest.raises(ValueError, match='phase is 0, which is not a PHASE_ constant'):
         LESSON_STATE.decode(LessonState())

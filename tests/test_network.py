@@ -197,9 +197,12 @@ def test_a_graph_on_one_machine_needs_no_network(cable: list[bool]) -> None:
 FAULTS = {
     'RMW_IMPLEMENTATION': [('rmw_cyclonedds_cpp', 'which is not installed; unset it, or choose')],
     RANGE: [('OFF', 'no node finds another'), ('localhost', 'choose from LOCALHOST, SUBNET')],
-    PEERS: [('10.0.0.1 10.0.0.2', 'no known machine'), ('10.0.0.1;fe80::1', 'no IPv4 address')],
+    PEERS: [
+        ('10.0.0.1 10.0.0.2', 'not a known machine'),
+        ('10.0.0.1;fe80::1', 'not an IPv4 address'),
+    ],
     PROFILES[0]: [
-        ('/nowhere.xml', 'which is no file'),
+        ('/nowhere.xml', 'which is not a file'),
         ('text.xml', 'which is not XML'),
         ('typo.xml', 'which Fast DDS cannot use'),
     ],

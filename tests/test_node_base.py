@@ -150,7 +150,7 @@ def test_a_node_goes_on_and_ends_although_the_time_of_day_is_set_back(
     machine.set_time(-3600.0)
     live.until(
         lambda: (
-            {m.name for m in said if 'set the time of day by -3600.' in m.msg}
+            {m.name for m in said if 'the time of day was set by -3600.' in m.msg}
             >= {'game', 'planner'}
         ),
         'both to tell it',

@@ -90,7 +90,7 @@ class Codec(Generic[V, M]):
         Return the value of a message.
 
         :param more: fields that only the dataclass has; the others have their defaults.
-        :raises ValueError: a number is no constant of its enum.
+        :raises ValueError: a number is not a constant of its enum.
         """
         for name, convert in self._decode.items():
             found = getattr(message, name)
@@ -122,7 +122,7 @@ def _enum_converts(
 
     def decode(number: int) -> Enum | None:
         if number not in values and not optional:
-            raise ValueError(f'{name} is {number}, which is no {prefix}')
+            raise ValueError(f'{name} is {number}, which is not a {prefix} constant')
         return values.get(number)
 
     return numbers.__getitem__, decode

@@ -125,7 +125,7 @@ def stays_here() -> bool:
 
 
 def address_towards(peer: str) -> str:
-    """Return this machine's address on the way to another; empty: there is no way."""
+    """Return this machine's address on the route to another; empty: no route."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
             probe.connect((peer, _ANY_PORT))
@@ -138,21 +138,21 @@ def _fault_of_address(peer: str) -> str:
     """Return what is wrong with the address or name of a machine; empty: nothing that lasts."""
     try:
         if ipaddress.ip_address(peer).version != 4:
-            return 'which is no IPv4 address'
+            return 'which is not an IPv4 address'
     except ValueError:
         try:
             socket.getaddrinfo(peer, None, socket.AF_INET)
         except (OSError, UnicodeError) as error:
             # Without a network no name is known; there may soon be one.
             if not (isinstance(error, socket.gaierror) and error.errno == socket.EAI_AGAIN):
-                return 'which is no known machine'
+                return 'which is not a known machine'
     return ''
 
 
 def _fault_of_profile(path: Path) -> str:
     """Return why Fast DDS would ignore a file of profiles; empty: it would not."""
     if not path.is_file():
-        return 'which is no file'
+        return 'which is not a file'
     try:
         root = ElementTree.parse(path).getroot()
     except OSError as error:

@@ -324,7 +324,7 @@ class NodeBase(Node):
 
         :param between: the least and the largest value of a number; None: any.
         :param among: the texts that are allowed; empty: any.
-        :param on_change: called with each value of the right type and range that somebody sets
+        :param on_change: called with each value of the right type and range that is set
             while the node runs; None: the parameter is read-only.
         :raises StartError: the value given at start has the wrong type or is not allowed.
         """
@@ -578,7 +578,7 @@ class NodeBase(Node):
             self.publish_status_again()
 
     def tell_time_set(self, seconds: float) -> None:
-        """Go on although the time of day was set, and tell by how much; from any thread."""
+        """Go on although the time of day was set, and log by how much; from any thread."""
         if (executor := self.executor) is not None:
             with suppress(InvalidHandle, AttributeError):  # it was shut down just now
                 executor.create_task(self.guard.guarded(self._on_time_set), seconds)
@@ -586,7 +586,7 @@ class NodeBase(Node):
     def _on_time_set(self, seconds: float) -> None:
         if self.destroyed:
             return
-        self.get_logger().warning(f'somebody set the time of day by {seconds:+.3f} s')
+        self.get_logger().warning(f'the time of day was set by {seconds:+.3f} s')
         self.publish_status_again()  # what is sent wakes the middleware's own threads, too
 
     def _try_start(self) -> None:

@@ -1,4 +1,4 @@
-"""Which nodes were started again: what was asked of them before is not answered any more."""
+"""Detects restarts of nodes: requests from before a restart are never answered."""
 
 from collections import Counter
 from collections.abc import Callable
@@ -12,7 +12,7 @@ from humanopts_ros.senders import signer
 
 class NodeRestarts:
     """
-    Counts restarts of the nodes of a namespace, by what they publish of their lives.
+    Counts restarts of the nodes of a namespace, by their statuses.
 
     :ivar counts: by name without the namespace.
     """
@@ -34,7 +34,7 @@ class NodeRestarts:
         node.create_subscription(NodeStatus, 'node_status', self._on_status, CURRENT)
 
     def _on_status(self, status: NodeStatus) -> None:
-        """Notice another life; what does not sign with the node's own name tells nothing."""
+        """Detect a restart; ignore statuses with a foreign publisher_id."""
         path = signer(status.publisher_id)
         if path != status.node or not path.startswith(self._prefix):
             return

@@ -13,7 +13,7 @@ V = TypeVar('V')
 
 class Polled(CallbackGroup):
     """
-    Keeps its subscriptions from every executor: their queues are emptied when somebody looks.
+    Keeps its subscriptions from every executor: their queues are emptied on request.
 
     An executor takes one message at a time and looks at every entity for each of them.
     """
@@ -29,7 +29,7 @@ class Polled(CallbackGroup):
 
 
 class PolledValue(Generic[T, V]):
-    """The newest message of a latched topic that changes more often than somebody looks at it."""
+    """The newest message of a latched topic that changes more often than it is read."""
 
     def __init__(self, node: NodeBase, kind: type[T], topic: str, read: Callable[[T], V]) -> None:
         """

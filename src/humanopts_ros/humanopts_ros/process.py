@@ -67,7 +67,7 @@ def run_node(
     that the traceback is shown and the exit status is 1.
 
     :param by_events: run on the ``EventsExecutor``, which answers about three times as fast; it is
-        experimental, and for nodes whose services are no coroutines.
+        experimental, and for nodes whose services are not coroutines.
     :return: the process's exit status: 0 after a clean end, 2 when it cannot start, 1 when it
         cannot go on.
     """

@@ -53,7 +53,7 @@ def read_regular(path: Path, most: int | None = None, flags: int = 0) -> bytes:
 
     :param most: bytes; None: any number.
     :param flags: of ``os.open``, besides those of reading.
-    :raises OSError: it cannot be read, is no regular file, or is larger.
+    :raises OSError: it cannot be read, is not a regular file, or is larger.
     """
     handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC | flags)
     try:

@@ -116,7 +116,7 @@ def _absent_networks() -> list[str]:
 # The time of day. Fast DDS ends its waits by it: where it is set back, a wait for what does not
 # come lasts as much longer: https://github.com/ros2/ros2/issues/1080
 
-_SET = 1_000_000  # ns; a smaller difference from the steady clock is no setting
+_SET = 1_000_000  # ns; smaller differences from the steady clock are ignored
 _READINGS = 5  # of which the quickest counts: the process may pause in any
 _TIME_PERIOD = 0.5  # s between looks at the time of day
 
@@ -138,7 +138,7 @@ class TimeOfDay:
         Begin with the time of day.
 
         :param time_of_day: ns since the epoch.
-        :param steady: ns since any time, by a clock that nobody sets; it goes on in a sleep.
+        :param steady: ns since any time, by a clock that cannot be set; it goes on in a sleep.
         """
         self._time_of_day, self._steady = time_of_day, steady
         self.now, after = self._read()
@@ -162,7 +162,7 @@ class TimeOfDay:
 
 def watch_time(node: Callable[[], Any]) -> None:
     """
-    Tell a node whenever somebody sets the time of day, by ``tell_time_set`` in another thread.
+    Call ``tell_time_set`` of a node, in another thread, whenever the time of day is set.
 
     :param node: returns the node; None: it is gone.
     """

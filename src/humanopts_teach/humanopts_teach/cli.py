@@ -266,7 +266,7 @@ def status(
     ] = '/',
     json: Annotated[bool, typer.Option('--json', help='print JSON')] = False,
 ) -> int:
-    """Show how a running graph stands: nodes, rates, recorder, restarts."""
+    """Show the status of a running graph: nodes, rates, recorder, restarts."""
     import json as json_text
 
     from humanopts_teach.commands.session import check_place

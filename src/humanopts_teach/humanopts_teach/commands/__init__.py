@@ -14,7 +14,7 @@ class CommandError(Exception):
 
 
 def agreed(question: str) -> bool:
-    """Ask the person at this terminal; only yes is yes."""
+    """Ask a question at this terminal; return whether the answer is yes."""
     print(f'{question} [y/N] ', end='', flush=True)
     return sys.stdin.readline().strip().lower() in ('y', 'yes')
 
@@ -36,16 +36,16 @@ def interruptible() -> Iterator[None]:
 
 
 class Interrupts:
-    """Whether SIGINT, SIGTERM or SIGHUP has come, for those who look."""
+    """Whether SIGINT, SIGTERM or SIGHUP has been received."""
 
     def __init__(self) -> None:
         self.came = False
 
     def check(self) -> None:
         """
-        Look.
+        Raise what was received.
 
-        :raises KeyboardInterrupt: one has come.
+        :raises KeyboardInterrupt: a signal was.
         """
         if self.came:
             raise KeyboardInterrupt
@@ -54,7 +54,7 @@ class Interrupts:
 @contextmanager
 def noticed_interrupts() -> Iterator[Interrupts]:
     """
-    Note these signals, and raise KeyboardInterrupt only where somebody looks, or at the end.
+    Note these signals, and raise KeyboardInterrupt only in ``check`` or at the end.
 
     An exception that a signal raises anywhere is lost where Python or a library ignores errors:
     while an object is deleted, or in a callback of C code.

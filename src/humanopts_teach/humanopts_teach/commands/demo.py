@@ -75,11 +75,11 @@ def run_demo(
     Teach, plan, play, evaluate the bag and report.
 
     :param name: of the domain.
-    :param episodes: to play live; None: as many as is usual in the domain.
-    :param games: that each way to play is compared in; 0: there is no comparison.
-    :param game_steps: that plans are sampled from; 0: as many as is usual.
+    :param episodes: number of episodes to play live; None: the domain's default.
+    :param games: number of games to compare each policy in; 0: no comparison.
+    :param game_steps: number of steps to sample plans from; 0: the default.
     :param error_rate: share of the simulated teacher's steps that are wrong.
-    :return: exit status, 1 where something did not hold.
+    :return: exit status, 1 if a check failed.
     """
     domain = _demo_domain(name, launch, game_steps)
     setup = setup_from(
@@ -135,7 +135,7 @@ def run_demo(
 
 
 def _demo_domain(name: str, launch: LaunchOptions, game_steps: int) -> Domain[Any]:
-    """Return the domain; refuse one that cannot be planned in, or not so."""
+    """Return the domain; refuse it if the demo cannot plan in it."""
     try:
         domain = make_domain(name, dict(launch.parameter))
     except DomainError as error:

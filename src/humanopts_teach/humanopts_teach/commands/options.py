@@ -292,7 +292,7 @@ class CommandGroup(TyperGroup):
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """Return the command that the first word names."""
         if not args[0].startswith('-') and args[0] not in self.commands:
-            ctx.fail(f'there is no command {args[0]!r}; there are {", ".join(self.commands)}')
+            ctx.fail(f'unknown command {args[0]!r}; choose from {", ".join(self.commands)}')
         return super().resolve_command(ctx, args)
 
 

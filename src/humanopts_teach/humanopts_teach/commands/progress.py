@@ -73,11 +73,11 @@ class DemoProgress:
             style = GREEN if found.criteria_met else ''
             parts.append(Text(f'{found.option_name}: {_criteria_words(found)}', style))
         if hasattr(played := graph.feedback, 'fallbacks'):
-            told = (
+            counts = (
                 f'{played.episodes} episodes played, {played.successes} done, '
                 f'{played.fallbacks} fallbacks, mean return {played.mean_return:.2f}'
             )
-            parts.append(Text(told))
+            parts.append(Text(counts))
         return Group(*parts)
 
     def _lines(self, graph: GraphClient) -> None:

@@ -195,7 +195,7 @@ class Session:
             raise LaunchError(unrecorded)
 
     def restarts(self) -> list[str]:
-        """Return a sentence for each node that ended and was started again, and what it cost."""
+        """Return a sentence for each node that was started again, and for gaps in the bags."""
         counts = Counter((end.node, end.how) for end in self.launcher.ends if end.again)
         said = [
             f'the node {node} ended {"once" if count == 1 else f"{count} times"} ({how}) and was '
@@ -208,7 +208,7 @@ class Session:
         return said
 
     def end(self) -> int:
-        """Say what did not go well although the session came to its end; return its status."""
+        """Report the problems of a session that has ended; return its exit status."""
         restarts = self.restarts()
         for line in restarts:
             print_line(line)
@@ -272,7 +272,7 @@ def _try_writing(folder: Path) -> None:
             probe.write(bytes(4096))
             probe.flush()
     finally:
-        with suppress(OSError):  # somebody else put something there
+        with suppress(OSError):  # another process put a file there
             for path in made:  # a launch that is refused leaves nothing
                 path.rmdir()
 
@@ -307,10 +307,10 @@ def session(
     """
     Launch a graph, wait until it is ready, and stop it whatever happens, the recorder last.
 
-    A node that ends meanwhile is started again; that is told here, on the graph and in its log.
-    Nothing is written before it is known that no other launch runs these nodes.
+    A node that ends meanwhile is started again; reported here, on the graph, in its log.
+    Nothing is written until no other launch is known to run these nodes.
 
-    :param progress: called about twenty times a second while something is waited for.
+    :param progress: called about twenty times a second during a wait.
     :param restarts: times in a row that a node is started again.
     :param report: called with a line about a node that ended, was stopped or goes on.
     :param new: the output folder must be empty or not there.

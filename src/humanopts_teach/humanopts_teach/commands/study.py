@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class _StudyCommands(TyperGroup):
-    """Commands; a first word that is no command is a plan, which is run."""
+    """Commands; a first word that is not a command names a plan to run."""
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """Return the command that the first word names, or the one that runs a plan."""

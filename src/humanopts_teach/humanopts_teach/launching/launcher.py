@@ -246,7 +246,7 @@ class Launcher:
             flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_NONBLOCK
             log = self._logs[name] = os.open(path, flags, 0o666)
             if not stat.S_ISREG(os.fstat(log).st_mode):
-                raise OSError(errno.EINVAL, 'it is no regular file', str(path))
+                raise OSError(errno.EINVAL, 'it is not a regular file', str(path))
             try:
                 fcntl.flock(log, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
@@ -331,7 +331,7 @@ class Launcher:
                 problems.append(f'{name} did not stop when asked and was killed')
                 process.kill()
                 process.join(_LAST_SECONDS)
-                if process.exitcode is None:  # the fork server is stopped, and tells nothing
+                if process.exitcode is None:  # the fork server is stopped
                     with suppress(psutil.Error):
                         os.kill(psutil.Process(process.pid).ppid(), signal.SIGKILL)
             elif process.exitcode not in _ENDS_AS_ASKED:

@@ -9,6 +9,7 @@ from humanopts_env.domains.base import Parameter
 from humanopts_learner.options.criteria import Thresholds
 from humanopts_teach.launching import MODULES
 from humanopts_teach.lesson import BUDGET, METHOD, STRATEGY
+from pydantic import TypeAdapter
 
 Value = Parameter | list[str]
 RECORDER = 'recorder'
@@ -104,23 +105,12 @@ class Setup:
 
     def to_json(self) -> str:
         """Return the setup as one line of JSON."""
-        return json.dumps(asdict(self), default=str)
+        return TypeAdapter(Setup).dump_json(self).decode()
 
     @classmethod
     def from_json(cls, text: str) -> 'Setup':
         """Return the setup of ``to_json``."""
-        values = json.loads(text)
-        turn, recording = values['study'], values['recording']
-        patterns = {name: tuple(recording[name]) for name in ('topics', 'exclude')}
-        nested = {
-            'directory': Path(values['directory']),
-            'thresholds': Thresholds(**values['thresholds']),
-            'taught': tuple(values['taught']),
-            'only': tuple(values['only']),
-            'recording': Recording(**{**recording, **patterns}),
-            'study': turn and StudyTurn(**{**turn, 'record': Path(turn['record'])}),
-        }
-        return cls(**{**values, **nested})
+        return TypeAdapter(cls).validate_json(text)
 
 
 def processes(setup: Setup) -> list[ProcessSpec]:
@@ -148,9 +138,7 @@ def processes(setup: Setup) -> list[ProcessSpec]:
         return specs
     names = [spec.name for spec in specs if not spec.terminal]
     if unknown := [name for name in setup.only if name not in names]:
-        raise UnknownNodeError(
-            f'there is no node {unknown[0]!r} in this launch; there are {", ".join(names)}'
-        )
+        raise UnknownNodeError(f'unknown node {unknown[0]!r}; choose from {", ".join(names)}')
     return [spec for spec in specs if spec.terminal or spec.name in setup.only]
 
 

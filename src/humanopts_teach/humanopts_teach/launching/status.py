@@ -1,4 +1,4 @@
-"""How a graph stands: its nodes, what they do, the recording; as text and as JSON data."""
+"""The status of a graph: its nodes and its recording, as text and as JSON data."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -10,7 +10,7 @@ from humanopts_ros.limits import one_line, shown
 from humanopts_teach.text_table import aligned
 
 NO_GRAPH = 2  # exit status: there is nothing in this ROS_DOMAIN_ID and namespace
-LITTLE_DISK = 10**9  # bytes that are left on the disk of the recording, below which it is told
+LITTLE_DISK = 10**9  # bytes left on the disk of the recording below which that is a fault
 _SO_FAR = re.compile(r'the node [^;]+; so far ([^;]+)')  # and then what was refused
 _SILENT = 'does not answer'
 
@@ -21,7 +21,7 @@ def restarts_text(counts: Mapping[str, int]) -> str:
 
 
 def restarts_in(text: str) -> Counter[str]:
-    """Return what ``restarts_text`` has told in the status of an end; nothing else is read."""
+    """Return the counts in a text of ``restarts_text``; empty: it is another text."""
     found = _SO_FAR.match(text)
     parts = [part.rpartition(' ') for part in found[1].split(', ')] if found else []
     return Counter({name: int(count) for name, _, count in parts if count.isdigit()})
@@ -29,13 +29,13 @@ def restarts_in(text: str) -> Counter[str]:
 
 @dataclass(frozen=True)
 class NodeReport:
-    """One node; of its process nothing is known where that is no launch's of this machine."""
+    """One node; its process is known if a launch on this machine started it."""
 
     name: str
-    state: str = ''  # starting, ready, paused or stopping; empty: it has published none
-    answer: float | None = None  # s that it took to answer a request; None: it did not
-    served: bool = True  # it answers requests all the time; the conductor does not
-    text: str = ''  # what it says: why it is paused, what it refused, what failed
+    state: str = ''  # starting, ready, paused or stopping; empty: none was published
+    answer: float | None = None  # response time, s; None: no response
+    served: bool = True  # it answers requests at any time, unlike the conductor
+    text: str = ''  # why it is paused, what it refused, what failed
     restarts: int = 0
     stopped: bool = False  # its process is stopped (SIGSTOP)
     pid: int | None = None
@@ -44,7 +44,7 @@ class NodeReport:
 
     @property
     def fault(self) -> str:
-        """What is wrong with it; empty: nothing."""
+        """The fault, in words; empty: none."""
         if self.stopped:
             return f'is stopped; kill -CONT {self.pid} lets it go on'
         if self.served and self.answer is None:
@@ -67,12 +67,12 @@ class RecorderReport:
     behind: bool
     stopped: bool
     text: str
-    rate: float | None = None  # messages/s; None: it was not seen twice
-    disk_left: int | None = None  # bytes; None: its disk is not here
+    rate: float | None = None  # messages/s; None: unknown
+    disk_left: int | None = None  # bytes; None: on another machine
 
     @property
     def fault(self) -> str:
-        """What is wrong with it; empty: nothing."""
+        """The fault, in words; empty: none."""
         if self.stopped or self.behind:
             return self.text
         if self.missing:
@@ -94,7 +94,7 @@ class RecorderReport:
 
 @dataclass(frozen=True)
 class GraphReport:
-    """All of a namespace."""
+    """The graph of one namespace."""
 
     domain_id: int
     namespace: str
@@ -103,13 +103,13 @@ class GraphReport:
     game: str = ''  # its name
     episode: int = 0
     step: int = 0
-    steps_per_second: float | None = None  # None: no state has come
-    holder: str = ''  # publisher_id of who drives; empty: nobody
+    steps_per_second: float | None = None  # None: no state was received
+    holder: str = ''  # publisher_id of the node in control; empty: none
     games: Sequence[str] = ()  # publisher ids; there should be one
 
     @property
     def faults(self) -> list[str]:
-        """What is wrong, in words; empty: nothing."""
+        """All faults, in words."""
         found = [f'{node.name} {node.fault}' for node in self.nodes if node.fault]
         if self.recorder is not None and self.recorder.fault:
             found.append(self.recorder.fault)
@@ -119,7 +119,7 @@ class GraphReport:
 
     @property
     def status(self) -> int:
-        """Exit status: 0 where all is well, 1 where something is wrong, 2 where nothing is."""
+        """Exit status: 0 without faults, 1 with faults, 2 without nodes."""
         if not self.nodes:
             return NO_GRAPH
         return 1 if self.faults else 0

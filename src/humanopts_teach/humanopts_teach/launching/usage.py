@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 from pathlib import Path
 import re
-import sys
 import time
 
 import psutil
@@ -43,37 +42,28 @@ def memory_left(
 
     They are the machine's, or fewer: a container, or a service, has limits of its own.
 
-    :param groups: where the control groups are mounted, of version 1, 2 or both.
-    :param own: which ones this process is in.
+    :param groups: where the control groups (version 2) are mounted.
+    :param own: the file that names the group of this process.
     """
     memory = psutil.virtual_memory()
     left, total = memory.available, memory.total
-    for line in own.read_text('utf-8').splitlines() if own.exists() else []:
-        _, kinds, path = line.split(':', 2)
-        if kinds and 'memory' not in kinds.split(','):
+    lines = own.read_text('utf-8').splitlines() if own.exists() else []
+    folder = groups / next((line[3:] for line in lines if line.startswith('0::')), '').lstrip('/')
+    for each in (folder, *folder.parents):  # each of them limits what is below
+        if not each.is_relative_to(groups):
+            break
+        try:
+            limit, used = (
+                int((each / f'memory.{n}').read_text('utf-8')) for n in ('max', 'current')
+            )
+            stat = (each / 'memory.stat').read_text('utf-8')
+        except (OSError, ValueError):  # "max", or the group is not in this view of them
             continue
-        top, names = (groups / 'memory', _GROUP_1) if kinds else (groups, _GROUP_2)
-        folder = top / path.lstrip('/')
-        for each in (folder, *folder.parents):  # each of them limits what is below
-            if each.is_relative_to(top):
-                most, free = _left_in_group(each, *names)
-                left, total = min(left, free), min(total, most)
+        # Pages of files, which the kernel gives up.
+        cache = re.search(r'^inactive_file (\d+)$', stat, re.MULTILINE)
+        left = min(left, limit - used + (int(cache[1]) if cache else 0))
+        total = min(total, limit)
     return left, total
-
-
-_GROUP_1 = 'memory.limit_in_bytes', 'memory.usage_in_bytes', r'^total_inactive_file (\d+)$'
-_GROUP_2 = 'memory.max', 'memory.current', r'^inactive_file (\d+)$'
-
-
-def _left_in_group(folder: Path, limit: str, usage: str, cache: str) -> tuple[int, int]:
-    """Return the limit of a control group, and what is left; a huge number: it has none."""
-    try:
-        most, used = (int((folder / name).read_text('utf-8')) for name in (limit, usage))
-        stat = (folder / 'memory.stat').read_text('utf-8')
-    except (OSError, ValueError):  # "max", or the group is not in this view of them
-        return sys.maxsize, sys.maxsize
-    found = re.search(cache, stat, re.MULTILINE)  # pages of files, which the kernel gives up
-    return most, most - used + (int(found[1]) if found else 0)
 
 
 def memory_of_children() -> list[int]:

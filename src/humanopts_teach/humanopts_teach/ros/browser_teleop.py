@@ -19,7 +19,7 @@ Show = Callable[[View, int], object]
 
 
 class BrowserTeleopNode(TeleopNode):
-    """Shows the dialogue of one participant as frames, which somebody else draws."""
+    """Shows the dialogue of one participant as frames, which the page draws."""
 
     def __init__(
         self,
@@ -100,7 +100,7 @@ class TeleopThread:
     def stop(self) -> None:
         """End the thread, and the context of ROS."""
         self._ending = True
-        self._executor.wake()  # its wait may last, where somebody has set the time of day back
+        self._executor.wake()  # its wait may last if the time of day was set back
         self._thread.join()
         for node in self._nodes:
             node.destroy_node()

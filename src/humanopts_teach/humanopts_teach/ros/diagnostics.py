@@ -1,7 +1,7 @@
 """
-The node ``diagnostics``: what nodes and recorder say of themselves, as ROS's own tools read it.
+The node ``diagnostics``: the states of nodes and recording on ``/diagnostics``, for ROS tools.
 
-``/diagnostics`` is where those look for it, whatever the namespace.
+These tools read that topic whatever the namespace.
 """
 
 from collections.abc import Iterator, Mapping
@@ -76,7 +76,7 @@ def of_nodes(statuses: Mapping[str, NodeStatus], there: set[str]) -> Iterator[Di
 
 
 def of_recording(name: str, status: RecorderStatus) -> DiagnosticStatus:
-    """Return how the recording stands."""
+    """Return the state of the recording."""
     level, word = DiagnosticStatus.OK, 'recording'
     if status.behind or status.missing or not status.complete:
         level, word = DiagnosticStatus.WARN, 'not whole'

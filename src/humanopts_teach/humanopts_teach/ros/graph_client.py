@@ -82,7 +82,7 @@ class GraphClient(NodeBase):
         self.report: Callable[[str], object] = lambda line: None
         self._own: dict[str, str] = {}  # publisher_id of the newest process of each of our nodes
         self._strangers: set[str] = set()  # our nodes in the name of which others publish
-        self._reported: set[str] = set()  # those of them that are told
+        self._reported: set[str] = set()  # those of them that were reported
         self.restarts: Counter[str] = Counter()
         self._ends: dict[str, list[float]] = {}  # when processes of each node ended, s
         self._gone: set[str] = set()  # publisher_ids of processes that have ended
@@ -231,7 +231,7 @@ class GraphClient(NodeBase):
 
     def stay(self, check: Callable[[], None], report: Callable[[str], None]) -> None:
         """
-        Serve the graph until somebody interrupts.
+        Serve the graph until an interrupt.
 
         :param check: called all the while, to look after the processes.
         :param report: called with a line when a node pauses, and when it goes on. Lines about
@@ -299,7 +299,7 @@ class GraphClient(NodeBase):
         )
 
     def taught_so_far(self) -> tuple[object, int]:
-        """Return what changes while somebody teaches: the newest step and learning status."""
+        """Return what changes during teaching: the newest step and learning status."""
         state, learning = self.state, self.learning
         return state, learning.sequence if learning else 0
 
@@ -367,8 +367,8 @@ class GraphClient(NodeBase):
             self._resent = lesson.sequence + (1 if lesson.state == lesson.STATE_PAUSED else 2)
         self.get_logger().error(end.sentence)
         counts = {name.rpartition('/')[2]: count for name, count in self.restarts.items() if count}
-        told = restarts_text(counts) if counts else ''
-        self.set_status(msg.NodeStatus.STATE_READY, f'{end.sentence}{told}')
+        so_far = restarts_text(counts) if counts else ''
+        self.set_status(msg.NodeStatus.STATE_READY, f'{end.sentence}{so_far}')
 
     def _keep_options(self, options: list[LearnedOption], newest: msg.LearnedOption) -> None:
         self.options, self.newest_option = options, newest
@@ -378,7 +378,7 @@ class GraphClient(NodeBase):
         if status.publisher_id in self._gone or signer(status.publisher_id) != node:
             return
         if own is not None and status.publisher_id != own:
-            self._strangers.add(node)  # another process has the name, or somebody claims it
+            self._strangers.add(node)  # another process has the name, or claims it
             return
         known = self.statuses.get(node, status)
         if status.publisher_id != known.publisher_id:  # a node of another launch of this graph

@@ -10,6 +10,7 @@ import time
 from typing import Any
 
 from humanopts_interfaces import msg
+from humanopts_ros.codec import Codec
 from humanopts_ros.graph import game_ids
 from humanopts_ros.node_base import start_ros, starting_ros
 from humanopts_ros.qos import CURRENT
@@ -41,6 +42,12 @@ _LONGEST = 5.0  # s, where a process here is never found, as one that is stopped
 _LEAVING = 3.0  # s for nodes to leave whose launcher was killed
 _WINDOW = 1.2  # s for them to answer, and between the two looks from which rates are
 _MAX_PUBLISHERS = 100  # of a topic, of which the newest message is kept
+_RECORDER = Codec(
+    RecorderReport,
+    msg.RecorderStatus,
+    of_value=['rate', 'disk_left'],
+    of_message=['files', 'topics', 'losses', 'cpu_seconds', 'memory'],
+)
 _STATES = {
     msg.NodeStatus.STATE_STARTING: 'starting',
     msg.NodeStatus.STATE_READY: 'ready',
@@ -120,8 +127,8 @@ def _participants_here() -> set[str]:
 
 def _found(node: Node) -> int:
     """Return how many processes a node has found, its own among them."""
-    told = node.get_publishers_info_by_topic('ros_discovery_info', no_mangle=True)
-    return len({bytes(each.endpoint_gid[:12]) for each in told})
+    found = node.get_publishers_info_by_topic('ros_discovery_info', no_mangle=True)
+    return len({bytes(each.endpoint_gid[:12]) for each in found})
 
 
 @contextmanager
@@ -320,6 +327,4 @@ class _Probe:
             left = shutil.disk_usage(status.path).free
         except OSError:  # it records on another machine
             left = None
-        names = ('path', 'messages', 'bytes', 'lag', 'missing', 'complete', 'behind', 'stopped')
-        values = {name: getattr(status, name) for name in names}
-        return RecorderReport(**values, text=status.text, rate=rate, disk_left=left)
+        return _RECORDER.decode(status, rate=rate, disk_left=left)

@@ -1,5 +1,5 @@
 """
-Teaching from a program: one client of the lesson and of the game that is taught in.
+Teaching from a program: a client of the lesson and its game.
 
 The terminal and the simulated teacher are written on it. A program of your own is a coroutine
 that gets a client; ``run_with_lesson`` makes the node and runs the coroutine to its end.
@@ -48,7 +48,7 @@ from rclpy.task import Future
 from rclpy.utilities import try_shutdown
 
 LESSON = 'lesson'  # name of the node
-_LOST = Answer(RequestStatus.REFUSED, 'a node was started again meanwhile; look where it stands')
+_LOST = Answer(RequestStatus.REFUSED, 'a node was restarted meanwhile; check its state')
 _ELSEWHERE = Answer(RequestStatus.REFUSED, 'the lesson is now in another session')
 _PATIENCE = 30.0  # s
 _GIVE_BACK = 5.0  # s for game to take control back
@@ -74,7 +74,7 @@ class NoAnswerError(LessonClientError):
 
 class LessonClient:
     """
-    Asks and drives as a person does, and knows where lesson and game stand.
+    Asks and drives as a person does, and follows lesson and game.
 
     :ivar world: the newest of what was published.
     """
@@ -125,7 +125,7 @@ class LessonClient:
 
     @property
     def lesson(self) -> LessonView | None:
-        """Where the lesson stands; None: nothing was published yet."""
+        """The state of the lesson; None: not received yet."""
         return None if self.world.lesson is UNKNOWN else self.world.lesson
 
     @property
@@ -246,7 +246,7 @@ class LessonClient:
         def on_response(done: Future) -> None:
             if answer.done():  # its server was started again
                 return
-            assert service.answer is not None, 'it is no action'
+            assert service.answer is not None, 'not an action'
             try:
                 found = service.answer.decode(done.result())
             except ValueError as error:

@@ -93,7 +93,7 @@ class LessonNode(NodeBase):
         self._reset = self.recorded_client(ResetGame, 'reset_game', self._reentrant)
         self._resend = self.create_timer(_RESEND_DELAY, self._send_again, autostart=False)
         self.create_timer(_TICK, self._tick)
-        self._contested = False  # somebody else has published a state of the lesson
+        self._contested = False  # another node has published a state of the lesson
         self.create_timer(_SAY_AGAIN, self._say_again)
         self._game = GameSubscriber(self, self._on_domain)
         NodeRestarts(self, self._on_restart)
@@ -137,7 +137,7 @@ class LessonNode(NodeBase):
         return None if self._game_states.get_publisher_count() else 'game_state'
 
     def on_ready(self) -> None:
-        """Publish all demonstrations again, and where the lesson stands."""
+        """Publish all demonstrations again, and the state of the lesson."""
         self._unsent.extend(self._lesson.demonstrations())
         self._show()
 
@@ -196,7 +196,7 @@ class LessonNode(NodeBase):
             self._show()
             if answer.unsent:
                 self._lesson.draw_ahead()
-            assert service.answer is not None, 'it is no action'
+            assert service.answer is not None, 'not an action'
             return service.answer.encode(answer)
 
         return handle
@@ -297,13 +297,13 @@ class LessonNode(NodeBase):
         self._show()
 
     def _on_lesson_state(self, state: msg.LessonState) -> None:
-        """Publish the state again, soon, after somebody else has published another."""
+        """Publish the state again soon after another node has published one."""
         if state.publisher_id != self.publisher_id:
             self.refuse('lesson_state', state, 'it is not from this lesson')
             self._contested = True
 
     def _say_again(self) -> None:
-        """Publish the state again while somebody else publishes in its place."""
+        """Publish the state again while another node publishes on the topic."""
         if self._contested or self.count_publishers('lesson_state') > 1:
             self._contested, self._shown = False, None
 

@@ -123,7 +123,7 @@ class Recorder(NodeBase):
         self._numbered: dict[str, bool] = {}  # recorded topics: whether messages carry numbers
         self._latched: set[str] = set()  # recorded topics of current values
         self._shared: deque[tuple[float, Taken, str]] = deque()  # since when, and sender; waiting
-        self._foreign: set[str] = set()  # senders that are no nodes of the graph
+        self._foreign: set[str] = set()  # senders outside the graph
         self._games: list[str] = []  # publisher ids of the game, one after each start of it
         self._complete = False  # every publisher was matched at the last two looks
         self._stopped = ''  # why nothing is written any more; empty: it is
@@ -317,7 +317,7 @@ class Recorder(NodeBase):
             self.set_status(NodeStatus.STATE_PAUSED, self._stopped)
 
     def _publish_status(self) -> None:
-        """Publish how the recording stands, at every change that matters and once a second."""
+        """Publish the state of the recording, at every change that matters and once a second."""
         now = time.monotonic()
         if (behind := self._lag.behind(now)) != self._behind:
             self._behind = behind

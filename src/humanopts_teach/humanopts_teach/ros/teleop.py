@@ -49,7 +49,7 @@ from rclpy.task import Future
 POLL_SECONDS = 0.015  # between looks at what a person does, and at what is due
 _PARTING_SECONDS = 1.0  # for the last requests
 _FRAME_SECONDS = 0.03  # least time between frames
-_SETTLING_SECONDS = 0.1  # a frame waits so long for the answer to what was just asked
+_SETTLING_SECONDS = 0.1  # longest wait of a frame for the answer to the last request
 _PRESENCE_SECONDS = 0.5  # between looks who is on the graph
 _START_SECONDS = 5.0  # before a node that has not come is called missing
 _NEEDED = {'game': 'current_state', 'lesson': 'lesson_state'}  # and what shows that they are there
@@ -97,7 +97,7 @@ class TeleopNode(NodeBase):
 
     def _study(self, participant: str, seed: int) -> App | None:
         """Return the dialogue of a study; None: there is none."""
-        parts = self.setting('study_parts', '', 'of a study, JSON; empty: there is no study')
+        parts = self.setting('study_parts', '', 'of a study, JSON; empty: no study')
         path = self.setting('study_record', '', 'file of the events of the participant')
         if not parts:
             return None
