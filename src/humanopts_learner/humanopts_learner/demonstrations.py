@@ -1,13 +1,13 @@
 """Demonstrations of options, checked against the rules of the game."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from enum import Enum
-from functools import cached_property
+from functools import cache, cached_property
 import json
 import math
 from sys import intern
-from typing import Any, Final
+from typing import Annotated, Any, Final
 import uuid as uuid_module
 
 from humanopts_env.arrays import Rows
@@ -22,7 +22,9 @@ from humanopts_env.domains.parameters import MAX_PARAMETERS
 from humanopts_env.domains.registry import parameters_json
 from humanopts_env.games import feature_rows
 from humanopts_ros.limits import composed, JsonError, MAX_WHOLE, parse_json
+from humanopts_ros.text_files import fault_in
 import numpy as np
+from pydantic import AfterValidator, Field, Strict, TypeAdapter, ValidationError
 
 
 class DemonstrationError(ValueError):
@@ -48,32 +50,11 @@ MOST_NAME = 60  # characters of the name of an option, and of the codes of peopl
 KIND_NUMBERS = {Kind.TRAJECTORY: 1, Kind.NOT_HERE: 2}  # KIND_* of Demonstration.msg
 
 
-def _of_type(value: Any, *types: type) -> Any:
-    if type(value) not in types:
-        raise TypeError(f'{value!r} is not {" or ".join(t.__name__ for t in types)}')
-    return value
-
-
-def _whole(value: Any, least: int = -MAX_WHOLE) -> int:
-    if type(value) is not int or not least <= value <= MAX_WHOLE:
-        raise ValueError(f'{value!r} is not a whole number from {least:,} to {MAX_WHOLE:,}')
-    return value
-
-
-def _real(value: Any) -> float:
-    return float(_of_type(value, float, int))
-
-
-_CONVERT: Mapping[Any, Callable[[Any], Any]] = {  # plain values into the types of the fields
-    Kind: Kind,
-    bool: lambda flag: _of_type(flag, bool),
-    int: lambda number: _whole(number, least=0),
-    float: _real,
-    str: lambda text: intern(_of_type(text, str)),  # states and names repeat; each is kept once
-    tuple[str, ...]: lambda texts: tuple(intern(_of_type(text, str)) for text in texts),
-    tuple[float, ...]: lambda numbers: tuple(map(_real, numbers)),
-    tuple[tuple[float, ...], ...]: lambda rows: tuple(tuple(map(_real, row)) for row in rows),
-}
+# Values of files and messages, of which none is converted but lists, and whole numbers to reals.
+Text = Annotated[str, Strict(), AfterValidator(intern)]  # states and names repeat: kept once
+Real = Annotated[float, Strict()]
+Count = Annotated[int, Strict(), Field(ge=0, le=MAX_WHOLE)]
+Flag = Annotated[bool, Strict()]
 
 
 @dataclass(frozen=True)
@@ -85,25 +66,25 @@ class Demonstration:
     """
 
     kind: Kind
-    uuid: str
-    domain: str
-    domain_parameters: str  # JSON object
-    participant: str
-    session: str
-    option_name: str
-    number: int  # 1, 2, 3, ... within participant and option
-    chosen_features: tuple[str, ...]
-    feature_names: tuple[str, ...]
-    features: tuple[tuple[float, ...], ...]  # (T + 1) rows of all features
-    states: tuple[str, ...]  # T + 1
-    actions: tuple[str, ...]  # T
-    rewards: tuple[float, ...]  # T
-    terminated: bool = False
-    can_start_at_end: bool = False
-    seconds: float = 0.0
-    withdrawn: bool = False  # taken back by the person; nothing is learned from it
-    method: str = TREES  # one of METHODS; that of the newest demonstration counts
-    machine_steps: int = (
+    uuid: Text
+    domain: Text
+    domain_parameters: Text  # JSON object
+    participant: Text
+    session: Text
+    option_name: Annotated[Text, AfterValidator(composed)]
+    number: Count  # 1, 2, 3, ... within participant and option
+    chosen_features: tuple[Text, ...]
+    feature_names: tuple[Text, ...]
+    features: tuple[tuple[Real, ...], ...]  # (T + 1) rows of all features
+    states: tuple[Text, ...]  # T + 1
+    actions: tuple[Text, ...]  # T
+    rewards: tuple[Real, ...]  # T
+    terminated: Flag = False
+    can_start_at_end: Flag = False
+    seconds: Real = 0.0
+    withdrawn: Flag = False  # taken back by the person; nothing is learned from it
+    method: Text = TREES  # one of METHODS; that of the newest demonstration counts
+    machine_steps: Count = (
         0  # so many of its first steps were the machine's; the person let them pass
     )
 
@@ -141,7 +122,7 @@ class Demonstration:
         """
         try:
             return cls.from_fields(parse_json(text))
-        except (JsonError, TypeError) as error:
+        except JsonError as error:
             raise DemonstrationError(f'not a demonstration: {error}') from error
 
     @classmethod
@@ -151,22 +132,15 @@ class Demonstration:
 
         :raises DemonstrationError: a field is missing or has the wrong form.
         """
-        needed = [field.name for field in fields(cls) if field.name not in _OPTIONAL]
-        missing = [name for name in needed if name not in values]
-        if missing:
-            raise DemonstrationError(f'the demonstration has no {", ".join(missing)}')
-        if isinstance(name := values['option_name'], str):
-            values = {**values, 'option_name': composed(name)}
         try:
-            return cls(
-                **{
-                    field.name: _CONVERT[field.type](values[field.name])
-                    for field in fields(cls)
-                    if field.name in values
-                }
-            )
-        except (TypeError, ValueError, OverflowError) as error:
-            raise DemonstrationError(f'a field of the demonstration is wrong: {error}') from error
+            return _adapter().validate_python(values)
+        except ValidationError as error:
+            raise DemonstrationError(f'not a demonstration: {fault_in(error)}') from error
+
+
+@cache
+def _adapter() -> TypeAdapter[Demonstration]:
+    return TypeAdapter(Demonstration)
 
 
 _OPTIONAL = {
@@ -255,13 +229,12 @@ def demonstration_from_message(message: Any) -> Demonstration:
 
     :raises DemonstrationError: its kind is unknown.
     """
-    names = (field.name for field in fields(Demonstration))
-    values = {name: getattr(message, name) for name in names if hasattr(message, name)}
-    values['method'] = values.get('method') or TREES  # bags of earlier versions have none
+    values = {field.name: getattr(message, field.name) for field in fields(Demonstration)}
     kinds = {number: kind for kind, number in KIND_NUMBERS.items()}
     values['kind'] = kinds.get(message.kind, f'number {message.kind}')
     flat, width = list(message.features), len(message.feature_names) or 1
     values['features'] = [flat[start : start + width] for start in range(0, len(flat), width)]
+    values['rewards'] = list(message.rewards)
     return Demonstration.from_fields(values)
 
 

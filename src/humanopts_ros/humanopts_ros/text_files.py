@@ -155,7 +155,7 @@ def fault_in(error: 'ValidationError', known: Iterable[str] = ()) -> str:
     if first['type'] == 'extra_forbidden':
         why = f'unknown key; use {", ".join(known)}' if known else 'unknown key'
     elif not isinstance(given, dict | list):
-        why += f', not {shown(json.dumps(given, ensure_ascii=False), 60)}'
+        why += f', not {shown(json.dumps(given, ensure_ascii=False, default=str), 60)}'
     if first['type'] == 'string_type' and isinstance(given, bool | float):
         why += ': put it in quotes'
     return shown(f'{place}: {why}' if place else why)

@@ -82,7 +82,7 @@ def test_an_entry_is_read_as_it_was_written(entry: Entry) -> None:
         ('{"version": 1, "entry": "dream"}', 'dream'),
         ('{"version": 1, "entry": ["session"]}', 'unknown kind'),
         ('{"version": 1, "entry": "session", "domain": "taxi"}', 'domain_parameters'),
-        ('{"version": 1, "entry": "demonstration"}', 'has no'),
+        ('{"version": 1, "entry": "demonstration"}', 'kind: Field required'),
         (entry_to_line(ENTRIES[2]).replace('true', '1'), 'yes'),
     ],
 )

@@ -6,19 +6,22 @@ import json
 import os
 from pathlib import Path
 import re
-from typing import Any
+from typing import Any, Literal
 
 from humanopts_learner.append_only_log import link_remark, refuse_link, sync, unused_name
 from humanopts_learner.demonstrations import (
+    Count,
     Demonstration,
-    DemonstrationError,
     option_name_fault,
+    Real,
+    Text,
     TREES,
 )
 from humanopts_learner.options.decision_tree import EncodedFeature, Tree, TreeError
 from humanopts_learner.options.option import LearnedOption, OptionError
-from humanopts_ros.limits import JsonError, MAX_WHOLE, MOST_JSON, parse_json
-from humanopts_ros.text_files import FileError, read_text
+from humanopts_ros.limits import JsonError, MOST_JSON, parse_json
+from humanopts_ros.text_files import fault_in, FileError, read_text
+from pydantic import BaseModel, ConfigDict, ValidationError
 
 FORMAT = 'humanopts-option'
 VERSION = 1
@@ -59,6 +62,57 @@ def option_to_json(option: LearnedOption, demonstrations: Sequence[Demonstration
     return _pretty(data) + '\n'
 
 
+class _Values(BaseModel):
+    model_config = ConfigDict(frozen=True, extra='forbid')
+
+
+class _Column(_Values):
+    feature: Text
+    index: Count
+    value: Count | None
+
+
+class _Leaf(_Values):
+    counts: tuple[Count, ...]
+
+
+class _Split(_Leaf):
+    column: Count
+    at_most: Real
+    left: Count
+    right: Count
+
+
+class _Tree(_Values):
+    columns: Count
+    classes: tuple[Count, ...]
+    nodes: tuple[_Split | _Leaf, ...]
+
+
+class _OptionFile(_Values):
+    """What an option file holds."""
+
+    format: Literal['humanopts-option']
+    version: Literal[1]
+    name: Text
+    participant: Text
+    domain: Text
+    domain_parameters: dict[str, Any]
+    n_demonstrations: Count
+    n_not_here: Count
+    max_steps: Count
+    actions: tuple[Text, ...]
+    features: tuple[Text, ...]
+    uuids: tuple[Text, ...]
+    columns: tuple[_Column, ...]
+    method: Text = TREES
+    policy_columns: tuple[_Column, ...] = ()
+    policy: _Tree
+    initiation: _Tree
+    termination: _Tree
+    demonstrations: tuple[Demonstration, ...]
+
+
 def option_from_json(text: str) -> tuple[LearnedOption, list[Demonstration]]:
     """
     Read what ``option_to_json`` wrote.
@@ -66,31 +120,27 @@ def option_from_json(text: str) -> tuple[LearnedOption, list[Demonstration]]:
     :raises OptionFileError: it is not an option, of a version that is not known, or damaged.
     """
     try:
-        data = parse_json(text)
-        _check_form(data)
-        for part in (*COUNTS, 'columns', 'policy_columns', *PARTS):
-            _check_numbers(data.get(part), part)
-        values: dict[str, Any] = {key: data[key] for key in (*TEXTS, *COUNTS)}
-        values |= {key: tuple(data[key]) for key in NAMES}
-        values |= {part: Tree.from_dict(data[part]) for part in PARTS}
-        values['encoding'] = tuple(map(EncodedFeature.from_dict, data['columns']))
-        values['method'] = data.get('method', TREES)
-        values['policy_encoding'] = tuple(
-            map(EncodedFeature.from_dict, data.get('policy_columns', ()))
+        data = _OptionFile.model_validate(parse_json(text))
+        plain = data.model_dump(exclude={'demonstrations'})
+        values: dict[str, Any] = {key: plain[key] for key in (*TEXTS, *COUNTS, *NAMES, 'method')}
+        values |= {part: Tree.from_dict(plain[part]) for part in PARTS}
+        option = LearnedOption(
+            **values,
+            encoding=tuple(EncodedFeature(**each) for each in plain['columns']),
+            policy_encoding=tuple(EncodedFeature(**each) for each in plain['policy_columns']),
+            domain_parameters=json.dumps(data.domain_parameters, sort_keys=True),
         )
-        values['domain_parameters'] = json.dumps(data['domain_parameters'], sort_keys=True)
-        option = LearnedOption(**values)
-        demonstrations = [Demonstration.from_fields(demo) for demo in data['demonstrations']]
+        demonstrations = list(data.demonstrations)
         for name in {option.name, *(demo.option_name for demo in demonstrations)}:
             if fault := option_name_fault(name):
                 raise OptionFileError(fault)
     except JsonError as error:
         raise OptionFileError(f'it is not JSON: {error}') from error
-    except KeyError as error:
-        raise OptionFileError(f'it has no {error}') from None
+    except ValidationError as error:
+        raise OptionFileError(fault_in(error)) from error
     except OptionFileError:
         raise
-    except (TreeError, DemonstrationError, OptionError, TypeError, ValueError) as error:
+    except (TreeError, OptionError) as error:
         raise OptionFileError(str(error)) from error
     if tuple(dict.fromkeys(encoded.feature for encoded in option.encoding)) != option.features:
         raise OptionFileError('its encoded features are not those that it names')
@@ -180,38 +230,6 @@ def load_options(directory: Path) -> tuple[list[LearnedOption], list[OptionFileE
         except OptionFileError as error:
             problems.append(error)
     return options, problems
-
-
-def _check_form(data: Any) -> None:
-    if not isinstance(data, dict) or data.get('format') != FORMAT:
-        raise OptionFileError(f'it is not a file of format {FORMAT}')
-    if data.get('version') != VERSION:
-        raise OptionFileError(f'it is of version {data.get("version")}, and {VERSION} is known')
-    wrong = [key for key in TEXTS if not isinstance(data[key], str)]
-    wrong += [key for key in COUNTS if type(data[key]) is not int or data[key] < 0]
-    wrong += [key for key in ('domain_parameters', *PARTS) if not isinstance(data[key], dict)]
-    wrong += [key for key in ('columns', 'demonstrations') if not isinstance(data[key], list)]
-    for key in NAMES:
-        if not isinstance(data[key], list) or any(not isinstance(n, str) for n in data[key]):
-            wrong.append(key)
-    if wrong:
-        raise OptionFileError(f'{", ".join(wrong)} of it has the wrong form')
-
-
-def _check_numbers(value: Any, place: str) -> None:
-    """
-    Check that the whole numbers of an option fit the arrays that they are put into.
-
-    :raises OptionFileError: one is too large; the text says where.
-    """
-    if isinstance(value, dict):
-        for key, each in value.items():
-            _check_numbers(each, f'{place}.{key}')
-    elif isinstance(value, list):
-        for index, each in enumerate(value):
-            _check_numbers(each, f'{place}[{index}]')
-    elif type(value) is int and abs(value) > MAX_WHOLE:
-        raise OptionFileError(f'{place} is {value}, and at most {MAX_WHOLE:,} is allowed')
 
 
 def _pretty(data: Mapping[str, Any]) -> str:
