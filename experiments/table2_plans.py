@@ -24,9 +24,9 @@ from humanopts_learner.planning.exact import ExactPlan, make_exact_plan, option_
 from humanopts_learner.planning.interruption import as_executed, policy_values
 from humanopts_learner.planning.plan import AnyPlan
 from humanopts_learner.planning.request import (
+    Arbitration,
     AUTOMATIC,
     AUTOMATIC_AND_PRIMITIVE,
-    Execution,
     HUMAN,
     HUMAN_AND_PRIMITIVE,
     MAX_SWEEPS,
@@ -75,7 +75,7 @@ class Variant:
     whose: str  # kind of owner of the options
     action_set: str
     line: str  # colour, line and marker, as matplotlib has them
-    execution: Execution = Execution.RUN_TO_END
+    execution: Arbitration = Arbitration.RUN_TO_END
     options: str = NAMED  # of a person, in Pac-Man
     by_chance: bool = False  # nothing is planned: any option that can start, each alike
 
@@ -87,9 +87,9 @@ CHASE = ComparedGame(
 )
 GAMES = (TAXI, UNIFORM, CHASE)
 
-STOPPED, FIVE = Execution.INTERRUPTED, 'human, 5 options'
+STOPPED, FIVE = Arbitration.INTERRUPTED, 'human, 5 options'
 MASS_NAME = 'human, modular (greatest mass)'  # it may make a state worth less
-MASS, STRONGEST = Execution.MODULAR_MASS, Execution.MODULAR_STRONGEST
+MASS, STRONGEST = Arbitration.MODULAR_MASS, Arbitration.MODULAR_STRONGEST
 TO_END = Variant('human', people.PERSON, HUMAN, 'C1-s')
 BY_CHANCE = Variant(
     'random choice among human options', people.PERSON, HUMAN, 'C6:*', by_chance=True
@@ -111,7 +111,7 @@ VARIANTS = (
     BY_CHANCE,
 )
 INTERRUPTING = tuple(  # other executions of the plan ``TO_END``
-    v for v in VARIANTS if v.execution is not Execution.RUN_TO_END and v.options == NAMED
+    v for v in VARIANTS if v.execution is not Arbitration.RUN_TO_END and v.options == NAMED
 )
 
 

@@ -16,7 +16,7 @@ from humanopts_learner.planning.evaluate import episode_starts
 from humanopts_learner.planning.exact import ExactPlan, option_table
 from humanopts_learner.planning.interruption import as_executed, option_values
 from humanopts_learner.planning.plan import make_plan
-from humanopts_learner.planning.request import Execution, PlanRequest
+from humanopts_learner.planning.request import Arbitration, PlanRequest
 from humanopts_learner.ros.convert import option_values_to_message
 from humanopts_ros.qos import LATCHED
 import pytest
@@ -26,7 +26,7 @@ PACE = 0.02  # s between steps where somebody watches
 OPTIONS = touring()
 PLAN = make_plan(TAXI, OPTIONS, PlanRequest('human'))
 STARTS = episode_starts(TAXI, SEED, EPISODES)
-CHANGED = [e for e in Execution if e is not Execution.RUN_TO_END]
+CHANGED = [e for e in Arbitration if e is not Arbitration.RUN_TO_END]
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Step:
     stopped: bool  # and what ran was stopped for it
 
 
-def steps(plan: ExactPlan, execution: Execution, start: int, limit: int) -> Iterator[Step]:
+def steps(plan: ExactPlan, execution: Arbitration, start: int, limit: int) -> Iterator[Step]:
     """Play an episode by the tables of the vectorised play, which the runner never sees."""
     acting, rules = as_executed(plan, execution), TAXI.transitions()
     does = option_table(plan.domain, plan.action_set, plan.options).action
@@ -62,7 +62,7 @@ def steps(plan: ExactPlan, execution: Execution, start: int, limit: int) -> Iter
         if column < len(plan.options):
             ends = bool(plan.options[column].termination[at])
             stopped = not ends and bool(acting.options[column].termination[at])
-        modules = execution in (Execution.MODULAR_MASS, Execution.MODULAR_STRONGEST)
+        modules = execution in (Arbitration.MODULAR_MASS, Arbitration.MODULAR_STRONGEST)
         stopped = stopped and not modules
         if ends or stopped or modules or column >= len(plan.options):
             column = -1
@@ -73,7 +73,7 @@ def acting(shared: Graph) -> Acting:
     return start_acting(shared, episodes=EPISODES, seed=SEED)
 
 
-def pure(execution: Execution) -> list[Step]:
+def pure(execution: Arbitration) -> list[Step]:
     """Return what the pure code plays; an episode is given up after LIMIT decisions."""
     found: list[Step] = []
     for start in STARTS.tolist():
@@ -86,9 +86,9 @@ def pure(execution: Execution) -> list[Step]:
     return found
 
 
-@pytest.mark.parametrize('execution', Execution)
+@pytest.mark.parametrize('execution', Arbitration)
 def test_each_step_is_that_of_the_vectorised_play_each_time(
-    acting: Acting, execution: Execution
+    acting: Acting, execution: Arbitration
 ) -> None:
     expected, ends = pure(execution), []
     for _ in range(2):
@@ -116,19 +116,19 @@ def check_play(acting: Acting, result: PolicyResult, expected: list[Step]) -> No
 
 def test_the_comparison_shows_something() -> None:
     """Options are stopped in it, and each execution plays otherwise than to the end."""
-    to_end = pure(Execution.RUN_TO_END)
-    assert sum(step.stopped for step in pure(Execution.INTERRUPTED)) > 0
+    to_end = pure(Arbitration.RUN_TO_END)
+    assert sum(step.stopped for step in pure(Arbitration.INTERRUPTED)) > 0
     assert all(pure(execution) != to_end for execution in CHANGED)
     assert not any(step.stopped for step in to_end)
 
 
 def test_modules_of_an_episode_are_one_run(acting: Acting) -> None:
-    result = acting.play(Execution.MODULAR_STRONGEST, max_decisions=0)
+    result = acting.play(Arbitration.MODULAR_STRONGEST, max_decisions=0)
     acting.graph.until(lambda: len(acting.runs) == EPISODES, 'the runs')
     assert result.decisions == sum(run.step_count for run in acting.runs)
     assert {run.status for run in acting.runs} == {OptionResult.STATUS_EPISODE_OVER}
     for run in acting.runs:
-        assert (run.option_name, run.execution) == ('', Execution.MODULAR_STRONGEST)
+        assert (run.option_name, run.execution) == ('', Arbitration.MODULAR_STRONGEST)
         assert sum(run.acted_steps) == run.step_count
         assert set(run.acted_names) <= set(PLAN.names)
 

@@ -15,7 +15,7 @@ from humanopts_learner.library import OptionLibrary
 from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.planning.evaluate import episode_start
 from humanopts_learner.planning.plan import AnyPlan, judge_plan, make_plan
-from humanopts_learner.planning.request import Execution, MODULAR, PlanRequest
+from humanopts_learner.planning.request import Arbitration, MODULAR, PlanRequest
 from humanopts_learner.planning.sampled.plan import SampledPlan
 import numpy as np
 import pytest
@@ -90,21 +90,21 @@ def planned(planning: Planning) -> Planning:
     return planning
 
 
-@pytest.mark.parametrize('execution', Execution)
+@pytest.mark.parametrize('execution', Arbitration)
 def test_an_episode_is_what_the_pure_code_plays_each_time(
-    planned: Planning, pure: Pure, options: list[LearnedOption], execution: Execution
+    planned: Planning, pure: Pure, options: list[LearnedOption], execution: Arbitration
 ) -> None:
     first, again = (planned.play('human', execution=execution, seed=STOPS) for _ in range(2))
     total, decisions, stopped = arbitrated(pure(), options, execution)
     assert (first.status, first.mean_return) == (PolicyResult.STATUS_DONE, total)
     assert (first.decisions, first.interruptions) == (decisions, stopped)
-    assert (execution is Execution.INTERRUPTED) == (stopped > 0)
+    assert (execution is Arbitration.INTERRUPTED) == (stopped > 0)
     assert (again.mean_return, again.decisions) == (total, decisions)
     assert (again.interruptions, again.fallbacks) == (stopped, first.fallbacks)
 
 
 def arbitrated(
-    plan: SampledPlan, options: list[LearnedOption], execution: Execution
+    plan: SampledPlan, options: list[LearnedOption], execution: Arbitration
 ) -> tuple[float, int, int]:
     """Play one episode by the policy of many games; return score, decisions and stops."""
     policy, library = plan.as_executed(execution), OptionLibrary(MAZE)

@@ -17,20 +17,18 @@ from humanopts_env.domains.base import Domain, is_enumerable
 from humanopts_env.games import Steps
 from humanopts_learner.execution import (
     Choice,
+    Execution,
     Fixed,
     RowOptions,
     Seen,
     SeenRows,
-)
-from humanopts_learner.execution import (
-    Execution as Rules,
 )
 from humanopts_learner.library import RunnableOption
 from humanopts_learner.option import DrawnOption, Mode
 from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.options.rollout import is_deterministic
 from humanopts_learner.planning.interruption import arbitrate, interruptions, OptionValues
-from humanopts_learner.planning.request import Execution, MODULAR, PlanError
+from humanopts_learner.planning.request import Arbitration, MODULAR, PlanError
 from humanopts_learner.planning.sampled.action_set import ActionSet
 from humanopts_learner.planning.sampled.policies import GreedyPolicy
 import numpy as np
@@ -99,16 +97,16 @@ class RunResult:
     acted: Mapping[str, int] = field(default_factory=dict)  # steps by the option that acted
 
 
-def execution_named(name: str) -> Execution:
+def execution_named(name: str) -> Arbitration:
     """
     Return the execution of a name; an empty name means to run to the end.
 
     :raises RunError: no execution has this name; the text lists them.
     """
     try:
-        return Execution(name or Execution.RUN_TO_END)
+        return Arbitration(name or Arbitration.RUN_TO_END)
     except ValueError as error:
-        known = ', '.join(execution.value for execution in Execution)
+        known = ', '.join(execution.value for execution in Arbitration)
         raise RunError(f'no execution {name!r}; there is {known}') from error
 
 
@@ -131,7 +129,7 @@ class Arbiter:
     def __init__(
         self,
         values: OptionValues,
-        execution: Execution,
+        execution: Arbitration,
         domain: Domain[Any],
         options: Mapping[str, RunnableOption],
     ) -> None:
@@ -159,7 +157,7 @@ class Arbiter:
 
         :param running: name of the option, after its first step. Only interruption stops options.
         """
-        if self.execution is not Execution.INTERRUPTED or running not in self._values.names:
+        if self.execution is not Arbitration.INTERRUPTED or running not in self._values.names:
             return False
         option = self._values.names.index(running)
         if self._values.sampled:
@@ -263,7 +261,7 @@ class Run:
             [DrawnOption(option, rng) if drawn and rng else option for option in each]
         )
         limits = np.array([self.max_steps or np.iinfo(np.intp).max])
-        self._execution = Rules(self._options, self._policy, 1, gamma, limits)
+        self._execution = Execution(self._options, self._policy, 1, gamma, limits)
         self.acting = each[0]
         self.step_count = 0
         self.total_reward = 0.0

@@ -17,7 +17,7 @@ from humanopts_learner.options.option import (
     TabularOption,
 )
 from humanopts_learner.planning.interruption import OptionValues
-from humanopts_learner.planning.request import Execution
+from humanopts_learner.planning.request import Arbitration
 from humanopts_learner.run import (
     Arbiter,
     execution_named,
@@ -185,7 +185,7 @@ def test_a_run_ended_from_outside_keeps_what_it_did(status: RunStatus) -> None:
 
 
 def arbiter(
-    better: NDArray[np.bool_], execution: Execution = Execution.MODULAR_STRONGEST
+    better: NDArray[np.bool_], execution: Arbitration = Arbitration.MODULAR_STRONGEST
 ) -> Arbiter:
     """Return what decides between going up and to the right, which is better where (S,) says."""
     options = {'drive': option(NORTH, False), 'right': option(EAST, False, 'right')}
@@ -224,15 +224,15 @@ def test_a_plan_stops_a_run_before_its_next_action() -> None:
     assert run.begin(FAR, 2, 1) is None
     run.next_action()
     assert run.observe(TaxiState(3, 0, 0, 1), -1.0, False, False) is None
-    assert run.stopped(arbiter(ROW == 2, Execution.INTERRUPTED)) is None
-    end = run.stopped(arbiter(ROW == 3, Execution.INTERRUPTED))
+    assert run.stopped(arbiter(ROW == 2, Arbitration.INTERRUPTED)) is None
+    end = run.stopped(arbiter(ROW == 3, Arbitration.INTERRUPTED))
     assert end is not None
     assert (end.status, end.acted) == (RunStatus.STOPPED_BY_PLAN, {'drive': 1})
 
 
 def test_an_execution_is_found_by_its_name_and_none_means_to_the_end() -> None:
-    assert execution_named('') is Execution.RUN_TO_END
-    assert [execution_named(execution) for execution in Execution] == list(Execution)
+    assert execution_named('') is Arbitration.RUN_TO_END
+    assert [execution_named(execution) for execution in Arbitration] == list(Arbitration)
     with pytest.raises(RunError, match="no execution 'fly'; there is run_to_end, interrupted"):
         execution_named('fly')
 

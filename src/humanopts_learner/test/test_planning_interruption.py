@@ -28,7 +28,13 @@ from humanopts_learner.planning.interruption import (
     policy_values,
 )
 from humanopts_learner.planning.plan import make_plan
-from humanopts_learner.planning.request import Execution, MODULAR, PlanError, PlanRequest, Sampling
+from humanopts_learner.planning.request import (
+    Arbitration,
+    MODULAR,
+    PlanError,
+    PlanRequest,
+    Sampling,
+)
 from humanopts_learner.planning.sampled.plan import make_sampled_plan, SampledPlan
 from humanopts_learner.ros.convert import option_values_from_message, option_values_to_message
 from humanopts_learner.run import Arbiter, Run
@@ -40,7 +46,7 @@ import pytest
 
 ROUNDING = 1e-8
 PICKUP, DROPOFF = 'go to passenger and pickup', 'go to destination and dropoff'
-NEVER_WORSE = (Execution.INTERRUPTED, Execution.MODULAR_STRONGEST)
+NEVER_WORSE = (Arbitration.INTERRUPTED, Arbitration.MODULAR_STRONGEST)
 
 
 def tabled(domain: Any, max_steps: int = 200, names: Sequence[str] = ()) -> list[TabularOption]:
@@ -198,14 +204,14 @@ def test_interruption_gains_where_an_option_passes_by_the_goal() -> None:
     """In the rooms with G2, a cell that hallway options come to by chance only."""
     plan, starts = rooms_plan('human', 'G2'), Rooms('G2').start_states()
     to_end = policy_values(plan)[starts]
-    for execution in (*NEVER_WORSE, Execution.MODULAR_MASS):
+    for execution in (*NEVER_WORSE, Arbitration.MODULAR_MASS):
         gain = policy_values(as_executed(plan, execution))[starts] - to_end
         assert gain.min() > 0.003, execution
         assert gain.mean() > 0.2 * to_end.mean(), execution
 
 
-@pytest.mark.parametrize('execution', Execution)
-def test_play_earns_what_the_linear_solve_says(execution: Execution) -> None:
+@pytest.mark.parametrize('execution', Arbitration)
+def test_play_earns_what_the_linear_solve_says(execution: Arbitration) -> None:
     """Without chance exactly; with chance within five standard errors."""
     taxi = Taxi()
     plan = make_exact_plan(taxi, tabled(taxi, 4), PlanRequest('human'))
@@ -231,7 +237,7 @@ def test_an_option_that_walks_in_a_circle_is_stopped() -> None:
     starts = taxi.start_states()
     obstinate = play_plan(replace(plan, solution=wrong), starts)
     assert not obstinate.successes.any()
-    stop = as_executed(plan, Execution.INTERRUPTED).options[2].termination
+    stop = as_executed(plan, Arbitration.INTERRUPTED).options[2].termination
     away = plan.solution.values > option_values(plan).continuation_values[:, 2] + 1e-6
     assert (stop == away)[everywhere].all()
     at_the_wall = taxi.transitions().successor[:, 1, 0] == np.arange(taxi.n_states)
@@ -243,12 +249,12 @@ def test_modules_of_the_greatest_mass_outvote_a_single_strong_one() -> None:
     continuation_values = np.array([[15.0, 14.0, 13.0, 10.0], [15.0, -np.inf, 13.0, 10.0]])
     action = np.array([[0, 1, 1, 2], [0, 1, 1, 2]])
     values = continuation_values, continuation_values, action
-    assert arbitrate(Execution.MODULAR_STRONGEST, *values).tolist() == [0, 0]
-    assert arbitrate(Execution.MODULAR_MASS, *values).tolist() == [1, 0]
+    assert arbitrate(Arbitration.MODULAR_STRONGEST, *values).tolist() == [0, 0]
+    assert arbitrate(Arbitration.MODULAR_MASS, *values).tolist() == [1, 0]
 
 
 @pytest.mark.parametrize('execution', MODULAR)
-def test_where_no_game_is_free_no_module_wins(execution: Execution) -> None:
+def test_where_no_game_is_free_no_module_wins(execution: Arbitration) -> None:
     nothing = np.zeros((0, 3))
     assert arbitrate(execution, nothing, nothing, nothing.astype(np.intp)).tolist() == []
 
@@ -347,7 +353,7 @@ def library_of(domain: Any) -> OptionLibrary:
     return library
 
 
-def arbiter_of(plan: ExactPlan | SampledPlan, execution: Execution) -> Arbiter:
+def arbiter_of(plan: ExactPlan | SampledPlan, execution: Arbitration) -> Arbiter:
     """Return the arbiter that is made of what a message carries."""
     values = option_values(plan) if isinstance(plan, ExactPlan) else plan.policy.values
     library = library_of(plan.domain)
@@ -359,7 +365,7 @@ def arbiter_of(plan: ExactPlan | SampledPlan, execution: Execution) -> Arbiter:
 class LiveGame:
     """One game as a runner drives it: who acted in each step, and what came of it."""
 
-    def __init__(self, plan: ExactPlan | SampledPlan, execution: Execution, start: Any) -> None:
+    def __init__(self, plan: ExactPlan | SampledPlan, execution: Arbitration, start: Any) -> None:
         """Play to the end, or for LIMIT steps."""
         self._plan, self._domain, self.state = plan, plan.domain, start
         self._library, self._rng = library_of(plan.domain), generator(0, 'live')
@@ -406,7 +412,7 @@ def exact_plan() -> ExactPlan:
 
 
 @cache
-def sampled_plan(execution: Execution = Execution.RUN_TO_END) -> SampledPlan:
+def sampled_plan(execution: Arbitration = Arbitration.RUN_TO_END) -> SampledPlan:
     """Return a plan over aliased abstract states, so that options are often stopped."""
     config = Sampling(n_games=200, game_steps=LIMIT, interruption_margin=0.0)
     return make_sampled_plan(
@@ -416,8 +422,8 @@ def sampled_plan(execution: Execution = Execution.RUN_TO_END) -> SampledPlan:
     )
 
 
-@pytest.mark.parametrize('execution', Execution)
-def test_a_live_game_is_the_vectorised_one_with_exact_values(execution: Execution) -> None:
+@pytest.mark.parametrize('execution', Arbitration)
+def test_a_live_game_is_the_vectorised_one_with_exact_values(execution: Arbitration) -> None:
     plan, starts = exact_plan(), TAXI.start_states()[::13]
     returns = play_plan(as_executed(plan, execution), starts, max_steps=LIMIT)
     for episode, start in enumerate(starts.tolist()):
@@ -428,8 +434,8 @@ def test_a_live_game_is_the_vectorised_one_with_exact_values(execution: Executio
 
 
 @pytest.mark.heavy
-@pytest.mark.parametrize('execution', Execution)
-def test_a_live_game_is_the_vectorised_one_with_sampled_values(execution: Execution) -> None:
+@pytest.mark.parametrize('execution', Arbitration)
+def test_a_live_game_is_the_vectorised_one_with_sampled_values(execution: Arbitration) -> None:
     plan = sampled_plan()
     for seed in range(12):
         first = new_games(ALIASED, 1, generator(seed, 'play_games')).states()[0]
@@ -444,14 +450,16 @@ def test_the_executions_differ_where_values_are_aliased() -> None:
     starts = [TAXI.state_at(s) for s in TAXI.start_states()[::40].tolist()]
     actors = {
         execution: [LiveGame(sampled_plan(), execution, start).actors for start in starts]
-        for execution in Execution
+        for execution in Arbitration
     }
-    assert actors[Execution.INTERRUPTED] != actors[Execution.RUN_TO_END]
-    assert actors[Execution.MODULAR_MASS] != actors[Execution.RUN_TO_END]
+    assert actors[Arbitration.INTERRUPTED] != actors[Arbitration.RUN_TO_END]
+    assert actors[Arbitration.MODULAR_MASS] != actors[Arbitration.RUN_TO_END]
 
 
-@pytest.mark.parametrize('execution', [Execution.INTERRUPTED, *MODULAR])
-def test_rulings_in_the_rooms_follow_the_policy_that_is_carried_out(execution: Execution) -> None:
+@pytest.mark.parametrize('execution', [Arbitration.INTERRUPTED, *MODULAR])
+def test_rulings_in_the_rooms_follow_the_policy_that_is_carried_out(
+    execution: Arbitration,
+) -> None:
     """In every state, by the tables that exact evaluation uses."""
     plan = make_plan(ROOMS, options_of(ROOMS), PlanRequest('human'))
     acting, arbiter = as_executed(plan, execution), arbiter_of(plan, execution)
@@ -469,13 +477,13 @@ def test_rulings_in_the_rooms_follow_the_policy_that_is_carried_out(execution: E
 @pytest.mark.parametrize('plan', [exact_plan, sampled_plan])
 def test_only_interruption_stops_options_and_only_modules_act_as_such(plan: Any) -> None:
     state = TAXI.state_at(int(TAXI.start_states()[0]))
-    to_end, stopping = (arbiter_of(plan(), e) for e in list(Execution)[:2])
+    to_end, stopping = (arbiter_of(plan(), e) for e in list(Arbitration)[:2])
     for arbiter in (to_end, stopping):
         with pytest.raises(PlanError, match=f'{arbiter.execution} runs no modules'):
             arbiter.module(state)
     states = [TAXI.state_at(int(index)) for index in TAXI.start_states()]
     assert any(stopping.stops(s, name) for s in states for name in TAXI_OPTIONS)
-    for execution in (Execution.RUN_TO_END, *MODULAR):
+    for execution in (Arbitration.RUN_TO_END, *MODULAR):
         arbiter = arbiter_of(plan(), execution)
         assert not any(arbiter.stops(s, name) for s in states for name in TAXI_OPTIONS)
 
@@ -484,7 +492,7 @@ def test_values_that_do_not_fit_the_domain_are_refused() -> None:
     options = {option.name: option for option in options_of(TAXI)}
     values = option_values(exact_plan())
     with pytest.raises(PlanError, match='every state of taxi'):
-        Arbiter(values, Execution.INTERRUPTED, Taxi(6, 6), options)
+        Arbiter(values, Arbitration.INTERRUPTED, Taxi(6, 6), options)
     values = replace(sampled_plan().policy.values, action_set='human+primitive')
     with pytest.raises(PlanError, match='the actions of taxi'):
-        Arbiter(values, Execution.INTERRUPTED, ALIASED, options)
+        Arbiter(values, Arbitration.INTERRUPTED, ALIASED, options)

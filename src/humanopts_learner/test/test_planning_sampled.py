@@ -12,7 +12,7 @@ from humanopts_learner.intervals import Interval
 from humanopts_learner.options.option import LearnedOption, options_from_references
 from humanopts_learner.planning.plan import make_plan
 from humanopts_learner.planning.request import (
-    Execution,
+    Arbitration,
     ignore_progress,
     PlanCanceled,
     PlanError,
@@ -209,12 +209,12 @@ def test_play_counts_what_happens() -> None:
     assert (returns.steps >= returns.decisions).all()
 
 
-@pytest.mark.parametrize('execution', [Execution.INTERRUPTED, Execution.MODULAR_STRONGEST])
-def test_interruption_gains_where_options_pass_by_the_goal(execution: Execution) -> None:
+@pytest.mark.parametrize('execution', [Arbitration.INTERRUPTED, Arbitration.MODULAR_STRONGEST])
+def test_interruption_gains_where_options_pass_by_the_goal(execution: Arbitration) -> None:
     """With G2 as with exact models, in a plan that was sampled so or by runs to the end."""
-    for sampled_by in (Execution.RUN_TO_END, execution):
+    for sampled_by in (Arbitration.RUN_TO_END, execution):
         plan = rooms_plan('human', 100_000, goal='G2', execution=sampled_by)
-        to_end = plan.play(3, 400, Execution.RUN_TO_END).discounted
+        to_end = plan.play(3, 400, Arbitration.RUN_TO_END).discounted
         gain = Interval.of(plan.play(3, 400, execution).discounted - to_end)
         assert gain.low > 0.0
         assert gain.mean > 0.1 * to_end.mean()
@@ -227,8 +227,8 @@ def test_no_games_cannot_be_played() -> None:
 
 def test_a_plan_that_is_sampled_to_the_end_is_played_to_the_end() -> None:
     plan = rooms_plan('human', 20_000)
-    assert plan.policy.execution is Execution.RUN_TO_END
-    assert np.array_equal(plan.play(3, 50).steps, plan.play(3, 50, Execution.RUN_TO_END).steps)
+    assert plan.policy.execution is Arbitration.RUN_TO_END
+    assert np.array_equal(plan.play(3, 50).steps, plan.play(3, 50, Arbitration.RUN_TO_END).steps)
 
 
 def test_progress_rises_and_can_cancel() -> None:

@@ -4,7 +4,7 @@ from typing import Any
 
 from humanopts_env.domains.base import Domain
 from humanopts_learner.demonstrations import GOAL
-from humanopts_learner.planning.request import Execution
+from humanopts_learner.planning.request import Arbitration
 from humanopts_learner.summary import Criterion, OptionSummary
 from humanopts_teach.dialogue.app import REPLY_SECONDS, SETTLE_SECONDS
 from humanopts_teach.dialogue.menu import opening
@@ -463,7 +463,7 @@ def test_where_it_is_not_known_what_is_covered_it_is_told(teacher: Person) -> No
 def test_modules_say_which_option_won_the_step_that_is_shown(teacher: Person) -> None:
     teacher.press('escape', '4', '1')
     screen: Any = teacher.app.screen
-    screen.execution = Execution.MODULAR_MASS
+    screen.execution = Arbitration.MODULAR_MASS
     release = teacher.press('enter')
     plan = teacher.answer(release)
     teacher.answer(plan)

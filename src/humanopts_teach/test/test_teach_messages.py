@@ -9,7 +9,7 @@ from humanopts_env.game import Source, Transition, transition_from_message
 from humanopts_env.ros.convert import transition_to_message
 from humanopts_interfaces.msg import LessonState, NodeStatus
 from humanopts_learner.demonstrations import Demonstration
-from humanopts_learner.planning.request import Execution
+from humanopts_learner.planning.request import Arbitration
 from humanopts_learner.ros.convert import summary_from_message, summary_to_message
 from humanopts_learner.summary import Criterion, OptionSummary
 from humanopts_ros.publisher import PublishError
@@ -87,7 +87,7 @@ def test_a_request_survives_the_way_through_a_message(request_value: LessonReque
 
 
 def test_a_run_becomes_the_goal_of_its_action() -> None:
-    run = PlayEpisodes('human', 'p1', 5, 7, Execution.MODULAR_MASS)
+    run = PlayEpisodes('human', 'p1', 5, 7, Arbitration.MODULAR_MASS)
     goal = ACTIONS[PlayEpisodes].request.encode(run)
     assert (goal.action_set, goal.participant, goal.episodes) == ('human', 'p1', 5)
     assert (goal.seed, goal.execution) == (7, 'modular_mass')

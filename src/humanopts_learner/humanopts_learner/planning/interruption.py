@@ -22,7 +22,7 @@ from humanopts_env.domains.base import Transitions
 from humanopts_learner.options.option import TabularOption
 from humanopts_learner.planning.exact import build_model, ExactPlan, option_table
 from humanopts_learner.planning.option_models import model_option, visited
-from humanopts_learner.planning.request import Execution, PlanError
+from humanopts_learner.planning.request import Arbitration, PlanError
 from humanopts_learner.planning.smdp import look_ahead
 import numpy as np
 from numpy.typing import NDArray
@@ -85,7 +85,7 @@ def interruptions(
 
 
 def arbitrate(
-    execution: Execution,
+    execution: Arbitration,
     option_values: Floats,
     continuation_values: Floats,
     action: NDArray[np.signedinteger],
@@ -101,7 +101,7 @@ def arbitrate(
     :param continuation_values: (N, O).
     :param action: (N, O) the action that each module wants.
     """
-    if execution is Execution.MODULAR_STRONGEST:
+    if execution is Arbitration.MODULAR_STRONGEST:
         strongest: Ints = continuation_values.argmax(axis=1)
         return strongest
     finite = np.isfinite(option_values)
@@ -139,7 +139,7 @@ def option_values(plan: ExactPlan) -> OptionValues:
     )
 
 
-def as_executed(plan: ExactPlan, execution: Execution) -> ExactPlan:
+def as_executed(plan: ExactPlan, execution: Arbitration) -> ExactPlan:
     """
     Return a plan that, with each option run to its end, acts as ``plan`` does by ``execution``.
 
@@ -147,11 +147,11 @@ def as_executed(plan: ExactPlan, execution: Execution) -> ExactPlan:
     step that can start where they win. The values are still those of ``plan``; ``policy_values``
     returns those of the new one.
     """
-    if execution is Execution.RUN_TO_END:
+    if execution is Arbitration.RUN_TO_END:
         return plan
     table = option_values(plan)
     values = table.option_values, table.continuation_values
-    if execution is Execution.INTERRUPTED:
+    if execution is Arbitration.INTERRUPTED:
         stop = interruptions(*values, table.interruption_margin)
         ending = [
             replace(option, termination=option.termination | stop[:, o])

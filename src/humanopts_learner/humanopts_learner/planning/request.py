@@ -52,8 +52,12 @@ def ignore_progress(stage: str, fraction: float, sweeps: int, residual: float) -
     """Do nothing."""
 
 
-class Execution(StrEnum):
-    """How a policy over options is executed; all but the first are polling executions."""
+class Arbitration(StrEnum):
+    """
+    How the options of a policy share control; all but the first decide anew before each step.
+
+    Commands and messages call it the execution of a plan.
+    """
 
     RUN_TO_END = 'run_to_end'
     """An option that was chosen runs until it ends."""
@@ -80,7 +84,7 @@ class Execution(StrEnum):
     """
 
 
-MODULAR = (Execution.MODULAR_MASS, Execution.MODULAR_STRONGEST)
+MODULAR = (Arbitration.MODULAR_MASS, Arbitration.MODULAR_STRONGEST)
 
 
 @dataclass(frozen=True)
@@ -123,7 +127,7 @@ class PlanRequest:
     seed: int = 0  # of the samples
     sampling: Sampling = Sampling()
     columns: tuple[str, ...] = ()  # of sampled abstract states, as of ``Abstraction``
-    execution: Execution = Execution.RUN_TO_END
+    execution: Arbitration = Arbitration.RUN_TO_END
     """
     How the policy so far is executed while sampling, from the second round on. Where options are
     interrupted, the models are of interrupted options (Sutton, Precup and Singh 1999, section 4:

@@ -18,7 +18,7 @@ from humanopts_learner.planning.evaluate import episode_start
 from humanopts_learner.planning.exact import ExactPlan
 from humanopts_learner.planning.interruption import option_values
 from humanopts_learner.planning.plan import AnyPlan
-from humanopts_learner.planning.request import Execution, MODULAR, PRIMITIVE
+from humanopts_learner.planning.request import Arbitration, MODULAR, PRIMITIVE
 from humanopts_learner.ros.convert import option_values_to_message
 from humanopts_learner.ros.planner_actions import in_thread, MadePlan, PlannerState, STOPS
 from humanopts_learner.run import execution_named, RunError
@@ -55,7 +55,7 @@ class _PolicyRun:
 
     handle: ServerGoalHandle
     made: MadePlan
-    execution: Execution
+    execution: Arbitration
     result: PolicyResult
     limit: int  # decisions in an episode
     execution_sequence: int = 0  # of the ExecutionState with the execution
@@ -189,7 +189,7 @@ class PolicyServer:
                 execution=run.execution,
             )
         )
-        if run.execution is not Execution.RUN_TO_END:
+        if run.execution is not Arbitration.RUN_TO_END:
             await self._publish_values(run.made)
         self._publish_execution(run)
         totals, discounted = [], []
@@ -347,7 +347,7 @@ class PolicyServer:
             if not request.execution:
                 raise RunError('execution is empty')
             execution = execution_named(request.execution)
-            if run is not None and execution is not Execution.RUN_TO_END:
+            if run is not None and execution is not Arbitration.RUN_TO_END:
                 await self._publish_values(run.made)
         except RunError as error:
             response.status, response.detail = response.STATUS_BAD_REQUEST, str(error)

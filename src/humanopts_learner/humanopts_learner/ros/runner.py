@@ -26,7 +26,7 @@ from humanopts_interfaces.srv import RunOption
 from humanopts_learner.library import OptionLibrary, RunnableOption, UnknownOptionError
 from humanopts_learner.option import Mode
 from humanopts_learner.planning.interruption import OptionValues as PlanValues
-from humanopts_learner.planning.request import Execution, MODULAR, PlanError
+from humanopts_learner.planning.request import Arbitration, MODULAR, PlanError
 from humanopts_learner.ros.convert import option_values_from_message
 from humanopts_learner.run import (
     Arbiter,
@@ -97,7 +97,7 @@ class _Active:
     run_id: str
     request: RunRequest
     library: OptionLibrary
-    execution: Execution
+    execution: Arbitration
     arbiter: Arbiter | None  # it may stop the run
     episode: int
     step: int  # of the state that the current command answers
@@ -114,7 +114,7 @@ class PolicySubscriber:
         self._message: OptionValues | None = None
         self._values: PlanValues | None = None  # of the message
         self._state: ExecutionState | None = None
-        self._arbiters: dict[Execution, Arbiter] = {}  # of the newest values, for these options
+        self._arbiters: dict[Arbitration, Arbiter] = {}  # of the newest values, for these options
         self._options: dict[str, RunnableOption] = {}
         node.subscribe(OptionValues, 'option_values', self._read, self._on_values, CURRENT)
         node.subscribe(ExecutionState, 'execution', _checked, self._on_execution, CURRENT)
@@ -128,7 +128,7 @@ class PolicySubscriber:
             return 'none came yet'
         return f'the newest are those of {self._message.plan_id}'
 
-    def arbiter(self, execution: Execution, library: OptionLibrary) -> Arbiter:
+    def arbiter(self, execution: Arbitration, library: OptionLibrary) -> Arbiter:
         """
         Return the arbiter of the newest values.
 
@@ -146,7 +146,7 @@ class PolicySubscriber:
             self._arbiters[execution] = Arbiter(self._values, execution, library.domain, options)
         return self._arbiters[execution]
 
-    def wanted(self, execution: Execution, sequence: int, plan_id: str) -> Execution:
+    def wanted(self, execution: Arbitration, sequence: int, plan_id: str) -> Arbitration:
         """
         Return the execution that is in force for a run.
 
@@ -157,7 +157,7 @@ class PolicySubscriber:
         newer = state is not None and 0 < sequence < state.sequence
         if state is None or not newer or state.plan_id != plan_id:
             return execution
-        return Execution(state.execution)
+        return Arbitration(state.execution)
 
     def canceled(self, sequence: int) -> bool:
         """Return whether the policy run of a run is to end; ``sequence`` as in ``wanted``."""
@@ -262,11 +262,11 @@ class Runner:
             self._taken_by = ''
 
     async def _drive(
-        self, request: RunRequest, execution: Execution, library: OptionLibrary
+        self, request: RunRequest, execution: Arbitration, library: OptionLibrary
     ) -> OptionResult:
         """Wait for the option values and the start state, and run from there."""
         plan_id = request.goal.plan_id
-        if execution is not Execution.RUN_TO_END:
+        if execution is not Arbitration.RUN_TO_END:
             await self._wait(request, lambda: self._policy.has(plan_id))
             if not self._policy.has(plan_id):
                 raise PlanError(
@@ -340,7 +340,7 @@ class Runner:
     def _prepare(
         self,
         request: RunRequest,
-        execution: Execution,
+        execution: Arbitration,
         library: OptionLibrary,
         position: tuple[int, int],
     ) -> tuple[Run, Arbiter | None]:
@@ -349,7 +349,7 @@ class Runner:
         rng = generator(self._seed, 'run', goal.option_name or execution, *position)
         rest = domain, domain.gamma, goal.max_steps, self._mode, rng
         arbiter = None
-        if execution is not Execution.RUN_TO_END:
+        if execution is not Arbitration.RUN_TO_END:
             arbiter = self._policy.arbiter(execution, library)
         if arbiter is not None and execution in MODULAR:
             return Run(arbiter, *rest), None
@@ -434,9 +434,9 @@ class Runner:
                 return run.end(RunStatus.FAILED, str(error))
         return run.stopped(active.arbiter) if active.arbiter is not None else None
 
-    def _change(self, active: _Active, wanted: Execution) -> None:
+    def _change(self, active: _Active, wanted: Arbitration) -> None:
         """Change the execution of an option, unless the values for it are not received yet."""
-        if wanted is Execution.RUN_TO_END:
+        if wanted is Arbitration.RUN_TO_END:
             active.execution, active.arbiter = wanted, None
         elif self._policy.has(active.request.goal.plan_id):
             active.arbiter = self._policy.arbiter(wanted, active.library)
@@ -481,7 +481,7 @@ def _position(observed: Observed) -> tuple[int, int]:
     return observed.transition.episode, observed.transition.step
 
 
-def _check(goal: RunOption.Request | ExecuteOption.Goal, library: OptionLibrary) -> Execution:
+def _check(goal: RunOption.Request | ExecuteOption.Goal, library: OptionLibrary) -> Arbitration:
     """
     Check the parts of a request that do not depend on the start state.
 
@@ -489,7 +489,7 @@ def _check(goal: RunOption.Request | ExecuteOption.Goal, library: OptionLibrary)
     :raises UnknownOptionError: there is no such option.
     """
     execution = execution_named(goal.execution)
-    if execution is not Execution.RUN_TO_END and not goal.plan_id:
+    if execution is not Arbitration.RUN_TO_END and not goal.plan_id:
         raise RunError(f'{execution} needs the values of a plan: give its plan_id')
     if execution not in MODULAR:
         library.resolve(goal.option_name, goal.participant)

@@ -6,7 +6,7 @@ from functools import partial
 from typing import ClassVar
 
 from humanopts_env.seeding import generator
-from humanopts_learner.planning.request import Execution, HUMAN, HUMAN_AND_PRIMITIVE
+from humanopts_learner.planning.request import Arbitration, HUMAN, HUMAN_AND_PRIMITIVE
 from humanopts_teach.dialogue.app import App, Keys, Screen
 from humanopts_teach.dialogue.entry import HelpScreen, Item, ListScreen
 from humanopts_teach.dialogue.keys import Command, key_table, KeyTable, label
@@ -26,10 +26,10 @@ from humanopts_teach.lesson.requests import (
 
 EPISODES = 5  # that are watched
 EXECUTIONS = {
-    Execution.RUN_TO_END: 'each option to its end',
-    Execution.INTERRUPTED: 'options stop where another is worth more',
-    Execution.MODULAR_MASS: 'all options act at once: the greatest mass',
-    Execution.MODULAR_STRONGEST: 'all options act at once: the strongest',
+    Arbitration.RUN_TO_END: 'each option to its end',
+    Arbitration.INTERRUPTED: 'options stop where another is worth more',
+    Arbitration.MODULAR_MASS: 'all options act at once: the greatest mass',
+    Arbitration.MODULAR_STRONGEST: 'all options act at once: the strongest',
 }
 PACE = (Command.PAUSE, Command.STEP, Command.SLOWER, Command.FASTER)  # while the machine drives
 PERIODS = (2.0, 1.0, 0.5, 0.25, 0.1, 0.0)  # s between steps of the machine
@@ -165,7 +165,7 @@ class WatchScreen(PlayScreen):
     _: KW_ONLY
     teach: Callable[[App], None]
     action_set: str
-    execution: Execution = Execution.RUN_TO_END
+    execution: Arbitration = Arbitration.RUN_TO_END
 
     def press(self, key: str, app: App) -> None:
         """Change the execution, also of a run under way; do with other keys as elsewhere."""
@@ -185,12 +185,12 @@ class WatchScreen(PlayScreen):
     def replied(self, request: Request, answer: Answer, app: App) -> None:
         """Keep the new execution for the runs that follow."""
         if isinstance(request, SetExecution) and answer.ok:
-            self.execution = Execution(request.execution)
+            self.execution = Arbitration(request.execution)
 
-    def in_force(self, app: App) -> Execution:
+    def in_force(self, app: App) -> Arbitration:
         """Return how it plays, or will play."""
         playing = isinstance(app.run, PlayEpisodes) and app.world.execution
-        return Execution(app.world.execution) if playing else self.execution
+        return Arbitration(app.world.execution) if playing else self.execution
 
     def start(self, app: App) -> None:
         app.ask(SetControl(hold=False), PlanOptions(self.action_set, app.participant, app.seed))

@@ -21,7 +21,7 @@ from humanopts_learner.intervals import Interval
 from humanopts_learner.options.option import LearnedOption, OptionError
 from humanopts_learner.planning.plan import judge_plan, Performance
 from humanopts_learner.planning.request import (
-    Execution,
+    Arbitration,
     GAME_STEPS,
     HUMAN,
     PlanError,
@@ -203,7 +203,7 @@ def every_baseline(
     found = [Baseline(f'human, {count}', PLAN, moved, human)]
     if 0 < len(usual.paper_options) == len(papers) < len(moved):
         found.insert(0, Baseline(f'human, {len(papers)} options', PLAN, papers, human))
-    stopped = PlanRequest(HUMAN, game_steps=FOLD * steps, execution=Execution.INTERRUPTED)
+    stopped = PlanRequest(HUMAN, game_steps=FOLD * steps, execution=Arbitration.INTERRUPTED)
     found.append(Baseline(f'human, {count}, interrupted, {FOLD}-fold steps', PLAN, moved, stopped))
     primitive = PlanRequest(PRIMITIVE, game_steps=steps, columns=usual.primitive_columns)
     found.append(Baseline(PRIMITIVE, PLAN, (), primitive))

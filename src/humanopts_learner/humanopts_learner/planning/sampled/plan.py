@@ -15,8 +15,8 @@ from humanopts_learner.planning.evaluate import Returns
 from humanopts_learner.planning.exact import PolicyPlan, SweepProgress
 from humanopts_learner.planning.interruption import OptionValues
 from humanopts_learner.planning.request import (
+    Arbitration,
     Clock,
-    Execution,
     ignore_progress,
     PlanError,
     PlanRequest,
@@ -50,7 +50,7 @@ class SampledPlan(PolicyPlan):
     def _best(self, state: Any) -> int:
         return int(self.policy.best(self.actions.observe_state(state))[0])
 
-    def as_executed(self, execution: Execution | None = None) -> GreedyPolicy:
+    def as_executed(self, execution: Arbitration | None = None) -> GreedyPolicy:
         """Return the policy with a way of execution; None: the one it was sampled with."""
         return self.policy if execution is None else replace(self.policy, execution=execution)
 
@@ -58,7 +58,7 @@ class SampledPlan(PolicyPlan):
         self,
         seed: int,
         episodes: int,
-        execution: Execution | None = None,
+        execution: Arbitration | None = None,
         progress: Progress = ignore_progress,
     ) -> Returns:
         """

@@ -6,7 +6,7 @@ from functools import cached_property
 from humanopts_env.arrays import Flags, Floats, Ints
 from humanopts_learner.execution import Choice
 from humanopts_learner.planning.interruption import arbitrate, interruptions, OptionValues
-from humanopts_learner.planning.request import Execution, MODULAR
+from humanopts_learner.planning.request import Arbitration, MODULAR
 from humanopts_learner.planning.sampled.action_set import ActionSet, CodeTable, Observation
 import numpy as np
 from numpy.typing import NDArray
@@ -46,7 +46,7 @@ class GreedyPolicy:
 
     actions: ActionSet
     values: OptionValues
-    execution: Execution = Execution.RUN_TO_END
+    execution: Arbitration = Arbitration.RUN_TO_END
 
     @cached_property
     def preference(self) -> NDArray[np.int64]:
@@ -64,7 +64,7 @@ class GreedyPolicy:
             return choice
         going_on = self._table[2].take(row, axis=0)
         continuation_values = np.where(seen.startable, option_values, going_on)
-        strongest = self.execution is Execution.MODULAR_STRONGEST
+        strongest = self.execution is Arbitration.MODULAR_STRONGEST
         competing = continuation_values if strongest else option_values
         known = np.isfinite(competing).any(axis=1)
         winner = arbitrate(self.execution, option_values, continuation_values, seen.wanted)
@@ -77,7 +77,7 @@ class GreedyPolicy:
 
     def stops(self, seen: Observation, option: Ints) -> Flags | None:
         """Return (N,): whether each game's option is stopped; modules run for one step."""
-        if self.execution is Execution.RUN_TO_END:
+        if self.execution is Arbitration.RUN_TO_END:
             return None
         stopped = np.full(len(option), self.execution in MODULAR)
         if self.execution in MODULAR:
