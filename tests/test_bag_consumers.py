@@ -94,14 +94,6 @@ def test_rosbags_reads_the_metadata(demo: DemoRun, bag: Bag, ours: list[Recorded
         assert {profile.reliability for profile in qos[name]} == {QosReliability.RELIABLE}
 
 
-def test_rosbags_finds_the_type_hash_of_every_msg_type_right(demo: DemoRun) -> None:
-    with AnyReader([demo.bag]) as reader:
-        hashes = {c.msgtype: c.digest for c in reader.connections}
-        assert hashes == {
-            name: reader.typestore.hash_rihs01(name) if '/msg/' in name else '' for name in hashes
-        }
-
-
 def test_rosbags_sees_what_our_reader_sees(
     ours: list[Recorded], by_rosbags: dict[tuple[str, int, bytes], Any]
 ) -> None:
@@ -121,20 +113,6 @@ def test_rosbags_finds_every_request_and_every_response_in_service_events(
     for event in events:
         held = (len(event.request), len(event.response))
         assert held == ((1, 0) if event.info.event_type in REQUEST else (0, 1))
-
-
-def test_rosbags_finds_the_goals_of_all_feedback_in_the_status_of_the_action(
-    by_rosbags: dict[tuple[str, int, bytes], Any],
-) -> None:
-    goals, reported = set(), set()
-    for (topic, *_), message in by_rosbags.items():
-        if topic.endswith(FEEDBACK):
-            reported.add((topic.removesuffix(FEEDBACK), bytes(message.goal_id.uuid)))
-        for status in getattr(message, 'status_list', ()):
-            action = topic.removesuffix('/_action/status')
-            goals.add((action, bytes(status.goal_info.goal_id.uuid)))
-    assert reported
-    assert reported <= goals
 
 
 def test_rosbags_reads_all_messages_from_a_bag_of_several_files(
@@ -216,19 +194,6 @@ def test_foxglove_finds_our_header_facts_counts_and_constants(
         own = found[name]['definitions'][0]['definitions']
         values = {field['value']: field['name'] for field in own if field.get('isConstant')}
         assert values == constants(schema, ''), name
-
-
-def test_foxglove_reads_messages_and_attachments_of_several_files(
-    ours: list[Recorded], split: Path
-) -> None:
-    lines = [
-        foxglove.read(line) for line in foxglove.decode('indexed', sorted(split.glob('*.mcap')))
-    ]
-    assert [line for line in lines if 'error' in line] == []
-    messages = [(line['topic'], line['sequence']) for line in lines if line['kind'] == 'message']
-    assert Counter(messages) == Counter((r.topic, r.sequence) for r in ours)
-    attached = {line['name']: line['data'] for line in lines if line['kind'] == 'attachment'}
-    assert attached == {name: list(data) for name, data in FILES.items()}
 
 
 def test_foxglove_and_rosbags_read_what_a_repair_saves_of_a_file_cut_short(

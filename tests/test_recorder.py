@@ -13,7 +13,6 @@ from graph_support.live import GAME, Graph, NodeProcess, RECORDER
 from humanopts_interfaces.msg import GameState, NodeStatus, RecorderStatus
 from humanopts_interfaces.srv import ResetGame
 from humanopts_ros.qos import CURRENT, LATCHED, STREAM
-from humanopts_teach.bags.check import check_bag
 from humanopts_teach.bags.info import summarise
 from humanopts_teach.bags.provenance import software
 from humanopts_teach.bags.reader import Bag, open_bag
@@ -318,29 +317,9 @@ def test_a_recorder_that_was_stopped_says_so_and_one_killed_after_a_split_keeps_
     recorded = list(bag.messages(['/game_state']))
     assert [r.message.step for r in recorded] == list(range(len(recorded)))
     assert bag.n_messages >= told.messages
-    told = bag.information['files']
-    assert len(told) in (len(bag.files), len(bag.files) - 1)  # the newest may have just begun
-    assert all(file['message_count'] > 0 for file in told[:-1])
-
-
-def test_a_recording_goes_on_in_other_files_and_loses_nothing(recording: Recording) -> None:
-    states = recording.node.create_publisher(GameState, 'game_state', STREAM)
-    recording.record(max_bytes=8_000, max_seconds=30.0)
-    for step in range(300):
-        text = os.urandom(40).hex()  # does not compress
-        states.publish(
-            GameState(publisher_id='/tester#1', sequence=step + 1, step=step, state=text)
-        )
-        if step % 100 == 99:
-            recording.holds('/game_state', step + 1)
-    recording.graph.until(
-        lambda: recording.status.files == len(list(recording.path.glob('*.mcap'))), 'the status'
-    )
-    bag = recording.stop()
-    assert len(bag.files) > 2
-    assert recording.status.files in (len(bag.files), len(bag.files) - 1)
-    assert [r.message.step for r in bag.messages(['/game_state'])] == list(range(300))
-    assert check_bag(bag).findings == ()
+    assert bag.information is not None
+    described = len(bag.information.relative_file_paths)
+    assert described in (len(bag.files), len(bag.files) - 1)  # the newest may have just begun
 
 
 def test_what_patterns_add_or_leave_out_is_kept_and_no_node_waits_for_what_is_left_out(
@@ -363,12 +342,6 @@ def test_what_patterns_add_or_leave_out_is_kept_and_no_node_waits_for_what_is_le
     assert facts['record_topics'] == '["chatter_*"]'
     assert facts['record_exclude'] == json.dumps(left_out)
     assert 'domain_info will not be recorded' in recording.said[0].text
-
-
-def test_patterns_that_leave_nothing_are_said(recording: Recording) -> None:
-    recording.graph.start(RECORDER, path=recording.path, record_exclude=['*'])
-    recording.graph.until(lambda: recording.status.complete, 'the recorder')
-    assert recording.status.text == 'the patterns leave no topic to record'
 
 
 def test_a_bag_names_a_topic_before_the_next_flush_is_due(
@@ -409,16 +382,6 @@ def test_a_full_disk_is_said_and_holds_nobody_back(recording: Recording) -> None
     assert recorder.kill(signal.SIGTERM) == 0
     first = next(open_bag(recording.path).messages(['/chatter']))
     assert first.message.data == 'before'
-
-
-def test_a_recorder_that_stopped_stays_when_nodes_come(recording: Recording) -> None:
-    recording.record(max_seconds=0.1)
-    (recording.path / 'metadata.yaml.new').mkdir()
-    recording.graph.until(lambda: recording.status.stopped, 'the end of the recording')
-    late = recording.node.create_publisher(GameState, 'game_state', STREAM)
-    recording.graph.until(lambda: late.get_subscription_count() > 0, 'the recorder')
-    said = recording.status.sequence
-    recording.graph.until(lambda: recording.status.sequence > said, 'another word')
 
 
 @pytest.mark.parametrize(

@@ -309,15 +309,6 @@ def test_a_topic_is_in_the_files_that_have_its_messages(tmp_path: Path) -> None:
     assert check_bag(open_bag(tmp_path / 'bag')).whole
 
 
-def test_a_split_describes_the_files_so_far(tmp_path: Path) -> None:
-    write_states(tmp_path / 'bag', 65, limits=THIRTY)
-    told = information(tmp_path / 'bag')
-    assert [file['message_count'] for file in told['files']] == [30, 30, 0]
-    opened = open_bag(killed(tmp_path / 'bag'))
-    assert [r.message.step for r in opened.messages()] == list(range(60))
-    assert 'bag_2.mcap' in opened.damage
-
-
 def test_a_topic_that_is_defined_in_two_ways_is_said(tmp_path: Path) -> None:
     for name, message in (('bag', GameState()), ('other', ActionCommand())):
         with BagWriter(tmp_path / name) as writer:

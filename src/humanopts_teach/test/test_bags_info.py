@@ -140,16 +140,6 @@ def test_info_of_several_bags_shows_each(
     assert json.loads(capsys.readouterr().out) == several[1]
 
 
-def test_a_lesson_of_a_person_has_no_error_rate_to_tell(tmp_path: Path) -> None:
-    facts = {'seed': '3', 'teacher_error_rate': 'None'}
-    with BagWriter(tmp_path / 'bag', facts) as writer:
-        writer.add_topic('/game_state', 'humanopts_interfaces/msg/GameState')
-        writer.write('/game_state', serialize_message(numbered(1)), 1)
-    text = summarise(open_bag(tmp_path / 'bag')).to_text()
-    assert re.search(r'teacher error rate +none: a person taught\n', text)
-    assert 'None' not in text
-
-
 def test_info_tells_when_each_criterion_held_first_and_how_it_developed(tmp_path: Path) -> None:
     values = [(1, math.nan), (2, 0.3), (2, 0.3), (3, 0.05), (4, 0.2)]
     statuses = []
@@ -172,14 +162,6 @@ def test_info_tells_when_each_criterion_held_first_and_how_it_developed(tmp_path
     ]
     assert json.loads(json.dumps(info.to_dict(), allow_nan=False))['criteria'][2]['met']
     assert re.search(r'initiation +0\.1 +3 shown, 0 not here +3\.0 +0\.05 +0\.2\n', info.to_text())
-
-
-def test_a_criterion_that_held_without_a_value_is_told_so(tmp_path: Path) -> None:
-    criterion = Criterion(name='return', value=math.nan, threshold=0.1, met=True)
-    option = OptionStatus(participant='p1', option_name=PICKUP, criteria=[criterion])
-    status = LearningStatus(options=[option])
-    info = summarise(write_messages(tmp_path / 'bag', [('/learning_status', status)]))
-    assert re.search(r'return +0\.1 +0 shown, 0 not here +0\.0 +- +-\n', info.to_text())
 
 
 def test_info_lists_attached_files_and_what_the_recorder_was_told(tmp_path: Path) -> None:

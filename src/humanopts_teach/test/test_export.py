@@ -233,18 +233,26 @@ def test_episodes_with_gaps_are_left_out_and_counted(
         write_dataset(open_bag(tmp_path / 'gap'), tmp_path / 'out')
 
 
-def test_dataset_is_named_by_domain_and_bag(taxi: Domain[Any]) -> None:
-    assert dataset_name(taxi, Path('runs/up-2026_11.mcap')) == 'humanopts/taxi/up-2026_11-v0'
-
-
-NAMES = ('2026.01.02', '2026.01.03', '2026-01-02', '!!!', '???', 'a b', 'a-b', 'ü', '-', 'x' * 200)
+NAMES = (
+    'up-2026_11',
+    '2026.01.02',
+    '2026.01.03',
+    '2026-01-02',
+    '!!!',
+    '???',
+    'a b',
+    'a-b',
+    'ü',
+    '-',
+    'x' * 200,
+)
 
 
 def test_bags_of_different_names_have_different_datasets_that_minari_finds(
     taxi: Domain[Any],
 ) -> None:
     names = [dataset_name(taxi, Path('runs') / name) for name in NAMES]
-    assert len(set(names)) == len(names)
+    assert (names[0], len(set(names))) == ('humanopts/taxi/up-2026_11-v0', len(names))
     minari_data = pytest.importorskip('minari.dataset.minari_dataset')
     for name in names:
         namespace, rest, version = minari_data.parse_dataset_id(name)
@@ -316,21 +324,6 @@ def test_attached_files_come_out_below_the_folder_only(
     assert not (tmp_path / 'outside.json').exists()
     if not refusal:
         assert main(command) == 2  # nothing is overwritten
-
-
-def test_attached_files_that_are_all_damaged_are_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with BagWriter(tmp_path / 'bag') as writer:
-        writer.add_topic('/action', f'{MESSAGES}ActionCommand')
-        writer.write('/action', serialize_message(ActionCommand()), 1)
-        writer.attach('notes.txt', b'as it was')
-    (file,) = (tmp_path / 'bag').glob('*.mcap')
-    file.write_bytes(file.read_bytes().replace(b'as it was', b'as it is.'))
-    out = tmp_path / 'out'
-    assert main(['bag', 'export', str(tmp_path / 'bag'), '--to', 'files', '--out', str(out)]) == 2
-    assert 'all files attached' in capsys.readouterr().err
-    assert not out.exists()
 
 
 def test_text_that_a_spreadsheet_would_run_is_text_in_csv_alone(tmp_path: Path) -> None:
