@@ -273,7 +273,7 @@ def test_a_terminal_waits_for_the_game_drives_again_after_it_was_killed_and_quit
     graph = terminals.graph
     killed = terminals.terminal()
     killed.see('Waiting for the game')
-    killed.see('game, lesson: not there.')
+    killed.see('Missing: game, lesson.')
     graph.start(GAME)
     graph.start(LESSON, directory=graph.folder / 'demonstrations')
     controls = graph.listen(ControlState, 'control', CURRENT)
@@ -292,7 +292,7 @@ def test_a_terminal_waits_for_the_game_drives_again_after_it_was_killed_and_quit
     refusals = [m for m in terminals.messages if isinstance(m, ActionRefusal)]
     assert refusals == []
     graph.stop(graph.node_called('/lesson'))
-    terminal.see('lesson: not there. Everything taught is saved; Ctrl-C quits.')
+    terminal.see('Missing: lesson. Everything taught is saved; Ctrl-C quits.')
     terminal.press(CTRL_C)
     assert terminal.ended() == 0
     assert terminal.restored()

@@ -8,14 +8,11 @@ from typing import Any
 from graph_support.scripted import by_reference, show
 from humanopts_env.domains.base import Domain
 from humanopts_env.domains.registry import make_domain, reference_options
-from humanopts_env.game import Transition
 from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import Demonstration
-from humanopts_teach.lesson.requests import BeginDemonstration, Phase
 from humanopts_teach.lesson.store import DemonstrationStore
 import pytest
 from teach_support.lesson import Table
-from teach_support.person import CHOSEN, Person, START
 
 TAUGHT = ('go to passenger and pickup', 'go to destination and dropoff')
 EATING = (
@@ -89,37 +86,3 @@ def store(tmp_path: Path) -> Iterator[DemonstrationStore]:
 def table(store: DemonstrationStore) -> Table:
     """A lesson with the person, the game and the learner in the hands of the test."""
     return Table(store)
-
-
-@pytest.fixture
-def person(taxi: Domain[Any]) -> Person:
-    """Somebody who has just come."""
-    return Person(taxi)
-
-
-@pytest.fixture
-def teacher(person: Person) -> Person:
-    """Somebody whose option is ready for its first demonstration."""
-    return person.names_option(Phase.READY, chosen_features=CHOSEN)
-
-
-@pytest.fixture
-def shower(teacher: Person) -> Person:
-    """Somebody who is demonstrating."""
-    request = teacher.press('enter')
-    assert request == BeginDemonstration()
-    teacher.game(episode=2, step=0)
-    teacher.lesson(Phase.DEMONSTRATING, episode=2, start_state=START)
-    teacher.answer(request, episode=2)
-    return teacher
-
-
-@pytest.fixture
-def pacman_teacher(teacher: Person) -> Person:
-    """Somebody who has just named an option in Pac-Man, and is asked the first question."""
-    pacman = make_domain('pacman')
-    teacher.world.domain, teacher.side = pacman, 41
-    state = pacman.encode(pacman.reset(generator(0)))
-    teacher.world.game = Transition(episode=1, state=state)
-    teacher.asked_about(1, chosen_features=(), questions_total=len(pacman.features))
-    return teacher

@@ -10,7 +10,7 @@ from humanopts_learner.summary import Criterion, OptionSummary
 from humanopts_teach.browser.markup import head_html, PARTS, parts
 from humanopts_teach.dialogue.app import App
 from humanopts_teach.dialogue.entry import ConfirmScreen, HelpScreen, Item, ListScreen, TextScreen
-from humanopts_teach.dialogue.keys import Command, key_of, key_table, label
+from humanopts_teach.dialogue.keys import key_of, key_table, KeyCommand, label
 from humanopts_teach.dialogue.menu import opening, to_lesson
 from humanopts_teach.dialogue.panel import view
 from humanopts_teach.lesson.requests import LessonView, Phase
@@ -88,7 +88,9 @@ def test_every_key_of_a_demonstration_has_a_button(app: App) -> None:
     found = buttons(app)
     assert (found['north'], found['west'], found['p pickup']) == (['up'], ['left'], ['p'])
     pressed = {key for keys in found.values() for key in keys}
-    table = key_table(make_domain('taxi').actions, (Command.DONE, Command.NOT_HERE, Command.MENU))
+    table = key_table(
+        make_domain('taxi').actions, (KeyCommand.DONE, KeyCommand.NOT_HERE, KeyCommand.MENU)
+    )
     assert pressed >= {*table.actions, *table.commands}
 
 

@@ -13,7 +13,7 @@ from humanopts_teach.browser.seats import (
     Seat,
     Seats,
 )
-from humanopts_teach.dialogue.panel import Line, View
+from humanopts_teach.dialogue.panel import Line, ScreenView
 import pytest
 
 LINGER = 0.05  # s
@@ -30,7 +30,7 @@ class Page:
         self.prompt = asyncio.Event()  # whether it takes at once what is shown
         self.prompt.set()
 
-    def show(self, view: View, frame: int) -> None:
+    def show(self, view: ScreenView, frame: int) -> None:
         """Keep the first line."""
         (line, *_) = view.panel.beside
         assert isinstance(line, Line)

@@ -113,7 +113,7 @@ def test_nodes_that_are_missing_are_said_before_anything_else(app: App) -> None:
     app.say('well done')
     assert view(app).said == Line('well done', Tone.GOOD)
     app.world.missing, app.way_out = ('lesson',), 'come back later'
-    saved = 'lesson: not there. Everything taught is saved; come back later.'
+    saved = 'Missing: lesson. Everything taught is saved; come back later.'
     assert view(app).said == Line(saved, Tone.BAD)
 
 

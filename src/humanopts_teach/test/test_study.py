@@ -20,8 +20,8 @@ from humanopts_teach.lesson.requests import Answer, LessonView, Phase, RequestSt
 from humanopts_teach.study.events import ParticipantEnded
 from humanopts_teach.study.plan import (
     balanced_latin_square,
-    Kind,
     Part,
+    PartKind,
     PARTS,
     PlanFileError,
     Question,
@@ -304,14 +304,14 @@ def test_a_maze_in_a_file_is_part_of_the_plan(
 
 
 LIKED = Question(name='liked', text='Did you like it?', low='not at all', high='very much')
-CONSENT = Part(kind=Kind.CONSENT, key='consent', text='# Taking part\nYou can *stop*.')
-PAGE = Part(kind=Kind.PAGE, key='page', text='Read this.')
+CONSENT = Part(kind=PartKind.CONSENT, key='consent', text='# Taking part\nYou can *stop*.')
+PAGE = Part(kind=PartKind.PAGE, key='page', text='Read this.')
 IN = {'condition': 'a', 'domain': 'taxi'}
-PLAY = Part(kind=Kind.PLAY, key='a/play', minutes=2.0, **IN)  # type: ignore[arg-type]
-BUTTONS = Part(kind=Kind.BUTTONS, key='a/buttons', most=2, **IN)  # type: ignore[arg-type]
-TEACH = Part(kind=Kind.TEACH, key='a/teach', minutes=10.0, **IN)  # type: ignore[arg-type]
+PLAY = Part(kind=PartKind.PLAY, key='a/play', minutes=2.0, **IN)  # type: ignore[arg-type]
+BUTTONS = Part(kind=PartKind.BUTTONS, key='a/buttons', most=2, **IN)  # type: ignore[arg-type]
+TEACH = Part(kind=PartKind.TEACH, key='a/teach', minutes=10.0, **IN)  # type: ignore[arg-type]
 QUESTIONS = Part(
-    kind=Kind.QUESTIONS,
+    kind=PartKind.QUESTIONS,
     key='a/questions',
     questions=Questionnaire(items=(LIKED, LIKED.model_copy(update={'name': 'again'})), points=5),
 )

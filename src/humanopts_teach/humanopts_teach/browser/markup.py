@@ -11,10 +11,9 @@ from typing import Any, NamedTuple
 
 from humanopts_env.board import Board
 from humanopts_teach.board_html import board_html, notes_html
-from humanopts_teach.dialogue.app import Keys
 from humanopts_teach.dialogue.entry import MOST_CHARACTERS, PAGE
-from humanopts_teach.dialogue.keys import BACKSPACE, DOWN, ENTER, INTERRUPT, key_of, LEFT, UP
-from humanopts_teach.dialogue.panel import Block, Choices, TARGET, TypedText, View
+from humanopts_teach.dialogue.keys import BACKSPACE, DOWN, ENTER, INTERRUPT, key_of, Keys, LEFT, UP
+from humanopts_teach.dialogue.panel import Block, Choices, ScreenView, TARGET, TypedText
 from humanopts_teach.report.pages import page_style, templates
 from markdown_it import MarkdownIt
 
@@ -51,7 +50,7 @@ def _macros() -> Any:
     return templates(_PACKAGE).get_template('page.html', globals=given).module
 
 
-def parts(view: View) -> dict[str, str]:
+def parts(view: ScreenView) -> dict[str, str]:
     """
     Return the HTML of each part of the page.
 

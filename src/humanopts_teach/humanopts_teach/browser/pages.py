@@ -17,7 +17,7 @@ from humanopts_teach.browser.server_log import limited_log
 from humanopts_teach.dialogue.app import App, MOST_KEYS
 from humanopts_teach.dialogue.entry import TextScreen
 from humanopts_teach.dialogue.menu import opening
-from humanopts_teach.dialogue.panel import Line, panel, Tone, View
+from humanopts_teach.dialogue.panel import Line, panel, ScreenView, Tone
 from humanopts_teach.lesson.store import CODE, CODE_RULE
 from nicegui import Client, core, ui
 
@@ -38,7 +38,7 @@ class PageWindow(Window):
         self._frame = ui.html('0', sanitize=False).classes('frame')
         ui.on('press', self._on_press)
 
-    def show(self, view: View, frame: int) -> None:
+    def show(self, view: ScreenView, frame: int) -> None:
         """Show a frame, updating only the parts that changed."""
         for name, html in parts(view).items():
             if self._parts[name].content != html:
@@ -118,7 +118,7 @@ def _ask_code(window: PageWindow, domain: str, proposed: str) -> None:
     def show() -> None:
         said = Line(app.message.text, Tone.BAD)
         head = ('humanopts', domain)
-        window.show(View(head, '', None, panel(screen, app), said, []), app.drawn())
+        window.show(ScreenView(head, '', None, panel(screen, app), said, []), app.drawn())
 
     def press(keys: list[str], frame: int) -> None:
         app.type([key for key in keys if len(key) == 1 or key in ('ctrl-u', 'enter')], frame)

@@ -10,7 +10,7 @@ from contextlib import AbstractAsyncContextManager, suppress
 from itertools import count
 from typing import Protocol
 
-from humanopts_teach.dialogue.panel import Line, Panel, Tone, View
+from humanopts_teach.dialogue.panel import Line, Panel, ScreenView, Tone
 from humanopts_teach.lesson.store import similar_code
 
 FAREWELL = 'Everything taught is saved.'
@@ -42,7 +42,7 @@ def another_fits(available: int, total: int, taken: Sequence[int], games: int) -
 class Window(Protocol):
     """A page that is open in a browser."""
 
-    def show(self, view: View, frame: int) -> None:
+    def show(self, view: ScreenView, frame: int) -> None:
         """Show a frame."""
 
     def listen(self, press: Press) -> None:
@@ -81,7 +81,7 @@ class Seat:
         self._press: Press = lambda keys, frame: None
         self._leaving: asyncio.TimerHandle | None = None
 
-    def show(self, view: View, frame: int) -> None:
+    def show(self, view: ScreenView, frame: int) -> None:
         """Show a frame now, or once a window opens."""
         self._shown = view, frame
         if self.window is not None:
@@ -273,17 +273,19 @@ class Seats:
         prompt(window, message(('humanopts', self.domain), text, 'teach here instead'), take)
 
 
-def message(head: tuple[str, ...], text: str, enter: str = '') -> View:
+def message(head: tuple[str, ...], text: str, enter: str = '') -> ScreenView:
     """
     Return a view with a message.
 
     :param enter: label of Enter; empty: it does nothing.
     """
     keys = [('Enter', enter)] if enter else []
-    return View(head, '', None, Panel((Line(text, strong=True),)), Line('', Tone.PLAIN), keys)
+    return ScreenView(
+        head, '', None, Panel((Line(text, strong=True),)), Line('', Tone.PLAIN), keys
+    )
 
 
-def prompt(window: Window, view: View, then: Callable[[], None]) -> None:
+def prompt(window: Window, view: ScreenView, then: Callable[[], None]) -> None:
     """Show a view on which Enter calls ``then``."""
     window.listen(lambda keys, frame: then() if 'enter' in keys else None)
     window.show(view, 0)

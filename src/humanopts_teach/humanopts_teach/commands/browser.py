@@ -26,7 +26,7 @@ from humanopts_teach.commands import CommandError, noticed_interrupts
 from humanopts_teach.commands.options import PageOptions
 from humanopts_teach.commands.session import new_name
 from humanopts_teach.commands.study_session import Study
-from humanopts_teach.dialogue.panel import View
+from humanopts_teach.dialogue.panel import ScreenView
 from humanopts_teach.launching.place import only_launch
 from humanopts_teach.launching.processes import processes, Setup
 from humanopts_teach.launching.usage import memory_left, memory_of_children
@@ -148,7 +148,7 @@ async def _game(
     async with _graph(setup, own_namespace, seat):
         found: asyncio.Future[Any] = loop.create_future()
 
-        def show(view: View, frame: int) -> None:
+        def show(view: ScreenView, frame: int) -> None:
             loop.call_soon_threadsafe(seat.show, view, frame)
 
         def end() -> None:

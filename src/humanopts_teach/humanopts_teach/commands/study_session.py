@@ -39,7 +39,7 @@ from humanopts_teach.study.events import (
     REFUSED,
     TIME,
 )
-from humanopts_teach.study.plan import Condition, Kind, Part, PARTS, StudyPlan
+from humanopts_teach.study.plan import Condition, Part, PartKind, PARTS, StudyPlan
 from humanopts_teach.study.record import (
     ChangedPlanError,
     learned_rows,
@@ -296,9 +296,9 @@ def simulated_part(
     rng = generator(seed, 'simulated participant', number, part.key)
     where = {'part': part.key, 'condition': part.condition}
     record.note(PartBegan, kind=part.kind, **where)
-    if part.kind is Kind.TEACH:
+    if part.kind is PartKind.TEACH:
         record.note(OptionsLearned, options=learned_rows(teach()), **where)
-    elif part.kind is Kind.BUTTONS:
+    elif part.kind is PartKind.BUTTONS:
         shares = TABLE_1.get(part.domain, {})
         named = [name for name, share in shares.items() if rng.random() < share]
         for rank, text in enumerate(named[: part.most], start=1):

@@ -11,9 +11,10 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 from humanopts_env.domains.base import Domain
-from humanopts_teach.dialogue.keys import END_OF_FILE, INTERRUPT, label
+from humanopts_teach.dialogue.keys import END_OF_FILE, INTERRUPT, Keys, label
 from humanopts_teach.lesson.question_groups import QuestionGroups
 from humanopts_teach.lesson.requests import (
+    ActionGoal,
     Answer,
     CancelRun,
     ChangeOption,
@@ -25,7 +26,6 @@ from humanopts_teach.lesson.requests import (
     Phase,
     Request,
     RequestStatus,
-    Run,
     server,
     SetControl,
     SetPace,
@@ -39,7 +39,6 @@ REPLY_SECONDS = 5.0  # for a node to answer
 SETTLE_SECONDS = 1.0  # for the latched topics to show what the answer has changed
 MOST_KEYS = 128  # typed ahead; what comes then is dropped
 MOST_FRAMES = 64  # on which a key may have been pressed that comes now
-Keys = list[tuple[str, str]]  # label of a key, and what it does
 _PAUSED = 'Not now: the lesson is paused; the top of the screen says why.'
 
 
@@ -48,13 +47,13 @@ class Screen:
     What is shown now, and what a key means in it.
 
     :cvar answers_lesson: a key answers what the lesson asks for, if that was seen.
-    :cvar shows_board: the game stands beside what it shows.
-    :cvar comes_in: the lesson may be somebody else's: the person asks for it here.
+    :cvar shows_board: the game is shown beside it.
+    :cvar claims_lesson: the screen may take over another participant's lesson.
     """
 
     answers_lesson: ClassVar[bool] = False
     shows_board: ClassVar[bool] = True
-    comes_in: ClassVar[bool] = False
+    claims_lesson: ClassVar[bool] = False
 
     @property
     def state(self) -> str:
@@ -67,7 +66,7 @@ class Screen:
     def replied(self, request: Request, answer: Answer, app: 'App') -> None:
         """React to the answer to a request that this screen made."""
 
-    def run_ended(self, run: Run, well: bool, app: 'App') -> None:
+    def run_ended(self, run: ActionGoal, well: bool, app: 'App') -> None:
         """React to the end of a run."""
 
     def tick(self, app: 'App') -> None:
@@ -120,7 +119,7 @@ class App:
         self.known_options: tuple[str, ...] = ()  # in the order in which they were begun
         self.message = Message()
         self.screen = first
-        self.run: Run | None = None  # under way
+        self.run: ActionGoal | None = None  # under way
         self.run_text = ''  # how far it is
         self.next_start = ''  # of the next demonstration, that was chosen; empty: none
         self.groups = QuestionGroups()
@@ -132,8 +131,8 @@ class App:
         self._outbox: deque[Request] = deque()
         self._keys: deque[tuple[str, _Seen]] = deque()  # with what was seen when it was pressed
         self._waiting: _Waiting | None = None
-        self._came_in = False  # the lesson was seen to be this person's
-        self._displaced = first  # screen for one whose lesson is somebody else's now
+        self._owned = False  # the lesson was seen to be this participant's
+        self._displaced = first  # shown once another participant has the lesson
 
     @property
     def domain(self) -> Domain[Any]:
@@ -171,17 +170,17 @@ class App:
             if self.run is not None:
                 self.ask(SetControl(hold=True))
                 return
-            self.say('No step can be taken: the episode is over.', bad=True)
+            self.say('The episode is over: no more steps can be taken.', bad=True)
         else:
             self.ask(Drive(action, game.episode, game.step))
 
-    def come_in(self, participant: str, displaced: Screen) -> None:
+    def claim_lesson(self, participant: str, displaced: Screen) -> None:
         """
-        Be this participant from now on.
+        Act for this participant from now on.
 
-        :param displaced: screen to show once the lesson is somebody else's.
+        :param displaced: screen to show once another participant has the lesson.
         """
-        self.participant, self._displaced, self._came_in = participant, displaced, False
+        self.participant, self._displaced, self._owned = participant, displaced, False
 
     def end(self) -> None:
         """Leave the dialogue. To be overridden where something follows."""
@@ -223,12 +222,12 @@ class App:
         :return: the next request to make; its answer goes to ``replied``.
         """
         self._check_waiting(now)
-        self._came_in |= self.world.lesson.participant == self.participant
+        self._owned |= self.world.lesson.participant == self.participant
         while self._waiting is None and not self.ended:
             if self._outbox:
                 request = self._outbox.popleft()
-                if self._is_others(request):
-                    self._make_way()
+                if self._is_anothers(request):
+                    self._yield_lesson()
                     continue
                 self._waiting = _Waiting(request, now + REPLY_SECONDS)
                 return request
@@ -237,7 +236,7 @@ class App:
                 key, seen = self._keys.popleft()
                 other = seen.screen is not None and seen.screen is not self.screen
                 if other or (self.screen.answers_lesson and seen.asked_for != self._asked_for):
-                    self.say(f'{label(key)} came before this was shown, and is not taken.')
+                    self.say(f'{label(key)} was pressed before this was shown, and is ignored.')
                 else:
                     self.screen.press(key, self)
                 continue
@@ -253,12 +252,12 @@ class App:
             return
         waiting.answer = replace(answer, detail=_words(request, answer))
         waiting.until = now + SETTLE_SECONDS
-        if answer.ok and isinstance(request, Run):
+        if answer.ok and isinstance(request, ActionGoal):
             self.run, self.run_text = request, ''
             self.world.running = ''
         self._check_waiting(now)
 
-    def run_ended(self, run: Run, well: bool, text: str) -> None:
+    def run_ended(self, run: ActionGoal, well: bool, text: str) -> None:
         """Show how a run ended, unless it is another one."""
         if self.run is run:
             self.run = None
@@ -289,17 +288,19 @@ class App:
             requests.append(SetControl(hold=False))
         return requests
 
-    def _is_others(self, request: Request) -> bool:
+    def _is_anothers(self, request: Request) -> bool:
         """Return whether a request would go to a lesson that is no longer this person's."""
         lesson = self.world.lesson
-        if not self._came_in or self.screen.comes_in or lesson.participant == self.participant:
+        if not self._owned or self.screen.claims_lesson or lesson.participant == self.participant:
             return False
-        moves = isinstance(request, Drive | NewEpisode | Run) or request == SetControl(hold=True)
+        moves = isinstance(request, Drive | NewEpisode | ActionGoal) or request == SetControl(
+            hold=True
+        )
         shows = lesson.phase is Phase.DEMONSTRATING
         return isinstance(request, LessonRequest) or (moves and shows)
 
-    def _make_way(self) -> None:
-        """Leave lesson and game to somebody else, and say so."""
+    def _yield_lesson(self) -> None:
+        """Leave lesson and game to another participant, and say so."""
         self._outbox.clear()
         self._keys.clear()
         if self.run is not None:
@@ -309,7 +310,7 @@ class App:
         if self.world.i_drive:
             self.ask(SetControl(hold=False))
         whose = self.world.lesson.participant
-        self.say(f'{whose} teaches now.' if whose else 'The lesson was started again.', bad=True)
+        self.say(f'{whose} teaches now.' if whose else 'The lesson was restarted.', bad=True)
         self.show(self._displaced)
 
     @property

@@ -7,7 +7,7 @@ from typing import ClassVar
 from humanopts_env.domains.capabilities import explanation
 from humanopts_ros.limits import composed
 from humanopts_teach.dialogue import keys
-from humanopts_teach.dialogue.app import App, Keys, Screen
+from humanopts_teach.dialogue.app import App, Screen
 from humanopts_teach.lesson.requests import Answer, Request
 
 MOST_CHARACTERS = 60
@@ -43,9 +43,11 @@ class TextScreen(Screen):
     def replied(self, request: Request, answer: Answer, app: App) -> None:
         self.answered(request, answer, app)
 
-    def keys(self, app: App) -> Keys:
+    def keys(self, app: App) -> keys.Keys:
         back = [(keys.label(keys.ESCAPE), self.back_words)] if self.back is not None else []
-        return [('Enter', 'accept'), ('Backspace', 'erase'), *back, ('Ctrl-C', 'quit')]
+        edit = [('Enter', 'accept')] if self.typed.strip() else []
+        edit += [('Backspace', 'erase')] if self.typed else []
+        return [*edit, *back, ('Ctrl-C', 'quit')]
 
 
 @dataclass(frozen=True)
@@ -97,9 +99,9 @@ class ListScreen(Screen):
     def replied(self, request: Request, answer: Answer, app: App) -> None:
         self.answered(request, answer, app)
 
-    def keys(self, app: App) -> Keys:
+    def keys(self, app: App) -> keys.Keys:
         back = [(keys.label(keys.ESCAPE), 'back')] if self.back is not None else []
-        along = [(keys.label(keys.LEFT), 'back'), (keys.label(keys.RIGHT), 'along its way')]
+        along = [(keys.label(keys.LEFT), 'step back'), (keys.label(keys.RIGHT), 'step on')]
         way = along if len(self.items[self.at].states) > 1 else []
         first = [('↑ ↓', 'move'), *way, ('Enter', 'choose'), ('1-9', 'choose'), *back]
         return [*first, ('?', 'the game'), ('q', 'quit')]
@@ -118,7 +120,7 @@ class ConfirmScreen(Screen):
         if key == keys.ENTER:
             self.affirm(app)
 
-    def keys(self, app: App) -> Keys:
+    def keys(self, app: App) -> keys.Keys:
         return [('Enter', 'yes'), ('any other key', 'go on as before')]
 
 
@@ -134,7 +136,7 @@ class HelpScreen(Screen):
     def press(self, key: str, app: App) -> None:
         self.back(app)
 
-    def keys(self, app: App) -> Keys:
+    def keys(self, app: App) -> keys.Keys:
         return [('any key', 'go back')]
 
 

@@ -14,41 +14,60 @@ _LABELS = {UP: '↑', DOWN: '↓', LEFT: '←', RIGHT: '→', ENTER: 'Enter', ES
 _LABELS |= {BACKSPACE: 'Backspace', SPACE: 'Space', INTERRUPT: 'Ctrl-C'}
 
 
-class Command(Enum):
+class KeyCommand(Enum):
     """
     What a person can ask for besides the domain's actions.
 
     :ivar words: what its key does, beside it on the screen.
     :ivar wanted: its keys by preference.
+    :ivar help: the same in a sentence.
     """
 
-    DONE = 'done', [ENTER]
-    START_AGAIN = 'start again', 'sa'
-    NOT_HERE = 'not here', 'nh'
-    DISCARD = 'discard', [BACKSPACE]
-    UNDO = 'undo a step', 'uz'
-    DEMONSTRATIONS = 'what was shown', 'lb'
-    WATCH = 'watch and correct', 'wv'
-    BACK = 'back a question', [BACKSPACE]
-    QUESTIONS = 'questions', 'ek'
+    DONE = 'done', [ENTER], 'the option ends here: keep this demonstration'
+    START_AGAIN = (
+        'start again',
+        'sa',
+        'with done: say whether the option could start again where it ended',
+    )
+    NOT_HERE = 'not here', 'nh', 'the option cannot start here; only before the first step'
+    DISCARD = 'discard', [BACKSPACE], 'forget this demonstration and try the same start again'
+    UNDO = 'undo a step', 'uz', 'undo your last step: a new episode repeats the steps before it'
+    DEMONSTRATIONS = 'demonstrations', 'lb', 'list all demonstrations; look at any, or delete it'
+    WATCH = (
+        'watch and correct',
+        'wv',
+        'watch the option from a start of the task; an action key takes over',
+    )
+    BACK = 'previous question', [BACKSPACE]
+    QUESTIONS = (
+        'questions',
+        'ek',
+        'answer again what the option depends on; Enter keeps an answer',
+    )
     BEGIN = 'begin', [ENTER]
-    PAUSE = 'wait', [SPACE]
+    PAUSE = 'pause', [SPACE]
     STEP = 'single step', '.,'
     SLOWER = 'slower', '-'
     FASTER = 'faster', '+'
-    UNCOVERED = 'what is not covered', 'cy'
+    UNCOVERED = (
+        'uncovered places',
+        'cy',
+        'list where no option could start, so that a single step was taken (a fallback), or a '
+        'single step was worth more',
+    )
     RUN = 'run it', 'rg'
     RUN_HERE = 'run it from here', [ENTER]
-    NEW_START = 'new start', 'no'
-    EXECUTION = 'other arbitration', 'xm'
+    NEW_START = 'new start', 'no', 'begin an episode from a start of the task'
+    EXECUTION = 'other arbitration', 'xm', 'choose between options in another way'
     MENU = 'menu', [ESCAPE]
     HELP = 'help', '?h'
-    QUIT = 'quit', 'qQ'
+    QUIT = 'quit', 'qQ', 'leave; everything taught is saved, and goes on next time'
 
-    def __init__(self, words: str, wanted: Sequence[str]) -> None:
-        self.words, self.wanted = words, wanted
+    def __init__(self, words: str, wanted: Sequence[str], sentence: str = '') -> None:
+        self.words, self.wanted, self.help = words, wanted, sentence or words
 
 
+Keys = list[tuple[str, str]]  # label of a key, and what it does
 _SPARE = string.ascii_lowercase + string.digits + string.ascii_uppercase
 
 
@@ -57,17 +76,17 @@ class KeyTable:
     """The keys of one screen."""
 
     actions: Mapping[str, str]  # key -> name of the action
-    commands: Mapping[str, Command]  # key -> command
+    commands: Mapping[str, KeyCommand]  # key -> command
 
     def action(self, key: str) -> str | None:
         """Return the action of a key, in either case; None: it has none."""
         return self.actions.get(key) or self.actions.get(_other_case(key, self.commands))
 
-    def command(self, key: str) -> Command | None:
+    def command(self, key: str) -> KeyCommand | None:
         """Return the command of a key, in either case; None: it has none."""
         return self.commands.get(key) or self.commands.get(_other_case(key, self.actions))
 
-    def labelled(self, words: Mapping[Command, str]) -> list[tuple[str, str]]:
+    def labelled(self, words: Mapping[KeyCommand, str]) -> Keys:
         """
         Return the labels of the commands' keys, and what these do.
 
@@ -75,15 +94,21 @@ class KeyTable:
         """
         return [(label(key), words.get(c, c.words)) for key, c in self.commands.items()]
 
-    def key(self, command: Command) -> str:
+    def help(self, actions: Sequence[Action], words: Mapping[KeyCommand, str]) -> Keys:
+        """Return all keys in sentences; ``words`` as for ``labelled``."""
+        shown = [(label(action.key), action.description) for action in actions]
+        shown += [(label(key), words.get(c, c.help)) for key, c in self.commands.items()]
+        return [*shown, (label(INTERRUPT), 'leave at once')]
+
+    def key(self, command: KeyCommand) -> str:
         """Return the label of the key of a command that the table has."""
         return label(next(key for key, found in self.commands.items() if found is command))
 
 
-def key_table(actions: Sequence[Action], commands: Iterable[Command]) -> KeyTable:
+def key_table(actions: Sequence[Action], commands: Iterable[KeyCommand]) -> KeyTable:
     """Give each command the first of its keys, or of all characters, that is still free."""
     taken = {action.key for action in actions}
-    table: dict[str, Command] = {}
+    table: dict[str, KeyCommand] = {}
     for command in commands:
         wanted = (*command.wanted, *_SPARE)
         table[next(key for key in wanted if key not in taken and key not in table)] = command

@@ -7,10 +7,10 @@ from typing import ClassVar
 
 from humanopts_env.domains.base import is_enumerable
 from humanopts_learner.demonstrations import GOAL, METHODS, TREES
-from humanopts_teach.dialogue.app import App, Keys
+from humanopts_teach.dialogue.app import App
 from humanopts_teach.dialogue.driving import PlayScreen, RunScreen, WatchScreen
 from humanopts_teach.dialogue.entry import ConfirmScreen, Item, ListScreen, TextScreen
-from humanopts_teach.dialogue.keys import ESCAPE
+from humanopts_teach.dialogue.keys import ESCAPE, Keys
 from humanopts_teach.dialogue.teaching import LessonScreen
 from humanopts_teach.lesson.requests import (
     Answer,
@@ -36,7 +36,7 @@ class OpeningScreen(TextScreen):
     """
 
     known: bool = False
-    comes_in: ClassVar[bool] = True
+    claims_lesson: ClassVar[bool] = True
 
     def tick(self, app: App) -> None:
         """Take the code that is known, once."""
@@ -48,7 +48,7 @@ class OpeningScreen(TextScreen):
 class DisplacedScreen(ConfirmScreen):
     """The lesson is no longer this person's; no key that was meant for it takes it back."""
 
-    comes_in: ClassVar[bool] = True
+    claims_lesson: ClassVar[bool] = True
 
     def __init__(self) -> None:
         super().__init__('The lesson is no longer yours. Take it back?', _come_back, to_menu)
@@ -86,7 +86,7 @@ def opening(participant: str, *, ask: bool = True) -> OpeningScreen:
 def _enter(code: str, app: App) -> None:
     lesson = app.world.lesson
     under_way = lesson.phase is Phase.DEMONSTRATING
-    app.come_in(code, DisplacedScreen())
+    app.claim_lesson(code, DisplacedScreen())
     # A terminal that was cut off left a demonstration under way: that of the same person goes on.
     if under_way and lesson.participant == code:
         app.known_options = (lesson.option_name,)
@@ -94,8 +94,8 @@ def _enter(code: str, app: App) -> None:
     elif under_way and not app.world.holder:
         who = lesson.participant
         question = (
-            f'{who} has a demonstration under way, but holds no control now. Perhaps {who} is '
-            'still there. Discard it?'
+            f'{who} has a demonstration under way, but is not in control now. {who} may still '
+            'be there. Discard it?'
         )
         app.show(ConfirmScreen(question, partial(_take_over, lesson.episode), app.screen.again))
     else:
@@ -135,7 +135,7 @@ def to_menu(app: App) -> None:
         Item('Drive freely', 'get to know the game and the keys', _play),
     ]
     if known:
-        note = 'its name, how it is learned; or delete it'
+        note = 'rename or delete it, or learn it in another way'
         items.append(Item('Change an option', note, _choose_changed))
     items.append(Item(*app.leaving, lambda app: app.end()))
     app.show(ListScreen('What next?', items, answered=_listed))
@@ -186,8 +186,8 @@ def _choose_changed(app: App) -> None:
 
 def _change(name: str, app: App) -> None:
     items = [
-        Item('Rename it', 'all that was shown is kept', partial(_rename, name)),
-        Item('Delete it', 'all that was shown counts no more', partial(_delete, name)),
+        Item('Rename it', 'its demonstrations are kept', partial(_rename, name)),
+        Item('Delete it', 'its demonstrations no longer count', partial(_delete, name)),
     ]
     if is_enumerable(app.domain):
         progress = app.world.summary_of(app.participant, name)
@@ -202,11 +202,11 @@ def _rename(name: str, app: App) -> None:
         app.ask(ChangeOption(name, new))
 
     back = partial(_change, name)
-    app.show(TextScreen('What is it to be called?', name, name, submit, _changed, back))
+    app.show(TextScreen('What should it be called?', name, name, submit, _changed, back))
 
 
 def _delete(name: str, app: App) -> None:
-    question = f'Delete {name}? It is unlearned; the recording keeps what was shown.'
+    question = f'Delete {name}? The learner forgets it; the recording keeps its demonstrations.'
     back = partial(_change, name)
     app.show(ConfirmScreen(question, lambda app: app.ask(ChangeOption(name)), back))
 
@@ -239,7 +239,7 @@ def _listed(request: Request, answer: Answer, app: App) -> None:
     if not answer.ok or not isinstance(request, ListOptions):
         return
     if not answer.option_names:
-        app.say('Nothing is taught yet: an option can be run after its first demonstration.')
+        app.say('No option is taught yet: one can be run after its first demonstration.')
         return
     items = [
         Item(name, _standing(name, app), partial(to_run, name)) for name in answer.option_names

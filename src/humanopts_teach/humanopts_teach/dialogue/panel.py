@@ -5,7 +5,7 @@ Everything is computed here from the published state and the screen. A screen of
 registers with ``panel`` what it shows beside and below the board.
 """
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from functools import singledispatch
@@ -18,7 +18,7 @@ from humanopts_learner.options.conflicts import NO_START
 from humanopts_learner.options.criteria import fewest, likely_range
 from humanopts_learner.planning.request import MODULAR
 from humanopts_learner.summary import Criterion, NO_RANGE, OptionSummary, RETURN
-from humanopts_teach.dialogue.app import App, Keys, Screen
+from humanopts_teach.dialogue.app import App, Screen
 from humanopts_teach.dialogue.driving import EXECUTIONS, PlayScreen, WatchScreen
 from humanopts_teach.dialogue.entry import (
     ConfirmScreen,
@@ -28,6 +28,7 @@ from humanopts_teach.dialogue.entry import (
     PAGE,
     TextScreen,
 )
+from humanopts_teach.dialogue.keys import Keys
 from humanopts_teach.dialogue.study import PageScreen, QuestionScreen
 from humanopts_teach.dialogue.teaching import LessonScreen
 from humanopts_teach.lesson.requests import LessonView, Phase, World
@@ -137,7 +138,7 @@ class Panel:
 
 
 @dataclass(frozen=True, slots=True)
-class View:
+class ScreenView:
     """Everything that is shown."""
 
     head: Sequence[str]  # where the person is, in a few words each
@@ -149,19 +150,26 @@ class View:
     plays: bool = False  # somebody plays on the board, or is about to go on
 
 
-def view(app: App) -> View:
+def view(app: App) -> ScreenView:
     """Return everything that is shown now."""
+    screen, world, lesson = app.screen, app.world, app.world.lesson
     shown, board = Panel((Line('Waiting for the game ...'),)), None
-    if app.world.domain is not None:
-        shown = panel(app.screen, app)
-        board = _board(app) if app.screen.shows_board else None
-    said, keys = _said(app), app.screen.keys(app)
-    return View(_head(app), app.world.lesson.paused, board, shown, said, keys, _plays(app))
-
-
-def _plays(app: App) -> bool:
-    showing = app.world.lesson.phase in {Phase.DEMONSTRATING, Phase.LEARNING}
-    return isinstance(app.screen, PlayScreen) or (isinstance(app.screen, LessonScreen) and showing)
+    if world.domain is not None:
+        shown = panel(screen, app)
+        if screen.shows_board:
+            bare = isinstance(screen, LessonScreen | ConfirmScreen) and lesson.phase in _BARE
+            state = screen.state or world.game.state
+            board = Board()
+            if state:
+                revealed = lesson.chosen_features if bare else None  # None: all
+                board = board_of(world.domain, world.domain.decode(state), revealed)
+    showing = isinstance(screen, LessonScreen) and lesson.phase in {
+        Phase.DEMONSTRATING,
+        Phase.LEARNING,
+    }
+    plays = showing or isinstance(screen, PlayScreen)
+    keys = screen.keys(app)
+    return ScreenView(_head(app), lesson.paused, board, shown, _said(app), keys, plays)
 
 
 def _head(app: App) -> list[str]:
@@ -177,26 +185,11 @@ def _head(app: App) -> list[str]:
     return parts
 
 
-def _board(app: App) -> Board:
-    state = app.screen.state or app.world.game.state
-    if not state:
-        return Board()
-    return board_of(app.domain, app.domain.decode(state), _revealed(app))
-
-
-def _revealed(app: App) -> Collection[str] | None:
-    """Return the features that the board may reveal; None: all."""
-    lesson = app.world.lesson
-    if isinstance(app.screen, LessonScreen | ConfirmScreen) and lesson.phase in _BARE:
-        return lesson.chosen_features
-    return None
-
-
 def _said(app: App) -> Line:
     """Return the last thing that was said, or what the lesson says."""
     if app.world.missing:
         names = ', '.join(app.world.missing)
-        return Line(f'{names}: not there. Everything taught is saved; {app.way_out}.', Tone.BAD)
+        return Line(f'Missing: {names}. Everything taught is saved; {app.way_out}.', Tone.BAD)
     if app.message.text:
         return Line(app.message.text, Tone.BAD if app.message.bad else Tone.GOOD)
     return Line(app.world.lesson.text if isinstance(app.screen, LessonScreen) else '', Tone.GOOD)
@@ -258,7 +251,9 @@ def _play(screen: PlayScreen, app: App) -> Panel:
     if app.run is not None:
         lines += [Line(f'The machine drives. {app.run_text}', Tone.NEWS), _pace(world)]
         if isinstance(screen, WatchScreen) and screen.in_force(app) in MODULAR:
-            lines += _winner(world)
+            # Which option took the last step, where one did and it is known.
+            if option := world.acted.get((game.action_publisher_id, game.action_sequence)):
+                lines.append(Line(f'{option} won this step.'))
         elif isinstance(screen, WatchScreen) and world.running:
             lines.append(Line(f'It runs: {world.running.replace("action:", "one step ")}'))
     if game.episode:
@@ -273,15 +268,8 @@ def _play(screen: PlayScreen, app: App) -> Panel:
 def _pace(world: World) -> Line:
     """Return how fast the machine moves."""
     if world.paused_by:
-        return Line('The machine waits.', Tone.WARNING)
-    return Line(f'A step every {world.step_period:g} s at least.', Tone.QUIET)
-
-
-def _winner(world: World) -> Iterator[Line]:
-    """Yield which option took the last step, where one did and it is known."""
-    game = world.game
-    if option := world.acted.get((game.action_publisher_id, game.action_sequence)):
-        yield Line(f'{option} won this step.')
+        return Line('The machine is paused.', Tone.WARNING)
+    return Line(f'At most one step every {world.step_period:g} s.', Tone.QUIET)
 
 
 def _last_step(world: World) -> Iterator[Line]:
@@ -309,7 +297,7 @@ def _lesson(screen: LessonScreen, app: App) -> Panel:
     if lesson.method == GOAL:
         parts.append(Line(f'policy {METHODS[GOAL]}', Tone.QUIET))
     if progress is None or not progress.criteria:
-        parts.append(Line('Nothing is learned yet.'))
+        parts.append(Line('Nothing has been learned yet.'))
     else:
         way = 'goal' if progress.method == GOAL else 'trees'
         parts += [
@@ -383,21 +371,19 @@ def _criterion(criterion: Criterion) -> CriterionShown:
     else:
         now = f'{100 * value:.1f} % wrong' if value is not None else ''
         needs = '?' if threshold is None else f'{100 * threshold:.1f} %'
+    share = None
+    if value is not None and threshold is not None:
+        share = float(value > threshold)
+        if threshold > 0:
+            share = min(max(TARGET * value / threshold, 0.0), 1.0)
     return CriterionShown(
         '✓' if criterion.met else '?' if criterion.undecided else '·',
         criterion.name,
         now or 'not measured',  # shorter than the verdict: a window has 80 columns
         f'≤ {needs}',
         Tone.GOOD if criterion.met else Tone.WARNING,
-        None if value is None or threshold is None else _share(value, threshold),
+        share,
     )
-
-
-def _share(value: float, threshold: float) -> float:
-    """Return how far a bar is filled whose mark, at ``TARGET``, is the threshold."""
-    if threshold <= 0:
-        return 0.0 if value <= threshold else 1.0
-    return min(max(TARGET * value / threshold, 0.0), 1.0)
 
 
 def _estimate(lesson: LessonView, progress: OptionSummary) -> Line:
@@ -414,7 +400,7 @@ def _estimate(lesson: LessonView, progress: OptionSummary) -> Line:
     undecided = [c.name for c in progress.criteria if c.undecided]
     why = f': {", ".join(undecided)} is not yet known well enough' if undecided else ''
     if progress.more_needed < 0 or progress.method == GOAL:
-        return Line(f'How many more it takes cannot be told yet{why}.')
+        return Line(f'Too early to say how many more are needed{why}.')
     low, high = likely_range(progress.more_needed)
     return Line(f'Perhaps {low} to {high} more are needed{why}.')
 
@@ -429,20 +415,20 @@ def _remarks(
         yield Line(text, Tone.QUIET)
     changed = (progress.method == GOAL) != (lesson.method == GOAL)
     if changed or set(progress.features) != set(lesson.chosen_features):
-        yield Line('These are for the earlier answers: show one more.', Tone.WARNING)
+        yield Line('These are for your earlier answers: show one more.', Tone.WARNING)
     if progress.conflicts:
         more = len(progress.conflicts) - 1
         also = f' (and {more} more)' if more else ''
-        yield Line(f'Alike, but shown differently{also}:', Tone.WARNING)
+        yield Line(f'Same situation, shown differently{also}:', Tone.WARNING)
         yield Line(progress.conflicts[0])
     if progress.conflicts and progress.suggested_feature:
         key = screen.questions_key(app)
         how = f' ({key})' if key else ''
-        text = f'Add "{_plain(progress.suggested_feature)}"{how}: it tells most apart.'
+        text = f'Add "{_plain(progress.suggested_feature)}"{how}: it separates most of them.'
         yield Line(text, Tone.WARNING)
     elif not progress.suggested_feature and any(NO_START in text for text in progress.conflicts):
         # Some say that it can start here, and some not; where a feature is missing, that is why.
         again_key, list_key = screen.ending_keys(app)
-        slip = f'If the last one was a slip, delete it ({list_key}).'
-        text = f'{slip} Where an end can be a start, press {again_key} before done.'
+        slip = f'If the last one was a mistake, delete it ({list_key}).'
+        text = f'{slip} If the option can start where it ends, press {again_key} before done.'
         yield Line(text, Tone.WARNING)

@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 import math
 from typing import Any, ClassVar
 
-from humanopts_teach.dialogue.app import App, Keys, Screen
+from humanopts_teach.dialogue.app import App, Screen
 from humanopts_teach.dialogue.driving import PlayScreen
 from humanopts_teach.dialogue.entry import TextScreen
-from humanopts_teach.dialogue.keys import Command, ENTER, label, LEFT, RIGHT
+from humanopts_teach.dialogue.keys import ENTER, KeyCommand, Keys, label, LEFT, RIGHT
 from humanopts_teach.dialogue.menu import opening
 from humanopts_teach.lesson.requests import CancelRun, Phase, Request, SetControl, World
 from humanopts_teach.study.events import (
@@ -26,7 +26,7 @@ from humanopts_teach.study.events import (
     SignOfLife,
     TIME,
 )
-from humanopts_teach.study.plan import Kind, Part, Question, Questionnaire
+from humanopts_teach.study.plan import Part, PartKind, Question, Questionnaire
 from humanopts_teach.study.record import learned_rows, OpenRecord
 
 SIGN_SECONDS = 5.0  # between signs of life: what a crash can take of the time at a part
@@ -48,7 +48,7 @@ class StudyApp(App):
         seed: int,
     ) -> None:
         """
-        Stand before the first part.
+        Start before the first part.
 
         :param parts: one or more.
         """
@@ -132,13 +132,13 @@ class StudyApp(App):
         self._note(PartEnded, kind=self._part.kind, why=why)
         self._part = None
         self._keys.clear()  # typed for what was shown
-        self._outbox = deque(each for each in self._outbox if not self._is_others(each))
+        self._outbox = deque(each for each in self._outbox if not self._is_anothers(each))
         self.show(Screen())
 
     def _note_taught(self) -> None:
         """Note what was taught so far, if there is anything new."""
         mine = [each for each in self.world.summaries if each.participant == self._code]
-        if self._part is not None and self._part.kind is Kind.TEACH:
+        if self._part is not None and self._part.kind is PartKind.TEACH:
             rows = learned_rows(mine)
             if rows != self._taught:  # none are known yet right after a return
                 self._taught = rows
@@ -176,8 +176,12 @@ class FreePlayScreen(PlayScreen):
     """The person gets to know the game; Escape goes on with the study."""
 
     # Only Ctrl-C leaves the study.
-    commands: ClassVar[Sequence[Command]] = (Command.NEW_START, Command.MENU, Command.HELP)
-    words: ClassVar[Mapping[Command, str]] = {Command.MENU: 'go on with the study'}
+    commands: ClassVar[Sequence[KeyCommand]] = (
+        KeyCommand.NEW_START,
+        KeyCommand.MENU,
+        KeyCommand.HELP,
+    )
+    words: ClassVar[Mapping[KeyCommand, str]] = {KeyCommand.MENU: 'go on with the study'}
 
 
 @dataclass
@@ -217,11 +221,11 @@ class QuestionScreen(Screen):
 
 def _first_screen(part: Part, participant: str) -> Screen:
     """Return the screen with which a part begins."""
-    if part.kind in (Kind.CONSENT, Kind.PAGE):
-        return PageScreen(part.text, asks=part.kind is Kind.CONSENT)
-    if part.kind is Kind.PLAY:
+    if part.kind in (PartKind.CONSENT, PartKind.PAGE):
+        return PageScreen(part.text, asks=part.kind is PartKind.CONSENT)
+    if part.kind is PartKind.PLAY:
         return FreePlayScreen(menu=lambda app: app.end(), title='Get to know the game')
-    if part.kind is Kind.BUTTONS:
+    if part.kind is PartKind.BUTTONS:
         return _button(1, part.most)
     if part.questions is not None:
         return QuestionScreen(part.questions)

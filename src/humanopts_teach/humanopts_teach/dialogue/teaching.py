@@ -9,10 +9,18 @@ from humanopts_env.domains.capabilities import FeatureGroup
 from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.options.rollout import is_deterministic
-from humanopts_teach.dialogue.app import App, Keys, Screen
+from humanopts_teach.dialogue.app import App, Screen
 from humanopts_teach.dialogue.driving import PACE, pace_words, set_pace
 from humanopts_teach.dialogue.entry import ConfirmScreen, HelpScreen, Item, ListScreen
-from humanopts_teach.dialogue.keys import Command, ENTER, key_table, KeyTable, label, SPACE
+from humanopts_teach.dialogue.keys import (
+    ENTER,
+    key_table,
+    KeyCommand,
+    Keys,
+    KeyTable,
+    label,
+    SPACE,
+)
 from humanopts_teach.lesson.question_groups import GroupAnswer
 from humanopts_teach.lesson.requests import (
     Answer,
@@ -30,46 +38,34 @@ from humanopts_teach.lesson.requests import (
     WithdrawDemonstration,
 )
 
-_ALWAYS = (Command.QUESTIONS, Command.MENU, Command.HELP, Command.QUIT)
-_IN_PHASE: dict[Phase, tuple[Command, ...]] = {
+_LEAVE = (KeyCommand.MENU, KeyCommand.HELP, KeyCommand.QUIT)
+_LEARNED = (KeyCommand.WATCH, KeyCommand.DEMONSTRATIONS)
+_IN_PHASE: dict[Phase, tuple[KeyCommand, ...]] = {
     Phase.DEMONSTRATING: (
-        Command.DONE,
-        Command.START_AGAIN,
-        Command.NOT_HERE,
-        Command.DISCARD,
-        Command.UNDO,
-        Command.WATCH,
-        Command.DEMONSTRATIONS,
-        *_ALWAYS,
+        KeyCommand.DONE,
+        KeyCommand.START_AGAIN,
+        KeyCommand.NOT_HERE,
+        KeyCommand.DISCARD,
+        KeyCommand.UNDO,
+        *_LEARNED,
+        KeyCommand.QUESTIONS,
+        *_LEAVE,
     ),
-    Phase.ASKING: (Command.BACK, Command.MENU, Command.HELP, Command.QUIT),
+    Phase.ASKING: (KeyCommand.BACK, *_LEAVE),
     Phase.READY: (
-        Command.BEGIN,
-        Command.WATCH,
-        Command.DEMONSTRATIONS,
-        Command.BACK,
-        *_ALWAYS,
+        KeyCommand.BEGIN,
+        *_LEARNED,
+        KeyCommand.BACK,
+        KeyCommand.QUESTIONS,
+        *_LEAVE,
     ),
     Phase.FINISHED: (
-        Command.BEGIN,
-        Command.RUN,
-        Command.WATCH,
-        Command.DEMONSTRATIONS,
-        *_ALWAYS,
+        KeyCommand.BEGIN,
+        KeyCommand.RUN,
+        *_LEARNED,
+        KeyCommand.QUESTIONS,
+        *_LEAVE,
     ),
-}
-_ELSE = (Command.MENU, Command.HELP, Command.QUIT)
-_LONG = {
-    Command.DONE: 'the option ends here: keep this demonstration',
-    Command.START_AGAIN: 'with done: the option could start again where it ended, or could not',
-    Command.NOT_HERE: 'the option makes no sense from this start; only before the first step',
-    Command.DISCARD: 'forget this demonstration and try the same start again',
-    Command.UNDO: 'undo your last step, in a new episode that is driven there again',
-    Command.DEMONSTRATIONS: 'list what was shown; any of it can be looked at and deleted',
-    Command.WATCH: 'watch the option from a start of the task; an action key of yours takes over',
-    Command.QUESTIONS: 'answer again what the option depends on, Enter for an answer as before',
-    Command.MENU: 'to the menu; a demonstration under way is discarded',
-    Command.QUIT: 'leave; everything taught is saved, and is taken up again next time',
 }
 
 
@@ -82,7 +78,7 @@ class LessonScreen(Screen):
     automatic: bool = False  # the next demonstration begins by itself
     rest: bool = False  # all other questions are answered no, or as before
     redo: list[str] = field(default_factory=list)  # actions that are taken again after an undo
-    delete: str = ''  # uuid of the demonstration that is taken back once the learner is done
+    delete: str = ''  # uuid of the demonstration to withdraw once the learner is done
     answers_lesson: ClassVar[bool] = True
 
     def press(self, key: str, app: App) -> None:
@@ -90,15 +86,17 @@ class LessonScreen(Screen):
         lesson = app.world.lesson
         if self.redo:
             return
-        table = self.table(app)
+        table, group = self.table(app), _open_group(app)
         action, command = table.action(key), table.command(key)
+        asking, before = lesson.phase is Phase.ASKING, bool(lesson.earlier_features)
         self.rest = False
-        group = _open_group(app)
-        if group is not None and (answer := _group_answer(key, lesson)) is not None:
-            app.groups.answer(group, answer)
-        elif group is None and lesson.phase is Phase.ASKING and key in tuple('yYnN'):
+        if group is not None and key in tuple('yYnN'):
+            app.groups.answer(group, GroupAnswer.EACH if key in 'yY' else GroupAnswer.NONE)
+        elif group is not None and key == ENTER and before:
+            app.groups.answer(group, GroupAnswer.AS_BEFORE)
+        elif group is None and asking and key in tuple('yYnN'):
             app.ask(AnswerQuestion(lesson.question_id, key in 'yY'))
-        elif lesson.phase is Phase.ASKING and key == ENTER and lesson.earlier_features:
+        elif asking and key == ENTER and before:
             app.ask(_as_before(lesson))
         elif key in tuple('oO') and _can_skip(lesson):
             self.rest = True
@@ -123,8 +121,7 @@ class LessonScreen(Screen):
         elif self.rest and _can_skip(lesson):
             app.ask(_as_before(lesson))
         elif lesson.phase is Phase.ASKING:
-            reply = app.groups.reply(app.domain, lesson)
-            if reply is not None:
+            if (reply := app.groups.reply(app.domain, lesson)) is not None:
                 app.ask(AnswerQuestion(lesson.question_id, reply))
         elif self.automatic and lesson.phase is Phase.READY:
             self._begin(app)
@@ -150,78 +147,94 @@ class LessonScreen(Screen):
         elif isinstance(request, EndDemonstration) and answer.ok:
             self.automatic = not lesson.paused
             if answer.contradiction:
-                self._show_contradiction(answer, app)
+                items = [
+                    Item(text, note, partial(self._delete, deleted), (answer.situation,))
+                    for text, note, deleted in (
+                        ('Keep both', '', ''),
+                        ('Keep the new one', 'the earlier one is deleted', answer.contradicts),
+                        ('Keep the earlier one', 'the new one is deleted', answer.uuid),
+                    )
+                ]
+                title = f'You showed something else before. {answer.contradiction}.'
+                app.show(ListScreen(title, items))
         elif isinstance(request, ListDemonstrations) and answer.ok:
             self._show_demonstrations(answer.demonstrations, app)
 
     def table(self, app: App) -> KeyTable:
         lesson, phase = app.world.lesson, app.world.lesson.phase
         actions = app.domain.actions if phase is Phase.DEMONSTRATING else ()
-        without = set() if lesson.n_demonstrations else {Command.WATCH}
-        without |= _impossible(app)
+        without = set() if lesson.n_demonstrations else {KeyCommand.WATCH}
         first = lesson.question_feature == app.domain.features[0].name
         if phase is Phase.ASKING and first and app.groups.asked(app.domain, lesson)[1] is None:
-            without.add(Command.BACK)
-        commands = [command for command in _IN_PHASE.get(phase, _ELSE) if command not in without]
+            without.add(KeyCommand.BACK)
+        commands = _possible(_IN_PHASE.get(phase, _LEAVE), app, without)
         return key_table(actions, (*PACE, *commands) if app.run is not None else commands)
 
     def questions_key(self, app: App) -> str:
         """Return the label of the key that asks the questions again; empty: not now."""
         table = self.table(app)
-        known = Command.QUESTIONS in table.commands.values()
-        return table.key(Command.QUESTIONS) if known else ''
+        known = KeyCommand.QUESTIONS in table.commands.values()
+        return table.key(KeyCommand.QUESTIONS) if known else ''
 
     def ending_keys(self, app: App) -> tuple[str, str]:
-        """Return the labels of the keys about ends: it can start again there; what was shown."""
-        table = _showing(app)
-        return table.key(Command.START_AGAIN), table.key(Command.DEMONSTRATIONS)
+        """Return the labels of the keys about ends: it can start again there; demonstrations."""
+        table = _demonstrating(app)
+        return table.key(KeyCommand.START_AGAIN), table.key(KeyCommand.DEMONSTRATIONS)
 
     def keys(self, app: App) -> Keys:
-        phase, table = app.world.lesson.phase, self.table(app)
+        phase = app.world.lesson.phase
         first = _question_keys(app) if phase is Phase.ASKING else []
         if phase is Phase.DEMONSTRATING:
             first = [(label(action.key), action.name) for action in app.domain.actions]
-        again = f'can restart at its end: {"YES" if _can_start_again(app) else "no"}'
-        words = {Command.START_AGAIN: again, **pace_words(app)}
+        again = f'can start again at its end: {"YES" if _can_start_again(app) else "no"}'
+        words = {KeyCommand.START_AGAIN: again, **pace_words(app)}
         if phase is Phase.FINISHED:
-            words |= {Command.BEGIN: 'show one more', Command.MENU: 'menu, next option'}
-        return first + table.labelled(words)
+            words |= {KeyCommand.BEGIN: 'show one more', KeyCommand.MENU: 'menu, next option'}
+        return first + self.table(app).labelled(words)
 
-    def _carry_out(self, command: Command, lesson: LessonView, app: App) -> None:
-        def leave(words: str, go: Callable[[App], None]) -> None:
-            self._leave(words, go, app)
-
-        if app.run is not None and command in (Command.DONE, Command.NOT_HERE):
-            app.ask(SetControl(hold=True))
-            app.say('The machine has stopped. Look where it stands, and press the key again.')
-            return
-        does: dict[Command, Callable[[], None]] = {
-            Command.BEGIN: lambda: self._begin(app),
-            Command.DONE: lambda: self._done(app),
-            Command.NOT_HERE: lambda: self._verdict(Verdict.NOT_HERE, app),
-            Command.DISCARD: lambda: self._discard(app),
-            Command.UNDO: lambda: self._undo(lesson, app),
-            Command.DEMONSTRATIONS: lambda: app.ask(ListDemonstrations()),
-            Command.WATCH: lambda: self._watch(_random_start(app), app),
-            Command.BACK: lambda: self._back(lesson, app),
-            **{pace: partial(set_pace, pace, app) for pace in PACE},
-            Command.START_AGAIN: lambda: app.can_start_again.update(
-                {lesson.option_name: not _can_start_again(app)}
-            ),
-            Command.QUESTIONS: lambda: leave('Answer the questions again', self._ask_again),
-            Command.RUN: lambda: self.run(lesson.option_name, app),
-            Command.MENU: lambda: leave('Go to the menu', self.menu),
-            Command.HELP: lambda: app.show(HelpScreen(_help(app), self.again)),
-            Command.QUIT: lambda: leave('Quit', lambda app: app.end()),
-        }
-        does[command]()
-
-    def _back(self, lesson: LessonView, app: App) -> None:
-        group, said = app.groups.asked(app.domain, lesson)
-        if group is not None and said is not None and lesson.question_feature == group.features[0]:
-            app.groups.take_back(group)
-        else:
-            app.ask(AnswerQuestion(lesson.question_id, back=True))
+    def _carry_out(self, command: KeyCommand, lesson: LessonView, app: App) -> None:
+        match command:
+            case KeyCommand.DONE | KeyCommand.NOT_HERE if app.run is not None:
+                app.ask(SetControl(hold=True))
+                app.say('The machine has stopped. Look at the board, then press the key again.')
+            case KeyCommand.BEGIN:
+                self._begin(app)
+            case KeyCommand.DONE:
+                self._done(app)
+            case KeyCommand.NOT_HERE:
+                self._verdict(Verdict.NOT_HERE, app)
+            case KeyCommand.DISCARD:
+                self._discard(app)
+            case KeyCommand.UNDO:
+                self._undo(lesson, app)
+            case KeyCommand.DEMONSTRATIONS:
+                app.ask(ListDemonstrations())
+            case KeyCommand.WATCH:
+                # Another start of the task in each episode.
+                episode = app.world.game.episode
+                rng = generator(app.seed, 'watched start', app.participant, episode)
+                self._watch(app.domain.encode(app.domain.reset(rng)), app)
+            case KeyCommand.BACK:
+                group, said = app.groups.asked(app.domain, lesson)
+                first = group is not None and lesson.question_feature == group.features[0]
+                if group is not None and first and said is not None:
+                    app.groups.take_back(group)
+                else:
+                    app.ask(AnswerQuestion(lesson.question_id, back=True))
+            case KeyCommand.START_AGAIN:
+                app.can_start_again[lesson.option_name] = not _can_start_again(app)
+            case KeyCommand.QUESTIONS:
+                self._leave('Answer the questions again', self._ask_again, app)
+            case KeyCommand.RUN:
+                self.run(lesson.option_name, app)
+            case KeyCommand.MENU:
+                self._leave('Go to the menu', self.menu, app)
+            case KeyCommand.HELP:
+                app.show(HelpScreen(_help(app), self.again))
+            case KeyCommand.QUIT:
+                self._leave('Quit', lambda app: app.end(), app)
+            case _:
+                set_pace(command, app)
 
     def _begin(self, app: App) -> None:
         app.ask(BeginDemonstration(app.next_start))
@@ -249,7 +262,7 @@ class LessonScreen(Screen):
         items = [Item('Yes', 'all of it is right', partial(keep, counts=True))]
         if app.world.game.step > steps:
             items.append(Item('No', 'it begins where I took over', partial(keep, counts=False)))
-        title = f'The machine took the first {steps}. Do its steps count as shown by you?'
+        title = f'The machine took the first {steps} steps. Are they part of what you show?'
         app.show(ListScreen(title, items, back=self.again))
 
     def _verdict(self, verdict: Verdict, app: App, *, counts: bool = False) -> None:
@@ -267,9 +280,9 @@ class LessonScreen(Screen):
         """Drive again, in a new episode, all that the person has driven but the last step."""
         since, driven = app.world.since, app.world.driven
         if since is None or since.step != lesson.machine_steps or not driven:
-            app.say('There is no step of yours to undo.', bad=True)
+            app.say('You have taken no step that can be undone.', bad=True)
         elif lesson.paused:
-            app.say('Not now: the lesson is paused, and could not begin again.', bad=True)
+            app.say('Not now: the lesson is paused and could not begin again.', bad=True)
         else:
             self.redo = driven[:-1]
             self._discard(app)
@@ -283,38 +296,25 @@ class LessonScreen(Screen):
 
     def _show_demonstrations(self, shown: Sequence[Demonstration], app: App) -> None:
         if not shown:
-            app.say('Nothing was shown yet.')
+            app.say('There are no demonstrations yet.')
             return
         back = partial(self._show_demonstrations, shown)
         items = [
             Item(*_in_words(demo), partial(self._show_one, demo, back), demo.states)
             for demo in reversed(shown)
         ]
-        app.show(ListScreen('What was shown, the newest first', items, back=self.again))
+        app.show(ListScreen('Demonstrations, the newest first', items, back=self.again))
 
     def _show_one(self, demo: Demonstration, back: Callable[[App], None], app: App) -> None:
         watch, states = partial(self._watch, demo.states[0]), demo.states
         items = [Item('Watch the option from its start', 'and correct it', watch, states)]
         if not demo.withdrawn:
-            note = 'it counts no more, and its start comes again'
+            note = 'it no longer counts, and its start comes again'
             items.append(Item('Delete it', note, partial(self._delete, demo.uuid), states))
-        title = ' '.join(_in_words(demo))
-        app.show(ListScreen(title, items, back))
-
-    def _show_contradiction(self, answer: Answer, app: App) -> None:
-        """Have the person choose between what was kept and what contradicts it."""
-        items = [
-            Item(text, note, partial(self._delete, deleted), (answer.situation,))
-            for text, note, deleted in (
-                ('Keep both', '', ''),
-                ('Keep the new one', 'the earlier one is deleted', answer.contradicts),
-                ('Keep the earlier one', 'the new one is deleted', answer.uuid),
-            )
-        ]
-        app.show(ListScreen(f'Shown differently before. {answer.contradiction}.', items))
+        app.show(ListScreen(' '.join(_in_words(demo)), items, back))
 
     def _delete(self, uuid: str, app: App) -> None:
-        """Go on, and take back a demonstration as soon as it can be; empty: none."""
+        """Go on, and withdraw a demonstration as soon as that is possible; empty: none."""
         self.delete = uuid
         app.show(self)
 
@@ -329,7 +329,7 @@ class LessonScreen(Screen):
             go(app)
 
         if app.world.game.step:
-            question = f'{words}? The demonstration under way is discarded; all else is saved.'
+            question = f'{words}? This demonstration is discarded; everything else is saved.'
             app.show(ConfirmScreen(question, discard, self.again))
         else:
             discard(app)
@@ -367,25 +367,12 @@ def _open_group(app: App) -> FeatureGroup | None:
     return app.groups.open_group(app.domain, app.world.lesson) if asking else None
 
 
-def _group_answer(key: str, lesson: LessonView) -> GroupAnswer | None:
-    """Return the answer about a group that a key stands for; None: it stands for none."""
-    if key == ENTER and lesson.earlier_features:
-        return GroupAnswer.AS_BEFORE
-    return {'y': GroupAnswer.EACH, 'n': GroupAnswer.NONE}.get(key.lower())
-
-
 def _can_start_again(app: App) -> bool:
     """Return whether the next done says that the option could start again there."""
     return app.can_start_again.get(app.world.lesson.option_name, False)
 
 
-def _random_start(app: App) -> str:
-    """Draw a start of the task, another one in each episode."""
-    rng = generator(app.seed, 'watched start', app.participant, app.world.game.episode)
-    return app.domain.encode(app.domain.reset(rng))
-
-
-def _question_keys(app: App) -> list[tuple[str, str]]:
+def _question_keys(app: App) -> Keys:
     lesson, group = app.world.lesson, _open_group(app)
     keys = [('y', 'yes'), ('n', 'no' if group is None else 'no, to all of them')]
     if lesson.earlier_features:
@@ -397,22 +384,20 @@ def _question_keys(app: App) -> list[tuple[str, str]]:
     return keys
 
 
-def _impossible(app: App) -> set[Command]:
-    """Return what cannot be done in this game: what chance decides may end otherwise next time."""
-    return set() if is_deterministic(app.domain) else {Command.UNDO}
+def _possible(
+    commands: Sequence[KeyCommand], app: App, without: set[KeyCommand]
+) -> list[KeyCommand]:
+    """Return commands without some, and without undo where chance may end a step otherwise."""
+    without = without if is_deterministic(app.domain) else {*without, KeyCommand.UNDO}
+    return [command for command in commands if command not in without]
 
 
-def _showing(app: App) -> KeyTable:
-    commands = [c for c in _IN_PHASE[Phase.DEMONSTRATING] if c not in _impossible(app)]
-    return key_table(app.domain.actions, commands)
+def _demonstrating(app: App) -> KeyTable:
+    return key_table(app.domain.actions, _possible(_IN_PHASE[Phase.DEMONSTRATING], app, set()))
 
 
-def _help(app: App) -> Sequence[tuple[str, str]]:
-    leave = (label('ctrl-c'), 'leave at once')
+def _help(app: App) -> Keys:
+    words = {KeyCommand.MENU: 'to the menu; a demonstration under way is discarded'}
     if app.world.lesson.phase is Phase.ASKING:
-        table = key_table((), _IN_PHASE[Phase.ASKING])
-        return [*_question_keys(app), *table.labelled(_LONG), leave]
-    table = _showing(app)
-    actions = [(label(action.key), action.description) for action in app.domain.actions]
-    commands = [(label(key), _LONG[c]) for key, c in table.commands.items() if c in _LONG]
-    return [*actions, *commands, leave]
+        return _question_keys(app) + key_table((), _IN_PHASE[Phase.ASKING]).help((), words)
+    return _demonstrating(app).help(app.domain.actions, words)

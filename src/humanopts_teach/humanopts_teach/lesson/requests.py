@@ -230,9 +230,9 @@ class CancelRun:
     """Ask for the end of the run under way."""
 
 
-Run = RunOption | PlanOptions | PlayEpisodes  # goals of actions: they go on once accepted
+ActionGoal = RunOption | PlanOptions | PlayEpisodes  # goals of actions: they go on once accepted
 ServiceRequest = LessonRequest | SetControl | SetPace | NewEpisode | ListOptions | SetExecution
-Request = ServiceRequest | Drive | Run | CancelRun
+Request = ServiceRequest | Drive | ActionGoal | CancelRun
 
 
 def server(request: Request) -> str:

@@ -7,7 +7,7 @@ from typing import Any
 
 from humanopts_interfaces.msg import NodeStatus
 from humanopts_ros.node_base import NodeBase, start_ros
-from humanopts_teach.dialogue.panel import View, view
+from humanopts_teach.dialogue.panel import ScreenView, view
 from humanopts_teach.ros.teleop import POLL_SECONDS, TeleopNode
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
@@ -15,7 +15,7 @@ from rclpy.utilities import try_shutdown
 
 _IDLE_SECONDS = 0.1  # between looks at what is due where nothing happens
 _WAY_OUT = 'this page can be closed'
-Show = Callable[[View, int], object]
+Show = Callable[[ScreenView, int], object]
 
 
 class BrowserTeleopNode(TeleopNode):

@@ -31,11 +31,11 @@ from humanopts_teach.dialogue.app import App
 from humanopts_teach.dialogue.menu import opening
 from humanopts_teach.dialogue.study import StudyApp
 from humanopts_teach.lesson.requests import (
+    ActionGoal,
     Answer,
     CancelRun,
     Request,
     RequestStatus,
-    Run,
     RunOption,
     server,
 )
@@ -161,7 +161,7 @@ class TeleopNode(NodeBase):
         if isinstance(request, CancelRun):
             self._runs.cancel()
             self._answer(request, Answer(RequestStatus.OK, ''))
-        elif isinstance(request, Run):
+        elif isinstance(request, ActionGoal):
             if self._runs.is_ready(request):
                 self._runs.start(request)
             else:
@@ -196,7 +196,7 @@ class TeleopNode(NodeBase):
         """Send one of the last requests; None: nobody is there to answer it."""
         if isinstance(request, CancelRun):
             return self._runs.cancel()
-        assert not isinstance(request, Run), 'a terminal that ends begins nothing'
+        assert not isinstance(request, ActionGoal), 'a terminal that ends begins nothing'
         return self._client.send(request) if self._client.is_ready(request) else None
 
     def _on_action(self, message: ActionCommand) -> None:
@@ -245,11 +245,11 @@ class Runs:
         }
         self._handle: Any = None  # of the run under way
 
-    def is_ready(self, run: Run) -> bool:
+    def is_ready(self, run: ActionGoal) -> bool:
         """Return whether the server of a run is matched: a goal sent before would be lost."""
         return bool(self._clients[type(run)].server_is_ready())
 
-    def start(self, run: Run) -> None:
+    def start(self, run: ActionGoal) -> None:
         """Send the goal; the app gets the answer once the server has accepted it or not."""
         goal = ACTIONS[type(run)].request.encode(run)
         if isinstance(run, RunOption):
@@ -278,7 +278,7 @@ class Runs:
             self._handle = None
             self._app.lost_server()
 
-    def _accepted(self, run: Run, done: Future) -> None:
+    def _accepted(self, run: ActionGoal, done: Future) -> None:
         handle: Any = done.result()
         if not handle.accepted:
             text = f'{server(run)} did not take the request.'
@@ -291,7 +291,7 @@ class Runs:
         self._app.replied(run, Answer(RequestStatus.OK, ''), time.monotonic())
         handle.get_result_async().add_done_callback(lambda ended: self._ended(run, ended))
 
-    def _ended(self, run: Run, done: Future) -> None:
+    def _ended(self, run: ActionGoal, done: Future) -> None:
         self._handle = None
         result: Any = done.result()
         if isinstance(result.result.result, PlanResult):

@@ -11,7 +11,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from humanopts_ros.limits import composed, parse_json
 from humanopts_ros.text_files import fault_in
 from humanopts_teach.lesson.store import CODE
-from humanopts_teach.study.plan import Kind, MAX_POINTS
+from humanopts_teach.study.plan import MAX_POINTS, PartKind
 from pydantic import (
     AfterValidator,
     BaseModel,
@@ -70,7 +70,7 @@ class PartBegan(_OfPart):
     """A part began, or began again: its earlier answers and buttons count no longer."""
 
     event: Literal['part began'] = 'part began'
-    kind: Kind = Field(strict=False)
+    kind: PartKind = Field(strict=False)
 
 
 class SignOfLife(_OfPart):
@@ -89,7 +89,7 @@ class PartEnded(_OfPart):
     """A part ended."""
 
     event: Literal['part ended'] = 'part ended'
-    kind: Kind = Field(strict=False)
+    kind: PartKind = Field(strict=False)
     why: Literal['finished', 'time is over', 'not agreed']
 
 

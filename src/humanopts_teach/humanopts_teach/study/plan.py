@@ -102,7 +102,7 @@ class Order(Enum):
     RANDOM = 'random'  # drawn by the study's seed and the participant's number
 
 
-class Kind(Enum):
+class PartKind(Enum):
     """What a participant does in one part."""
 
     CONSENT = 'consent'  # reads a page, and agrees or not
@@ -136,7 +136,7 @@ class Questionnaire(_Values):
 class Part(_Values):
     """One thing that a participant does."""
 
-    kind: Kind
+    kind: PartKind
     key: str  # unique in the study, such as trees/teach
     condition: str = ''  # empty: of no condition
     domain: str = ''
@@ -226,20 +226,20 @@ class StudyPlan(_PlanFile):
         for each in self.order_of(number):
             name, parts = each.name, self._page(each.page, f'{each.name}/page')
             if each.free_play:
-                parts.append(Part(kind=Kind.PLAY, key=f'{name}/play', minutes=each.free_play))
+                parts.append(Part(kind=PartKind.PLAY, key=f'{name}/play', minutes=each.free_play))
             if each.buttons and each.domain not in asked:
                 asked.add(each.domain)
-                parts.append(Part(kind=Kind.BUTTONS, key=f'{name}/buttons', most=each.buttons))
-            parts.append(Part(kind=Kind.TEACH, key=f'{name}/teach', minutes=each.teach))
+                parts.append(Part(kind=PartKind.BUTTONS, key=f'{name}/buttons', most=each.buttons))
+            parts.append(Part(kind=PartKind.TEACH, key=f'{name}/teach', minutes=each.teach))
             if each.questions:
                 questions = self.questionnaires[each.questions]
                 parts.append(
-                    Part(kind=Kind.QUESTIONS, key=f'{name}/questions', questions=questions)
+                    Part(kind=PartKind.QUESTIONS, key=f'{name}/questions', questions=questions)
                 )
             where = {'condition': name, 'domain': each.domain}
             turns.append((each, [part.model_copy(update=where) for part in parts]))
         turns[0][1][:0] = [
-            *self._page(self.consent, 'consent', Kind.CONSENT),
+            *self._page(self.consent, 'consent', PartKind.CONSENT),
             *self._page(self.welcome, 'welcome'),
         ]
         turns[-1][1].extend(self._page(self.thanks, 'thanks'))
@@ -249,11 +249,11 @@ class StudyPlan(_PlanFile):
         """Return everything that a participant does, in order."""
         return [part for _, parts in self.turns_of(number) for part in parts]
 
-    def _page(self, file: str | None, key: str, kind: Kind = Kind.PAGE) -> list[Part]:
+    def _page(self, file: str | None, key: str, kind: PartKind = PartKind.PAGE) -> list[Part]:
         """Return the parts of the pages of a file; only the last is of the kind."""
         pages = self.pages[file] if file else ()
         return [
-            Part(kind=Kind.PAGE, key=f'{key}/{number}', text=text)
+            Part(kind=PartKind.PAGE, key=f'{key}/{number}', text=text)
             if number < len(pages)
             else Part(kind=kind, key=key, text=text)
             for number, text in enumerate(pages, start=1)

@@ -16,7 +16,7 @@ from humanopts_teach.study.events import (
     times_in,
     WHOLE,
 )
-from humanopts_teach.study.plan import Kind
+from humanopts_teach.study.plan import PartKind
 from humanopts_teach.study.protocol import Protocol, SHOWN_DIGEST
 from humanopts_teach.study.record import Record
 import pandas as pd
@@ -131,7 +131,7 @@ def _person(record: Record) -> dict[str, Any]:
     """Return the row of a participant."""
     began, agreed = record.began, ''
     for event in record.of(PartEnded):
-        if event.kind is Kind.CONSENT:
+        if event.kind is PartKind.CONSENT:
             agreed = 'no' if event.why == REFUSED else 'yes'
     row = {
         'number': record.number,

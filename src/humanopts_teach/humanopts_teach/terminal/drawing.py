@@ -108,7 +108,7 @@ class _Printable:
             yield Segment(plain, style, control)
 
 
-def _middle(view: panel.View, width: int) -> RenderableType:
+def _middle(view: panel.ScreenView, width: int) -> RenderableType:
     beside, below = (Group(*map(drawn, part)) for part in (view.panel.beside, view.panel.below))
     if view.board is None:
         return beside
