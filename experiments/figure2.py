@@ -7,8 +7,7 @@ takes one of the best actions. *Classification accuracy* of I and beta is the sh
 are classified as the reference option does.
 
 Pac-Man is taught with both lists of its features: directions hand the policy over, and positions
-are what the paper names. From random start states other classifiers learn from the same
-demonstrations.
+are what the paper names.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -20,7 +19,6 @@ import re
 from typing import Any
 
 from humanopts_env.domains.base import Domain
-from humanopts_env.domains.reference import ReferenceOption
 from humanopts_env.domains.registry import domain_from_json, reference_options
 from humanopts_learner.demonstrations import Demonstration, Kind
 from humanopts_learner.intervals import all_hold, any_holds, Interval
@@ -39,7 +37,6 @@ from matplotlib.ticker import MaxNLocator, PercentFormatter
 import pandas as pd
 
 from experiments import paper, report
-from experiments.learners import cloned_accuracies, FOREST, NEIGHBOUR
 from experiments.paper import Statement
 from experiments.people import (
     BagLesson,
@@ -54,7 +51,6 @@ from experiments.trials import Trial
 
 NAME = 'fig2'
 TITLE = 'Figure 2: accuracy against demonstrations'
-EVERY = 10  # demonstrations, after each of which other classifiers learn
 ASKED = 6  # most start states for each demonstration, "not here" answers included
 PEOPLE = 'people'  # the group of those in bags
 
@@ -135,33 +131,27 @@ def trials(study: Study) -> list[Trial]:
     ]
 
 
-Lesson = list[tuple[Sequence[Demonstration], LearnedOption]]  # what was shown, and learned from it
-
-
 def learn_from_simulated(parameters: Mapping[str, Any]) -> dict[str, Any]:
     """
     Have a simulated participant teach an option, and measure it after every demonstration.
 
     :return: points [demonstrations, "not here" answers, average return, policy accuracy, that of
         I, that of beta], the average return of the reference option (best return; None: unknown),
-        others (rows of demonstrations and the policy accuracy of each other classifier; where
-        start states are random), the person's seconds, and why the lesson was cut short (empty:
-        it was not).
+        the person's seconds, and why the lesson was cut short (empty: it was not).
     """
     person = Participant(**parameters['person'])
     domain = domain_from_json(parameters['domain'], parameters['domain_parameters'])
     name, wanted, strategy = (parameters[key] for key in ('option', 'demonstrations', 'strategy'))
-    lesson: Lesson = []
+    lesson: list[LearnedOption] = []
 
-    def enough(shown: Sequence[Demonstration], option: LearnedOption) -> bool:
-        lesson.append((tuple(shown), option))
+    def enough(_: Sequence[Demonstration], option: LearnedOption) -> bool:
+        lesson.append(option)
         return bool(option.n_demonstrations >= wanted)
 
     rules = LessonRules(strategy, ASKED * wanted, person.seed, until_no_failures=False)
     taught = teach(domain, person.teaching(name), rules, enough)
-    reference = reference_options(domain)[name]
     told = {'seconds': taught.seconds, 'cut_short': taught.cut_short}
-    return _measured(lesson, domain, reference, person.seed, strategy == 'random') | told
+    return _measured(lesson, domain, name) | told
 
 
 def learn_again(parameters: Mapping[str, Any]) -> dict[str, Any]:
@@ -171,36 +161,23 @@ def learn_again(parameters: Mapping[str, Any]) -> dict[str, Any]:
     domain = read_domain(bag)
     demos = taught_in(bag, domain)[known.participant, known.option]
     first = next(n for n, demo in enumerate(demos, start=1) if demo.kind is Kind.TRAJECTORY)
-    parts = [demos[:count] for count in range(first, len(demos) + 1)]
-    lesson: Lesson = [(shown, learn_option(shown, domain, known.seed)) for shown in parts]
+    counts = range(first, len(demos) + 1)
+    lesson = [learn_option(demos[:count], domain, known.seed) for count in counts]
     told = {'seconds': sum(demo.seconds for demo in demos), 'cut_short': ''}
-    reference = reference_options(domain).get(known.option)
-    return _measured(lesson, domain, reference, known.seed, reference is not None) | told
+    return _measured(lesson, domain, known.option) | told
 
 
-def _measured(
-    lesson: Lesson,
-    domain: Domain[Any],
-    reference: ReferenceOption | None,
-    seed: int,
-    compare: bool,
-) -> dict[str, Any]:
-    """Return points, best return and, to compare, others; without a reference, None for each."""
-    learned = {option.n_demonstrations: option for _, option in lesson}  # the last of each number
+def _measured(lesson: Sequence[LearnedOption], domain: Domain[Any], name: str) -> dict[str, Any]:
+    """Return points and best return; without a reference option, None for each."""
+    learned = {option.n_demonstrations: option for option in lesson}  # the last of each number
     options, returns = [*learned.values()], list[float | None]([None] * (len(learned) + 1))
-    if reference:
+    if reference := reference_options(domain).get(name):
         returns = [finite(each) for each in average_returns([*options, None], domain, reference)]
     points = [
         [option.n_demonstrations, option.n_not_here, its, *accuracies(option, domain).values()]
         for option, its in zip(options, returns)
     ]
-    others = [
-        {'demonstrations': count, **cloned_accuracies(shown, domain, reference, seed)}
-        for shown, option in lesson
-        for count in [option.n_demonstrations]
-        if compare and reference and shown[-1].kind is Kind.TRAJECTORY and count % EVERY == 0
-    ]
-    return {'points': points, 'best_return': returns[-1], 'others': others}
+    return {'points': points, 'best_return': returns[-1]}
 
 
 def accuracy_table(done: report.Done) -> pd.DataFrame:
@@ -277,10 +254,9 @@ def person_table(points: pd.DataFrame) -> pd.DataFrame:
     """
     Return a row for each person.
 
-    :return: ``CASE``, person, for each of ``LEVELS`` the demonstrations and start states ("not
-        here" answers included) until it was first reached, and until it was reached for good: it
-        held after every later demonstration; the last measures, best return, minutes, cut short,
-        shown (all demonstrations).
+    :return: ``CASE``, person, for each of ``LEVELS`` the demonstrations until it was first
+        reached, and until it was reached for good: it held after every later demonstration; the
+        last measures, best return, minutes, cut short, shown (all demonstrations).
     """
     last = {name: f'last accuracy of {name}' for name in MEASURES} | {RETURN: 'last return'}
     rows = []
@@ -290,17 +266,12 @@ def person_table(points: pd.DataFrame) -> pd.DataFrame:
             first = mine['policy'] >= level - 1e-12
             held = first[::-1].cummin()[::-1]
             for crossing, there in ((REACHED, first), (HELD, held)):
-                at = mine[there].head(1)
-                for name, values in (
-                    ('demonstrations', at['demonstrations']),
-                    ('start states', at['demonstrations'] + at['not here']),
-                ):
-                    row[f'{name} for {level:.0%}, {crossing}'] = next(iter(values), pd.NA)
+                at = mine[there]['demonstrations']
+                row[f'{level:.0%}, {crossing}'] = next(iter(at), pd.NA)
         end = mine.iloc[-1].drop(list(row), errors='ignore')
         shown = end.pop('demonstrations')
         rows.append({**row, **end.drop('not here').rename(last), 'shown': shown})
-    counts = [f'{n} for {case}' for case in CROSSINGS for n in ('demonstrations', 'start states')]
-    return pd.DataFrame(rows).astype(dict.fromkeys(counts, 'Int64'))
+    return pd.DataFrame(rows).astype(dict.fromkeys(CROSSINGS, 'Int64'))
 
 
 def needed_table(people: pd.DataFrame) -> pd.DataFrame:
@@ -308,23 +279,18 @@ def needed_table(people: pd.DataFrame) -> pd.DataFrame:
     Return the demonstrations that people needed for ``LEVELS`` of policy accuracy.
 
     A level that was reached can be lost again by a demonstration that misleads, so that there are
-    two numbers: until it was reached first, and for good. Where somebody did not, the mean is at
+    two numbers: until it was reached first, and for good. Where a person did not, the mean is at
     least that with all demonstrations that were shown.
     """
     rows = []
     for key, members in report.grouped(people, CASE):
         row = {**dict(zip(CASE, key)), 'count': len(members)}
         for case in CROSSINGS:
-            demonstrations = members[f'demonstrations for {case}']
-            asked = members[f'start states for {case}']
-            reached, longest = int(demonstrations.notna().sum()), members['shown'].max()
-            mean = float(demonstrations.fillna(longest).mean())
-            text = f'{mean:.1f}'
+            reached, longest = int(members[case].notna().sum()), members['shown'].max()
+            text = f'{members[case].fillna(longest).mean():.1f}'
             if reached < len(members):
                 text = f'over {text} ({reached} of {len(members)} people)'
             row[f'demonstrations for {case}'] = text if reached else f'not within {longest}'
-            complete = reached == len(members)
-            row[f'start states for {case}'] = round(asked.mean(), 1) if complete else None
         rows.append({**row, 'minutes': round(members['minutes'].mean(), 2)})
     return pd.DataFrame(rows)
 
@@ -339,38 +305,15 @@ def last_table(curves: pd.DataFrame) -> pd.DataFrame:
     return _case_by_case(wide.rename_axis(columns=None).reset_index())
 
 
-def learner_table(done: report.Done, points: pd.DataFrame) -> pd.DataFrame:
-    """
-    Return the policy accuracies of the tree and of other classifiers, means over people.
-
-    :return: ``CASE``, demonstrations, count (of people), tree, each other classifier, and the
-        forest's less the tree's, with its interval, paired by person.
-    """
-    keys = [*CASE, 'person', 'demonstrations']
-    rows = [_who(parameters) | row for parameters, result in done for row in result['others']]
-    if not rows:
-        return pd.DataFrame(columns=[*CASE, 'demonstrations'])
-    each = pd.DataFrame(rows).merge(points[[*keys, 'policy']], on=keys)
-    each['more'], by = each[FOREST] - each['policy'], [*CASE, 'demonstrations']
-    means = each.groupby(by, sort=False)[['policy', NEIGHBOUR, FOREST]].mean()
-    gain = report.mean_intervals(each, by, 'more').set_index(by)
-    found = gain[['count']].join(means).join(gain[['mean', 'low', 'high']])
-    named = {'policy': 'tree', 'mean': 'forest less tree'}
-    return found.rename(columns=named).round(3).reset_index()
-
-
 def present(done: report.Done) -> report.Section:
     """Return the section of the report."""
     points = accuracy_table(done)
     curves, people = curve_table(points), person_table(points)
     needed = needed_table(people)
-    hidden = ['shown', *(f'start states for {case}' for case in CROSSINGS)]
-    each, others = people.drop(columns=hidden), learner_table(done, points)
-    same = 'Best actions of other classifiers from the same demonstrations'
+    each = people.drop(columns='shown')
     tables = [
         report.Table('fig2-needed', 'Demonstrations needed for a policy accuracy', needed),
         report.Table('fig2-last', 'After the last demonstration', last_table(curves)),
-        report.Table('fig2-learners', same, others),
         report.Table('fig2-curves', 'The curves', curves, shown=False),
         report.Table('fig2-people', 'Each person', each, shown=False),
     ]
@@ -425,7 +368,7 @@ def _compare_needed(
     """
     for level in LEVELS:
         said = {name: row[f'demonstrations for {level:.0%}, {name}'] for name in (REACHED, HELD)}
-        demonstrations = members[f'demonstrations for {level:.0%}, {HELD}']
+        demonstrations = members[f'{level:.0%}, {HELD}']
         needed = Interval.of(demonstrations.fillna(members['shown']).astype(float))
         if demonstrations.notna().all():
             said[HELD] = needed

@@ -10,10 +10,10 @@ from functools import partial
 import math
 import re
 
-from humanopts_learner.intervals import all_hold, any_holds, Interval, LEVEL, level_of_each
+from humanopts_learner.intervals import all_hold, Interval
+from humanopts_teach.evaluation.tables import SECONDS
 from humanopts_teach.report.figures import Drawing
 from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
-import numpy as np
 import pandas as pd
 
 from experiments import paper, people, report
@@ -25,34 +25,19 @@ from experiments.table2_plans import (
     ComparedGame,
     EFFORT,
     GAMES,
-    INTERRUPTING,
-    MASS_NAME,
+    INTERRUPTED,
     NAME,
     plan_all_games,
-    SECONDS,
     TAXI,
-    TO_END,
     UNIFORM,
     VARIANTS,
 )
 from experiments.trials import Trial
 
 TITLE = 'Table 2: planning time and return'
-COSTS = {'pacman': 170.0, 'taxi': 5.0}  # of a trial, about processor seconds
+COSTS = {'pacman': 100.0, 'taxi': 5.0}  # of a trial, about processor seconds
 KEYS = ['game', 'action set']
-EXECUTIONS = ['game', 'carried out as']
 ROUNDING = 1e-9  # reward units
-WANTED_UNIFORM, WANTED_MORE, TENTH = 1900.0, 300.0, 10.0  # points; times as long
-GOALS = {
-    TAXI.name: 'Exact models: interrupted, or with the strongest module, no state is worth less '
-    'than run to the end.',
-    UNIFORM.name: 'Random ghosts: interrupted or as modules, human options come to '
-    f'{WANTED_UNIFORM:,.0f} points and to no less than primitive actions, in a tenth of the '
-    'planning time.',
-    CHASE.name: 'Chasing ghosts: interrupted or as modules, human options come to '
-    f'{WANTED_MORE:.0f} points more than run to their end, and to no less than primitive '
-    'actions.',
-}
 ORDER = ['taxi', 'pacman', *(one.name for one in (*GAMES, *VARIANTS))]  # of rows
 
 
@@ -79,14 +64,14 @@ def trials(study: people.Study) -> list[Trial]:
 
 def present(done: report.Done) -> report.Section:
     """Return the section of the report."""
-    members, points, gains = member_table(done), point_table(done), gain_of_members(done)
+    members, points = member_table(done), point_table(done)
     summary, curves = summary_table(members), curve_table(points)
     found, pictures, tables = [], [], []
     for game in GAMES:
         if game.name not in summary.index:
             continue
         results = Results(game, members, points, curves)
-        found += [*_claims(results), *_numbers(results), *_goals(results), *_gains(game, gains)]
+        found += [*_claims(results), *_numbers(results)]
         name = f'table2-{re.sub(r"[^a-z]+", "-", game.name.lower())}'
         tables.append(report.Table(name, game.name, summary.loc[game.name].reset_index()))
         label = f'Mean return in {game.name} by planning seconds and action set'
@@ -97,15 +82,12 @@ def present(done: report.Done) -> report.Section:
         )
         draw = partial(_draw, game, curves[curves['game'] == game.name])
         pictures.append(report.Picture(name, label, (8.2, 4.2), draw, caption))
-    costs, stopped, settings = cost_table(done), gain_table(gains), setting_table(done)
-    gained = 'What the same plan gains over running each option to its end'
+    acquired = 'What it cost to get the options, mean of each'
     drawn = 'The curves; budgets are sweeps in Taxi, game steps in Pac-Man'
     tables += [
-        report.Table('table2-acquisition', 'What it cost to get the options, mean of each', costs),
-        report.Table('table2-executions', gained, stopped),
+        report.Table('table2-acquisition', acquired, cost_table(done)),
         report.Table('table2-paper', "The paper's table, and ours", paper_table(summary)),
         report.Table('table2-curves', drawn, curves, shown=False),
-        report.Table('table2-settings', 'Settings that were chosen', settings, shown=False),
     ]
     return report.Section(NAME, TITLE, found, pictures, tables, {'effort': asdict(EFFORT)})
 
@@ -138,7 +120,6 @@ def summary_table(members: pd.DataFrame) -> pd.DataFrame:
     """Return a row for each game and variant, indexed by both; each member counts once."""
     means = members.groupby(KEYS, sort=False).mean()
     returns = report.mean_intervals(members.reset_index(), KEYS, 'mean').set_index(KEYS)
-    exact = means.index.get_level_values('game') == TAXI.name
     parts = {
         'count': returns['count'],
         'tables, s': means['table_seconds'].round(6),
@@ -151,7 +132,7 @@ def summary_table(members: pd.DataFrame) -> pd.DataFrame:
         'mean return': returns['mean'],
         'low': returns['low'],
         'high': returns['high'],
-        'discounted': means['discounted'].where(exact),  # elsewhere gamma is searched for
+        'discounted': means['discounted'],
         'done': means['done'],
         'fallbacks in a game': means['fallbacks'],
     }
@@ -197,26 +178,6 @@ def cost_table(done: report.Done) -> pd.DataFrame:
     return found.reset_index()
 
 
-def gain_of_members(done: report.Done) -> pd.DataFrame:
-    """Return each member's gain by each execution of a plan over running options to their end."""
-    means = {'least': 'min', 'mean': 'mean', 'most': 'max'}
-    gains = rows_of(done, 'gains', EXECUTIONS).reindex(columns=[*EXECUTIONS, 'member', *means])
-    groups = gains.groupby([*EXECUTIONS, 'member'], sort=False)
-    return groups.agg(means).astype(float).reset_index()
-
-
-def gain_table(members: pd.DataFrame) -> pd.DataFrame:
-    """Return the gain of each execution, over members."""
-    found = report.mean_intervals(members, EXECUTIONS, 'mean')
-    extremes = members.groupby(EXECUTIONS, sort=False)
-    found['least of all states'] = extremes['least'].min().to_numpy()
-    found['most of all states'] = extremes['most'].max().to_numpy()
-    exact = found['game'] == TAXI.name
-    found[['low', 'high']] = found[['low', 'high']].mask(exact)
-    found.insert(3, 'of', np.where(exact, 'value of a state', 'return of games'))
-    return found
-
-
 def paper_table(summary: pd.DataFrame) -> pd.DataFrame:
     """Set the paper's numbers beside ours; in Pac-Man, beside the game with random ghosts."""
     rows, ours = [], ['total, s', 'mean return', 'low', 'high']
@@ -227,14 +188,6 @@ def paper_table(summary: pd.DataFrame) -> pd.DataFrame:
                 rows.append([game.name, name, *row, *summary.loc[(game.name, name), ours]])
     columns = [*KEYS, "paper's seconds", "paper's average reward", 'seconds', 'mean return']
     return pd.DataFrame(rows, columns=[*columns, 'low', 'high'])
-
-
-def setting_table(done: report.Done) -> pd.DataFrame:
-    """Return the settings that were chosen, for each game, variant and member."""
-    settings = rows_of(done, 'settings', KEYS)
-    number = settings.groupby(KEYS, sort=False).cumcount() + 1
-    settings.insert(4, 'number', number)
-    return settings.drop(columns=['domain', 'member'])
 
 
 Value = tuple[str, Interval]  # what it is of, and its interval
@@ -255,21 +208,12 @@ class Results:
         """Return whether there are results of all these variants."""
         return set(names) <= set(self.members)
 
-    def value(self, name: str, level: float = LEVEL) -> Value:
-        """Return what a variant returns."""
-        return f'return, {name}', Interval.of(self.members[name]['mean'], level)
-
-    def more(self, first: str, second: str, level: float = LEVEL) -> Value:
+    def more(self, first: str, second: str) -> Value:
         """Return how much more the first variant returns; with the same owners, within each."""
         one, other = (self.members[name].set_index('member')['mean'] for name in (first, second))
         paired = one.index.equals(other.index)
-        more = Interval.of_difference(one, other, level, paired=paired)
+        more = Interval.of_difference(one, other, paired=paired)
         return f'return, {first} less {second}', more
-
-    def time(self, first: str, second: str, level: float = LEVEL) -> Value:
-        """Return the time of the plans of one variant as a part of another's."""
-        one, other = (self.members[name]['seconds'] for name in (first, second))
-        return f'time, {first} / {second}', Interval.of_ratio(one, other, level, paired=False)
 
     def race(self, first: str, second: str) -> Value:
         """
@@ -280,16 +224,17 @@ class Results:
         return: the highest that both come to so. Of one member there is none, and all is NaN.
         """
         if self.game.exact:
-            return self.time(first, second)
+            one, other = (self.members[name]['seconds'] for name in (first, second))
+            return f'time, {first} / {second}', Interval.of_ratio(one, other, paired=False)
         curves = [self._curves[name] for name in (first, second)]
         level = min(float(curve['low'].max()) for curve in curves)
         if math.isnan(level):
             return f'time, {first} / {second}', Interval(math.nan, math.nan, math.nan)
         budgets = [curve.loc[curve['low'] >= level, 'budget'].iloc[0] for curve in curves]
         points = [self._points[name] for name in (first, second)]
-        times = [of.loc[of['budget'] == budget, 'seconds'] for of, budget in zip(points, budgets)]
+        one, other = (p.loc[p['budget'] == b, 'seconds'] for p, b in zip(points, budgets))
         named = f'time until {level:,.0f} points, {first} / {second}'
-        return named, Interval.of_ratio(*times, paired=False)
+        return named, Interval.of_ratio(one, other, paired=False)
 
     def says(
         self, claim: Statement, verdict: bool | report.Mark | None, *values: Value, why: str = ''
@@ -314,12 +259,17 @@ def _claims(results: Results) -> Iterator[report.Comparison]:
         time, more = results.race(first, second), results.more(first, second)
         verdict = all_hold([time[1].below(1.0), more[1].above(ROUNDING)])
         yield results.says(said['efficient'], verdict, time, more)
-    if results.has(TO_END.name, BY_CHANCE.name):
-        gain = results.more(TO_END.name, BY_CHANCE.name)
-        planned, by_chance = (results.value(one.name)[1].mean for one in (TO_END, BY_CHANCE))
+    if results.has('human', BY_CHANCE):
+        gain = results.more('human', BY_CHANCE)
+        planned, by_chance = (
+            results.members[name]['mean'].mean() for name in ('human', BY_CHANCE)
+        )
         share = f'random choice has {by_chance / planned:.0%}' if planned > 0 else ''
         claim = 'Planning with human options returns more than random choice among them.'
         yield results.says(Statement(claim, report.OURS), gain[1].above(ROUNDING), gain, why=share)
+    if results.has('human', INTERRUPTED) and not results.game.exact:
+        more = results.more(INTERRUPTED, 'human')
+        yield results.says(said['interrupted'], more[1].above(), more)
 
 
 def _numbers(results: Results) -> Iterator[report.Comparison]:
@@ -348,55 +298,11 @@ def _numbers(results: Results) -> Iterator[report.Comparison]:
     why = paper.WHY_NO_RETURN[results.game.domain]
     for name, own in ours.items():
         claim = Statement(f'{title}, {name}: average reward {known[name][1]:,g}.', 'table 2')
-        yield results.says(claim, report.Mark.NOT_COMPARABLE, results.value(own), why=why)
+        returned = f'return, {own}', Interval.of(results.members[own]['mean'])
+        yield results.says(claim, report.Mark.NOT_COMPARABLE, returned, why=why)
     if not results.game.exact:
         best = paper.SAID['incomplete']
         yield results.says(best, report.Mark.NO_COUNTERPART, why=paper.NO_BEST_KNOWN)
-
-
-def _goals(results: Results) -> Iterator[report.Comparison]:
-    """
-    Yield the best way to interrupt human options beside the goals of this project.
-
-    Since it is the best of several, its intervals are those that hold for all of them at once.
-    """
-    mine = [variant.name for variant in INTERRUPTING if results.has(variant.name)]
-    if results.game == TAXI or not mine or not results.has('primitive', 'human'):
-        return
-    best = max(mine, key=lambda name: results.value(name)[1].mean)
-    level = level_of_each(len(mine))
-    reached, less = results.value(best, level), results.more(best, 'primitive', level)
-    if results.game == UNIFORM:
-        slower = results.time('primitive', best, level)
-        values = [reached, less, slower]
-        parts = [reached[1].at_least(WANTED_UNIFORM), slower[1].at_least(TENTH)]
-    else:
-        more = results.more(best, 'human', level)
-        values, parts = [reached, less, more], [more[1].at_least(WANTED_MORE)]
-    verdict = all_hold([*parts, less[1].at_least(-ROUNDING)])
-    yield results.says(Statement(GOALS[results.game.name], report.OURS), verdict, *values)
-
-
-def _gains(game: ComparedGame, gains: pd.DataFrame) -> Iterator[report.Comparison]:
-    """Yield what the same plan gains where its options are stopped: by state, or in games."""
-    mine = report.grouped(gains[gains['game'] == game.name], EXECUTIONS[1:])
-    by_way = {name: rows for (name,), rows in mine}
-    if game.exact:
-        least = {name: rows['least'].min() for name, rows in by_way.items()}
-        least = {name: value for name, value in least.items() if name != MASS_NAME}
-        text = report.listed('least of all states and people', least)
-        claim, verdict = (
-            Statement(GOALS[game.name], report.OURS),
-            min(least.values(), default=0) >= -ROUNDING,
-        )
-    else:
-        level = level_of_each(max(len(by_way), 1))
-        more = {name: Interval.of(rows['mean'], level) for name, rows in by_way.items()}
-        text = report.listed(f'{game.name}, points more than run to the end', more)
-        verdict = any_holds(gain.above() for gain in more.values())
-        claim = paper.SAID['interrupted']
-    if by_way:
-        yield report.compared(claim, text, verdict)
 
 
 def _draw(game: ComparedGame, curves: pd.DataFrame, work: Drawing) -> None:

@@ -60,7 +60,8 @@ def test_bags_stand_in_for_simulated_people(demo: DemoRun, tmp_path: Path) -> No
     with (tmp_path / 'fig2-people.csv').open(encoding='utf-8') as file:
         rows = {row['option']: row for row in csv.DictReader(file)}
     for block in demo.summary['options']:
-        assert float(rows[block['name']]['last accuracy of policy']) == block['policy_accuracy']
+        row = rows[block['option_name']]
+        assert float(row['last accuracy of policy']) == block['policy_accuracy']
     page = (tmp_path / 'report.html').read_text('utf-8')
     assert str(bag.resolve()) in page
     assert '<b>simulated</b>' not in page
@@ -70,7 +71,7 @@ def test_options_from_a_bag_are_those_that_were_taught(demo: DemoRun) -> None:
     (person,) = owners(Study(bags=tuple(read_bag_lessons(demo.bag))), 'taxi')[PERSON]
     taught = options_of(person, make_domain('taxi'))
     blocks = demo.summary['options']
-    assert [option.name for option in taught.options] == [block['name'] for block in blocks]
+    assert [option.name for option in taught.options] == [block['option_name'] for block in blocks]
     assert taught.demonstrations == sum(block['n_demonstrations'] for block in blocks)
     assert taught.minutes is not None
     assert 0 < taught.minutes < 5
