@@ -10,7 +10,7 @@ without being listed.
 """
 
 from dataclasses import dataclass
-from itertools import groupby
+from itertools import groupby, product
 import math
 
 import numpy as np
@@ -52,6 +52,10 @@ class Board:
     dotted: bool = True  # a dot in each empty cell makes it easy to count them
     picture: str = ''  # a drawing in characters that a world without cells brings with it
 
+    def edges(self) -> tuple[Wall, ...]:
+        """Return the sides of the frame, and all walls."""
+        return (*_frame(self.rows, self.cols), *self.walls) if self.rows else ()
+
     def places(self) -> list[tuple[Mark, tuple[float, float], float]]:
         """Return each mark with its place in rows and columns, and its size in cells."""
         found = []
@@ -73,9 +77,9 @@ class Board:
 
     def empty_cells(self) -> list[Cell]:
         """Return the cells with neither a block nor a mark, where the board is dotted."""
-        cells = np.ndindex(self.rows, self.cols) if self.dotted else ()
         taken = {*self.blocks, *(mark.cell for mark in self.marks)}
-        return [(row, col) for row, col in cells if (row, col) not in taken]
+        cells = product(range(self.rows), range(self.cols)) if self.dotted else ()
+        return [cell for cell in cells if cell not in taken]
 
 
 def signs(board: Board) -> list[list[Sign]]:
@@ -94,23 +98,16 @@ def signs(board: Board) -> list[list[Sign]]:
     if not board.walls:
         bottom, right = board.rows + 1, 2 * board.cols + 1
     arms = np.zeros((bottom + 1, right + 1), dtype=np.intp)
-    frame = [
-        (0, 0, 0, right),
-        (bottom, 0, bottom, right),
-        (0, 0, bottom, 0),
-        (0, right, bottom, right),
-    ]
     inner = [(down * a, across * b, down * c, across * d) for a, b, c, d in board.walls]
-    for top, left, end, last in [*frame, *inner]:
+    for top, left, end, last in (*_frame(bottom, right), *inner):
         arms[top:end, left : last + 1] |= _DOWN
         arms[top + 1 : end + 1, left : last + 1] |= _UP
         arms[top : end + 1, left:last] |= _RIGHT
         arms[top : end + 1, left + 1 : last + 1] |= _LEFT
-    rows: list[list[Sign]] = [
-        [(_LINES[arm], board.colour) for arm in row] for row in arms.tolist()
-    ]
-    cells = {cell: [(BLOCK, board.colour)] * width for cell in board.blocks}
-    cells |= {cell: [(DOT, DIM)] for cell in board.empty_cells()}
+    glyphs = [(line, board.colour) for line in _LINES]
+    rows = [[glyphs[arm] for arm in row] for row in arms.tolist()]
+    block, dot = [(BLOCK, board.colour)] * width, [(DOT, DIM)]
+    cells = dict.fromkeys(board.blocks, block) | dict.fromkeys(board.empty_cells(), dot)
     for cell, marks in board.marks_by_cell().items():
         cells[cell] = [(mark.kind, _style(mark)) for mark in marks[:width]]
     for (row, col), shown in cells.items():
@@ -158,6 +155,10 @@ def board_text(board: Board) -> str:
     """Return the board with its caption as lines of text."""
     lines = [*signs(board), *caption(board)]
     return '\n'.join(''.join(sign for sign, _ in line).rstrip() for line in lines)
+
+
+def _frame(rows: int, cols: int) -> tuple[Wall, ...]:
+    return (0, 0, 0, cols), (rows, 0, rows, cols), (0, 0, rows, 0), (0, cols, rows, cols)
 
 
 def _plain(words: str) -> list[Sign]:

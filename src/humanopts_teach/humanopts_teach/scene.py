@@ -55,9 +55,8 @@ def occupied(board: Board) -> Flags:
     Walls are one cell wide, so the map is one cell larger than the board.
     """
     grid = np.zeros((_CELLS * board.rows + 1, _CELLS * board.cols + 1), dtype=np.bool_)
-    grid[[0, -1]] = grid[:, [0, -1]] = bool(board.rows)
     blocks = [(row, col, row + 1, col + 1) for row, col in board.blocks]
-    for ends in (*board.walls, *blocks):
+    for ends in (*board.edges(), *blocks):
         top, left, bottom, right = (_CELLS * end for end in ends)
         grid[top : bottom + 1, left : right + 1] = True
     return grid[::-1]
@@ -68,9 +67,7 @@ def scene(board: Board) -> Iterator[Shape]:
     colour, thin = _rgb(board.colour), (0.08, 0.08)
     height, width = board.rows, board.cols
     if height:
-        frame = ((0, 0, 0, width), (height, 0, height, width), (0, 0, height, 0))
-        walls = (*frame, (0, width, height, width), *board.walls)
-        ends = (p for a, b, c, d in walls for p in ((b, height - a), (d, height - c)))
+        ends = (p for a, b, c, d in board.edges() for p in ((b, height - a), (d, height - c)))
         points = tuple((float(x), float(y)) for x, y in ends)
         yield Shape('board', Kind.LINES, points, (colour,), thin)
     for kind, cells, of, size in (

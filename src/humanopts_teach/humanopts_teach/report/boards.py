@@ -104,9 +104,7 @@ def _draw_walls(work: Drawing, board: Board) -> None:
     for row, col in board.blocks:
         work.axes.add_patch(Rectangle((col - 0.5, row - 0.5), 1, 1, color=GRID, lw=0))
     style: dict[str, Any] = {'color': INK, 'lw': 2.2, 'clip_on': False}
-    corners = ((0, 0, 0, board.cols), (board.rows, 0, board.rows, board.cols))
-    sides = ((0, 0, board.rows, 0), (0, board.cols, board.rows, board.cols))
-    for top, left, bottom, right in (*corners, *sides, *board.walls):
+    for top, left, bottom, right in board.edges():
         ends = (left - 0.5, right - 0.5), (top - 0.5, bottom - 0.5)
         work.axes.plot(*ends, solid_capstyle='round', **style)
 
