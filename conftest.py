@@ -6,6 +6,7 @@ from hypothesis import settings
 
 # Examples take what time they need, as on a busy machine.
 settings.register_profile('humanopts', deadline=None)
+settings.register_profile('few', deadline=None, max_examples=20)  # of make test-floor
 settings.load_profile('humanopts')
 gc.disable()
 
