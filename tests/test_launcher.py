@@ -6,7 +6,6 @@ import itertools
 import json
 import os
 from pathlib import Path
-import pwd
 import resource
 import signal
 import subprocess
@@ -29,9 +28,7 @@ from humanopts_teach.cli import main
 from humanopts_teach.launching import LaunchError
 from humanopts_teach.launching.forks import prepare
 from humanopts_teach.launching.launcher import Launcher
-from humanopts_teach.launching.place import holder, only_launch
 from humanopts_teach.launching.processes import processes, ProcessSpec, Setup, Value
-from humanopts_teach.launching.restarts import NodeExit
 from humanopts_teach.ros.graph_client import GraphClient
 import psutil
 import pytest
@@ -266,39 +263,6 @@ def test_a_launch_that_runs_goes_on_whatever_has_or_claims_the_names_of_its_node
         command.close()
 
 
-def test_a_node_that_was_started_again_is_known_from_what_others_sign_with_its_name(
-    live: Graph, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    out = live.node.create_publisher(NodeStatus, 'node_status', CURRENT)
-    monkeypatch.setenv('ROS_DOMAIN_ID', str(live.domain_id))
-    conductor = GraphClient('/', {'expect_recorder': False}, tmp_path, watch=live.spin)
-
-    def heard(name: str, text: str) -> bool:
-        conductor.catch_up()
-        return name in conductor.statuses and conductor.statuses[name].text == text
-
-    def say(who: str, text: str, kept: str) -> None:
-        status = NodeStatus(node='/game', publisher_id=f'/game#{who}', text=text)
-        out.publish(status)
-        out.publish(NodeStatus(node='/mark', publisher_id='/mark#1', text=text))  # comes after it
-        live.until(lambda: heard('/mark', text), 'what was said')
-        assert conductor.statuses.get('/game', NodeStatus()).text == kept
-
-    try:
-        conductor.note_start('game', 'first')
-        say('somebody', 'of no node', '')
-        say('first', 'ready', 'ready')
-        conductor.note_end(NodeExit('game', 'exit status 1', '', 0, again=True), 'first')
-        say('first', 'sent before it ended', '')
-        conductor.note_start('game', 'second')
-        say('second', 'ready again', 'ready again')
-        say('first', 'still sent', 'ready again')
-        say('somebody', 'of no node', 'ready again')
-        say('second', 'finished', 'finished')
-    finally:
-        conductor.close()
-
-
 def test_a_node_that_dies_while_it_is_stopped_is_named_with_the_signal(
     live: Graph, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -393,35 +357,6 @@ def test_a_node_that_is_stopped_is_told_by_name_and_a_server_that_is_stopped_hol
     live.until(lambda: server.status() == psutil.STATUS_ZOMBIE, 'its end')
 
 
-def test_the_conductor_gets_ready_and_a_wait_goes_on_as_long_as_there_is_progress(
-    live: Graph, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv('ROS_DOMAIN_ID', str(live.domain_id))
-    began = time.monotonic()
-
-    def tenths() -> int:
-        return min(10, round(10 * (time.monotonic() - began)))
-
-    def start_slowly() -> None:
-        state = NodeStatus.STATE_READY if tenths() == 10 else NodeStatus.STATE_STARTING
-        conductor.statuses['/slow'] = NodeStatus(state=state, text=f'waits for {tenths()}')
-
-    conductor = GraphClient('/', {'expect_recorder': False}, tmp_path, watch=start_slowly)
-    try:
-        conductor.wait_ready(['/slow'], 0.5)
-        assert conductor.ready
-        assert time.monotonic() - began > 0.9
-        with pytest.raises(LaunchError, match=r'not ready: /lost$'):
-            conductor.wait_ready(['/slow', '/lost'], 0.2)
-        began = time.monotonic()
-        conductor.wait(lambda: tenths() == 10, 0.5, 'the last', tenths)
-        assert time.monotonic() - began > 0.9
-        with pytest.raises(LaunchError, match=r'gave up waiting for more after 0 s'):
-            conductor.wait(lambda: False, 0.2, 'more', tenths)
-    finally:
-        conductor.close()
-
-
 def test_what_was_learned_is_known_once_all_of_it_has_come_in_any_order(
     live: Graph, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -464,16 +399,6 @@ def test_a_log_folder_that_cannot_be_written_is_named(tmp_path: Path) -> None:
     (tmp_path / 'log').write_text('')
     with pytest.raises(LaunchError, match=r'cannot write logs in .*/log'):
         Launcher([spec('game', GAME)], tmp_path / 'log').start()
-
-
-def test_a_place_is_free_again_after_its_launch(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv('ROS_DOMAIN_ID', '231')
-    with only_launch('/a', ['game']):
-        with only_launch('/b', ['game']), only_launch('/a', ['game', 'lesson']):
-            pass  # what it has stays its own
-        assert holder('/a', 'game') == (os.getpid(), pwd.getpwuid(os.getuid()).pw_name)
-        assert holder('/a', 'lesson') is None
-    assert holder('/a', 'game') is None
 
 
 def test_a_run_waits_longer_for_a_game_that_takes_its_time() -> None:

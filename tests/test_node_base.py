@@ -1,7 +1,6 @@
 """What every node shares: one plain line for bad parameters, a life that is told, a clean end."""
 
 import ctypes
-import gc
 import itertools
 import os
 from pathlib import Path
@@ -9,7 +8,6 @@ import signal
 import subprocess
 import sys
 from typing import Any
-import weakref
 
 from graph_support.live import (
     GAME,
@@ -24,7 +22,7 @@ from graph_support.live import (
 from graph_support.machine import Machine
 from humanopts_interfaces.msg import GameState, LearningStatus, NodeStatus
 from humanopts_interfaces.srv import SetPace
-from humanopts_ros.node_base import NodeBase, StartError
+from humanopts_ros.node_base import NodeBase
 from humanopts_ros.node_restarts import NodeRestarts
 from humanopts_ros.qos import CURRENT, LATCHED
 from humanopts_ros.workarounds import MemoryReturn, reset_postponed
@@ -33,7 +31,6 @@ import psutil
 import pytest
 from rcl_interfaces.msg import Log
 import rclpy
-from rclpy.clock_type import ClockType
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
@@ -111,30 +108,6 @@ def test_a_timer_whose_next_call_was_put_off_is_called_after_its_period(live: Gr
     assert left(late) <= 60.0
     assert left(right) < before
     assert stopped.is_canceled()
-
-
-def test_a_node_whose_constructor_fails_is_freed(live: Graph) -> None:
-    known = []
-
-    class Refused(NodeBase):
-        def __init__(self) -> None:
-            super().__init__('refused', context=live.context)
-            known.append(weakref.ref(self))
-            raise StartError('no')
-
-    with pytest.raises(StartError):
-        Refused()
-    gc.collect()
-    assert known[0]() is None
-
-
-def test_no_timer_waits_for_the_time_of_day(live: Graph) -> None:
-    live.start(GAME)
-    live.start(LESSON, directory=live.folder / 'demonstrations')
-    live.ready('/game', '/lesson')
-    timers = [t for name in ('/game', '/lesson') for t in live.node_called(name).timers]
-    assert len(timers) > 8
-    assert {t.clock.clock_type for t in timers} == {ClockType.STEADY_TIME}
 
 
 def test_a_node_goes_on_and_ends_although_the_time_of_day_is_set_back(

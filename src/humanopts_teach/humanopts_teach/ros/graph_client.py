@@ -25,6 +25,7 @@ from humanopts_teach.launching.processes import RECORDER, Value
 from humanopts_teach.launching.restarts import NodeExit
 from humanopts_teach.launching.status import restarts_text
 from humanopts_teach.lesson.simulated_teacher import FINISHED
+from humanopts_teach.ros.goals import Goal
 from rclpy.action.client import ActionClient
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.utilities import try_shutdown
@@ -306,21 +307,16 @@ class GraphClient(NodeBase):
     def _act(self, client: ActionClient, goal: Any, what: str) -> Any:
         """Send a goal, wait, and return the ``result`` field of the action's result."""
         self.wait(client.server_is_ready, 10.0, 'the planner')
-
-        def on_feedback(message: Any) -> None:
-            self.feedback = message.feedback
-
-        sent = client.send_goal_async(goal, feedback_callback=on_feedback)
-        self.wait(sent.done, 10.0, f'the planner to accept {what}')
-        handle = sent.result()
-        if not handle.accepted:
+        sent = Goal(client, goal, partial(setattr, self, 'feedback'))
+        self.wait(sent.accepted.done, 10.0, f'the planner to accept {what}')
+        if not sent.accepted.result():
             raise LaunchError(f'the planner refused {what}')
-        reply, planner = handle.get_result_async(), self.full_name('planner')
-        before = self.restarts[planner]
-        self.wait(lambda: reply.done() or self.restarts[planner] != before, _WORK_SECONDS, what)
-        if not reply.done():
+        planner = self.full_name('planner')
+        before, result = self.restarts[planner], sent.result
+        self.wait(lambda: result.done() or self.restarts[planner] != before, _WORK_SECONDS, what)
+        if not result.done():
             raise LaunchError(f'the planner ended before {what}')
-        return reply.result().result.result
+        return result.result()
 
     def retry(self, work: Callable[[], T]) -> T:
         """

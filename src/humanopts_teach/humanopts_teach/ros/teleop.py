@@ -1,7 +1,7 @@
 """
 A person's node: what the dialogue asks for goes to the graph, and what comes back to it.
 
-Services and actions of a driver go through ``LessonClient``, the goals of runs through ``Runs``.
+Services and actions of a driver go through ``LessonClient``, the goals of runs through ``Goal``.
 """
 
 from collections.abc import Callable
@@ -40,6 +40,7 @@ from humanopts_teach.lesson.requests import (
     server,
 )
 from humanopts_teach.ros.convert import ACTIONS, LESSON_SERVICES, TERMINAL_SERVICES
+from humanopts_teach.ros.goals import Goal
 from humanopts_teach.ros.lesson_client import LessonClient
 from humanopts_teach.study.plan import PARTS
 from humanopts_teach.study.record import OpenRecord, TOPIC
@@ -76,7 +77,12 @@ class TeleopNode(NodeBase):
         self.app = self._study(participant, seed) or App(
             opening(participant, ask=ask), self._world, seed=seed
         )
-        self._runs = Runs(self, self.app)
+        self._actions = {
+            kind: ActionClient(self, action.kind, action.name, **ACTION)
+            for kind, action in ACTIONS.items()
+        }
+        self._goal: Goal | None = None  # of the run under way
+        NodeRestarts(self, self._on_restart)
         self._held: Request | None = None  # its server is not there yet
         self._came: set[str] = set()  # nodes that were there once
         self._started = self._checked = time.monotonic()
@@ -159,11 +165,11 @@ class TeleopNode(NodeBase):
         if request is None or request is not self.app.waits_for:
             return
         if isinstance(request, CancelRun):
-            self._runs.cancel()
+            self._send_last(request)
             self._answer(request, Answer(RequestStatus.OK, ''))
         elif isinstance(request, ActionGoal):
-            if self._runs.is_ready(request):
-                self._runs.start(request)
+            if self._actions[type(request)].server_is_ready():
+                self._start(request)
             else:
                 self._held = request
         elif not self._client.is_ready(request):
@@ -190,14 +196,52 @@ class TeleopNode(NodeBase):
         self._world.missing = tuple(
             node for node in _NEEDED if node not in there and (late or node in self._came)
         )
-        self._runs.check_server()
+        run = self.app.run
+        if run is not None and not self._actions[type(run)].server_is_ready():
+            self.app.lost_server()
 
     def _send_last(self, request: Request) -> Future | None:
         """Send one of the last requests; None: nobody is there to answer it."""
         if isinstance(request, CancelRun):
-            return self._runs.cancel()
+            return self._goal.cancel() if self._goal is not None else None
         assert not isinstance(request, ActionGoal), 'a terminal that ends begins nothing'
         return self._client.send(request) if self._client.is_ready(request) else None
+
+    def _start(self, run: ActionGoal) -> None:
+        """Send the goal of a run; the app gets the answer once it is accepted or not."""
+        message = ACTIONS[type(run)].request.encode(run)
+        if isinstance(run, RunOption):
+            message.episode, message.step = self._world.game.episode, self._world.game.step
+
+        def on_feedback(feedback: Any) -> None:
+            if self.app.run is run:
+                self.app.run_text = _progress_text(feedback)
+
+        def on_accepted(done: Future) -> None:
+            if not done.result():
+                text = f'{server(run)} did not take the request.'
+                self._answer(run, Answer(RequestStatus.REFUSED, text))
+            elif self.app.waits_for is not run:  # the app has given up on it
+                goal.cancel()
+            else:
+                self._goal = goal
+                self._answer(run, Answer(RequestStatus.OK, ''))
+                goal.result.add_done_callback(on_result)
+
+        def on_result(done: Future) -> None:
+            self._goal, result = None, done.result()
+            if isinstance(result, PlanResult):
+                self._world.uncovered = _uncovered(result)
+            self.app.run_ended(run, *result_text(result, self._world.i_drive))
+
+        goal = Goal(self._actions[type(run)], message, on_feedback)
+        goal.accepted.add_done_callback(on_accepted)
+
+    def _on_restart(self, name: str) -> None:
+        """End the run of a server that was started again, and does not know it."""
+        if self.app.run is not None and server(self.app.run) == name:
+            self._goal = None
+            self.app.lost_server()
 
     def _on_action(self, message: ActionCommand) -> None:
         """Keep whose the two newest actions are: one may wait while the other is shown."""
@@ -231,72 +275,6 @@ def published_record(node: NodeBase, path: Path, participant: str) -> OpenRecord
 
 def _summaries(message: LearningStatus) -> list[OptionSummary]:
     return [summary_from_message(status) for status in message.options]
-
-
-class Runs:
-    """Starts one run after the other, and reports to the app how it goes and how it ended."""
-
-    def __init__(self, node: NodeBase, app: App) -> None:
-        self._app = app
-        NodeRestarts(node, self._on_restart)
-        self._clients = {
-            kind: ActionClient(node, action.kind, action.name, **ACTION)
-            for kind, action in ACTIONS.items()
-        }
-        self._handle: Any = None  # of the run under way
-
-    def is_ready(self, run: ActionGoal) -> bool:
-        """Return whether the server of a run is matched: a goal sent before would be lost."""
-        return bool(self._clients[type(run)].server_is_ready())
-
-    def start(self, run: ActionGoal) -> None:
-        """Send the goal; the app gets the answer once the server has accepted it or not."""
-        goal = ACTIONS[type(run)].request.encode(run)
-        if isinstance(run, RunOption):
-            game = self._app.world.game
-            goal.episode, goal.step = game.episode, game.step
-
-        def on_feedback(message: Any) -> None:
-            if self._app.run is run:
-                self._app.run_text = _progress_text(message.feedback)
-
-        sent = self._clients[type(run)].send_goal_async(goal, feedback_callback=on_feedback)
-        sent.add_done_callback(lambda done: self._accepted(run, done))
-
-    def cancel(self) -> Future | None:
-        """Ask for the end of the run under way; None: none is."""
-        return self._handle.cancel_goal_async() if self._handle is not None else None
-
-    def check_server(self) -> None:
-        """End the run when its server is gone."""
-        if self._app.run is not None and not self.is_ready(self._app.run):
-            self._app.lost_server()
-
-    def _on_restart(self, name: str) -> None:
-        """End the run of a server that was started again, and does not know it."""
-        if self._app.run is not None and server(self._app.run) == name:
-            self._handle = None
-            self._app.lost_server()
-
-    def _accepted(self, run: ActionGoal, done: Future) -> None:
-        handle: Any = done.result()
-        if not handle.accepted:
-            text = f'{server(run)} did not take the request.'
-            self._app.replied(run, Answer(RequestStatus.REFUSED, text), time.monotonic())
-            return
-        if self._app.waits_for is not run:  # the app has given up on it
-            handle.cancel_goal_async()
-            return
-        self._handle = handle
-        self._app.replied(run, Answer(RequestStatus.OK, ''), time.monotonic())
-        handle.get_result_async().add_done_callback(lambda ended: self._ended(run, ended))
-
-    def _ended(self, run: ActionGoal, done: Future) -> None:
-        self._handle = None
-        result: Any = done.result()
-        if isinstance(result.result.result, PlanResult):
-            self._app.world.uncovered = _uncovered(result.result.result)
-        self._app.run_ended(run, *result_text(result.result.result, self._app.world.i_drive))
 
 
 def _uncovered(result: PlanResult) -> list[tuple[str, float]] | None:
