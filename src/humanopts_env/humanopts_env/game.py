@@ -15,7 +15,7 @@ from typing import Any
 from humanopts_env.domains.base import action_index, Domain, DomainError, StateError
 from humanopts_env.domains.capabilities import step_effect, StepEffect
 from humanopts_env.seeding import generator
-from humanopts_ros.limits import MOST_STATE
+from humanopts_ros.limits import MAX_STATE
 
 
 class Source(IntEnum):
@@ -127,7 +127,7 @@ def check_transition(transition: Transition, domain: Domain[Any]) -> Any:
     """
     if not transition.episode:
         return None
-    if len(transition.state) > MOST_STATE:
+    if len(transition.state) > MAX_STATE:
         raise ValueError(f'its state has {len(transition.state):,} characters')
     state = domain.decode(transition.state)
     check_features(transition.features, domain)

@@ -27,7 +27,7 @@ class AppendOnlyLog:
         """
         Open the file, which need not exist, and repair its end.
 
-        :raises OSError: it is no regular file, cannot be read, or its end cannot be repaired.
+        :raises OSError: it is not a regular file, cannot be read, or its end cannot be repaired.
         """
         self.path = path
         self.problems: list[str] = []  # what was repaired or left out, in words
@@ -89,7 +89,7 @@ def read_lines(
         used; then the line is left out.
     :param most: bytes that the file may have; None: any number.
     :return: the entries, and what was left out, in words.
-    :raises OSError: it is no regular file, is larger, or cannot be read; there may be none.
+    :raises OSError: it is not a regular file, is larger, or cannot be read; there may be none.
     """
     try:
         content = read_in_place(path, most)

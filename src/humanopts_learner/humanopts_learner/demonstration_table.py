@@ -7,7 +7,7 @@ column                  what it holds
 ``demonstration``       which demonstration the row belongs to: any number or name
 ``step``                0, 1, 2, ... within the demonstration
 ``state``               the state in the domain's notation; or, in its place, columns with the
-                        names of features that tell the state
+                        names of features that determine the state
 ``action``              the action taken there; empty in the last row. One row without an action
                         is a "not here" answer: the option makes no sense in this state
 ``reward``              of the action; without this column, by the rules of the domain
@@ -240,7 +240,7 @@ def _can_start_at_end(steps: Sequence[_Row]) -> bool:
     """
     Return whether the last row says that the option can start again there.
 
-    :raises DemonstrationError: a cell is no flag, or only an earlier row says so.
+    :raises DemonstrationError: a cell is not a flag, or only an earlier row says so.
     """
     flags = [row.read(AGAIN, _flag) for row in steps]
     if any(flags) and not flags[-1]:

@@ -46,7 +46,7 @@ METHODS = {  # of learning I, beta and policy from demonstrations; what the poli
 }
 PRIMITIVE_PREFIX = 'action:'  # of the names of primitive actions as options
 MACHINE = 'automatic:'  # begins the codes of options that nobody taught; people's have no colon
-MOST_NAME = 60  # characters of the name of an option, and of the codes of people and sessions
+MAX_NAME = 60  # characters of the name of an option, and of the codes of people and sessions
 KIND_NUMBERS = {Kind.TRAJECTORY: 1, Kind.NOT_HERE: 2}  # KIND_* of Demonstration.msg
 
 
@@ -84,9 +84,7 @@ class Demonstration:
     seconds: Real = 0.0
     withdrawn: Flag = False  # taken back by the person; nothing is learned from it
     method: Text = TREES  # one of METHODS; that of the newest demonstration counts
-    machine_steps: Count = (
-        0  # so many of its first steps were the machine's; the person let them pass
-    )
+    machine_steps: Count = 0  # number of leading steps taken by the machine
 
     @cached_property
     def feature_rows(self) -> Rows:
@@ -283,8 +281,8 @@ def option_name_fault(name: str) -> str:
 
 
 def _text_fault(what: str, text: str) -> str:
-    if len(text) > MOST_NAME:
-        return f'{what} has {len(text)} characters; {MOST_NAME} is the most'
+    if len(text) > MAX_NAME:
+        return f'{what} has {len(text)} characters; {MAX_NAME} is the most'
     return '' if text.isprintable() else f'{what} has characters that cannot be printed'
 
 

@@ -95,7 +95,9 @@ class OptionLibrary:
             return found[0]
         if found:
             who = ', '.join(option.participant for option in found)
-            raise AmbiguousOptionError(f'option {name!r} was taught by {who}: say whose')
+            raise AmbiguousOptionError(
+                f'option {name!r} was taught by {who}: name the participant'
+            )
         whose = f' of participant {participant!r}' if participant else ''
         raise UnknownOptionError(f'no option {name!r}{whose}; there is {self._inventory()}')
 

@@ -12,19 +12,19 @@ import sys
 from typing import Any
 from unicodedata import normalize
 
-MOST_JSON = 64 * 2**20  # characters of a JSON text, such as an option with its demonstrations
-MOST_DEPTH = 40  # levels of lists and objects in a JSON text
-MOST_INTEGER = 2**64  # integers in a JSON text are smaller, and greater than its negative
+MAX_JSON = 64 * 2**20  # characters of a JSON text, such as an option with its demonstrations
+MAX_DEPTH = 40  # levels of lists and objects in a JSON text
+MAX_INTEGER = 2**64  # integers in a JSON text are smaller, and greater than its negative
 MAX_WHOLE = 2**31 - 1  # whole numbers of demonstrations and options, which fit int32 arrays
-MOST_STATE = 20_000  # characters of a state of a game, in its domain's notation
-MOST_SHOWN = 400  # characters of a text from outside in a log, a status or an answer
+MAX_STATE = 20_000  # characters of a state of a game, in its domain's notation
+MAX_SHOWN = 400  # characters of a text from outside in a log, a status or an answer
 
 
 class JsonError(ValueError):
     """A text is not JSON that can be used; the text says why."""
 
 
-def parse_json(text: str, most: int = MOST_JSON) -> Any:
+def parse_json(text: str, most: int = MAX_JSON) -> Any:
     """
     Return the value of a JSON text within the limits above.
 
@@ -46,7 +46,7 @@ def parse_json(text: str, most: int = MOST_JSON) -> Any:
     return value
 
 
-_TOO_DEEP = f'it is nested more than {MOST_DEPTH} levels deep'
+_TOO_DEEP = f'it is nested more than {MAX_DEPTH} levels deep'
 _TOO_LARGE = 'it holds an integer that is too large'
 
 
@@ -54,7 +54,7 @@ def _check(value: Any) -> None:
     """Check depth and numbers of a parsed text, one level after the other."""
     level, depth = [value], 0
     while level:
-        if depth > MOST_DEPTH:
+        if depth > MAX_DEPTH:
             raise JsonError(_TOO_DEEP)
         depth += 1
         below: list[Any] = []
@@ -64,7 +64,7 @@ def _check(value: Any) -> None:
             elif type(each) is list:
                 below.extend(each)
             elif type(each) is int:
-                if not -MOST_INTEGER < each < MOST_INTEGER:
+                if not -MAX_INTEGER < each < MAX_INTEGER:
                     raise JsonError(_TOO_LARGE)
             elif type(each) is float and not math.isfinite(each):
                 raise JsonError(f'it holds the number {each}, which is not finite')
@@ -101,7 +101,7 @@ def one_line(text: str) -> str:
     return printable(text.replace('\n', ' '))
 
 
-def shown(text: str, most: int = MOST_SHOWN) -> str:
+def shown(text: str, most: int = MAX_SHOWN) -> str:
     """Return a text from outside in one printable line; of a long one its begin and its end."""
     if len(text) > most:
         half = (most - 5) // 2

@@ -14,7 +14,7 @@ import re
 import stat
 from typing import Any, TYPE_CHECKING
 
-from humanopts_ros.limits import MOST_DEPTH, MOST_INTEGER, shown
+from humanopts_ros.limits import MAX_DEPTH, MAX_INTEGER, shown
 import yaml
 
 if TYPE_CHECKING:
@@ -188,8 +188,8 @@ class _Document:
 
     def _read(self, event: Any, depth: int) -> tuple[Any, int]:
         """Return the value that begins with an event, and how many levels are below it."""
-        if depth > MOST_DEPTH:
-            raise _refused(event, f'it is nested more than {MOST_DEPTH} levels deep')
+        if depth > MAX_DEPTH:
+            raise _refused(event, f'it is nested more than {MAX_DEPTH} levels deep')
         if isinstance(event, yaml.AliasEvent):
             return self._repeat(event, depth)
         if event.tag is not None:
@@ -244,8 +244,8 @@ class _Document:
             raise _refused(event, f'the alias *{shown(event.anchor)} has no value before it')
         value, nodes, below = self._anchors[event.anchor]
         self._count(event, nodes)
-        if depth + below > MOST_DEPTH:
-            raise _refused(event, f'it is nested more than {MOST_DEPTH} levels deep')
+        if depth + below > MAX_DEPTH:
+            raise _refused(event, f'it is nested more than {MAX_DEPTH} levels deep')
         return value, below
 
     def _count(self, event: Any, nodes: int) -> None:
@@ -269,7 +269,7 @@ def _scalar(event: Any) -> str | int | float | bool | None:
         return _BOOLEANS[text]
     if text[0] in '-+.0123456789' and len(text) <= _MAX_NUMBER:
         if _INTEGER.fullmatch(text):
-            if abs(number := int(text)) >= MOST_INTEGER:
+            if abs(number := int(text)) >= MAX_INTEGER:
                 raise _refused(event, 'it holds an integer that is too large')
             return number
         if _FLOAT.fullmatch(text):

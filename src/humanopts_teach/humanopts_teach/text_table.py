@@ -7,23 +7,19 @@ from humanopts_ros.limits import shown
 _WIDEST = 200  # characters in a cell
 
 
-def table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
+def table(rows: Sequence[Mapping[str, object]]) -> str:
     """
     Lay out rows in columns, numbers to the right; empty where there are no rows.
 
     Of a text that is too long for a cell its begin and its end are shown.
+
+    :param rows: the values of each by the heads of the columns.
     """
     if not rows:
         return ''
-    right = [isinstance(value, int | float) for value in rows[0]]
-    return '\n'.join(
-        aligned([head, *([shown(str(value), _WIDEST) for value in row] for row in rows)], right)
-    )
-
-
-def table_of(rows: Sequence[Mapping[str, object]]) -> str:
-    """Lay out rows whose keys are the heads of the columns, as ``table`` does."""
-    return table(list(rows[0]), [list(row.values()) for row in rows]) if rows else ''
+    right = [isinstance(value, int | float) for value in rows[0].values()]
+    cells = [[shown(str(value), _WIDEST) for value in row.values()] for row in rows]
+    return '\n'.join(aligned([list(rows[0]), *cells], right))
 
 
 def aligned(rows: Sequence[Sequence[str]], right: Sequence[bool]) -> list[str]:

@@ -197,7 +197,7 @@ TOPICS = 'byte of the chunk that describes the topics'
         (['huge index'], 'index is damaged', 200),
         (['what the recorder was told'], 'differ: one of them is damaged', 200),
         (['no metadata.yaml'], 'metadata.yaml: No such file', 200),
-        (['counts of metadata.yaml'], 'metadata.yaml tells of 99, 100 were read', 200),
+        (['counts of metadata.yaml'], 'metadata.yaml lists 99 messages; 100 were read', 200),
     ],
     ids=str,
 )

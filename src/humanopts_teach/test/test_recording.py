@@ -7,7 +7,7 @@ from typing import Any
 
 from humanopts_ros.recording import Selection
 from humanopts_teach.bags.provenance import attachments, lock_hash, software, UNKNOWN
-from humanopts_teach.bags.sequence_numbers import LossCounter, MOST_STREAMS, Stamp
+from humanopts_teach.bags.sequence_numbers import LossCounter, MAX_STREAMS, Stamp
 from humanopts_teach.commands import CommandError
 from humanopts_teach.commands.options import LaunchOptions, size
 from humanopts_teach.commands.session import check_folder, setup_from
@@ -59,10 +59,10 @@ def test_the_first_look_is_not_late() -> None:
 
 def test_publishers_are_told_apart_as_long_as_memory_allows() -> None:
     losses = LossCounter()
-    for number in range(MOST_STREAMS + 5):
+    for number in range(MAX_STREAMS + 5):
         losses.add('/game_state', Stamp(f'/made_up#{number}', 2))
     losses.add('/game_state', Stamp('/made_up#0', 3))
-    assert (losses.missing, len(list(losses))) == (MOST_STREAMS, MOST_STREAMS)
+    assert (losses.missing, len(list(losses))) == (MAX_STREAMS, MAX_STREAMS)
 
 
 def test_the_software_is_named() -> None:

@@ -19,7 +19,7 @@ from humanopts_learner.demonstrations import (
 )
 from humanopts_learner.options.decision_tree import EncodedFeature, Tree, TreeError
 from humanopts_learner.options.option import LearnedOption, OptionError
-from humanopts_ros.limits import JsonError, MOST_JSON, parse_json
+from humanopts_ros.limits import JsonError, MAX_JSON, parse_json
 from humanopts_ros.text_files import fault_in, FileError, read_text
 from pydantic import BaseModel, ConfigDict, ValidationError
 
@@ -202,7 +202,7 @@ def load_option(path: Path) -> tuple[LearnedOption, list[Demonstration]]:
     :raises OptionFileError: it cannot be read, or is damaged.
     """
     try:
-        return option_from_json(read_text(path, MOST_JSON))
+        return option_from_json(read_text(path, MAX_JSON))
     except FileError as error:
         raise OptionFileError(str(error)) from error
     except OptionFileError as error:

@@ -1,11 +1,11 @@
-"""When messages arrived at the recorder, although somebody sets the time of day."""
+"""Arrival times of messages at the recorder, unaffected by changes of the system clock."""
 
 from humanopts_ros.workarounds import TimeOfDay
 
 
 class ArrivalTimes:
     """
-    Arrival times that begin at the time of day and run steadily from there, ns since the epoch.
+    Arrival times that start at the time of day and increase steadily, ns since the epoch.
 
     The middleware notes the time of day when a message arrives. That somebody set it is seen at
     the next look. What arrived between two looks arrived before it was set or after: of the two

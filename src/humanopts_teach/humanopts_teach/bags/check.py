@@ -1,4 +1,4 @@
-"""What of a bag is damaged or missing, and a whole bag with the rest."""
+"""Find what is damaged or missing in a bag, and write a new bag of the rest."""
 
 from collections import Counter
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from humanopts_teach.bags.reader import Bag
 from humanopts_teach.bags.rosbag2 import Extent, FILE, profiles
 from humanopts_teach.bags.sequence_numbers import MessageCounter, Stamp, Stream
 from humanopts_teach.bags.writer import BagWriter, RECORD, SELF
-from humanopts_teach.text_table import table_of
+from humanopts_teach.text_table import table
 
 RECORDER = '(recorder)'  # shown as publisher where only the recorder numbers messages
 UNNUMBERED = '(nobody)'  # shown where messages have no numbers, so loss cannot be counted
@@ -70,7 +70,7 @@ class Check:
         else:
             verdict = f'{self.path} is damaged or incomplete: {self.messages} messages were read'
         lines = *self.findings, *(f'not counted: {text}' for text in self.strangers)
-        numbers = table_of([stream.to_dict() for stream in self.streams])
+        numbers = table([stream.to_dict() for stream in self.streams])
         return '\n'.join([one_line(verdict), *(f'- {one_line(e)}' for e in lines), '', numbers])
 
 
@@ -116,17 +116,19 @@ def _compare(bag: Bag, counts: Counter[str], extent: Extent) -> None:
     if bag.recording or said is None:
         return
     if said.message_count != extent.messages:
-        bag.note(f'{FILE} tells of {said.message_count} messages, and {extent.messages} were read')
+        bag.note(f'{FILE} lists {said.message_count} messages; {extent.messages} were read')
         return  # so that the rest differs too, as in a recording that was not closed
-    told = {
+    listed = {
         each.topic_metadata.name: each.message_count for each in said.topics_with_message_count
     }
-    for name in sorted(told.keys() | counts.keys()):
-        if told.get(name, 0) not in (counts[name], indexed.get(name)):
-            bag.note(f'{name}: {FILE} tells of {told.get(name, 0)}, {counts[name]} were read')
+    for name in sorted(listed.keys() | counts.keys()):
+        if listed.get(name, 0) not in (counts[name], indexed.get(name)):
+            bag.note(
+                f'{name}: {FILE} lists {listed.get(name, 0)} messages; {counts[name]} were read'
+            )
     times = said.starting_time.nanoseconds_since_epoch, said.duration.nanoseconds
     if times != (extent.first, extent.duration):
-        bag.note(f'{FILE} tells of another beginning or duration than its messages')
+        bag.note(f'{FILE} states another start or duration than that of the messages')
 
 
 REPAIR = 'humanopts_repair'  # name of the MCAP metadata record that describes a repair

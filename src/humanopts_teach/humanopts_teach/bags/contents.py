@@ -1,4 +1,4 @@
-"""What was recorded of a study: its domain, demonstrations, episodes, and who acted in them."""
+"""The contents of a bag: its domain, demonstrations, episodes, and who acted in them."""
 
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field
@@ -31,7 +31,7 @@ def read_demonstrations(bag: Bag) -> list[Demonstration]:
     Return the demonstrations in a bag as they were published, repetitions included.
 
     One of another game is left out, and one of an unknown kind, which ``bag.damage`` notes.
-    ``check_demonstration`` tells whether the others can be used.
+    ``check_demonstration`` decides whether the others can be used.
 
     :raises BagError: the bag has no topic of demonstrations.
     """
@@ -48,7 +48,7 @@ def read_demonstrations(bag: Bag) -> list[Demonstration]:
 
 def of_the_game(bag: Bag) -> Callable[[Recorded, Demonstration], bool]:
     """
-    Return what tells whether a demonstration is of the game that was played, as learners ask.
+    Return a predicate: whether a demonstration is of the game that was played, as learners ask.
 
     One that is not is left out of everything that is read of the bag.
     """
@@ -206,7 +206,7 @@ def read_episodes(
     Yield the episodes of a bag when they are over, the last one of every game at the end.
 
     :param between: log times that are read, ns.
-    :param chosen: tells which episodes are decoded and yielded.
+    :param chosen: predicate of the episodes that are decoded and yielded.
     """
     for group in filter(chosen, group_episodes(bag, between)):
         if transitions := tuple(group.transitions(bag)):

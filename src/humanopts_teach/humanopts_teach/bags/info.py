@@ -31,7 +31,7 @@ from humanopts_teach.bags.reader import (
 )
 from humanopts_teach.bags.schemas import constants
 from humanopts_teach.bags.sequence_numbers import MessageCounter, read_stamp, Stream
-from humanopts_teach.text_table import table, table_of
+from humanopts_teach.text_table import table
 from mcap.records import AttachmentIndex
 
 _FACT_TEXTS = {
@@ -131,10 +131,13 @@ class BagInfo:
     def to_text(self) -> str:
         """Return the facts as text for a person."""
         facts = [
-            (name.replace('_', ' '), _FACT_TEXTS.get((name, value), value))
+            {'recorded with': name.replace('_', ' '), '': _FACT_TEXTS.get((name, value), value)}
             for name, value in sorted(self.facts.items())
         ]
-        attached = [(file.name, file.data_size, file.media_type) for file in self.attached]
+        attached = [
+            {'attached file': file.name, 'bytes': file.data_size, 'type': file.media_type}
+            for file in self.attached
+        ]
         options = [
             {
                 'participant': row.participant,
@@ -148,15 +151,18 @@ class BagInfo:
             }
             for row in self.options
         ]
-        topics = [(topic.name, topic.messages, topic.type) for topic in self.topics]
+        topics = [
+            {'topic': topic.name, 'messages': topic.messages, 'type': topic.type}
+            for topic in self.topics
+        ]
         parts = [
             self._head(),
-            table(('recorded with', ''), facts),
-            table(('attached file', 'bytes', 'type'), attached),
-            table_of(options),
-            table_of(self._criteria()),
+            table(facts),
+            table(attached),
+            table(options),
+            table(self._criteria()),
             self._events(),
-            table(('topic', 'messages', 'type'), topics),
+            table(topics),
             self._loss(),
         ]
         return '\n\n'.join(part for part in parts if part)
@@ -219,7 +225,7 @@ class BagInfo:
         if not odd:
             return f'missing: 0 messages (by the numbers in {len(self.streams)} streams)'
         odd.sort(key=lambda row: (row.missing, row.duplicates), reverse=True)
-        rows = table_of([stream.to_dict() for stream in odd[:_MAX_ROWS]])
+        rows = table([stream.to_dict() for stream in odd[:_MAX_ROWS]])
         more = f'\nand {len(odd) - _MAX_ROWS} streams more' if len(odd) > _MAX_ROWS else ''
         return f'missing: {self.missing} messages\n{rows}{more}'
 

@@ -70,7 +70,7 @@ class McapFile:
     :ivar counts: messages by channel id.
     :ivar loose: messages outside chunks, which some programs write.
     :ivar damage: what is wrong with the file, in words.
-    :ivar growing: it is being written, so a missing end is no damage.
+    :ivar growing: it is being written, so a missing end is not damage.
     """
 
     path: Path

@@ -1,4 +1,4 @@
-"""Opens rosbag2 directories and MCAP files, whole or damaged."""
+"""Open rosbag2 directories and MCAP files, whole or damaged."""
 
 from bisect import bisect_left
 from collections import Counter
@@ -28,7 +28,6 @@ from humanopts_teach.bags.mcap_file import (
 from humanopts_teach.bags.rosbag2 import (
     check_information,
     convert,
-    FILE,
     find_files,
     Information,
     Topic,
@@ -54,7 +53,7 @@ DEMONSTRATION = f'{INTERFACES}msg/Demonstration'
 DOMAIN_INFO = f'{INTERFACES}msg/DomainInfo'
 GAME_STATE = f'{INTERFACES}msg/GameState'
 LESSON_STATE = f'{INTERFACES}msg/LessonState'
-MOST_NOTES = 1000  # kinds of damage that are kept
+MAX_NOTES = 1000  # kinds of damage that are kept
 _UNDECODABLE = (*DAMAGE, IndexError, TypeError, AttributeError)  # what bytes of another type raise
 T = TypeVar('T')
 
@@ -88,7 +87,7 @@ class Bag:
     :ivar attachments: the attached files by name, of which ``attached`` has the contents.
     :ivar numbered: our recorder wrote the bag, which numbers the messages of a topic from 1.
     :ivar topics: the topics by name, sorted.
-    :ivar chosen: the namespace to read, where somebody has chosen one; empty: the bag's own.
+    :ivar chosen: the namespace that the caller chose; empty: the bag's own.
     """
 
     def __init__(
@@ -207,7 +206,7 @@ class Bag:
     @cached_property
     def game_ids(self) -> tuple[str, ...]:
         """
-        The publisher ids of the game, one after each start of it; none: the bag does not tell.
+        The publisher ids of the game, one after each start of it; none: not known.
 
         Our recorder keeps those of its graph. In other graphs, the game is the node that announced
         one and published most states.
@@ -370,18 +369,7 @@ class Bag:
 
     def decode(self, topic: str, data: bytes) -> Any:
         """Decode a message of a topic; None: its bytes are damaged, which ``damage`` then says."""
-        try:
-            if topic not in self._decoders:
-                entry = self.topics[topic]
-                self._decoders[topic] = make_decoder(entry.type, entry.schema)
-        except BagError as error:
-            self.note(f'a message on {topic} is left out: {error}')
-            return None
-        try:
-            return self._decoders[topic](data)
-        except _UNDECODABLE as error:
-            self.note(f'a message on {topic} is left out: it does not decode: {error}')
-            return None
+        return self.convert(topic, data, lambda message: message)
 
     def convert(self, topic: str, data: bytes, convert: Callable[[Any], T]) -> T | None:
         """
@@ -391,9 +379,16 @@ class Bag:
             recorded type lacks a field.
         :return: None: either was not possible, which ``damage`` then says.
         """
-        message = self.decode(topic, data)
         try:
-            return None if message is None else convert(message)
+            if topic not in self._decoders:
+                entry = self.topics[topic]
+                self._decoders[topic] = make_decoder(entry.type, entry.schema)
+            message = self._decoders[topic](data)
+        except _UNDECODABLE as error:
+            self.note(f'a message on {topic} is left out: it does not decode: {error}')
+            return None
+        try:
+            return convert(message)
         except (AttributeError, ValueError) as error:
             self.note(f'a message on {topic} is left out: {error}')
             return None
@@ -409,7 +404,7 @@ class Bag:
 
     def note(self, damage: str) -> None:
         """Keep a description of damage, once."""
-        self._damage[damage if len(self._damage) < MOST_NOTES else 'and more of the kind'] = None
+        self._damage[damage if len(self._damage) < MAX_NOTES else 'and more of the kind'] = None
 
     def _other_graphs(self) -> list[str]:
         """Say which graphs are in the bag and not read."""
@@ -423,14 +418,14 @@ class Bag:
         found: dict[tuple[str, str], list[tuple[str, int]]] = {}
         for (topic, why, sender), times in self._left_out.items():
             found.setdefault((topic, why), []).append((sender, len(times)))
-        told = []
+        texts = []
         for (topic, why), senders in found.items():
             count = sum(number for _, number in senders)
             names = ', '.join(sender or 'no node' for sender, _ in senders[:3])
             more = ', ...' if len(senders) > 3 else ''
             what = f'{count} message{"s"[: count > 1]} on {topic}'
-            told.append(f'{what}: from {names}{more}, {why}')
-        return told
+            texts.append(f'{what}: from {names}{more}, {why}')
+        return texts
 
     def _find_topics(self) -> dict[str, Topic]:
         """Return the topics of the files, sorted by name; note those of several types."""
@@ -462,16 +457,14 @@ class Bag:
         for file in self._files:
             if file.metadata.get(RECORD, facts) != facts:
                 self.note(f'{file.path.name} has other facts than the last file')
-        copies = {FILE: self.information}
         try:
             if text := self.metadata.get(SELF, {}).get(SELF_TEXT, ''):
-                copies[f'the record {SELF}'] = check_information(parse_yaml(text))
+                copy = check_information(parse_yaml(text)).custom_data
+                # Other programs leave the facts out, which loses nothing.
+                if copy and copy != facts:
+                    self.note(f'the records {SELF} and {RECORD} differ: one of them is damaged')
         except FileError:
             self.note(f'the record {SELF} is damaged')
-        for place, copy in copies.items():
-            # Other programs leave the facts out, which loses nothing.
-            if copy is not None and copy.custom_data and copy.custom_data != facts:
-                self.note(f'{place} and the record {RECORD} differ: one of them is damaged')
 
 
 def open_bag(

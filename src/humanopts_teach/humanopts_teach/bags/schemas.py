@@ -43,7 +43,7 @@ def find_schema(type_name: str) -> str:
     :param type_name: package/msg/Name, package/srv/Name_Event, package/action/Name_Feedback
         and so on.
     :raises SchemaError: one of the types is not below the folders of AMENT_PREFIX_PATH, the first
-        of which that has a file wins, or is no such name.
+        of which that has a file wins, or is not a type name.
     """
     paths = os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep)
     prefixes = tuple(Path(path) for path in paths if path)

@@ -66,8 +66,8 @@ def _align(offset: int, size: int) -> int:
     return offset + (_ORIGIN - offset) % size
 
 
-MOST_GAPS = 10_000
-MOST_STREAMS = 10_000  # that are told apart, whoever makes up their publishers' names
+MAX_GAPS = 10_000
+MAX_STREAMS = 10_000  # that are counted separately: publishers may be made up
 
 
 @dataclass
@@ -77,7 +77,7 @@ class Stream:
 
     Numbers begin at 1, so messages sent before the first that was received count as missing, too;
     not so of another graph, which may have begun before the recording.
-    Messages sent after the last cannot be known. The last ``MOST_GAPS`` gaps are kept: a message
+    Messages sent after the last cannot be known. The last ``MAX_GAPS`` gaps are kept: a message
     that fills an older gap counts as a repetition, so the number missing is never too low.
     """
 
@@ -97,8 +97,8 @@ class Stream:
         if sequence > self.last:
             if sequence > self.last + 1:
                 self._gaps.append((self.last + 1, sequence - 1))
-                if len(self._gaps) > 2 * MOST_GAPS:
-                    del self._gaps[:MOST_GAPS]
+                if len(self._gaps) > 2 * MAX_GAPS:
+                    del self._gaps[:MAX_GAPS]
             self.last = sequence
         elif self._fill(sequence):
             self.late += 1
@@ -144,7 +144,7 @@ class Stream:
 
 
 class LossCounter:
-    """Streams by topic and publisher; publishers beyond the first ``MOST_STREAMS`` have none."""
+    """Streams by topic and publisher; publishers beyond the first ``MAX_STREAMS`` have none."""
 
     def __init__(self) -> None:
         self._streams: dict[tuple[str, str], Stream] = {}
@@ -158,7 +158,7 @@ class LossCounter:
         """
         key = (topic, stamp.publisher_id)
         if key not in self._streams:
-            if len(self._streams) == MOST_STREAMS:
+            if len(self._streams) == MAX_STREAMS:
                 return
             self._streams[key] = Stream(*key, latched=latched, own=own)
         self._streams[key].add(stamp.sequence)

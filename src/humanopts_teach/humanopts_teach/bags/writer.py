@@ -63,7 +63,7 @@ class _File:
     A record that does not fit on the disk is removed, so that the file stays readable; after that
     nothing more is written. The file gets its name when its head is on the disk, so that no
     reader finds it empty. It is locked until it is closed, cannot grow any more, or its process
-    ends, however that happens: so ``is_being_written`` can tell.
+    ends for any reason; ``is_being_written`` tests that lock.
     """
 
     def __init__(self, path: Path, facts: Mapping[str, str]) -> None:

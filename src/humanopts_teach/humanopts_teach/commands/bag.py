@@ -89,7 +89,7 @@ def bag() -> None:
 
 @app.command()
 def info(bags: BagArguments, namespace: Namespace = '', json: Json = False) -> int:
-    """Show what bags hold, and what of it was lost."""
+    """Show what bags hold and what was lost."""
     from humanopts_teach.bags.info import summarise
     from humanopts_teach.bags.reader import open_bag
 
@@ -112,7 +112,7 @@ def check(
     ] = None,
     json: Json = False,
 ) -> int:
-    """Show what of a bag is damaged or missing; status 1: something is."""
+    """Show what is damaged or missing in a bag; status 1: something is."""
     from humanopts_teach.bags import BagWriteError
     from humanopts_teach.bags.check import check_bag
     from humanopts_teach.bags.check import repair as write_repaired
@@ -148,7 +148,7 @@ def evaluate(
             metavar='N',
             callback=several_games,
             show_default=False,
-            help='also compare plans with random play and a hand-written rule in so many games '
+            help='also compare plans with random play and a hand-written rule in N games '
             'each, where plans are made from samples; takes minutes; default: not',
         ),
     ] = 0,
@@ -332,9 +332,9 @@ def _json(values: Any) -> str:
 
 def _warn(command: str, bag: 'Bag | None', warnings: Sequence[str]) -> None:
     """Print what was assumed or left out; of one of several bags, with its path."""
-    whose = f'{bag.path}: ' if bag is not None else ''
+    prefix = f'{bag.path}: ' if bag is not None else ''
     for warning in warnings:
-        _print(one_line(f'humanopts bag {command}: {whose}{warning}'), sys.stderr)
+        _print(one_line(f'humanopts bag {command}: {prefix}{warning}'), sys.stderr)
 
 
 def _check_report(path: Path, bags: int) -> None:

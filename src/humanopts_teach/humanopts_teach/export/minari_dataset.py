@@ -101,7 +101,7 @@ def dataset_name(domain: Domain[Any], bag: Path) -> str:
     """
     Return the id of a bag's dataset, which no bag of another name has.
 
-    Minari takes letters, digits, - and _; a name with others is told apart by a digest.
+    Minari takes letters, digits, - and _; a name with others gets a digest.
     """
     place = bag.resolve()
     name = place.name.removesuffix('.mcap')

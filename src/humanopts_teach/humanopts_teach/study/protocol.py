@@ -13,7 +13,7 @@ import time
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 from humanopts_learner.append_only_log import AppendOnlyLog, read_lines
-from humanopts_ros.limits import MOST_JSON
+from humanopts_ros.limits import MAX_JSON
 from humanopts_ros.text_files import fault_in
 from humanopts_teach.study.plan import StudyPlan
 from pydantic import BaseModel, ConfigDict, Field, model_validator, ValidationError
@@ -84,7 +84,7 @@ class Protocol:
         :raises OSError: the file cannot be read.
         """
         self.path = folder / FILE
-        self.versions, self.problems = read_lines(self.path, _version_of, MOST_JSON)
+        self.versions, self.problems = read_lines(self.path, _version_of, MAX_JSON)
 
     @property
     def plan(self) -> StudyPlan | None:
