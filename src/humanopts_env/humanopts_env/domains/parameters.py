@@ -4,7 +4,7 @@ The parameters of a domain as people give them: read from text, and checked agai
 Types are those that the constructor declares: by its annotations, else by its defaults.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 import inspect
 import json
 from typing import Any, get_type_hints
@@ -14,6 +14,8 @@ from humanopts_ros.limits import JsonError, parse_json, shown
 
 MAX_PARAMETERS = 10**6  # characters of the JSON text of a domain's parameters
 _PYTHON = {'True': True, 'False': False, 'None': None}
+# What a value may be, by the type of the default; ``type`` is that of inspect's "no default".
+_OF_DEFAULT: dict[type, Any] = {int: float, tuple: list, type(None): Any, type: Any}
 _WORDS = {bool: 'true or false', int: 'a whole number', float: 'a number', str: 'a text'}
 
 
@@ -69,11 +71,9 @@ def check_parameters(
     hints = _hints(constructor)
     for key, value in given.items():
         _check_json(name, key, value)
-        default = (usual or {}).get(key, getattr(declared.get(key), 'default', None))
-        if key in hints:
-            _check_annotation(name, key, value, hints[key], default)
-        else:
-            _check_default(name, key, value, default)
+        default = type((usual or {}).get(key, getattr(declared.get(key), 'default', None)))
+        types = [hints[key]] if key in hints else []
+        _check_type(name, key, value, [*types, _OF_DEFAULT.get(default, default)])
 
 
 def _hints(constructor: Callable[..., Any]) -> dict[str, Any]:
@@ -93,44 +93,19 @@ def _check_json(name: str, key: str, value: Any) -> None:
         raise DomainError(f'the parameter {key} of {name} cannot be kept: {error}') from error
 
 
-def _check_annotation(name: str, key: str, value: Any, annotation: Any, default: Any) -> None:
+def _check_type(name: str, key: str, value: Any, types: Sequence[Any]) -> None:
+    """Refuse a value that is not of the first of some types that JSON can have."""
     from pydantic import PydanticUserError, TypeAdapter, ValidationError  # slow to import
 
-    try:
-        adapter = TypeAdapter(annotation)
-    except (PydanticUserError, TypeError, NameError):  # no type of JSON, such as an array
-        _check_default(name, key, value, default)
+    for kind in types:
+        try:
+            TypeAdapter(kind).validate_json(json.dumps(value), strict=True)
+        except (PydanticUserError, TypeError, NameError):  # no type of JSON, such as an array
+            continue
+        except ValidationError:
+            wanted = _WORDS.get(kind, f'of the type {inspect.formatannotation(kind)}')
+            text = shown(json.dumps(value, ensure_ascii=False), 60)
+            hint = f'; as a text it is written {key}=\'"{text}"\'' if kind is str else ''
+            said = f'{key} of {name} is {text}, and has to be {wanted}{hint}'
+            raise DomainError(said) from None
         return
-    try:
-        adapter.validate_json(json.dumps(value), strict=True)
-    except ValidationError:
-        kind = inspect.formatannotation(annotation)
-        wanted = _WORDS.get(annotation, f'of the type {kind}')
-        raise DomainError(_refusal(name, key, value, wanted, annotation)) from None
-
-
-def _check_default(name: str, key: str, value: Any, default: Any) -> None:
-    """Refuse a value whose type is not the default's; a number may be whole or not."""
-    if default is None or default is inspect.Parameter.empty:
-        return
-    numbers = (int, float)
-    if isinstance(default, bool):
-        fits = isinstance(value, bool)
-    elif isinstance(default, numbers):
-        fits = isinstance(value, numbers) and not isinstance(value, bool)
-    elif isinstance(default, list | tuple):
-        fits = isinstance(value, list | tuple)
-    elif isinstance(default, str | dict):
-        fits = isinstance(value, type(default))
-    else:
-        return
-    if not fits:
-        kind = float if type(default) is int else type(default)
-        wanted = _WORDS.get(kind, f'like {shown(json.dumps(default, default=str), 60)}')
-        raise DomainError(_refusal(name, key, value, wanted, kind))
-
-
-def _refusal(name: str, key: str, value: Any, wanted: str, kind: Any) -> str:
-    text = shown(json.dumps(value, ensure_ascii=False), 60)
-    hint = f'; as a text it is written {key}=\'"{text}"\'' if kind is str else ''
-    return f'{key} of {name} is {text}, and has to be {wanted}{hint}'
