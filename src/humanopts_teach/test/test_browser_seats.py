@@ -105,23 +105,6 @@ async def until(condition: Callable[[], bool]) -> None:
             await asyncio.sleep(0.001)
 
 
-def test_a_page_that_is_loaded_again_goes_on_where_it_was() -> None:
-    async def story(seats: Seats, games: Games) -> None:
-        before, after = Page(), Page()
-        seats.enter('anna', before)
-        await until(lambda: bool(games.open))
-        before.press(['a'], 1)
-        seats.leave('anna', before)
-        seats.enter('anna', after)
-        assert after.shown == ("['a'] on 1", 2)
-        after.press(['b'], 2)
-        assert after.shown == ("['b'] on 2", 3)
-        await asyncio.sleep(3 * LINGER)
-        assert (games.opened, len(games.open)) == (1, 1)
-
-    run(story, LINGER)
-
-
 def test_a_page_that_stays_closed_ends_its_game_and_frees_its_place() -> None:
     async def story(seats: Seats, games: Games) -> None:
         anna, again, ben = Page(), Page(), Page()

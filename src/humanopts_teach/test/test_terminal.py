@@ -226,15 +226,6 @@ def test_every_colour_can_be_read_on_black_and_on_white(name: str, style: str) -
     assert min(contrasts(parsed)) >= CONTRAST, name
 
 
-def test_no_colour_of_a_theme_is_used_in_the_terminal() -> None:
-    folder = Path(drawing.__file__).parent
-    named = re.compile(
-        r"'[a-z ]*\b(white|yellow|cyan|red|green|blue|magenta|bright_\w+)\b[a-z ]*'"
-    )
-    for file in folder.glob('*.py'):
-        assert not named.search(file.read_text()), file.name
-
-
 @pytest.mark.parametrize(('environment', 'colour'), [({}, True), ({'NO_COLOR': '1'}, False)])
 def test_no_color_is_honoured(environment: dict[str, str], colour: bool) -> None:
     known = {'TERM': 'xterm-256color', **environment}
