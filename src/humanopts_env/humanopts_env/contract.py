@@ -291,25 +291,24 @@ class DomainContract:
             board = board_of(domain, first, ())
             assert states.shape == (board.rows, board.cols)
             assert {tuple(cell) for cell in np.argwhere(states < 0).tolist()} == set(board.blocks)
-            walled = {
-                (cell, (cell[0] + (top == bottom), cell[1] + (left == right)))
-                for top, left, bottom, right in board.walls
-                for cell in np.ndindex(board.rows, board.cols)
-                if top - (top == bottom) <= cell[0] < max(bottom, top)
-                and left - (left == right) <= cell[1] < max(right, left)
+            walled = set()
+            for top, left, bottom, right in board.walls:
+                walled |= {((row, left - 1), (row, left)) for row in range(top, bottom)}
+                walled |= {((top - 1, col), (top, col)) for col in range(left, right)}
+            table, going_on = domain.transitions(), reachable(domain) & ~domain.over()
+            cell_of = {
+                int(s): cell for cell, s in np.ndenumerate(states) if s >= 0 and going_on[s]
             }
-            table, left = domain.transitions(), reachable(domain) & ~domain.over()
-            cells: dict[tuple[int, ...], int] = {c: int(s) for c, s in np.ndenumerate(states)}
-            for (row, col), state in cells.items():
-                for beside in ((row, col + 1), (row + 1, col)):
-                    pair = state, cells.get(beside, -1)
-                    if min(pair) < 0 or not left[[*pair]].all():
-                        continue
-                    leads = any(
-                        to in table.successor[here][table.probability[here] > 0]
-                        for here, to in (pair, pair[::-1])
-                    )
-                    assert (((row, col), beside) in walled) != leads, f'{(row, col)} to {beside}'
+            steps = {
+                (cell, cell_of.get(to))
+                for state, cell in cell_of.items()
+                for to in table.successor[state][table.probability[state] > 0].tolist()
+            }
+            for row, col in cell_of.values():
+                for beside in {(row, col + 1), (row + 1, col)} & set(cell_of.values()):
+                    pair = (row, col), beside
+                    leads = not steps.isdisjoint((pair, pair[::-1]))
+                    assert leads != (pair in walled), pair
 
     def test_many_games_are_the_same_game(self) -> None:
         """Features, end and step outcome of each game agree with those of its state."""
