@@ -1,6 +1,7 @@
 """A study as it is carried out: one participant after the other, condition by condition."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 import sys
 from typing import Any
@@ -55,6 +56,22 @@ _LEAST_SECONDS = 1.0  # that a part needs left to be taken up again
 _ERROR_RATE = 0.02  # share of a simulated participant's steps that are wrong
 
 
+@contextmanager
+def _refusal(what: str) -> Iterator[None]:
+    """
+    Refuse what a study refuses, or what its folder cannot do.
+
+    :param what: begins the text where the folder is at fault.
+    :raises CommandError: in place of the error.
+    """
+    try:
+        yield
+    except StudyError as error:
+        raise CommandError(str(error)) from error
+    except OSError as error:
+        raise CommandError(f'{what}{error.strerror}') from error
+
+
 @dataclass(frozen=True)
 class Turn:
     """What a participant does in one condition."""
@@ -87,16 +104,11 @@ class Study:
                 print(one_line(line), file=sys.stderr)
             if not accept:
                 raise CommandError(str(error)) from error
-            self._accept()
+            with _refusal('the change cannot be kept: '):
+                self.folder.accept(self.plan)
+            print('The changed plan is kept; participants who have begun keep theirs.')
         except (StudyError, OSError) as error:
             raise CommandError(str(error)) from error
-
-    def _accept(self) -> None:
-        try:
-            self.folder.accept(self.plan)
-        except (StudyError, OSError) as error:
-            raise CommandError(f'the change cannot be kept: {error}') from error
-        print('The changed plan is kept; who has begun goes on with the one of that time.')
 
     def plan_of(self, participant: Record) -> StudyPlan:
         """
@@ -104,49 +116,41 @@ class Study:
 
         :raises CommandError: it cannot be read.
         """
-        try:
+        with _refusal(f'cannot read the plan of {participant.code}: '):
             return self.folder.plan_of(self.plan, participant)
-        except OSError as error:
-            raise CommandError(f'cannot read the plan of {participant.code}: {error}') from error
 
     def run(self, code: str) -> int:
         """Take a person through all conditions that are left, in this terminal."""
         with place(self.namespace):
             self.warn()
-            return self._run(self.enter(self.settled(code)))
-
-    def _run(self, participant: Record) -> int:
-        while (turn := self.next_turn(participant)) is not None:
-            ended, status = run_in_terminal(turn.setup, self.namespace)
-            if left := self.farewell(participant, turn):
-                print(left)
-                return ended.end() or status
-        print(self.finish(participant))
+            participant = self.enter(self.settled(code))
+            while (turn := self.next_turn(participant)) is not None:
+                ended, status = run_in_terminal(turn.setup, self.namespace)
+                if left := self.farewell(participant, turn):
+                    print(left)
+                    return ended.end() or status
+            print(self.finish(participant))
         return 0
 
     def simulate(self, code: str) -> None:
         """Let a simulated teacher take part, whose other answers are drawn by the seed."""
         with place(self.namespace):
-            self._simulate(self.enter(code, simulated=True))
+            participant = self.enter(code, simulated=True)
+            while (turn := self.next_turn(participant, simulated=True)) is not None:
+                print(f'{code}: {turn.condition.name}', flush=True)
+                with session(turn.setup, self.namespace) as running:
 
-    def _simulate(self, participant: Record) -> None:
-        code = participant.code
-        while (turn := self.next_turn(participant, simulated=True)) is not None:
-            print(f'{code}: {turn.condition.name}', flush=True)
-            with session(turn.setup, self.namespace) as running:
+                    def teach(running: Session = running) -> list[OptionSummary]:
+                        wait_until_taught(running)
+                        return [summary_from_message(each) for _, each in running.graph.learned()]
 
-                def teach(running: Session = running) -> list[OptionSummary]:
-                    wait_until_taught(running)
-                    return [summary_from_message(each) for _, each in running.graph.learned()]
-
-                record = published_record(running.graph, participant.path, code)
-                running.graph.wait(
-                    running.graph.is_recorded_whole, NEWS_SECONDS, f'{TOPIC} to be recorded'
-                )
-                for part in turn.left:
-                    seed = self.plan_of(participant).seed
-                    simulated_part(part, record, seed, participant.number, teach)
-        self.finish(participant)
+                    record = published_record(running.graph, participant.path, code)
+                    recorded = running.graph.is_recorded_whole
+                    running.graph.wait(recorded, NEWS_SECONDS, f'{TOPIC} to be recorded')
+                    for part in turn.left:
+                        seed = self.plan_of(participant).seed
+                        simulated_part(part, record, seed, participant.number, teach)
+            self.finish(participant)
 
     def settled(self, code: str) -> str:
         """
@@ -170,12 +174,8 @@ class Study:
 
         :raises CommandError: nobody can with this code, or the folder cannot be written.
         """
-        try:
+        with _refusal(f'cannot write in {self.folder.path}: '):
             return self.folder.enter(self.plan, code, simulated=simulated)
-        except StudyError as error:
-            raise CommandError(str(error)) from error
-        except OSError as error:
-            raise CommandError(f'cannot write in {self.folder.path}: {error}') from error
 
     def next_turn(self, participant: Record, *, simulated: bool = False) -> Turn | None:
         """
@@ -185,7 +185,13 @@ class Study:
         """
         plan = self.plan_of(participant)
         turns = plan.turns_of(participant.number)
-        record = self._close_spent(participant, [part for _, parts in turns for part in parts])
+        record = self._record(participant)
+        for part in record.left_of([part for _, parts in turns for part in parts]):
+            spent = record.seconds_in(part.key)
+            if part.minutes and spent > max(0.0, 60 * part.minutes - _LEAST_SECONDS):
+                where = {'part': part.key, 'condition': part.condition}
+                self._note(participant, PartEnded, kind=part.kind, why=TIME, **where)
+        record = self._record(participant)
         for condition, parts in turns:
             if left := record.left_of(parts):
                 setup = self._setup(plan, participant, condition, None if simulated else left)
@@ -216,26 +222,12 @@ class Study:
         return f'{participant.code} has finished; everything is in {self.folder.path}'
 
     def _record(self, participant: Record) -> Record:
-        try:
+        with _refusal(f'cannot read {participant.path}: '):
             return participant.read()
-        except OSError as error:
-            raise CommandError(f'cannot read {participant.path}: {error.strerror}') from error
-
-    def _close_spent(self, participant: Record, parts: Sequence[Part]) -> Record:
-        """Note the end of parts that were left when hardly any of their time was left."""
-        record = self._record(participant)
-        for part in record.left_of(parts):
-            spent = record.seconds_in(part.key)
-            if part.minutes and spent > max(0.0, 60 * part.minutes - _LEAST_SECONDS):
-                where = {'part': part.key, 'condition': part.condition}
-                self._note(participant, PartEnded, kind=part.kind, why=TIME, **where)
-        return self._record(participant)
 
     def _note(self, participant: Record, kind: type[Event], /, **values: Any) -> None:
-        try:
+        with _refusal(f'cannot write {participant.path}: '):
             OpenRecord(participant.path).note(kind, **values)
-        except OSError as error:
-            raise CommandError(f'cannot write {participant.path}: {error.strerror}') from error
 
     def _setup(
         self,
