@@ -13,6 +13,21 @@ class CommandError(Exception):
     """Bad input: the command ends with status 2 and this one line."""
 
 
+@contextmanager
+def refusing(*kinds: type[Exception], what: str = '') -> Iterator[None]:
+    """
+    Turn errors of some kinds into bad input.
+
+    :param what: begins the text; of an OSError its cause follows.
+    :raises CommandError: in place of the error.
+    """
+    try:
+        yield
+    except kinds as error:
+        cause = error.strerror if isinstance(error, OSError) else None
+        raise CommandError(f'{what}{cause or error}') from error
+
+
 def agreed(question: str) -> bool:
     """Ask a question at this terminal; return whether the answer is yes."""
     print(f'{question} [y/N] ', end='', flush=True)

@@ -22,7 +22,7 @@ from humanopts_ros.limits import one_line
 from humanopts_teach.bags import BagError
 from humanopts_teach.bags.info import TopicRow
 from humanopts_teach.bags.reader import open_bag
-from humanopts_teach.commands import CommandError
+from humanopts_teach.commands import refusing
 from humanopts_teach.commands.options import LaunchOptions
 from humanopts_teach.commands.progress import DemoProgress
 from humanopts_teach.commands.session import (
@@ -118,13 +118,11 @@ def run_demo(
         from humanopts_teach.report.write import write_evaluation_report
 
         page = setup.directory / 'report.html'
-        try:
+        with refusing(SummaryError):
             restarts = [asdict(end) for end in running.launcher.ends]
             found = {**summary(live, evaluation, holds), 'ended_nodes': restarts}
             write_json(setup.directory / 'summary.json', found)
             topics = write_evaluation_report(page, evaluation, bag, live).topics
-        except SummaryError as error:
-            raise CommandError(str(error)) from error
     _print_results(live, evaluation)
     print(f'the bag holds {bag.n_messages} messages on {len(bag.topics)} topics')
     print(f'report: {page}')
@@ -136,14 +134,10 @@ def run_demo(
 
 def _demo_domain(name: str, launch: LaunchOptions, game_steps: int) -> Domain[Any]:
     """Return the domain; refuse it if the demo cannot plan in it."""
-    try:
+    with refusing(DomainError):
         domain = make_domain(name, dict(launch.parameter))
-    except DomainError as error:
-        raise CommandError(str(error)) from error
-    try:
+    with refusing(PlanError):
         PlanRequest(PRIMITIVE, game_steps=game_steps).in_force(domain, ())
-    except PlanError as error:
-        raise CommandError(str(error)) from error
     return domain
 
 

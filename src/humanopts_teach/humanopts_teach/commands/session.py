@@ -21,7 +21,7 @@ from humanopts_ros.limits import printable
 from humanopts_ros.middleware import check_settings
 from humanopts_ros.recording import Selection
 from humanopts_teach.bags.writer import parts
-from humanopts_teach.commands import CommandError, Interrupts, noticed_interrupts
+from humanopts_teach.commands import CommandError, Interrupts, noticed_interrupts, refusing
 from humanopts_teach.commands.options import LaunchOptions
 from humanopts_teach.commands.output import unfailing_output
 from humanopts_teach.launching import LaunchError, USUAL
@@ -63,12 +63,9 @@ def setup_from(
     parameters = dict(launch.parameter)
     usual = Thresholds()
     given = {name: getattr(launch, name) for name in asdict(usual)}
-    try:
-        game = make_domain(domain, parameters)
-        check_method(launch.learn, game)
+    with refusing(ValueError):
+        check_method(launch.learn, make_domain(domain, parameters))
         thresholds = replace(usual, **{n: v for n, v in given.items() if v is not None})
-    except ValueError as error:
-        raise CommandError(str(error)) from error
     if own.get('record', True):
         own['recording'] = _recording(launch, evaluated)
     if launch.step_period is not None:
@@ -86,10 +83,8 @@ def setup_from(
         budget=launch.budget,
         thresholds=thresholds,
     )
-    try:
+    with refusing(UnknownNodeError, what='--only: '):
         processes(setup)
-    except UnknownNodeError as error:
-        raise CommandError(f'--only: {error}') from error
     return setup
 
 
@@ -217,10 +212,8 @@ class Session:
 
 def taught_options(domain: Domain[Any]) -> tuple[str, ...]:
     """Return what the simulated teacher teaches: all that it knows, or what the domain says."""
-    try:
+    with refusing(DomainError):
         known = tuple(reference_options(domain))
-    except DomainError as error:
-        raise CommandError(str(error)) from error
     if not known:
         raise CommandError(
             f'{domain.name} has no reference options, which the simulated teacher needs; '
@@ -253,28 +246,23 @@ def check_folder(setup: Setup, *, new: bool = False) -> None:
     folder = setup.directory
     try:
         str(folder).encode()  # parameters and the bag name it
+    except UnicodeEncodeError:
+        raise CommandError(f'{folder} is not in UTF-8; choose another --out') from None
+    with refusing(OSError, what=f'cannot write in {folder}: '):
         if new and folder.is_dir() and any(folder.iterdir()):
             raise CommandError(f'{folder} is not empty; choose another --out')
         if setup.record and setup.bag.exists():
             raise CommandError(f'{setup.bag} exists already; choose another folder')
-        _try_writing(folder)
-    except UnicodeEncodeError:
-        raise CommandError(f'{folder} is not in UTF-8; choose another --out') from None
-    except OSError as error:
-        raise CommandError(f'cannot write in {folder}: {error.strerror}') from error
-
-
-def _try_writing(folder: Path) -> None:
-    made = [path for path in (folder, *folder.parents) if not path.exists()]
-    folder.mkdir(parents=True, exist_ok=True)
-    try:
-        with tempfile.TemporaryFile(dir=folder) as probe:
-            probe.write(bytes(4096))
-            probe.flush()
-    finally:
-        with suppress(OSError):  # another process put a file there
-            for path in made:  # a launch that is refused leaves nothing
-                path.rmdir()
+        made = [path for path in (folder, *folder.parents) if not path.exists()]
+        folder.mkdir(parents=True, exist_ok=True)
+        try:
+            with tempfile.TemporaryFile(dir=folder) as probe:
+                probe.write(bytes(4096))
+                probe.flush()
+        finally:
+            with suppress(OSError):  # another process put a file there
+                for path in made:  # a launch that is refused leaves nothing
+                    path.rmdir()
 
 
 def print_line(line: str) -> None:

@@ -9,7 +9,7 @@ from typing import Annotated, Any, TYPE_CHECKING
 
 from humanopts_ros.limits import one_line, printable
 from humanopts_teach.bags import BagError
-from humanopts_teach.commands import CommandError
+from humanopts_teach.commands import CommandError, refusing
 from humanopts_teach.commands.options import ExcelOption, PageOptions, PLAIN, whole, with_options
 from humanopts_teach.launching.job import stand_in_front
 import typer
@@ -150,10 +150,8 @@ def _open(path: Path, folder: Path | None) -> 'tuple[StudyPlan, StudyFolder]':
     from humanopts_teach.study.plan import PlanFileError, read_plan
     from humanopts_teach.study.record import StudyFolder
 
-    try:
+    with refusing(PlanFileError, what=f'{path}: '):
         plan = read_plan(path)
-    except PlanFileError as error:
-        raise CommandError(f'{path}: {error}') from error
     return plan, StudyFolder(folder or Path('runs') / plan.study)
 
 
@@ -171,17 +169,12 @@ def _kept(
     from humanopts_teach.study.protocol import Protocol
     from humanopts_teach.study.record import StudyFolder
 
-    try:
+    with refusing(PlanFileError, what=f'{path}: '):
         there = StudyFolder(folder or Path('runs') / read_name(path))
+    with refusing(OSError, what='cannot read what is kept of the plan: '):
         protocol = Protocol(there.path)
-    except PlanFileError as error:
-        raise CommandError(f'{path}: {error}') from error
-    except OSError as error:
-        raise CommandError(f'cannot read what is kept of the plan: {error.strerror}') from error
-    try:
+    with refusing(OSError, what=f'cannot read {there.path}: '):
         missing = there.missing_plan(protocol)
-    except OSError as error:
-        raise CommandError(f'cannot read {there.path}: {error.strerror}') from error
     _warn(command, [*protocol.problems, *filter(None, [missing])])
     if protocol.plan is None:
         return (*_open(path, there.path), protocol)
@@ -221,7 +214,7 @@ def _export(folder: 'StudyFolder', out: Path, *, excel: bool = False) -> None:
     table_1 = table_text(count_named(named_options(bags), {}))
     records, problems = folder.records()
     _warn('export', problems)
-    try:
+    with refusing(OSError, what=f'cannot write in {out}: '):
         out.mkdir(parents=True, exist_ok=True)
         for name, table in tables(records).items():
             (out / name).write_bytes(csv_of(table).encode(EXCEL if excel else 'utf-8'))
@@ -233,8 +226,6 @@ def _export(folder: 'StudyFolder', out: Path, *, excel: bool = False) -> None:
         (out / 'protocol.json').write_text(f'{json.dumps(kept, indent=1)}\n', encoding='utf-8')
         print(out / 'protocol.json')
         (out / 'table1.txt').write_text(f'{table_1}\n', encoding='utf-8')
-    except OSError as error:
-        raise CommandError(f'cannot write in {out}: {error.strerror}') from error
     print(printable(f'{out / "table1.txt"}\n\n{table_1}'))
 
 

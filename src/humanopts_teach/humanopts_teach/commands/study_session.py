@@ -1,7 +1,6 @@
 """A study as it is carried out: one participant after the other, condition by condition."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 import sys
 from typing import Any
@@ -11,7 +10,7 @@ from humanopts_env.seeding import generator
 from humanopts_learner.ros.convert import summary_from_message
 from humanopts_learner.summary import OptionSummary
 from humanopts_ros.limits import one_line
-from humanopts_teach.commands import agreed, CommandError
+from humanopts_teach.commands import agreed, CommandError, refusing
 from humanopts_teach.commands.options import LaunchOptions
 from humanopts_teach.commands.session import (
     new_name,
@@ -56,22 +55,6 @@ _LEAST_SECONDS = 1.0  # that a part needs left to be taken up again
 _ERROR_RATE = 0.02  # share of a simulated participant's steps that are wrong
 
 
-@contextmanager
-def _refusal(what: str) -> Iterator[None]:
-    """
-    Refuse what a study refuses, or what its folder cannot do.
-
-    :param what: begins the text where the folder is at fault.
-    :raises CommandError: in place of the error.
-    """
-    try:
-        yield
-    except StudyError as error:
-        raise CommandError(str(error)) from error
-    except OSError as error:
-        raise CommandError(f'{what}{error.strerror}') from error
-
-
 @dataclass(frozen=True)
 class Turn:
     """What a participant does in one condition."""
@@ -98,16 +81,17 @@ class Study:
             read or written.
         """
         try:
-            self.folder.check(self.plan)
+            with refusing(OSError):
+                self.folder.check(self.plan)
         except ChangedPlanError as error:
             for line in error.diff:
                 print(one_line(line), file=sys.stderr)
             if not accept:
                 raise CommandError(str(error)) from error
-            with _refusal('the change cannot be kept: '):
+            with refusing(StudyError), refusing(OSError, what='the change cannot be kept: '):
                 self.folder.accept(self.plan)
             print('The changed plan is kept; participants who have begun keep theirs.')
-        except (StudyError, OSError) as error:
+        except StudyError as error:
             raise CommandError(str(error)) from error
 
     def plan_of(self, participant: Record) -> StudyPlan:
@@ -116,7 +100,10 @@ class Study:
 
         :raises CommandError: it cannot be read.
         """
-        with _refusal(f'cannot read the plan of {participant.code}: '):
+        with (
+            refusing(StudyError),
+            refusing(OSError, what=f'cannot read the plan of {participant.code}: '),
+        ):
             return self.folder.plan_of(self.plan, participant)
 
     def run(self, code: str) -> int:
@@ -174,7 +161,7 @@ class Study:
 
         :raises CommandError: nobody can with this code, or the folder cannot be written.
         """
-        with _refusal(f'cannot write in {self.folder.path}: '):
+        with refusing(StudyError), refusing(OSError, what=f'cannot write in {self.folder.path}: '):
             return self.folder.enter(self.plan, code, simulated=simulated)
 
     def next_turn(self, participant: Record, *, simulated: bool = False) -> Turn | None:
@@ -222,11 +209,11 @@ class Study:
         return f'{participant.code} has finished; everything is in {self.folder.path}'
 
     def _record(self, participant: Record) -> Record:
-        with _refusal(f'cannot read {participant.path}: '):
+        with refusing(StudyError), refusing(OSError, what=f'cannot read {participant.path}: '):
             return participant.read()
 
     def _note(self, participant: Record, kind: type[Event], /, **values: Any) -> None:
-        with _refusal(f'cannot write {participant.path}: '):
+        with refusing(StudyError), refusing(OSError, what=f'cannot write {participant.path}: '):
             OpenRecord(participant.path).note(kind, **values)
 
     def _setup(
