@@ -12,7 +12,6 @@ from humanopts_teach.bags.schemas import find_schema
 from humanopts_teach.bags.writer import BagWriter
 from humanopts_teach.ros.raw_subscriber import load_type
 from mcap.reader import make_reader
-from mcap_ros2._vendor.rosidl_adapter.parser import InvalidResourceName
 from mcap_ros2.decoder import DecoderFactory
 import numpy as np
 import pytest
@@ -165,33 +164,6 @@ def test_foxglove_decodes_every_type_that_has_more_than_constants(
     assert set(decoded) == set(samples) - refused
     assert wrong(samples, decoded) == []
     assert {line['trailing'] for name, line in found.items() if name not in refused} <= PADDING
-
-
-def test_mcap_ros2_takes_char_to_be_signed_and_refuses_only_names_with_underscores(
-    bag: Path, samples: Samples
-) -> None:
-    found, refused = {}, set()
-    with (bag / 'bag_0.mcap').open('rb') as stream:
-        for schema, _, message in make_reader(stream).iter_messages():
-            assert schema is not None
-            try:
-                decoder = DecoderFactory().decoder_for('cdr', schema)
-                assert decoder is not None
-                found[schema.name] = decoder(message.data)
-            except InvalidResourceName:
-                refused.add(schema.name)
-    assert set(found) | refused == set(samples)
-    assert misread(wrong(samples, found)) == {'client_gid', 'data'}
-    assert not any('/msg/' in name for name in refused)
-    with_underscores = {name for name in samples if '_' in name.rpartition('/')[2]}
-    parts_of_services = {n for n in with_underscores if '/srv/' in n and not n.endswith('_Event')}
-    assert refused == with_underscores - parts_of_services
-    ours = {name.removeprefix(OURS) for name in refused if name.startswith(OURS)}
-    assert {name.partition('_')[2] for name in ours} == {
-        'Event',
-        'FeedbackMessage',
-        *(f'{call}_{part}' for call in CALLS for part in ('Request', 'Response', 'Event')),
-    }
 
 
 def test_constants_and_defaults_of_every_kind_hinder_no_reader(

@@ -21,7 +21,6 @@ from humanopts_teach.cli import main
 from hypothesis import given, HealthCheck, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
-from mcap.writer import Writer
 import pytest
 from rclpy.serialization import serialize_message
 from rosbags.rosbag2 import Reader
@@ -104,21 +103,16 @@ def in_json(bag: Path, command: str, capsys: pytest.CaptureFixture[str]) -> tupl
     return status, json.loads(capsys.readouterr().out)
 
 
-@pytest.mark.parametrize('limits', [NO_LIMITS, Limits(seconds=0.03)])
 def test_a_recording_that_still_runs_is_no_damage_and_what_is_missing_in_it_is(
-    tmp_path: Path, limits: Limits, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     bag = tmp_path / 'bag'
-    with write_states(bag, 57, limits=limits) as writer:
+    with write_states(bag, 57, limits=Limits(seconds=0.03)) as writer:
         recorded = open_bag(bag).n_messages  # the rest is in a chunk that is not yet written
         assert 0 < recorded < 57
         assert main(['bag', 'check', str(bag)]) == 0
         verdict = f'{bag} is being recorded: {recorded} messages so far, none missing\n\n'
         assert capsys.readouterr().out.startswith(verdict)
-        status, found = in_json(bag, 'check', capsys)
-        assert (status, found['recording'], found['findings']) == (0, True, [])
-        status, found = in_json(bag, 'info', capsys)
-        assert (status, found['recording'], found['damage']) == (0, True, [])
         assert main(['bag', 'info', str(bag)]) == 0
         shown = capsys.readouterr().out
         assert 'DAMAGED' not in shown
@@ -250,26 +244,6 @@ def test_a_repaired_bag_is_whole_for_other_tools_and_counts_what_it_lacks(
     assert 'damaged and left out' in out.metadata[REPAIR]['damage']
     repair(out, tmp_path / 'again')
     assert numbers(tmp_path / 'again') == missing
-
-
-def test_a_whole_bag_of_another_recorder_is_whole(bag: Path) -> None:
-    name = 'bag_0.mcap'
-    information = yaml.safe_load((bag / 'metadata.yaml').read_text())
-    information['rosbag2_bagfile_information']['custom_data'] = None  # as ros2 bag writes it
-    (bag / 'metadata.yaml').write_text(yaml.safe_dump(information))
-    old = (bag / name).rename(bag.parent / name)
-    with old.open('rb') as source, (bag / name).open('wb') as stream:
-        reader, writer = make_reader(source), Writer(stream)
-        writer.start('ros2', 'another')
-        for schema, channel, message in reader.iter_messages():
-            assert schema is not None
-            kind = writer.register_schema(schema.name, schema.encoding, schema.data)
-            to = writer.register_channel(channel.topic, 'cdr', kind)
-            writer.add_message(to, message.log_time, message.data, message.publish_time)
-        told = yaml.safe_dump(information['rosbag2_bagfile_information'])
-        writer.add_metadata('rosbag2', {'serialized_metadata': told})
-        writer.finish()
-    assert check_bag(open_bag(bag)).findings == ()
 
 
 def test_a_repair_writes_only_where_nothing_is(

@@ -16,7 +16,7 @@ from humanopts_teach.bags import BagError, BagWriteError, SchemaError
 from humanopts_teach.bags.check import check_bag
 from humanopts_teach.bags.info import summarise
 from humanopts_teach.bags.reader import open_bag
-from humanopts_teach.bags.schemas import constants, field_lines, find_schema, SEPARATOR
+from humanopts_teach.bags.schemas import find_schema
 from humanopts_teach.bags.writer import BagWriter, Limits
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
@@ -276,25 +276,6 @@ def test_a_bag_goes_on_in_another_file_and_nothing_is_lost(tmp_path: Path, limit
     assert steps(tmp_path / 'bag') == list(range(100))
 
 
-def test_each_file_of_a_bag_is_whole_by_itself_and_described(tmp_path: Path) -> None:
-    write_states(tmp_path / 'bag', 100, limits=THIRTY).close()
-    told = information(tmp_path / 'bag')
-    assert (told['message_count'], told['duration']['nanoseconds']) == (100, 99_000_000)
-    assert told['relative_file_paths'] == [f'bag_{number}.mcap' for number in range(4)]
-    found: list[int] = []
-    for number, described in enumerate(told['files']):
-        file = tmp_path / 'bag' / f'bag_{number}.mcap'
-        alone = open_bag(file)
-        assert alone.damage == ''
-        assert alone.metadata['humanopts'] == {'seed': '7'}
-        here = [recorded.message.step for recorded in alone.messages()]
-        assert described['message_count'] == alone.n_messages == len(here)
-        assert described['starting_time']['nanoseconds_since_epoch'] == START + here[0] * 10**6
-        assert described['duration']['nanoseconds'] == (here[-1] - here[0]) * 10**6
-        found += here
-    assert found == list(range(100))
-
-
 def test_a_topic_is_in_the_files_that_have_its_messages(tmp_path: Path) -> None:
     with BagWriter(tmp_path / 'bag', limits=Limits(seconds=1.0)) as writer:
         for topic in ('/a', '/b', '/silent'):
@@ -348,22 +329,6 @@ def test_a_schema_holds_every_dependency_once() -> None:
         'service_msgs/ServiceEventInfo',
         'std_msgs/Header',
     ]
-
-
-def test_constants_defaults_and_comments_are_kept(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    folder = tmp_path / 'share' / 'some_msgs' / 'msg'
-    folder.mkdir(parents=True)
-    text = '# A thing.\nuint8 KIND_A=1 # first\nint32 LOW = -2\nuint8 kind 1\nPart[] parts\n'
-    (folder / 'Thing.msg').write_text(text)
-    (folder / 'Part.msg').write_text('string<=5 name "x"')
-    monkeypatch.setenv('AMENT_PREFIX_PATH', str(tmp_path))
-    schema = find_schema('some_msgs/msg/Thing')
-    assert schema == f'{text}{SEPARATOR}\nMSG: some_msgs/Part\nstring<=5 name "x"\n'
-    assert constants(schema, 'KIND_') == {1: 'A'}
-    assert constants(schema, '') == {1: 'KIND_A', -2: 'LOW'}
-    assert field_lines(schema) == [('uint8', 'kind'), ('Part[]', 'parts')]
 
 
 @pytest.mark.parametrize(

@@ -3,12 +3,7 @@
 from collections.abc import Callable
 import os
 from pathlib import Path
-import re
-import shlex
-import shutil
 import struct
-import subprocess
-import sys
 import tracemalloc
 from typing import Any
 
@@ -23,7 +18,6 @@ from humanopts_teach.bags.contents import find_episodes, read_episodes
 from humanopts_teach.bags.info import summarise
 from humanopts_teach.bags.reader import Bag, open_bag
 from humanopts_teach.bags.writer import BagWriter
-import pexpect
 import pytest
 from rclpy.serialization import serialize_message
 
@@ -32,16 +26,6 @@ pytestmark = pytest.mark.heavy
 MESSAGES = 'humanopts_interfaces/msg/'
 VALUES = 8192  # numbers in a large message, 64 KiB
 STEPS = 20  # of an episode
-LARGE = 1_050_000_000  # bytes
-MOST = 500  # MiB, of a command that reads such a bag
-MEASURE = """
-import os, sys
-from humanopts_teach.cli import main
-from humanopts_teach.launching.usage import usage_of
-
-status = main(['bag', *sys.argv[1:]])
-print(usage_of(os.getpid()).peak // 2**20, status, file=sys.stderr)
-"""
 
 
 class Lesson:
@@ -189,46 +173,3 @@ def test_every_pass_tells_how_far_it_is_a_scan_too(
             assert len(done) < 5 or done[0] < 0.1 * told[0][1]
             assert done[-1] > 0.8 * told[0][1]
         told.clear()
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(1800)
-def test_a_bag_of_1_gb_takes_less_than_500_mb(
-    tmp_path: Path, taxi: Domain[Any], taxi_lesson: list[Demonstration]
-) -> None:
-    whole, cut = tmp_path / 'bag', tmp_path / 'cut'
-    Lesson(whole, taxi).write(taxi_lesson, LARGE, 3000)
-    assert (whole / 'bag_0.mcap').stat().st_size >= 1_000_000_000
-    tables, repaired, report = (str(tmp_path / name) for name in ('tables', 'out', 'report.html'))
-    measure(['info', str(whole)])
-    measure(['check', str(whole)])
-    measure(['eval', str(whole), '--html', report])
-    measure(['play', str(whole), '--episode', '3000'])
-    measure(['export', str(whole), '--to', 'csv', '--out', tables])
-    shutil.move(whole, cut)
-    os.truncate(cut / 'bag_0.mcap', LARGE - 30_000_000)
-    measure(['check', str(cut), '--repair', repaired], status=1)
-    measure(['info', str(cut)])
-    assert len(shares(['info', str(cut)])) > 5
-
-
-def measure(arguments: list[str], status: int = 0) -> None:
-    """Run a command, which is to take little memory."""
-    done = subprocess.run(
-        [sys.executable, '-c', MEASURE, *arguments],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        text=True,
-        timeout=600,
-        check=False,
-    )
-    memory, found = done.stderr.split()[-2:]
-    assert int(found) == status, done.stderr
-    assert int(memory) < MOST, arguments[0]
-
-
-def shares(arguments: list[str]) -> set[str]:
-    """Return the percentages that a command shows in a terminal."""
-    command = [sys.executable, '-m', 'humanopts_teach', 'bag', *arguments]
-    shown = pexpect.run(shlex.join(command), timeout=600, env={**os.environ, 'TERM': 'xterm'})
-    return set(re.findall(r'\d+%', shown.decode()))
