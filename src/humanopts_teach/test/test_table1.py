@@ -14,15 +14,16 @@ from humanopts_ros.limits import one_line
 from humanopts_ros.text_files import FileError
 from humanopts_teach.bags.reader import open_bag
 from humanopts_teach.cli import main
+from humanopts_teach.evaluation import tables
 from humanopts_teach.evaluation.table1 import (
-    ButtonRow,
     count_named,
     MergeError,
+    NAMED,
     named_options,
-    NamedOption,
     read_merge,
     TABLE_1,
 )
+from humanopts_teach.evaluation.tables import records, rows_of
 from hypothesis import given, HealthCheck, settings
 from hypothesis import strategies as st
 import pytest
@@ -116,9 +117,8 @@ def test_people_are_counted_once_beside_the_paper(
     assert [row['paper'] for row in taxi['rows']] == [*TABLE_1['taxi'].values(), None]
     assert taxi['rows'][0]['wordings'] == [PICKUP, 'Fetch him', 'get the guy']
     limits = binomtest(2, 4).proportion_ci(method='wilson')
-    assert taxi['rows'][0]['share'] == pytest.approx(
-        {'mean': 0.5, 'low': limits.low, 'high': limits.high}
-    )
+    share = [taxi['rows'][0][name] for name in ('share', 'share_low', 'share_high')]
+    assert share == pytest.approx([0.5, limits.low, limits.high])
     assert {row['option']: row['people'] for row in pacman['rows']} == {
         **dict.fromkeys(TABLE_1['pacman'], 0),
         'avoid ghost': 1,
@@ -131,30 +131,35 @@ def test_people_are_counted_once_beside_the_paper(
     assert [line[-15:] for line in lines if line.startswith('wave')] == ['say Hello, Wave']
 
 
+def named_by(*names: tuple[str, str], domain: str = 'taxi') -> Any:
+    """Return what people named and taught in a domain."""
+    rows = [dict(zip(NAMED, (domain, who, name, True))) for who, name in names]
+    return tables.table(NAMED, rows)
+
+
 def test_without_a_merge_file_only_case_and_spaces_are_the_same(tmp_path: Path) -> None:
-    named = [
-        NamedOption('taxi', who, name, taught=True)
-        for who, name in (
+    named = named_by(
+        *(
             ('a', 'Go  to Passenger'),
             ('b', 'fetch'),
             ('c', 'Fetch '),
             ('c', 'fetch'),
         )
-    ]
+    )
     (table,) = count_named(named, {})
-    rows = {row.option: row.people for row in table.rows if row.people}
+    rows = {row.option: row.people for row in rows_of(table.rows) if row.people}
     assert rows == {'go to passenger': 1, 'fetch': 2}
     (tmp_path / 'merge').write_text('Go to PASSENGER: [fetch]')
     (capitals,) = count_named(named, read_merge(tmp_path / 'merge'))
-    assert {row.option: row.people for row in capitals.rows if row.people} == {
+    assert {row.option: row.people for row in rows_of(capitals.rows) if row.people} == {
         'go to passenger': 3
     }
 
 
 def test_a_domain_that_the_paper_lacks_has_no_column_of_it() -> None:
-    (table,) = count_named([NamedOption('rooms', 'a', 'leave', taught=False)], {})
-    assert [(row.option, row.people, row.paper) for row in table.rows] == [('leave', 1, None)]
-    assert isinstance(table.rows[0], ButtonRow)
+    (table,) = count_named(named_by(('a', 'leave'), domain='rooms'), {})
+    (row,) = records(table.rows)
+    assert (row['option'], row['people'], row['paper']) == ('leave', 1, None)
 
 
 _TEXT = st.text(max_size=12) | st.sampled_from(['fetch', 'No', '&a x', '*a', '<<', '!!int 1'])
@@ -216,7 +221,8 @@ def test_a_merge_file_that_is_not_there_and_a_bag_of_no_domain_are_refused(
 
 def test_what_is_taken_back_is_named_and_not_taught(bags: list[str], taxi: Domain[Any]) -> None:
     found = {
-        (each.participant, each.name): each.taught for each in named_options([open_bag(bags[0])])
+        (row.participant, row.name): row.taught
+        for row in rows_of(named_options([open_bag(bags[0])]))
     }
     assert found[('ben', 'Fetch him')] is False
     assert found[('anna', PICKUP)] is True

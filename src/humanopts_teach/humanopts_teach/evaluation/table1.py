@@ -6,23 +6,26 @@ was counted. In a study, people are asked so too; in a lesson, they name what th
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 import json
 import math
 from pathlib import Path
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
 from humanopts_learner.demonstrations import Kind
 from humanopts_learner.intervals import Interval
 from humanopts_ros.limits import caseless, composed, one_line, shown
 from humanopts_ros.text_files import read_yaml
+from humanopts_teach import text_table
 from humanopts_teach.bags import BagError
 from humanopts_teach.bags.contents import domains_played, read_demonstrations
 from humanopts_teach.bags.reader import Bag, DEMONSTRATION, LESSON_STATE
-from humanopts_teach.evaluation.tables import finite_parts
+from humanopts_teach.evaluation.tables import Column, records, rows_of, table
 from humanopts_teach.study.events import ButtonSuggested, Event, event_of, last_attempts
-from humanopts_teach.text_table import aligned
 import numpy as np
+
+if TYPE_CHECKING:
+    import pandas as pd  # slow to import
 
 STUDY_EVENT = 'humanopts_interfaces/msg/StudyEvent'
 TABLE_1 = {  # share of the participants of a domain who gave a button, section 4
@@ -40,6 +43,24 @@ TABLE_1 = {  # share of the participants of a domain who gave a button, section 
         'go to the nearest power pellet': 1.0,
         'eat the ghost': 0.4,
     },
+}
+
+
+NAMED = {  # a row for each name of each person
+    'domain': Column('object', 'name of the domain'),
+    'participant': Column('object', 'code of the person'),
+    'name': Column('object', "in the person's words; empty: none, the person was there"),
+    'taught': Column('bool', 'whether it was demonstrated'),
+}
+BUTTONS = {  # a row for each option of a domain
+    'option': Column('object', 'name'),
+    'people': Column('int64', 'who named it'),
+    'share': Column('float64', 'of the people of the domain'),
+    'share_low': Column('float64', "Wilson's 95 % interval"),
+    'share_high': Column('float64', "Wilson's 95 % interval"),
+    'taught': Column('int64', 'people who demonstrated it'),
+    'paper': Column('float64', 'share in the paper'),
+    'wordings': Column('object', 'that people used'),
 }
 
 
@@ -84,19 +105,9 @@ def read_merge(path: Path) -> dict[str, str]:
     return canonical
 
 
-@dataclass(frozen=True)
-class NamedOption:
-    """An option that somebody named in a lesson, or a button that was suggested in a study."""
-
-    domain: str
-    participant: str
-    name: str  # in the person's words; empty: none, the person was there
-    taught: bool  # it was demonstrated
-
-
-def named_options(bags: Sequence[Bag]) -> list[NamedOption]:
+def named_options(bags: Sequence[Bag]) -> 'pd.DataFrame':
     """
-    Return what people named in bags, and who was there.
+    Return what people named in bags, and who was there; columns ``NAMED``.
 
     Of a part of a study that was left and begun again, which may be in another bag, the buttons of
     the last attempt count.
@@ -125,7 +136,8 @@ def named_options(bags: Sequence[Bag]) -> list[NamedOption]:
         for event in last_attempts(sorted(events, key=lambda event: event.time)):
             if isinstance(event, ButtonSuggested):
                 found.setdefault((domain, participant, event.text), False)
-    return [NamedOption(*key, taught) for key, taught in found.items()]
+    rows = [dict(zip(NAMED, (*key, taught))) for key, taught in found.items()]
+    return table(NAMED, rows)
 
 
 def domain_of(bag: Bag) -> str:
@@ -141,91 +153,79 @@ def domain_of(bag: Bag) -> str:
 
 
 @dataclass(frozen=True)
-class ButtonRow:
-    """One row of the table."""
-
-    option: str
-    people: int  # who named it
-    share: Interval  # of the people of the domain, Wilson's interval
-    taught: int  # people who demonstrated it
-    paper: float | None  # share in the paper; None: nobody named it there
-    wordings: tuple[str, ...]  # those that people used
-
-
-@dataclass(frozen=True)
 class ButtonTable:
-    """The options that the people of one domain named."""
+    """The options that the people of one domain named; columns ``BUTTONS``."""
 
     domain: str
-    people: tuple[str, ...]
-    rows: tuple[ButtonRow, ...]  # the paper's in its order, then the others, most named first
+    people: list[str]
+    rows: 'pd.DataFrame'  # the paper's in its order, then the others, most named first
 
     def to_dict(self) -> dict[str, Any]:
         """Return the table as JSON data; null: the paper has no such row, or nobody was there."""
-        rows = [{**asdict(row), 'share': finite_parts(row.share)} for row in self.rows]
-        return {'domain': self.domain, 'people': list(self.people), 'rows': rows}
+        return {'domain': self.domain, 'people': self.people, 'rows': records(self.rows)}
 
 
-def count_named(named: Sequence[NamedOption], canonical: Mapping[str, str]) -> list[ButtonTable]:
+def count_named(named: 'pd.DataFrame', canonical: Mapping[str, str]) -> list[ButtonTable]:
     """
     Count how many people named each option; a person counts once, in however many bags.
 
+    :param named: columns ``NAMED``.
     :param canonical: of ``read_merge``; other names are the same where they differ in case and
         spaces only, and the paper's are written as there.
     :return: a table for each domain, in order of appearance.
     """
-    return [
-        _table(domain, [each for each in named if each.domain == domain], canonical)
-        for domain in dict.fromkeys(each.domain for each in named)
-    ]
-
-
-def _table(domain: str, named: Sequence[NamedOption], canonical: Mapping[str, str]) -> ButtonTable:
-    paper = TABLE_1.get(domain, {})
-    names = {_plain(name): name for name in paper}
-    names = {**names, **{w: names.get(_plain(name), name) for w, name in canonical.items()}}
-    people = sorted({each.participant for each in named})
-    by_option: dict[str, list[NamedOption]] = {name: [] for name in paper}
-    for each in named:
-        if each.name:
-            name = names.setdefault(_plain(each.name), each.name)
-            by_option.setdefault(name, []).append(each)
-    rows = []
-    for name, found in by_option.items():
-        who = {each.participant for each in found}
-        share = Interval.of_share(np.arange(len(people)) < len(who))
-        taught = {each.participant for each in found if each.taught}
-        wordings = tuple(dict.fromkeys(each.name for each in found))
-        rows.append(ButtonRow(name, len(who), share, len(taught), paper.get(name), wordings))
-    rows.sort(key=lambda row: (row.paper is None, -row.people if row.paper is None else 0))
-    return ButtonTable(domain, tuple(people), tuple(rows))
+    tables = []
+    for domain, mine in named.groupby('domain', sort=False):
+        paper = TABLE_1.get(str(domain), {})
+        names = {_plain(name): name for name in paper}
+        names = {**names, **{w: names.get(_plain(name), name) for w, name in canonical.items()}}
+        people, given = sorted(mine['participant'].unique()), mine[mine['name'] != '']
+        option = np.array([names.setdefault(_plain(name), name) for name in given['name']])
+        rows = []
+        for name in dict.fromkeys([*paper, *option]):
+            found = given[option == name]
+            count = found['participant'].nunique()
+            share = Interval.of_share(np.arange(len(people)) < count)
+            rows.append(
+                {
+                    'option': name,
+                    'people': count,
+                    'share': share.mean,
+                    'share_low': share.low,
+                    'share_high': share.high,
+                    'taught': found['participant'][found['taught']].nunique(),
+                    'paper': paper.get(name),
+                    'wordings': list(found['name'].unique()),
+                }
+            )
+        rows.sort(key=lambda row: (row['option'] not in paper) * (len(people) + 1 - row['people']))
+        tables.append(ButtonTable(str(domain), people, table(BUTTONS, rows)))
+    return tables
 
 
 def table_text(tables: Sequence[ButtonTable]) -> str:
     """Return the tables as text for a person."""
     parts = []
     for found in tables:
-        count = len(found.people)
         who = ', '.join(found.people) or 'nobody'
-        head = ('option', 'people', 'share', '95 % interval', 'paper', 'taught', 'other wordings')
         rows = [
-            [
-                *(row.option, f'{row.people} of {count}'),
-                *(_percent(row.share.mean), _range(row.share), _percent(row.paper)),
-                str(row.taught),
-                ', '.join(each for each in row.wordings if each != row.option),
-            ]
-            for row in found.rows
+            {
+                'option': row.option,
+                'people': f'{row.people} of {len(found.people)}',
+                'share': _percent(row.share),
+                '95 % interval': '-'
+                if math.isnan(row.share_low)
+                else f'{row.share_low:.0%} to {row.share_high:.0%}',
+                'paper': _percent(row.paper),
+                'taught': row.taught,
+                'other wordings': ', '.join(x for x in row.wordings if x != row.option),
+            }
+            for row in rows_of(found.rows)
         ]
-        right = [False, True, True, True, True, True, False]
-        lines = [f'{found.domain}: {who}', '', *aligned([head, *rows], right)]
-        parts.append('\n'.join(map(one_line, lines)))
+        heading = one_line(f'{found.domain}: {who}')
+        parts.append(f'{heading}\n\n{text_table.table(rows, ["option", "other wordings"])}')
     return '\n\n\n'.join(parts)
 
 
-def _percent(share: float | None) -> str:
-    return '-' if share is None or math.isnan(share) else f'{share:.0%}'
-
-
-def _range(share: Interval) -> str:
-    return '-' if math.isnan(share.low) else f'{share.low:.0%} to {share.high:.0%}'
+def _percent(share: float) -> str:
+    return '-' if math.isnan(share) else f'{share:.0%}'

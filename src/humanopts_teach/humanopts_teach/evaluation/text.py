@@ -11,7 +11,7 @@ from humanopts_ros.limits import one_line
 from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, OptionEvaluation
 from humanopts_teach.evaluation.games import GamesEvaluation
 from humanopts_teach.evaluation.tables import rows_of, SECONDS
-from humanopts_teach.text_table import aligned
+from humanopts_teach.text_table import table
 
 if TYPE_CHECKING:
     import pandas as pd  # slow to import
@@ -45,7 +45,7 @@ def evaluation_text(evaluation: BagEvaluation) -> str:
         lines += ['', *_option(option)]
     if evaluation.plans:
         rows = [_plan(*row) for row in evaluation.plan_table.iterrows()]
-        lines += ['', 'plans', *table(PLAN_HEAD, rows)]
+        lines += ['', 'plans', numbers(PLAN_HEAD, rows)]
         lines += [
             f'{name} uses options that do not meet the criteria: {", ".join(unready)}'
             for name, plan in evaluation.plans.items()
@@ -54,7 +54,7 @@ def evaluation_text(evaluation: BagEvaluation) -> str:
     for person, games in evaluation.games.items():
         by = f' with the options of {person}' if len(evaluation.games) > 1 else ''
         lines += ['', f'{games.rows["games"].max()} games each{by}', *games_text(games)]
-    return '\n'.join(map(one_line, lines))
+    return '\n'.join(one_line(line) for text in lines for line in text.splitlines() or [''])
 
 
 def return_limit(limits: Thresholds) -> str:
@@ -86,7 +86,7 @@ def games_text(games: GamesEvaluation) -> list[str]:
             ]
             for row in rows_of(rows)
         ]
-        lines += ['', *table(head, cells)]
+        lines += ['', numbers(head, cells)]
         lines += [
             f'{row.name} less {row.less}, game by game: {interval(row.mean, row.low, row.high, 0)}'
             for row in rows_of(games.gains)
@@ -101,10 +101,9 @@ def interval(mean: float, low: float, high: float, digits: int) -> str:
     return f'{texts[0]} [{texts[1]}, {texts[2]}]'
 
 
-def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    """Return lines with the columns aligned, the first to the left and the others to the right."""
-    rule = ['-' * max(map(len, column)) for column in zip(head, *rows)]
-    return aligned([head, rule, *rows], [column > 0 for column in range(len(head))])
+def numbers(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Return a table, all but its first column to the right."""
+    return table([dict(zip(head, row)) for row in rows], head[:1])
 
 
 def number(value: float | None, digits: int = 4) -> str:
@@ -149,7 +148,7 @@ def _option(option: OptionEvaluation) -> list[str]:
     if summary.more_needed > 0:
         low, high = likely_range(summary.more_needed)
         lines.append(f'perhaps {low} to {high} more demonstrations are needed')
-    return [*lines, *table(CURVE_HEAD, rows)]
+    return [*lines, numbers(CURVE_HEAD, rows)]
 
 
 def _unmet(criterion: Criterion) -> str:

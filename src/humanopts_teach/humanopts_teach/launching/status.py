@@ -7,7 +7,7 @@ import re
 from typing import Any
 
 from humanopts_ros.limits import one_line, shown
-from humanopts_teach.text_table import aligned
+from humanopts_teach.text_table import table
 
 NO_GRAPH = 2  # exit status: there is nothing in this ROS_DOMAIN_ID and namespace
 LITTLE_DISK = 10**9  # bytes left on the disk of the recording below which that is a fault
@@ -134,9 +134,8 @@ class GraphReport:
             place = f'ROS_DOMAIN_ID {self.domain_id}, namespace {self.namespace}'
             return f'no node of humanopts is in {place}'
         heads = ('node', 'state', 'answers', 'restarts', 'process', 'memory', 'threads', 'says')
-        rows = [heads, *map(_row, self.nodes)]
-        lines = aligned(rows, [False] * len(heads))
-        lines.append('')
+        rows = [dict(zip(heads, _row(node))) for node in self.nodes]
+        lines = [*table(rows, heads).splitlines(), '']
         if self.steps_per_second is not None:
             lines.append(
                 f'{self.game}: episode {self.episode}, step {self.step}, '
