@@ -293,14 +293,12 @@ def plan_from_samples(
     :return: rows of plans, and of the curve (one for each budget).
     """
     budgets, rows = effort.budgets(variant), []
-    columns = baselines_of(domain).primitive_columns if variant.action_set == PRIMITIVE else ()
     numbers = [0] * len(budgets) + list(range(1, plans))
     for budget, number in zip([*budgets, *[budgets[-1]] * (plans - 1)], numbers):
         request = PlanRequest(
             variant.action_set,
             game_steps=budget,
             seed=_seed_for(seed, 'plan', number),
-            columns=columns,
             execution=variant.execution,
         )
         plan = make_sampled_plan(domain, options, request, clock=people.CLOCK)

@@ -4,6 +4,8 @@ Capabilities that a domain may have beside its rules; the learner and the teachi
 A domain has a capability by having the method or attribute; nothing is registered.
 
 - ``HasBoard``: it says what is where on its board, so that it can be drawn.
+- ``HasPlanningFeatures``: its games have features for planning alone.
+- ``HasPrimitiveColumns``: it names what plans with primitive actions see of its features.
 - ``HasSearchSpace``: it defines where subgoals of automatic options are searched for.
 - ``HasTeachingDefaults``: it names the options to teach.
 - ``HasBaselines``: it names the baselines of plans, and the variants of the game to compare in.
@@ -69,6 +71,13 @@ class HasPlanningFeatures(Protocol):
 
 
 @runtime_checkable
+class HasPrimitiveColumns(Protocol):
+    """A domain that names the columns of abstract states for plans with primitive actions."""
+
+    primitive_columns: Sequence[str]  # features with bins, as in ``PlanRequest.columns``
+
+
+@runtime_checkable
 class HasSearchSpace(Protocol):
     """
     A domain that defines where subgoals are searched for.
@@ -116,7 +125,6 @@ class Baselines:
     variants: Mapping[str, Mapping[str, Parameter]] = field(default_factory=dict)
     """Changed parameters of each variant of the game to compare in, by the variant's name."""
     paper_options: tuple[str, ...] = ()  # names, for a plan with these options alone
-    primitive_columns: tuple[str, ...] = ()  # of abstract states, for primitive actions
     heuristic: Heuristic | None = None
 
 

@@ -205,7 +205,7 @@ def every_baseline(
         found.insert(0, Baseline(f'human, {len(papers)} options', PLAN, papers, human))
     stopped = PlanRequest(HUMAN, game_steps=FOLD * steps, execution=Arbitration.INTERRUPTED)
     found.append(Baseline(f'human, {count}, interrupted, {FOLD}-fold steps', PLAN, moved, stopped))
-    primitive = PlanRequest(PRIMITIVE, game_steps=steps, columns=usual.primitive_columns)
+    primitive = PlanRequest(PRIMITIVE, game_steps=steps)
     found.append(Baseline(PRIMITIVE, PLAN, (), primitive))
     found.append(Baseline(f'random choice, {count}', RANDOM, moved))
     return found if usual.heuristic is None else [*found, Baseline(RULE_NAME, RULE)]

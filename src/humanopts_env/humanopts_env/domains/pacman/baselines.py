@@ -31,11 +31,6 @@ if TYPE_CHECKING:
 TOO_NEAR = 3  # steps to a dangerous ghost at which the hand-written rule flees
 
 
-PRIMITIVE_COLUMNS = (  # of abstract states for primitive actions: what is near enough to matter
-    *('legal_moves', 'food_direction', 'food_distance:2,3,5,9'),
-    *('danger_direction', 'danger_distance:2,3,4,5,7'),
-    *('prey_direction', 'prey_distance:3,6,13', 'pill_direction', 'pill_distance:3,9'),
-)
 PAPER_OPTIONS = (CLOSEST_FOOD, AVOID_GHOST, NEAREST_PILL)  # of Subramanian et al., section 7
 
 
@@ -44,7 +39,6 @@ def pacman_baselines(domain: 'PacMan') -> Baselines:
     return Baselines(
         variants={f'ghosts={rule}': {'ghosts': rule} for rule in GHOST_RULES},
         paper_options=PAPER_OPTIONS,
-        primitive_columns=PRIMITIVE_COLUMNS,
         heuristic=partial(play_heuristic, domain),
     )
 

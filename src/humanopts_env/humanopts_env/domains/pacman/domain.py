@@ -59,6 +59,11 @@ MOST_LIVES, MOST_STEPS = 9, 1_000_000
 # The options that the participants of the paper taught (section 7), and one more.
 DEMO_OPTIONS = (CLOSEST_FOOD, AVOID_GHOST, NEAREST_PILL, EAT_GHOST)
 DEMO_OPTIONS_WITH_FRUIT = (*DEMO_OPTIONS, TO_FRUIT)
+PRIMITIVE_COLUMNS = (  # for plans with primitive actions: what is near enough to matter
+    *('legal_moves', 'food_direction', 'food_distance:2,3,5,9'),
+    *('danger_direction', 'danger_distance:2,3,4,5,7'),
+    *('prey_direction', 'prey_distance:3,6,13', 'pill_direction', 'pill_distance:3,9'),
+)
 MEALS = {'food': 'food', 'power pill': 'a power pill', 'fruit': 'the fruit', 'ghost': 'a ghost'}
 
 
@@ -131,6 +136,7 @@ class PacMan(Domain[PacManState]):
         self.gamma = 0.97
         self.max_steps = max_steps
         self.explanation = EXPLANATION
+        self.primitive_columns = PRIMITIVE_COLUMNS if features == ALL else ()
         all_fruit = len(self.rules.maze.food) > max(FRUIT_AFTER)  # else it is there too seldom
         self.teaching = TeachingDefaults(DEMO_OPTIONS_WITH_FRUIT if all_fruit else DEMO_OPTIONS)
 

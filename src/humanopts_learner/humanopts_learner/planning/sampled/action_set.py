@@ -12,6 +12,7 @@ from typing import Any
 
 from humanopts_env.arrays import Flags, Ints, Rows
 from humanopts_env.domains.base import Domain
+from humanopts_env.domains.capabilities import HasPrimitiveColumns
 from humanopts_env.games import Games, games_at
 from humanopts_learner.demonstrations import PRIMITIVE_PREFIX
 from humanopts_learner.options.lookup import decisions
@@ -113,7 +114,8 @@ class ActionSet:
         Set up an action set.
 
         :param options: ignored in the set ``primitive``.
-        :param columns: feature columns of abstract states, as of ``Abstraction``.
+        :param columns: feature columns of abstract states, as of ``Abstraction``; none: the
+            usual ones.
         :raises PlanError: a column is wrong.
         """
         self.options = () if action_set == PRIMITIVE else tuple(options)
@@ -121,6 +123,8 @@ class ActionSet:
         counts = tuple(len(feature.values) for feature in domain.features)
         self._decide = [decisions(option, counts) for option in self.options]
         self.domain = domain
+        if action_set == PRIMITIVE and isinstance(domain, HasPrimitiveColumns):
+            columns = columns or domain.primitive_columns
         self._abstraction = Abstraction(domain, columns)
         self.names = (
             *(option.name for option in self.options),
