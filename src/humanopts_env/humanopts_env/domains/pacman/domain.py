@@ -133,7 +133,7 @@ class PacMan(Domain[PacManState]):
         self.actions: Sequence[Action] = tuple(
             Action(name, key, f'go one cell {name}') for name, key in zip(MOVES, KEYS)
         )
-        self.gamma = 0.97
+        self.gamma = 0.985  # longer in sight than 0.97, with which plans score less
         self.max_steps = max_steps
         self.explanation = EXPLANATION
         self.primitive_columns = PRIMITIVE_COLUMNS if features == ALL else ()
