@@ -33,7 +33,7 @@ from humanopts_learner.planning.request import (
 from humanopts_learner.planning.sampled.action_set import ActionSet
 from humanopts_learner.planning.sampled.plan import make_sampled_plan, play_games
 from humanopts_learner.planning.sampled.policies import UniformPolicy
-from humanopts_teach.evaluation.games import baselines_of, carried_over
+from humanopts_teach.evaluation.games import carried_over
 from humanopts_teach.evaluation.tables import finite, SECONDS
 import numpy as np
 from numpy.typing import NDArray

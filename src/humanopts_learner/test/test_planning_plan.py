@@ -324,7 +324,7 @@ def test_defaults_fit_the_models() -> None:
     """Exact models need no game steps, and sampled ones no tolerance finer than themselves."""
     asked = PlanRequest('primitive')
     assert asked.in_force(ROOMS, []) == PlanRequest('primitive', 0.9, 1e-8, 10_000, 0)
-    assert asked.in_force(YARD, []) == PlanRequest('primitive', 0.97, 1e-3, 10_000, 800_000)
+    assert asked.in_force(YARD, []) == PlanRequest('primitive', 0.985, 1e-3, 10_000, 800_000)
     own = PlanRequest('primitive', 0.5, 0.1, 7, 500, 9)
     assert own.in_force(YARD, []) == own
     assert own.in_force(ROOMS, []) == replace(own, game_steps=0)
