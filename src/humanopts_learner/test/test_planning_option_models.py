@@ -5,8 +5,6 @@ from humanopts_learner.options.option import TabularOption
 from humanopts_learner.planning.option_models import (
     deterministic_model,
     model_option,
-    OptionModel,
-    SparseOptionModel,
     stochastic_model,
 )
 from humanopts_learner.planning.request import PlanError
@@ -94,17 +92,15 @@ def test_models_equal_runs_taken_step_by_step(
     action = rng.integers(0, n_actions, n_states)
     starts |= not some
     found = deterministic_model(rules, over, gamma, option(action, termination, max_steps), starts)
-    assert set(np.flatnonzero(starts)) <= set(found.states)
-    for row, state in enumerate(found.states):
-        if not starts[state]:
-            continue
+    dense = found.successor.toarray()
+    assert len(dense) == starts.sum()
+    for row, state in enumerate(np.flatnonzero(starts)):
         reward, successor, discount, reached = run_by_steps(
             rules, over, gamma, action, termination, max_steps, int(state)
         )
-        assert found.successor[row] == successor
+        assert dense[row] == pytest.approx(discount * np.eye(n_states)[successor], abs=1e-12)
         assert found.cut_off[row] != reached
         assert found.reward[row] == pytest.approx(reward, abs=1e-10)
-        assert found.discount[row] == pytest.approx(discount, abs=1e-12)
 
 
 @pytest.mark.parametrize('max_steps', [1, 2, 3, 4, 5, 31, 32, 33, 63, 64, 65])
@@ -114,8 +110,8 @@ def test_a_run_is_cut_off_at_max_steps_where_it_is(max_steps: int) -> None:
     action = np.zeros(100, dtype=np.intp)
     walk = option(action, termination, max_steps)
     found = deterministic_model(rules, never, 0.9, walk, ~never)
-    assert found.successor[0] == min(max_steps, 64)
-    assert found.discount[0] == pytest.approx(0.9 ** min(max_steps, 64))
+    steps = min(max_steps, 64)
+    assert found.successor[[0], [steps]] == pytest.approx(0.9**steps)
     assert found.cut_off[0] == (max_steps < 64)
 
 
@@ -124,8 +120,8 @@ def test_a_circle_is_not_valued_as_if_it_reached_its_end() -> None:
     walk = option(np.zeros(3, dtype=np.intp), never, max_steps=7)
     found = deterministic_model(rules, never, 0.9, walk, ~never)
     assert found.cut_off.all()
-    assert found.successor.tolist() == [1, 2, 0]  # 7 steps of 3
-    assert found.discount == pytest.approx(0.9**7)
+    assert found.successor.indices.tolist() == [1, 2, 0]  # 7 steps of 3
+    assert found.successor.data == pytest.approx(0.9**7)
 
 
 def dense_model(
@@ -177,11 +173,10 @@ def test_models_equal_those_of_dense_algebra(
     starts |= not some
     found = stochastic_model(rules, over, gamma, option(action, termination, max_steps), starts)
     reward, successor, running = dense_model(rules, termination | over, gamma, action, max_steps)
-    assert set(np.flatnonzero(starts)) <= set(found.states)
     scale = 1 + np.abs(reward).max()
-    assert found.reward / scale == pytest.approx(reward[found.states] / scale, abs=1e-10)
-    assert found.successor.toarray() == pytest.approx(successor[found.states], abs=1e-10)
-    assert found.cut_off_probability == pytest.approx(running[found.states], abs=1e-10)
+    assert found.reward / scale == pytest.approx(reward[starts] / scale, abs=1e-10)
+    assert found.successor.toarray() == pytest.approx(successor[starts], abs=1e-10)
+    assert (found.cut_off == (running[starts] > 1e-14)).all()
     assert (found.successor.data > 0).all()
 
 
@@ -202,17 +197,10 @@ def test_throwing_until_heads_is_cut_off_at_max_steps(max_steps: int, cut_off: f
     found = stochastic_model(coin(), never, 1.0, throw, ~never)
     assert found.reward[0] == pytest.approx(-2 * (1 - 0.5**max_steps))
     assert found.successor.toarray()[0] == pytest.approx([cut_off, 1 - cut_off])
-    assert found.cut_off_probability[0] == pytest.approx(cut_off)
+    assert found.cut_off[0] == (cut_off > 0)
 
 
 def test_options_of_no_steps_are_refused() -> None:
     never = np.zeros(3, dtype=np.bool_)
     with pytest.raises(PlanError, match='max_steps is 0'):
         model_option(chain(3), never, 0.9, option(np.zeros(3, np.intp), never, 0), ~never)
-
-
-def test_each_domain_gets_the_model_that_fits() -> None:
-    never = np.zeros(2, dtype=np.bool_)
-    asked = never, 0.9, option(np.zeros(2, np.intp), never, 1), ~never
-    assert isinstance(model_option(chain(2), *asked), OptionModel)
-    assert isinstance(model_option(coin(), *asked), SparseOptionModel)

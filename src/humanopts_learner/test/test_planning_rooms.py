@@ -10,7 +10,7 @@ from humanopts_learner.planning.evaluate import episode_starts, play_plan
 from humanopts_learner.planning.exact import build_model, ExactPlan
 from humanopts_learner.planning.plan import make_plan
 from humanopts_learner.planning.request import PlanRequest
-from humanopts_learner.planning.smdp import SparseMultiTimeModel
+from humanopts_learner.planning.smdp import MultiTimeModel
 from humanopts_learner.planning.value_iteration import sweep_table, value_history
 import numpy as np
 from numpy.typing import NDArray
@@ -33,12 +33,12 @@ def plan(action_set: str, goal: str = 'G1') -> ExactPlan:
 
 
 @cache
-def model(action_set: str, goal: str = 'G1') -> SparseMultiTimeModel:
+def model(action_set: str, goal: str = 'G1') -> MultiTimeModel:
     """Return the model of an action set."""
     domain = Rooms(goal)
     tabled = [tabulate(option, domain) for option in hallway_options(domain)]
     found = build_model(domain, action_set, tabled, domain.gamma)
-    assert isinstance(found, SparseMultiTimeModel)
+    assert isinstance(found, MultiTimeModel)
     return found
 
 

@@ -130,7 +130,6 @@ def test_what_cannot_be_chosen_makes_no_state_known() -> None:
     expected = [[False, False], [False, True], [True, False]]
     assert model.available[[one, two, three]].tolist() == expected
     assert model.rows.toarray()[3 + two, three] == pytest.approx(0.9)
-    assert model.first(1).names == ('a',)
 
 
 @pytest.mark.parametrize('count', [0, 1, 3, 5000])

@@ -11,7 +11,7 @@ from humanopts_env.arrays import Flags
 from humanopts_env.domains.base import Domain, EnumerableDomain
 from humanopts_learner.demonstrations import PRIMITIVE_PREFIX
 from humanopts_learner.options.option import LearnedOption, OptionTable, TabularOption, tabulate
-from humanopts_learner.planning.option_models import model_option, OptionModel
+from humanopts_learner.planning.option_models import model_option
 from humanopts_learner.planning.request import (
     Clock,
     ignore_progress,
@@ -23,14 +23,12 @@ from humanopts_learner.planning.request import (
 )
 from humanopts_learner.planning.smdp import (
     concatenate,
-    Model,
     MultiTimeModel,
     primitive_model,
-    SparseMultiTimeModel,
 )
 from humanopts_learner.planning.value_iteration import Solution, solve_smdp
 import numpy as np
-from scipy.sparse import csr_array, vstack
+from scipy.sparse import csr_array
 
 
 @dataclass(frozen=True)
@@ -167,7 +165,7 @@ def build_model(
     options: Sequence[TabularOption],
     gamma: float,
     progress: Progress = ignore_progress,
-) -> Model:
+) -> MultiTimeModel:
     """
     Return the exact model of an action set.
 
@@ -233,28 +231,22 @@ def _option_models(
     options: Sequence[TabularOption],
     gamma: float,
     progress: Progress,
-) -> Model:
-    """Return the model of options alone, sparse where the domain has chance."""
+) -> MultiTimeModel:
+    """Return the model of options alone."""
     over, shape = domain.over(), (len(options), domain.n_states)
-    rules = domain.transitions()
     reward, available = np.zeros(shape), np.empty(shape, dtype=np.bool_)
-    discount = np.zeros(shape if rules.deterministic else 0)
-    successor = np.zeros(discount.shape, dtype=np.int32)
-    rows = []
+    lengths, rows = np.zeros(shape, dtype=np.int32), []
     for o, option in enumerate(options):
         progress('models', o / (1 + len(options)), 0, math.nan)
-        np.greater(option.initiation, over, out=available[o])
-        found = model_option(rules, over, gamma, option, available[o])
-        reward[o, found.states] = found.reward
-        if isinstance(found, OptionModel):
-            discount[o, found.states] = found.discount
-            successor[o, found.states] = found.successor
-        else:
-            asked = np.flatnonzero(available[o, found.states])
-            at = found.states[asked], asked
-            place = csr_array((np.ones(len(asked)), at), (len(over), len(found.states)))
-            rows.append(place @ found.successor)
-    names = tuple(option.name for option in options)
-    if rules.deterministic:
-        return MultiTimeModel(names, reward.T, available.T, successor.T, discount.T)
-    return SparseMultiTimeModel(names, reward.T, available.T, vstack(rows, format='csr'))
+        starts = np.greater(option.initiation, over, out=available[o])
+        found = model_option(domain.transitions(), over, gamma, option, starts)
+        at = np.flatnonzero(starts)
+        reward[o, at], lengths[o, at] = found.reward, np.diff(found.successor.indptr)
+        rows.append(found.successor)
+    parts = (
+        np.concatenate([part.data for part in rows]),
+        np.concatenate([part.indices for part in rows]),
+        np.append(np.int32(0), np.cumsum(lengths, dtype=np.int32)),
+    )
+    joined = csr_array(parts, shape=(lengths.size, domain.n_states))
+    return MultiTimeModel(tuple(o.name for o in options), reward.T, available.T, joined)

@@ -24,7 +24,7 @@ from humanopts_env.arrays import Flags, Floats, Ints
 from humanopts_env.domains.base import Transitions
 from humanopts_learner.options.option import TabularOption
 from humanopts_learner.planning.request import PlanError
-from humanopts_learner.planning.smdp import Rows
+from humanopts_learner.planning.smdp import SparseRows
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array, eye
@@ -35,32 +35,11 @@ BLOCK = 256  # columns that are dense at once
 
 @dataclass(frozen=True)
 class OptionModel:
-    """Where running one option from each of n states leads in k steps, with one outcome each."""
+    """Where running one option from each of n states leads in k steps."""
 
-    states: Ints  # (n,) ascending; all that were asked for, and perhaps others
-    reward: Floats  # (n,) sum of gamma**i * r[i], i = 0..k-1
-    successor: Ints  # (n,) state where it ended
-    discount: Floats  # (n,) gamma**k; 0 where the task was over
-    cut_off: Flags  # (n,) still running after max_steps
-
-    def values(self, values: Floats) -> Floats:
-        """Return (n,): what running the option is worth, by the values (S,) of where it ends."""
-        return self.reward + self.discount * values[self.successor]
-
-
-@dataclass(frozen=True)
-class SparseOptionModel:
-    """Where running one option from each of n states leads in k steps, with chance."""
-
-    states: Ints  # (n,) ascending; all that were asked for, and those that runs visit
     reward: Floats  # (n,) expected sum of gamma**i * r[i], i = 0..k-1
-    successor: Rows  # (n, S) expected gamma**k at each end; nothing where the task was over
-    cut_off_probability: Floats  # (n,) the discounted part that was cut off after max_steps
-
-    @property
-    def cut_off(self) -> Flags:
-        """(n,): whether some runs are still going on after max_steps."""
-        return self.cut_off_probability > 0
+    successor: SparseRows  # (n, S) expected gamma**k at each end; 0 where the task was over
+    cut_off: Flags  # (n,) some runs are still going on after max_steps
 
     def values(self, values: Floats) -> Floats:
         """Return (n,): what running the option is worth, by the values (S,) of where it ends."""
@@ -70,7 +49,7 @@ class SparseOptionModel:
 
 def model_option(
     rules: Transitions, over: Flags, gamma: float, option: TabularOption, starts: Flags
-) -> OptionModel | SparseOptionModel:
+) -> OptionModel:
     """
     Run an option from many states, as execution does.
 
@@ -79,8 +58,7 @@ def model_option(
 
     :param over: (S,) states where the task is over.
     :param option: its action must be defined wherever it can come.
-    :param starts: (S,) states from which the answer is needed.
-    :return: an ``OptionModel`` where every action of the domain has one outcome.
+    :param starts: (S,) the n states from which it is run.
     :raises PlanError: max_steps is below 1.
     """
     if option.max_steps < 1:
@@ -122,10 +100,14 @@ def deterministic_model(
         walk = _power(one, highest, last, wanted)
         if highest < steps and not _all_stay(walk, last, wanted):
             walk.append(_power(one, steps - highest, last, wanted))
+    if not wanted.all():
+        walk = _Walk(walk.row[wanted], walk.reward[wanted], walk.discount[wanted])
     walk.reward += walk.discount * reward[walk.row]
     walk.discount *= gamma
     walk.discount[terminated[walk.row]] = 0.0
-    return OptionModel(states, walk.reward, successor[walk.row], walk.discount, ~last[walk.row])
+    count = len(walk.row)
+    parts = walk.discount, successor[walk.row], np.arange(count + 1, dtype=np.int32)
+    return OptionModel(walk.reward, csr_array(parts, shape=(count, len(ends))), ~last[walk.row])
 
 
 @dataclass
@@ -163,7 +145,7 @@ def _all_stay(walk: _Walk, last: Flags, wanted: Flags) -> bool:
 
 def stochastic_model(
     rules: Transitions, over: Flags, gamma: float, option: TabularOption, starts: Flags
-) -> SparseOptionModel:
+) -> OptionModel:
     """Return the model of an option, with chance or without; as ``model_option``."""
     ends = option.termination | over
     states = visited(rules, option.action, ends, starts)
@@ -174,7 +156,7 @@ def stochastic_model(
     row_of = np.zeros(len(ends), dtype=np.intp)
     row_of[states] = np.arange(len(states))
 
-    def rows(kept: Flags, columns: NDArray[np.integer], width: int) -> Rows:
+    def rows(kept: Flags, columns: NDArray[np.integer], width: int) -> SparseRows:
         data = np.where(kept, gamma * probability, 0.0).ravel()
         pointers = np.arange(0, data.size + 1, probability.shape[1])
         found = csr_array((data, columns.ravel(), pointers), shape=(len(states), width))
@@ -192,7 +174,8 @@ def stochastic_model(
     if late.any():
         here = csr_array((np.ones(len(states)), (row_of[states], states)), shape=ending.shape)
         ending = _limited_successors(on, here, ending, late, option.max_steps)
-    return SparseOptionModel(states, expected, ending, np.where(late, running, 0.0))
+    asked = np.flatnonzero(starts[states])
+    return OptionModel(expected[asked], ending[asked], late[asked])
 
 
 def visited(
@@ -210,7 +193,7 @@ def visited(
     return np.flatnonzero(found)
 
 
-def _rewards(on: Rows, reward: Floats, max_steps: int) -> tuple[Floats, Floats]:
+def _rewards(on: SparseRows, reward: Floats, max_steps: int) -> tuple[Floats, Floats]:
     """Return the reward (n,) of at most ``max_steps`` steps and what is still running then."""
     first = np.stack([reward, np.zeros(len(reward))], axis=1)
     total = np.stack([np.zeros(len(reward)), np.ones(len(reward))], axis=1)
@@ -221,7 +204,7 @@ def _rewards(on: Rows, reward: Floats, max_steps: int) -> tuple[Floats, Floats]:
     return total[:, 0], total[:, 1]
 
 
-def _unlimited_successors(on: Rows, end: Rows, can_end: Flags) -> Rows:
+def _unlimited_successors(on: SparseRows, end: SparseRows, can_end: Flags) -> SparseRows:
     """
     Solve (I - M) F = E, (n, S), where runs can end; where they never do, F is 0.
 
@@ -250,8 +233,8 @@ def _unlimited_successors(on: Rows, end: Rows, can_end: Flags) -> Rows:
 
 
 def _limited_successors(
-    on: Rows, here: Rows, successor: Rows, late: Flags, max_steps: int
-) -> Rows:
+    on: SparseRows, here: SparseRows, successor: SparseRows, late: Flags, max_steps: int
+) -> SparseRows:
     """Return F + M**max_steps (I - F) in the late rows, and F in the others; ``here`` is I."""
     count = len(late)
     back, rest = on.T.tocsr(), (here - successor).T.tocsr()

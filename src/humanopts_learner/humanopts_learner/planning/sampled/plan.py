@@ -30,8 +30,8 @@ from humanopts_learner.planning.sampled.policies import (
     UniformPolicy,
 )
 from humanopts_learner.planning.sampled.sampled_models import SampleCounts
-from humanopts_learner.planning.smdp import look_ahead, SparseMultiTimeModel
-from humanopts_learner.planning.value_iteration import greedy_options, Solution, sweep_values
+from humanopts_learner.planning.smdp import look_ahead, MultiTimeModel
+from humanopts_learner.planning.value_iteration import Solution, solve_smdp
 import numpy as np
 
 
@@ -155,31 +155,28 @@ def make_sampled_plan(
 
 
 def _solve(
-    model: SparseMultiTimeModel,
+    model: MultiTimeModel,
     actions: ActionSet,
     counts: SampleCounts,
     asked: PlanRequest,
     on_sweep: SweepProgress,
 ) -> tuple[Solution, GreedyPolicy]:
     """Return the solution of the model of all samples so far, and the policy of its values."""
-    n_choosable = actions.first_fallback
-    choosable = model.first(n_choosable)
-    values, sweeps, residual = sweep_values(choosable, asked.tol, asked.max_sweeps, on_sweep)
-    ahead = look_ahead(model, values)  # (S, modelled)
-    option_values, others = ahead[:, :n_choosable].copy(), ahead[:, n_choosable:]
-    greedy = greedy_options(option_values)
-    continuation_values = np.full(option_values.shape, -np.inf)
-    continuation_values[:, : others.shape[1]] = others
+    n_choices = actions.first_fallback
+    found = solve_smdp(model, asked.tol, asked.max_sweeps, on_sweep, n_choices)
+    ahead = look_ahead(model, found.values)  # (S, modelled)
+    continuation_values = np.full((len(ahead), n_choices), -np.inf)
+    continuation_values[:, : len(actions.options)] = ahead[:, n_choices:]
     codes = counts.index.codes
     order = np.argsort(codes)
     table = OptionValues(
         action_set=actions.action_set,
-        names=actions.names[:n_choosable],
+        names=actions.names[:n_choices],
         states=codes[order],
-        option_values=option_values[order],
+        option_values=ahead[order, :n_choices],
         continuation_values=continuation_values[order],
         interruption_margin=asked.sampling.interruption_margin,
         sampled=True,
     )
-    solution = Solution(values[order], greedy[order], sweeps, residual, residual <= asked.tol)
+    solution = replace(found, values=found.values[order], best=found.best[order])
     return solution, GreedyPolicy(actions, table, asked.execution)

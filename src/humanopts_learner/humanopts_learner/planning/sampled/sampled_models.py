@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from humanopts_env.arrays import Flags, Floats, Ints
 from humanopts_learner.planning.sampled.abstraction import Codes
 from humanopts_learner.planning.sampled.action_set import CodeTable
-from humanopts_learner.planning.smdp import Rows, SparseMultiTimeModel
+from humanopts_learner.planning.smdp import MultiTimeModel, SparseRows
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array
@@ -65,7 +65,7 @@ class SampleCounts:
         self._choosable = choosable or len(names)
         self._count = np.zeros((len(names), 0))
         self._reward = np.zeros((len(names), 0))
-        self._rows: Rows = csr_array((0, 0))
+        self._rows: SparseRows = csr_array((0, 0))
 
     def add(self, samples: Samples) -> None:
         codes = np.concatenate([samples.state, samples.successor])
@@ -92,7 +92,7 @@ class SampleCounts:
         at = (row, rows.col)
         self._rows = coo_array((rows.data, at), (options * states, states)).tocsr()
 
-    def model(self, min_samples: int) -> SparseMultiTimeModel:
+    def model(self, min_samples: int) -> MultiTimeModel:
         """
         Return the mean of the samples.
 
@@ -104,9 +104,9 @@ class SampleCounts:
         enough, rows = self._known(self._count >= max(min_samples, 1))
         count, reward = self._count[enough], np.zeros(enough.shape)
         reward[enough] = self._reward[enough] / count
-        return SparseMultiTimeModel(self.names, reward.T, enough.T, rows)
+        return MultiTimeModel(self.names, reward.T, enough.T, rows)
 
-    def _known(self, enough: Flags) -> tuple[Flags, Rows]:
+    def _known(self, enough: Flags) -> tuple[Flags, SparseRows]:
         """Return the pairs (O, S) that lead to states with such pairs, and their successors."""
         pairs = np.flatnonzero(enough)  # the others are many, and are not looked at
         rows = self._rows[pairs]
