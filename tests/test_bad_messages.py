@@ -220,7 +220,7 @@ DEMO = walk(START, ['north'], FETCH, ['taxi_row'])
 DEMONSTRATIONS = [
     ({'domain_parameters': '[' * 100_000}, 'nested more than'),
     ({'domain_parameters': '{"rows": 1' + '0' * 6000 + '}'}, 'an integer that is too large'),
-    ({'kind': 9}, "'number 9' is not a valid Kind"),
+    ({'kind': 9}, 'not "number 9"'),
     ({'rewards': [math.inf]}, 'not finite'),
     ({'uuid': 'x' * 100_000}, 'is not a UUID'),
 ]

@@ -34,7 +34,7 @@ class Phased:
     ('kind', 'message', 'options', 'lacks'),
     [
         (Named, ActionInfo, {}, 'do not share .*description'),
-        (Measured, Criterion, {'of_message': ['threshold', 'no_range']}, "{'measurable'}"),
+        (Measured, Criterion, {'of_message': ['threshold', 'obstacle']}, "{'measurable'}"),
         (Named, ActionInfo, {'of_message': ['key', 'description'], 'of_value': ['name']}, 'name'),
         (Phased, LessonState, {'subset': True}, 'do not share'),
     ],
@@ -53,7 +53,7 @@ def test_a_constant_without_a_member_is_an_error() -> None:
 
 
 def test_none_is_nan_and_what_only_the_message_has_is_given() -> None:
-    codec = Codec(Measured, Criterion, of_message=['threshold', 'no_range', 'measurable'])
+    codec = Codec(Measured, Criterion, of_message=['threshold', 'obstacle', 'measurable'])
     message = codec.encode(Measured('return', None), threshold=2.0)
     assert (message.name, message.threshold, message.met) == ('return', 2.0, True)
     assert math.isnan(message.value)

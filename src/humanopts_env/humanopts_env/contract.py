@@ -23,6 +23,7 @@ from humanopts_env import colours
 from humanopts_env.arrays import Rows
 from humanopts_env.board import Board, board_text
 from humanopts_env.domains.base import (
+    ActableDomain,
     Action,
     Domain,
     DomainError,
@@ -323,7 +324,11 @@ class DomainContract:
         steps = games.step(actions, rng)
         rows = games.features()
         assert np.array_equal(games.over(), steps.over)
+        after = games.states()
         for number in range(0, len(states), max(1, len(states) // 8)):
+            assert domain.can_follow(states[number], int(actions[number]), after[number])
+            if any(feature.kind is FeatureKind.CONTINUOUS for feature in domain.features):
+                continue  # no outcome is drawn twice
             came = (float(steps.reward[number]), bool(steps.over[number]), rows[number].tolist())
             outcomes = (
                 domain.step(states[number], int(actions[number]), _rng('games', number, draw))
@@ -545,7 +550,12 @@ def refuses(call: Any) -> bool:
 QUICK_STEPS = 60  # of the random walk
 SECONDS = 0.025  # after which no more steps are taken
 SMALL = 20_000  # largest number of states whose tables are checked
-PARTS = [*Domain.__annotations__, *(part for part in vars(Domain) if not part.startswith('_'))]
+PARTS = dict.fromkeys(
+    part
+    for kind in (ActableDomain, Domain)
+    for part in (*kind.__annotations__, *vars(kind))
+    if not part.startswith('_')
+)
 
 
 class ContractError(DomainError):
@@ -588,7 +598,19 @@ def _expect(kept: object, breach: str) -> None:
         raise Breach(breach)
 
 
-def check_form(domain: Domain[Any]) -> None:
+def check_description(domain: ActableDomain) -> None:
+    """
+    Check what a domain says of itself.
+
+    :raises ContractError: it cannot be used.
+    """
+    try:
+        check_form(domain)
+    except Breach as breach:
+        raise ContractError(f'{domain.name!r} cannot be used: {breach}') from None
+
+
+def check_form(domain: ActableDomain) -> None:
     """
     Check names, keys, numbers and parameters.
 

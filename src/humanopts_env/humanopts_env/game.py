@@ -12,8 +12,9 @@ from enum import IntEnum
 import math
 from typing import Any
 
-from humanopts_env.domains.base import action_index, Domain, DomainError, StateError
+from humanopts_env.domains.base import ActableDomain, action_index, Domain, DomainError, StateError
 from humanopts_env.domains.capabilities import step_effect, StepEffect
+from humanopts_env.domains.described import published_state
 from humanopts_env.seeding import generator
 from humanopts_ros.limits import MAX_STATE
 
@@ -98,10 +99,11 @@ class Transition:
         return (self.episode, self.step) == (other.episode, other.step + 1)
 
 
-def effect_between(domain: Domain[Any], before: Transition, after: Transition) -> StepEffect:
+def effect_between(domain: ActableDomain, before: Transition, after: Transition) -> StepEffect:
     """Return what the step did that led from one transition to the next of its episode."""
     action = action_index(domain, after.previous_action)
-    return step_effect(domain, domain.decode(before.state), action, domain.decode(after.state))
+    states = (published_state(domain, each.state, each.features) for each in (before, after))
+    return step_effect(domain, next(states), action, next(states))
 
 
 def transition_from_message(message: Any) -> Transition:
@@ -118,7 +120,7 @@ def transition_from_message(message: Any) -> Transition:
     return Transition(**values)
 
 
-def check_transition(transition: Transition, domain: Domain[Any]) -> Any:
+def check_transition(transition: Transition, domain: ActableDomain) -> Any:
     """
     Check a transition against the rules of its game.
 
@@ -129,14 +131,15 @@ def check_transition(transition: Transition, domain: Domain[Any]) -> Any:
         return None
     if len(transition.state) > MAX_STATE:
         raise ValueError(f'its state has {len(transition.state):,} characters')
-    state = domain.decode(transition.state)
+    over = transition.terminated
+    state = published_state(domain, transition.state, transition.features, over=over)
     check_features(transition.features, domain)
     if transition.step:
         action_index(domain, transition.previous_action)
     return state
 
 
-def check_features(values: Sequence[float], domain: Domain[Any]) -> None:
+def check_features(values: Sequence[float], domain: ActableDomain) -> None:
     """
     Check the features of a state.
 

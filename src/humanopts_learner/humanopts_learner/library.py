@@ -1,9 +1,8 @@
 """What can be run in a domain: options that were taught, and its primitive actions."""
 
 from collections.abc import Iterable
-from typing import Any
 
-from humanopts_env.domains.base import Domain
+from humanopts_env.domains.base import ActableDomain
 from humanopts_learner.demonstrations import PRIMITIVE_PREFIX
 from humanopts_learner.option import PrimitiveOption
 from humanopts_learner.options.option import LearnedOption, OptionError
@@ -38,7 +37,7 @@ class OptionLibrary:
     :ivar domain: in which the options act.
     """
 
-    def __init__(self, domain: Domain[Any]) -> None:
+    def __init__(self, domain: ActableDomain) -> None:
         self.domain = domain
         names = [PRIMITIVE_PREFIX + action.name for action in domain.actions]
         self._primitives = {

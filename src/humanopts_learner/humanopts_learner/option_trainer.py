@@ -3,9 +3,8 @@
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-from humanopts_env.domains.base import Domain
+from humanopts_env.domains.base import ActableDomain
 from humanopts_learner.append_only_log import AppendOnlyLog, link_remark
 from humanopts_learner.demonstrations import (
     check_demonstration,
@@ -57,7 +56,7 @@ class OptionTrainer:
     """
 
     def __init__(
-        self, directory: Path, domain: Domain[Any], thresholds: Thresholds, seed: int
+        self, directory: Path, domain: ActableDomain, thresholds: Thresholds, seed: int
     ) -> None:
         """
         Open the folder and learn again from what it holds.

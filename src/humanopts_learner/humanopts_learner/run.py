@@ -13,7 +13,7 @@ from enum import IntEnum
 from typing import Any
 
 from humanopts_env.arrays import Flags, Floats, Ints
-from humanopts_env.domains.base import Domain, is_enumerable
+from humanopts_env.domains.base import ActableDomain, Domain, is_enumerable
 from humanopts_env.games import Steps
 from humanopts_learner.execution import (
     Choice,
@@ -228,7 +228,7 @@ class Run:
     def __init__(
         self,
         runs: RunnableOption | Arbiter,
-        domain: Domain[Any],
+        domain: ActableDomain,
         gamma: float,
         max_steps: int = 0,
         mode: Mode = Mode.GREEDY,

@@ -9,6 +9,7 @@ from humanopts_learner.intervals import Interval
 
 RETURN, INITIATION, TERMINATION = 'return', 'initiation', 'termination'
 NO_RANGE = 'random actions from the same starts return as much as the demonstrations'
+NO_RULES = 'this domain can only be acted in, and no option can be run in it for a test'
 UNKNOWN = Interval(math.nan, math.nan, math.nan)
 
 
@@ -21,7 +22,7 @@ class Criterion:
     threshold: float | None  # None: that of the return, as long as its range is not measured
     met: bool
     high: float | None = None  # upper confidence limit of the value, where there is one
-    no_range: bool = False  # the return cannot be measured: ``NO_RANGE``
+    obstacle: str = ''  # why it cannot be measured, however much is shown; empty: it can
 
     @classmethod
     def of(
@@ -52,7 +53,7 @@ class Criterion:
     def verdict(self) -> str:
         """The result, in the words of every screen and report."""
         if self.value is None:
-            return 'not measurable' if self.no_range else 'not yet measurable'
+            return 'not measurable' if self.obstacle else 'not yet measurable'
         return 'met' if self.met else 'not yet known' if self.undecided else 'not met'
 
 
@@ -90,8 +91,15 @@ class OptionSummary:
         if self.criteria_met:
             return 'All criteria are met.'
         if self.settled:
-            return f'The return cannot be measured: {NO_RANGE}. The other criteria are met.'
+            return f'{self.obstacles} The other criteria are met.'
         return 'Not all criteria are met.'
+
+    @property
+    def obstacles(self) -> str:
+        """What cannot be measured, and why, in words; empty: nothing."""
+        return ' '.join(
+            f'The {c.name} cannot be measured: {c.obstacle}.' for c in self.criteria if c.obstacle
+        )
 
     @property
     def settled(self) -> bool:
@@ -100,7 +108,7 @@ class OptionSummary:
 
         The criteria need not be met.
         """
-        return bool(self.criteria) and all(c.met or c.no_range for c in self.criteria)
+        return bool(self.criteria) and all(c.met or c.obstacle for c in self.criteria)
 
 
 def unmeasured(demonstrations: Sequence[Demonstration]) -> OptionSummary:

@@ -10,7 +10,7 @@ from humanopts_env.domains.base import Domain
 from humanopts_env.domains.registry import make_domain
 from humanopts_learner.demonstrations import GOAL
 from humanopts_learner.options.criteria import FEWEST
-from humanopts_learner.summary import Criterion, OptionSummary
+from humanopts_learner.summary import Criterion, NO_RANGE, OptionSummary
 from humanopts_teach.dialogue.app import App, REPLY_SECONDS, SETTLE_SECONDS
 from humanopts_teach.dialogue.entry import Item, ListScreen
 from humanopts_teach.dialogue.keys import key_of
@@ -171,7 +171,7 @@ PROGRESS: dict[str, dict[str, Any]] = {
     'undecided': {'criteria': (Criterion('return', 0.25, 1.0, met=False),)},
     'too few': {'criteria': (Criterion.of('return', None, 1.0),), 'n_demonstrations': 4},
     'no estimate': {'criteria': (Criterion.of('return', 2.0, 1.0),), 'more_needed': -1},
-    'no range': {'criteria': (Criterion('return', None, None, met=False, no_range=True),)},
+    'no range': {'criteria': (Criterion('return', None, None, met=False, obstacle=NO_RANGE),)},
     'met': {'criteria': (Criterion.of('return', 0.5, 1.0),), 'mean_return_policy': -2.0},
     'by goal': {'criteria': (Criterion.of('return', None, 1.0),), 'method': GOAL},
     'conflict': {'criteria': VALUES, 'conflicts': ('taxi row 4: the end (2x)', 'more')},

@@ -103,7 +103,7 @@ def test_how_far_an_option_is_survives_the_way_through_a_message() -> None:
             Criterion('return', 0.5, 1.0, True),
             Criterion('return', 0.5, 1.0, False),
             Criterion('initiation', None, 0.05, False),
-            Criterion('return', None, None, False, no_range=True),
+            Criterion('return', None, None, False, obstacle='no rules'),
         ),
         mean_return_demonstrations=1.0,
         mean_return_policy=2.0,

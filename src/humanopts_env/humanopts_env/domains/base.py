@@ -4,7 +4,7 @@ from collections.abc import Collection, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from itertools import compress, product
-from typing import Generic, Protocol, runtime_checkable, TypeGuard, TypeVar
+from typing import Any, Generic, Protocol, runtime_checkable, TypeGuard, TypeVar
 
 from humanopts_env.arrays import Flags, Floats, Rows
 import numpy as np
@@ -108,11 +108,11 @@ class Outcome(Generic[S]):
     terminated: bool  # the task is over in ``state``
 
 
-class Domain(Protocol[S]):
+class ActableDomain(Protocol):
     """
-    The rules of one game. Implementations are immutable: all state is in the values passed.
+    A domain that can be acted in: its features and actions, and states that it has published.
 
-    ``humanopts_env.contract`` states what every implementation must satisfy.
+    This is enough to be taught, to learn, and to run options. ``Domain`` adds the rules.
     """
 
     name: str  # as registered
@@ -121,6 +121,23 @@ class Domain(Protocol[S]):
     actions: Sequence[Action]
     gamma: float  # discount per primitive step
     max_steps: int  # an episode is truncated after this many steps; 0: never
+
+    def is_over(self, state: Any) -> bool:
+        """Return whether the task is over in ``state``, so that no step can be taken."""
+
+    def feature_values(self, state: Any) -> Floats:
+        """Return the value of every feature, (F,), as ``Feature`` describes it."""
+
+    def encode(self, state: Any) -> str:
+        """Return the state in the domain's notation, one line."""
+
+
+class Domain(ActableDomain, Protocol[S]):
+    """
+    The rules of one game. Implementations are immutable: all state is in the values passed.
+
+    ``humanopts_env.contract`` states what every implementation must satisfy.
+    """
 
     def reset(self, rng: np.random.Generator) -> S:
         """Draw a start state of the task."""
@@ -224,13 +241,13 @@ class EnumerableDomain(Domain[S], Protocol[S]):
         return []
 
 
-def is_enumerable(domain: Domain[S]) -> TypeGuard[EnumerableDomain[S]]:
+def is_enumerable(domain: ActableDomain) -> TypeGuard[EnumerableDomain[Any]]:
     """Return whether the domain's states can all be listed."""
     return isinstance(domain, EnumerableDomain)
 
 
 def shown_values(
-    domain: Domain[S], state: S, shown: Collection[str] | None = None
+    domain: ActableDomain, state: Any, shown: Collection[str] | None = None
 ) -> dict[str, str]:
     """
     Return the text of each feature's value in a state.
@@ -244,7 +261,7 @@ def shown_values(
     }
 
 
-def feature_columns(domain: Domain[S], names: Sequence[str]) -> list[int]:
+def feature_columns(domain: ActableDomain, names: Sequence[str]) -> list[int]:
     """
     Return the indices of features, in the domain's order whatever the order of ``names``.
 
@@ -257,7 +274,7 @@ def feature_columns(domain: Domain[S], names: Sequence[str]) -> list[int]:
     return [column for column, name in enumerate(known) if name in set(names)]
 
 
-def action_index(domain: Domain[S], name: str) -> int:
+def action_index(domain: ActableDomain, name: str) -> int:
     """
     Return the index of an action.
 

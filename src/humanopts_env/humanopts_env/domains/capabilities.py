@@ -22,7 +22,7 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol, runtime_checkable
 
 from humanopts_env.board import Board
-from humanopts_env.domains.base import Domain, Parameter, shown_values
+from humanopts_env.domains.base import ActableDomain, Parameter, shown_values
 from humanopts_env.domains.search_space import SearchSpace
 import numpy as np
 from numpy.typing import NDArray
@@ -40,7 +40,7 @@ class HasBoard(Protocol):
         """
 
 
-def board_of(domain: Domain[Any], state: Any, shown: Collection[str] | None = None) -> Board:
+def board_of(domain: ActableDomain, state: Any, shown: Collection[str] | None = None) -> Board:
     """Return the board of a state; a board without cells lists the features that are shown."""
     if isinstance(domain, HasBoard):
         return domain.board(state, shown)
@@ -160,14 +160,14 @@ class HasStepEffects(Protocol):
         """Return what a step from ``state`` did that led to ``successor``."""
 
 
-def step_effect(domain: Domain[Any], state: Any, action: int, successor: Any) -> StepEffect:
+def step_effect(domain: ActableDomain, state: Any, action: int, successor: Any) -> StepEffect:
     """Return what a step did; the name of its action where the domain has no words for it."""
     if isinstance(domain, HasStepEffects):
         return domain.step_effect(state, action, successor)
     return plain_effect(domain, state, action, successor)
 
 
-def plain_effect(domain: Domain[Any], state: Any, action: int, successor: Any) -> StepEffect:
+def plain_effect(domain: ActableDomain, state: Any, action: int, successor: Any) -> StepEffect:
     """Return the name of the action of a step, or that nothing changed."""
     if state == successor:
         return StepEffect('nothing changed', changed=False)
@@ -203,7 +203,7 @@ class HasFeatureGroups(Protocol):
     feature_groups: Sequence[FeatureGroup]  # a feature is in one group at most
 
 
-def feature_groups(domain: Domain[Any]) -> Sequence[FeatureGroup]:
+def feature_groups(domain: ActableDomain) -> Sequence[FeatureGroup]:
     """Return the groups of a domain's features; empty where it has none."""
     return domain.feature_groups if isinstance(domain, HasFeatureGroups) else ()
 
@@ -216,6 +216,6 @@ class HasExplanation(Protocol):
     explanation: Sequence[tuple[str, str]]
 
 
-def explanation(domain: Domain[Any]) -> Sequence[tuple[str, str]]:
+def explanation(domain: ActableDomain) -> Sequence[tuple[str, str]]:
     """Return the signs of a domain and their meanings; empty where it has no words for them."""
     return domain.explanation if isinstance(domain, HasExplanation) else ()

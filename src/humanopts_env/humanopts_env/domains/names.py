@@ -13,6 +13,11 @@ def domain_names() -> list[str]:
     return sorted(registered(DOMAINS).names)
 
 
+def is_registered(name: str) -> bool:
+    """Return whether there is a domain of this name, or its name says where it comes from."""
+    return name.startswith(GYMNASIUM) or name in registered(DOMAINS).names
+
+
 def registered(group: str) -> EntryPoints:
     """Return the entry points of a group; packages are looked for once for each search path."""
     return _registered(group, tuple(sys.path))

@@ -1,10 +1,14 @@
 """Conversion between messages and domain values."""
 
-from collections.abc import Hashable
-from typing import Any
-
-from humanopts_env.domains.base import Action, Domain, DomainError, Feature
-from humanopts_env.domains.registry import domain_from_json, parameters_json
+from humanopts_env.contract import check_description
+from humanopts_env.domains.base import ActableDomain, Action, DomainError, Feature
+from humanopts_env.domains.described import DescribedDomain
+from humanopts_env.domains.names import is_registered
+from humanopts_env.domains.registry import (
+    domain_from_json,
+    parameters_from_json,
+    parameters_json,
+)
 from humanopts_env.game import Command, Control, Pacing, Refused, Transition
 from humanopts_interfaces.msg import (
     ActionCommand,
@@ -31,7 +35,7 @@ _REFUSED = Codec(
 )
 
 
-def domain_to_info(domain: Domain[Any]) -> DomainInfo:
+def domain_to_info(domain: ActableDomain) -> DomainInfo:
     """Describe a domain; header, publisher_id and sequence are left to the publisher."""
     return DomainInfo(
         domain=domain.name,
@@ -46,12 +50,14 @@ def domain_to_info(domain: Domain[Any]) -> DomainInfo:
     )
 
 
-def domain_from_info(info: DomainInfo) -> Domain[Hashable]:
+def domain_from_info(info: DomainInfo) -> ActableDomain:
     """
-    Build the domain that the node game published.
+    Build the domain that the node game published: with its rules, if it is registered here.
 
-    :raises DomainError: it is not registered here, or its rules differ.
+    :raises DomainError: its rules differ from those here, or the description cannot be used.
     """
+    if not is_registered(info.domain):
+        return _described(info)
     domain = domain_from_json(info.domain, info.parameters)
     here = domain_to_info(domain)
     rules = 'features', 'actions', 'gamma', 'max_steps'
@@ -60,6 +66,28 @@ def domain_from_info(info: DomainInfo) -> Domain[Hashable]:
             f'game plays another version of {info.domain}: its rules differ from those installed '
             'here'
         )
+    return domain
+
+
+def _described(info: DomainInfo) -> DescribedDomain:
+    """
+    Return a domain that is known by its description alone.
+
+    :raises DomainError: the description cannot be used.
+    """
+    try:
+        features = [_FEATURE.decode(f, values=tuple(f.value_names)) for f in info.features]
+    except ValueError as error:
+        raise DomainError(f'a feature of {info.domain} cannot be used: its {error}') from None
+    domain = DescribedDomain(
+        info.domain,
+        parameters_from_json(info.domain, info.parameters),
+        features,
+        list(map(_ACTION.decode, info.actions)),
+        info.gamma,
+        info.max_steps,
+    )
+    check_description(domain)
     return domain
 
 

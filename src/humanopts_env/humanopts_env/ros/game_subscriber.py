@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import math
 from typing import Any, TypeVar
 
-from humanopts_env.domains.base import Domain
+from humanopts_env.domains.base import ActableDomain
+from humanopts_env.domains.described import can_simulate
 from humanopts_env.domains.registry import parameters_json
 from humanopts_env.game import (
     check_transition,
@@ -55,13 +56,13 @@ class GameSubscriber:
     :ivar publisher_id: of the game; empty: it is not found yet.
     """
 
-    def __init__(self, node: NodeBase, on_domain: Callable[[Domain[Any]], object]) -> None:
+    def __init__(self, node: NodeBase, on_domain: Callable[[ActableDomain], object]) -> None:
         """
         Subscribe to ``domain_info``.
 
         :param on_domain: called once, with the rules.
         """
-        self.domain: Domain[Any] | None = None
+        self.domain: ActableDomain | None = None
         self.publisher_id = ''
         self._node, self._on_domain = node, on_domain
         # Messages that came too early, each with what is called with it: the newest by topic and
@@ -205,7 +206,7 @@ class GameSubscriber:
                     del self._early[topic, publisher_id]
                 self._node.refuse(topic, message, _UNLISTED)
 
-    def _read_domain(self, info: DomainInfo) -> Domain[Any]:
+    def _read_domain(self, info: DomainInfo) -> ActableDomain:
         domain = domain_from_info(info)
         known = self.domain
         if known is None:
@@ -218,9 +219,13 @@ class GameSubscriber:
             )
         return known
 
-    def _use_domain(self, domain: Domain[Any]) -> None:
+    def _use_domain(self, domain: ActableDomain) -> None:
         if self.domain is not None:
             return
         self.domain = domain
+        if not can_simulate(domain):
+            self._node.get_logger().info(
+                f'{domain.name} is not installed here, so it can only be acted in'
+            )
         self._on_domain(domain)
         self._look()

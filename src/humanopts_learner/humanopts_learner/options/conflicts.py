@@ -10,10 +10,9 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from math import factorial, prod
-from typing import Any
 
 from humanopts_env.arrays import Rows
-from humanopts_env.domains.base import Domain, Feature, FeatureKind
+from humanopts_env.domains.base import ActableDomain, Feature, FeatureKind
 from humanopts_learner.demonstrations import Demonstration, Kind, TREES
 from humanopts_learner.options.learn import Dataset, Examples, make_dataset
 import numpy as np
@@ -60,7 +59,7 @@ class _Conflict:
         return len(pairs) == len({value for value, _ in pairs})
 
 
-def find_conflicts(data: Dataset, domain: Domain[Any]) -> Conflicts:
+def find_conflicts(data: Dataset, domain: ActableDomain) -> Conflicts:
     """
     Find the situations of one option that carry different labels.
 
@@ -96,7 +95,7 @@ class Contradiction:
 
 
 def contradiction(
-    newest: Demonstration, earlier: Sequence[Demonstration], domain: Domain[Any]
+    newest: Demonstration, earlier: Sequence[Demonstration], domain: ActableDomain
 ) -> Contradiction | None:
     """
     Return the first situation in which a demonstration shows what none before it has shown there.
@@ -138,7 +137,7 @@ def contradiction(
 
 
 def _parts(
-    data: Dataset, domain: Domain[Any]
+    data: Dataset, domain: ActableDomain
 ) -> Iterator[tuple[Examples, Callable[[int], str], bool]]:
     """Yield the examples of beta, I and policy, the words of their labels, and if it may slip."""
     actions = [action.name for action in domain.actions]
@@ -150,7 +149,7 @@ def _parts(
 def _conflicts(
     examples: Examples,
     chosen: Sequence[int],
-    domain: Domain[Any],
+    domain: ActableDomain,
     word: Callable[[int], str],
     may_slip: bool,
 ) -> list[_Conflict]:
@@ -168,7 +167,7 @@ def _conflicts(
     return found
 
 
-def _situation(row: Rows, chosen: Sequence[int], domain: Domain[Any]) -> str:
+def _situation(row: Rows, chosen: Sequence[int], domain: ActableDomain) -> str:
     features = [domain.features[index] for index in chosen]
     return ', '.join(
         f'{feature.name.replace("_", " ")} {feature.text(row[index])}'

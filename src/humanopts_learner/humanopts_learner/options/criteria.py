@@ -26,7 +26,8 @@ import math
 from typing import Any
 
 from humanopts_env.arrays import Flags, Floats, Ints, Rows
-from humanopts_env.domains.base import action_index, Domain
+from humanopts_env.domains.base import ActableDomain, action_index, Domain
+from humanopts_env.domains.described import can_simulate
 from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import Demonstration, GOAL, Kind
 from humanopts_learner.intervals import Interval
@@ -38,9 +39,12 @@ from humanopts_learner.options.rollout import is_deterministic, random_rollouts,
 from humanopts_learner.summary import (
     Criterion,
     INITIATION,
+    NO_RANGE,
+    NO_RULES,
     OptionSummary,
     RETURN,
     TERMINATION,
+    UNKNOWN,
     unmeasured,
 )
 import numpy as np
@@ -82,13 +86,15 @@ class Thresholds:
 
 def judge(
     demonstrations: Sequence[Demonstration],
-    domain: Domain[Any],
+    domain: ActableDomain,
     thresholds: Thresholds,
     seed: int,
     option: LearnedOption | None = None,
 ) -> OptionSummary:
     """
     Judge an option by its demonstrations.
+
+    The return cannot be measured in a domain that can only be acted in.
 
     :param demonstrations: of one participant and option, checked.
     :param option: what ``learn_option`` made of the same arguments; None: learned here.
@@ -97,10 +103,12 @@ def judge(
     data = make_dataset(demonstrations, domain)
     option = option or fit_option(data, domain, seed)
     shown = np.array([demo.total_reward for demo in data.trajectories])
-    starts = [domain.decode(demo.states[0]) for demo in data.trajectories]
-    uuids = [demo.uuid for demo in data.trajectories]
-    in_sample = rollouts(option, domain, starts, seed, [f'in-sample {uuid}' for uuid in uuids])
-    known = _known_shortfall(option, domain, demonstrations)
+    known, returns = None, np.array([math.nan])
+    if can_simulate(domain):
+        starts = [domain.decode(demo.states[0]) for demo in data.trajectories]
+        keys = [f'in-sample {demo.uuid}' for demo in data.trajectories]
+        returns = rollouts(option, domain, starts, seed, keys).total_reward
+        known = _known_shortfall(option, domain, demonstrations)
     criteria = _criteria(data, domain, thresholds, seed, option, known)
     waits = known is not None and not criteria[0].met  # that it becomes known follows no law
     conflicts = find_conflicts(data, domain)
@@ -109,11 +117,11 @@ def judge(
         features=data.features,
         criteria=criteria,
         mean_return_demonstrations=float(shown.mean()),
-        mean_return_policy=float(in_sample.total_reward.mean()),
+        mean_return_policy=float(returns.mean()),
         more_needed=-1 if waits else more_needed(criteria, len(shown)),
         conflicts=conflicts.texts,
         suggested_feature=conflicts.suggested_feature or '',
-        gain=Interval.of_difference(in_sample.total_reward, shown),
+        gain=Interval.of_difference(returns, shown) if can_simulate(domain) else UNKNOWN,
     )
 
 
@@ -178,7 +186,7 @@ def _times_needed(criterion: Criterion) -> float:
 
 def _criteria(
     data: Dataset,
-    domain: Domain[Any],
+    domain: ActableDomain,
     thresholds: Thresholds,
     seed: int,
     option: LearnedOption,
@@ -190,18 +198,20 @@ def _criteria(
     :param option: learned from all of the data.
     :param known: the largest shortfall from any state; None: it cannot be known.
     """
-    delta, no_range = thresholds.return_delta, False
+    delta, shortfall = thresholds.return_delta, None
+    obstacle = '' if can_simulate(domain) else NO_RULES
     if len(data.trajectories) < fewest(data.method):
-        shortfall, initiation_error, termination_error = None, None, None
+        initiation_error, termination_error = None, None
     else:
-        if delta is None:
+        if delta is None and can_simulate(domain):
             found = return_range(data, domain, option, seed)
-            no_range, delta = found is None, None if found is None else SHARE * found
+            obstacle, delta = (NO_RANGE, None) if found is None else ('', SHARE * found)
         folds = fold_of(data, seed)
         options = fit_leave_fold_out(data, folds, domain, seed)
         initiation = [option.can_start for option in options]
         termination = [option.ends for option in options]
-        shortfall = None if no_range else held_out_shortfall(data, domain, options, folds, seed)
+        if can_simulate(domain) and not obstacle:
+            shortfall = held_out_shortfall(data, domain, options, folds, seed)
         asked = [demo.can_start_at_end for demo in data.trajectories if not demo.terminated]
         anywhere = bool(asked) and all(asked) and bool((data.initiation.labels == MEMBER).all())
         initiation_error = balanced_error(data.initiation, initiation, folds, anywhere)
@@ -210,7 +220,7 @@ def _criteria(
     if shortfall and known is not None and delta is not None and known <= delta:
         mean = high = known
     return (
-        replace(Criterion.of(RETURN, mean, delta, high), no_range=no_range),
+        replace(Criterion.of(RETURN, mean, delta, high), obstacle=obstacle),
         Criterion.of(INITIATION, initiation_error, thresholds.initiation_error),
         Criterion.of(TERMINATION, termination_error, thresholds.termination_error),
     )
@@ -239,7 +249,7 @@ def fold_of(data: Dataset, seed: int) -> Ints:
 
 
 def fit_leave_fold_out(
-    data: Dataset, folds: Ints, domain: Domain[Any], seed: int
+    data: Dataset, folds: Ints, domain: ActableDomain, seed: int
 ) -> list[LearnedOption]:
     """Return what is learned without fold 0, 1, ...; there must be two trajectories or more."""
     return [fit_option(data.of(folds != fold), domain, seed) for fold in range(folds.max() + 1)]

@@ -15,7 +15,7 @@ from types import ModuleType
 from typing import Any
 
 from humanopts_env.arrays import Floats, Ints, Rows
-from humanopts_env.domains.base import Domain, feature_columns, FeatureKind
+from humanopts_env.domains.base import ActableDomain, feature_columns, FeatureKind
 import numpy as np
 from numpy.typing import NDArray
 
@@ -55,7 +55,7 @@ class EncodedFeature:
         return cls(name, index, value)
 
 
-def feature_encoding(domain: Domain[Any], features: Sequence[str]) -> tuple[EncodedFeature, ...]:
+def feature_encoding(domain: ActableDomain, features: Sequence[str]) -> tuple[EncodedFeature, ...]:
     """
     Return how selected features are encoded: nominal ones one-hot, the others as they are.
 

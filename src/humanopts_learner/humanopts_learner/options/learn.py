@@ -10,10 +10,9 @@ start (Sutton, Precup and Singh 1999, section 2), and negative in the other stat
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from itertools import compress
-from typing import Any
 
 from humanopts_env.arrays import Flags, Rows
-from humanopts_env.domains.base import action_index, Domain, is_enumerable
+from humanopts_env.domains.base import ActableDomain, action_index, is_enumerable
 from humanopts_env.domains.registry import parameters_json
 from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import (
@@ -89,7 +88,7 @@ class Dataset:
         )
 
 
-def make_dataset(demonstrations: Sequence[Demonstration], domain: Domain[Any]) -> Dataset:
+def make_dataset(demonstrations: Sequence[Demonstration], domain: ActableDomain) -> Dataset:
     """
     Collect the examples of one option.
 
@@ -123,7 +122,7 @@ def make_dataset(demonstrations: Sequence[Demonstration], domain: Domain[Any]) -
 
 
 def learn_option(
-    demonstrations: Sequence[Demonstration], domain: Domain[Any], seed: int
+    demonstrations: Sequence[Demonstration], domain: ActableDomain, seed: int
 ) -> LearnedOption:
     """
     Learn an option; the same demonstrations in any order give the same option.
@@ -134,7 +133,7 @@ def learn_option(
     return fit_option(make_dataset(demonstrations, domain), domain, seed)
 
 
-def fit_option(data: Dataset, domain: Domain[Any], seed: int) -> LearnedOption:
+def fit_option(data: Dataset, domain: ActableDomain, seed: int) -> LearnedOption:
     """
     Learn an option from a data set with a trajectory or more.
 
@@ -162,14 +161,14 @@ def fit_option(data: Dataset, domain: Domain[Any], seed: int) -> LearnedOption:
 
 
 def _with_planned_policy(
-    option: LearnedOption, data: Dataset, domain: Domain[Any]
+    option: LearnedOption, data: Dataset, domain: ActableDomain
 ) -> LearnedOption:
     """
     Return the option with a policy that goes to an end like the shown ones.
 
     Its tree looks at all features: nothing is learned by it, it only holds what is planned.
     """
-    assert is_enumerable(domain)
+    assert is_enumerable(domain)  # ``check_method``
     chosen = sorted({encoded.index for encoded in data.encoding})
     rows = domain.feature_table()
     ways = ways_to_goal(domain, data.trajectories, chosen, option.ends(rows))
@@ -216,7 +215,7 @@ def _termination_examples(
     return _examples(demos, [_termination_labels(demo, picked, ends) for demo in demos])
 
 
-def _policy_labels(demo: Demonstration, domain: Domain[Any]) -> tuple[Rows, list[int]]:
+def _policy_labels(demo: Demonstration, domain: ActableDomain) -> tuple[Rows, list[int]]:
     return demo.feature_rows[: len(demo.actions)], [action_index(domain, a) for a in demo.actions]
 
 

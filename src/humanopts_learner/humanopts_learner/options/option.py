@@ -6,7 +6,7 @@ from functools import cached_property
 from typing import Any
 
 from humanopts_env.arrays import Flags, Floats, Ints, Rows
-from humanopts_env.domains.base import Domain, DomainError, EnumerableDomain
+from humanopts_env.domains.base import ActableDomain, Domain, DomainError, EnumerableDomain
 from humanopts_env.domains.reference import ReferenceOption, TabularReferenceOption
 from humanopts_env.domains.registry import parameters_json
 from humanopts_env.games import Games, TableGames
@@ -77,7 +77,7 @@ class LearnedOption:
         if self.max_steps < 1:
             raise OptionError(f'{self.name!r} has max_steps {self.max_steps}, not 1 or more')
 
-    def check_domain(self, domain: Domain[Any]) -> None:
+    def check_domain(self, domain: ActableDomain) -> None:
         """
         Check that the option was learned in this domain.
 

@@ -5,7 +5,13 @@ from dataclasses import dataclass
 from typing import Any, TypeGuard
 
 from humanopts_env.arrays import Flags, Floats, Ints
-from humanopts_env.domains.base import Domain, DomainError, EnumerableDomain, is_enumerable
+from humanopts_env.domains.base import (
+    ActableDomain,
+    Domain,
+    DomainError,
+    EnumerableDomain,
+    is_enumerable,
+)
 from humanopts_env.games import Chance, games_at
 from humanopts_env.seeding import generator
 from humanopts_learner.execution import Fixed, play, Played, RowOptions
@@ -15,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-def is_deterministic(domain: Domain[Any]) -> TypeGuard[EnumerableDomain[Any]]:
+def is_deterministic(domain: ActableDomain) -> TypeGuard[EnumerableDomain[Any]]:
     """Return whether all states can be listed, and every action has one outcome."""
     return is_enumerable(domain) and domain.transitions().deterministic
 

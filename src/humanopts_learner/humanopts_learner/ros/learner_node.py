@@ -6,7 +6,7 @@ from pathlib import Path
 import sys
 from typing import Any
 
-from humanopts_env.domains.base import Domain
+from humanopts_env.domains.base import ActableDomain
 from humanopts_env.ros.game_subscriber import GameSubscriber
 from humanopts_interfaces.msg import Demonstration, DemonstrationReceipt, LearningStatus
 from humanopts_learner.demonstrations import demonstration_from_message, DemonstrationError
@@ -65,7 +65,7 @@ class LearnerNode(NodeBase):
         if self._trainer is not None:
             self._publish(self._trainer)
 
-    def _on_domain(self, domain: Domain[Any]) -> None:
+    def _on_domain(self, domain: ActableDomain) -> None:
         try:
             self._trainer = OptionTrainer(self._directory, domain, self._thresholds, self._seed)
         except DataSetError as error:

@@ -5,7 +5,8 @@ from pathlib import Path
 import sys
 from typing import Any
 
-from humanopts_env.domains.base import Domain, DomainError
+from humanopts_env.domains.base import ActableDomain, DomainError
+from humanopts_env.domains.described import simulated
 from humanopts_env.game import Transition
 from humanopts_env.ros.game_subscriber import GameSubscriber
 from humanopts_interfaces.action import ExecuteOption
@@ -78,7 +79,7 @@ class OptionServerNode(NodeBase):
         self._runner.stop()
         self.finish(lambda: self._runner.busy, _FAREWELL)
 
-    def _on_domain(self, domain: Domain[Any]) -> None:
+    def _on_domain(self, domain: ActableDomain) -> None:
         self._runner.library = OptionLibrary(domain)
         if self._learned is None:
             self._learned = self._read_files()
@@ -178,12 +179,18 @@ class OptionServerNode(NodeBase):
     ) -> QueryOption.Response:
         await self.provided()
         library, current = self._runner.library, self._runner.newest_state()
-        text = request.state or (current.transition.state if current is not None else '')
         try:
-            if library is None or not text:
+            seen = current.state if current is not None else None
+            if library is None or (seen is None and not request.state):
                 raise DomainError('no state is given and no episode was begun')
             option = library.resolve(request.option_name, request.participant)
-            row = library.domain.feature_values(library.domain.decode(text))[None]
+            if request.state:
+                domain = simulated(
+                    library.domain, 'a query about another state than the current one'
+                )
+                row = domain.feature_values(domain.decode(request.state))[None]
+            else:
+                row = library.domain.feature_values(seen)[None]
         except UnknownOptionError as error:
             response.status, response.detail = response.STATUS_UNKNOWN_OPTION, str(error)
             return response

@@ -9,7 +9,8 @@ import time
 from typing import Any, Generic, TypeVar
 import uuid
 
-from humanopts_env.domains.base import Domain, DomainError
+from humanopts_env.domains.base import ActableDomain, Domain, DomainError
+from humanopts_env.domains.described import simulated
 from humanopts_interfaces.action import ExtractOptions, Plan
 from humanopts_interfaces.msg import (
     ExtractionGoal,
@@ -72,7 +73,7 @@ class MadePlan:
 class PlannerState:
     """The state of the planner; a list of options is replaced, never changed."""
 
-    domain: Domain[Any] | None = None
+    domain: ActableDomain | None = None
     taught: list[LearnedOption] = field(default_factory=list)
     taught_sequence: int = 0  # of the message that completed them
     automatic: list[LearnedOption] = field(default_factory=list)
@@ -164,6 +165,7 @@ class LongAction(ABC, Generic[ResultT]):
             return result
         self.busy = True
         try:
+            domain = simulated(domain, f'a {self.goal_noun}')
             return await self.work(domain, handle.request, result, self._progress(handle))
         except NoOptionsError as error:
             result.status, result.detail = PlanResult.STATUS_NO_OPTIONS, str(error)

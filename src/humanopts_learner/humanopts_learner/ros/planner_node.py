@@ -4,7 +4,7 @@ from functools import partial
 import sys
 from typing import Any
 
-from humanopts_env.domains.base import Domain
+from humanopts_env.domains.base import ActableDomain
 from humanopts_env.ros.game_subscriber import GameSubscriber
 from humanopts_interfaces import msg
 from humanopts_learner.options.option import LearnedOption
@@ -43,7 +43,7 @@ class PlannerNode(NodeBase):
         )
         self._state.pool.shutdown()
 
-    def _on_domain(self, domain: Domain[Any]) -> None:
+    def _on_domain(self, domain: ActableDomain) -> None:
         self._state.domain = domain
 
     def _on_options(self, options: list[LearnedOption], message: msg.LearnedOption) -> None:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from operator import is_
 import uuid
 
+from humanopts_env.domains.described import NeedsRulesError, simulated
 from humanopts_env.game import Transition
 from humanopts_env.ros.game_subscriber import GameSubscriber, Observed
 from humanopts_env.seeding import generator
@@ -143,7 +144,8 @@ class PolicySubscriber:
             self._arbiters = {}  # options were taught anew
         self._options = options
         if execution not in self._arbiters:
-            self._arbiters[execution] = Arbiter(self._values, execution, library.domain, options)
+            domain = simulated(library.domain, execution.value)
+            self._arbiters[execution] = Arbiter(self._values, execution, domain, options)
         return self._arbiters[execution]
 
     def wanted(self, execution: Arbitration, sequence: int, plan_id: str) -> Arbitration:
@@ -256,7 +258,7 @@ class Runner:
             return _refused(request, RunStatus.UNKNOWN_OPTION, str(error))
         except RunError as error:
             return _refused(request, RunStatus.BAD_REQUEST, str(error))
-        except PlanError as error:
+        except (NeedsRulesError, PlanError) as error:
             return _refused(request, RunStatus.NO_VALUES, str(error))
         finally:
             self._taken_by = ''

@@ -6,7 +6,7 @@ from humanopts_env.board import board_text
 from humanopts_env.colours import GREEN
 from humanopts_env.domains.capabilities import board_of
 from humanopts_learner.ros.convert import summary_from_message
-from humanopts_learner.summary import NO_RANGE, OptionSummary
+from humanopts_learner.summary import OptionSummary
 from humanopts_ros.limits import printable
 from humanopts_teach.ros.graph_client import GraphClient
 from humanopts_teach.terminal.drawing import board_texts
@@ -104,6 +104,6 @@ def _criteria_words(option: OptionSummary) -> str:
         if c.value is not None and c.threshold is not None
     ]
     met = 'criteria met' if option.criteria_met else 'criteria not met yet'
-    measured += [f'{c.name} {c.verdict}: {NO_RANGE}' for c in option.criteria if c.no_range]
+    measured += [f'{c.name} {c.verdict}: {c.obstacle}' for c in option.criteria if c.obstacle]
     shown = f'{option.n_demonstrations} shown, {option.n_not_here} not here'
     return '; '.join([shown, ', '.join(measured) or 'criteria not yet measurable', met])

@@ -8,9 +8,9 @@ answer what the lesson asks for counts only if that was on the screen when it wa
 from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import ClassVar
 
-from humanopts_env.domains.base import Domain
+from humanopts_env.domains.base import ActableDomain
 from humanopts_teach.dialogue.keys import END_OF_FILE, INTERRUPT, Keys, label
 from humanopts_teach.lesson.question_groups import QuestionGroups
 from humanopts_teach.lesson.requests import (
@@ -135,7 +135,7 @@ class App:
         self._displaced = first  # shown once another participant has the lesson
 
     @property
-    def domain(self) -> Domain[Any]:
+    def domain(self) -> ActableDomain:
         """The domain; screens that need it are shown only once it is known."""
         assert self.world.domain is not None
         return self.world.domain

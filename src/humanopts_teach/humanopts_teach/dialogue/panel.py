@@ -13,11 +13,12 @@ import math
 
 from humanopts_env.board import Board
 from humanopts_env.domains.capabilities import board_of, feature_groups
+from humanopts_env.domains.described import can_simulate, published_state
 from humanopts_learner.demonstrations import GOAL, METHODS
 from humanopts_learner.options.conflicts import NO_START
 from humanopts_learner.options.criteria import fewest, likely_range
 from humanopts_learner.planning.request import MODULAR
-from humanopts_learner.summary import Criterion, NO_RANGE, OptionSummary, RETURN
+from humanopts_learner.summary import Criterion, OptionSummary, RETURN
 from humanopts_teach.dialogue.app import App, Screen
 from humanopts_teach.dialogue.driving import EXECUTIONS, PlayScreen, WatchScreen
 from humanopts_teach.dialogue.entry import (
@@ -160,9 +161,11 @@ def view(app: App) -> ScreenView:
             bare = isinstance(screen, LessonScreen | ConfirmScreen) and lesson.phase in _BARE
             state = screen.state or world.game.state
             board = Board()
-            if state:
+            # Of a domain without rules, a state of the past cannot be drawn again.
+            if state and (can_simulate(world.domain) or state == world.game.state):
+                drawn = published_state(world.domain, state, world.game.features)
                 revealed = lesson.chosen_features if bare else None  # None: all
-                board = board_of(world.domain, world.domain.decode(state), revealed)
+                board = board_of(world.domain, drawn, revealed)
     showing = isinstance(screen, LessonScreen) and lesson.phase in {
         Phase.DEMONSTRATING,
         Phase.LEARNING,
@@ -344,7 +347,7 @@ def _features(app: App, lesson: LessonView) -> Features:
     domain, game = app.domain, app.world.game
     values: list[float] = []
     if game.state and lesson.phase is Phase.DEMONSTRATING:
-        values = domain.feature_values(domain.decode(game.state)).tolist()
+        values = list(game.features)
     shown = [
         FeatureShown(_plain(feature.name), feature.text(values[index]) if values else '')
         for index, feature in enumerate(domain.features)
@@ -392,11 +395,8 @@ def _estimate(lesson: LessonView, progress: OptionSummary) -> Line:
         return Line(progress.result, Tone.GOOD)
     if progress.n_demonstrations < (least := fewest(lesson.method)):
         return Line(f'Measured from {least} demonstrations on.')
-    if any(c.no_range for c in progress.criteria):
-        words = (
-            progress.result if progress.settled else f'The return cannot be measured: {NO_RANGE}.'
-        )
-        return Line(words, Tone.WARNING)
+    if progress.obstacles:
+        return Line(progress.result if progress.settled else progress.obstacles, Tone.WARNING)
     undecided = [c.name for c in progress.criteria if c.undecided]
     why = f': {", ".join(undecided)} is not yet known well enough' if undecided else ''
     if progress.more_needed < 0 or progress.method == GOAL:

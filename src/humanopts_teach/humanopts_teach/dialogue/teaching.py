@@ -6,6 +6,7 @@ from functools import partial
 from typing import ClassVar
 
 from humanopts_env.domains.capabilities import FeatureGroup
+from humanopts_env.domains.described import can_simulate
 from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.options.rollout import is_deterministic
@@ -210,10 +211,12 @@ class LessonScreen(Screen):
             case KeyCommand.DEMONSTRATIONS:
                 app.ask(ListDemonstrations())
             case KeyCommand.WATCH:
-                # Another start of the task in each episode.
-                episode = app.world.game.episode
-                rng = generator(app.seed, 'watched start', app.participant, episode)
-                self._watch(app.domain.encode(app.domain.reset(rng)), app)
+                # Another start of the task in each episode; empty: where the game begins.
+                episode, start = app.world.game.episode, ''
+                if can_simulate(app.domain):
+                    rng = generator(app.seed, 'watched start', app.participant, episode)
+                    start = app.domain.encode(app.domain.reset(rng))
+                self._watch(start, app)
             case KeyCommand.BACK:
                 group, said = app.groups.asked(app.domain, lesson)
                 first = group is not None and lesson.question_feature == group.features[0]

@@ -6,7 +6,7 @@ from typing import Any, TYPE_CHECKING
 
 from humanopts_learner.demonstrations import METHODS
 from humanopts_learner.options.criteria import likely_range, Thresholds
-from humanopts_learner.summary import Criterion, NO_RANGE
+from humanopts_learner.summary import Criterion
 from humanopts_ros.limits import one_line
 from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, OptionEvaluation
 from humanopts_teach.evaluation.games import GamesEvaluation
@@ -156,8 +156,8 @@ def _unmet(criterion: Criterion) -> str:
     if criterion.undecided:
         limit = f'at most {number(criterion.high)} with 95 % confidence'
         is_now = f'{criterion.verdict}: about {is_now}, {limit}'
-    if criterion.no_range:
-        return f'{criterion.name} is {is_now}: {NO_RANGE}'
+    if criterion.obstacle:
+        return f'{criterion.name} is {is_now}: {criterion.obstacle}'
     needs = A_TENTH if criterion.threshold is None else number(criterion.threshold)
     return f'{criterion.name} is {is_now}, needs {needs} or less'
 

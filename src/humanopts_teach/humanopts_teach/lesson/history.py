@@ -2,9 +2,8 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
-from humanopts_env.domains.base import Domain, Feature
+from humanopts_env.domains.base import ActableDomain, Feature
 from humanopts_env.domains.registry import parameters_json
 from humanopts_learner.demonstrations import Demonstration, Kind
 from humanopts_teach.lesson.store import (
@@ -108,7 +107,7 @@ class History:
     """
 
     def __init__(
-        self, domain: Domain[Any], participant: str, entries: Iterable[Entry] = ()
+        self, domain: ActableDomain, participant: str, entries: Iterable[Entry] = ()
     ) -> None:
         self.participant = participant  # empty: nobody has opened a session
         self.key = (domain.name, parameters_json(domain))

@@ -11,7 +11,8 @@ from dataclasses import replace
 from itertools import count
 from typing import Any
 
-from humanopts_env.domains.base import Domain, DomainError
+from humanopts_env.domains.base import ActableDomain, DomainError
+from humanopts_env.domains.described import can_simulate
 from humanopts_env.game import Source, Transition
 from humanopts_learner.demonstrations import (
     check_demonstration,
@@ -88,7 +89,7 @@ class Lesson:
 
     def __init__(
         self,
-        domain: Domain[Any],
+        domain: ActableDomain,
         store: DemonstrationStore,
         starts: SeededStarts,
         *,
@@ -485,7 +486,9 @@ class Lesson:
             spent = self._spent and phase is Phase.FINISHED
             status = RequestStatus.BUDGET_SPENT if spent else RequestStatus.WRONG_PHASE
             raise RefusalError(status, self._advice(phase))
-        if request.start_state:
+        if not can_simulate(self._domain):
+            state = request.start_state  # for the game to judge; empty: where it is now
+        elif request.start_state:
             try:
                 decoded = self._domain.decode(request.start_state)
             except DomainError as error:

@@ -1,9 +1,8 @@
 """Questions about groups of features, which spare a person those about each of their features."""
 
 from enum import Enum
-from typing import Any
 
-from humanopts_env.domains.base import Domain
+from humanopts_env.domains.base import ActableDomain
 from humanopts_env.domains.capabilities import feature_groups, FeatureGroup
 from humanopts_teach.lesson.requests import LessonView
 
@@ -28,7 +27,7 @@ class QuestionGroups:
     def __init__(self) -> None:
         self._answers: dict[str, GroupAnswer] = {}  # by the group's words
 
-    def open_group(self, domain: Domain[Any], lesson: LessonView) -> FeatureGroup | None:
+    def open_group(self, domain: ActableDomain, lesson: LessonView) -> FeatureGroup | None:
         """Return the group to ask about now; None: the lesson's own question stands."""
         group, said = self.asked(domain, lesson)
         return group if said is None else None
@@ -37,7 +36,7 @@ class QuestionGroups:
         """Keep what the person said of a group."""
         self._answers[group.words] = answer
 
-    def reply(self, domain: Domain[Any], lesson: LessonView) -> bool | None:
+    def reply(self, domain: ActableDomain, lesson: LessonView) -> bool | None:
         """Return what the open question is answered without asking; None: the person is asked."""
         _, said = self.asked(domain, lesson)
         if said is None or said is GroupAnswer.EACH:
@@ -53,7 +52,7 @@ class QuestionGroups:
         self._answers.clear()
 
     def asked(
-        self, domain: Domain[Any], lesson: LessonView
+        self, domain: ActableDomain, lesson: LessonView
     ) -> tuple[FeatureGroup | None, GroupAnswer | None]:
         """Return the group of the open question and what was said of it; None: nothing."""
         feature = lesson.question_feature

@@ -9,9 +9,8 @@ programs of other people and the lesson itself use these same values.
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Any
 
-from humanopts_env.domains.base import Domain
+from humanopts_env.domains.base import ActableDomain
 from humanopts_env.domains.capabilities import StepEffect
 from humanopts_env.game import effect_between, Source, Transition
 from humanopts_learner.demonstrations import Demonstration
@@ -330,7 +329,7 @@ _NO_GAME = Transition()
 class World:
     """The newest of everything that the graph has published."""
 
-    domain: Domain[Any] | None = None  # None: it has not come yet
+    domain: ActableDomain | None = None  # None: it has not come yet
     game: Transition = _NO_GAME  # of episode 0: none has come yet
     before: Transition | None = None  # from which the step was taken that led to ``game``
     lesson: LessonView = UNKNOWN

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
-from humanopts_env.domains.base import Domain
+from humanopts_env.domains.base import ActableDomain
+from humanopts_env.domains.described import can_simulate, simulated
 from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.options.files import option_from_json
@@ -39,7 +40,7 @@ class SeededStarts:
     restart, starts in the same state.
     """
 
-    def __init__(self, domain: Domain[Any], rules: LessonRules) -> None:
+    def __init__(self, domain: ActableDomain, rules: LessonRules) -> None:
         self.rules = rules
         self._domain = domain
         self._texts: dict[tuple[str, str], str] = {}  # options, by participant and name
@@ -62,22 +63,29 @@ class SeededStarts:
         return True
 
     def draw(self, option: OptionHistory) -> str:
-        """Return the start state of the next demonstration, in the domain's notation."""
+        """
+        Return the start state of the next demonstration, in the domain's notation.
+
+        :raises NeedsRulesError: the domain can only be acted in.
+        """
+        domain = simulated(self._domain, 'the choice of a start state')
         self.draw_ahead(option)
         assert self._ahead is not None
         (_, drawn, rng), self._ahead = self._ahead, None
         state = choose_start_state(
             self.rules.strategy,
-            self._domain,
+            domain,
             self._option(option),
             option.demonstrations,
             rng,
             drawn,
         )
-        return self._domain.encode(state)
+        return domain.encode(state)
 
     def draw_ahead(self, option: OptionHistory) -> None:
         """Draw the sample of states that the next start state is chosen from; that takes time."""
+        if not can_simulate(self._domain):
+            return
         key = option.participant, option.name, option.number, bool(option.demonstrations)
         if self._ahead is None or self._ahead[0] != key:
             rng = self._generator('start_state', option)
@@ -102,6 +110,8 @@ class SeededStarts:
         learned = self._option(option)
         asks_failures = self.rules.until_no_failures and self.rules.strategy == FAILURES
         if not asks_failures or learned is None or not option.demonstrations:
+            return True
+        if not can_simulate(self._domain):  # where it fails shows only when it is run
             return True
         rng = self._generator('exhausted', option)
         return nothing_fails(learned, self._domain, option.demonstrations, rng)

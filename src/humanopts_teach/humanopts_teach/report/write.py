@@ -8,7 +8,6 @@ from humanopts_env.domains.base import is_enumerable
 from humanopts_env.domains.registry import reference_options
 from humanopts_learner.demonstrations import METHODS
 from humanopts_learner.planning.exact import ExactPlan
-from humanopts_learner.summary import NO_RANGE
 from humanopts_teach.bags.info import summarise, TopicRow
 from humanopts_teach.bags.provenance import OWN_VERSION, software, UNKNOWN
 from humanopts_teach.bags.reader import Bag
@@ -119,7 +118,6 @@ def render_report(data: ReportData) -> str:
         'methods': METHODS,
         'reproduced': REPRODUCED,
         'return_limit': return_limit,
-        'NO_RANGE': NO_RANGE,
         'boards': board_figures(exact, 'board'),
         'planning': plans_by_name(plans),
         'evaluation': evaluation,

@@ -9,7 +9,7 @@ from collections.abc import Callable, Coroutine, Mapping
 from dataclasses import replace
 from typing import Any
 
-from humanopts_env.domains.base import Domain
+from humanopts_env.domains.base import ActableDomain
 from humanopts_env.game import Transition
 from humanopts_env.ros.game_subscriber import GameSubscriber, Observed
 from humanopts_interfaces import msg, srv
@@ -119,7 +119,7 @@ class LessonClient:
         ]
 
     @property
-    def domain(self) -> Domain[Any] | None:
+    def domain(self) -> ActableDomain | None:
         """The rules of the game; None: nothing was published yet."""
         return self.world.domain
 
@@ -285,7 +285,7 @@ class LessonClient:
                 answer.set_result(_LOST)
         self._changed()
 
-    def _on_domain(self, domain: Domain[Any]) -> None:
+    def _on_domain(self, domain: ActableDomain) -> None:
         self.world.domain = domain
         self._changed()
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import sys
 from typing import Any
 
-from humanopts_env.domains.base import Domain
+from humanopts_env.domains.base import ActableDomain
 from humanopts_env.ros.game_subscriber import GameSubscriber, Observed
 from humanopts_interfaces import msg
 from humanopts_interfaces.srv import ResetGame
@@ -146,7 +146,7 @@ class LessonNode(NodeBase):
         self._open_session.forget()
         self._store.close()
 
-    def _on_domain(self, domain: Domain[Any]) -> None:
+    def _on_domain(self, domain: ActableDomain) -> None:
         """Begin the lesson, and serve and subscribe to what needs it."""
         self._opened = Lesson(
             domain,

@@ -4,6 +4,7 @@ from functools import partial
 import sys
 from typing import Any
 
+from humanopts_env.domains.described import NeedsRulesError, simulated
 from humanopts_interfaces.msg import NodeStatus
 from humanopts_ros.node_base import NodeBase, PATIENCE, SEEDS, StartError
 from humanopts_ros.process import run_node
@@ -88,8 +89,9 @@ class SimulatedTeacherNode(NodeBase):
         domain = self._client.domain
         if self._teacher is None and domain is not None:
             try:
-                self._teacher = SimulatedTeacher(domain, self._settings)
-            except TeacherError as error:
+                with_rules = simulated(domain, 'the simulated teacher')
+                self._teacher = SimulatedTeacher(with_rules, self._settings)
+            except (NeedsRulesError, TeacherError) as error:
                 raise StartError(str(error)) from error
 
     async def _teach(self) -> None:

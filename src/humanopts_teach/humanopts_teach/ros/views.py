@@ -11,8 +11,9 @@ from typing import Any
 
 from geometry_msgs.msg import Point, Vector3
 from humanopts_env.board import Board
-from humanopts_env.domains.base import BoardSlice, Domain, is_enumerable
+from humanopts_env.domains.base import ActableDomain, BoardSlice, is_enumerable
 from humanopts_env.domains.capabilities import board_of
+from humanopts_env.domains.described import can_simulate
 from humanopts_env.ros.game_subscriber import GameSubscriber, Observed
 from humanopts_env.seeding import generator
 from humanopts_interfaces.msg import OptionGoal, OptionResult, OptionValues
@@ -69,10 +70,13 @@ class ViewsNode(NodeBase):
         """Return what the node waits for: the domain of the game."""
         return None if self._game.domain else 'domain_info'
 
-    def _begin(self, domain: Domain[Any]) -> None:
+    def _begin(self, domain: ActableDomain) -> None:
         self._layouts = domain.board_slices() if is_enumerable(domain) else ()
-        first = domain.reset(generator(0, 'views'))  # blocks and walls are the same in all states
-        self._board.publish(self._grid(board_of(domain, first)))
+        if can_simulate(domain):
+            first = domain.reset(
+                generator(0, 'views')
+            )  # all states have the same blocks and walls
+            self._board.publish(self._grid(board_of(domain, first)))
         self._timer.reset()
 
     def _on_goal(self, goal: OptionGoal) -> None:

@@ -1,0 +1,88 @@
+"""
+Domains that are known only from what they publish, such as a robot or a simulator on the graph.
+
+They can be acted in. What needs their rules, such as planning, asks ``simulated`` for them, which
+says so where there are none.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeGuard
+
+from humanopts_env.arrays import Floats
+from humanopts_env.domains.base import (
+    ActableDomain,
+    Action,
+    Domain,
+    DomainError,
+    Feature,
+    Parameter,
+)
+import numpy as np
+
+
+class NeedsRulesError(DomainError):
+    """A domain that can only be acted in has no rules for this; the text says for what."""
+
+
+@dataclass(frozen=True, slots=True)
+class SeenState:
+    """A state as it was published."""
+
+    text: str  # in a notation of the world's own
+    features: tuple[float, ...]
+    over: bool = False  # the task is over
+
+
+@dataclass(frozen=True)
+class DescribedDomain(ActableDomain):
+    """A domain as ``domain_info`` describes it; its states are ``SeenState``."""
+
+    name: str
+    parameters: Mapping[str, Parameter]
+    features: Sequence[Feature]
+    actions: Sequence[Action]
+    gamma: float
+    max_steps: int
+
+    def is_over(self, state: SeenState) -> bool:
+        return state.over
+
+    def feature_values(self, state: SeenState) -> Floats:
+        return np.array(state.features)
+
+    def encode(self, state: SeenState) -> str:
+        return state.text
+
+
+def can_simulate(domain: ActableDomain) -> TypeGuard[Domain[Any]]:
+    """Return whether the rules of a domain are known here, so that it can be simulated."""
+    return not isinstance(domain, DescribedDomain)
+
+
+def simulated(domain: ActableDomain, what: str) -> Domain[Any]:
+    """
+    Return a domain with its rules.
+
+    :param what: needs them, as the first words of the error: planning.
+    :raises NeedsRulesError: it can only be acted in.
+    """
+    if can_simulate(domain):
+        return domain
+    raise NeedsRulesError(
+        f'{what} needs a domain that can be simulated; {domain.name} can only be acted in'
+    )
+
+
+def published_state(
+    domain: ActableDomain, text: str, features: Sequence[float], *, over: bool = False
+) -> Any:
+    """
+    Return a state from what was published of it.
+
+    :param over: the task is over there.
+    :raises StateError: the rules of the domain are known, and the text is none of its states.
+    """
+    if can_simulate(domain):
+        return domain.decode(text)
+    return SeenState(text, tuple(features), over)

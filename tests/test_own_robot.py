@@ -1,0 +1,160 @@
+"""A robot that nobody else knows the rules of is taught, learned and run over the graph."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from graph_support.live import Graph, LEARNER, LESSON, open_graph, OPTION_SERVER, PLANNER
+from graph_support.player import ME
+from humanopts_interfaces.action import Plan
+from humanopts_interfaces.msg import (
+    ActionCommand,
+    GameState,
+    LearningStatus,
+    LessonState,
+    PlanResult,
+)
+from humanopts_interfaces.srv import (
+    AnswerQuestion,
+    BeginDemonstration,
+    DefineOption,
+    EndDemonstration,
+    OpenSession,
+    QueryOption,
+    ResetGame,
+    RunOption,
+)
+from humanopts_ros.qos import CURRENT, STREAM
+import pytest
+
+ROVER = Path(__file__).parents[1] / 'examples/own_robot/rover.py'
+DOCK = 'go to the charger'
+AT_CHARGER = 1.0  # m
+SHOWN = 11
+
+
+class Teacher:
+    """Teaches the rover by the lesson's services, and drives it."""
+
+    def __init__(self, graph: Graph) -> None:
+        self.graph = graph
+        self.states: list[GameState] = graph.listen(GameState, 'game_state')
+        self.lessons: list[LessonState] = graph.listen(LessonState, 'lesson_state', CURRENT)
+        self.learned: list[LearningStatus] = graph.listen(
+            LearningStatus, 'learning_status', CURRENT
+        )
+        self._keys = graph.node.create_publisher(ActionCommand, 'action', STREAM)
+        graph.run([str(ROVER)], 'rover')
+        for node, folder in ((LEARNER, 'options'), (LESSON, 'demonstrations')):
+            graph.start(node, directory=graph.folder / folder)
+        graph.start(OPTION_SERVER)
+        graph.start(PLANNER)
+        graph.ready('/learner', '/lesson', '/option_server', '/planner')
+        graph.until(self._keys.get_subscription_count, 'the rover to listen')
+
+    def ask(self, kind: Any, service: str, **fields: Any) -> Any:
+        answer = self.graph.ask(kind, f'lesson/{service}', **fields)
+        assert answer.status == answer.STATUS_OK, answer.detail
+        return answer
+
+    def ready(self) -> None:
+        """Wait until another demonstration can begin, whether it is needed or not."""
+        phases = LessonState.PHASE_READY, LessonState.PHASE_FINISHED
+        self.graph.until(lambda: self.lessons[-1].phase in phases, 'the lesson to be ready')
+
+    def name_the_option(self) -> None:
+        self.ask(OpenSession, 'open_session', participant='p1', session='s1')
+        self.ask(DefineOption, 'define_option', name=DOCK)
+        for feature in ('x', 'lamp'):
+            self.graph.until(
+                lambda f=feature: self.lessons[-1].question_feature == f,
+                f'question about {feature}',
+            )
+            question = self.lessons[-1].question_id
+            self.ask(AnswerQuestion, 'answer_question', question_id=question, yes=feature == 'x')
+
+    def show(self) -> None:
+        """Drive back until the charger is reached."""
+        self.ready()
+        episode = self.ask(BeginDemonstration, 'begin_demonstration').episode
+        while self.states[-1].features[0] > AT_CHARGER:
+            known = len(self.states)
+            self._keys.publish(
+                ActionCommand(
+                    publisher_id=ME,
+                    source=ActionCommand.SOURCE_PERSON,
+                    episode=episode,
+                    action='back',
+                )
+            )
+            self.graph.until(lambda n=known: len(self.states) > n, 'the step')
+        done = EndDemonstration.Request.VERDICT_DONE
+        ended = {'verdict': done, 'episode': episode, 'step': self.states[-1].step}
+        uuid = self.ask(EndDemonstration, 'end_demonstration', **ended).uuid
+        self.graph.until(
+            lambda: any(o.last_uuid == uuid for o in self.learned[-1].options), 'it to be learned'
+        )
+
+
+@pytest.fixture(scope='module')
+def teacher(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Teacher]:
+    """The rover, taught."""
+    with open_graph(tmp_path_factory.mktemp('robot')) as graph:
+        teacher = Teacher(graph)
+        teacher.name_the_option()
+        for _ in range(SHOWN):
+            teacher.show()
+        yield teacher
+
+
+def test_what_was_shown_is_learned_and_judged_as_far_as_it_can_be(teacher: Teacher) -> None:
+    """I and beta are held out; for the return, options would have to be run."""
+    (option,) = teacher.learned[-1].options
+    assert (option.option_name, option.n_demonstrations) == (DOCK, SHOWN)
+    criteria = {criterion.name: criterion for criterion in option.criteria}
+    assert not criteria['return'].measurable
+    assert 'can only be acted in' in criteria['return'].obstacle
+    assert criteria['initiation'].measurable
+    assert criteria['termination'].measurable
+    assert criteria['termination'].value < 0.1
+
+
+def test_the_option_server_runs_it_to_the_charger(teacher: Teacher) -> None:
+    for seed in range(100, 105):
+        source = ResetGame.Request.SOURCE_MACHINE
+        begun = teacher.graph.ask(ResetGame, 'reset_game', source=source, seed=seed)
+        asked = {'option_name': DOCK, 'episode': begun.episode}
+        result = teacher.graph.ask(RunOption, 'run_option', **asked).result
+        assert result.status == result.STATUS_REACHED, result.detail
+        teacher.graph.until(
+            lambda r=result: teacher.states[-1].state == r.final_state, 'the final state'
+        )
+        assert teacher.states[-1].features[0] < AT_CHARGER + 0.6
+
+
+def test_the_current_state_can_be_asked_about_and_no_other(teacher: Teacher) -> None:
+    graph = teacher.graph
+    graph.ask(ResetGame, 'reset_game', source=ResetGame.Request.SOURCE_MACHINE, seed=7)
+    graph.until(lambda: teacher.states[-1].step == 0, 'the first state')
+    here = graph.ask(QueryOption, 'query_option', option_name=DOCK)
+    assert (here.status, here.can_start, here.greedy_action) == (here.STATUS_OK, True, 'back')
+    there = graph.ask(QueryOption, 'query_option', option_name=DOCK, state='{"x": 3.0}')
+    assert there.status == there.STATUS_BAD_STATE
+    assert there.detail == (
+        'a query about another state than the current one needs a domain that can be simulated; '
+        'rover can only be acted in'
+    )
+
+
+def test_what_needs_rules_says_so(teacher: Teacher) -> None:
+    plan = teacher.graph.act(Plan, 'plan', action_set='human', participant='p1')
+    _, result = plan.result()
+    assert result.status == PlanResult.STATUS_BAD_REQUEST
+    assert result.detail == (
+        'a plan needs a domain that can be simulated; rover can only be acted in'
+    )
+    begun = teacher.graph.ask(
+        BeginDemonstration, 'lesson/begin_demonstration', start_state='{"x": 3.0}'
+    )
+    assert begun.status == BeginDemonstration.Response.STATUS_BAD_STATE
+    assert begun.detail == 'a rover starts where it stands'
