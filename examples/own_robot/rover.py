@@ -23,6 +23,7 @@ import rclpy
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile
+from std_msgs.msg import Empty
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 STREAM = QoSProfile(history=HistoryPolicy.KEEP_ALL)
@@ -59,9 +60,8 @@ class Rover(Node):
         self._sequences: dict[str, int] = {}
         self._x, self._on, self._now = LENGTH, False, GameState()
         # States its id on the graph, so that nobody else can publish in its place.
-        self._mark = self.create_publisher(
-            GameState, '_game/' + self._id[1:].replace('#', '/_'), 1
-        )
+        name, part = self.get_name(), self._id.partition('#')[2]
+        self._mark = self.create_publisher(Empty, f'_game/{name}/_{part}', 1)
         self._out = {
             topic: self.create_publisher(kind, topic, qos)
             for topic, kind, qos in (

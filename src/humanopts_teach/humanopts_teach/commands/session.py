@@ -14,6 +14,7 @@ from typing import Any
 
 from humanopts_env.domains.base import Domain, DomainError
 from humanopts_env.domains.capabilities import HasTeachingDefaults
+from humanopts_env.domains.names import is_registered
 from humanopts_env.domains.registry import make_domain, reference_options
 from humanopts_learner.demonstrations import check_method
 from humanopts_learner.options.criteria import Thresholds
@@ -64,7 +65,9 @@ def setup_from(
     usual = Thresholds()
     given = {name: getattr(launch, name) for name in asdict(usual)}
     with refusing(ValueError):
-        check_method(launch.learn, make_domain(domain, parameters))
+        only = own.get('only', ())
+        if is_registered(domain) or not only or 'game' in only:  # else it is another node's
+            check_method(launch.learn, make_domain(domain, parameters))
         thresholds = replace(usual, **{n: v for n, v in given.items() if v is not None})
     if own.get('record', True):
         own['recording'] = _recording(launch, evaluated)
