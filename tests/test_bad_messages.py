@@ -154,7 +154,7 @@ def test_an_option_runs_after_a_state_that_was_refused(attacked: Attacked) -> No
 
 LARGE = domain_to_info(make_domain('taxi', {'rows': 1000, 'cols': 1000}))
 INFOS = [
-    ({'domain': 'chess'}, "no domain 'chess'"),
+    ({'domain': 'chess', 'features': []}, "'chess' cannot be used: it has no feature"),
     ({'parameters': '[' * 100_000}, 'nested more than'),
     ({'parameters': '{"rows": ' + '{"a":' * 100_000}, 'nested more than'),
     ({'parameters': '{"rows": 1' + '0' * 6000 + '}'}, 'an integer that is too large'),

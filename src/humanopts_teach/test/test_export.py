@@ -5,15 +5,18 @@ import json
 from pathlib import Path
 from typing import Any
 
-from humanopts_env.domains.base import Domain
+from humanopts_env.domains.base import Action, Domain, Feature
+from humanopts_env.domains.described import DescribedDomain
 from humanopts_env.domains.registry import make_domain
-from humanopts_env.game import Command, Game, Source
+from humanopts_env.game import Command, Game, Source, Transition
 from humanopts_env.ros.convert import domain_to_info, transition_to_message
 from humanopts_env.seeding import generator
 from humanopts_interfaces.msg import ActionCommand, PlanResult
 from humanopts_interfaces.srv import ResetGame
 from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.ros.convert import demonstration_to_message
+from humanopts_teach.bags import BagError
+from humanopts_teach.bags.contents import read_domain
 from humanopts_teach.bags.reader import Bag, open_bag
 from humanopts_teach.bags.writer import BagWriter
 from humanopts_teach.cli import main
@@ -123,6 +126,29 @@ def test_step_table_has_every_state_with_the_step_that_led_to_it(
     assert steps['feature:taxi_row'][1] == row
     assert list(steps['option'][:4]) == ['', 'module 1', 'module 0', 'module 1']
     assert list(steps['source'][:2]) == ['', 'machine']
+
+
+def test_the_bag_of_a_robot_is_exported_by_its_description(tmp_path: Path) -> None:
+    """Continuous features are numbers, and it need not be installed."""
+    far = Feature.continuous('far', 'how far it is', 0.0, 9.0, 'm')
+    lamp = Feature.nominal('lamp', 'whether it is on', ('off', 'on'))
+    rover = DescribedDomain('rover', {}, [far, lamp], [Action('go', 'g', 'go')], 0.9, 100)
+    with BagWriter(tmp_path / 'bag') as bag:
+        states = [
+            Transition(1, step, f'state {step}', (1.5 * step, 1.0), 'go' if step else '')
+            for step in range(3)
+        ]
+        messages: list[tuple[str, Any]] = [('/domain_info', domain_to_info(rover))]
+        messages += [('/game_state', transition_to_message(each)) for each in states]
+        for time, (topic, message) in enumerate(messages):
+            bag.add_topic(topic, f'humanopts_interfaces/msg/{type(message).__name__}')
+            message.publisher_id, message.sequence = '/rover#1', max(time, 1)
+            bag.write(topic, serialize_message(message), time + 1)
+    steps = bag_tables(open_bag(tmp_path / 'bag'))['steps']
+    assert list(steps['feature:far']) == [0.0, 1.5, 3.0]
+    assert list(steps['feature:lamp']) == ['on'] * 3
+    with pytest.raises(BagError, match="no domain 'rover'"):
+        read_domain(open_bag(tmp_path / 'bag'))
 
 
 @pytest.mark.parametrize('features', [[999.0], [-1.0], [0.5], []])

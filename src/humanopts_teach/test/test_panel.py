@@ -3,6 +3,8 @@
 from dataclasses import replace
 from typing import get_args
 
+from humanopts_env.domains.base import Feature
+from humanopts_env.domains.described import DescribedDomain
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.game import Transition
 from humanopts_learner.summary import Criterion, OptionSummary
@@ -31,6 +33,7 @@ from humanopts_teach.terminal.drawing import drawn
 import pytest
 
 NAME = 'fetch <b>&'
+FAR = Feature.continuous('far', 'how far it is', 0.0, 9.0, 'm')
 CHOSEN = ('taxi_row', 'taxi_col')
 
 
@@ -120,3 +123,16 @@ def test_nodes_that_are_missing_are_said_before_anything_else(app: App) -> None:
 def test_a_lesson_that_is_paused_says_why(app: App) -> None:
     app.world.lesson = replace(app.world.lesson, paused='the disk is full')
     assert view(app).paused == 'the disk is full'
+
+
+def test_what_is_seen_of_a_domain_without_rules_is_its_features(app: App) -> None:
+    rover = DescribedDomain('rover', {}, [FAR], list(make_domain('taxi').actions), 0.9, 100)
+    app.world.domain = rover
+    app.world.game = Transition(2, 0, 'anything', features=(3.14159,))
+    app.world.lesson = replace(app.world.lesson, chosen_features=('far',))
+    to_lesson(app)
+    shown = view(app)
+    assert shown.board is not None
+    assert shown.board.notes == ('far: 3.142 m',)
+    (features,) = [block for block in shown.panel.beside if isinstance(block, Features)]
+    assert features.shown == [FeatureShown('far', '3.142 m')]

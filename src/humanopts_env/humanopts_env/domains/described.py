@@ -10,15 +10,24 @@ from dataclasses import dataclass
 from typing import Any, TypeGuard
 
 from humanopts_env.arrays import Floats
+from humanopts_env.contract import check_description
 from humanopts_env.domains.base import (
     ActableDomain,
     Action,
     Domain,
     DomainError,
     Feature,
+    FeatureKind,
     Parameter,
 )
+from humanopts_env.domains.parameters import parameters_from_json
 import numpy as np
+
+KIND_NUMBERS = {  # KIND_* of FeatureInfo.msg
+    FeatureKind.ORDINAL: 1,
+    FeatureKind.NOMINAL: 2,
+    FeatureKind.CONTINUOUS: 3,
+}
 
 
 class NeedsRulesError(DomainError):
@@ -53,6 +62,30 @@ class DescribedDomain(ActableDomain):
 
     def encode(self, state: SeenState) -> str:
         return state.text
+
+
+def described_domain(message: Any) -> DescribedDomain:
+    """
+    Return what a ``DomainInfo`` describes, from rclpy or from a bag reader.
+
+    :raises DomainError: the description cannot be used.
+    """
+    kinds = {number: kind for kind, number in KIND_NUMBERS.items()}
+    if strange := [f.name for f in message.features if f.kind not in kinds]:
+        raise DomainError(f'the feature {strange[0]} of {message.domain} is of an unknown kind')
+    domain = DescribedDomain(
+        message.domain,
+        parameters_from_json(message.domain, message.parameters),
+        [
+            Feature(f.name, f.question, kinds[f.kind], tuple(f.value_names), f.unit, f.low, f.high)
+            for f in message.features
+        ],
+        [Action(action.name, action.key, action.description) for action in message.actions],
+        message.gamma,
+        message.max_steps,
+    )
+    check_description(domain)
+    return domain
 
 
 def can_simulate(domain: ActableDomain) -> TypeGuard[Domain[Any]]:

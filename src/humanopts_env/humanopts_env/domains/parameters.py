@@ -109,3 +109,18 @@ def _check_type(name: str, key: str, value: Any, types: Sequence[Any]) -> None:
             said = f'{key} of {name} is {text}, and has to be {wanted}{hint}'
             raise DomainError(said) from None
         return
+
+
+def parameters_from_json(name: str, parameters: str) -> dict[str, Any]:
+    """
+    Return the parameters of a domain, as messages carry them.
+
+    :raises DomainError: they are not a JSON object.
+    """
+    try:
+        values = parse_json(parameters or '{}', MAX_PARAMETERS)
+    except JsonError as error:
+        raise DomainError(f'the parameters of {name} are not JSON: {error}') from error
+    if not isinstance(values, dict):
+        raise DomainError(f'the parameters of {name} are not a JSON object: {parameters}')
+    return values

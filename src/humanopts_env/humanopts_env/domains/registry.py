@@ -9,9 +9,8 @@ from typing import Any, cast
 from humanopts_env.contract import check_domain
 from humanopts_env.domains.base import ActableDomain, Domain, DomainError, Parameter
 from humanopts_env.domains.names import domain_names, DOMAINS, GYMNASIUM, registered
-from humanopts_env.domains.parameters import check_parameters, MAX_PARAMETERS
+from humanopts_env.domains.parameters import check_parameters, parameters_from_json
 from humanopts_env.domains.reference import ReferenceOption
-from humanopts_ros.limits import JsonError, parse_json
 
 REFERENCE_OPTIONS = 'humanopts.reference_options'
 OURS = 'humanopts_env.'
@@ -43,21 +42,6 @@ def domain_from_json(name: str, parameters: str) -> Domain[Any]:
     :raises DomainError: as ``make_domain``, or the parameters are not a JSON object.
     """
     return make_domain(name, parameters_from_json(name, parameters))
-
-
-def parameters_from_json(name: str, parameters: str) -> dict[str, Any]:
-    """
-    Return the parameters of a domain, as messages carry them.
-
-    :raises DomainError: they are not a JSON object.
-    """
-    try:
-        values = parse_json(parameters or '{}', MAX_PARAMETERS)
-    except JsonError as error:
-        raise DomainError(f'the parameters of {name} are not JSON: {error}') from error
-    if not isinstance(values, dict):
-        raise DomainError(f'the parameters of {name} are not a JSON object: {parameters}')
-    return values
 
 
 def parameters_json(domain: ActableDomain) -> str:

@@ -1,14 +1,9 @@
 """Conversion between messages and domain values."""
 
-from humanopts_env.contract import check_description
 from humanopts_env.domains.base import ActableDomain, Action, DomainError, Feature
-from humanopts_env.domains.described import DescribedDomain
+from humanopts_env.domains.described import described_domain
 from humanopts_env.domains.names import is_registered
-from humanopts_env.domains.registry import (
-    domain_from_json,
-    parameters_from_json,
-    parameters_json,
-)
+from humanopts_env.domains.registry import domain_from_json, parameters_json
 from humanopts_env.game import Command, Control, Pacing, Refused, Transition
 from humanopts_interfaces.msg import (
     ActionCommand,
@@ -57,7 +52,7 @@ def domain_from_info(info: DomainInfo) -> ActableDomain:
     :raises DomainError: its rules differ from those here, or the description cannot be used.
     """
     if not is_registered(info.domain):
-        return _described(info)
+        return described_domain(info)
     domain = domain_from_json(info.domain, info.parameters)
     here = domain_to_info(domain)
     rules = 'features', 'actions', 'gamma', 'max_steps'
@@ -66,28 +61,6 @@ def domain_from_info(info: DomainInfo) -> ActableDomain:
             f'game plays another version of {info.domain}: its rules differ from those installed '
             'here'
         )
-    return domain
-
-
-def _described(info: DomainInfo) -> DescribedDomain:
-    """
-    Return a domain that is known by its description alone.
-
-    :raises DomainError: the description cannot be used.
-    """
-    try:
-        features = [_FEATURE.decode(f, values=tuple(f.value_names)) for f in info.features]
-    except ValueError as error:
-        raise DomainError(f'a feature of {info.domain} cannot be used: its {error}') from None
-    domain = DescribedDomain(
-        info.domain,
-        parameters_from_json(info.domain, info.parameters),
-        features,
-        list(map(_ACTION.decode, info.actions)),
-        info.gamma,
-        info.max_steps,
-    )
-    check_description(domain)
     return domain
 
 

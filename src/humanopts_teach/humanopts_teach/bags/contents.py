@@ -6,7 +6,9 @@ from functools import partial
 from sys import intern
 from typing import Any
 
-from humanopts_env.domains.base import Domain, DomainError
+from humanopts_env.domains.base import ActableDomain, Domain, DomainError
+from humanopts_env.domains.described import described_domain
+from humanopts_env.domains.names import is_registered
 from humanopts_env.domains.registry import domain_from_json
 from humanopts_env.game import Source, Transition, transition_from_message
 from humanopts_learner.demonstrations import (
@@ -109,16 +111,41 @@ def read_domain(bag: Bag) -> Domain[Any]:
 
     :raises BagError: the bag names no domain, or several, or one that is not installed here.
     """
+    try:
+        return domain_from_json(*_played(bag))
+    except DomainError as error:
+        raise BagError(f'{bag.path}: {error}') from error
+
+
+def read_description(bag: Bag) -> ActableDomain:
+    """
+    Return the domain that was played, also one of which only the bag knows.
+
+    :raises BagError: the bag names no domain, or several, or it cannot be used.
+    """
+    name, _ = _played(bag)
+    if is_registered(name):
+        return read_domain(bag)
+    infos = (each.message for each in bag.genuine(DOMAIN_INFO) if each.message is not None)
+    try:
+        return next(described_domain(info) for info in infos if info.domain == name)
+    except DomainError as error:
+        raise BagError(f'{bag.path}: {error}') from error
+
+
+def _played(bag: Bag) -> tuple[str, str]:
+    """
+    Return name and parameters (JSON) of the domain that was played.
+
+    :raises BagError: the bag names none, or several.
+    """
     played = domains_played(bag)
     if not played:
         reasons = '; '.join(['no domain_info', *bag.notes])
         raise BagError(f'{bag.path} does not say which domain was played ({reasons})')
     if len(played) > 1:
         raise BagError(f'{bag.path} holds games of several domains: {_named(played)}')
-    try:
-        return domain_from_json(*played[0])
-    except DomainError as error:
-        raise BagError(f'{bag.path}: {error}') from error
+    return played[0]
 
 
 STATE_COPY = 'current_state'  # the latched topic that repeats the last state

@@ -347,7 +347,8 @@ def _features(app: App, lesson: LessonView) -> Features:
     domain, game = app.domain, app.world.game
     values: list[float] = []
     if game.state and lesson.phase is Phase.DEMONSTRATING:
-        values = list(game.features)
+        state = published_state(domain, game.state, game.features)
+        values = domain.feature_values(state).tolist()
     shown = [
         FeatureShown(_plain(feature.name), feature.text(values[index]) if values else '')
         for index, feature in enumerate(domain.features)

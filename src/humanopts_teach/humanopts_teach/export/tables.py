@@ -6,14 +6,14 @@ import json
 from pathlib import Path, PurePosixPath
 from typing import Any, TYPE_CHECKING
 
-from humanopts_env.domains.base import Domain, Feature, FeatureKind
+from humanopts_env.domains.base import ActableDomain, Feature, FeatureKind
 from humanopts_learner.demonstrations import Demonstration, each_once
 from humanopts_learner.spreadsheet import csv_of, EXCEL
 from humanopts_teach.bags.contents import (
     actor_of,
     read_actors,
     read_demonstrations,
-    read_domain,
+    read_description,
     read_episodes,
     source_of,
 )
@@ -42,11 +42,11 @@ def bag_tables(bag: Bag) -> 'dict[str, pd.DataFrame]':
     """
     Return the tables steps, demonstrations, options and plans; a list is JSON text.
 
-    :raises BagError: the bag does not say which domain was played, or it is not installed.
+    :raises BagError: the bag does not say which domain was played.
     """
     import pandas as pd  # slow to import
 
-    domain = read_domain(bag)
+    domain = read_description(bag)
     demonstrations = each_once(read_demonstrations(bag)) if bag.of_type(DEMONSTRATION) else []
     counted = [*(field.name for field in fields(Demonstration)), 'steps', 'total_reward']
     return {
@@ -60,7 +60,7 @@ def bag_tables(bag: Bag) -> 'dict[str, pd.DataFrame]':
     }
 
 
-def _step_columns(domain: Domain[Any]) -> list[str]:
+def _step_columns(domain: ActableDomain) -> list[str]:
     return [
         *('episode', 'game', 'game_episode', 'step', 'state'),
         *(f'{FEATURE_PREFIX}{feature.name}' for feature in domain.features),
@@ -68,7 +68,7 @@ def _step_columns(domain: Domain[Any]) -> list[str]:
     ]
 
 
-def _steps(bag: Bag, domain: Domain[Any]) -> Iterator[tuple[Any, ...]]:
+def _steps(bag: Bag, domain: ActableDomain) -> Iterator[tuple[Any, ...]]:
     """Yield a row for each recorded state and the step that led to it."""
     actors, features = read_actors(bag), domain.features
     for number, episode in enumerate(read_episodes(bag), start=1):
