@@ -59,6 +59,7 @@ class Rover(Node):
         self._id = f'{self.get_fully_qualified_name()}#{uuid.uuid4().hex[:8]}'
         self._sequences: dict[str, int] = {}
         self._x, self._on, self._now = LENGTH, False, GameState()
+        self._chance = random.Random(0)
         # States its id on the graph, so that nobody else can publish in its place.
         name, part = self.get_name(), self._id.partition('#')[2]
         self._mark = self.create_publisher(Empty, f'_game/{name}/_{part}', 1)
@@ -95,7 +96,8 @@ class Rover(Node):
         if request.start_state:
             reply.status, reply.detail = reply.STATUS_BAD_STATE, 'a rover starts where it stands'
             return reply
-        self._x, self._on = random.Random(request.seed).uniform(2.0, LENGTH), False
+        self._chance = random.Random(request.seed)
+        self._x, self._on = self._chance.uniform(2.0, LENGTH), False
         self._show(episode=self._now.episode + 1)
         reply.status, reply.episode, reply.state = (
             reply.STATUS_OK,
@@ -115,7 +117,7 @@ class Rover(Node):
             self._on = not self._on
         else:
             way = 1.0 if command.action == 'forward' else -1.0
-            self._x = min(max(self._x + way * random.uniform(0.4, 0.6), 0.0), LENGTH)
+            self._x = min(max(self._x + way * self._chance.uniform(0.4, 0.6), 0.0), LENGTH)
         self._show(
             episode=now.episode,
             step=now.step + 1,
