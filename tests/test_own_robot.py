@@ -137,7 +137,7 @@ def test_the_current_state_can_be_asked_about_and_no_other(teacher: Teacher) -> 
     graph.ask(ResetGame, 'reset_game', source=ResetGame.Request.SOURCE_MACHINE, seed=7)
     graph.until(lambda: teacher.states[-1].step == 0, 'the first state')
     here = graph.ask(QueryOption, 'query_option', option_name=DOCK)
-    assert (here.status, here.can_start, here.greedy_action) == (here.STATUS_OK, True, 'back')
+    assert (here.status, here.can_start, here.action) == (here.STATUS_OK, True, 'back')
     there = graph.ask(QueryOption, 'query_option', option_name=DOCK, state='{"x": 3.0}')
     assert there.status == there.STATUS_BAD_STATE
     assert there.detail == (
