@@ -86,7 +86,6 @@ class PlayScreen(Screen):
                 app.go_on()
                 app.ask(CancelRun())
             else:
-                app.ask(SetControl(hold=False))
                 self.menu(app)
         elif command is KeyCommand.HELP:
             keys = self._shown(app).help(app.domain.actions, self._words(app))

@@ -21,6 +21,7 @@ from humanopts_teach.lesson.requests import (
     OpenSession,
     Phase,
     Request,
+    SetControl,
     UNKNOWN,
     Verdict,
 )
@@ -122,7 +123,9 @@ def _entered(request: Request, answer: Answer, app: App) -> None:
 
 
 def to_menu(app: App) -> None:
-    """Show what can be done."""
+    """Give control back, and show what can be done."""
+    if app.world.i_drive:
+        app.ask(SetControl(hold=False))
     app.next_start = ''
     known = len(app.known_options)
     items = [Item('Teach a new option', 'name it, answer questions, show it', _name_option)]
