@@ -382,7 +382,8 @@ def test_who_is_displaced_asks_nothing_of_the_others_lesson_and_gives_control_ba
     desk = begin(chosen=CHOSEN).press('left', 'backspace')
     desk.world.paused_by = ME
     left_by(desk, 'anna')
-    asked = len(desk.asked)
+    asked, last = len(desk.asked), desk.app.last_requests()
+    assert not any(isinstance(each, EndDemonstration) for each in last)
     desk.press(key)
     assert 'The lesson is no longer yours. Take it back?' in desk.see()
     assert 'anna teaches now.' in desk.see()
@@ -450,6 +451,14 @@ def test_the_speed_stays_within_what_there_is(
     ):
         assert words in seen  # the fullest bar leaves room for the rest
     assert 'higher window' not in seen
+
+
+def test_discarding_a_watched_option_stops_the_machine(begin: Begin) -> None:
+    desk = begin(chosen=CHOSEN).press('left', 'p', 'enter', 'w', 'backspace')
+    stop, discard = desk.asked[-2:]
+    assert stop == SetControl(hold=True)
+    assert isinstance(discard, EndDemonstration)
+    assert discard.verdict is Verdict.DISCARD
 
 
 KEYS = [

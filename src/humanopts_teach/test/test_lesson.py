@@ -59,6 +59,7 @@ from teach_support.lesson import (
 OK, WRONG, MACHINE = RequestStatus.OK, RequestStatus.WRONG_PHASE, Source.MACHINE
 FEATURES = [feature.name for feature in TAXI.features]
 BUDGET = 4
+RARELY = st.sampled_from([True, False, False, False])  # what begins anew
 NAMES = st.sampled_from(['go', 'fetch', 'leave'])
 Key = tuple[str, str]  # participant and option
 
@@ -142,8 +143,14 @@ class LessonMachine(RuleBasedStateMachine):
             self.awaited = self.again = ''
         self.name = name if (self.who, name) in self.options else ''
 
-    @rule(who=st.sampled_from(['p1', 'p1', 'p2']), session=st.sampled_from(['s1', 's1', 's2']))
-    def open(self, who: str, session: str) -> None:
+    @rule(
+        who=st.sampled_from(['p1', 'p1', 'p2']),
+        session=st.sampled_from(['s1', 's1', 's2']),
+        now=RARELY,
+    )
+    def open(self, who: str, session: str, now: bool = True) -> None:
+        if not now:
+            return
         self.ask(OpenSession(who, session), WRONG if self.path else OK)
         if not self.path:
             self.who, self.session = who, session
@@ -153,8 +160,11 @@ class LessonMachine(RuleBasedStateMachine):
         name=NAMES,
         again=st.sampled_from([False, False, True]),
         method=st.sampled_from(['', '', GOAL, TREES]),
+        now=RARELY,
     )
-    def define(self, name: str, again: bool, method: str) -> None:
+    def define(self, name: str, again: bool, method: str, now: bool = True) -> None:
+        if not now:
+            return
         free = self.who and not self.path
         answer = self.ask(DefineOption(name, again, method), OK if free else WRONG)
         if free:
@@ -324,8 +334,10 @@ class LessonMachine(RuleBasedStateMachine):
             option.starts.append(option.withdrawn[answer.uuid])
             self.awaited, self.again = answer.uuid, ''
 
-    @rule(name=NAMES, new=st.sampled_from(['', 'go', 'fetch', 'renamed']))
-    def change(self, name: str, new: str) -> None:
+    @rule(name=NAMES, new=st.sampled_from(['', 'go', 'fetch', 'renamed']), now=RARELY)
+    def change(self, name: str, new: str, now: bool) -> None:
+        if not now:
+            return
         old, key = self.options.get((self.who, name)), (self.who, new)
         if self.path or self.awaited:
             self.ask(ChangeOption(name, new), WRONG)
@@ -440,7 +452,7 @@ class LessonMachine(RuleBasedStateMachine):
         assert kept == expected
 
 
-LessonMachine.TestCase.settings = settings(max_examples=60, stateful_step_count=40, deadline=None)
+LessonMachine.TestCase.settings = settings(max_examples=80, stateful_step_count=50, deadline=None)
 TestLesson = LessonMachine.TestCase
 
 
@@ -773,6 +785,48 @@ def test_an_option_goes_on_by_its_method_whatever_is_usual(store: DemonstrationS
     resumed = Table(store).opened()
     resumed.ask(DefineOption(OPTION))
     assert resumed.lesson.view.method == GOAL
+
+
+def test_not_here_spends_the_budget_too(store: DemonstrationStore) -> None:
+    table = Table(store, budget=2).ready().began(START)
+    assert table.end(Verdict.NOT_HERE).ok
+    table.learned()
+    assert table.shown().lesson.phase is Phase.FINISHED
+    assert table.ask(BeginDemonstration()).status is RequestStatus.BUDGET_SPENT
+
+
+@pytest.mark.parametrize('silent', [True, False])
+def test_criteria_that_rest_on_what_was_withdrawn_are_met_no_more(
+    table: Table, silent: bool
+) -> None:
+    TO_PHASE[Phase.FINISHED](table).ask(WithdrawDemonstration())
+    if silent:
+        table.lesson.learner_silent()
+    else:
+        table.lesson.learner_refused(table.lesson.awaited, 'cannot write')
+    assert (table.lesson.phase, table.lesson.criteria_met) == (Phase.READY, False)
+
+
+def test_a_machine_that_moves_after_the_person_ends_a_correction(table: Table) -> None:
+    table.ready().began(START, watch=True).drive('west', source=MACHINE).drive('south')
+    assert table.lesson.phase is Phase.DEMONSTRATING
+    table.drive('south', source=MACHINE)
+    assert table.lesson.phase is Phase.READY
+
+
+def test_what_was_withdrawn_is_shown_anew_one_by_one_and_once(table: Table) -> None:
+    table.ready()
+    for start in (START, OTHER):
+        table.began(start).drive('west').end()
+        table.learned()
+    for _ in range(2):
+        assert table.ask(WithdrawDemonstration()).ok
+        table.lesson.update_summaries([])
+    for start in (START, OTHER):
+        assert table.began().lesson.view.start_state == start
+        table.drive('west').end()
+        table.learned()
+    assert table.ask(BeginDemonstration()).state not in (START, OTHER)
 
 
 def test_a_renamed_option_can_be_learned(table: Table) -> None:
