@@ -1,0 +1,156 @@
+"""Options played in many games at once, against one game after another, written out by hand."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from humanopts_env.arrays import Flags, Ints, Rows
+from humanopts_env.domains.registry import make_domain
+from humanopts_env.games import games_at, new_games, StateGames
+from humanopts_learner.execution import Choice, Execution, NONE, play, RowOptions, Seen
+from humanopts_learner.option import PrimitiveOption
+from hypothesis import given, settings, strategies
+import numpy as np
+import pytest
+
+WORLDS = [('taxi', {}), ('rooms', {}), ('pacman', {'maze': 'yard'})]
+
+
+@dataclass(frozen=True)
+class HashOption:
+    """An option that acts and ends by the remainders of sums of features."""
+
+    name: str
+    key: int
+    n_actions: int
+    max_steps: int
+
+    def can_start(self, rows: Rows) -> Flags:
+        return np.ones(len(rows), dtype=np.bool_)
+
+    def action(self, rows: Rows) -> Ints:
+        found: Ints = (rows.sum(axis=1).astype(np.intp) * self.key + self.key) % self.n_actions
+        return found
+
+    def ends(self, rows: Rows) -> Flags:
+        found: Flags = (rows.sum(axis=1).astype(np.intp) + self.key) % 3 == 0
+        return found
+
+
+class InTurn:
+    """Options one after another, in each game from one of its own; some are stopped."""
+
+    def __init__(self, count: int, games: int, stopping: int) -> None:
+        self.count, self.next, self.stopping = count, np.arange(games), stopping
+
+    def choose(self, seen: Seen, games: Ints) -> Choice:
+        option = self.next[games] % self.count
+        self.next[games] += 1
+        return Choice(option)
+
+    def stops(self, seen: Any, option: Ints) -> Flags | None:
+        if not self.stopping:
+            return None
+        stopped: Flags = seen.rows.sum(axis=1).astype(np.intp) % self.stopping == 0
+        return stopped
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    world=strategies.sampled_from(WORLDS),
+    keys=strategies.lists(strategies.integers(1, 50), min_size=1, max_size=3),
+    limit=strategies.integers(1, 5),
+    length=strategies.integers(1, 30),
+    stopping=strategies.sampled_from([0, 4]),
+    once=strategies.booleans(),
+    seed=strategies.integers(0, 1000),
+)
+def test_games_side_by_side_are_games_one_by_one(
+    world: tuple[str, dict[str, Any]],
+    keys: list[int],
+    limit: int,
+    length: int,
+    stopping: int,
+    once: bool,
+    seed: int,
+) -> None:
+    domain = make_domain(*world)
+    options = [HashOption(str(k), k, len(domain.actions), limit) for k in keys]
+    starts = domain.sample_states(np.random.default_rng(seed), 6)
+    chance = [np.random.default_rng([seed, game]) for game in range(6)]
+    policy = InTurn(len(options), 6, stopping)
+    played = play(
+        games_at(domain, starts), RowOptions(options), policy, chance, length, gamma=0.9, once=once
+    )
+    for game, state in enumerate(starts):
+        rng, number, runs, taken, over = np.random.default_rng([seed, game]), game, [], 0, False
+        while taken < length and not over and not (once and runs):
+            option, begun, gains = number % len(options), taken, []
+            number += 1
+            while True:
+                action = options[option].action(domain.feature_values(state)[None])
+                outcome = domain.step(state, int(action[0]), rng)
+                state, over, taken = outcome.state, outcome.terminated, taken + 1
+                gains.append(outcome.reward)
+                row = domain.feature_values(state)[None]
+                reached = bool(options[option].ends(row)[0])
+                if reached or over or len(gains) == limit or taken == length:
+                    stopped = False
+                    break
+                if stopped := bool(stopping and row.sum().astype(int) % stopping == 0):
+                    break
+            total = sum(gains)
+            discounted = sum(0.9**i * gain for i, gain in enumerate(gains))
+            runs.append((option, begun, len(gains), total, discounted, reached, over, stopped))
+        found, mine = played.runs, played.runs.game == game
+        parts = (found.option, found.begun, found.steps, found.total, found.discounted)
+        flags = found.reached, found.over, found.stopped
+        assert [tuple(each) for each in zip(*(p[mine].tolist() for p in (*parts, *flags)))] == [
+            (*run[:4], pytest.approx(run[4]), *run[5:]) for run in runs
+        ]
+        assert played.over[game] == over
+        assert played.by_game(found.total)[game] == pytest.approx(sum(run[3] for run in runs))
+
+
+def test_a_game_that_is_over_is_not_played() -> None:
+    taxi: Any = make_domain('taxi')
+    over = next(taxi.state_at(s) for s in np.flatnonzero(taxi.over()))
+    games = games_at(taxi, [over, taxi.state_at(int(taxi.start_states()[0]))])
+    options = RowOptions([PrimitiveOption('north', 1, 6)])
+    played = play(games, options, InTurn(1, 2, 0), np.random.default_rng(0), 3)
+    assert played.over.tolist() == [True, False]
+    assert played.runs.game.tolist() == [1, 1, 1]
+
+
+def test_progress_is_told_in_every_step_and_can_end_the_play() -> None:
+    taxi: Any = make_domain('taxi')
+    rng, steps = np.random.default_rng(0), []
+
+    def stop(step: int, execution: Execution[Any], seen: Any) -> None:
+        steps.append(step)
+        assert (execution.option != NONE).all()
+        if step == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        play(
+            new_games(taxi, 4, rng),
+            RowOptions([PrimitiveOption('north', 1, 6)]),
+            InTurn(1, 4, 0),
+            rng,
+            9,
+            on_step=stop,
+        )
+    assert steps == [0, 1, 2]
+
+
+def test_any_domain_is_played_state_by_state() -> None:
+    """As it is by its tables."""
+    lake: Any = make_domain('gymnasium:FrozenLake-v1', {})
+    rows, found = RowOptions([HashOption('a', 7, 4, 9)]), []
+    for games in (games_at(lake, lake.sample_states(np.random.default_rng(1), 5)), None):
+        states = lake.sample_states(np.random.default_rng(1), 5)
+        chance = [np.random.default_rng(game) for game in range(5)]
+        each = games or StateGames(lake, states)
+        found.append(play(each, rows, InTurn(1, 5, 0), chance, 20).runs)
+    assert np.array_equal(found[0].total, found[1].total)
+    assert np.array_equal(found[0].steps, found[1].steps)
