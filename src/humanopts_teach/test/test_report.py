@@ -34,7 +34,6 @@ from humanopts_teach.report.write import render_report, ReportData, write_evalua
 import numpy as np
 from numpy.typing import NDArray
 import pytest
-from scipy import stats
 
 pytestmark = pytest.mark.heavy
 
@@ -338,6 +337,8 @@ def test_the_page_has_demonstrations_references_and_intervals(
     other = undrawn(replace(brief, options=(own,)))
     assert 'It has no reference option' in render_report(ReportData('Taxi', other))
     returns = np.array([sum(demo.rewards) for demo in taxi_lesson[:12] if demo.actions])
+    from scipy import stats  # its import takes a second
+
     low, high = stats.t.interval(0.95, len(returns) - 1, returns.mean(), stats.sem(returns))
     shown = shown_return(brief, option)
     assert (shown.low, shown.high) == (pytest.approx(low), pytest.approx(high))
@@ -366,6 +367,8 @@ def test_people_are_compared_by_option_and_by_their_plans(evaluation: BagEvaluat
     assert [each.option.name for each in taught] == [n for n in TAUGHT for _ in range(2)]
     assert teachers(evaluation) == []
     texts = [f.text for f in findings(two) if 'A plan with the options of' in f.text]
+    from scipy import stats  # its import takes a second
+
     half = stats.t.ppf(1 - 0.05 / 3 / 2, len(lost) - 1) * stats.sem(lost)
     limits = f'({number(lost.mean() - half)} to {number(lost.mean() + half)})'
     assert texts[0] == (
