@@ -55,6 +55,7 @@ help:
 
 setup:
 	@$(TWO_STEPS) build/.packages
+	@$(TWO_STEPS) $(VENV)/.compiled
 
 # ROS and what builds with it. The rest is installed while the interfaces compile.
 $(VENV)/.build-locked: requirements-build.lock
@@ -91,6 +92,12 @@ build/.packages: build/.interfaces $(VENV)/.locked $(PACKAGES) tools/build_packa
 	$(STEP) 'Building the Python packages' tools/build_packages.sh $(VENV)
 	@touch $@
 
+# Compiled in advance is what the packages import. The order alone matters: they are there by now.
+$(VENV)/.compiled: $(VENV)/.locked tools/compile_imports.py | build/.packages
+	$(STEP) 'Compiling what the packages import' $(SHELL) -c \
+	  '$(WITH_ROS); $(VENV)/bin/python tools/compile_imports.py'
+	@touch $@
+
 # What the tests and the checks need beside what runs. setuptools loads what is installed, so it
 # builds the packages when nothing is installed any more.
 checked:
@@ -100,7 +107,7 @@ checked:
 demo: setup
 	@./humanopts demo --domain taxi --out $(OUT) --seed $(SEED)
 
-test: checked
+test: checked $(VENV)/.compiled
 	@$(WITH_ROS) $(SIDE_BY_SIDE) -m 'not slow and not whole and not chromium and not hosts' $(ARGS)
 
 test-quick: checked
