@@ -6,8 +6,10 @@ the first record that the package cannot read. A chunk that does not fit its che
 """
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Container, Iterator
+from contextlib import ExitStack
 from dataclasses import dataclass, field
+from functools import partial
 from io import BytesIO
 from os import SEEK_END
 from pathlib import Path
@@ -89,6 +91,28 @@ class McapFile:
         """Return whether topic and type of a channel's messages are known."""
         channel = self.summary.channels.get(channel_id)
         return channel is not None and channel.schema_id in {0, *self.summary.schemas}
+
+    def batches(
+        self, stack: ExitStack, channels: Container[int], between: tuple[int, int]
+    ) -> Iterator[tuple[int, int, Callable[[], list[Message]]]]:
+        """
+        Yield the start, ns, and the offset of each chunk, and what reads its messages.
+
+        What reads them raises one of ``DAMAGE`` where the chunk is damaged.
+
+        :param stack: closes the file.
+        :param channels: ids; chunks without a message of these are left out.
+        :param between: first and last log time, ns; other chunks are left out.
+        """
+        stream = stack.enter_context(self.path.open('rb'))
+        if self.loose:
+            yield 0, 0, self.loose.copy
+        for chunk in self.summary.chunk_indexes:
+            times = chunk.message_start_time, chunk.message_end_time
+            there = chunk.message_index_offsets or self.summary.channels
+            overlaps = times[0] <= between[1] and times[1] >= between[0]
+            if overlaps and any(each in channels for each in there):
+                yield times[0], chunk.chunk_start_offset, partial(_read_chunk, stream, chunk)
 
 
 def ignore_progress(*_: object) -> None:
@@ -231,8 +255,8 @@ def _add(file: McapFile, record: object, start: int, end: int) -> None:
         )
 
 
-def read_chunk(stream: BinaryIO, index: ChunkIndex) -> list[Message]:
-    """Return the messages of a chunk; ``DAMAGE``: it is damaged."""
+def _read_chunk(stream: BinaryIO, index: ChunkIndex) -> list[Message]:
+    """Return the messages of a chunk."""
     at = index.chunk_start_offset
     stream.seek(at)
     limit = index.chunk_length

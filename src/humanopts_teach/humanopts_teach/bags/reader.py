@@ -4,7 +4,7 @@ from bisect import bisect_left
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator
 from contextlib import ExitStack
-from functools import cached_property, partial
+from functools import cached_property
 from operator import itemgetter
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
@@ -21,7 +21,6 @@ from humanopts_teach.bags.mcap_file import (
     McapFile,
     open_file,
     read_attachment,
-    read_chunk,
     ReadCallback,
     ZSTD_MAGIC,
 )
@@ -319,22 +318,11 @@ class Bag:
             for file in self._files
         ]
         with ExitStack() as stack:
-            batches: list[tuple[tuple[int, int, int], Callable[[], list[Message]]]] = []
-            for number, file in enumerate(self._files):
-                stream = stack.enter_context(file.path.open('rb'))
-                batches.append(((0, number, 0), partial(list, file.loose)))
-                batches += (
-                    (
-                        (chunk.message_start_time, number, chunk.chunk_start_offset),
-                        partial(read_chunk, stream, chunk),
-                    )
-                    for chunk in file.summary.chunk_indexes
-                    if chunk.message_start_time <= between[1]
-                    and chunk.message_end_time >= between[0]
-                    and not wanted[number]
-                    .keys()
-                    .isdisjoint(chunk.message_index_offsets or wanted[number])
-                )
+            batches = [
+                ((start, number, offset), read)
+                for number, file in enumerate(self._files)
+                for start, offset, read in file.batches(stack, wanted[number], between)
+            ]
             batches.sort(key=itemgetter(0))
             starts = [*(start for start, _ in batches[1:]), (ALWAYS[1], 0, 0)]
             held: list[tuple[int, int, int, int, Message]] = []  # time, file, offset, place in it

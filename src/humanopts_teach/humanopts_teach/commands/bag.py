@@ -55,13 +55,11 @@ speed_factor = number('from 1/16 to 64', lambda value: 1 / 16 <= value <= 64)
 
 
 @contextmanager
-def progress_bar(lines: bool = False) -> Iterator[Callable[..., None]]:
+def progress_bar() -> Iterator[Callable[..., None]]:
     """
     Show a bar on standard error where it is a terminal.
 
     What is yielded takes how much is done, of how much and, where it is known, what is under way.
-
-    :param lines: elsewhere, print a line for each thing that is under way.
     """
     from rich.console import Console
     from rich.progress import Progress
@@ -71,13 +69,9 @@ def progress_bar(lines: bool = False) -> Iterator[Callable[..., None]]:
     # Where Rich before version 14 shows no bar, it still ends it with an empty line.
     with progress if console.is_terminal else nullcontext():
         task = progress.add_task('reading', total=None)
-        said = set[str]()
 
         def show(done: float, total: float, text: str = 'reading') -> None:
             progress.update(task, completed=done, total=total, description=text)
-            if lines and progress.disable and text not in said:
-                said.add(text)
-                print(f'{text} ({done / total:.0%})', file=sys.stderr, flush=True)
 
         yield show
 
