@@ -1,12 +1,13 @@
 """A bag as files: tables of steps, demonstrations, options and plans, and attached files."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, fields
 import json
+import math
 from pathlib import Path, PurePosixPath
 from typing import Any, TYPE_CHECKING
 
-from humanopts_env.domains.base import ActableDomain, Feature, FeatureKind
+from humanopts_env.domains.base import ActableDomain, FeatureKind
 from humanopts_learner.demonstrations import Demonstration, each_once
 from humanopts_learner.spreadsheet import csv_of, EXCEL
 from humanopts_teach.bags.contents import (
@@ -50,7 +51,7 @@ def bag_tables(bag: Bag) -> 'dict[str, pd.DataFrame]':
     demonstrations = each_once(read_demonstrations(bag)) if bag.of_type(DEMONSTRATION) else []
     counted = [*(field.name for field in fields(Demonstration)), 'steps', 'total_reward']
     return {
-        'steps': pd.DataFrame(_steps(bag, domain), columns=_step_columns(domain)),
+        'steps': _steps(bag, domain),
         'demonstrations': pd.DataFrame(map(_demonstration, demonstrations), columns=counted),
         'options': pd.DataFrame(
             (_plain(asdict(row)) for row in option_rows(bag)),
@@ -60,36 +61,39 @@ def bag_tables(bag: Bag) -> 'dict[str, pd.DataFrame]':
     }
 
 
-def _step_columns(domain: ActableDomain) -> list[str]:
-    return [
-        *('episode', 'game', 'game_episode', 'step', 'state'),
-        *(f'{FEATURE_PREFIX}{feature.name}' for feature in domain.features),
-        *('action', 'reward', 'terminated', 'truncated', 'source', 'option'),
-    ]
+def _steps(bag: Bag, domain: ActableDomain) -> 'pd.DataFrame':
+    """Return a row for each recorded state and the step that led to it, features in words."""
+    import pandas as pd
 
-
-def _steps(bag: Bag, domain: ActableDomain) -> Iterator[tuple[Any, ...]]:
-    """Yield a row for each recorded state and the step that led to it."""
-    actors, features = read_actors(bag), domain.features
-    for number, episode in enumerate(read_episodes(bag), start=1):
-        for at in episode.transitions:
-            cells = _cells(features, at.features)
-            if cells is None:
-                bag.note(f'{episode.topic}: states with other features have none in the table')
-            yield (
-                *(number, episode.publisher_id, episode.number, at.step, at.state),
-                *(cells or (None,) * len(features)),
-                *(at.previous_action, at.reward, at.terminated, at.truncated),
-                *(source_of(at), actor_of(at, actors)),
-            )
-
-
-def _cells(features: Sequence[Feature], values: Sequence[float]) -> list[float | str] | None:
-    """Return values of features, in words unless continuous; None: they are of another domain."""
-    pairs = list(zip(features, values))
-    if len(values) != len(features) or not all(feature.has(value) for feature, value in pairs):
-        return None
-    return [v if f.kind is FeatureKind.CONTINUOUS else f.text(v) for f, v in pairs]
+    actors, names = read_actors(bag), [FEATURE_PREFIX + each.name for each in domain.features]
+    rows = (
+        (
+            *(number, episode.publisher_id, episode.number, at.step, at.state),
+            *(at.features if len(at.features) == len(names) else [math.nan] * len(names)),
+            *(at.previous_action, at.reward, at.terminated, at.truncated),
+            *(source_of(at), actor_of(at, actors)),
+        )
+        for number, episode in enumerate(read_episodes(bag), start=1)
+        for at in episode.transitions
+    )
+    table = pd.DataFrame(
+        rows,
+        columns=[
+            *('episode', 'game', 'game_episode', 'step', 'state', *names),
+            *('action', 'reward', 'terminated', 'truncated', 'source', 'option'),
+        ],
+    )
+    for name, feature in zip(names, domain.features):
+        continuous = feature.kind is FeatureKind.CONTINUOUS
+        words = {
+            value: value if continuous else feature.text(value)
+            for value in table[name].unique()
+            if feature.has(value)
+        }
+        table[name] = table[name].map(words)
+    if table[names].isna().any(axis=None):
+        bag.note('values that features do not have are left out of the table of steps')
+    return table
 
 
 def _demonstration(demo: Demonstration) -> dict[str, Any]:
