@@ -304,6 +304,11 @@ def test_a_fork_is_what_a_process_of_its_own_would_be(
     title = Path(f'/proc/{pid}/cmdline').read_bytes().decode()
     assert f'-m tells --ros-args -r __ns:=/ --params-file {tmp_path}/game.yaml' in title
     assert launcher.stop() == []
+    (tmp_path / 'here').rmdir()
+    launcher.start()
+    live.until(lambda: log.read_text().endswith('\n'), 'what another one tells')
+    assert json.loads(log.read_text())[0] == '/'
+    assert launcher.stop() == []
 
 
 def test_a_command_that_is_refused_leaves_no_process(tmp_path: Path, domain_id: int) -> None:
@@ -315,7 +320,11 @@ def test_a_command_that_is_refused_leaves_no_process(tmp_path: Path, domain_id: 
         command.close()
 
 
-def test_nodes_end_with_a_launch_that_is_killed(tmp_path: Path, domain_id: int) -> None:
+def test_nodes_end_with_a_launch_that_is_killed(
+    tmp_path: Path, domain_id: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (folder := tmp_path / ('temporary' * 10)).mkdir()  # too long for the path of a socket
+    monkeypatch.setenv('TMPDIR', str(folder))
     command = Command(words('/', tmp_path / 'out'), tmp_path, domain_id)
     try:
         command.until(lambda: 'ready: /game' in command.output, 'the nodes')

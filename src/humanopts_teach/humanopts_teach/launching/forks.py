@@ -17,24 +17,36 @@ import os
 from pathlib import Path
 import signal
 import sys
+import tempfile
 import threading
 import traceback
 from typing import NoReturn
 
 from humanopts_ros.middleware import LAUNCHER_PID
-from humanopts_teach.launching import MODULES, USUAL
+from humanopts_teach.launching import LaunchError, MODULES, USUAL
 from setproctitle import setproctitle
 
 _SERVES = 'HUMANOPTS_FORK_SERVER_OF'  # process that starts a fork server; only that one imports
+_MAX_FOLDER = 60  # characters of the folder of a socket, whose path has 107 at most
 _context = multiprocessing.get_context('forkserver')
 
 
 def prepare() -> None:
-    """Start the fork server, which imports while this process goes on."""
+    """
+    Start the fork server, which imports while this process goes on.
+
+    :raises LaunchError: it cannot be started; for one, no folder for temporary files is writable.
+    """
     _context.set_forkserver_preload([__name__])
     os.environ[_SERVES] = str(os.getpid())
     try:
+        folder = tempfile.gettempdir()
+        if len(folder) > _MAX_FOLDER:
+            tempfile.tempdir = '/tmp'  # for the path of a socket
         forkserver.ensure_running()
+        tempfile.tempdir = folder
+    except OSError as error:
+        raise LaunchError(f'cannot start processes: {error.strerror or error}') from error
     finally:
         del os.environ[_SERVES]
 
@@ -49,6 +61,10 @@ def start(
     :raises OSError: the machine has no process for it.
     """
     prepare()
+    try:
+        os.getcwd()
+    except FileNotFoundError:  # it was removed
+        os.chdir('/')
     what = module, list(arguments), dict(environment), os.path.abspath(log)
     process = _context.Process(target=_run, args=what, daemon=True)
     process.start()
