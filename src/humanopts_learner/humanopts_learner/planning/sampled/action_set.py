@@ -15,7 +15,6 @@ from humanopts_env.domains.base import Domain
 from humanopts_env.domains.capabilities import HasPrimitiveColumns
 from humanopts_env.games import Games, games_at
 from humanopts_learner.demonstrations import PRIMITIVE_PREFIX
-from humanopts_learner.options.lookup import decisions
 from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.planning.request import OPTIONS_ONLY, PRIMITIVE
 from humanopts_learner.planning.sampled.abstraction import Abstraction, Codes
@@ -120,8 +119,6 @@ class ActionSet:
         """
         self.options = () if action_set == PRIMITIVE else tuple(options)
         self.action_set, self.n_actions = action_set, len(domain.actions)
-        counts = tuple(len(feature.values) for feature in domain.features)
-        self._decide = [decisions(option, counts) for option in self.options]
         self.domain = domain
         if action_set == PRIMITIVE and isinstance(domain, HasPrimitiveColumns):
             columns = columns or domain.primitive_columns
@@ -146,11 +143,11 @@ class ActionSet:
         wanted = np.empty(shape, dtype=np.int16)
         wanted[:, n_options:] = np.arange(shape[1] - n_options)
         stuck = np.full(len(rows), n_options == shape[1])
-        for o, decide in enumerate(self._decide):
-            startable[:, o] = can_start = decide.can_start(rows)
+        for o, option in enumerate(self.options):
+            startable[:, o] = can_start = option.can_start(rows)
             stuck &= ~can_start
-            wanted[:, o] = decide.action(rows)
-            ending[:, o] = decide.ends(rows)
+            wanted[:, o] = option.action(rows)
+            ending[:, o] = option.ends(rows)
         symbols = [*startable.T[:n_options], *ending.T[:n_options], *wanted.T[:n_options]]
         states = self._abstraction.codes(games, rows, symbols)
         fallback = np.full(len(rows), -1, dtype=np.intp)
