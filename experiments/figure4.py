@@ -96,19 +96,16 @@ def learn_curves(parameters: Mapping[str, Any]) -> list[dict[str, Any]]:
     ]
     tables = [option_table(domain, chosen, each) for each in options]
     search, judging = (
-        [people.owner_seed(member, 'figure 4', purpose) for member in members]
-        for purpose in ('search', 'judging')
+        people.owner_seed(members[0], 'figure 4', purpose) for purpose in ('search', 'judging')
     )
     rates = drawn_rates(parameters['seed'], TRIED)
     settings = Settings(parameters['episodes'], Method(parameters['method']), max_steps=LIMIT)
-    best = best_rates_of_each(domain, list(zip(tables, search)), rates, TRIALS, settings)
+    best = best_rates_of_each(domain, tables, rates, TRIALS, settings, search)
     judged = learn_in_step(
         domain,
-        [
-            Learners(table, [one] * parameters['learners'], seed)
-            for table, one, seed in zip(tables, best, judging)
-        ],
+        [Learners(table, [one] * parameters['learners']) for table, one in zip(tables, best)],
         settings,
+        judging,
     )
     return [
         {

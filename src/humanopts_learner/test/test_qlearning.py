@@ -39,7 +39,7 @@ def learn(
     domain: Any, options: OptionTable, rates: Sequence[Rates], settings: Settings, seed: int
 ) -> Learning:
     """Have learners with the same options learn."""
-    return learn_in_step(domain, [Learners(options, rates, seed)], settings)[0]
+    return learn_in_step(domain, [Learners(options, rates)], settings, seed)[0]
 
 
 @dataclass(frozen=True)
@@ -116,33 +116,21 @@ def taxi_options() -> list[TabularOption]:
     return [TabularOption.of_reference(found[name]) for name in (FETCH, DELIVER)]
 
 
-@pytest.mark.parametrize('method', Method)
-def test_groups_of_learners_side_by_side_learn_as_alone(method: Method) -> None:
-    """With other numbers of options, learners, and other seeds, where there is chance too."""
-    world = RandomWorld(seed=1, outcomes=2)
-    settings = Settings(20, method)
-    groups = [
-        Learners(option_table(world, 'primitive', []), [Rates(), WILD], 1),
-        Learners(option_table(world, MIXED, world.options()), [Rates()] * 3, 2),
-        Learners(option_table(world, 'human', world.options()), [WILD], 1),
-    ]
-    for group, beside in zip(groups, learn_in_step(world, groups, settings), strict=True):
-        alone = learn(world, group.options, group.rates, settings, group.seed)
-        assert np.array_equal(beside.steps, alone.steps)
-        assert np.array_equal(beside.returns, alone.returns)
-        assert np.array_equal(beside.values, alone.values)
-
-
 @pytest.mark.heavy
 @pytest.mark.parametrize('method', Method)
-@pytest.mark.parametrize('action_set', ['primitive', MIXED])
-def test_it_comes_to_the_values_of_planning(action_set: str, method: Method) -> None:
+def test_groups_of_learners_come_to_the_values_of_planning(method: Method) -> None:
     """Without chance and with everything tried often, a rate of 1 comes to them exactly."""
     world = RandomWorld(0)
-    exact = planned(world, world.options(), action_set)
-    values = learned(world, action_set, [WILD], 200, method).values[0]
-    known = ~np.isnan(exact)
-    assert values[known] == pytest.approx(exact[known], abs=1e-6)
+    sets = 'primitive', MIXED, 'human'
+    groups = [Learners(option_table(world, each, world.options()), [WILD] * 2) for each in sets]
+    found = learn_in_step(world, groups, Settings(200, method), seed=0)
+    again = learn_in_step(world, groups, Settings(200, method), seed=0)
+    for action_set, learning, repeated in zip(sets, found, again, strict=True):
+        exact = planned(world, world.options(), action_set)
+        known = ~np.isnan(exact)
+        for values in learning.values:
+            assert values[known] == pytest.approx(exact[known], abs=1e-6)
+        assert np.array_equal(learning.values, repeated.values)
 
 
 @pytest.mark.heavy
@@ -220,7 +208,7 @@ def test_the_set_human_has_primitive_actions_where_no_option_can_start() -> None
 def test_the_search_finds_the_rates_that_learn_faster() -> None:
     slow, fast = Rates(0.1, 1.0), Rates(0.8, 0.02)
     choices = option_table(TAXI, 'human', taxi_options()[:1])
-    assert best_rates_of_each(TAXI, [(choices, 0)], [slow, fast], 4, Settings(40)) == [fast]
+    assert best_rates_of_each(TAXI, [choices], [slow, fast], 4, Settings(40), 0) == [fast]
 
 
 def test_rates_to_try_begin_with_the_usual_ones() -> None:

@@ -178,6 +178,7 @@ class OptionTable:
     """
     O options over the S states of a domain.
 
+    :ivar options: (O,).
     :ivar names: (O,).
     :ivar action: (O, S) primitive action.
     :ivar ends: (O, S) whether the option ends there, after one step or more.
@@ -191,6 +192,7 @@ class OptionTable:
 
         :param over: (S,) states where none can be chosen, because the task is over.
         """
+        self.options = tuple(options)
         self.names = tuple(option.name for option in options)
         self.action = np.array([option.action for option in options], dtype=np.intp)
         self.ends = np.array([option.termination for option in options])
