@@ -1,6 +1,5 @@
 """The simulated teacher: what it shows, how it errs, and a lesson with it in one process."""
 
-from copy import copy
 from dataclasses import replace
 from typing import Any
 
@@ -93,6 +92,7 @@ def show(
         ),
         (LESSON, BeginDemonstration()),
         (replace(LESSON, phase=Phase.LEARNING), Wait('the learner')),
+        (showing(WAITING), Wait('the first state of the demonstration')),
         (
             replace(LESSON, paused='No space.'),
             Wait('the lesson to go on; it is paused: No space.'),
@@ -105,73 +105,50 @@ def test_each_phase_has_its_act(lesson: LessonView, act: object) -> None:
 
 
 def test_it_finishes_when_every_option_is_taught() -> None:
-    by = teacher()
-    finished = replace(LESSON, phase=Phase.FINISHED)
+    by, finished = teacher(), replace(LESSON, phase=Phase.FINISHED)
     by.next_act(finished, None)
     assert by.next_act(replace(finished, option_name=DROPOFF), None) == Finish()
 
 
-def test_it_waits_for_the_first_state_of_the_demonstration() -> None:
-    view = replace(showing(WAITING), episode=2)
-    assert isinstance(teacher().next_act(view, None), Wait)
-    assert isinstance(teacher().next_act(view, at(WAITING, 7)), Wait)
-
-
-def test_it_says_not_here_exactly_where_the_option_cannot_start() -> None:
-    assert show(teacher(), ABOARD) == ([], EndDemonstration(Verdict.NOT_HERE, 1, 0))
-    assert show(teacher(TeacherSettings((DROPOFF,))), WAITING, DROPOFF) == (
-        [],
-        EndDemonstration(Verdict.NOT_HERE, 1, 0),
-    )
-
-
-def test_without_errors_it_shows_a_shortest_way_and_says_done_at_its_end() -> None:
+def test_it_says_not_here_where_the_option_cannot_start_and_else_shows_a_shortest_way() -> None:
+    not_here = [], EndDemonstration(Verdict.NOT_HERE, 1, 0)
+    assert show(teacher(), ABOARD) == not_here
+    assert show(teacher(TeacherSettings((DROPOFF,))), WAITING, DROPOFF) == not_here
     actions, end = show(teacher(), WAITING)
     assert sorted(actions) == ['north'] * 4 + ['pickup'] + ['west'] * 4
-    assert actions[-1] == 'pickup'
-    assert end == EndDemonstration(Verdict.DONE, 1, 9)
-
-
-def test_an_option_that_could_start_again_at_its_end_is_said_so() -> None:
-    end = show(teacher(TeacherSettings(options=('go to passenger',))), WAITING, 'go to passenger')[
-        1
-    ]
-    reference = REFERENCES['go to passenger']
-    assert end.can_start_at_end == reference.can_start(
-        TAXI.decode('taxi 0,0 passenger R destination G')
-    )
+    assert (actions[-1], end) == ('pickup', EndDemonstration(Verdict.DONE, 1, 9))
+    go = 'go to passenger'
+    _, end = show(teacher(TeacherSettings((go,))), WAITING, go)
+    there = TAXI.decode('taxi 0,0 passenger R destination G')
+    assert end.can_start_at_end == REFERENCES[go].can_start(there)
 
 
 @pytest.mark.heavy
-def test_it_always_prefers_the_same_among_equally_good_actions() -> None:
-    reference, new = REFERENCES[PICKUP], teacher()
-    states = TAXI.sample_states(np.random.default_rng(0), 100)
-    for state in filter(reference.can_start, states):
-        act = copy(new).next_act(showing(TAXI.encode(state)), at(TAXI.encode(state)))
+def test_it_prefers_the_same_among_equally_good_actions_or_has_habits_of_its_own() -> None:
+    def first_act(state: str, settings: TeacherSettings = TEACHER) -> str:
+        view = replace(showing(state), participant=settings.participant)
+        act = teacher(settings).next_act(view, at(state))
         assert isinstance(act, Drive)
-        assert act.action == NAMES[min(reference.optimal_actions(state))]
+        return act.action
 
-
-@pytest.mark.heavy
-def test_own_habits_are_drawn_for_the_participant_and_kept() -> None:
-    def first_act(participant: str) -> object:
-        settings = TeacherSettings((PICKUP,), participant, own_habits=True)
-        view = replace(showing(WAITING), participant=participant)
-        return teacher(settings).next_act(view, at(WAITING))
-
-    first = [first_act(f'p{number}') for number in range(12)]
-    assert first == [first_act(f'p{number}') for number in range(12)]
-    assert {act.action for act in first if isinstance(act, Drive)} == {'north', 'west'}
+    reference = REFERENCES[PICKUP]
+    states = TAXI.sample_states(np.random.default_rng(0), 30)
+    for state in filter(reference.can_start, states):
+        assert first_act(TAXI.encode(state)) == NAMES[min(reference.optimal_actions(state))]
+    people = [TeacherSettings((PICKUP,), f'p{n}', own_habits=True) for n in range(12)]
+    first = [first_act(WAITING, each) for each in people]
+    assert first == [first_act(WAITING, each) for each in people]
+    assert set(first) == {'north', 'west'}
 
 
 def test_needless_features_are_named_at_their_rate() -> None:
-    plain = teacher()
     liberal = teacher(replace(TEACHER, extra_feature_rate=0.5))
-    named = [f.name for f in TAXI.features if liberal.depends_on(PICKUP, f.name)]
-    needed = [f.name for f in TAXI.features if plain.depends_on(PICKUP, f.name)]
-    assert set(needed) == set(REFERENCES[PICKUP].features)
-    assert set(needed) < set(named)
-    assert named == [f.name for f in TAXI.features if liberal.depends_on(PICKUP, f.name)]
+    needed, named, again = (
+        {f.name for f in TAXI.features if by.depends_on(PICKUP, f.name)}
+        for by in (teacher(), liberal, liberal)
+    )
+    assert needed == set(REFERENCES[PICKUP].features)
+    assert needed < named == again
 
 
 def test_it_errs_at_its_rate_with_every_wrong_action_alike() -> None:
@@ -185,51 +162,40 @@ def test_it_errs_at_its_rate_with_every_wrong_action_alike() -> None:
     assert all(abs(wrong.count(name) - 100) < 40 for name in set(NAMES) - best)
 
 
-def test_after_an_error_it_goes_on_from_where_that_led() -> None:
-    by = teacher(replace(TEACHER, error_rate=0.3))
-    lengths = [len(show(by, WAITING, given=n)[0]) for n in range(30)]
+def test_after_an_error_it_goes_on_from_where_that_led_and_a_seed_shows_the_same() -> None:
+    def shown(seed: int) -> list[tuple[list[str], EndDemonstration]]:
+        by = teacher(replace(TEACHER, error_rate=0.3, seed=seed))
+        return [show(by, WAITING, given=n) for n in range(30)]
+
+    one = shown(1)
+    lengths = [len(actions) for actions, _ in one]
     assert min(lengths) >= 9
     assert max(lengths) > 9
-    assert {show(by, WAITING, given=n)[1].verdict for n in range(30)} == {Verdict.DONE}
+    assert {end.verdict for _, end in one} == {Verdict.DONE}
+    assert one == shown(1) != shown(2)
 
 
-def test_the_same_seed_shows_the_same_and_another_seed_does_not() -> None:
-    def shown(seed: int) -> list[list[str]]:
-        by = teacher(replace(TEACHER, error_rate=0.3, seed=seed))
-        return [show(by, WAITING, given=n)[0] for n in range(5)]
-
-    assert shown(1) == shown(1)
-    assert shown(1) != shown(2)
-
-
-def test_a_demonstration_that_does_not_end_is_discarded_and_tried_another_way() -> None:
+def test_what_does_not_end_is_discarded_and_tried_in_other_ways_until_it_gives_up() -> None:
     by = teacher(replace(TEACHER, error_rate=0.5, step_limit=3))
-    first, verdict = show(by, WAITING)
-    assert (len(first), verdict.verdict) == (3, Verdict.DISCARD)
+    first, end = show(by, WAITING)
+    assert (len(first), end.verdict) == (3, Verdict.DISCARD)
     assert show(by, WAITING)[0] != first
+    for _ in range(ATTEMPTS - 3):
+        assert show(by, WAITING)[1].verdict is Verdict.DISCARD
+    with pytest.raises(TeacherError, match='cannot show'):
+        show(by, WAITING)
+    for over in ({'terminated': True}, {'truncated': True}):
+        discard = EndDemonstration(Verdict.DISCARD, 1, 4)
+        assert teacher().next_act(showing(WAITING), at(WAITING, 4, **over)) == discard
 
 
 def test_an_end_that_an_error_led_to_is_discarded_and_tried_again() -> None:
     elsewhere = 'taxi 0,0 passenger aboard destination G'  # at R, where letting out is legal
     by = teacher(TeacherSettings((DROPOFF,), error_rate=0.5))
     first = [show(by, elsewhere, DROPOFF, given) for given in range(60)]
-    let_out = [end.verdict for actions, end in first if actions == ['dropoff']]
-    assert set(let_out) == {Verdict.DISCARD}
+    let_out = {end.verdict for actions, end in first if actions == ['dropoff']}
+    assert let_out == {Verdict.DISCARD}
     assert Verdict.DONE in {end.verdict for _, end in first}
-
-
-def test_it_gives_up_when_nothing_it_tries_comes_to_the_end() -> None:
-    by = teacher(replace(TEACHER, step_limit=3))
-    for _ in range(ATTEMPTS - 1):
-        assert show(by, WAITING)[1].verdict is Verdict.DISCARD
-    with pytest.raises(TeacherError, match='cannot show'):
-        show(by, WAITING)
-
-
-@pytest.mark.parametrize('over', ['terminated', 'truncated'])
-def test_an_episode_that_is_over_too_early_is_discarded(over: str) -> None:
-    game = at(WAITING, 4, terminated=over == 'terminated', truncated=over == 'truncated')
-    assert teacher().next_act(showing(WAITING), game) == EndDemonstration(Verdict.DISCARD, 1, 4)
 
 
 @pytest.mark.parametrize(

@@ -6,21 +6,22 @@ A line of JSON is one entry. It is durable (fsync) before the lesson goes on.
 
 from collections.abc import Iterable, Mapping
 from contextlib import AbstractContextManager, suppress
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 import errno
 import fcntl
-from functools import partial
+from functools import cache, partial
 import json
 import os
 from pathlib import Path
 import re
-from typing import Any, TextIO
+from typing import Annotated, TextIO
 
 from humanopts_learner.append_only_log import AppendOnlyLog, link_remark
 from humanopts_learner.demonstrations import Demonstration, DemonstrationError
 from humanopts_ros.limits import caseless, composed, JsonError, parse_json
-from humanopts_ros.text_files import FileError, read_text
+from humanopts_ros.text_files import fault_in, FileError, read_text
 import psutil
+from pydantic import AfterValidator, TypeAdapter, ValidationError
 
 VERSION = 1  # of the line format
 OPEN_SESSION = 'open_session.json'
@@ -59,7 +60,7 @@ class SessionOpened(_SessionEntry):
 class OptionDefined(_SessionEntry):
     """An option was named, or taken up again."""
 
-    option_name: str
+    option_name: Annotated[str, AfterValidator(composed)]
     ask_again: bool  # the answers given before count no longer
     method: str = ''  # of learning, that was asked for; empty: none, as in earlier versions
 
@@ -68,7 +69,7 @@ class OptionDefined(_SessionEntry):
 class FeatureAnswered(_SessionEntry):
     """One feature question was answered."""
 
-    option_name: str
+    option_name: Annotated[str, AfterValidator(composed)]
     feature: str
     yes: bool
 
@@ -77,14 +78,14 @@ class FeatureAnswered(_SessionEntry):
 class AnswerTakenBack(_SessionEntry):
     """The last answer about an option was taken back."""
 
-    option_name: str
+    option_name: Annotated[str, AfterValidator(composed)]
 
 
 @dataclass(frozen=True, slots=True)
 class OptionDeleted(_SessionEntry):
     """An option was deleted or renamed; its demonstrations were taken back before."""
 
-    option_name: str
+    option_name: Annotated[str, AfterValidator(composed)]
 
 
 Entry = (
@@ -126,21 +127,21 @@ def entry_from_line(line: str) -> Entry:
     if not isinstance(values, dict) or values.get('version') != VERSION:
         raise EntryError(f'it is not an entry of version {VERSION}')
     name = str(values.get('entry'))
-    kind = _KINDS.get(name)
-    if kind is None:
+    if name not in _KINDS:
         raise EntryError(f'it has an unknown kind of entry, {name!r}')
-    if kind is Demonstration:
-        try:
+    try:
+        if name == _NAMES[Demonstration]:
             return Demonstration.from_fields(values)
-        except DemonstrationError as error:
-            raise EntryError(str(error)) from None
-    found: dict[str, Any] = {}
-    for field in fields(kind):
-        value = values.get(field.name, field.default)
-        if type(value) is not field.type:
-            raise EntryError(f'its field {field.name} is missing or wrong')
-        found[field.name] = composed(value) if field.name == 'option_name' else value
-    return kind(**found)
+        return _adapter(name).validate_json(line, strict=True)
+    except DemonstrationError as error:
+        raise EntryError(str(error)) from None
+    except ValidationError as error:
+        raise EntryError(fault_in(error)) from None
+
+
+@cache
+def _adapter(name: str) -> TypeAdapter[Entry]:
+    return TypeAdapter(_KINDS[name])
 
 
 class StoreError(OSError):
