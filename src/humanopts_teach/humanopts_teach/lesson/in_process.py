@@ -21,7 +21,6 @@ from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.summary import Criterion, OptionSummary
 from humanopts_teach.lesson.lesson import Lesson
 from humanopts_teach.lesson.requests import (
-    Answer,
     AnswerQuestion,
     BeginDemonstration,
     DefineOption,
@@ -30,7 +29,6 @@ from humanopts_teach.lesson.requests import (
 )
 from humanopts_teach.lesson.seeded_starts import LessonRules, SeededStarts
 from humanopts_teach.lesson.simulated_teacher import (
-    Act,
     Finish,
     SimulatedTeacher,
     TeacherError,
@@ -82,102 +80,69 @@ def teach(
     :raises LessonError: an act of the teacher was refused.
     """
     rules = rules or LessonRules()
-    seed = rules.seed
+    seconds, cut_short = 0.0, ''
+    game, person = Game(domain), SimulatedTeacher(domain, teacher)
+    newest: Transition | None = None
+    options: dict[str, LearnedOption] = {}
+    summaries: dict[str, OptionSummary] = {}  # by option
 
-    def settled(shown: Sequence[Demonstration], option: LearnedOption) -> bool:
-        return judge(shown, domain, Thresholds(), seed, option).settled
+    def learn(demo: Demonstration) -> None:
+        """Learn the option again as the learner does, and report to the lesson."""
+        name, met, features = demo.option_name, False, demo.chosen_features
+        shown = [each for each in lesson.demonstrations() if each.option_name == name]
+        if any(each.kind is Kind.TRAJECTORY for each in shown):
+            option = options[name] = learn_option(shown, domain, rules.seed)
+            features = option.features
+            lesson.update_option(demo.participant, name, option_to_json(option, []))
+            if enough is not None:
+                met = enough(shown, option)
+            else:
+                met = judge(shown, domain, Thresholds(), rules.seed, option).settled
+        summaries[name] = OptionSummary(
+            name,
+            demo.participant,
+            features,
+            last_uuid=demo.uuid,
+            method=demo.method,
+            criteria=(Criterion('enough', None, None, met=met),),
+        )
+        lesson.update_summaries(list(summaries.values()))
 
     with (
         tempfile.TemporaryDirectory(prefix='humanopts-') as folder,
         DemonstrationStore(Path(folder)) as store,
     ):
-        return _InProcess(domain, teacher, rules, enough or settled, store).run()
-
-
-class _InProcess:
-    """The parts of one lesson, and the clock of the person who is simulated."""
-
-    def __init__(
-        self,
-        domain: Domain[Any],
-        teacher: TeacherSettings,
-        rules: LessonRules,
-        enough: Enough,
-        store: DemonstrationStore,
-    ) -> None:
-        self._domain, self._seed, self._enough = domain, rules.seed, enough
-        self._seconds = 0.0
-        self._teacher = SimulatedTeacher(domain, teacher)
         starts = SeededStarts(domain, rules)
-        self._lesson = Lesson(domain, store, starts, clock=lambda: self._seconds, today=lambda: '')
-        self._game = Game(domain)
-        self._transition: Transition | None = None
-        self._options: dict[str, LearnedOption] = {}
-        self._summaries: dict[str, OptionSummary] = {}  # by option
-
-    def run(self) -> Taught:
-        """Do what the teacher does next, until it is done or gives up."""
-        cut_short = ''
-        try:
-            while not isinstance(
-                act := self._teacher.next_act(self._lesson.view, self._transition), Finish
-            ):
-                self._do(act)
-        except TeacherError as error:
-            cut_short = str(error)
-        demonstrations = tuple(self._lesson.demonstrations())
-        return Taught(demonstrations, tuple(self._options.values()), self._seconds, cut_short)
-
-    def _do(self, act: Act) -> None:
-        self._seconds += SECONDS.get(type(act), 0.0)
-        match act:
-            case Wait() | Finish():
+        lesson = Lesson(domain, store, starts, clock=lambda: seconds, today=lambda: '')
+        while True:
+            try:
+                act = person.next_act(lesson.view, newest)
+            except TeacherError as error:
+                cut_short = str(error)
+                break
+            seconds += SECONDS.get(type(act), 0.0)
+            if isinstance(act, Finish):
+                break
+            if isinstance(act, Wait):
                 raise LessonError(f'the teacher waits for {act}, and nothing is under way')
-            case Drive():
-                self._drive(act)
-            case _:
-                answer = self._lesson.carry_out(act)
-                if not answer.carried_out:
-                    raise LessonError(answer.detail)
-                if isinstance(act, BeginDemonstration):
-                    self._begin(answer)
-                if answer.demonstration is not None:
-                    self._learn(answer.demonstration)
-
-    def _begin(self, prepared: Answer) -> None:
-        transition = self._game.reset(prepared.state, prepared.seed, Source.PERSON).transition
-        if transition is None:
-            raise LessonError(f'the game does not begin in {prepared.state}')
-        self._lesson.began(transition.episode, transition.state)
-        self._see(transition)
-
-    def _drive(self, act: Drive) -> None:
-        command = Command('teacher', 0, Source.PERSON, act.episode, act.step, act.action)
-        reply = self._game.command(command)
-        if not isinstance(reply, Accepted):
-            raise LessonError(f'the game refused {act.action}: {reply.detail}')
-        self._see(reply.transition)
-
-    def _see(self, transition: Transition) -> None:
-        self._transition = transition
-        self._lesson.add_transition(transition)
-
-    def _learn(self, newest: Demonstration) -> None:
-        """Learn the option again as the learner does, and report to the lesson."""
-        name, enough = newest.option_name, False
-        shown = [d for d in self._lesson.demonstrations() if d.option_name == name]
-        features = newest.chosen_features
-        if any(demo.kind is Kind.TRAJECTORY for demo in shown):
-            option = self._options[name] = learn_option(shown, self._domain, self._seed)
-            features = option.features
-            self._lesson.update_option(newest.participant, name, option_to_json(option, []))
-            enough = self._enough(shown, option)
-        self._summaries[name] = OptionSummary(
-            name,
-            newest.participant,
-            features,
-            last_uuid=newest.uuid,
-            method=newest.method,
-            criteria=(Criterion('enough', None, None, met=enough),),
-        )
-        self._lesson.update_summaries(list(self._summaries.values()))
+            if isinstance(act, Drive):
+                command = Command('teacher', 0, Source.PERSON, act.episode, act.step, act.action)
+                reply = game.command(command)
+                if not isinstance(reply, Accepted):
+                    raise LessonError(f'the game refused {act.action}: {reply.detail}')
+                newest = reply.transition
+                lesson.add_transition(newest)
+                continue
+            answer = lesson.carry_out(act)
+            if not answer.carried_out:
+                raise LessonError(answer.detail)
+            if isinstance(act, BeginDemonstration):
+                newest = game.reset(answer.state, answer.seed, Source.PERSON).transition
+                if newest is None:
+                    raise LessonError(f'the game does not begin in {answer.state}')
+                lesson.began(newest.episode, newest.state)
+                lesson.add_transition(newest)
+            if answer.demonstration is not None:
+                learn(answer.demonstration)
+        demonstrations = tuple(lesson.demonstrations())
+    return Taught(demonstrations, tuple(options.values()), seconds, cut_short)
