@@ -1,7 +1,7 @@
-"""How far an option is learned: the one value that messages, lessons, reports and tables carry."""
+"""What is known of an option or a plan, as messages, lessons, reports and tables carry it."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 import math
 
 from humanopts_learner.demonstrations import Demonstration, Kind, TREES
@@ -109,6 +109,34 @@ class OptionSummary:
         The criteria need not be met.
         """
         return bool(self.criteria) and all(c.met or c.obstacle for c in self.criteria)
+
+
+@dataclass(frozen=True, slots=True)
+class PlanSummary:
+    """
+    What is known of a plan, and of the episodes in which it was evaluated.
+
+    The names are those of the message PlanResult, and of the columns of tables of plans.
+    """
+
+    action_set: str
+    option_names: tuple[str, ...] = ()  # columns of the action set
+    gamma: float = 0.0  # discount per primitive step; 0: there is no plan
+    n_states: int = 0  # of the domain, or abstract states visited in samples
+    game_steps: int = 0  # that models were sampled from; 0: models are exact
+    table_seconds: float = 0.0  # evaluating options in every state
+    model_seconds: float = 0.0  # building models, game steps counted
+    sweep_seconds: float = 0.0  # value iteration
+    sweeps: int = 0
+    residual: float = 0.0  # largest change of the last sweep, reward units
+    converged: bool = False  # residual is at most the tolerance
+    evaluation_episodes: int = 0  # behind the numbers below
+    mean_return: float = math.nan  # undiscounted, in the rules of the domain
+    mean_return_low: float = math.nan  # 95 % confidence interval
+    mean_return_high: float = math.nan
+    mean_discounted_return: float = math.nan
+    fallbacks: int = 0  # primitive actions because no option could start, in all episodes
+    outcomes: Mapping[str, Interval] = field(default_factory=dict)  # that the domain reports
 
 
 def unmeasured(demonstrations: Sequence[Demonstration]) -> OptionSummary:

@@ -6,7 +6,7 @@ and seed always give the same numbers, seconds apart.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 import math
 import time
 from typing import Any
@@ -27,6 +27,7 @@ from humanopts_learner.planning.request import (
     Progress,
 )
 from humanopts_learner.planning.sampled.plan import make_sampled_plan, SampledPlan
+from humanopts_learner.summary import PlanSummary
 
 AnyPlan = ExactPlan | SampledPlan
 
@@ -121,4 +122,38 @@ def judge_plan(
         fallbacks=int(returns.fallbacks.sum()),
         outcomes={name: Interval.of(values) for name, values in returns.outcomes.items()},
         totals=returns.total,
+    )
+
+
+def summarise_plan(plan: AnyPlan, judged: Performance | None = None) -> PlanSummary:
+    """
+    Return what is known of a plan.
+
+    :param judged: None: it was not played.
+    """
+    solution = plan.solution
+    found = PlanSummary(
+        action_set=plan.action_set,
+        option_names=plan.names,
+        gamma=plan.gamma,
+        n_states=len(solution.values),
+        game_steps=plan.game_steps,
+        table_seconds=plan.table_seconds,
+        model_seconds=plan.model_seconds,
+        sweep_seconds=plan.sweep_seconds,
+        sweeps=solution.sweeps,
+        residual=solution.residual,
+        converged=solution.converged,
+    )
+    if judged is None:
+        return found
+    return replace(
+        found,
+        evaluation_episodes=judged.episodes,
+        mean_return=judged.total.mean,
+        mean_return_low=judged.total.low,
+        mean_return_high=judged.total.high,
+        mean_discounted_return=judged.discounted.mean,
+        fallbacks=judged.fallbacks,
+        outcomes=judged.outcomes,
     )

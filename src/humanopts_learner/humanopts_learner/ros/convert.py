@@ -2,16 +2,16 @@
 
 from array import array
 from collections.abc import Sequence
-import math
 from typing import Any, TYPE_CHECKING
 
 from humanopts_env.arrays import Floats
 from humanopts_interfaces import msg
 from humanopts_interfaces.action import Plan
 from humanopts_learner.demonstrations import Demonstration
+from humanopts_learner.intervals import Interval
 from humanopts_learner.options.option import LearnedOption
 from humanopts_learner.planning.request import PlanError, PlanRequest
-from humanopts_learner.summary import Criterion, OptionSummary
+from humanopts_learner.summary import Criterion, OptionSummary, PlanSummary
 from humanopts_ros.codec import Codec
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +33,17 @@ _SUMMARY = Codec(
 summary_to_message, summary_from_message = _SUMMARY.encode, _SUMMARY.decode
 _DEMONSTRATION = Codec(
     Demonstration, msg.Demonstration, of_value=['features'], of_message=['features']
+)
+
+_PLAN = Codec(
+    PlanSummary,
+    msg.PlanResult,
+    of_value=['outcomes'],
+    of_message=[
+        *('status', 'detail', 'plan_id'),
+        *('coverage_known', 'fallback_states', 'single_step_states', 'single_step_gains'),
+        *('outcome_names', 'outcome_means', 'outcome_low', 'outcome_high'),
+    ],
 )
 
 
@@ -67,7 +78,7 @@ def plan_goal_to_message(
 
 def refused_plan(action_set: str) -> msg.PlanResult:
     """Return a result without a plan; status and detail are left to the caller."""
-    return msg.PlanResult(action_set=action_set, **_performance_fields(None))
+    return _PLAN.encode(PlanSummary(action_set))
 
 
 def plan_to_message(
@@ -78,60 +89,35 @@ def plan_to_message(
 
     :param coverage: None: not known.
     """
-    solution, result = plan.solution, msg.PlanResult
-    return msg.PlanResult(
-        status=result.STATUS_CONVERGED if solution.converged else result.STATUS_NOT_CONVERGED,
-        detail='' if solution.converged else f'not converged after {solution.sweeps} sweeps',
-        plan_id=plan_id,
-        action_set=plan.action_set,
-        option_names=list(plan.names),
-        gamma=plan.gamma,
-        n_states=len(solution.values),
-        game_steps=plan.game_steps,
-        table_seconds=plan.table_seconds,
-        model_seconds=plan.model_seconds,
-        sweep_seconds=plan.sweep_seconds,
-        sweeps=solution.sweeps,
-        residual=solution.residual,
-        converged=solution.converged,
-        **_coverage_fields(plan, coverage),
-        **_performance_fields(performance),
-    )
-
-
-def _coverage_fields(plan: 'AnyPlan', found: 'Coverage | None') -> dict[str, Any]:
-    """Return the fields of ``PlanResult`` on what the options do not cover."""
     from humanopts_learner.planning.exact import ExactPlan
+    from humanopts_learner.planning.plan import summarise_plan
 
-    if found is None or not isinstance(plan, ExactPlan):
-        return {}
-    encode, state_at = plan.domain.encode, plan.domain.state_at
-    return {
-        'coverage_known': True,
-        'fallback_states': [encode(state_at(index)) for index in found.fallback.tolist()],
-        'single_step_states': [encode(state_at(index)) for index in found.single_step.tolist()],
-        'single_step_gains': found.gain.tolist(),
-    }
+    summary, result = summarise_plan(plan, performance), msg.PlanResult
+    found = _PLAN.encode(
+        summary,
+        status=result.STATUS_CONVERGED if summary.converged else result.STATUS_NOT_CONVERGED,
+        detail='' if summary.converged else f'not converged after {summary.sweeps} sweeps',
+        plan_id=plan_id,
+        outcome_names=list(summary.outcomes),
+        outcome_means=[each.mean for each in summary.outcomes.values()],
+        outcome_low=[each.low for each in summary.outcomes.values()],
+        outcome_high=[each.high for each in summary.outcomes.values()],
+    )
+    if coverage is not None and isinstance(plan, ExactPlan):
+        states = [
+            [plan.domain.encode(plan.domain.state_at(index)) for index in indices.tolist()]
+            for indices in (coverage.fallback, coverage.single_step)
+        ]
+        found.coverage_known, found.single_step_gains = True, coverage.gain.tolist()
+        found.fallback_states, found.single_step_states = states
+    return found
 
 
-def _performance_fields(found: 'Performance | None') -> dict[str, Any]:
-    """Return the fields of ``PlanResult`` with the plan's returns."""
-    if found is None:
-        names = ('mean_return', 'mean_return_low', 'mean_return_high', 'mean_discounted_return')
-        return dict.fromkeys(names, math.nan)
-    outcomes = found.outcomes.values()
-    return {
-        'evaluation_episodes': found.episodes,
-        'mean_return': found.total.mean,
-        'mean_return_low': found.total.low,
-        'mean_return_high': found.total.high,
-        'mean_discounted_return': found.discounted.mean,
-        'fallbacks': found.fallbacks,
-        'outcome_names': list(found.outcomes),
-        'outcome_means': [interval.mean for interval in outcomes],
-        'outcome_low': [interval.low for interval in outcomes],
-        'outcome_high': [interval.high for interval in outcomes],
-    }
+def plan_from_message(message: msg.PlanResult) -> PlanSummary:
+    """Decode what is known of a plan."""
+    parts = message.outcome_means, message.outcome_low, message.outcome_high
+    intervals = [Interval(*each) for each in zip(*parts, strict=True)]
+    return _PLAN.decode(message, outcomes=dict(zip(message.outcome_names, intervals, strict=True)))
 
 
 def option_values_to_message(

@@ -51,7 +51,7 @@ from humanopts_teach.evaluation.summary import (
 from humanopts_teach.evaluation.tables import (
     option_row,
     OPTIONS,
-    plan_row_of_result,
+    plan_row,
     PLANS,
     SECONDS,
     table,
@@ -157,7 +157,10 @@ def _plan_and_play(
     learns: bool,
     progress: DemoProgress,
 ) -> Live:
-    from humanopts_learner.ros.convert import summary_from_message  # slow to import
+    from humanopts_learner.ros.convert import (  # slow to import
+        plan_from_message,
+        summary_from_message,
+    )
 
     graph, setup = running.graph, running.setup
     options = [
@@ -175,7 +178,8 @@ def _plan_and_play(
     graph.wait(graph.all_recorded, NEWS_SECONDS, 'what was shown to be in the newest bag')
     importing.join()  # nothing is imported beside scikit-learn, which hides pandas meanwhile
     execution = Execution(played.episodes, played.successes, played.fallbacks, played.mean_return)
-    return Live(table(OPTIONS, options), table(PLANS, map(plan_row_of_result, plans)), execution)
+    planned = [plan_row(plan_from_message(result)) for result in plans]
+    return Live(table(OPTIONS, options), table(PLANS, planned), execution)
 
 
 def _import_what_follows(learns: bool) -> None:

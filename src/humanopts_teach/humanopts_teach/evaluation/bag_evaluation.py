@@ -21,7 +21,15 @@ from humanopts_learner.options.criteria import judge
 from humanopts_learner.options.files import FORMAT, option_to_json
 from humanopts_learner.options.learn import learn_option
 from humanopts_learner.options.option import LearnedOption
-from humanopts_learner.planning.plan import AnyPlan, judge_plan, make_plan, Performance
+from humanopts_learner.planning.exact import ExactPlan
+from humanopts_learner.planning.interruption import exact_mean_return
+from humanopts_learner.planning.plan import (
+    AnyPlan,
+    judge_plan,
+    make_plan,
+    Performance,
+    summarise_plan,
+)
 from humanopts_learner.planning.request import (
     HUMAN,
     PlanError,
@@ -114,7 +122,14 @@ class BagEvaluation:
     @cached_property
     def plan_table(self) -> 'pd.DataFrame':
         """A row for each plan, by its name; columns ``PLANS``."""
-        rows = [plan_row(each.plan, each.judged, each.participant) for each in self.plans.values()]
+        rows = [
+            plan_row(
+                summarise_plan(each.plan, each.judged),
+                each.participant,
+                exact_mean_return(each.plan) if isinstance(each.plan, ExactPlan) else None,
+            )
+            for each in self.plans.values()
+        ]
         return table(PLANS, rows).set_axis([*self.plans])
 
     @property

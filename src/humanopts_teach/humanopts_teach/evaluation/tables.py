@@ -14,10 +14,7 @@ from humanopts_env.domains.registry import reference_options
 from humanopts_learner.intervals import Interval
 from humanopts_learner.options.accuracy import classification_accuracy, policy_accuracy
 from humanopts_learner.options.option import LearnedOption
-from humanopts_learner.planning.exact import ExactPlan
-from humanopts_learner.planning.interruption import exact_mean_return
-from humanopts_learner.planning.plan import AnyPlan, Performance
-from humanopts_learner.summary import OptionSummary
+from humanopts_learner.summary import OptionSummary, PlanSummary
 
 if TYPE_CHECKING:
     import pandas as pd  # slow to import
@@ -155,34 +152,16 @@ def option_row(
     return found | accuracies(option, domain)
 
 
-def plan_row(plan: AnyPlan, judged: Performance, participant: str = '') -> dict[str, Any]:
+def plan_row(
+    summary: PlanSummary, participant: str = '', exact_mean_return: float | None = None
+) -> dict[str, Any]:
     """Return the row of a plan and of the episodes in which it was judged."""
-    exact = exact_mean_return(plan) if isinstance(plan, ExactPlan) else None
     return {
-        **{name: getattr(plan, name) for name in ('action_set', 'gamma', 'game_steps', *SECONDS)},
-        **{name: getattr(plan.solution, name) for name in ('sweeps', 'residual', 'converged')},
+        **{name: getattr(summary, name, None) for name in PLANS},
         'participant': participant,
-        'episodes': judged.episodes,
-        'mean_return': judged.total.mean,
-        'mean_return_low': judged.total.low,
-        'mean_return_high': judged.total.high,
-        'mean_discounted_return': judged.discounted.mean,
-        'exact_mean_return': exact,
-        'fallbacks': judged.fallbacks,
-        'outcomes': {name: finite_parts(each) for name, each in judged.outcomes.items()},
-    }
-
-
-def plan_row_of_result(result: Any) -> dict[str, Any]:
-    """Return the row of a PlanResult message."""
-    parts = result.outcome_means, result.outcome_low, result.outcome_high
-    return {
-        **{name: getattr(result, name) for name in PLANS if hasattr(result, name)},
-        'episodes': result.evaluation_episodes,
-        'outcomes': {
-            name: finite_parts(Interval(*each))
-            for name, *each in zip(result.outcome_names, *parts)
-        },
+        'episodes': summary.evaluation_episodes,
+        'exact_mean_return': exact_mean_return,
+        'outcomes': {name: finite_parts(each) for name, each in summary.outcomes.items()},
     }
 
 
