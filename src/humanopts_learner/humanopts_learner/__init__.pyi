@@ -12,10 +12,12 @@ from .options.option import LearnedOption
 from .options.start_states import choose_start_state
 from .planning.plan import judge_plan, plan
 from .planning.value_iteration import solve_smdp
+from .summary import OptionSummary
 
 __all__ = [
     'Demonstration',
     'LearnedOption',
+    'OptionSummary',
     'Thresholds',
     'choose_start_state',
     'classification_accuracy',
