@@ -183,7 +183,7 @@ TOPICS = 'byte of the chunk that describes the topics'
         (['byte of the attached file', 'no index'], 'attachment options.json', 200),
         (['end within a chunk'], 'cut short', 180),
         (['byte of the index'], 'index is damaged', 200),
-        (['byte of the index', TOPICS], 'damaged and left out', 180),
+        (['byte of the index', TOPICS], 'the record of their topic is damaged', 0),
         (['chunk left out'], 'index is damaged', 180),
         (['chunks exchanged'], 'another record', 100),
         (['length of a chunk'], 'damaged and left out', 180),

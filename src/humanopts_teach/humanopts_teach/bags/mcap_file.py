@@ -193,21 +193,22 @@ def _scan(file: McapFile, stream: BinaryIO, on_read: ReadCallback) -> bool:
     reader = StreamReader(stream, emit_chunks=True, record_size_limit=size)
     try:
         for record in reader.records:
+            if isinstance(record, DataEnd):  # what follows is the damaged index
+                closed = True
+                break
             _add(file, record, at, stream.tell())
             at = stream.tell()
-            closed = closed or isinstance(record, DataEnd)
             on_read(at, size)
     except (
         EndOfFile,
         RecordLengthLimitExceeded,
         struct.error,
     ):  # it has fewer bytes than it says
-        if not (closed or file.growing):
+        if not file.growing:
             cut = f'is cut short in the record at byte {at} of {size}'
             file.note(f'it {cut if at < size else "was not closed: it ends without an index"}')
     except DAMAGE as error:
-        if not closed:
-            file.note(f'it cannot be read from byte {at} of {size} on: {error}')
+        file.note(f'it cannot be read from byte {at} of {size} on: {error}')
     unknown = sum(count for each, count in file.counts.items() if not file.describes(each))
     if unknown:
         file.note(f'{unknown} messages are left out: the record of their topic is damaged')
