@@ -9,6 +9,7 @@ import sys
 import time
 from typing import Any
 
+from graph_support.live import free_domain_id
 from humanopts_learner.spreadsheet import from_cell, to_cell
 from humanopts_teach.cli import main
 from humanopts_teach.study.events import event_of
@@ -323,11 +324,13 @@ def test_a_code_that_differs_only_in_case_is_asked_about_or_refused(
     assert main([*plan, '--simulate', '1']) == 2
     assert "'simulated-1' differs only in case from 'Simulated-1'" in capsys.readouterr().err
     words = ['-m', 'humanopts_teach', *plan, '--participant', 'SIMULATED-1']
-    terminal = pexpect.spawn(sys.executable, words, encoding='utf-8', timeout=60.0)
-    terminal.expect_exact('Go on as Simulated-1? [y/N]')
-    terminal.sendline('n')
-    terminal.expect_exact("give 'Simulated-1' to go on, or another code")
-    terminal.expect(pexpect.EOF)
-    terminal.close()
+    with free_domain_id() as number:  # where nothing runs already
+        place = {**os.environ, 'ROS_DOMAIN_ID': str(number)}
+        terminal = pexpect.spawn(sys.executable, words, env=place, encoding='utf-8', timeout=60.0)
+        terminal.expect_exact('Go on as Simulated-1? [y/N]')
+        terminal.sendline('n')
+        terminal.expect_exact("give 'Simulated-1' to go on, or another code")
+        terminal.expect(pexpect.EOF)
+        terminal.close()
     assert terminal.exitstatus == 2
     assert len(list(files.study.glob('*.jsonl'))) == 1
