@@ -194,14 +194,30 @@ def test_help_names_every_target() -> None:
     assert [t for t in TARGETS if t != 'help' and f'make {t}' not in done.stdout] == []
 
 
-def test_the_whole_check_is_lint_documentation_and_tests() -> None:
-    check_all = ROOT / '.ci/run'
-    assert os.access(check_all, os.X_OK)
-    lines = [line for line in check_all.read_text().splitlines() if line.startswith('make')]
-    assert [line.split()[1] for line in lines] == [
-        *('checked', 'docs', 'test-floor', 'lint', 'test')
-    ]
-    assert 'whole' not in lines[-1]
+@pytest.mark.parametrize('failing', ['', 'checked', 'docs', 'lint', 'test-floor', 'test'])
+def test_the_whole_check_runs_all_checks_and_fails_where_one_does(
+    tmp_path: Path, failing: str
+) -> None:
+    for folder in ('.ci', 'bin', 'build'):
+        (tmp_path / folder).mkdir()
+    check_all = Path(shutil.copy(ROOT / '.ci/run', tmp_path / '.ci'))
+    stand_in = tmp_path / 'bin/make'
+    stand_in.write_text(
+        '#!/bin/sh\nfor word; do case $word in "$FAILING") exit 3;; ARGS=*) ;; *) echo "$word"; '
+        'esac; done\n'
+    )
+    stand_in.chmod(0o755)
+    path = f'{stand_in.parent}:{os.environ["PATH"]}'
+    done = subprocess.run(
+        check_all,
+        env={**os.environ, 'PATH': path, 'FAILING': failing},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode != 0) is bool(failing)
+    if not failing:
+        assert sorted(done.stdout.split()) == ['checked', 'docs', 'lint', 'test', 'test-floor']
 
 
 def test_the_python_of_the_set_up_finds_the_packages_with_nothing_sourced(tmp_path: Path) -> None:
