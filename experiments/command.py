@@ -18,7 +18,7 @@ from humanopts_teach.commands.options import PLAIN, SeveralValues, whole
 from humanopts_teach.evaluation.summary import SummaryError
 from humanopts_teach.report.pages import counted, duration
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 import typer
 
 from experiments import demonstrations, figure2, figure3, figure4, table1, table2, transfer
@@ -160,28 +160,25 @@ def trial_progress(
 ) -> Iterator[OnTrial]:
     """Show on standard error how far the work is: a bar on a terminal, lines anywhere else."""
     console = console or Console(stderr=True)
-    columns = (TextColumn('{task.description}'), BarColumn(), TimeElapsedColumn())
+    columns = (TextColumn('{task.description}'), BarColumn(), TimeRemainingColumn())
     bar = Progress(*columns, console=console, disable=not console.is_terminal)
-    task, cost = bar.add_task('', total=None), 0.0  # of the trials that have ended
-    began = last_line = clock()
+    task, next_line = bar.add_task('', total=None), clock()
 
     def show(outcome: Outcome, ended: Trial | None) -> None:
-        nonlocal began, last_line, cost
-        now, count = clock(), len(outcome.missing)
-        total = sum(trial.cost for trial in outcome.missing)
-        text, due = f'{outcome.finished} of {count} trials', now - last_line >= _LINE_EVERY
+        nonlocal next_line
+        count = len(outcome.missing)
+        text = f'{outcome.finished} of {count} trials'
         if ended is None:
-            began, due, before = now, True, len(outcome.results)
+            before = len(outcome.results)
             text = f'{before + count} trials, {before} of them done before'
+            bar.update(task, total=sum(trial.cost for trial in outcome.missing))
         else:
-            cost += ended.cost
-            left = f'about {duration((now - began) * (total / cost - 1))} left'
-            text += ', done' if outcome.finished == count else f', {left}'
+            bar.advance(task, ended.cost)
             if ended.key in outcome.failures:
                 console.print(f'failed: {ended}', markup=False, highlight=False)
-        bar.update(task, total=total, completed=cost, description=text)
-        if not console.is_terminal and (due or outcome.finished == count):
-            last_line = now
+        bar.update(task, description=text)
+        if not console.is_terminal and (clock() >= next_line or outcome.finished == count):
+            next_line = clock() + _LINE_EVERY
             console.print(text, markup=False, highlight=False, soft_wrap=True)
 
     with bar:

@@ -12,6 +12,7 @@ from typing import Any
 from humanopts_learner.intervals import Interval
 from humanopts_learner.spreadsheet import csv_of
 from humanopts_teach.evaluation.summary import write_text
+from humanopts_teach.evaluation.tables import records
 from humanopts_teach.report.figures import Drawing, drawing, file_settings
 from humanopts_teach.report.pages import Finding, number
 from humanopts_teach.report.pages import render as render_page
@@ -100,9 +101,7 @@ class Table:
     @property
     def rows(self) -> list[dict[str, Any]]:
         """The rows as JSON data: a missing value is None."""
-        plain = self.frame.astype(object)
-        rows: Any = plain.where(plain.notna(), None).to_dict('records')
-        return list(rows)
+        return records(self.frame)
 
 
 @dataclass(frozen=True)
