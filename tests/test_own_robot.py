@@ -4,7 +4,15 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from graph_support.live import Graph, LEARNER, LESSON, open_graph, OPTION_SERVER, PLANNER
+from graph_support.live import (
+    Graph,
+    LEARNER,
+    LESSON,
+    open_graph,
+    OPTION_SERVER,
+    PLANNER,
+    TEACHER,
+)
 from graph_support.player import ME
 from humanopts_interfaces.action import Plan
 from humanopts_interfaces.msg import (
@@ -25,6 +33,10 @@ from humanopts_interfaces.srv import (
     RunOption,
 )
 from humanopts_ros.qos import CURRENT, STREAM
+from humanopts_teach.commands import CommandError
+from humanopts_teach.commands.options import LaunchOptions
+from humanopts_teach.commands.session import setup_from
+from humanopts_teach.launching.processes import processes
 import pytest
 
 ROVER = Path(__file__).parents[1] / 'examples/own_robot/rover.py'
@@ -158,3 +170,16 @@ def test_what_needs_rules_says_so(teacher: Teacher) -> None:
     )
     assert begun.status == BeginDemonstration.Response.STATUS_BAD_STATE
     assert begun.detail == 'a rover starts where it stands'
+
+
+def test_a_simulated_teacher_needs_rules(teacher: Teacher) -> None:
+    said = teacher.graph.refused(TEACHER, options=[DOCK])
+    assert said.startswith('the simulated teacher needs a domain that can be simulated')
+
+
+def test_nodes_can_be_launched_around_it_and_a_game_that_is_not_installed_cannot() -> None:
+    around = setup_from('rover', LaunchOptions(), bag_name='up', only=('lesson', 'learner'))
+    assert {spec.name for spec in processes(around)} == {'lesson', 'learner'}
+    for only in ((), ('game', 'lesson')):
+        with pytest.raises(CommandError, match="no domain 'rover'"):
+            setup_from('rover', LaunchOptions(), bag_name='up', only=only)
