@@ -20,7 +20,7 @@ from functools import cached_property
 from humanopts_env.arrays import Flags, Ints
 from humanopts_env.domains.search_space import SearchSpace
 import numpy as np
-from scipy.sparse import coo_array, csr_array
+from scipy.sparse import coo_array
 
 
 @dataclass(frozen=True)
@@ -110,47 +110,26 @@ def _options_to(visits: Visits, cell: int, total: int) -> Iterator[Bottleneck]:
 
 def _initiation(visits: Visits, arrivals: Ints, target: Flags) -> Flags:
     """Return (S,): where an option to a target can start."""
-    space = visits.space
-    situations = space.situation
-    counts = np.bincount(situations[visits.before(arrivals)], minlength=situations.max() + 1)
-    known = np.unique(situations[space.reached])
-    chosen = counts > counts[known].mean()
-    chosen = _completed(chosen, _neighbours(space))
-    return _with_way(space, chosen[situations] & space.open & ~target, target)
-
-
-def _neighbours(space: SearchSpace) -> csr_array:
-    """Return (M, M): whether a step leads from one situation to another, or back."""
-    here, there = _edges(space, space.open)
-    here, there = space.situation[here], space.situation[there]
+    space, situations = visits.space, visits.space.situation
+    count = int(situations.max()) + 1
+    counts = np.bincount(situations[visits.before(arrivals)], minlength=count)
+    chosen = counts > counts[np.unique(situations[space.reached])].mean()
+    here, there = (situations[states] for states in _edges(space, space.open))
     apart = here != there
-    here, there = here[apart], there[apart]
-    count = int(space.situation.max()) + 1
-    steps = coo_array((np.ones(len(here)), (here, there)), shape=(count, count)).tocsr()
-    both = steps + steps.T
-    both.data[:] = 1.0
-    return both
-
-
-def _completed(chosen: Flags, neighbours: csr_array) -> Flags:
-    """Add situations with more than half of their neighbours inside, until there are none."""
-    half = neighbours.sum(axis=1) / 2
-    while True:
-        larger: Flags = chosen | (neighbours @ chosen.astype(np.float64) > half)
-        if (larger == chosen).all():
-            return chosen
-        chosen = larger
-
-
-def _with_way(space: SearchSpace, region: Flags, target: Flags) -> Flags:
-    """Return the part of a region from which the target can be reached within it."""
+    ends = here[apart], there[apart]
+    steps = coo_array((np.ones(len(ends[0])), ends), shape=(count, count)).tocsr()
+    neighbours = steps + steps.T  # whether a step leads from one situation to another, or back
+    neighbours.data[:] = 1.0
+    half, before = neighbours.sum(axis=1) / 2, np.zeros_like(chosen)
+    while (chosen != before).any():  # add those with more than half of their neighbours inside
+        before = chosen
+        chosen = chosen | (neighbours @ chosen.astype(np.float64) > half)
+    region: Flags = chosen[situations] & space.open & ~target
     here, there = _edges(space, region)
-    found = target.copy()
-    while True:
-        fresh = here[found[there] & ~found[here]]
-        if not fresh.size:
-            return found & region
+    found = target.copy()  # states from which the target can be reached within the region
+    while (fresh := here[found[there] & ~found[here]]).size:
         found[fresh] = True
+    return found & region
 
 
 def _edges(space: SearchSpace, inside: Flags) -> tuple[Ints, Ints]:

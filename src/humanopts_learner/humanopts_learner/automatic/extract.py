@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import time
 from typing import Any
 
-from humanopts_env.arrays import Ints, Rows
+from humanopts_env.arrays import Ints
 from humanopts_env.domains.base import Domain, is_enumerable
 from humanopts_env.domains.capabilities import HasSearchSpace
 from humanopts_env.domains.search_space import SearchSpace, space_of_states
@@ -169,7 +169,13 @@ def to_learned_options(
     learned = []
     for option in found.options:
         decisions = 2 * np.where(option.initiation, 1 + option.action, 0) + option.termination
-        needed = _needed(rows[going], list(columns), decisions[going])
+        needed = list(columns)
+        for column in reversed(columns):  # without those, tried from the last, that are not needed
+            fewer = [other for other in needed if other != column]
+            seen = rows[going][:, fewer]
+            both = np.column_stack([seen, decisions[going]])
+            if fewer and len(np.unique(seen, axis=0)) == len(np.unique(both, axis=0)):
+                needed = fewer
         features = [domain.features[column].name for column in needed]
         known = going & option.initiation, going, going
         learned.append(option_from_table(domain, option, features, rows, known, participant))
@@ -187,18 +193,3 @@ def check_participant(code: str) -> None:
             f'the participant of options that nobody taught must begin with {MACHINE!r}, '
             f'not {code!r}'
         )
-
-
-def _needed(rows: Rows, columns: list[int], decisions: Ints) -> list[int]:
-    """Return the feature indices without those, tried from the last, that are not needed."""
-    for column in reversed(columns):
-        others = [other for other in columns if other != column]
-        if others and _determine(rows[:, others], decisions):
-            columns = others
-    return columns
-
-
-def _determine(seen: Rows, decisions: Ints) -> bool:
-    """Return whether equal rows always come with equal decisions."""
-    both = np.column_stack([seen, decisions])
-    return len(np.unique(seen, axis=0)) == len(np.unique(both, axis=0))

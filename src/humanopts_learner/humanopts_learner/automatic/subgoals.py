@@ -97,41 +97,29 @@ def draw_tasks(space: SearchSpace, count: int, rng: np.random.Generator) -> Subg
         start = rng.choice(space.starts, count)
         target = np.broadcast_to(space.goals, (count, len(space.goals)))
     else:
-        start, target = _pairs(space, count, rng)
+        rules, shape = space.transitions, (len(space.over), len(space.over))
+        possible = (rules.probability > 0) & ~space.over[:, None, None]
+        # csgraph of SciPy 1.11 takes indices of 32 bits only
+        here = np.nonzero(possible)[0].astype(np.int32)
+        there = rules.successor[possible].astype(np.int32)
+        steps = coo_array((np.ones(len(here)), (here, there)), shape=shape).tocsr()
+        region = connected_components(steps, connection='strong')[1]
+        inside = region[space.starts]
+        starts = space.starts[np.bincount(inside)[inside] > 1]
+        if not starts.size:
+            raise PlanError('no two states can be reached from each other, so no tasks can be set')
+        start, target = rng.choice(starts, count), np.zeros((count, len(region)), dtype=np.bool_)
+        for task, state in enumerate(start):
+            there = starts[region[starts] == region[state]]
+            target[task, rng.choice(there[there != state])] = True
     return Subgoals(start, np.ones(count, dtype=np.intp), target, np.zeros_like(target))
-
-
-def _pairs(space: SearchSpace, count: int, rng: np.random.Generator) -> tuple[Ints, Flags]:
-    region = _regions(space)
-    sizes = np.bincount(region[space.starts])
-    starts = space.starts[sizes[region[space.starts]] > 1]
-    if not starts.size:
-        raise PlanError('no two states can be reached from each other, so no tasks can be set')
-    start = rng.choice(starts, count)
-    target = np.zeros((count, len(region)), dtype=np.bool_)
-    for task, state in enumerate(start):
-        there = starts[region[starts] == region[state]]
-        target[task, rng.choice(there[there != state])] = True
-    return start, target
-
-
-def _regions(space: SearchSpace) -> Ints:
-    """Return (S,): numbers of the sets of states that can be reached from each other."""
-    rules, count = space.transitions, len(space.over)
-    possible = (rules.probability > 0) & ~space.over[:, None, None]
-    here, there = np.nonzero(possible)[0], rules.successor[possible]
-    # csgraph of SciPy 1.11 takes indices of 32 bits only
-    ends = here.astype(np.int32), there.astype(np.int32)
-    edges = coo_array((np.ones(len(here)), ends), shape=(count, count))
-    region: Ints = connected_components(edges.tocsr(), connection='strong')[1].astype(np.intp)
-    return region
 
 
 def check_tables(simulator: TabularSimulator, learners: int) -> None:
     """
-    Check that the tables of so many learners can be held.
+    Check that the Q-tables fit in memory.
 
-    :raises PlanError: they would not fit in memory.
+    :raises PlanError: they do not.
     """
     n_states, n_actions, _ = simulator.transitions.successor.shape
     if learners * n_states * n_actions > LARGEST_TABLES:
@@ -156,7 +144,7 @@ def learn_to_reach(
     learners step together.
 
     :return: values (L, S, A), and the steps taken.
-    :raises PlanError: the tables would not fit in memory.
+    :raises PlanError: the Q-tables do not fit in memory.
     """
     count = len(subgoals.counts)
     check_tables(simulator, count)

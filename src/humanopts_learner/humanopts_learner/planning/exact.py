@@ -176,7 +176,23 @@ def build_model(
     names = [PRIMITIVE_PREFIX + action.name for action in domain.actions]
     if action_set == PRIMITIVE:
         return primitive_model(domain.transitions(), domain.over(), gamma, names)
-    model = _option_models(domain, options, gamma, progress)
+    over, shape = domain.over(), (len(options), domain.n_states)
+    reward, available = np.zeros(shape), np.empty(shape, dtype=np.bool_)
+    lengths, rows = np.zeros(shape, dtype=np.int32), []
+    for o, option in enumerate(options):
+        progress('models', o / (1 + len(options)), 0, math.nan)
+        starts = np.greater(option.initiation, over, out=available[o])
+        found = model_option(domain.transitions(), over, gamma, option, starts)
+        at = np.flatnonzero(starts)
+        reward[o, at], lengths[o, at] = found.reward, np.diff(found.successor.indptr)
+        rows.append(found.successor)
+    parts = (
+        np.concatenate([part.data for part in rows]),
+        np.concatenate([part.indices for part in rows]),
+        np.append(np.int32(0), np.cumsum(lengths, dtype=np.int32)),
+    )
+    joined = csr_array(parts, shape=(lengths.size, domain.n_states))
+    model = MultiTimeModel(tuple(o.name for o in options), reward.T, available.T, joined)
     free = _primitive_states(domain, action_set, options)
     if free.any():
         primitives = primitive_model(domain.transitions(), ~free, gamma, names)
@@ -224,29 +240,3 @@ def option_table(
         for index, action in enumerate(domain.actions)
     ]
     return OptionTable([*used, *primitives] if free.any() else used, domain.over())
-
-
-def _option_models(
-    domain: EnumerableDomain[Any],
-    options: Sequence[TabularOption],
-    gamma: float,
-    progress: Progress,
-) -> MultiTimeModel:
-    """Return the model of options alone."""
-    over, shape = domain.over(), (len(options), domain.n_states)
-    reward, available = np.zeros(shape), np.empty(shape, dtype=np.bool_)
-    lengths, rows = np.zeros(shape, dtype=np.int32), []
-    for o, option in enumerate(options):
-        progress('models', o / (1 + len(options)), 0, math.nan)
-        starts = np.greater(option.initiation, over, out=available[o])
-        found = model_option(domain.transitions(), over, gamma, option, starts)
-        at = np.flatnonzero(starts)
-        reward[o, at], lengths[o, at] = found.reward, np.diff(found.successor.indptr)
-        rows.append(found.successor)
-    parts = (
-        np.concatenate([part.data for part in rows]),
-        np.concatenate([part.indices for part in rows]),
-        np.append(np.int32(0), np.cumsum(lengths, dtype=np.int32)),
-    )
-    joined = csr_array(parts, shape=(lengths.size, domain.n_states))
-    return MultiTimeModel(tuple(o.name for o in options), reward.T, available.T, joined)

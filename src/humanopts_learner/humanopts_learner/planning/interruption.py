@@ -128,13 +128,16 @@ def option_values(plan: ExactPlan) -> OptionValues:
     for o, option in enumerate(plan.options):
         continuation_values[:, o] = _continuation_values(plan, option)
     continuation_values[domain.over()] = -np.inf
+    # How far values can differ that would be equal had the sweeps gone on for ever.
+    rounding = ROUNDING * max(1.0, float(np.abs(values).max()))
+    margin = rounding + 8.0 * plan.solution.residual / max(1.0 - plan.gamma, ROUNDING)
     return OptionValues(
         action_set=plan.action_set,
         names=model.names,
         states=np.arange(len(values)),
         option_values=option_values,
         continuation_values=continuation_values,
-        interruption_margin=_interruption_margin(plan),
+        interruption_margin=margin,
         sampled=False,
     )
 
@@ -210,14 +213,6 @@ def exact_mean_return(plan: ExactPlan) -> float | None:
         return None
     mean = float(values[plan.domain.start_states()].mean())
     return mean if math.isfinite(mean) else None
-
-
-def _interruption_margin(plan: ExactPlan) -> float:
-    """Return how far values can differ that would be equal had the sweeps gone on for ever."""
-    solution = plan.solution
-    rounding = ROUNDING * max(1.0, float(np.abs(solution.values).max()))
-    left = max(1.0 - plan.gamma, ROUNDING)
-    return rounding + 8.0 * solution.residual / left
 
 
 def _continuation_values(plan: ExactPlan, option: TabularOption) -> Floats:

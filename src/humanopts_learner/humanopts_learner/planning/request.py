@@ -1,5 +1,6 @@
 """What can be asked of planning: action sets, settings, and the options to plan with."""
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -164,7 +165,20 @@ class PlanRequest:
             game_steps=(self.game_steps or GAME_STEPS) if sampled else 0,
         )
         if self.action_set != PRIMITIVE:
-            _check_options(domain, self.action_set, options)
+            if not options:
+                way = 'extract them' if self.action_set in OF_MACHINES else 'teach one'
+                lacking = f'the action set {self.action_set} needs options and there are none'
+                raise NoOptionsError(f'{lacking}: {way} first')
+            counts = Counter(option.name for option in options)
+            twice = sorted(name for name, count in counts.items() if count > 1)
+            if twice:
+                raise PlanError(f'more than one option is called {", ".join(twice)}')
+            for option in options:
+                if isinstance(option, LearnedOption):
+                    try:
+                        option.check_domain(domain)
+                    except OptionError as error:
+                        raise PlanError(str(error)) from error
         if sampled:
             fewest = self.sampling.game_steps
             if asked.game_steps < fewest:
@@ -180,30 +194,6 @@ def check_limits(tol: float, max_sweeps: int) -> None:
     """
     if not tol >= 0.0 or max_sweeps < 1:
         raise PlanError(f'tol is {tol} and max_sweeps {max_sweeps}: need tol >= 0 and a sweep')
-
-
-def _check_options(domain: Domain[Any], action_set: str, options: Sequence[Any]) -> None:
-    """
-    Check the options of an action set that needs some.
-
-    :raises PlanError: two have one name, or one was learned in another domain.
-    :raises NoOptionsError: there are none.
-    """
-    if not options:
-        way = 'extract them' if action_set in OF_MACHINES else 'teach one'
-        raise NoOptionsError(
-            f'the action set {action_set} needs options and there are none: {way} first'
-        )
-    names = [option.name for option in options]
-    twice = sorted({name for name in names if names.count(name) > 1})
-    if twice:
-        raise PlanError(f'more than one option is called {", ".join(twice)}')
-    for option in options:
-        if isinstance(option, LearnedOption):
-            try:
-                option.check_domain(domain)
-            except OptionError as error:
-                raise PlanError(str(error)) from error
 
 
 def select_options(
