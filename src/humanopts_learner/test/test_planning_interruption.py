@@ -253,12 +253,6 @@ def test_modules_of_the_greatest_mass_outvote_a_single_strong_one() -> None:
     assert arbitrate(Arbitration.MODULAR_MASS, *values).tolist() == [1, 0]
 
 
-@pytest.mark.parametrize('execution', MODULAR)
-def test_where_no_game_is_free_no_module_wins(execution: Arbitration) -> None:
-    nothing = np.zeros((0, 3))
-    assert arbitrate(execution, nothing, nothing, nothing.astype(np.intp)).tolist() == []
-
-
 def test_values_survive_the_way_through_a_message() -> None:
     table = option_values(rooms_plan('human', 'G1'))
     again = option_values_from_message(option_values_to_message(table, 'one', 'eve'))
@@ -282,12 +276,6 @@ def test_a_message_that_contradicts_itself_is_refused(
     setattr(message, field, change(getattr(message, field)))
     with pytest.raises(PlanError, match=text):
         option_values_from_message(message)
-
-
-def test_values_of_another_shape_are_refused() -> None:
-    table = option_values(rooms_plan('human', 'G1'))
-    with pytest.raises(PlanError, match='values are'):
-        replace(table, states=table.states[1:])
 
 
 def test_the_exact_mean_return_is_that_of_episodes_from_every_start() -> None:

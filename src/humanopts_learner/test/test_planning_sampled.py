@@ -28,7 +28,6 @@ from humanopts_learner.planning.sampled.policies import UniformPolicy
 from humanopts_learner.planning.sampled.sampled_models import (
     SampleCounts,
     Samples,
-    StateIndex,
 )
 from humanopts_learner.planning.value_iteration import solve_smdp
 import numpy as np
@@ -140,14 +139,6 @@ def test_a_table_finds_its_codes_and_no_others(count: int) -> None:
     assert (table.find(np.setdiff1d(np.arange(5000), codes)) == len(codes)).all()
 
 
-def test_numbers_of_states_stay_when_more_come() -> None:
-    index = StateIndex()
-    first = index.add(np.array([50, 10, 50]))
-    assert index.add(np.array([5, 70, 50, 10]))[2:].tolist() == first[:2].tolist()
-    assert sorted(index.add(np.array([5, 10, 50, 70])).tolist()) == [0, 1, 2, 3]
-    assert index.codes[first].tolist() == [50, 10, 50]
-
-
 def test_every_end_of_a_run_is_a_sample_of_its_own() -> None:
     """By hand: one game, a run of three steps and one of two that ends the task."""
     recording = Recording(5, 1)
@@ -222,12 +213,6 @@ def test_interruption_gains_where_options_pass_by_the_goal(execution: Arbitratio
 def test_no_games_cannot_be_played() -> None:
     with pytest.raises(PlanError, match='cannot play 0 episodes'):
         rooms_plan('human').play(3, 0)
-
-
-def test_a_plan_that_is_sampled_to_the_end_is_played_to_the_end() -> None:
-    plan = rooms_plan('human', 20_000)
-    assert plan.policy.execution is Arbitration.RUN_TO_END
-    assert np.array_equal(plan.play(3, 50).steps, plan.play(3, 50, Arbitration.RUN_TO_END).steps)
 
 
 def test_progress_rises_and_can_cancel() -> None:
