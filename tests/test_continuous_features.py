@@ -8,15 +8,15 @@ from typing import Any
 
 import gymnasium
 from gymnasium.utils.env_checker import check_env
-from humanopts_env.contract import check_domain, ContractError, DomainContract
 from humanopts_env.domains.base import Domain, Feature
+from humanopts_env.domains.check import check_domain, ContractError
 from humanopts_env.domains.reference import ReferenceOption
 from humanopts_env.domains.registry import domain_from_json, make_domain
 from humanopts_env.game import check_transition, Game, transition_from_message
 from humanopts_env.gym_env import spec_of
-from humanopts_env.reference_contract import ReferenceContract
 from humanopts_env.ros.convert import domain_from_info, domain_to_info, transition_to_message
 from humanopts_env.seeding import generator
+from humanopts_env.testing import DomainContract, ReferenceContract
 from humanopts_interfaces.msg import FeatureInfo
 from humanopts_learner.demonstration_table import (
     demonstrations_from_table,

@@ -3,11 +3,10 @@
 from typing import Any
 
 from humanopts_env.board import board_text
-from humanopts_env.contract import DomainContract
 from humanopts_env.domains.base import Domain, DomainError
 from humanopts_env.domains.capabilities import StepEffect
-from humanopts_env.reference_contract import ReferenceContract
 from humanopts_env.seeding import generator
+from humanopts_env.testing import DomainContract, ReferenceContract
 from humanopts_greenhouse.greenhouse import Greenhouse, GreenhouseState
 from humanopts_greenhouse.reference import reference_options
 from humanopts_learner.automatic.extract import find_options

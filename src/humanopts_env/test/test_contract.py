@@ -9,7 +9,6 @@ import time
 from typing import Any, cast
 
 from humanopts_env.board import Board
-from humanopts_env.contract import check_domain, ContractError, DomainContract
 from humanopts_env.domains.base import (
     Action,
     Domain,
@@ -18,12 +17,13 @@ from humanopts_env.domains.base import (
     is_enumerable,
     Outcome,
 )
+from humanopts_env.domains.check import check_domain, ContractError
 from humanopts_env.domains.pacman.domain import PacMan
 from humanopts_env.domains.reference import ReferenceOption
 from humanopts_env.domains.rooms import Rooms
 from humanopts_env.domains.taxi import Taxi, TaxiState
 from humanopts_env.domains.taxi_reference import reference_options
-from humanopts_env.reference_contract import ReferenceContract
+from humanopts_env.testing import DomainContract, ReferenceContract
 import numpy as np
 import pytest
 

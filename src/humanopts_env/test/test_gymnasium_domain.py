@@ -5,11 +5,11 @@ from typing import Any
 
 import gymnasium
 from humanopts_env.board import Board
-from humanopts_env.contract import DomainContract
 from humanopts_env.domains.base import DomainError, StateError
 from humanopts_env.domains.gymnasium_domain import gymnasium_domain, GymnasiumDomain
 from humanopts_env.domains.registry import domain_from_json, make_domain, parameters_json
 from humanopts_env.seeding import generator
+from humanopts_env.testing import DomainContract
 import numpy as np
 import pytest
 

@@ -136,7 +136,7 @@ class Domain(ActableDomain, Protocol[S]):
     """
     The rules of one game. Implementations are immutable: all state is in the values passed.
 
-    ``humanopts_env.contract`` states what every implementation must satisfy.
+    ``humanopts_env.testing`` states what every implementation must satisfy.
     """
 
     def reset(self, rng: np.random.Generator) -> S:

@@ -14,7 +14,7 @@ A domain has a capability by having the method or attribute; nothing is register
 - ``HasExplanation``: it explains the game and the signs on the board.
 - ``HasFeatureGroups``: it groups its features, so that a person is asked about a group first.
 
-``humanopts_env.contract`` tests each of them in every domain that has it.
+``humanopts_env.testing`` tests each of them in every domain that has it.
 """
 
 from collections.abc import Collection, Mapping, Sequence

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from typing import Any, TypeGuard
 
 from humanopts_env.arrays import Floats
-from humanopts_env.contract import check_description
 from humanopts_env.domains.base import (
     ActableDomain,
     Action,
@@ -20,6 +19,7 @@ from humanopts_env.domains.base import (
     FeatureKind,
     Parameter,
 )
+from humanopts_env.domains.check import check_description
 from humanopts_env.domains.parameters import parameters_from_json
 import numpy as np
 

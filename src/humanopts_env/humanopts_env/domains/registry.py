@@ -6,8 +6,8 @@ from importlib.metadata import EntryPoint
 import json
 from typing import Any, cast
 
-from humanopts_env.contract import check_domain
 from humanopts_env.domains.base import ActableDomain, Domain, DomainError, Parameter
+from humanopts_env.domains.check import check_domain
 from humanopts_env.domains.names import domain_names, DOMAINS, GYMNASIUM, registered
 from humanopts_env.domains.parameters import check_parameters, parameters_from_json
 from humanopts_env.domains.reference import ReferenceOption

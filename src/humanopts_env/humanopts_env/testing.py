@@ -1,5 +1,5 @@
 """
-The contract of domains: a test class for pytest, and a quick check before a game is played.
+The contracts of domains and of reference options, as test classes for pytest.
 
 In the tests of a package that adds a domain::
 
@@ -7,28 +7,25 @@ In the tests of a package that adds a domain::
         def make(self) -> Domain[Any]:
             return MyDomain()
 
-``make_domain`` checks a domain of another package with ``check_domain`` before it returns it.
+    class TestMyOptions(ReferenceContract):
+        def make(self) -> Domain[Any]:
+            return MyDomain()
 
 Tests of enumerable domains or of a capability pass for domains that are not enumerable or lack it.
 """
 
-from collections.abc import Iterator
+from collections.abc import Hashable, Iterator, Mapping, Sequence
+from functools import lru_cache
 import json
-import math
-import re
-import time
-from typing import Any
+from typing import Any, cast
 
 from humanopts_env import colours
 from humanopts_env.arrays import Rows
-from humanopts_env.board import Board, board_text
+from humanopts_env.board import board_text
 from humanopts_env.domains.base import (
-    ActableDomain,
-    Action,
     Domain,
-    DomainError,
     EnumerableDomain,
-    Feature,
+    feature_columns,
     FeatureKind,
     is_enumerable,
     Outcome,
@@ -44,6 +41,17 @@ from humanopts_env.domains.capabilities import (
     HasTeachingDefaults,
     step_effect,
 )
+from humanopts_env.domains.check import (
+    check_end,
+    check_form,
+    check_refusals,
+    check_state,
+    check_step,
+    check_tables,
+    refuses,
+)
+from humanopts_env.domains.reference import judge_states, Judgement, ReferenceOption
+from humanopts_env.domains.registry import reference_options
 from humanopts_env.domains.tabular import reachable
 from humanopts_env.games import games_at, new_games
 from humanopts_env.seeding import generator
@@ -57,10 +65,14 @@ DRAWN = 150  # outcomes drawn of one step until that of a batch is among them
 LONGEST_EFFECT = 50  # characters
 MOST_HELP_ROWS = 18  # that a terminal shows
 CHECKED = 400  # states and transitions of an enumerable domain compared one by one
-NAME = re.compile(r'[a-z][a-z0-9_]*')
-NAMED_KEYS = {'up', 'down', 'left', 'right'}
 COLOURS = {'', *(value for name, value in vars(colours).items() if name.isupper())}
 Step = tuple[Any, int, Outcome[Any]]
+
+
+ALL = 2000  # the tests use sampled states of a domain with more
+SAMPLE = 600
+ONE_BY_ONE = 40  # states that are judged one by one, and runs that are played
+LONGEST = 1000  # steps of a run, where the domain has no limit of its own
 
 
 class DomainContract:
@@ -538,190 +550,134 @@ def _alike(
     return list(groups.values())
 
 
-def refuses(call: Any) -> bool:
-    """Return whether a call raises DomainError."""
-    try:
-        call()
-    except DomainError:
-        return True
-    return False
+class ReferenceContract:
+    """Tests that reference options satisfy ``humanopts_env.domains.reference``."""
+
+    def make(self) -> Domain[Any]:
+        """Return the domain whose options are tested."""
+        # not abstract: pytest would report that it cannot make the class, not what is missing
+        raise NotImplementedError('make() must return the domain whose options are tested')
+
+    def options(self, domain: Domain[Any]) -> Mapping[str, ReferenceOption]:
+        """Return the options to test by name; by default those that are registered."""
+        return reference_options(domain)
+
+    def test_a_person_can_be_told_what_each_means(self) -> None:
+        """Each has a lower-case name, a sentence, and features in the domain's order."""
+        seen = self._seen
+        names = [feature.name for feature in seen.domain.features]
+        assert seen.options
+        for name, option in seen.options.items():
+            assert option.name == name == name.strip().lower() != ''
+            assert option.definition.endswith('.'), name
+            chosen = [names[column] for column in feature_columns(seen.domain, option.features)]
+            assert list(option.features) == chosen != [], name
+
+    def test_a_demo_teaches_some_of_them(self) -> None:
+        """The options that the domain names are reference options."""
+        domain = self._seen.domain
+        if isinstance(domain, HasTeachingDefaults):
+            assert set(domain.teaching.options) <= set(self._seen.options)
+
+    def test_each_can_start_somewhere(self) -> None:
+        """Every initiation set has a state."""
+        for name in self._seen.options:
+            assert self._seen.of(name).initiation.any(), name
+
+    def test_it_acts_where_it_can_start_and_has_ended_elsewhere(self) -> None:
+        """At every step of a run there is an optimal action, or the run has ended."""
+        for name in self._seen.options:
+            said = self._seen.of(name)
+            assert np.array_equal(said.optimal.any(axis=1), said.initiation), name
+            assert (said.initiation | said.termination).all(), name
+
+    def test_its_features_tell_where_it_starts_and_ends(self) -> None:
+        """States with equal features have equal I and beta, which can thus be learned."""
+        seen = self._seen
+        for name, option in seen.options.items():
+            columns = feature_columns(seen.domain, option.features)
+            answers: dict[tuple[int, ...], tuple[bool, bool]] = {}
+            said = seen.of(name)
+            pairs = zip(said.initiation.tolist(), said.termination.tolist())
+            for row, answer in zip(seen.rows[:, columns].tolist(), pairs):
+                assert answers.setdefault(tuple(row), answer) == answer, name
+
+    def test_every_run_comes_to_its_end(self) -> None:
+        """
+        Runs by the first and by the last optimal action end before the episode is truncated.
+
+        Where the task is over, the option has ended and cannot start.
+        """
+        seen = self._seen
+        for name, option in seen.options.items():
+            starts = np.flatnonzero(seen.of(name).initiation)
+            states = [seen.states[n] for n in starts[:: max(1, len(starts) // ONE_BY_ONE)]]
+            for which in (0, -1):
+                assert seen.runs_end(option, states, which), name
+
+    def test_one_state_is_judged_as_many_are(self) -> None:
+        """Both ways of judging agree."""
+        seen = self._seen
+        for name, option in seen.options.items():
+            said = seen.of(name)
+            for number in range(0, len(seen.states), max(1, len(seen.states) // ONE_BY_ONE)):
+                state = seen.states[number]
+                assert option.can_start(state) == said.initiation[number], name
+                assert option.ends(state) == said.termination[number], name
+                actions = tuple(np.flatnonzero(said.optimal[number]).tolist())
+                assert option.optimal_actions(state) == actions, name
+
+    @property
+    def _seen(self) -> '_Seen':
+        return _seen_of(cast(Hashable, type(self)))  # mypy looks at the hash of its objects
 
 
-QUICK_STEPS = 60  # of the random walk
-SECONDS = 0.025  # after which no more steps are taken
-SMALL = 20_000  # largest number of states whose tables are checked
-PARTS = dict.fromkeys(
-    part
-    for kind in (ActableDomain, Domain)
-    for part in (*kind.__annotations__, *vars(kind))
-    if not part.startswith('_')
-)
+@lru_cache(maxsize=1)  # pytest makes an object for each test, and runs those of a class in a row
+def _seen_of(suite: type[ReferenceContract]) -> '_Seen':
+    made = suite()
+    domain = made.make()
+    return _Seen(domain, made.options(domain))
 
 
-class ContractError(DomainError):
-    """A domain breaks the contract; the text says which domain and what is wrong."""
+class _Seen:
+    """The options of a domain, and their judgements of its open states or of a sample."""
 
+    def __init__(self, domain: Domain[Any], options: Mapping[str, ReferenceOption]) -> None:
+        self.domain, self.options = domain, options
+        self.states = self._states()
+        self.rows = np.array([domain.feature_values(state) for state in self.states])
+        self._said: dict[str, Judgement] = {}
 
-class Breach(AssertionError):  # noqa: N818 - a test fails by it; or it becomes a ContractError
-    """What a domain does against the contract, in words."""
+    def of(self, name: str) -> Judgement:
+        """Return the judgement of an option in the states."""
+        if name not in self._said:
+            option = self.options[name]
+            self._said[name] = judge_states(option, self.states, len(self.domain.actions))
+        return self._said[name]
 
+    def runs_end(self, option: ReferenceOption, states: Sequence[Any], which: int) -> bool:
+        """Return whether all runs by the first or the last optimal actions come to their end."""
+        domain, n_actions = self.domain, len(self.domain.actions)
+        rngs = [generator(0, 'reference contract', option.name, which) for _ in states]
+        said = judge_states(option, states, n_actions)
+        for _ in range(domain.max_steps or LONGEST):
+            actions = [np.flatnonzero(optimal).tolist()[which] for optimal in said.optimal]
+            after = [domain.step(*step) for step in zip(states, actions, rngs)]
+            said = judge_states(option, [outcome.state for outcome in after], n_actions)
+            over = np.array([outcome.terminated for outcome in after], dtype=np.bool_)
+            if (over & (said.initiation | ~said.termination)).any():
+                return False
+            going = np.flatnonzero(~over & ~said.termination)
+            if not len(going):
+                return True
+            states, rngs = [after[n].state for n in going], [rngs[n] for n in going]
+            said = Judgement(said.initiation[going], said.termination[going], said.optimal[going])
+        return False
 
-def check_domain(domain: Domain[Any], name: str) -> None:
-    """
-    Check by sampling that a domain satisfies the contract that a game relies on.
-
-    It takes some hundredths of a second, so it finds gross errors only; the tests of
-    ``DomainContract`` check everything.
-
-    :param name: the name under which the domain is registered.
-    :raises ContractError: the domain breaks the contract, or raises an unexpected error.
-    """
-    try:
-        missing = [part for part in PARTS if not hasattr(domain, part)]
-        _expect(not missing, f'it has no {", ".join(missing)}')
-        _expect(domain.name == name, f'it calls itself {domain.name!r}')
-        check_form(domain)
-        _check_walk(domain)
-        check_refusals(domain)
-        if is_enumerable(domain) and domain.n_states <= SMALL:
-            check_tables(domain)
-    except Breach as breach:
-        raise ContractError(f'{name} breaks the contract of domains: {breach}') from None
-    except (Exception, SystemExit) as error:  # whatever a plug-in raises
-        raise ContractError(
-            f'{name} breaks the contract of domains: it raised {type(error).__name__}: {error}'
-        ) from error
-
-
-def _expect(kept: object, breach: str) -> None:
-    if not kept:
-        raise Breach(breach)
-
-
-def check_description(domain: ActableDomain) -> None:
-    """
-    Check what a domain says of itself.
-
-    :raises ContractError: it cannot be used.
-    """
-    try:
-        check_form(domain)
-    except Breach as breach:
-        raise ContractError(f'{domain.name!r} cannot be used: {breach}') from None
-
-
-def check_form(domain: ActableDomain) -> None:
-    """
-    Check names, keys, numbers and parameters.
-
-    :raises Breach: one of them cannot be used; as all checks below.
-    """
-    json.dumps(dict(domain.parameters))
-    _expect(0 < domain.gamma <= 1, f'gamma is {domain.gamma}, not above 0 and at most 1')
-    _expect(domain.max_steps >= 0, f'max_steps is {domain.max_steps}')
-    _expect(all(isinstance(f, Feature) for f in domain.features), 'a feature is no Feature')
-    _expect(all(isinstance(a, Action) for a in domain.actions), 'an action is no Action')
-    for kind, names in (
-        ('feature', [feature.name for feature in domain.features]),
-        ('action', [action.name for action in domain.actions]),
-    ):
-        _expect(names, f'it has no {kind}')
-        _expect(len(set(names)) == len(names), f'two {kind}s have one name: {names}')
-        for one in names:
-            _expect(NAME.fullmatch(one), f'the {kind} name {one!r} is not snake_case')
-    for feature in domain.features:
-        if feature.kind is FeatureKind.CONTINUOUS:
-            _expect(
-                math.isfinite(feature.span) and feature.low < feature.high,
-                f'the feature {feature.name} has the range {feature.low} to {feature.high}',
-            )
-        else:
-            _expect(feature.values, f'the feature {feature.name} has no values')
-    keys = [action.key for action in domain.actions]
-    _expect(len(set(keys)) == len(keys), f'two actions have one key: {keys}')
-    for key in keys:
-        _expect(len(key) == 1 or key in NAMED_KEYS, f'{key!r} is no key')
-
-
-def _check_walk(domain: Domain[Any]) -> None:
-    """Take random steps, each twice with the same generator, until the time is over."""
-    began, rng = time.perf_counter(), generator(0, 'check')
-    state = domain.reset(rng)
-    _expect(not domain.is_over(state), f'it begins where the task is over: {state}')
-    for number in range(QUICK_STEPS):
-        check_state(domain, state)
-        action = int(rng.integers(len(domain.actions)))
-        outcome, again = (domain.step(state, action, generator(1, number)) for _ in range(2))
-        where = f'{domain.actions[action].name} in {domain.encode(state)!r}'
-        same = outcome == again or math.isnan(outcome.reward)  # nan is refused below
-        _expect(same, f'{where} is not the same again with the same generator')
-        check_step(domain, state, action, outcome)
-        if outcome.terminated:
-            check_end(domain, outcome.state)
-        state = domain.reset(rng) if outcome.terminated else outcome.state
-        if time.perf_counter() - began > SECONDS:
-            break
-
-
-def check_step(domain: Domain[Any], state: Any, action: int, outcome: Outcome[Any]) -> None:
-    """Check the outcome of a step."""
-    where = f'{domain.actions[action].name} in {domain.encode(state)!r}'
-    _expect(math.isfinite(outcome.reward), f'{where} has the reward {outcome.reward}')
-    over = domain.is_over(outcome.state)
-    _expect(outcome.terminated == over, f'{where}: terminated and is_over disagree')
-    _expect(domain.can_follow(state, action, outcome.state), f'can_follow denies {where}')
-
-
-def check_state(domain: Domain[Any], state: Any) -> None:
-    """Check text, feature values and board of a state."""
-    text, values = domain.encode(state), domain.feature_values(state)
-    _expect(len(text.splitlines()) == 1, f'{text!r} is not one line')
-    _expect(domain.decode(text) == state, f'{text!r} is read back as another state')
-    _expect(values.shape == (len(domain.features),), f'{text!r} has {values.shape} features')
-    _check_values(domain, values[None], text)
-    board = board_of(domain, state)
-    _expect(board != Board(), f'{text!r} is drawn as nothing')
-    for mark in board.marks:
-        inside = 0 <= mark.cell[0] < board.rows and 0 <= mark.cell[1] < board.cols
-        _expect(inside, f'{mark.name} is drawn outside the board in {text!r}')
-
-
-def _check_values(domain: Domain[Any], rows: Rows, where: str) -> None:
-    for feature, column in zip(domain.features, rows.T):
-        high = feature.low + feature.span
-        for value in np.unique(column):
-            _expect(
-                feature.has(value),
-                f'the feature {feature.name} is {value:g} in {where}, out of its range '
-                f'{feature.low:g}..{high:g}',
-            )
-
-
-def check_refusals(domain: Domain[Any]) -> None:
-    """Check that actions and texts that are not in the domain are refused."""
-    rng = generator(0, 'check', 'refusals')
-    state = domain.reset(rng)
-    for action in (-1, len(domain.actions)):
-        refused = refuses(lambda action=action: domain.step(state, action, rng))
-        _expect(refused, f'it takes the action {action}, of {len(domain.actions)}')
-    refused = refuses(lambda: domain.decode('no state at all'))
-    _expect(refused, 'it reads "no state at all" as a state')
-
-
-def check_end(domain: Domain[Any], state: Any) -> None:
-    """Check that no step is taken where the task is over."""
-    for action in range(len(domain.actions)):
-        refused = refuses(lambda a=action: domain.step(state, a, generator(0, 'check', 'end')))
-        _expect(refused, f'it takes a step after the end, in {domain.encode(state)!r}')
-
-
-def check_tables(domain: EnumerableDomain[Any]) -> None:
-    """Check the tables of a domain whose states can all be listed."""
-    table = domain.transitions()
-    _expect(np.allclose(table.probability.sum(axis=2), 1), 'probabilities do not sum to 1')
-    _expect(table.probability.min() >= 0, 'a probability is negative')
-    inside = (table.successor >= 0) & (table.successor < domain.n_states)
-    _expect(inside.all(), 'a transition leads to no state')
-    _check_values(domain, domain.feature_table(), 'its feature table')
-    for index in np.flatnonzero(domain.over())[:5]:
-        check_end(domain, domain.state_at(int(index)))
+    def _states(self) -> list[Any]:
+        domain = self.domain
+        rng = generator(0, 'reference contract', 'states')
+        if is_enumerable(domain) and domain.n_states <= ALL:
+            drawn = domain.sample_states(rng, 20 * domain.n_states)
+            return list(dict.fromkeys(drawn))
+        return domain.sample_states(rng, SAMPLE)
