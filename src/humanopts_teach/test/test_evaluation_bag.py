@@ -33,8 +33,8 @@ from humanopts_teach.evaluation.bag_evaluation import (
 from humanopts_teach.evaluation.settings import Settings, settings_from_facts
 from humanopts_teach.evaluation.summary import (
     differences,
-    Execution,
     Live,
+    PlayedEpisodes,
     SummaryError,
     write_json,
 )
@@ -404,7 +404,7 @@ def test_a_difference_names_what_differs_and_both_values(
 ) -> None:
     offline = evaluate(taxi_lesson, taxi, Settings(seed=3))
     options, plans = offline.option_table, offline.plan_table
-    live = Live(options, plans, Execution(1, 1, 0, -10.0))
+    live = Live(options, plans, PlayedEpisodes(1, 1, 0, -10.0))
     assert differences(live, offline) == []
     slower = plans.assign(model_seconds=plans['model_seconds'] + 1.0)
     assert differences(replace(live, plans=slower), offline) == []

@@ -17,7 +17,7 @@ from humanopts_learner.summary import Criterion
 from humanopts_teach.bags.info import TopicRow
 from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, evaluate, OptionEvaluation
 from humanopts_teach.evaluation.settings import Settings
-from humanopts_teach.evaluation.summary import Execution, Live, SummaryError
+from humanopts_teach.evaluation.summary import Live, PlayedEpisodes, SummaryError
 from humanopts_teach.evaluation.text import evaluation_text
 from humanopts_teach.report import charts
 from humanopts_teach.report.charts import learning_curves, sweep_report
@@ -85,7 +85,7 @@ def undrawn(evaluation: BagEvaluation) -> BagEvaluation:
 @pytest.fixture(scope='module')
 def data(evaluation: BagEvaluation) -> ReportData:
     """Everything that a report can show."""
-    played = Execution(100, 100, 0, -11.375)
+    played = PlayedEpisodes(100, 100, 0, -11.375)
     live = Live(evaluation.option_table, evaluation.plan_table, played)
     return ReportData('Taxi, taught', evaluation, live, FRAMES, TOPICS, {'bag': 'demo/bag'})
 

@@ -42,8 +42,8 @@ from humanopts_teach.evaluation.bag_evaluation import (
 )
 from humanopts_teach.evaluation.summary import (
     differences,
-    Execution,
     Live,
+    PlayedEpisodes,
     summary,
     SummaryError,
     write_json,
@@ -177,7 +177,9 @@ def _plan_and_play(
     played = graph.retry(partial(graph.play, HUMAN, episodes, setup.seed, setup.game_steps))
     graph.wait(graph.all_recorded, NEWS_SECONDS, 'what was shown to be in the newest bag')
     importing.join()  # nothing is imported beside scikit-learn, which hides pandas meanwhile
-    execution = Execution(played.episodes, played.successes, played.fallbacks, played.mean_return)
+    execution = PlayedEpisodes(
+        played.episodes, played.successes, played.fallbacks, played.mean_return
+    )
     planned = [plan_row(plan_from_message(result)) for result in plans]
     return Live(table(OPTIONS, options), table(PLANS, planned), execution)
 

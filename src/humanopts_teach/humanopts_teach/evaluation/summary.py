@@ -21,7 +21,7 @@ class SummaryError(OSError):
 
 
 @dataclass(frozen=True)
-class Execution:
+class PlayedEpisodes:
     """Episodes played by running options."""
 
     episodes: int
@@ -41,7 +41,7 @@ class Live:
 
     options: 'pd.DataFrame'
     plans: 'pd.DataFrame'
-    execution: Execution
+    execution: PlayedEpisodes
 
 
 def summary(live: Live, offline: BagEvaluation, bag: Mapping[str, Any]) -> dict[str, Any]:

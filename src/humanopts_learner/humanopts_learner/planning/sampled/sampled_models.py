@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from humanopts_env.arrays import Flags, Floats, Ints
+from humanopts_env.arrays import Floats, Ints
 from humanopts_learner.planning.sampled.abstraction import Codes
 from humanopts_learner.planning.sampled.action_set import CodeTable
 from humanopts_learner.planning.smdp import MultiTimeModel, SparseRows
@@ -71,26 +71,20 @@ class SampleCounts:
         codes = np.concatenate([samples.state, samples.successor])
         state, successor = np.split(self.index.add(codes), 2)
         options, states = len(self.names), len(self.index)
-        shape = (options, states)
-        self._grow(states)
+        shape, old = (options, states), self._count.shape[1]
+        if states > old:
+            more = ((0, 0), (0, states - old))
+            self._count, self._reward = np.pad(self._count, more), np.pad(self._reward, more)
+            rows = self._rows.tocoo()
+            row = rows.row.astype(np.int64) // max(old, 1) * states + rows.row % max(old, 1)
+            parts = rows.data, (row, rows.col)
+            self._rows = coo_array(parts, (options * states, states)).tocsr()
         pair = samples.option * states + state
         self._count += np.bincount(pair, minlength=options * states).reshape(shape)
         reward = np.bincount(pair, samples.reward, minlength=options * states)
         self._reward += reward.reshape(shape)
-        at = (pair, successor)
-        more = coo_array((samples.discount, at), (options * states, states))
-        self._rows = self._rows + more.tocsr()
-
-    def _grow(self, states: int) -> None:
-        options, old = self._count.shape
-        if states == old:
-            return
-        more = ((0, 0), (0, states - old))
-        self._count, self._reward = np.pad(self._count, more), np.pad(self._reward, more)
-        rows = self._rows.tocoo()
-        row = rows.row.astype(np.int64) // max(old, 1) * states + rows.row % max(old, 1)
-        at = (row, rows.col)
-        self._rows = coo_array((rows.data, at), (options * states, states)).tocsr()
+        added = coo_array((samples.discount, (pair, successor)), (options * states, states))
+        self._rows = self._rows + added.tocsr()
 
     def model(self, min_samples: int) -> MultiTimeModel:
         """
@@ -101,17 +95,11 @@ class SampleCounts:
         had ended like the other samples of their pair, and pairs with no other samples are not
         available.
         """
-        enough, rows = self._known(self._count >= max(min_samples, 1))
-        count, reward = self._count[enough], np.zeros(enough.shape)
-        reward[enough] = self._reward[enough] / count
-        return MultiTimeModel(self.names, reward.T, enough.T, rows)
-
-    def _known(self, enough: Flags) -> tuple[Flags, SparseRows]:
-        """Return the pairs (O, S) that lead to states with such pairs, and their successors."""
+        enough = self._count >= max(min_samples, 1)
         pairs = np.flatnonzero(enough)  # the others are many, and are not looked at
         rows = self._rows[pairs]
         total = rows.sum(axis=1)
-        enough, left = enough.copy(), np.ones(len(pairs), dtype=np.bool_)
+        left = np.ones(len(pairs), dtype=np.bool_)
         while True:
             known = np.asarray(enough[: self._choosable].any(axis=0))
             kept = rows @ known
@@ -127,4 +115,7 @@ class SampleCounts:
         lengths = np.zeros(enough.size + 1, dtype=rows.indptr.dtype)
         lengths[pairs + 1] = np.diff(rows.indptr)
         parts = rows.data, rows.indices, np.cumsum(lengths, dtype=lengths.dtype)
-        return enough, csr_array(parts, shape=self._rows.shape)
+        reward = np.zeros(enough.shape)
+        reward[enough] = self._reward[enough] / self._count[enough]
+        joined = csr_array(parts, shape=self._rows.shape)
+        return MultiTimeModel(self.names, reward.T, enough.T, joined)
