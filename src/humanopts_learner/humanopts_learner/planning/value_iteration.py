@@ -72,7 +72,8 @@ class _Backup:
         successor, discount = successor.reshape(shape), discount.reshape(shape)
         if (nothing.reshape(shape) | (discount == common)).all():
             self._common, discount = common, np.empty((0, 0))
-        rewards = np.where(available.T, reward.T, -np.inf)
+        rewards = np.array(reward.T, order='C')
+        np.copyto(rewards, -np.inf, where=~available.T)
         rewards[0, self._dead] = 0.0  # nothing follows there, so their value stays 0
         if compiled_sweep.cache_info().currsize or reward.size >= COMPILED_FROM:
             self._compiled = compiled_sweep()
@@ -81,7 +82,7 @@ class _Backup:
             self._tables = [np.ascontiguousarray(part.T) for part in parts]
         else:
             self._tables = [successor.astype(np.intp), rewards, discount]
-            self._discounted, self._choices = np.empty(shape[1] + 1), np.empty(shape)
+            self._discounted, self._choices = np.empty(shape[1] + 1), np.empty(shape[1])
 
     def _prepare_sparse(self, available: Flags, reward: Floats) -> None:
         """
@@ -123,14 +124,15 @@ class _Backup:
         if self._compiled:
             return self._compiled(*self._tables, self._common, old, new)
         if self._model.single:
-            successor, rewards, discount = self._tables
             np.multiply(old, self._common, out=self._discounted)
-            np.take(self._discounted, successor, out=self._choices, mode='clip')
-            if discount.size:
-                self._choices *= discount
-            self._choices += rewards
-            old, new, change = old[:-1], new[:-1], self._choices[0]
-            np.maximum.reduce(self._choices, axis=0, out=new)
+            old, new, change = old[:-1], new[:-1], self._choices
+            for option, (successor, reward) in enumerate(zip(*self._tables[:2])):
+                choice = self._choices if option else new  # one at a time stays in cache
+                np.take(self._discounted, successor, out=choice, mode='clip')
+                if self._tables[2].size:
+                    choice *= self._tables[2][option]
+                choice += reward
+                np.maximum(new, choice, out=new)
         else:
             old, new = old[:-1], new[:-1]
             choices = self._rows @ old
