@@ -24,6 +24,11 @@ from graph_support.live import free_domain_id
 EPISODES = 5  # played in the demo that tests share
 
 
+def _outside_of_tests() -> dict[str, str]:
+    """Return the environment without what pytest sets: a command may run pytest itself."""
+    return {name: value for name, value in os.environ.items() if not name.startswith('PYTEST_')}
+
+
 class Command:
     """
     ``humanopts ARGUMENTS``, in a session of its own, without a terminal.
@@ -53,7 +58,7 @@ class Command:
                 stdin=subprocess.DEVNULL,
                 stdout=out,
                 stderr=err,
-                env={**os.environ, 'ROS_DOMAIN_ID': str(domain_id)},
+                env={**_outside_of_tests(), 'ROS_DOMAIN_ID': str(domain_id)},
                 start_new_session=True,
                 preexec_fn=partial(signal.signal, signal.SIGINT, interrupt),
             )

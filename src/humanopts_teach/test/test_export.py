@@ -193,8 +193,10 @@ def test_files_hold_the_tables(tmp_path: Path, bag: Bag, kind: str) -> None:
     for path, (name, table) in zip(write_tables(tables, tmp_path, kind), tables.items()):
         read = pd.read_parquet(path) if kind == 'parquet' else pd.read_csv(path)
         assert (path.name, list(read.columns)) == (f'{name}.{kind}', list(table.columns))
-        as_read = [[*map(str, row)] for row in read.fillna('').values.tolist()]
-        assert as_read == [[*map(str, row)] for row in table.fillna('').values.tolist()]
+        as_read = [[*map(str, row)] for row in read.astype(object).fillna('').values.tolist()]
+        assert as_read == [
+            [*map(str, row)] for row in table.astype(object).fillna('').values.tolist()
+        ]
 
 
 @pytest.mark.parametrize('write', ['parquet', 'minari'])
