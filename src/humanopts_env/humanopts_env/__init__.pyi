@@ -6,11 +6,14 @@ from .domains.base import (
     Feature,
     FeatureKind,
     is_enumerable,
+    Outcome,
+    StateError,
 )
 from .domains.names import domain_names
 from .domains.reference import ReferenceOption
 from .domains.registry import make_domain, reference_options
 from .domains.table_domain import TableDomain
+from .games import games_at, new_games
 from .gym_env import DomainEnv
 from .seeding import generator
 
@@ -22,11 +25,15 @@ __all__ = [
     'EnumerableDomain',
     'Feature',
     'FeatureKind',
+    'Outcome',
     'ReferenceOption',
+    'StateError',
     'TableDomain',
     'domain_names',
+    'games_at',
     'generator',
     'is_enumerable',
     'make_domain',
+    'new_games',
     'reference_options',
 ]

@@ -4,6 +4,8 @@ from .demonstration_table import (
     demonstrations_to_table,
 )
 from .demonstrations import Demonstration, make_demonstration
+from .execution import Fixed, play, RowOptions
+from .option import Option
 from .options.accuracy import classification_accuracy, policy_accuracy
 from .options.criteria import judge, Thresholds
 from .options.files import load_option, save_option
@@ -16,8 +18,11 @@ from .summary import OptionSummary
 
 __all__ = [
     'Demonstration',
+    'Fixed',
     'LearnedOption',
+    'Option',
     'OptionSummary',
+    'RowOptions',
     'Thresholds',
     'choose_start_state',
     'classification_accuracy',
@@ -30,6 +35,7 @@ __all__ = [
     'load_option',
     'make_demonstration',
     'plan',
+    'play',
     'policy_accuracy',
     'save_option',
     'solve_smdp',

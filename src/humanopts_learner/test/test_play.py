@@ -8,6 +8,9 @@ from humanopts_env.domains.registry import make_domain
 from humanopts_env.games import games_at, new_games, StateGames
 from humanopts_learner.execution import Choice, Execution, NONE, play, RowOptions, Seen
 from humanopts_learner.option import PrimitiveOption
+from humanopts_learner.planning.plan import make_plan
+from humanopts_learner.planning.request import PlanRequest, Sampling
+from humanopts_learner.planning.sampled.plan import make_sampled_plan
 from hypothesis import given, settings, strategies
 import numpy as np
 import pytest
@@ -154,3 +157,40 @@ def test_any_domain_is_played_state_by_state() -> None:
         found.append(play(each, rows, InTurn(1, 5, 0), chance, 20).runs)
     assert np.array_equal(found[0].total, found[1].total)
     assert np.array_equal(found[0].steps, found[1].steps)
+
+
+class GoUp:
+    """A rule written by hand: north until the first row."""
+
+    name, max_steps = 'to the first row', 20
+
+    def can_start(self, rows: Rows) -> Flags:
+        found: Flags = rows[:, 0] > 0
+        return found
+
+    def action(self, rows: Rows) -> Ints:
+        return np.full(len(rows), NORTH)
+
+    def ends(self, rows: Rows) -> Flags:
+        found: Flags = rows[:, 0] == 0
+        return found
+
+
+NORTH = 1  # of Taxi
+
+
+@pytest.mark.parametrize('action_set', ['human', 'human+primitive'])
+def test_a_rule_written_by_hand_is_an_option_to_plan_with(action_set: str) -> None:
+    """By exact models and by sampled ones, where it is the best for the first moves."""
+    taxi: Any = make_domain('taxi')
+    rule = GoUp()
+    exact = make_plan(taxi, [rule], PlanRequest(action_set))
+    assert exact.names[0] == rule.name
+    few = PlanRequest(action_set, game_steps=20_000, sampling=Sampling(n_games=100))
+    sampled = make_sampled_plan(taxi, [rule], few)
+    state = taxi.decode('taxi 4,4 passenger R destination G')
+    for plan in (exact, sampled):
+        name = plan.choose(state).name
+        assert name == rule.name or (name.startswith('action:') and action_set != 'human')
+    top = taxi.decode('taxi 0,4 passenger R destination G')
+    assert sampled.choose(top).fallback is (action_set == 'human')

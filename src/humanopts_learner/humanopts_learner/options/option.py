@@ -11,6 +11,7 @@ from humanopts_env.domains.reference import ReferenceOption, TabularReferenceOpt
 from humanopts_env.domains.registry import parameters_json
 from humanopts_env.games import Games, TableGames
 from humanopts_learner.demonstrations import METHODS, TREES
+from humanopts_learner.option import Option
 from humanopts_learner.options.decision_tree import (
     encode_rows,
     EncodedFeature,
@@ -153,17 +154,16 @@ class TabularOption:
         return cls(reference.name, max_steps, action, reference.initiation, reference.termination)
 
 
-def tabulate(
-    option: LearnedOption | TabularOption, domain: EnumerableDomain[Any]
-) -> TabularOption:
+def tabulate(option: Option | TabularOption, domain: EnumerableDomain[Any]) -> TabularOption:
     """
     Evaluate an option in every state of its domain; one that is arrays already stays as it is.
 
-    :raises OptionError: it was not learned in this domain.
+    :raises OptionError: it was learned, but not in this domain.
     """
     if isinstance(option, TabularOption):
         return option
-    option.check_domain(domain)
+    if isinstance(option, LearnedOption):
+        option.check_domain(domain)
     rows = domain.feature_table()
     return TabularOption(
         option.name,

@@ -10,7 +10,8 @@ from typing import Any
 from humanopts_env.arrays import Flags
 from humanopts_env.domains.base import Domain, EnumerableDomain
 from humanopts_learner.demonstrations import PRIMITIVE_PREFIX
-from humanopts_learner.options.option import LearnedOption, OptionTable, TabularOption, tabulate
+from humanopts_learner.option import Option
+from humanopts_learner.options.option import OptionTable, TabularOption, tabulate
 from humanopts_learner.planning.option_models import model_option
 from humanopts_learner.planning.request import (
     Clock,
@@ -99,7 +100,7 @@ class ExactPlan(PolicyPlan):
 
 def make_exact_plan(
     domain: EnumerableDomain[Any],
-    options: Sequence[LearnedOption | TabularOption],
+    options: Sequence[Option | TabularOption],
     request: PlanRequest,
     progress: Progress = ignore_progress,
     clock: Clock = time.perf_counter,
@@ -113,7 +114,7 @@ def make_exact_plan(
     used = () if asked.action_set == PRIMITIVE else tuple(options)
     # What is built once for all plans is no part of the time of this one.
     domain.transitions(), domain.over()
-    if any(isinstance(option, LearnedOption) for option in used):
+    if not all(isinstance(option, TabularOption) for option in used):
         domain.feature_table()
     began = clock()
     tabled = []

@@ -14,7 +14,7 @@ from typing import Any
 from humanopts_env.arrays import Floats
 from humanopts_env.domains.base import Domain, is_enumerable
 from humanopts_learner.intervals import Interval
-from humanopts_learner.options.option import LearnedOption
+from humanopts_learner.option import Option
 from humanopts_learner.planning.evaluate import episode_starts, play_plan
 from humanopts_learner.planning.exact import ExactPlan, make_exact_plan
 from humanopts_learner.planning.request import (
@@ -34,7 +34,7 @@ AnyPlan = ExactPlan | SampledPlan
 
 def make_plan(
     domain: Domain[Any],
-    options: Sequence[LearnedOption],
+    options: Sequence[Option],
     request: PlanRequest,
     progress: Progress = ignore_progress,
     clock: Clock = time.perf_counter,
@@ -55,7 +55,7 @@ def make_plan(
 
 def plan(
     domain: Domain[Any],
-    options: Sequence[LearnedOption] = (),
+    options: Sequence[Option] = (),
     action_set: str = '',
     gamma: float = 0.0,
     max_sweeps: int = 0,

@@ -15,7 +15,7 @@ from humanopts_env.domains.base import Domain
 from humanopts_env.domains.capabilities import HasPrimitiveColumns
 from humanopts_env.games import Games, games_at
 from humanopts_learner.demonstrations import PRIMITIVE_PREFIX
-from humanopts_learner.options.option import LearnedOption
+from humanopts_learner.option import Option, StochasticOption
 from humanopts_learner.planning.request import OPTIONS_ONLY, PRIMITIVE
 from humanopts_learner.planning.sampled.abstraction import Abstraction, Codes
 import numpy as np
@@ -106,7 +106,7 @@ class ActionSet:
         self,
         domain: Domain[Any],
         action_set: str,
-        options: Sequence[LearnedOption],
+        options: Sequence[Option],
         columns: Sequence[str] = (),
     ) -> None:
         """
@@ -163,8 +163,17 @@ class ActionSet:
         return (*names, *(f'going on: {option.name}' for option in self.options))
 
     def _fallback(self, rows: Rows, wanted: NDArray[np.int16]) -> Ints:
-        """Return (N,): the action of the option that could most probably start."""
-        chances = [option.initiation_probability(rows) for option in self.options]
+        """
+        Return (N,): the action of the option that could most probably start.
+
+        An option without probabilities has none here, since it cannot start.
+        """
+        chances = [
+            option.initiation_probability(rows)
+            if isinstance(option, StochasticOption)
+            else np.zeros(len(rows))
+            for option in self.options
+        ]
         nearest = np.stack(chances, axis=1).argmax(axis=1)
         action: Ints = wanted[np.arange(len(rows)), nearest].astype(np.intp)
         return action

@@ -10,7 +10,7 @@ from humanopts_env.domains.base import Domain
 from humanopts_env.games import new_games
 from humanopts_env.seeding import generator
 from humanopts_learner.execution import play, Policy
-from humanopts_learner.options.option import LearnedOption
+from humanopts_learner.option import Option
 from humanopts_learner.planning.evaluate import Returns
 from humanopts_learner.planning.exact import PolicyPlan, SweepProgress
 from humanopts_learner.planning.interruption import OptionValues
@@ -102,7 +102,7 @@ def play_games(
 
 def make_sampled_plan(
     domain: Domain[Any],
-    options: Sequence[LearnedOption],
+    options: Sequence[Option],
     request: PlanRequest,
     progress: Progress = ignore_progress,
     clock: Clock = time.perf_counter,
