@@ -10,7 +10,7 @@ from humanopts_env.seeding import generator
 import numpy as np
 import pytest
 
-STEPS = 4096  # of a round: one of each of so many games, or all of one game
+STEPS = 4096  # of a round: one step of each of 4,096 games, or 4,096 steps of one
 
 
 @pytest.mark.parametrize('domain', ['pacman', 'taxi'])

@@ -167,7 +167,7 @@ def test_a_node_that_was_stopped_for_too_long_ends_and_says_so(
     shared: Graph, longest: float, status: int
 ) -> None:
     name = f'stopped_{status}'
-    code = f'from humanopts_ros import workarounds\nworkarounds.LONGEST_PAUSE = {longest}\n{PLAIN}'
+    code = f'from humanopts_ros import workarounds\nworkarounds.MAX_PAUSE = {longest}\n{PLAIN}'
     shared.watch('/')
     node = shared.run(['-c', code, name], name)
     node.expected = {0, 1}

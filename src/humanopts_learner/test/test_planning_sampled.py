@@ -3,6 +3,7 @@
 from functools import cache
 from typing import Any
 
+from humanopts_env.domains.base import Feature
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.domains.rooms import Rooms
 from humanopts_env.domains.rooms_reference import reference_options
@@ -20,7 +21,7 @@ from humanopts_learner.planning.request import (
     Progress,
     Sampling,
 )
-from humanopts_learner.planning.sampled.abstraction import Abstraction
+from humanopts_learner.planning.sampled.abstraction import Abstraction, Column
 from humanopts_learner.planning.sampled.action_set import ActionSet, CodeTable
 from humanopts_learner.planning.sampled.games import Recording, Sampler
 from humanopts_learner.planning.sampled.plan import make_sampled_plan, SampledPlan
@@ -267,6 +268,28 @@ def test_games_with_equal_columns_are_in_one_abstract_state() -> None:
 def test_a_wrong_column_is_refused(column: str, complaint: str) -> None:
     with pytest.raises(PlanError, match=complaint):
         Abstraction(Rooms(), [column])
+
+
+def test_a_continuous_feature_needs_bins(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Or states would be one that differ in a part of its unit."""
+    domain = Rooms()
+    rows = TableGames(domain, np.arange(domain.n_states)).features()
+    features = list(domain.features)
+    features[0] = Feature.continuous('row', 'where it is', -5.0, 5.0, 'm')
+    monkeypatch.setattr(domain, 'features', features)
+    with pytest.raises(PlanError, match=r'is continuous, so give the numbers .* row:0'):
+        Abstraction(domain, ['row'])
+    column = Column('row:-0.5,0.25', domain)
+    rows[:4, 0] = [-0.7, -0.5, 0.2, 0.3]
+    assert column.bins(rows[:4]).tolist() == [0, 1, 1, 2]
+
+
+def test_codes_have_any_number_of_columns() -> None:
+    domain = Rooms()
+    games = TableGames(domain, np.array([3, 3]))
+    symbols = [np.zeros(2, dtype=np.bool_) for _ in range(2000)]
+    symbols[-1][1] = True
+    assert len(set(Abstraction(domain).codes(games, games.features(), symbols))) == 2
 
 
 def test_where_no_option_can_start_the_likeliest_one_acts() -> None:

@@ -45,7 +45,7 @@ class _Stop:
 
     def _go_on(self, signum: int, frame: FrameType | None) -> None:
         pause = time.monotonic() - self._looked
-        if pause > workarounds.LONGEST_PAUSE:
+        if pause > workarounds.MAX_PAUSE:
             self.paused = pause
 
     def __call__(self) -> bool:

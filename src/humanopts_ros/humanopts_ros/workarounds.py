@@ -47,7 +47,7 @@ def prepare_discovery() -> None:
 
     Where the graph is to stay on this machine (LOCALHOST, and no peers elsewhere), sockets are
     bound to the loopback interface by a profile, which says all that the range would, so the
-    middleware is told to change nothing of it. The range stays where another ROS or another
+    range is set to change nothing of it. The range stays where another ROS or another
     middleware may not read the profile.
 
     :raises MiddlewareError: ROS cannot start with the settings of the shell.
@@ -125,7 +125,7 @@ class TimeOfDay:
     """
     The time of day at the start, and by how much it was set since.
 
-    :ivar now: what it would be at the last look if nobody had set it, ns since the epoch.
+    :ivar now: what it would be at the last look had it not been set, ns since the epoch.
     :ivar ahead: by how much it was set until then, ns.
     """
 
@@ -248,4 +248,4 @@ def limit_leaving(seconds: int | None = None) -> None:
 # the same moment: then Fast DDS may never connect them again:
 # https://github.com/eProsima/Fast-DDS/issues/457
 
-LONGEST_PAUSE = 15.0  # s that a process may be stopped
+MAX_PAUSE = 15.0  # s that a process may be stopped

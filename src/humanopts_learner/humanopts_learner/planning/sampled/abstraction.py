@@ -8,10 +8,11 @@ are named features with bins, or the planning features of the domain.
 """
 
 from collections.abc import Sequence
+from functools import cache
 from typing import Any
 
 from humanopts_env.arrays import Flags, Ints, Rows
-from humanopts_env.domains.base import Domain, DomainError, feature_columns
+from humanopts_env.domains.base import Domain, DomainError, feature_columns, FeatureKind
 from humanopts_env.domains.capabilities import HasPlanningFeatures
 from humanopts_env.games import Games, TableGames
 from humanopts_env.seeding import generator
@@ -20,7 +21,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 Codes = NDArray[np.int64]  # of abstract states
-_MAX_COLUMNS = 1000
 
 
 class Column:
@@ -28,9 +28,9 @@ class Column:
     A feature column, from a text such as ``food_distance:2,4,8`` or ``legal_moves``.
 
     Bin k holds values from the k-th number on, below the next; without numbers, every value is a
-    bin of its own.
+    bin of its own, and the feature must not be continuous.
 
-    :raises PlanError: there is no such feature, or the numbers do not ascend.
+    :raises PlanError: there is no such feature, or its numbers do not make bins.
     """
 
     def __init__(self, text: str, domain: Domain[Any]) -> None:
@@ -40,8 +40,15 @@ class Column:
             self.edges = np.array([float(number) for number in numbers.split(',') if numbers])
         except (DomainError, ValueError) as error:
             raise PlanError(f'column {text!r}: {error}') from error
-        if (np.diff(self.edges) <= 0).any():
+        if not (np.isfinite(self.edges).all() and (np.diff(self.edges) > 0).all()):
             raise PlanError(f'column {text!r}: its numbers do not ascend')
+        feature = domain.features[self.index]
+        if feature.kind is FeatureKind.CONTINUOUS and not self.edges.size:
+            middle = feature.low + feature.span / 2
+            raise PlanError(
+                f'column {text!r}: the feature is continuous, so give the numbers at which its '
+                f'bins begin, as in {name}:{middle:g}'
+            )
 
     def bins(self, rows: Rows) -> Ints:
         """Return the bin of each row (N, F), (N,)."""
@@ -62,9 +69,8 @@ class Abstraction:
             where they can all be listed; where there are no symbols either, all features.
         :raises PlanError: a column is wrong.
         """
+        self._domain = domain
         self._columns = [Column(text, domain) for text in columns]
-        rng = generator(0, 'abstraction')  # the same codes in every process
-        self._weights = rng.integers(2**64, size=_MAX_COLUMNS, dtype=np.uint64) | np.uint64(1)
 
     def codes(self, games: Games, rows: Rows, symbols: Sequence[Ints | Flags]) -> Codes:
         """
@@ -75,16 +81,26 @@ class Abstraction:
 
         :param rows: (N, F) features of the games.
         :param symbols: symbol columns, (N,) each.
+        :raises PlanError: all features would be columns, and one of them is continuous.
         """
-        columns = [*symbols, *(column.bins(rows) for column in self._columns)]
-        if not self._columns:
-            if isinstance(games, HasPlanningFeatures):
-                columns += list(games.planning_features().T)
-            elif isinstance(games, TableGames):
-                columns.append(games.state)
-            elif not symbols:
-                columns += list(rows.T)
+        columns = list(symbols)
+        if self._columns:
+            pass
+        elif isinstance(games, HasPlanningFeatures):
+            columns += list(games.planning_features().T)
+        elif isinstance(games, TableGames):
+            columns.append(games.state)
+        elif not symbols:
+            self._columns = [Column(each.name, self._domain) for each in self._domain.features]
+        columns += [column.bins(rows) for column in self._columns]
         total = np.zeros(len(rows), dtype=np.uint64)
-        for column, weight in zip(columns, self._weights):
+        for column, weight in zip(columns, _weights(len(columns)), strict=True):
             total += column.astype(np.uint64) * weight
         return total.view(np.int64)
+
+
+@cache
+def _weights(count: int) -> NDArray[np.uint64]:
+    """Return one odd number for each column, the same in every process."""
+    rng = generator(0, 'abstraction')
+    return rng.integers(2**64, size=count, dtype=np.uint64) | np.uint64(1)
