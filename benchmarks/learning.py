@@ -5,8 +5,8 @@ from typing import Any
 
 from humanopts_env.domains.taxi import Taxi
 from humanopts_learner.demonstrations import Demonstration
-from humanopts_learner.options.criteria import judge, Thresholds
 from humanopts_learner.options.decision_tree import encode_rows
+from humanopts_learner.options.judge import judge, Thresholds
 from humanopts_learner.options.learn import learn_option, make_dataset
 from humanopts_teach.lesson.in_process import teach
 from humanopts_teach.lesson.seeded_starts import LessonRules

@@ -18,10 +18,10 @@ from humanopts_env.domains.table_domain import built_once
 from humanopts_env.domains.tabular import read_only
 from humanopts_env.domains.taxi import Taxi
 from humanopts_env.domains.taxi_reference import reference_options
-from humanopts_learner.options.option import TabularOption
-from humanopts_learner.planning.exact import build_model, make_exact_plan
+from humanopts_learner.options.learned_option import TabularOption
+from humanopts_learner.planning.exact_plan import build_model, make_exact_plan
 from humanopts_learner.planning.request import HUMAN, PlanRequest, PRIMITIVE
-from humanopts_learner.planning.value_iteration import compiled_sweep, solve_smdp
+from humanopts_learner.planning.solve import compiled_sweep, solve_smdp
 import numpy as np
 import pytest
 from scipy.sparse import csr_matrix

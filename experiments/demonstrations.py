@@ -18,8 +18,8 @@ from humanopts_env.domains.registry import make_domain, reference_options
 from humanopts_learner.demonstrations import Demonstration, GOAL, METHODS, TREES
 from humanopts_learner.intervals import all_hold, Interval
 from humanopts_learner.options.accuracy import policy_accuracy
-from humanopts_learner.options.criteria import judge, Thresholds
-from humanopts_learner.options.option import LearnedOption
+from humanopts_learner.options.judge import judge, Thresholds
+from humanopts_learner.options.learned_option import LearnedOption
 from humanopts_teach.lesson.in_process import teach
 from humanopts_teach.lesson.seeded_starts import LessonRules
 from humanopts_teach.report.figures import Drawing

@@ -24,8 +24,8 @@ from humanopts_learner.demonstrations import Demonstration, Kind
 from humanopts_learner.intervals import all_hold, any_holds, Interval
 from humanopts_learner.options.accuracy import average_returns, LONGEST
 from humanopts_learner.options.learn import learn_option
-from humanopts_learner.options.option import LearnedOption
-from humanopts_learner.options.start_states import STRATEGIES
+from humanopts_learner.options.learned_option import LearnedOption
+from humanopts_learner.options.starts import STRATEGIES
 from humanopts_teach.bags.contents import read_domain
 from humanopts_teach.bags.reader import open_bag
 from humanopts_teach.evaluation.tables import accuracies, finite

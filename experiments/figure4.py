@@ -12,8 +12,8 @@ from typing import Any
 
 from humanopts_env.domains.taxi import Taxi
 from humanopts_learner.intervals import Interval
-from humanopts_learner.options.option import tabulate
-from humanopts_learner.planning.exact import option_table
+from humanopts_learner.options.learned_option import tabulate
+from humanopts_learner.planning.exact_plan import option_table
 from humanopts_learner.planning.request import (
     AUTOMATIC,
     AUTOMATIC_AND_PRIMITIVE,

@@ -16,9 +16,10 @@ from humanopts_env.domains.registry import make_domain
 from humanopts_env.games import TableGames
 from humanopts_env.seeding import generator
 from humanopts_learner.execution import play
-from humanopts_learner.options.option import LearnedOption, TabularOption, tabulate
+from humanopts_learner.options.learned_option import LearnedOption, TabularOption, tabulate
+from humanopts_learner.planning.action_set import ActionSet
 from humanopts_learner.planning.evaluate import AnyAvailable, play_plan, Returns
-from humanopts_learner.planning.exact import make_exact_plan, option_table
+from humanopts_learner.planning.exact_plan import make_exact_plan, option_table
 from humanopts_learner.planning.interruption import as_executed
 from humanopts_learner.planning.plan import AnyPlan
 from humanopts_learner.planning.request import (
@@ -30,9 +31,8 @@ from humanopts_learner.planning.request import (
     PlanRequest,
     PRIMITIVE,
 )
-from humanopts_learner.planning.sampled.action_set import ActionSet
-from humanopts_learner.planning.sampled.plan import make_sampled_plan, play_games
-from humanopts_learner.planning.sampled.policies import UniformPolicy
+from humanopts_learner.planning.sampled_plan import make_sampled_plan, play_games
+from humanopts_learner.planning.sampled_policies import UniformPolicy
 from humanopts_teach.evaluation.games import carried_over
 from humanopts_teach.evaluation.tables import finite, SECONDS
 import numpy as np

@@ -13,7 +13,7 @@ from humanopts_interfaces.action import ExecuteOption
 from humanopts_interfaces.msg import OptionResult, OptionValues, PolicyResult
 from humanopts_interfaces.srv import RunOption, SetExecution, SetPace
 from humanopts_learner.planning.evaluate import episode_starts
-from humanopts_learner.planning.exact import ExactPlan, option_table
+from humanopts_learner.planning.exact_plan import ExactPlan, option_table
 from humanopts_learner.planning.interruption import as_executed, option_values
 from humanopts_learner.planning.plan import make_plan
 from humanopts_learner.planning.request import Arbitration, PlanRequest

@@ -13,8 +13,8 @@ from typing import Any, get_args, get_type_hints
 
 from graph_support.live import free_domain_id
 from humanopts_env.domains import registry
-from humanopts_learner.options.criteria import Thresholds
-from humanopts_learner.options.start_states import STRATEGIES
+from humanopts_learner.options.judge import Thresholds
+from humanopts_learner.options.starts import STRATEGIES
 from humanopts_teach.bags.contents import read_episodes
 from humanopts_teach.bags.reader import open_bag
 from humanopts_teach.cli import main

@@ -34,7 +34,7 @@ from humanopts_learner.options.decision_tree import encode_rows, feature_encodin
 from humanopts_learner.options.files import load_option, save_option
 from humanopts_learner.options.learn import learn_option, make_dataset
 from humanopts_learner.options.rollout import rollouts
-from humanopts_learner.options.start_states import choose_start_state
+from humanopts_learner.options.starts import choose_start_state
 from humanopts_learner.ros.convert import demonstration_to_message
 from humanopts_teach.lesson.in_process import teach
 from humanopts_teach.lesson.seeded_starts import LessonRules

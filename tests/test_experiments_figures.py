@@ -12,7 +12,7 @@ from humanopts_env.domains.registry import domain_from_json, make_domain, refere
 from humanopts_env.domains.taxi import Taxi
 from humanopts_learner.automatic.extract import find_options
 from humanopts_learner.automatic.subgoals import Extraction
-from humanopts_learner.options.option import options_from_references
+from humanopts_learner.options.learned_option import options_from_references
 from humanopts_teach.cli import main
 from humanopts_teach.report.figures import Drawing
 import numpy as np

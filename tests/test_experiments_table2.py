@@ -10,7 +10,7 @@ from humanopts_env.domains.pacman.domain import PacMan
 from humanopts_env.domains.registry import reference_options
 from humanopts_env.domains.taxi import Taxi
 from humanopts_env.seeding import generator
-from humanopts_learner.options.option import options_from_references
+from humanopts_learner.options.learned_option import options_from_references
 from humanopts_teach.report.figures import Drawing
 import numpy as np
 import pytest

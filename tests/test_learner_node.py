@@ -14,8 +14,8 @@ from humanopts_interfaces.msg import Demonstration as DemonstrationMessage
 from humanopts_interfaces.msg import DemonstrationReceipt, LearnedOption, LearningStatus
 from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.option_trainer import DATA_SET
-from humanopts_learner.options.criteria import judge, Thresholds
 from humanopts_learner.options.files import load_options, option_from_json
+from humanopts_learner.options.judge import judge, Thresholds
 from humanopts_learner.options.learn import learn_option
 from humanopts_learner.ros.convert import demonstration_to_message
 from humanopts_ros.qos import CURRENT, STREAM

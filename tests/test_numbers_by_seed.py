@@ -16,7 +16,7 @@ from humanopts_env.domains.base import Domain, EnumerableDomain
 from humanopts_env.domains.registry import make_domain, reference_options
 from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import Demonstration
-from humanopts_learner.options.criteria import judge, Thresholds
+from humanopts_learner.options.judge import judge, Thresholds
 from humanopts_learner.options.learn import learn_option
 from humanopts_learner.planning.plan import judge_plan, plan
 from humanopts_teach.lesson.in_process import teach

@@ -23,7 +23,7 @@ from humanopts_interfaces.srv import ListOptions, QueryOption, RunOption, SetPac
 from humanopts_learner.option import Mode
 from humanopts_learner.options.files import option_to_json, save_option
 from humanopts_learner.options.learn import learn_option
-from humanopts_learner.options.option import LearnedOption
+from humanopts_learner.options.learned_option import LearnedOption
 from humanopts_learner.run import Run
 from humanopts_ros.qos import STREAM
 import pytest

@@ -12,11 +12,11 @@ from humanopts_env.domains.registry import make_domain, parameters_json
 from humanopts_env.seeding import generator
 from humanopts_interfaces.msg import PlanResult, PolicyResult
 from humanopts_learner.library import OptionLibrary
-from humanopts_learner.options.option import LearnedOption
+from humanopts_learner.options.learned_option import LearnedOption
 from humanopts_learner.planning.evaluate import episode_start
 from humanopts_learner.planning.plan import AnyPlan, judge_plan, make_plan
 from humanopts_learner.planning.request import Arbitration, MODULAR, PlanRequest
-from humanopts_learner.planning.sampled.plan import SampledPlan
+from humanopts_learner.planning.sampled_plan import SampledPlan
 import numpy as np
 import pytest
 

@@ -9,7 +9,7 @@ from typing import Any
 from graph_support.command import Command, DemoRun
 from humanopts_env.domains.registry import make_domain
 from humanopts_learner.demonstrations import Demonstration
-from humanopts_learner.options.criteria import judge, Thresholds
+from humanopts_learner.options.judge import judge, Thresholds
 from humanopts_teach.bags.contents import read_demonstrations
 from humanopts_teach.bags.reader import open_bag
 from humanopts_teach.cli import main

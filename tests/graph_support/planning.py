@@ -18,7 +18,7 @@ from humanopts_interfaces.msg import (
 )
 from humanopts_interfaces.srv import ListOptions, RunOption, SetExecution
 from humanopts_learner.options.files import option_to_json
-from humanopts_learner.options.option import LearnedOption
+from humanopts_learner.options.learned_option import LearnedOption
 from humanopts_ros.qos import CURRENT, STREAM
 
 from graph_support.live import GAME, Goal, Graph, OPTION_SERVER, PLANNER

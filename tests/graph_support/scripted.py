@@ -12,7 +12,7 @@ from humanopts_env.domains.registry import make_domain, parameters_json, referen
 from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import Demonstration, Kind
 from humanopts_learner.options.learn import learn_option
-from humanopts_learner.options.option import LearnedOption, options_from_references
+from humanopts_learner.options.learned_option import LearnedOption, options_from_references
 import numpy as np
 
 FETCH, DELIVER = 'go to passenger and pickup', 'go to destination and dropoff'

@@ -11,7 +11,7 @@ from humanopts_greenhouse.greenhouse import Greenhouse, GreenhouseState
 from humanopts_greenhouse.reference import reference_options
 from humanopts_learner.automatic.extract import find_options
 from humanopts_learner.automatic.subgoals import Extraction
-from humanopts_learner.options.option import options_from_references
+from humanopts_learner.options.learned_option import options_from_references
 from humanopts_learner.planning.request import HUMAN, PlanRequest, PRIMITIVE
 from humanopts_teach.evaluation.games import Baseline, PLAN, play_baseline, RANDOM, RULE
 import numpy as np

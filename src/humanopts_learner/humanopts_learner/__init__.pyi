@@ -7,13 +7,13 @@ from .demonstrations import Demonstration, make_demonstration
 from .execution import Fixed, play, RowOptions
 from .option import Option
 from .options.accuracy import classification_accuracy, policy_accuracy
-from .options.criteria import judge, Thresholds
 from .options.files import load_option, save_option
+from .options.judge import judge, Thresholds
 from .options.learn import learn_option
-from .options.option import LearnedOption
-from .options.start_states import choose_start_state
+from .options.learned_option import LearnedOption
+from .options.starts import choose_start_state
 from .planning.plan import judge_plan, plan
-from .planning.value_iteration import solve_smdp
+from .planning.solve import solve_smdp
 from .summary import OptionSummary
 
 __all__ = [

@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from humanopts_env.domains.base import ActableDomain
 from humanopts_learner.demonstrations import PRIMITIVE_PREFIX
 from humanopts_learner.option import PrimitiveOption
-from humanopts_learner.options.option import LearnedOption, OptionError
+from humanopts_learner.options.learned_option import LearnedOption, OptionError
 from humanopts_ros.limits import composed
 
 

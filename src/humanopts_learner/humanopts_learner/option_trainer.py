@@ -12,15 +12,15 @@ from humanopts_learner.demonstrations import (
     each_once,
     group_by_option,
 )
-from humanopts_learner.options.criteria import judge, Thresholds
 from humanopts_learner.options.files import (
     option_from_json,
     option_to_json,
     remove_option,
     save_option,
 )
+from humanopts_learner.options.judge import judge, Thresholds
 from humanopts_learner.options.learn import learn_option, NotLearnableError
-from humanopts_learner.options.option import LearnedOption
+from humanopts_learner.options.learned_option import LearnedOption
 from humanopts_learner.summary import OptionSummary, unmeasured
 
 DATA_SET = 'demonstrations.jsonl'

@@ -26,7 +26,7 @@ from humanopts_env.domains.base import EnumerableDomain
 from humanopts_env.games import Steps, TableGames
 from humanopts_env.seeding import generator
 from humanopts_learner.execution import Choice, Execution, Runs
-from humanopts_learner.options.option import OptionTable, SeenStates
+from humanopts_learner.options.learned_option import OptionTable, SeenStates
 from humanopts_learner.planning.request import PlanError
 import numpy as np
 

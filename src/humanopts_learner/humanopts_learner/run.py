@@ -25,12 +25,12 @@ from humanopts_learner.execution import (
 )
 from humanopts_learner.library import RunnableOption
 from humanopts_learner.option import DrawnOption, Mode
-from humanopts_learner.options.option import LearnedOption
+from humanopts_learner.options.learned_option import LearnedOption
 from humanopts_learner.options.rollout import is_deterministic
+from humanopts_learner.planning.action_set import ActionSet
 from humanopts_learner.planning.interruption import arbitrate, interruptions, OptionValues
 from humanopts_learner.planning.request import Arbitration, MODULAR, PlanError
-from humanopts_learner.planning.sampled.action_set import ActionSet
-from humanopts_learner.planning.sampled.policies import GreedyPolicy
+from humanopts_learner.planning.sampled_policies import GreedyPolicy
 import numpy as np
 
 _ONE = np.zeros(1, dtype=np.intp)  # the number of the only game

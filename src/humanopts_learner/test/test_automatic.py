@@ -20,7 +20,8 @@ from humanopts_learner.automatic.extract import (
 from humanopts_learner.automatic.subgoals import draw_tasks, Extraction, USUAL
 from humanopts_learner.execution import Execution
 from humanopts_learner.options.files import option_from_json, option_to_json
-from humanopts_learner.options.option import LearnedOption, tabulate
+from humanopts_learner.options.learned_option import LearnedOption, tabulate
+from humanopts_learner.planning.action_set import ActionSet
 from humanopts_learner.planning.plan import make_plan
 from humanopts_learner.planning.request import (
     NoOptionsError,
@@ -29,8 +30,7 @@ from humanopts_learner.planning.request import (
     PlanRequest,
     select_options,
 )
-from humanopts_learner.planning.sampled.action_set import ActionSet
-from humanopts_learner.planning.sampled.policies import UniformPolicy
+from humanopts_learner.planning.sampled_policies import UniformPolicy
 import numpy as np
 import pytest
 

@@ -172,7 +172,7 @@ def test_a_column_index_is_a_whole_number(index: Any) -> None:
 
 def test_an_option_can_be_used_without_loading_scikit_learn() -> None:
     code = (
-        'import sys, humanopts_learner.options.files, humanopts_learner.options.start_states;'
+        'import sys, humanopts_learner.options.files, humanopts_learner.options.starts;'
         'sys.exit("sklearn" in sys.modules)'
     )
     assert subprocess.run([sys.executable, '-c', code], check=False).returncode == 0

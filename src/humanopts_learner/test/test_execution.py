@@ -10,7 +10,7 @@ from humanopts_learner.library import (
     UnknownOptionError,
 )
 from humanopts_learner.option import Mode, PrimitiveOption
-from humanopts_learner.options.option import (
+from humanopts_learner.options.learned_option import (
     LearnedOption,
     option_from_table,
     OptionError,

@@ -14,10 +14,10 @@ from humanopts_env.domains.taxi import Taxi
 from humanopts_learner.append_only_log import append_bytes, AppendOnlyLog
 from humanopts_learner.demonstrations import Demonstration, DemonstrationError, Kind
 from humanopts_learner.option_trainer import DATA_SET, DataSetError, OptionTrainer
-from humanopts_learner.options.criteria import judge, Thresholds
 from humanopts_learner.options.files import load_options, option_from_json
+from humanopts_learner.options.judge import judge, Thresholds
 from humanopts_learner.options.learn import learn_option
-from humanopts_learner.options.option import LearnedOption
+from humanopts_learner.options.learned_option import LearnedOption
 import pytest
 
 TAXI = Taxi()

@@ -21,7 +21,7 @@ from humanopts_learner.options.accuracy import (
 )
 from humanopts_learner.options.decision_tree import encode_rows, feature_encoding, fit_tree
 from humanopts_learner.options.learn import learn_option
-from humanopts_learner.options.option import (
+from humanopts_learner.options.learned_option import (
     LearnedOption,
     MEMBERSHIP,
     OptionError,

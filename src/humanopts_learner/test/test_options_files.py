@@ -20,7 +20,7 @@ from humanopts_learner.options.files import (
     save_option,
 )
 from humanopts_learner.options.learn import learn_option
-from humanopts_learner.options.option import LearnedOption, OptionError
+from humanopts_learner.options.learned_option import LearnedOption, OptionError
 from humanopts_learner.options.rollout import rollouts
 from humanopts_learner.ros.convert import demonstration_to_message
 from hypothesis import given, settings

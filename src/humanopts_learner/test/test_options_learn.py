@@ -31,10 +31,10 @@ from humanopts_learner.demonstrations import (
 )
 from humanopts_learner.option import DrawnOption
 from humanopts_learner.options.accuracy import policy_accuracy
-from humanopts_learner.options.criteria import FEWEST_TO_A_GOAL, judge, Thresholds
 from humanopts_learner.options.files import option_from_json, option_to_json
+from humanopts_learner.options.judge import FEWEST_TO_A_GOAL, judge, Thresholds
 from humanopts_learner.options.learn import learn_option, make_dataset, NotLearnableError
-from humanopts_learner.options.option import (
+from humanopts_learner.options.learned_option import (
     option_from_table,
     OptionError,
     options_from_references,

@@ -5,9 +5,9 @@ from dataclasses import replace
 from humanopts_env.domains.rooms import Rooms
 from humanopts_env.domains.taxi import Taxi
 from humanopts_env.domains.taxi_reference import reference_options
-from humanopts_learner.options.option import TabularOption
+from humanopts_learner.options.learned_option import TabularOption
 from humanopts_learner.planning.evaluate import find_coverage
-from humanopts_learner.planning.exact import ExactPlan, make_exact_plan
+from humanopts_learner.planning.exact_plan import ExactPlan, make_exact_plan
 from humanopts_learner.planning.request import PlanError, PlanRequest
 import numpy as np
 import pytest

@@ -13,13 +13,13 @@ from humanopts_env.domains.taxi import Taxi
 from humanopts_env.games import new_games, TableGames
 from humanopts_env.seeding import generator
 from humanopts_learner.library import OptionLibrary
-from humanopts_learner.options.option import (
+from humanopts_learner.options.learned_option import (
     LearnedOption,
     options_from_references,
     TabularOption,
 )
 from humanopts_learner.planning.evaluate import play_plan
-from humanopts_learner.planning.exact import ExactPlan, make_exact_plan
+from humanopts_learner.planning.exact_plan import ExactPlan, make_exact_plan
 from humanopts_learner.planning.interruption import (
     arbitrate,
     as_executed,
@@ -35,7 +35,7 @@ from humanopts_learner.planning.request import (
     PlanRequest,
     Sampling,
 )
-from humanopts_learner.planning.sampled.plan import make_sampled_plan, SampledPlan
+from humanopts_learner.planning.sampled_plan import make_sampled_plan, SampledPlan
 from humanopts_learner.ros.convert import option_values_from_message, option_values_to_message
 from humanopts_learner.run import Arbiter, Run
 from hypothesis import given, settings

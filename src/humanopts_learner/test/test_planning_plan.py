@@ -15,7 +15,7 @@ from humanopts_env.domains.rooms import Rooms
 from humanopts_env.domains.taxi import Taxi
 from humanopts_env.domains.taxi_reference import reference_options
 from humanopts_learner.intervals import Interval
-from humanopts_learner.options.option import (
+from humanopts_learner.options.learned_option import (
     LearnedOption,
     option_from_table,
     options_from_references,
@@ -23,7 +23,7 @@ from humanopts_learner.options.option import (
     tabulate,
 )
 from humanopts_learner.planning.evaluate import episode_starts, play_plan
-from humanopts_learner.planning.exact import ExactPlan, make_exact_plan
+from humanopts_learner.planning.exact_plan import ExactPlan, make_exact_plan
 from humanopts_learner.planning.plan import judge_plan, make_plan
 from humanopts_learner.planning.request import (
     NoOptionsError,
@@ -33,7 +33,7 @@ from humanopts_learner.planning.request import (
     Sampling,
     select_options,
 )
-from humanopts_learner.planning.sampled.plan import SampledPlan
+from humanopts_learner.planning.sampled_plan import SampledPlan
 import numpy as np
 from numpy.typing import NDArray
 import pytest

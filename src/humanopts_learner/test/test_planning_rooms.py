@@ -5,13 +5,17 @@ from functools import cache
 
 from humanopts_env.domains.rooms import LAYOUT, PLACES, Rooms, RoomsState
 from humanopts_env.domains.rooms_reference import reference_options
-from humanopts_learner.options.option import LearnedOption, options_from_references, tabulate
+from humanopts_learner.options.learned_option import (
+    LearnedOption,
+    options_from_references,
+    tabulate,
+)
 from humanopts_learner.planning.evaluate import episode_starts, play_plan
-from humanopts_learner.planning.exact import build_model, ExactPlan
+from humanopts_learner.planning.exact_plan import build_model, ExactPlan
+from humanopts_learner.planning.models import MultiTimeModel
 from humanopts_learner.planning.plan import make_plan
 from humanopts_learner.planning.request import PlanRequest
-from humanopts_learner.planning.smdp import MultiTimeModel
-from humanopts_learner.planning.value_iteration import sweep_table, value_history
+from humanopts_learner.planning.solve import sweep_table, value_history
 import numpy as np
 from numpy.typing import NDArray
 import pytest

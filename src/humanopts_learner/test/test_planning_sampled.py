@@ -10,7 +10,9 @@ from humanopts_env.domains.rooms_reference import reference_options
 from humanopts_env.games import TableGames
 from humanopts_env.seeding import generator
 from humanopts_learner.intervals import Interval
-from humanopts_learner.options.option import LearnedOption, options_from_references
+from humanopts_learner.options.learned_option import LearnedOption, options_from_references
+from humanopts_learner.planning.abstraction import Abstraction, Column
+from humanopts_learner.planning.action_set import ActionSet, CodeTable
 from humanopts_learner.planning.plan import make_plan
 from humanopts_learner.planning.request import (
     Arbitration,
@@ -21,16 +23,14 @@ from humanopts_learner.planning.request import (
     Progress,
     Sampling,
 )
-from humanopts_learner.planning.sampled.abstraction import Abstraction, Column
-from humanopts_learner.planning.sampled.action_set import ActionSet, CodeTable
-from humanopts_learner.planning.sampled.games import Recording, Sampler
-from humanopts_learner.planning.sampled.plan import make_sampled_plan, SampledPlan
-from humanopts_learner.planning.sampled.policies import UniformPolicy
-from humanopts_learner.planning.sampled.sampled_models import (
+from humanopts_learner.planning.sampled_models import (
     SampleCounts,
     Samples,
 )
-from humanopts_learner.planning.value_iteration import solve_smdp
+from humanopts_learner.planning.sampled_plan import make_sampled_plan, SampledPlan
+from humanopts_learner.planning.sampled_policies import UniformPolicy
+from humanopts_learner.planning.sampling import Recording, Sampler
+from humanopts_learner.planning.solve import solve_smdp
 import numpy as np
 import pytest
 

@@ -10,7 +10,7 @@ from humanopts_learner.execution import Choice, Execution, NONE, play, RowOption
 from humanopts_learner.option import PrimitiveOption
 from humanopts_learner.planning.plan import make_plan
 from humanopts_learner.planning.request import PlanRequest, Sampling
-from humanopts_learner.planning.sampled.plan import make_sampled_plan
+from humanopts_learner.planning.sampled_plan import make_sampled_plan
 from hypothesis import given, settings, strategies
 import numpy as np
 import pytest

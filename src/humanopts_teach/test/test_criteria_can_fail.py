@@ -9,7 +9,7 @@ from humanopts_env.domains.registry import make_domain
 from humanopts_env.domains.tabular import best_ways
 from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import Demonstration
-from humanopts_learner.options.criteria import judge, Thresholds
+from humanopts_learner.options.judge import judge, Thresholds
 from humanopts_learner.options.learn import learn_option
 from humanopts_teach.evaluation.bag_evaluation import OptionEvaluation
 from humanopts_teach.evaluation.tables import option_row, OPTIONS, table

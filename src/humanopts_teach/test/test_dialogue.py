@@ -9,7 +9,7 @@ from typing import Any
 from humanopts_env.domains.base import Domain
 from humanopts_env.domains.registry import make_domain
 from humanopts_learner.demonstrations import GOAL
-from humanopts_learner.options.criteria import FEWEST
+from humanopts_learner.options.judge import FEWEST
 from humanopts_learner.summary import Criterion, NO_RANGE, OptionSummary
 from humanopts_teach.dialogue.app import App, REPLY_SECONDS, SETTLE_SECONDS
 from humanopts_teach.dialogue.entry import Item, ListScreen

@@ -11,8 +11,8 @@ from humanopts_env.domains.base import Domain
 from humanopts_env.ros.convert import domain_to_info
 from humanopts_interfaces.msg import GameState, OptionResult
 from humanopts_learner.demonstrations import Demonstration, group_by_option, Kind
-from humanopts_learner.options.criteria import judge, Thresholds
 from humanopts_learner.options.files import option_to_json
+from humanopts_learner.options.judge import judge, Thresholds
 from humanopts_learner.options.learn import learn_option
 from humanopts_learner.ros.convert import (
     demonstration_to_message,

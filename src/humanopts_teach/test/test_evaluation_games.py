@@ -14,9 +14,9 @@ from humanopts_env.domains.rooms_reference import reference_options as rooms_ref
 from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.intervals import Interval
-from humanopts_learner.options.option import LearnedOption, options_from_references
+from humanopts_learner.options.learned_option import LearnedOption, options_from_references
 from humanopts_learner.planning.request import HUMAN, PlanCanceled, PlanError, PlanRequest
-from humanopts_learner.planning.sampled.plan import SampledPlan
+from humanopts_learner.planning.sampled_plan import SampledPlan
 from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, evaluate
 from humanopts_teach.evaluation.games import (
     Baseline,

@@ -11,8 +11,8 @@ from humanopts_env.domains.base import Domain
 from humanopts_env.domains.registry import reference_options
 from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.intervals import Interval
-from humanopts_learner.options.criteria import Thresholds
-from humanopts_learner.planning.exact import ExactPlan
+from humanopts_learner.options.judge import Thresholds
+from humanopts_learner.planning.exact_plan import ExactPlan
 from humanopts_learner.summary import Criterion
 from humanopts_teach.bags.info import TopicRow
 from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, evaluate, OptionEvaluation

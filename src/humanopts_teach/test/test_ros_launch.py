@@ -8,7 +8,7 @@ import subprocess
 import sys
 from typing import Any
 
-from humanopts_learner.options.criteria import Thresholds
+from humanopts_learner.options.judge import Thresholds
 from humanopts_teach.launching import processes as table
 from humanopts_teach.launching import restarts, ros_launch
 from humanopts_teach.launching.processes import (

@@ -10,7 +10,7 @@ from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.options.failures import find_failures
 from humanopts_learner.options.files import option_to_json
 from humanopts_learner.options.learn import learn_option
-from humanopts_learner.options.option import LearnedOption, OptionError
+from humanopts_learner.options.learned_option import LearnedOption, OptionError
 from humanopts_teach.lesson.history import OptionHistory
 from humanopts_teach.lesson.seeded_starts import LessonRules, SeededStarts
 import pytest

@@ -11,7 +11,7 @@ from humanopts_env.domains.base import Action, Domain
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.domains.taxi import Taxi
 from humanopts_env.seeding import generator
-from humanopts_learner.options.criteria import FEWEST
+from humanopts_learner.options.judge import FEWEST
 from humanopts_learner.summary import Criterion, OptionSummary
 from humanopts_teach.browser.markup import parts
 from humanopts_teach.dialogue.keys import key_table, KeyCommand, SUSPEND

@@ -24,7 +24,11 @@ from humanopts_learner.automatic.subgoals import (
     Values,
 )
 from humanopts_learner.demonstrations import MACHINE
-from humanopts_learner.options.option import LearnedOption, option_from_table, TabularOption
+from humanopts_learner.options.learned_option import (
+    LearnedOption,
+    option_from_table,
+    TabularOption,
+)
 from humanopts_learner.planning.request import PlanError
 import numpy as np
 

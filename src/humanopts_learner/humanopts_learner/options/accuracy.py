@@ -32,7 +32,7 @@ from humanopts_env.domains.registry import parameters_json
 from humanopts_env.games import Chance, feature_rows, Games, games_at
 from humanopts_env.seeding import generator
 from humanopts_learner.execution import Fixed, play
-from humanopts_learner.options.option import LearnedOption, OptionTable, TabularOption
+from humanopts_learner.options.learned_option import LearnedOption, OptionTable, TabularOption
 from humanopts_learner.options.rollout import is_deterministic
 import numpy as np
 

@@ -9,7 +9,7 @@ from humanopts_env.domains.base import EnumerableDomain
 from humanopts_env.domains.tabular import distance_to, reachable
 from humanopts_learner.demonstrations import Demonstration, GOAL, Kind
 from humanopts_learner.options.decision_tree import encode_rows
-from humanopts_learner.options.option import LearnedOption, tabulate
+from humanopts_learner.options.learned_option import LearnedOption, tabulate
 from humanopts_learner.options.rollout import rollouts_from_everywhere
 import numpy as np
 from numpy.typing import NDArray

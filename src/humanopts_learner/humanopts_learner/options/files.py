@@ -18,7 +18,7 @@ from humanopts_learner.demonstrations import (
     TREES,
 )
 from humanopts_learner.options.decision_tree import EncodedFeature, Tree, TreeError
-from humanopts_learner.options.option import LearnedOption, OptionError
+from humanopts_learner.options.learned_option import LearnedOption, OptionError
 from humanopts_ros.limits import JsonError, MAX_JSON, parse_json
 from humanopts_ros.text_files import fault_in, FileError, read_text
 from pydantic import BaseModel, ConfigDict, ValidationError

@@ -30,7 +30,7 @@ from humanopts_learner.options.decision_tree import (
     Tree,
 )
 from humanopts_learner.options.goal import preferred_actions, ways_to_goal
-from humanopts_learner.options.option import LearnedOption, MEMBERSHIP
+from humanopts_learner.options.learned_option import LearnedOption, MEMBERSHIP
 import numpy as np
 from numpy.typing import NDArray
 

@@ -16,7 +16,12 @@ from humanopts_env.games import Chance, games_at
 from humanopts_env.seeding import generator
 from humanopts_learner.execution import Fixed, play, Played, RowOptions
 from humanopts_learner.option import Option, RandomActions
-from humanopts_learner.options.option import LearnedOption, OptionTable, TabularOption, tabulate
+from humanopts_learner.options.learned_option import (
+    LearnedOption,
+    OptionTable,
+    TabularOption,
+    tabulate,
+)
 import numpy as np
 from numpy.typing import NDArray
 

@@ -15,10 +15,10 @@ from humanopts_env.domains.base import Domain, EnumerableDomain, S
 from humanopts_env.games import Chance, TableGames
 from humanopts_env.seeding import generator
 from humanopts_learner.execution import Choice, Execution, play, Played
-from humanopts_learner.options.option import SeenStates
-from humanopts_learner.planning.exact import ExactPlan, option_table
+from humanopts_learner.options.learned_option import SeenStates
+from humanopts_learner.planning.exact_plan import ExactPlan, option_table
+from humanopts_learner.planning.models import look_ahead, primitive_model
 from humanopts_learner.planning.request import ignore_progress, PlanError, Progress
-from humanopts_learner.planning.smdp import look_ahead, primitive_model
 import numpy as np
 from numpy.typing import NDArray
 

@@ -19,11 +19,10 @@ import math
 
 from humanopts_env.arrays import Flags, Floats, Ints
 from humanopts_env.domains.base import Transitions
-from humanopts_learner.options.option import TabularOption
-from humanopts_learner.planning.exact import build_model, ExactPlan, option_table
-from humanopts_learner.planning.option_models import model_option, visited
+from humanopts_learner.options.learned_option import TabularOption
+from humanopts_learner.planning.exact_plan import build_model, ExactPlan, option_table
+from humanopts_learner.planning.models import look_ahead, model_option, visited
 from humanopts_learner.planning.request import Arbitration, PlanError
-from humanopts_learner.planning.smdp import look_ahead
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array, eye

@@ -16,7 +16,7 @@ from humanopts_env.domains.base import Domain, is_enumerable
 from humanopts_learner.intervals import Interval
 from humanopts_learner.option import Option
 from humanopts_learner.planning.evaluate import episode_starts, play_plan
-from humanopts_learner.planning.exact import ExactPlan, make_exact_plan
+from humanopts_learner.planning.exact_plan import ExactPlan, make_exact_plan
 from humanopts_learner.planning.request import (
     Clock,
     HUMAN_AND_PRIMITIVE,
@@ -26,7 +26,7 @@ from humanopts_learner.planning.request import (
     PRIMITIVE,
     Progress,
 )
-from humanopts_learner.planning.sampled.plan import make_sampled_plan, SampledPlan
+from humanopts_learner.planning.sampled_plan import make_sampled_plan, SampledPlan
 from humanopts_learner.summary import PlanSummary
 
 AnyPlan = ExactPlan | SampledPlan

@@ -10,7 +10,7 @@ from typing import Any, Protocol
 from humanopts_env.domains.base import Domain, is_enumerable
 from humanopts_learner.demonstrations import MACHINE
 from humanopts_learner.library import taught_nothing
-from humanopts_learner.options.option import LearnedOption, OptionError
+from humanopts_learner.options.learned_option import LearnedOption, OptionError
 
 HUMAN, PRIMITIVE, HUMAN_AND_PRIMITIVE = 'human', 'primitive', 'human+primitive'
 AUTOMATIC, AUTOMATIC_AND_PRIMITIVE = 'automatic', 'automatic+primitive'

@@ -9,7 +9,7 @@ from humanopts_interfaces import msg
 from humanopts_interfaces.action import Plan
 from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.intervals import Interval
-from humanopts_learner.options.option import LearnedOption
+from humanopts_learner.options.learned_option import LearnedOption
 from humanopts_learner.planning.request import PlanError, PlanRequest
 from humanopts_learner.summary import Criterion, OptionSummary, PlanSummary
 from humanopts_ros.codec import Codec
@@ -89,7 +89,7 @@ def plan_to_message(
 
     :param coverage: None: not known.
     """
-    from humanopts_learner.planning.exact import ExactPlan
+    from humanopts_learner.planning.exact_plan import ExactPlan
     from humanopts_learner.planning.plan import summarise_plan
 
     summary, result = summarise_plan(plan, performance), msg.PlanResult

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 
 from humanopts_interfaces.msg import LearnedOption as OptionMessage
 from humanopts_learner.options.files import option_from_json
-from humanopts_learner.options.option import LearnedOption, OptionError
+from humanopts_learner.options.learned_option import LearnedOption, OptionError
 from humanopts_ros.node_base import NodeBase
 from humanopts_ros.qos import STREAM
 

@@ -11,7 +11,7 @@ from humanopts_env.ros.game_subscriber import GameSubscriber
 from humanopts_interfaces.msg import Demonstration, DemonstrationReceipt, LearningStatus
 from humanopts_learner.demonstrations import demonstration_from_message, DemonstrationError
 from humanopts_learner.option_trainer import DataSetError, OptionTrainer
-from humanopts_learner.options.criteria import Thresholds
+from humanopts_learner.options.judge import Thresholds
 from humanopts_learner.ros import LEARNER
 from humanopts_learner.ros.convert import summary_to_message
 from humanopts_learner.ros.learned_options import OptionPublisher

@@ -15,7 +15,7 @@ from humanopts_interfaces.srv import ListOptions, QueryOption, RunOption
 from humanopts_learner.library import OptionLibrary, taught_nothing, UnknownOptionError
 from humanopts_learner.option import Mode
 from humanopts_learner.options.files import load_options
-from humanopts_learner.options.option import LearnedOption, OptionError
+from humanopts_learner.options.learned_option import LearnedOption, OptionError
 from humanopts_learner.ros import OPTION_SERVER
 from humanopts_learner.ros.learned_options import OptionSubscriber
 from humanopts_learner.ros.runner import Runner, RunRequest

@@ -7,7 +7,7 @@ from typing import Any
 from humanopts_env.domains.base import ActableDomain
 from humanopts_env.ros.game_subscriber import GameSubscriber
 from humanopts_interfaces import msg
-from humanopts_learner.options.option import LearnedOption
+from humanopts_learner.options.learned_option import LearnedOption
 from humanopts_learner.ros import PLANNER
 from humanopts_learner.ros.learned_options import OptionSubscriber
 from humanopts_learner.ros.planner_actions import ExtractionAction, PlanAction, PlannerState

@@ -15,7 +15,7 @@ from humanopts_interfaces.msg import (
 )
 from humanopts_interfaces.srv import ResetGame, RunOption, SetExecution
 from humanopts_learner.planning.evaluate import episode_start
-from humanopts_learner.planning.exact import ExactPlan
+from humanopts_learner.planning.exact_plan import ExactPlan
 from humanopts_learner.planning.interruption import option_values
 from humanopts_learner.planning.plan import AnyPlan
 from humanopts_learner.planning.request import Arbitration, MODULAR, PRIMITIVE

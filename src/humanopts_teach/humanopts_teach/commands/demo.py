@@ -11,7 +11,7 @@ from typing import Any
 from humanopts_env.domains.base import Domain, DomainError, is_enumerable
 from humanopts_env.domains.registry import make_domain
 from humanopts_learner.options.decision_tree import import_scikit_learn
-from humanopts_learner.options.option import LearnedOption
+from humanopts_learner.options.learned_option import LearnedOption
 from humanopts_learner.planning.request import (
     HUMAN,
     PlanError,

@@ -17,7 +17,7 @@ from humanopts_env.domains.capabilities import HasTeachingDefaults
 from humanopts_env.domains.names import is_registered
 from humanopts_env.domains.registry import make_domain, reference_options
 from humanopts_learner.demonstrations import check_method
-from humanopts_learner.options.criteria import Thresholds
+from humanopts_learner.options.judge import Thresholds
 from humanopts_ros.limits import printable
 from humanopts_ros.middleware import check_settings
 from humanopts_ros.recording import Selection

@@ -16,7 +16,7 @@ from humanopts_env.domains.capabilities import board_of, feature_groups
 from humanopts_env.domains.described import can_simulate, published_state
 from humanopts_learner.demonstrations import GOAL, METHODS
 from humanopts_learner.options.conflicts import NO_START
-from humanopts_learner.options.criteria import fewest, likely_range
+from humanopts_learner.options.judge import fewest, likely_range
 from humanopts_learner.planning.request import MODULAR
 from humanopts_learner.summary import Criterion, OptionSummary, RETURN
 from humanopts_teach.dialogue.app import App, Screen

@@ -17,11 +17,11 @@ from humanopts_learner.demonstrations import (
     group_by_option,
     Kind,
 )
-from humanopts_learner.options.criteria import judge
 from humanopts_learner.options.files import FORMAT, option_to_json
+from humanopts_learner.options.judge import judge
 from humanopts_learner.options.learn import learn_option
-from humanopts_learner.options.option import LearnedOption
-from humanopts_learner.planning.exact import ExactPlan
+from humanopts_learner.options.learned_option import LearnedOption
+from humanopts_learner.planning.exact_plan import ExactPlan
 from humanopts_learner.planning.interruption import exact_mean_return
 from humanopts_learner.planning.plan import (
     AnyPlan,
@@ -36,7 +36,7 @@ from humanopts_learner.planning.request import (
     PlanRequest,
     PRIMITIVE,
 )
-from humanopts_learner.planning.sampled.plan import SampledPlan
+from humanopts_learner.planning.sampled_plan import SampledPlan
 from humanopts_learner.summary import OptionSummary
 from humanopts_ros.limits import parse_json
 from humanopts_teach.bags import BagError

@@ -18,7 +18,8 @@ from humanopts_env.domains.capabilities import Baselines, HasBaselines
 from humanopts_env.domains.registry import make_domain, parameters_json
 from humanopts_env.seeding import generator
 from humanopts_learner.intervals import Interval
-from humanopts_learner.options.option import LearnedOption, OptionError
+from humanopts_learner.options.learned_option import LearnedOption, OptionError
+from humanopts_learner.planning.action_set import ActionSet
 from humanopts_learner.planning.plan import judge_plan, Performance
 from humanopts_learner.planning.request import (
     Arbitration,
@@ -28,9 +29,8 @@ from humanopts_learner.planning.request import (
     PlanRequest,
     PRIMITIVE,
 )
-from humanopts_learner.planning.sampled.action_set import ActionSet
-from humanopts_learner.planning.sampled.plan import make_sampled_plan, play_games, SampledPlan
-from humanopts_learner.planning.sampled.policies import UniformPolicy
+from humanopts_learner.planning.sampled_plan import make_sampled_plan, play_games, SampledPlan
+from humanopts_learner.planning.sampled_policies import UniformPolicy
 from humanopts_teach.bags.mcap_file import ignore_progress
 from humanopts_teach.evaluation import ProgressCallback
 from humanopts_teach.evaluation.side_by_side import all_of

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any
 
-from humanopts_learner.options.criteria import Thresholds
+from humanopts_learner.options.judge import Thresholds
 from humanopts_teach.lesson import BUDGET, STRATEGY
 
 

@@ -13,7 +13,7 @@ from humanopts_env.domains.base import Domain
 from humanopts_env.domains.registry import reference_options
 from humanopts_learner.intervals import Interval
 from humanopts_learner.options.accuracy import classification_accuracy, policy_accuracy
-from humanopts_learner.options.option import LearnedOption
+from humanopts_learner.options.learned_option import LearnedOption
 from humanopts_learner.summary import OptionSummary, PlanSummary
 
 if TYPE_CHECKING:

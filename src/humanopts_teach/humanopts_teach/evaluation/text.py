@@ -5,7 +5,7 @@ import math
 from typing import Any, TYPE_CHECKING
 
 from humanopts_learner.demonstrations import METHODS
-from humanopts_learner.options.criteria import likely_range, Thresholds
+from humanopts_learner.options.judge import likely_range, Thresholds
 from humanopts_learner.summary import Criterion
 from humanopts_ros.limits import one_line
 from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, OptionEvaluation

@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 
 from humanopts_env.domains.base import Parameter
-from humanopts_learner.options.criteria import Thresholds
+from humanopts_learner.options.judge import Thresholds
 from humanopts_teach.launching import MODULES
 from humanopts_teach.lesson import BUDGET, METHOD, STRATEGY
 from pydantic import TypeAdapter

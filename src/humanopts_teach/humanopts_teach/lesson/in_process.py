@@ -14,10 +14,10 @@ from typing import Any
 from humanopts_env.domains.base import Domain
 from humanopts_env.game import Accepted, Command, Game, Source, Transition
 from humanopts_learner.demonstrations import Demonstration, Kind
-from humanopts_learner.options.criteria import judge, Thresholds
 from humanopts_learner.options.files import option_to_json
+from humanopts_learner.options.judge import judge, Thresholds
 from humanopts_learner.options.learn import learn_option
-from humanopts_learner.options.option import LearnedOption
+from humanopts_learner.options.learned_option import LearnedOption
 from humanopts_learner.summary import Criterion, OptionSummary
 from humanopts_teach.lesson.lesson import Lesson
 from humanopts_teach.lesson.requests import (

@@ -10,8 +10,8 @@ from humanopts_env.domains.described import can_simulate, simulated
 from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.options.files import option_from_json
-from humanopts_learner.options.option import LearnedOption
-from humanopts_learner.options.start_states import choose_start_state, draw_sample, nothing_fails
+from humanopts_learner.options.learned_option import LearnedOption
+from humanopts_learner.options.starts import choose_start_state, draw_sample, nothing_fails
 from humanopts_teach.lesson import BUDGET, METHOD, STRATEGY
 from humanopts_teach.lesson.history import OptionHistory
 import numpy as np

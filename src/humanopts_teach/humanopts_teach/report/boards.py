@@ -8,7 +8,7 @@ from humanopts_env.board import Board
 from humanopts_env.domains.base import BoardSlice, Domain
 from humanopts_env.domains.capabilities import board_of
 from humanopts_env.seeding import generator
-from humanopts_learner.planning.exact import ExactPlan
+from humanopts_learner.planning.exact_plan import ExactPlan
 from humanopts_teach.report.figures import Drawing, drawing, GRID, INK
 from matplotlib.colors import Normalize
 from matplotlib.patches import Rectangle

@@ -11,8 +11,8 @@ from itertools import zip_longest
 import math
 from typing import Any, Literal
 
-from humanopts_learner.planning.exact import build_model, ExactPlan
-from humanopts_learner.planning.value_iteration import sweep_table, SweepRow
+from humanopts_learner.planning.exact_plan import build_model, ExactPlan
+from humanopts_learner.planning.solve import sweep_table, SweepRow
 from humanopts_teach.evaluation.bag_evaluation import OptionEvaluation
 from humanopts_teach.evaluation.games import GamesEvaluation
 from humanopts_teach.evaluation.tables import SECONDS

@@ -7,7 +7,7 @@ from typing import Any
 
 from humanopts_env.domains.base import Domain, FeatureKind
 from humanopts_learner.options.decision_tree import EncodedFeature, LEAF, Tree
-from humanopts_learner.options.option import LearnedOption
+from humanopts_learner.options.learned_option import LearnedOption
 
 MEMBERS = {'initiation': ('may not start', 'may start'), 'termination': ('goes on', 'ends')}
 LINES_SHOWN_OPEN = 60

@@ -7,7 +7,7 @@ from pathlib import Path
 from humanopts_env.domains.base import is_enumerable
 from humanopts_env.domains.registry import reference_options
 from humanopts_learner.demonstrations import METHODS
-from humanopts_learner.planning.exact import ExactPlan
+from humanopts_learner.planning.exact_plan import ExactPlan
 from humanopts_teach.bags.info import summarise, TopicRow
 from humanopts_teach.bags.provenance import OWN_VERSION, software, UNKNOWN
 from humanopts_teach.bags.reader import Bag

@@ -13,7 +13,7 @@ from humanopts_env.domains.base import Domain
 from humanopts_env.ros.game_subscriber import GameSubscriber, Observed
 from humanopts_interfaces import msg
 from humanopts_interfaces.action import Plan, RunPolicy
-from humanopts_learner.options.option import LearnedOption
+from humanopts_learner.options.learned_option import LearnedOption
 from humanopts_learner.ros.learned_options import OptionSubscriber
 from humanopts_ros.limits import one_line, shown
 from humanopts_ros.node_base import NodeBase, start_ros

@@ -14,8 +14,8 @@ from humanopts_env.ros.game_subscriber import GameSubscriber, Observed
 from humanopts_interfaces import msg
 from humanopts_interfaces.srv import ResetGame
 from humanopts_learner.demonstrations import Demonstration, METHODS
-from humanopts_learner.options.option import OptionError
-from humanopts_learner.options.start_states import STRATEGIES
+from humanopts_learner.options.learned_option import OptionError
+from humanopts_learner.options.starts import STRATEGIES
 from humanopts_learner.ros.convert import demonstration_to_message, summary_from_message
 from humanopts_ros.node_base import NodeBase, PATIENCE, RECORDER, SEEDS, StartError
 from humanopts_ros.node_restarts import NodeRestarts

@@ -16,7 +16,7 @@ from typing import Annotated, Any, ClassVar, Self, TypeVar
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import check_method
-from humanopts_learner.options.start_states import STRATEGIES
+from humanopts_learner.options.starts import STRATEGIES
 from humanopts_ros.limits import shown
 from humanopts_ros.text_files import fault_in, FileError, read_text, read_yaml
 from humanopts_teach.lesson import BUDGET, METHOD, STRATEGY

@@ -11,9 +11,11 @@ from humanopts_env.games import new_games
 from humanopts_env.seeding import generator
 from humanopts_learner.execution import play, Policy
 from humanopts_learner.option import Option
+from humanopts_learner.planning.action_set import ActionSet, Observation
 from humanopts_learner.planning.evaluate import Returns
-from humanopts_learner.planning.exact import PolicyPlan, SweepProgress
+from humanopts_learner.planning.exact_plan import PolicyPlan, SweepProgress
 from humanopts_learner.planning.interruption import OptionValues
+from humanopts_learner.planning.models import look_ahead, MultiTimeModel
 from humanopts_learner.planning.request import (
     Arbitration,
     Clock,
@@ -22,16 +24,14 @@ from humanopts_learner.planning.request import (
     PlanRequest,
     Progress,
 )
-from humanopts_learner.planning.sampled.action_set import ActionSet, Observation
-from humanopts_learner.planning.sampled.games import Sampler
-from humanopts_learner.planning.sampled.policies import (
+from humanopts_learner.planning.sampled_models import SampleCounts
+from humanopts_learner.planning.sampled_policies import (
     ExploringPolicy,
     GreedyPolicy,
     UniformPolicy,
 )
-from humanopts_learner.planning.sampled.sampled_models import SampleCounts
-from humanopts_learner.planning.smdp import look_ahead, MultiTimeModel
-from humanopts_learner.planning.value_iteration import Solution, solve_smdp
+from humanopts_learner.planning.sampling import Sampler
+from humanopts_learner.planning.solve import Solution, solve_smdp
 import numpy as np
 
 

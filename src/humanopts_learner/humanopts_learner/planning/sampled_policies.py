@@ -5,9 +5,9 @@ from functools import cached_property
 
 from humanopts_env.arrays import Flags, Floats, Ints
 from humanopts_learner.execution import Choice
+from humanopts_learner.planning.action_set import ActionSet, CodeTable, Observation
 from humanopts_learner.planning.interruption import arbitrate, interruptions, OptionValues
 from humanopts_learner.planning.request import Arbitration, MODULAR
-from humanopts_learner.planning.sampled.action_set import ActionSet, CodeTable, Observation
 import numpy as np
 from numpy.typing import NDArray
 

@@ -16,8 +16,8 @@ from humanopts_env.domains.capabilities import HasPrimitiveColumns
 from humanopts_env.games import Games, games_at
 from humanopts_learner.demonstrations import PRIMITIVE_PREFIX
 from humanopts_learner.option import Option, StochasticOption
+from humanopts_learner.planning.abstraction import Abstraction, Codes
 from humanopts_learner.planning.request import OPTIONS_ONLY, PRIMITIVE
-from humanopts_learner.planning.sampled.abstraction import Abstraction, Codes
 import numpy as np
 from numpy.typing import NDArray
 

@@ -34,7 +34,7 @@ from humanopts_learner.intervals import Interval
 from humanopts_learner.options.conflicts import find_conflicts
 from humanopts_learner.options.failures import find_failures
 from humanopts_learner.options.learn import Dataset, Examples, fit_option, make_dataset
-from humanopts_learner.options.option import LearnedOption, MEMBER
+from humanopts_learner.options.learned_option import LearnedOption, MEMBER
 from humanopts_learner.options.rollout import is_deterministic, random_rollouts, rollouts
 from humanopts_learner.summary import (
     Criterion,

@@ -12,8 +12,8 @@ from functools import cache
 from itertools import pairwise
 
 from humanopts_env.arrays import Flags, Floats
+from humanopts_learner.planning.models import look_ahead, MultiTimeModel
 from humanopts_learner.planning.request import check_limits
-from humanopts_learner.planning.smdp import look_ahead, MultiTimeModel
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array

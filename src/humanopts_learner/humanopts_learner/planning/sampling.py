@@ -13,8 +13,8 @@ from collections.abc import Callable
 
 from humanopts_env.games import new_games
 from humanopts_learner.execution import Execution, NONE, Policy
-from humanopts_learner.planning.sampled.action_set import ActionSet, Observation
-from humanopts_learner.planning.sampled.sampled_models import SampleCounts, Samples
+from humanopts_learner.planning.action_set import ActionSet, Observation
+from humanopts_learner.planning.sampled_models import SampleCounts, Samples
 import numpy as np
 
 BLOCK = 1_000_000  # game steps that are kept before they are counted

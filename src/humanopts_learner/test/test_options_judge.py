@@ -15,7 +15,8 @@ from humanopts_env.domains.taxi import Taxi, TaxiState
 from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.options.conflicts import find_conflicts
-from humanopts_learner.options.criteria import (
+from humanopts_learner.options.files import option_to_json
+from humanopts_learner.options.judge import (
     balanced_error,
     FEWEST,
     fit_leave_fold_out,
@@ -24,14 +25,13 @@ from humanopts_learner.options.criteria import (
     more_needed,
     Thresholds,
 )
-from humanopts_learner.options.files import option_to_json
 from humanopts_learner.options.learn import (
     Examples,
     learn_option,
     make_dataset,
     NotLearnableError,
 )
-from humanopts_learner.options.option import MEMBER
+from humanopts_learner.options.learned_option import MEMBER
 from humanopts_learner.options.rollout import rollouts
 from humanopts_learner.summary import Criterion, INITIATION, RETURN, TERMINATION
 from hypothesis import given, settings

@@ -11,8 +11,13 @@ from humanopts_env.arrays import Flags
 from humanopts_env.domains.base import Domain, EnumerableDomain
 from humanopts_learner.demonstrations import PRIMITIVE_PREFIX
 from humanopts_learner.option import Option
-from humanopts_learner.options.option import OptionTable, TabularOption, tabulate
-from humanopts_learner.planning.option_models import model_option
+from humanopts_learner.options.learned_option import OptionTable, TabularOption, tabulate
+from humanopts_learner.planning.models import (
+    concatenate,
+    model_option,
+    MultiTimeModel,
+    primitive_model,
+)
 from humanopts_learner.planning.request import (
     Clock,
     ignore_progress,
@@ -22,12 +27,7 @@ from humanopts_learner.planning.request import (
     PRIMITIVE,
     Progress,
 )
-from humanopts_learner.planning.smdp import (
-    concatenate,
-    MultiTimeModel,
-    primitive_model,
-)
-from humanopts_learner.planning.value_iteration import Solution, solve_smdp
+from humanopts_learner.planning.solve import Solution, solve_smdp
 import numpy as np
 from scipy.sparse import csr_array
 

@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 
 from humanopts_env.arrays import Floats, Ints
-from humanopts_learner.planning.sampled.abstraction import Codes
-from humanopts_learner.planning.sampled.action_set import CodeTable
-from humanopts_learner.planning.smdp import MultiTimeModel, SparseRows
+from humanopts_learner.planning.abstraction import Codes
+from humanopts_learner.planning.action_set import CodeTable
+from humanopts_learner.planning.models import MultiTimeModel, SparseRows
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array

@@ -1,8 +1,8 @@
 """Exact option models against runs taken step by step, dense algebra and answers by hand."""
 
 from humanopts_env.domains.base import Transitions
-from humanopts_learner.options.option import TabularOption
-from humanopts_learner.planning.option_models import (
+from humanopts_learner.options.learned_option import TabularOption
+from humanopts_learner.planning.models import (
     deterministic_model,
     model_option,
     stochastic_model,

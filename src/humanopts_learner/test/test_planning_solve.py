@@ -6,15 +6,15 @@ import sys
 import tracemalloc
 
 from humanopts_env.arrays import Flags, Floats
-from humanopts_learner.planning import value_iteration
-from humanopts_learner.planning.request import PlanCanceled, PlanError
-from humanopts_learner.planning.smdp import (
+from humanopts_learner.planning import solve
+from humanopts_learner.planning.models import (
     concatenate,
     look_ahead,
     MultiTimeModel,
     primitive_model,
 )
-from humanopts_learner.planning.value_iteration import (
+from humanopts_learner.planning.request import PlanCanceled, PlanError
+from humanopts_learner.planning.solve import (
     _sweep_states,
     compiled_sweep,
     Solution,
@@ -160,7 +160,7 @@ def solved_with(compiled: object, model: MultiTimeModel) -> tuple[Solution, list
     with pytest.MonkeyPatch.context() as patch:
         loaded = cache(lambda: compiled)
         loaded()
-        patch.setattr(value_iteration, 'compiled_sweep', loaded)
+        patch.setattr(solve, 'compiled_sweep', loaded)
         solution = solve_smdp(model, on_sweep=lambda _, residual: residuals.append(residual))
     return solution, residuals
 
@@ -197,8 +197,8 @@ def test_only_large_models_are_worth_loading_a_compiled_sweep() -> None:
         raise LoadedError
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(value_iteration, 'compiled_sweep', load)
-        patch.setattr(value_iteration, 'COMPILED_FROM', 60)
+        patch.setattr(solve, 'compiled_sweep', load)
+        patch.setattr(solve, 'COMPILED_FROM', 60)
         assert solve_smdp(random_model(1, 19, 3)).converged
         with pytest.raises(LoadedError):
             solve_smdp(random_model(1, 20, 3))

@@ -18,15 +18,15 @@ from humanopts_env.domains.base import Domain, EnumerableDomain, FeatureKind, is
 from humanopts_env.domains.tabular import reachable
 from humanopts_env.games import feature_rows
 from humanopts_learner.demonstrations import Demonstration, Kind
-from humanopts_learner.options.criteria import fit_leave_fold_out, fold_of
 from humanopts_learner.options.decision_tree import encode_rows, feature_encoding
 from humanopts_learner.options.failures import (
     Failures,
     find_failures,
     in_doubt,
 )
+from humanopts_learner.options.judge import fit_leave_fold_out, fold_of
 from humanopts_learner.options.learn import make_dataset
-from humanopts_learner.options.option import LearnedOption
+from humanopts_learner.options.learned_option import LearnedOption
 from humanopts_learner.options.rollout import is_deterministic, rollouts
 import numpy as np
 

@@ -1,1 +1,0 @@
-"""Planning from samples, in domains that are not enumerable."""
