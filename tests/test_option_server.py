@@ -20,7 +20,6 @@ from humanopts_interfaces.msg import (
     LearnedOption as OptionMessage,
 )
 from humanopts_interfaces.srv import ListOptions, QueryOption, RunOption, SetPace
-from humanopts_learner.option import Mode
 from humanopts_learner.options.files import option_to_json, save_option
 from humanopts_learner.options.learn import learn_option
 from humanopts_learner.options.learned_option import LearnedOption
@@ -431,10 +430,8 @@ def test_the_sampled_mode_is_a_function_of_the_seed_and_the_moment(
 
 def sampled(seed: int, episode: int) -> list[str]:
     """Return the actions that the option draws in an episode that begins at START."""
-    option, state = OPTIONS[WANDER], TAXI.decode(START)
-    rng = generator(seed, 'run', WANDER, episode, 0)
-    run = Run(option, TAXI, TAXI.gamma, 0, Mode.SAMPLED, rng)
-    assert run.begin(state, episode, 0) is None
+    state, rng = TAXI.decode(START), generator(seed, 'run', WANDER, episode, 0)
+    run = Run(OPTIONS[WANDER], TAXI, state, (episode, 0), rng=rng)
     actions: list[str] = []
     end = None
     while end is None:

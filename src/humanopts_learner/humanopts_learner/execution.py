@@ -110,6 +110,8 @@ class Execution(Generic[S]):
     :ivar games: (N,) their numbers.
     :ivar option: (N,) indices of the options that run; ``NONE``: a choice is due.
     :ivar decided: (M,) places among the N of the latest choices.
+    :ivar total: (N,) sum of r[i] of the newest run of each game.
+    :ivar discounted: (N,) sum of gamma**i * r[i] of it.
     """
 
     def __init__(
@@ -132,7 +134,7 @@ class Execution(Generic[S]):
         self.games = self.decided = np.arange(count)
         self.option = np.full(count, NONE, dtype=np.intp)
         self._ran, self._age = np.zeros((2, count), dtype=np.intp)
-        self._total, self._discounted = np.zeros((2, count))
+        self.total, self.discounted = np.zeros((2, count))
         self._unknown = np.zeros(count, dtype=np.bool_)
 
     def act(self, seen: S) -> Ints:
@@ -142,7 +144,7 @@ class Execution(Generic[S]):
             among = seen if len(due) == len(self.option) else seen.take(due)
             choice = self.policy.choose(among, self.games.take(due))
             self.option[due], self._unknown[due] = choice.option, choice.unknown
-            self._ran[due], self._total[due], self._discounted[due] = 0, 0.0, 0.0
+            self._ran[due], self.total[due], self.discounted[due] = 0, 0.0, 0.0
         return seen.action(self.option)
 
     def observe(self, seen: S, steps: Steps, cut_off: Flags | bool = False) -> Runs:
@@ -152,8 +154,8 @@ class Execution(Generic[S]):
         :param seen: of the games after the step.
         :param cut_off: (N,) whether each game ends here for a reason of its own.
         """
-        self._total += steps.reward
-        self._discounted += self._gamma**self._ran * steps.reward
+        self.total += steps.reward
+        self.discounted += self._gamma**self._ran * steps.reward
         self._ran += 1
         self._age += 1
         reached = seen.ends(self.option)
@@ -167,8 +169,8 @@ class Execution(Generic[S]):
             self.option.take(at),
             (self._age - self._ran).take(at),
             self._ran.take(at),
-            self._total.take(at),
-            self._discounted.take(at),
+            self.total.take(at),
+            self.discounted.take(at),
             reached.take(at),
             steps.over.take(at),
             stopped.take(at),
@@ -181,8 +183,8 @@ class Execution(Generic[S]):
         """Keep chosen games (M,) only."""
         self.games, self.option = self.games.take(chosen), self.option.take(chosen)
         self._ran, self._age = self._ran.take(chosen), self._age.take(chosen)
-        self._total = self._total.take(chosen)
-        self._discounted = self._discounted.take(chosen)
+        self.total = self.total.take(chosen)
+        self.discounted = self.discounted.take(chosen)
         self._unknown = self._unknown.take(chosen)
         if self._of_game is not None:
             self._of_game = self._of_game.take(chosen)

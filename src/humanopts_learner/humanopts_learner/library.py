@@ -55,27 +55,24 @@ class OptionLibrary:
         found = [o for o in self._options.values() if participant in ('', o.participant)]
         return sorted(found, key=lambda option: (option.name, option.participant))
 
-    def replace(self, options: Iterable[LearnedOption]) -> None:
+    def replace(self, options: Iterable[LearnedOption]) -> list[str]:
         """
-        Hold exactly these options; none is changed where one is refused.
+        Hold those of these options that can be run here, and no others.
 
-        :raises OptionError: one was learned in another domain, or is named like an action.
+        :return: why others cannot: they were learned in another domain, or are named like actions.
         """
-        kept = {}
+        self._options, faults = {}, []
         for option in options:
-            self.check(option)
-            kept[option.participant, option.name] = option
-        self._options = kept
-
-    def check(self, option: LearnedOption) -> None:
-        """
-        Check that an option can be held.
-
-        :raises OptionError: it was learned in another domain, or is named like an action.
-        """
-        option.check_domain(self.domain)
-        if option.name.startswith(PRIMITIVE_PREFIX):
-            raise OptionError(f'{option.name!r} is the name of a primitive action')
+            try:
+                option.check_domain(self.domain)
+            except OptionError as error:
+                faults.append(str(error))
+                continue
+            if option.name.startswith(PRIMITIVE_PREFIX):
+                faults.append(f'{option.name!r} is the name of a primitive action')
+            else:
+                self._options[option.participant, option.name] = option
+        return faults
 
     def resolve(self, name: str, participant: str = '') -> RunnableOption:
         """

@@ -1,30 +1,23 @@
 """
-Execution of one option, or of options as modules: the rules of the runner, without the graph.
+A run of one option, or of options as modules, in a live game: the rules of the runner.
 
-The caller asks for the next action, sends it to the game, and reports the state that it led to.
-Between two actions an ``Arbiter`` says whether a plan interrupts the option. It decides by
-``OptionValues``, which a message can carry, and as the vectorised play of plans does.
+``Execution`` knows them; between its ``act`` and ``observe`` lies the graph. An ``Arbiter`` says
+whether a plan interrupts the option, and which module acts. It decides by ``OptionValues``, which
+a message can carry, as the vectorised play of plans does.
 """
 
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from enum import IntEnum
+from dataclasses import dataclass
+from enum import Enum
 from typing import Any
 
-from humanopts_env.arrays import Flags, Floats, Ints
+from humanopts_env.arrays import Flags, Floats, Ints, Rows
 from humanopts_env.domains.base import ActableDomain, Domain, is_enumerable
 from humanopts_env.games import Steps
-from humanopts_learner.execution import (
-    Choice,
-    Execution,
-    Fixed,
-    RowOptions,
-    Seen,
-    SeenRows,
-)
+from humanopts_learner.execution import Execution, Fixed, RowOptions, SeenRows
 from humanopts_learner.library import RunnableOption
-from humanopts_learner.option import DrawnOption, Mode
+from humanopts_learner.option import DrawnOption, Option
 from humanopts_learner.options.learned_option import LearnedOption
 from humanopts_learner.options.rollout import is_deterministic
 from humanopts_learner.planning.action_set import ActionSet
@@ -33,59 +26,49 @@ from humanopts_learner.planning.request import Arbitration, MODULAR, PlanError
 from humanopts_learner.planning.sampled_policies import GreedyPolicy
 import numpy as np
 
-_ONE = np.zeros(1, dtype=np.intp)  # the number of the only game
+_ONE = np.zeros(1, dtype=np.intp)  # the number of the only game, and of its only option
 
 
-class RunStatus(IntEnum):
-    """How a run ended, or why it was refused; numbers as in ``OptionResult.msg``."""
+class RunStatus(Enum):
+    """How a run ended, or why it was refused; the names are those of OptionResult's constants."""
 
-    REACHED = 1
-    EPISODE_OVER = 2
-    MAX_STEPS = 3
-    NO_PROGRESS = 4
-    INTERRUPTED = 5
-    CANCELED = 6
-    BUSY = 7
-    UNKNOWN_OPTION = 8
-    NOT_AVAILABLE = 9
-    NO_EPISODE = 10
-    FAILED = 11
-    STOPPED_BY_PLAN = 12
-    EXECUTION_CHANGED = 13
-    NO_VALUES = 14
-    BAD_REQUEST = 15
+    REACHED = 'its termination condition holds'
+    EPISODE_OVER = 'the episode ended'
+    MAX_STEPS = 'it was cut off at its step limit'
+    NO_PROGRESS = 'the game did not answer before the deadline'
+    INTERRUPTED = 'a person or another node acted, or the game was reset'
+    CANCELED = 'it was canceled'
+    BUSY = 'refused: another run is under way'
+    UNKNOWN_OPTION = 'refused: there is no such option'
+    NOT_AVAILABLE = 'refused: the option cannot start in this state'
+    NO_EPISODE = 'refused: no episode is under way'
+    FAILED = 'it failed'
+    STOPPED_BY_PLAN = 'choosing anew is worth more than going on'
+    EXECUTION_CHANGED = 'the execution was changed'
+    NO_VALUES = 'refused: the option values of the plan are missing or do not fit'
+    BAD_REQUEST = 'refused'
 
-
-TEXT = {
-    RunStatus.REACHED: 'its termination condition holds',
-    RunStatus.EPISODE_OVER: 'the episode ended',
-    RunStatus.MAX_STEPS: 'it was cut off at its step limit',
-    RunStatus.NO_PROGRESS: 'the game did not answer before the deadline',
-    RunStatus.INTERRUPTED: 'a person or another node acted, or the game was reset',
-    RunStatus.CANCELED: 'it was canceled',
-    RunStatus.BUSY: 'refused: another run is under way',
-    RunStatus.UNKNOWN_OPTION: 'refused: there is no such option',
-    RunStatus.NOT_AVAILABLE: 'refused: the option cannot start in this state',
-    RunStatus.NO_EPISODE: 'refused: no episode is under way',
-    RunStatus.FAILED: 'it failed',
-    RunStatus.STOPPED_BY_PLAN: 'choosing anew is worth more than going on',
-    RunStatus.EXECUTION_CHANGED: 'the execution was changed',
-    RunStatus.NO_VALUES: 'refused: the option values of the plan are missing or do not fit',
-    RunStatus.BAD_REQUEST: 'refused',
-}
+    def explained(self, detail: str) -> str:
+        """Return the status in words, with more about it."""
+        return f'{self.value}: {detail}' if detail else self.value
 
 
-class RunError(RuntimeError):
-    """The methods of a run were called out of order, or a request is wrong; the text says how."""
+class RefusedError(PlanError):
+    """A run was refused; the text has the details."""
+
+    def __init__(self, status: RunStatus, detail: str = '') -> None:
+        super().__init__(detail)
+        self.status = status
 
 
 @dataclass(frozen=True)
 class RunResult:
-    """How a run ended; fields as in ``OptionResult.msg``."""
+    """How a run ended, or why it was refused; fields as in ``OptionResult.msg``."""
 
     status: RunStatus
     detail: str  # the status in words
     option_name: str
+    run_id: str = ''
     episode: int = 0
     first_step: int = 0
     step_count: int = 0  # k
@@ -94,29 +77,22 @@ class RunResult:
     final_state: str = ''  # in the domain's notation
     terminated: bool = False
     truncated: bool = False
-    acted: Mapping[str, int] = field(default_factory=dict)  # steps by the option that acted
+    execution: str = ''
+    acted_names: tuple[str, ...] = ()  # options that acted, in order of first use
+    acted_steps: tuple[int, ...] = ()  # of each
 
 
 def execution_named(name: str) -> Arbitration:
     """
     Return the execution of a name; an empty name means to run to the end.
 
-    :raises RunError: no execution has this name; the text lists them.
+    :raises RefusedError: no execution has this name; the text lists them.
     """
     try:
         return Arbitration(name or Arbitration.RUN_TO_END)
-    except ValueError as error:
-        known = ', '.join(execution.value for execution in Arbitration)
-        raise RunError(f'no execution {name!r}; there is {known}') from error
-
-
-def refusal(status: RunStatus, option_name: str, detail: str = '') -> RunResult:
-    """
-    Return the answer to a request that did not become a run.
-
-    :param detail: more about it, put after the status's own text.
-    """
-    return RunResult(status, _describe(status, detail), option_name)
+    except ValueError:
+        detail = f'no execution {name!r}; there is {", ".join(Arbitration)}'
+        raise RefusedError(RunStatus.BAD_REQUEST, detail) from None
 
 
 class Arbiter:
@@ -124,6 +100,7 @@ class Arbiter:
     Decides before each step, by the values of a plan, which option acts; nothing is drawn.
 
     :ivar execution: by which it decides.
+    :ivar modules: the options that compete in a modular execution.
     """
 
     def __init__(
@@ -140,16 +117,17 @@ class Arbiter:
         :raises PlanError: the values do not fit the domain.
         """
         self.execution, self._values, self._domain = execution, values, domain
-        self._options = options
-        among = [options[name] for name in values.names]
-        learned = [option for option in among if isinstance(option, LearnedOption)]
+        names = values.names
         if values.sampled:
+            among = [options[name] for name in names]
+            learned = [option for option in among if isinstance(option, LearnedOption)]
             actions = ActionSet(domain, values.action_set, learned)
-            if actions.names[: actions.first_fallback] != values.names:
+            if actions.names[: actions.first_fallback] != names:
                 raise PlanError(f'the values are not for the actions of {domain.name}')
-            self._policy = GreedyPolicy(actions, values, execution)
+            self._policy, names = GreedyPolicy(actions, values, execution), actions.names
         elif not is_enumerable(domain) or domain.n_states != len(values.states):
             raise PlanError(f'the values are not for every state of {domain.name}')
+        self.modules = [options[name] for name in names]
 
     def stops(self, state: Any, running: str) -> bool:
         """
@@ -167,15 +145,9 @@ class Arbiter:
         worse = interruptions(*self._values_at(state), self._values.interruption_margin)
         return bool(worse[0, option])
 
-    @property
-    def modules(self) -> list[RunnableOption]:
-        """The options of the plan, which compete in a modular execution."""
-        names = self._policy.actions.names if self._values.sampled else self._values.names
-        return [self._options[name] for name in names]
-
-    def module(self, state: Any) -> int:
+    def module(self, state: Any) -> RunnableOption:
         """
-        Return the index of the module that acts in a state in which the task is not over.
+        Return the module that acts in a state in which the task is not over.
 
         :raises PlanError: the execution is not modular.
         """
@@ -183,10 +155,10 @@ class Arbiter:
             raise PlanError(f'{self.execution} runs no modules')
         if self._values.sampled:
             seen = self._policy.actions.observe_state(state)
-            return int(self._policy.choose(seen, _ONE).option[0])
+            return self.modules[int(self._policy.choose(seen, _ONE).option[0])]
         row = self._domain.feature_values(state)[None]
         action = np.stack([module.action(row) for module in self.modules], axis=1)
-        return int(arbitrate(self.execution, *self._values_at(state), action)[0])
+        return self.modules[int(arbitrate(self.execution, *self._values_at(state), action)[0])]
 
     def _values_at(self, state: Any) -> tuple[Floats, Floats]:
         """Return the exact option and continuation values of a state, (1, O)."""
@@ -195,110 +167,101 @@ class Arbiter:
         return self._values.option_values[at], self._values.continuation_values[at]
 
 
-class _Modules:
-    """The policy of modules: in every step the arbiter chooses the one that acts."""
-
-    def __init__(self, arbiter: Arbiter) -> None:
-        self._arbiter = arbiter
-        self.state: Any = None
-
-    def choose(self, seen: Seen, games: Ints) -> Choice:
-        return Choice(np.array([self._arbiter.module(self.state)]))
-
-    def stops(self, seen: Seen, option: Ints) -> Flags | None:
-        return np.ones(len(option), dtype=np.bool_)
-
-
 class Run:
     """
-    One run of an option or of modules: ``begin``, then ``next_action`` and ``observe`` in turn.
+    One run of an option, or of the modules of a plan, from its first state.
 
-    It ends, in this order of precedence: REACHED where the option's termination condition holds,
-    which is looked at only after a step, even if the episode ends there too
-    (``RunResult.terminated`` and ``truncated`` tell); EPISODE_OVER where the episode ended, by the
-    task's end or at its step limit; MAX_STEPS after ``max_steps`` steps. Modules never reach an
-    end of their own.
+    Call ``next_action`` and ``observe`` in turn. It ends, in this order of precedence: REACHED
+    where the option's termination condition holds, which is looked at only after a step, even if
+    the episode ends there too (``RunResult.terminated`` and ``truncated`` tell); EPISODE_OVER
+    where the episode ended, by the task's end or at its step limit; MAX_STEPS after ``max_steps``
+    steps. Modules never reach an end of their own.
+
+    To ``Execution`` a run is an option itself, whichever module acts in it.
 
     :ivar name: of the option; empty for modules.
-    :ivar max_steps: 0: none but the domain's.
+    :ivar domain: of the game.
+    :ivar state: of the game.
     :ivar acting: the option that took the last action.
-    :ivar acted: steps by the name of the option that acted.
+    :ivar arbiter: may stop the option, and chooses the module that acts; None: nothing does.
     """
 
     def __init__(
         self,
-        runs: RunnableOption | Arbiter,
+        option: RunnableOption | None,
         domain: ActableDomain,
-        gamma: float,
+        state: Any,
+        position: tuple[int, int],
         max_steps: int = 0,
-        mode: Mode = Mode.GREEDY,
+        *,
+        arbiter: Arbiter | None = None,
         rng: np.random.Generator | None = None,
     ) -> None:
         """
-        Prepare a run.
+        Begin in a state of the game.
 
-        :param runs: an option; or the arbiter of a modular execution, for modules.
-        :param max_steps: 0: the option's own limit; for modules none but the domain's.
-        :param rng: what the sampled mode draws from; the greedy mode draws nothing.
-        :raises RunError: the sampled mode has nothing to draw from, max_steps is negative, or
-            modules would never be cut off.
+        :param option: None: the modules of the arbiter.
+        :param position: episode and step of the state; episode 0: none was begun yet.
+        :param max_steps: 0: the option's own limit; for modules the domain's.
+        :param rng: what the decisions of options are drawn from; None: they are greedy.
+        :raises RefusedError: it cannot run from here, or modules would never be cut off.
         """
-        if mode is Mode.SAMPLED and rng is None:
-            raise RunError('the sampled mode needs a random generator')
-        if max_steps < 0:
-            raise RunError(f'max_steps is {max_steps}, and must be 0 or greater')
-        self._policy: _Modules | Fixed
-        if isinstance(runs, Arbiter):
-            if not (max_steps or domain.max_steps):
-                raise RunError(f'{domain.name} never cuts an episode off: give max_steps')
-            self._policy = _Modules(runs)
-            self.name, self.max_steps, each = '', max_steps, runs.modules
-        else:
-            self._policy = Fixed(np.zeros(1, dtype=np.intp))
-            self.name, self.max_steps, each = runs.name, max_steps or runs.max_steps, [runs]
-        self._each, drawn = each, mode is Mode.SAMPLED
-        self._options = RowOptions(
-            [DrawnOption(option, rng) if drawn and rng else option for option in each]
-        )
-        limits = np.array([self.max_steps or np.iinfo(np.intp).max])
-        self._execution = Execution(self._options, self._policy, 1, gamma, limits)
-        self.acting = each[0]
-        self.step_count = 0
-        self.total_reward = 0.0
-        self.discounted_return = 0.0
-        self.acted: Counter[str] = Counter()
-        self._domain, self._gamma, self._mode = domain, gamma, mode
-        self._state: Any = None
-        self._episode = self._first_step = 0
+        self.name = '' if option is None else option.name
+        self.max_steps = max_steps or (domain if option is None else option).max_steps
+        if not self.max_steps:
+            detail = f'{domain.name} never cuts an episode off: give max_steps'
+            raise RefusedError(RunStatus.BAD_REQUEST, detail)
+        if not position[0] or domain.is_over(state):
+            raise RefusedError(RunStatus.NO_EPISODE)
+        self.domain, self._rng, self._modular = domain, rng, option is None
+        self.state, self._position, self.arbiter = state, position, arbiter
+        if option is None:
+            assert arbiter is not None
+            option = arbiter.modules[0]
+        self.acting = option
+        self._execution = Execution(RowOptions([self]), Fixed(_ONE), 1, domain.gamma)
+        self._acted: Counter[str] = Counter()
         self._terminated = self._truncated = False
         self._path: list[Any] = []  # states in which it acted
-        self._going = False
+        if not self._seen().startable[0, 0]:
+            raise RefusedError(RunStatus.NOT_AVAILABLE, domain.encode(state))
 
-    def begin(self, state: Any, episode: int, step: int) -> RunResult | None:
-        """
-        Start in a state of the game.
+    @property
+    def execution(self) -> Arbitration:
+        """The execution in force."""
+        return Arbitration.RUN_TO_END if self.arbiter is None else self.arbiter.execution
 
-        :param episode: number of the episode; 0: none was begun yet.
-        :return: the refusal, where it cannot run from here.
-        """
-        if self._path or self._going:
-            raise RunError('the run has begun already')
-        self._state, self._episode, self._first_step = state, episode, step
-        if episode == 0 or self._domain.is_over(state):
-            return self.end(RunStatus.NO_EPISODE)
-        if self.name and not self._seen().startable[0, 0]:
-            return self.end(RunStatus.NOT_AVAILABLE, self._domain.encode(state))
-        self._going = True
-        return None
+    @property
+    def position(self) -> tuple[int, int]:
+        """Episode and step of the state."""
+        episode, first_step = self._position
+        return episode, first_step + self.step_count
+
+    @property
+    def step_count(self) -> int:
+        """Number of steps so far."""
+        return len(self._path)
+
+    @property
+    def total_reward(self) -> float:
+        """Undiscounted return so far."""
+        return float(self._execution.total[0])
+
+    def can_start(self, rows: Rows) -> Flags:
+        return np.ones(1, dtype=np.bool_) if self._modular else self._decisions().can_start(rows)
+
+    def action(self, rows: Rows) -> Ints:
+        if self._modular:
+            assert self.arbiter is not None
+            self.acting = self.arbiter.module(self.state)
+        return self._decisions().action(rows)
+
+    def ends(self, rows: Rows) -> Flags:
+        return np.zeros(1, dtype=np.bool_) if self._modular else self._decisions().ends(rows)
 
     def next_action(self) -> int:
         """Return the index of the action to take now."""
-        self._check_going()
-        if isinstance(self._policy, _Modules):
-            self._policy.state = self._state
-        action = self._execution.act(self._seen())
-        self.acting = self._each[int(self._execution.option[0])]
-        return int(action[0])
+        return int(self._execution.act(self._seen())[0])
 
     def observe(
         self, state: Any, reward: float, terminated: bool, truncated: bool
@@ -310,77 +273,58 @@ class Run:
         :param truncated: the episode was cut off there.
         :return: how the run ended; None while it continues.
         """
-        self._check_going()
-        self._path.append(self._state)
-        self._state = state
-        self.total_reward += reward
-        self.discounted_return += self._gamma**self.step_count * reward
-        self.step_count += 1
-        self.acted[self.acting.name] += 1
-        self._terminated, self._truncated = terminated, truncated
+        self._path.append(self.state)
+        self.state, self._terminated, self._truncated = state, terminated, truncated
+        self._acted[self.acting.name] += 1
         steps = Steps(np.array([reward]), np.array([terminated]))
         ended = self._execution.observe(self._seen(), steps, truncated)
-        if self.name and ended.reached.any():
+        if ended.reached.any():
             return self.end(RunStatus.REACHED)
         if terminated or truncated:
             why = 'the task is over' if terminated else 'at its step limit'
             return self.end(RunStatus.EPISODE_OVER, why)
-        if self.step_count == self.max_steps:
-            return self.end(RunStatus.MAX_STEPS, self._cut_off())
-        return None
+        return self.end(RunStatus.MAX_STEPS, self._cut_off()) if ended.game.size else None
 
-    def stopped(self, arbiter: Arbiter) -> RunResult | None:
-        """
-        Ask a plan whether to stop the option before its next action, but not before the first.
-
-        :return: how the run ended; None while it continues.
-        """
-        self._check_going()
-        stops = arbiter.stops(self._state, self.name)
-        return self.end(RunStatus.STOPPED_BY_PLAN) if stops else None
+    def stopped(self) -> RunResult | None:
+        """Return how the run ends where the plan stops it before its next action; None: not."""
+        if self.arbiter is None or not self.arbiter.stops(self.state, self.name):
+            return None
+        return self.end(RunStatus.STOPPED_BY_PLAN)
 
     def end(self, status: RunStatus, detail: str = '') -> RunResult:
         """
-        End the run from outside: canceled, interrupted, no progress, failed.
+        Return how the run ended; from outside: canceled, interrupted, no progress, failed.
 
         :param detail: more about it, put after the status's own text.
         """
-        self._going = False
         return RunResult(
             status=status,
-            detail=_describe(status, detail),
+            detail=status.explained(detail),
             option_name=self.name,
-            episode=self._episode,
-            first_step=self._first_step,
+            episode=self._position[0],
+            first_step=self._position[1],
             step_count=self.step_count,
             total_reward=self.total_reward,
-            discounted_return=self.discounted_return,
-            final_state='' if self._state is None else self._domain.encode(self._state),
+            discounted_return=float(self._execution.discounted[0]),
+            final_state=self.domain.encode(self.state),
             terminated=self._terminated,
             truncated=self._truncated,
-            acted=dict(self.acted),
+            execution=self.execution,
+            acted_names=tuple(self._acted),
+            acted_steps=tuple(self._acted.values()),
         )
 
-    def _seen(self) -> SeenRows:
-        return SeenRows(self._options.options, self._domain.feature_values(self._state)[None])
+    def _decisions(self) -> Option:
+        """Return the option that acts, with its decisions drawn where they are not greedy."""
+        return self.acting if self._rng is None else DrawnOption(self.acting, self._rng)
 
-    def _check_going(self) -> None:
-        if not self._going:
-            raise RunError('the run has not begun, or has ended')
+    def _seen(self) -> SeenRows:
+        return SeenRows([self], self.domain.feature_values(self.state)[None])
 
     def _cut_off(self) -> str:
-        """Return the length of the run in words, and its circle if it certainly walked in one."""
-        text = f'{self.max_steps} steps'
-        certain = self._mode is Mode.GREEDY and is_deterministic(self._domain)
-        seen: dict[Any, int] = {}
-        for step, state in enumerate([*self._path, self._state]):
-            if state in seen and certain:
-                length = step - seen[state]
-                where = self._domain.encode(state)
-                return f'{text}; it walked in a circle of {length} through {where}'
-            seen[state] = step
+        """Return the length of the run in words, and the circle if it certainly walked in one."""
+        text, back = f'{self.max_steps} steps', self._path[::-1]
+        if self._rng is None and is_deterministic(self.domain) and self.state in back:
+            length, where = back.index(self.state) + 1, self.domain.encode(self.state)
+            text += f'; it walked in a circle of {length} through {where}'
         return text
-
-
-def _describe(status: RunStatus, detail: str) -> str:
-    return f'{TEXT[status]}: {detail}' if detail else TEXT[status]

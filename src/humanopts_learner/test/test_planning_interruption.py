@@ -368,7 +368,7 @@ class LiveGame:
                 self._run()
 
     def _module(self) -> None:
-        option = self._arbiter.modules[self._arbiter.module(self.state)]
+        option = self._arbiter.module(self.state)
         row = self._domain.feature_values(self.state)[None]
         self._step(option.name, int(option.action(row)[0]))
         self.decisions += 1
@@ -376,8 +376,8 @@ class LiveGame:
     def _run(self) -> None:
         """Run an option until it ends or is stopped."""
         name = self._plan.choose(self.state).name
-        run = Run(self._library.resolve(name), self._domain, self._plan.gamma)
-        assert run.begin(self.state, 1, len(self.actors)) is None
+        position = 1, len(self.actors)
+        run = Run(self._library.resolve(name), self._domain, self.state, position)
         self.decisions += 1
         while len(self.actors) < LIMIT:
             ended = self._step(name, run.next_action(), run)
@@ -455,7 +455,7 @@ def test_rulings_in_the_rooms_follow_the_policy_that_is_carried_out(
         state = ROOMS.state_at(index)
         if execution in MODULAR:
             winner = plan.names[acting.solution.best[index]]
-            assert plan.names[arbiter.module(state)] == winner
+            assert arbiter.module(state).name == winner
             continue
         for before, after in zip(plan.options, acting.options):
             if not before.termination[index]:

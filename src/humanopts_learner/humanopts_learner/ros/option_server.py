@@ -15,7 +15,7 @@ from humanopts_interfaces.srv import ListOptions, QueryOption, RunOption
 from humanopts_learner.library import OptionLibrary, taught_nothing, UnknownOptionError
 from humanopts_learner.option import Mode
 from humanopts_learner.options.files import load_options
-from humanopts_learner.options.learned_option import LearnedOption, OptionError
+from humanopts_learner.options.learned_option import LearnedOption
 from humanopts_learner.ros import OPTION_SERVER
 from humanopts_learner.ros.learned_options import OptionSubscriber
 from humanopts_learner.ros.runner import Runner, RunRequest
@@ -103,23 +103,14 @@ class OptionServerNode(NodeBase):
 
     def _serve(self) -> None:
         """Serve the options that fit the game, once it is known, and report the others."""
-        library, fitting = self._runner.library, []
-        if library is None:
-            return
-        for option in [*(self._learned or []), *self._automatic]:
-            try:
-                library.check(option)
-                fitting.append(option)
-            except OptionError as error:
-                self.get_logger().warning(f'not served: {error}')
-        library.replace(fitting)
+        for fault in self._runner.serve([*(self._learned or []), *self._automatic]):
+            self.get_logger().warning(f'not served: {fault}')
 
     async def _on_run(
         self, request: RunOption.Request, response: RunOption.Response
     ) -> RunOption.Response:
-        response.result = await self._run(
-            RunRequest(request, 'run_option', request.execution_sequence)
-        )
+        asked = RunRequest(request, 'run_option', request.execution_sequence)
+        response.result = await self._run(asked)
         return response
 
     async def _execute(self, handle: ServerGoalHandle) -> ExecuteOption.Result:

@@ -1,12 +1,11 @@
-"""The planner's actions with long computations, in worker threads: plan and extract_options."""
+"""The planner's actions: what all have in common, and those that compute for long."""
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable
 import concurrent.futures
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 import time
-from typing import Any, Generic, TypeVar
+from typing import Any, TypeVar
 import uuid
 
 from humanopts_env.domains.base import ActableDomain, Domain, DomainError
@@ -47,16 +46,13 @@ from humanopts_learner.ros.convert import (
 )
 from humanopts_learner.ros.learned_options import OptionPublisher
 from humanopts_ros.node_base import end_goal, NodeBase
-from humanopts_ros.publisher import StampedPublisher
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import CallbackGroup
 from rclpy.task import Future
 
-STOPS = 'the planner stops'
 _OPTIONS_SECONDS = 5.0  # s to wait for the options of a request
 _FEEDBACK_PERIOD = 0.1  # s
 T = TypeVar('T')
-ResultT = TypeVar('ResultT', PlanResult, ExtractionResult)
 
 
 @dataclass(frozen=True)
@@ -101,9 +97,17 @@ async def in_thread(node: NodeBase, pool: ThreadPoolExecutor, work: Callable[[],
     return task.result()
 
 
-class LongAction(ABC, Generic[ResultT]):
+class GoalError(Exception):
+    """A goal ends early; ``status`` is the name of a STATUS constant of its result."""
+
+    def __init__(self, status: str, detail: str) -> None:
+        super().__init__(detail)
+        self.status = status
+
+
+class GoalServer:
     """
-    An action with long computations, one goal at a time.
+    An action, one goal at a time; goals and results are published, also results of refusals.
 
     :ivar busy: whether a goal is executed.
     """
@@ -112,77 +116,73 @@ class LongAction(ABC, Generic[ResultT]):
     name: str  # of the action
     topics: str  # how the names of its topics of goals and results begin
     goal_kind: Any  # type of the messages on these topics, as ``result_kind``
-    result_kind: type[ResultT]
-    measured: tuple[str, ...]  # fields of the feedback, after its stage
-    goal_noun: str  # of "the planner is at work on another ..."
-    good: tuple[int, ...]  # statuses with which a goal succeeds
+    result_kind: Any
+    occupation: str  # of "the planner is at work on another ..."
 
     def __init__(self, node: NodeBase, group: CallbackGroup, state: PlannerState) -> None:
-        """Serve the action; the results of all goals are published, also of refused ones."""
         self.busy = False
         self._node, self._state = node, state
         self._goals = node.stamped_publisher(self.goal_kind, f'{self.topics}_goals')
-        results = node.stamped_publisher(self.result_kind, f'{self.topics}_results')
-        self._results: StampedPublisher[ResultT] = results
-        node.recorded_action(self.kind, self.name, self._execute, group)
+        self._results = node.stamped_publisher(self.result_kind, f'{self.topics}_results')
+        node.recorded_action(self.kind, self.name, self._execute, group, self.on_cancel)
 
-    @abstractmethod
-    def blank(self, goal: Any) -> ResultT:
-        """Return an empty result; status and detail are left to the caller."""
+    def blank(self, goal: Any) -> Any:
+        """Return an empty result, for a goal that is refused."""
+        raise NotImplementedError
 
-    @abstractmethod
-    async def work(
-        self,
-        domain: Domain[Any],
-        goal: Any,
-        result: ResultT,
-        progress: Callable[..., None],
-    ) -> ResultT:
+    async def work(self, handle: ServerGoalHandle, domain: Domain[Any], result: Any) -> Any:
         """
         Execute a goal, and return its result.
 
-        :param result: the result of ``blank``; it is sent where an error is raised.
-        :param progress: called with the stage and what is ``measured``; raises PlanCanceled.
-        :raises NoOptionsError: there are no options to plan with.
-        :raises PlanError: or DomainError: the request is invalid.
+        :param result: of ``blank``; filled in, it is also the result where an error is raised.
+        :raises GoalError: the goal ends early; PlanError, DomainError: it cannot be executed.
         """
+        raise NotImplementedError
+
+    def on_cancel(self, handle: ServerGoalHandle) -> None:
+        """React to the wish of the client."""
 
     async def _execute(self, handle: ServerGoalHandle) -> Any:
-        result = await self._carry_out(handle, self.blank(handle.request))
+        result, status = self.blank(handle.request), ''
+        try:
+            result = await self._carry_out(handle, result)
+        except GoalError as error:
+            status, result.detail = error.status, str(error)
+        except NoOptionsError as error:
+            status, result.detail = 'NO_OPTIONS', str(error)
+        except (PlanError, DomainError) as error:
+            status, result.detail = 'BAD_REQUEST', str(error)
+        except PlanCanceled:
+            status, result.detail = 'CANCELED', 'canceled by the client'
+            if self._state.stopping:
+                status, result.detail = 'FAILED', 'the planner stops'
+        except Exception as error:  # such as too little memory for the tables
+            status, result.detail = 'FAILED', repr(error)
+        if status:
+            result.status = getattr(result, f'STATUS_{status}')
         self._results.publish(result)
-        end_goal(handle, result.status in self.good, result.status == result.STATUS_CANCELED)
+        end_goal(handle, not status, status == 'CANCELED')
         return self.kind.Result(result=result)
 
-    async def _carry_out(self, handle: ServerGoalHandle, result: ResultT) -> ResultT:
+    async def _carry_out(self, handle: ServerGoalHandle, result: Any) -> Any:
         await self._node.provided()
         if self.busy:
-            result.status = result.STATUS_BUSY
-            result.detail = f'the planner is at work on another {self.goal_noun}'
-            return result
-        domain = self._state.domain
-        if domain is None:
-            result.status, result.detail = result.STATUS_FAILED, 'game has not announced itself'
-            return result
+            raise GoalError('BUSY', f'the planner is at work on another {self.occupation}')
+        if self._state.domain is None:
+            raise GoalError('FAILED', 'game has not announced itself')
         self.busy = True
         try:
-            domain = simulated(domain, f'a {self.goal_noun}')
-            return await self.work(domain, handle.request, result, self._progress(handle))
-        except NoOptionsError as error:
-            result.status, result.detail = PlanResult.STATUS_NO_OPTIONS, str(error)
-        except (PlanError, DomainError) as error:
-            result.status, result.detail = result.STATUS_BAD_REQUEST, str(error)
-        except PlanCanceled:
-            result.status, result.detail = result.STATUS_CANCELED, 'canceled by the client'
-            if self._state.stopping:
-                result.status, result.detail = result.STATUS_FAILED, STOPS
-        except Exception as error:  # such as too little memory for the tables
-            result.status, result.detail = result.STATUS_FAILED, repr(error)
+            domain = simulated(self._state.domain, f'a {self.occupation}')
+            return await self.work(handle, domain, result)
         finally:
             self.busy = False
-        return result
 
-    def _progress(self, handle: ServerGoalHandle) -> Callable[..., None]:
-        """Return a function that publishes feedback at the start of a stage and at intervals."""
+    def progress(self, handle: ServerGoalHandle, *measured: str) -> Callable[..., None]:
+        """
+        Return a function that publishes feedback at the start of a stage and at intervals.
+
+        :param measured: fields of the feedback, after its stage.
+        """
         known, due = '', 0.0
 
         def progress(stage: str, *numbers: Any) -> None:
@@ -192,43 +192,36 @@ class LongAction(ABC, Generic[ResultT]):
             now = time.monotonic()
             if stage != known or now >= due:
                 known, due = stage, now + _FEEDBACK_PERIOD
-                values = dict(zip(self.measured, numbers, strict=True))
+                values = dict(zip(measured, numbers, strict=True))
                 handle.publish_feedback(self.kind.Feedback(stage=stage, **values))
 
         return progress
 
 
-class PlanAction(LongAction[PlanResult]):
+class PlanServer(GoalServer):
     """Plans with an action set, and evaluates the plan if the goal has episodes."""
 
     kind, name, topics = Plan, 'plan', 'plan'
-    goal_kind, result_kind = PlanGoal, PlanResult
-    measured = ('progress', 'sweeps', 'residual')
-    goal_noun = 'plan'
-    good = (PlanResult.STATUS_CONVERGED, PlanResult.STATUS_NOT_CONVERGED)
+    goal_kind, result_kind, occupation = PlanGoal, PlanResult, 'plan'
 
     def blank(self, goal: Plan.Goal) -> PlanResult:
         return refused_plan(goal.action_set)
 
     async def work(
-        self,
-        domain: Domain[Any],
-        goal: Plan.Goal,
-        result: PlanResult,
-        progress: Callable[..., None],
+        self, handle: ServerGoalHandle, domain: Domain[Any], result: PlanResult
     ) -> PlanResult:
-        """
-        Plan with the options that the goal names.
-
-        :raises PlanError: the request is invalid, or its options were not received in time.
-        """
-        await self._wait_for_options(goal.options_sequence)
-        known = self._state.options(goal.action_set)
+        goal, state = handle.request, self._state
+        wanted = goal.options_sequence
+        await self._node.waiting.until(lambda: state.taught_sequence >= wanted, _OPTIONS_SECONDS)
+        if state.taught_sequence < wanted:
+            raise PlanError(f'learned_options {wanted} did not come, only {state.taught_sequence}')
+        known = state.options(goal.action_set)
         options = select_options(known, goal.action_set, goal.participant, goal.options)
         numbers = goal.gamma, goal.tolerance, goal.max_sweeps, goal.game_steps, goal.seed
         request = PlanRequest(goal.action_set, *numbers).in_force(domain, options)
-        result.plan_id = plan_id = str(uuid.uuid4())  # the result from here on
+        result.plan_id = plan_id = str(uuid.uuid4())
         self._goals.publish(plan_goal_to_message(goal, plan_id, request, options))
+        progress = self.progress(handle, 'progress', 'sweeps', 'residual')
 
         def compute() -> tuple[AnyPlan, Performance | None, Coverage | None]:
             plan, performance, coverage = make_plan(domain, options, request, progress), None, None
@@ -238,35 +231,18 @@ class PlanAction(LongAction[PlanResult]):
                 coverage = find_coverage(plan) if domain.max_steps else None
             return plan, performance, coverage
 
-        plan, performance, coverage = await in_thread(self._node, self._state.pool, compute)
+        plan, performance, coverage = await in_thread(self._node, state.pool, compute)
         made = MadePlan(plan, plan_id, goal.participant, known)
-        self._state.plans[goal.action_set, goal.participant] = made
+        state.plans[goal.action_set, goal.participant] = made
         return plan_to_message(plan, plan_id, performance, coverage)
 
-    async def _wait_for_options(self, sequence: int) -> None:
-        """
-        Wait until the options are at least as new as a goal requires.
 
-        :raises PlanError: they are not received in time.
-        """
-        state = self._state
-        come = await self._node.waiting.until(
-            lambda: state.taught_sequence >= sequence, _OPTIONS_SECONDS
-        )
-        if not come:
-            raise PlanError(
-                f'learned_options {sequence} did not come, only {state.taught_sequence}'
-            )
-
-
-class ExtractionAction(LongAction[ExtractionResult]):
+class ExtractionServer(GoalServer):
     """Searches for options; those of a participant replace the participant's older ones."""
 
     kind, name, topics = ExtractOptions, 'extract_options', 'extraction'
     goal_kind, result_kind = ExtractionGoal, ExtractionResult
-    measured = ('progress', 'game_steps')
-    goal_noun = 'search for options'
-    good = (ExtractionResult.STATUS_DONE,)
+    occupation = 'search for options'
 
     def __init__(self, node: NodeBase, group: CallbackGroup, state: PlannerState) -> None:
         super().__init__(node, group, state)
@@ -276,26 +252,17 @@ class ExtractionAction(LongAction[ExtractionResult]):
         return ExtractionResult(participant=goal.participant or f'{MACHINE}1')
 
     async def work(
-        self,
-        domain: Domain[Any],
-        goal: ExtractOptions.Goal,
-        result: ExtractionResult,
-        progress: Callable[..., None],
+        self, handle: ServerGoalHandle, domain: Domain[Any], result: ExtractionResult
     ) -> ExtractionResult:
-        """
-        Search for options.
-
-        :raises PlanError: the domain, or the participant's code, cannot be used for this.
-        """
+        goal, participant = handle.request, result.participant
         how = Extraction(
             options=goal.max_options or USUAL.options,
             tasks=goal.tasks or USUAL.tasks,
             train_episodes=goal.task_episodes or USUAL.train_episodes,
             option_episodes=goal.option_episodes or USUAL.option_episodes,
         )
-        participant = result.participant
         check_participant(participant)
-        result.extraction_id = str(uuid.uuid4())  # the result from here on
+        result.extraction_id = str(uuid.uuid4())
         self._goals.publish(
             ExtractionGoal(
                 extraction_id=result.extraction_id,
@@ -307,6 +274,7 @@ class ExtractionAction(LongAction[ExtractionResult]):
                 seed=goal.seed,
             )
         )
+        progress = self.progress(handle, 'progress', 'game_steps')
 
         def search() -> tuple[AutomaticOptions, list[LearnedOption]]:
             found = find_options(domain, goal.seed, how, progress)
@@ -314,8 +282,7 @@ class ExtractionAction(LongAction[ExtractionResult]):
 
         found, options = await in_thread(self._node, self._state.pool, search)
         others = [o for o in self._state.automatic if o.participant != participant]
-        self._state.automatic = [*others, *options]
-        known = self._state.automatic
+        self._state.automatic = known = [*others, *options]
         self._found.publish({(o.participant, o.name): option_to_json(o) for o in known})
         result.status = result.STATUS_DONE
         result.option_names = [option.name for option in options]

@@ -10,7 +10,7 @@ from humanopts_interfaces import msg
 from humanopts_learner.options.learned_option import LearnedOption
 from humanopts_learner.ros import PLANNER
 from humanopts_learner.ros.learned_options import OptionSubscriber
-from humanopts_learner.ros.planner_actions import ExtractionAction, PlanAction, PlannerState
+from humanopts_learner.ros.planner_actions import ExtractionServer, PlannerState, PlanServer
 from humanopts_learner.ros.policy_server import PolicyServer
 from humanopts_ros.node_base import NodeBase
 from humanopts_ros.process import run_node
@@ -29,7 +29,7 @@ class PlannerNode(NodeBase):
         OptionSubscriber(self, 'learned_options', self._on_options)
         shared = self, ReentrantCallbackGroup(), self._state
         self._policies = PolicyServer(*shared)
-        self._actions = PlanAction(*shared), ExtractionAction(*shared)
+        self._actions = self._policies, PlanServer(*shared), ExtractionServer(*shared)
 
     def waits_for(self) -> str | None:
         return None if self._state.domain is not None else 'domain_info'
@@ -38,9 +38,7 @@ class PlannerNode(NodeBase):
         """End the current goals, and answer their clients."""
         self._state.stopping = True
         self._policies.stop()
-        self.finish(
-            lambda: self._policies.busy or any(action.busy for action in self._actions), _FAREWELL
-        )
+        self.finish(lambda: any(action.busy for action in self._actions), _FAREWELL)
         self._state.pool.shutdown()
 
     def _on_domain(self, domain: ActableDomain) -> None:

@@ -5,6 +5,7 @@ import math
 from typing import Any
 import uuid
 
+from humanopts_env.domains.base import Domain
 from humanopts_interfaces.action import RunPolicy
 from humanopts_interfaces.msg import (
     ExecutionState,
@@ -17,12 +18,17 @@ from humanopts_interfaces.srv import ResetGame, RunOption, SetExecution
 from humanopts_learner.planning.evaluate import episode_start
 from humanopts_learner.planning.exact_plan import ExactPlan
 from humanopts_learner.planning.interruption import option_values
-from humanopts_learner.planning.plan import AnyPlan
-from humanopts_learner.planning.request import Arbitration, MODULAR, PRIMITIVE
+from humanopts_learner.planning.request import Arbitration, MODULAR, PlanCanceled, PRIMITIVE
 from humanopts_learner.ros.convert import option_values_to_message
-from humanopts_learner.ros.planner_actions import in_thread, MadePlan, PlannerState, STOPS
-from humanopts_learner.run import execution_named, RunError
-from humanopts_ros.node_base import end_goal, NodeBase
+from humanopts_learner.ros.planner_actions import (
+    GoalError,
+    GoalServer,
+    in_thread,
+    MadePlan,
+    PlannerState,
+)
+from humanopts_learner.run import execution_named, RefusedError, RunStatus
+from humanopts_ros.node_base import NodeBase
 from humanopts_ros.node_restarts import NodeRestarts
 from humanopts_ros.qos import LATCHED
 from rclpy.action.server import ServerGoalHandle
@@ -41,14 +47,6 @@ _GO_ON = (
 )
 
 
-class _Ended(Exception):  # noqa: N818 - no error: the run is over before its last episode
-    """The policy run has ended early, with a status of ``PolicyResult`` and the detail."""
-
-    def __init__(self, status: int, detail: str) -> None:
-        super().__init__(detail)
-        self.status, self.detail = status, detail
-
-
 @dataclass
 class _PolicyRun:
     """The policy run that is in progress."""
@@ -59,33 +57,9 @@ class _PolicyRun:
     result: PolicyResult
     limit: int  # decisions in an episode
     execution_sequence: int = 0  # of the ExecutionState with the execution
-    canceled: bool = False  # the client has canceled
-
-    def publish_feedback(self) -> None:
-        """Encode the progress of the run."""
-        result = self.result
-        self.handle.publish_feedback(
-            RunPolicy.Feedback(
-                episodes=result.episodes,
-                successes=result.successes,
-                fallbacks=result.fallbacks,
-                mean_return=result.mean_return,
-                interruptions=result.interruptions,
-                execution=self.execution,
-            )
-        )
-
-    def count(self, ran: OptionResult, decisions: int) -> None:
-        """Add the result of an option or of the modules."""
-        plan = self.made.plan
-        fallback = plan.names[plan.first_fallback :]
-        acted = zip(ran.acted_names, ran.acted_steps)
-        self.result.decisions += decisions
-        self.result.fallbacks += sum(steps for name, steps in acted if name in fallback)
-        self.result.interruptions += ran.status == OptionResult.STATUS_STOPPED_BY_PLAN
 
 
-class PolicyServer:
+class PolicyServer(GoalServer):
     """
     Plays episodes by the newest plans, one policy at a time.
 
@@ -94,86 +68,59 @@ class PolicyServer:
     execution can be changed here at any time, and takes effect from the next action on.
     """
 
+    kind, name, topics = RunPolicy, 'run_policy', 'policy'
+    goal_kind, result_kind, occupation = PolicyGoal, PolicyResult, 'policy run'
+
     def __init__(self, node: NodeBase, group: CallbackGroup, state: PlannerState) -> None:
-        self._node, self._state = node, state
+        super().__init__(node, group, state)
         self._run: _PolicyRun | None = None
         self._published = ''  # plan_id of the newest OptionValues
-        self._goals = node.stamped_publisher(PolicyGoal, 'policy_goals')
-        self._results = node.stamped_publisher(PolicyResult, 'policy_results')
         self._values = node.stamped_publisher(OptionValues, 'option_values', LATCHED)
         self._executions = node.stamped_publisher(ExecutionState, 'execution', LATCHED)
         self._restarts = NodeRestarts(node)
         self._reset_client = node.recorded_client(ResetGame, 'reset_game', group)
         self._run_client = node.recorded_client(RunOption, 'run_option', group)
-        node.recorded_action(RunPolicy, 'run_policy', self._execute, group, self._on_cancel)
         node.recorded_service(SetExecution, 'set_execution', self._on_set, group)
-
-    @property
-    def busy(self) -> bool:
-        return self._run is not None
 
     def stop(self) -> None:
         """End the run, because the node ends."""
         if self._run is not None:
             self._publish_execution(self._run, canceled=True)
 
-    async def _execute(self, handle: ServerGoalHandle) -> RunPolicy.Result:
-        goal: RunPolicy.Goal = handle.request
-        result = PolicyResult(
+    def blank(self, goal: RunPolicy.Goal) -> PolicyResult:
+        return PolicyResult(
             action_set=goal.action_set, mean_return=math.nan, mean_discounted_return=math.nan
         )
-        try:
-            self._run = run = self._check(handle, goal, result)
-            try:
-                await self._play(run, goal)
-                result.status = result.STATUS_DONE
-            finally:
-                self._run, result.execution = None, run.execution
-        except _Ended as end:
-            result.status, result.detail = end.status, end.detail
-        except Exception as error:  # such as no memory for the values of so many states
-            result.status, result.detail = result.STATUS_FAILED, repr(error)
-        self._results.publish(result)
-        canceled = result.status == PolicyResult.STATUS_CANCELED
-        end_goal(handle, result.status == PolicyResult.STATUS_DONE, canceled)
-        return RunPolicy.Result(result=result)
 
-    def _check(
-        self, handle: ServerGoalHandle, goal: RunPolicy.Goal, result: PolicyResult
-    ) -> _PolicyRun:
-        """
-        Return the run of a goal.
-
-        :raises _Ended: it cannot be played.
-        """
-        if self._run is not None:
-            raise _Ended(result.STATUS_BUSY, 'a policy is running already')
-        try:
-            execution = execution_named(goal.execution)
-        except RunError as error:
-            raise _Ended(result.STATUS_BAD_REQUEST, str(error)) from error
+    async def work(
+        self, handle: ServerGoalHandle, domain: Domain[Any], result: PolicyResult
+    ) -> PolicyResult:
+        goal = handle.request
+        execution = execution_named(goal.execution)
         made = self._state.plans.get((goal.action_set, goal.participant))
         if made is None:
-            text = f'there is no {goal.action_set!r} plan yet: plan it first'
-            raise _Ended(result.STATUS_NO_PLAN, text)
+            raise GoalError('NO_PLAN', f'there is no {goal.action_set!r} plan yet: plan it first')
         known = self._state.options(goal.action_set)
         if made.known_options is not known and goal.action_set != PRIMITIVE:
             text = 'the options changed since they were planned with: plan again'
-            raise _Ended(result.STATUS_NO_PLAN, text)
-        if goal.episodes == 0:
-            raise _Ended(result.STATUS_BAD_REQUEST, 'episodes is 0')
-        domain = made.plan.domain
+            raise GoalError('NO_PLAN', text)
         limit = goal.max_decisions or domain.max_steps
-        if not limit:
+        if not (goal.episodes and limit):
             text = f'{domain.name} never cuts an episode off: give max_decisions'
-            raise _Ended(result.STATUS_BAD_REQUEST, text)
-        return _PolicyRun(handle, made, execution, result, limit)
+            raise GoalError('BAD_REQUEST', text if goal.episodes else 'episodes is 0')
+        self._run = run = _PolicyRun(handle, made, execution, result, limit)
+        try:
+            await self._play(run, goal)
+        finally:
+            self._run, result.execution = None, run.execution
+        result.status = result.STATUS_DONE
+        return result
 
     async def _play(self, run: _PolicyRun, goal: RunPolicy.Goal) -> None:
         """
         Play all episodes.
 
-        :raises _Ended: the run ends before that.
+        :raises GoalError: the run ends before that.
         """
         result = run.result
         result.run_id = str(uuid.uuid4())
@@ -201,83 +148,83 @@ class PolicyServer:
             result.episodes += 1
             result.mean_return = math.fsum(totals) / len(totals)
             result.mean_discounted_return = math.fsum(discounted) / len(discounted)
-            run.publish_feedback()
+            run.handle.publish_feedback(
+                RunPolicy.Feedback(
+                    episodes=result.episodes,
+                    successes=result.successes,
+                    fallbacks=result.fallbacks,
+                    mean_return=result.mean_return,
+                    interruptions=result.interruptions,
+                    execution=run.execution,
+                )
+            )
 
     async def _play_episode(self, run: _PolicyRun, start: Any, seed: int) -> tuple[float, float]:
         """
         Play an episode; return its return and its discounted return.
 
-        :raises _Ended: the run ends before the episode does.
+        :raises GoalError: or PlanCanceled: the run ends before the episode does.
         """
-        plan = run.made.plan
-        episode = await self._reset(plan, start, seed)
+        plan, result = run.made.plan, run.result
+        begin = ResetGame.Request(
+            source=ResetGame.Request.SOURCE_MACHINE,
+            start_state=plan.domain.encode(start),
+            seed=seed,
+        )
+        begun = await self._node.answer(self._reset_client, begin, _RESET_SECONDS)
+        if begun is None:
+            raise GoalError('FAILED', 'game did not answer reset_game')
+        if begun.status == begun.STATUS_HELD_BY_PERSON:
+            raise GoalError('INTERRUPTED', begun.detail)
+        if begun.status != begun.STATUS_OK:
+            raise GoalError('FAILED', f'game refused to begin an episode: {begun.detail}')
         state, step, decided, total, discounted = start, 0, 0, 0.0, 0.0
         while decided < run.limit:
             self._check_wanted(run)
             modular = run.execution in MODULAR
             name = '' if modular else plan.choose(state).name
-            ran = await self._run_option(run, name, run.limit - decided, episode, step)
+            ran = await self._run_option(
+                RunOption.Request(
+                    option_name=name,
+                    participant=run.made.participant if name else '',
+                    max_steps=0 if name else run.limit - decided,
+                    episode=begun.episode,
+                    step=step,
+                    execution=run.execution,
+                    plan_id=run.made.plan_id,
+                    execution_sequence=run.execution_sequence,
+                )
+            )
             decisions = ran.step_count if modular else min(ran.step_count, 1)
-            run.count(ran, decisions)
             decided += decisions
+            result.decisions += decisions
+            fallback, acted = (
+                plan.names[plan.first_fallback :],
+                zip(ran.acted_names, ran.acted_steps),
+            )
+            result.fallbacks += sum(steps for each, steps in acted if each in fallback)
+            result.interruptions += ran.status == ran.STATUS_STOPPED_BY_PLAN
             total += ran.total_reward
             discounted += plan.gamma**step * ran.discounted_return
             step += ran.step_count
-            if ran.status == OptionResult.STATUS_INTERRUPTED:
-                raise _Ended(PolicyResult.STATUS_INTERRUPTED, ran.detail)
-            if ran.status == OptionResult.STATUS_CANCELED:
-                self._check_wanted(run)
+            if ran.status == ran.STATUS_INTERRUPTED:
+                raise GoalError('INTERRUPTED', ran.detail)
             if ran.status not in _GO_ON:
+                self._check_wanted(run)
                 what = repr(name) if name else run.execution
-                text = f'{what} in {ran.final_state!r}: {ran.detail}'
-                raise _Ended(PolicyResult.STATUS_FAILED, text)
+                raise GoalError('FAILED', f'{what} in {ran.final_state!r}: {ran.detail}')
             if ran.terminated or ran.truncated:
-                run.result.successes += ran.terminated
+                result.successes += ran.terminated
                 break
             state = plan.domain.decode(ran.final_state)
         return total, discounted
 
-    async def _reset(self, plan: AnyPlan, start: Any, seed: int) -> int:
-        """
-        Begin an episode; return its number.
-
-        :raises _Ended: the game does not begin one.
-        """
-        request = ResetGame.Request(
-            source=ResetGame.Request.SOURCE_MACHINE,
-            start_state=plan.domain.encode(start),
-            seed=seed,
-        )
-        answer = await self._node.answer(self._reset_client, request, _RESET_SECONDS)
-        if answer is None:
-            raise _Ended(PolicyResult.STATUS_FAILED, 'game did not answer reset_game')
-        if answer.status == ResetGame.Response.STATUS_HELD_BY_PERSON:
-            raise _Ended(PolicyResult.STATUS_INTERRUPTED, answer.detail)
-        if answer.status != ResetGame.Response.STATUS_OK:
-            text = f'game refused to begin an episode: {answer.detail}'
-            raise _Ended(PolicyResult.STATUS_FAILED, text)
-        return int(answer.episode)
-
-    async def _run_option(
-        self, run: _PolicyRun, name: str, left: int, episode: int, step: int
-    ) -> OptionResult:
+    async def _run_option(self, request: RunOption.Request) -> OptionResult:
         """
         Run an option, or all of them as modules.
 
-        :param name: of the option; empty: modules.
-        :param left: largest number of steps of the modules.
-        :raises _Ended: option_server does not answer.
+        :raises GoalError: option_server does not answer.
         """
-        request = RunOption.Request(
-            option_name=name,
-            participant=run.made.participant if name else '',
-            max_steps=0 if name else left,
-            episode=episode,
-            step=step,
-            execution=run.execution,
-            plan_id=run.made.plan_id,
-            execution_sequence=run.execution_sequence,
-        )
         counts, server = self._restarts.counts, 'option_server'
         before = counts[server]
         answer = await self._node.answer(
@@ -285,20 +232,18 @@ class PolicyServer:
         )
         if answer is None:
             what = 'was started again' if counts[server] != before else 'did not answer run_option'
-            raise _Ended(PolicyResult.STATUS_FAILED, f'{server} {what}')
+            raise GoalError('FAILED', f'{server} {what}')
         result: OptionResult = answer.result
         return result
 
     def _check_wanted(self, run: _PolicyRun) -> None:
         """
-        Check that the run is not canceled and the node goes on.
+        Check that the run is to go on.
 
-        :raises _Ended: it is canceled, or the node ends.
+        :raises PlanCanceled: its client has canceled it, or the node ends.
         """
-        if run.canceled:
-            raise _Ended(PolicyResult.STATUS_CANCELED, 'canceled by the client')
-        if self._state.stopping:
-            raise _Ended(PolicyResult.STATUS_FAILED, STOPS)
+        if run.handle.is_cancel_requested or self._state.stopping:
+            raise PlanCanceled
 
     async def _publish_values(self, made: MadePlan) -> None:
         """Send option_server the values for arbitration by a plan, unless it has them."""
@@ -331,12 +276,10 @@ class PolicyServer:
         if not canceled:
             run.execution_sequence = self._executions.sequence
 
-    def _on_cancel(self, handle: ServerGoalHandle) -> None:
+    def on_cancel(self, handle: ServerGoalHandle) -> None:
         """Stop the option or the modules that run, so that the run ends at once."""
-        run = self._run
-        if run is not None and run.handle is handle:
-            run.canceled = True
-            self._publish_execution(run, canceled=True)
+        if self._run is not None and self._run.handle is handle:
+            self._publish_execution(self._run, canceled=True)
 
     async def _on_set(
         self, request: SetExecution.Request, response: SetExecution.Response
@@ -345,14 +288,14 @@ class PolicyServer:
         run = self._run
         try:
             if not request.execution:
-                raise RunError('execution is empty')
+                raise RefusedError(RunStatus.BAD_REQUEST, 'execution is empty')
             execution = execution_named(request.execution)
             if run is not None and execution is not Arbitration.RUN_TO_END:
                 await self._publish_values(run.made)
-        except RunError as error:
+        except RefusedError as error:
             response.status, response.detail = response.STATUS_BAD_REQUEST, str(error)
             return response
-        except Exception as error:  # such as no memory for the values of so many states
+        except Exception as error:  # such as too little memory for the values
             response.status, response.detail = response.STATUS_FAILED, repr(error)
             return response
         if run is None or self._run is not run:
@@ -361,7 +304,7 @@ class PolicyServer:
             return response
         response.status, response.previous = response.STATUS_OK, run.execution
         if run.execution is not execution:
-            previous, run.execution = run.execution, execution
+            run.execution = execution
             run.result.execution_changes += 1
-            self._publish_execution(run, previous)
+            self._publish_execution(run, response.previous)
         return response

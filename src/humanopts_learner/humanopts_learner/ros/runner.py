@@ -1,12 +1,11 @@
 """
 The runner, which executes one run at a time over the graph, in lock-step with game.
 
-What it needs of the policy that ``planner`` runs, values and execution, it receives.
+It receives the option values of the policy that ``planner`` runs, and the execution in force.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
-from operator import is_
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field, replace
 import uuid
 
 from humanopts_env.domains.described import NeedsRulesError, simulated
@@ -24,17 +23,17 @@ from humanopts_interfaces.msg import (
     OptionValues,
 )
 from humanopts_interfaces.srv import RunOption
-from humanopts_learner.library import OptionLibrary, RunnableOption, UnknownOptionError
+from humanopts_learner.library import OptionLibrary, UnknownOptionError
 from humanopts_learner.option import Mode
+from humanopts_learner.options.learned_option import LearnedOption
 from humanopts_learner.planning.interruption import OptionValues as PlanValues
 from humanopts_learner.planning.request import Arbitration, MODULAR, PlanError
 from humanopts_learner.ros.convert import option_values_from_message
 from humanopts_learner.run import (
     Arbiter,
     execution_named,
-    refusal,
+    RefusedError,
     Run,
-    RunError,
     RunResult,
     RunStatus,
 )
@@ -46,36 +45,13 @@ from rclpy.task import Future
 
 _STOPS = 'option_server stops'
 _CHECK_PERIOD = 0.1  # s between checks of the deadline of a command
+_RESULT = Codec(RunResult, OptionResult)
 
 
-class RunCanceled(Exception):  # noqa: N818 - no error: the client has canceled
-    """A run was canceled, or the node ends, before its first action."""
-
-
-_RESULT = Codec(
-    RunResult,
-    OptionResult,
-    of_value=['acted'],
-    of_message=['run_id', 'execution', 'acted_names', 'acted_steps'],
-)
-
-
-def _result(end: RunResult, run_id: str = '', execution: str = '') -> OptionResult:
-    """
-    Encode how a run ended.
-
-    :param run_id: empty for a refusal.
-    :param execution: in force at the end; empty for a refusal.
-    """
-    names, steps = list(end.acted), list(end.acted.values())
-    ids = {'run_id': run_id, 'execution': execution}
-    return _RESULT.encode(end, **ids, acted_names=names, acted_steps=steps)
-
-
-@dataclass(frozen=True)
+@dataclass
 class RunRequest:
     """
-    The request of a run, from a service or an action.
+    The request of a run, from a service or an action, and the run once it has begun.
 
     :ivar via: name of the service or action.
     :ivar execution_sequence: of the ExecutionState with the execution; 0: it is fixed.
@@ -87,7 +63,7 @@ class RunRequest:
     via: str
     execution_sequence: int = 0
     canceled: Callable[[], bool] = lambda: False
-    on_step: Callable[[Run, Transition], None] = lambda run, state: None
+    on_step: Callable[[Run, Transition], object] = lambda run, state: None
 
 
 @dataclass
@@ -97,11 +73,6 @@ class _Active:
     run: Run
     run_id: str
     request: RunRequest
-    library: OptionLibrary
-    execution: Arbitration
-    arbiter: Arbiter | None  # it may stop the run
-    episode: int
-    step: int  # of the state that the current command answers
     done: Future = field(default_factory=Future)
     deadline: float = 0.0
     command: int = 0  # sequence of the command that the game has not answered yet
@@ -112,22 +83,17 @@ class PolicySubscriber:
 
     def __init__(self, node: NodeBase) -> None:
         self._node = node
-        self._message: OptionValues | None = None
+        self._message = OptionValues()
         self._values: PlanValues | None = None  # of the message
-        self._state: ExecutionState | None = None
-        self._arbiters: dict[Arbitration, Arbiter] = {}  # of the newest values, for these options
-        self._options: dict[str, RunnableOption] = {}
+        self._state = ExecutionState()
+        self.arbiters: dict[Arbitration, Arbiter] = {}  # of the newest values and options
         node.subscribe(OptionValues, 'option_values', self._read, self._on_values, CURRENT)
         node.subscribe(ExecutionState, 'execution', _checked, self._on_execution, CURRENT)
 
-    def has(self, plan_id: str) -> bool:
-        return self._message is not None and self._message.plan_id == plan_id
-
-    def newest(self) -> str:
-        """Return in words which plan the newest values belong to."""
-        if self._message is None:
-            return 'none came yet'
-        return f'the newest are those of {self._message.plan_id}'
+    @property
+    def plan_id(self) -> str:
+        """The plan that the newest values belong to; empty: none came yet."""
+        return str(self._message.plan_id)
 
     def arbiter(self, execution: Arbitration, library: OptionLibrary) -> Arbiter:
         """
@@ -136,35 +102,21 @@ class PolicySubscriber:
         :raises UnknownOptionError: an option of the plan is not in the library.
         :raises ValueError: the values do not fit the options or their domain.
         """
-        assert self._message is not None
-        assert self._values is not None
-        who, names = self._message.participant, [*self._message.names, *library.primitive_names]
-        options = {name: library.resolve(name, who) for name in names}
-        if not all(map(is_, options.values(), self._options.values())):
-            self._arbiters = {}  # options were taught anew
-        self._options = options
-        if execution not in self._arbiters:
+        if execution not in self.arbiters:
+            assert self._values is not None
+            who, names = (
+                self._message.participant,
+                [*self._message.names, *library.primitive_names],
+            )
+            options = {name: library.resolve(name, who) for name in names}
             domain = simulated(library.domain, execution.value)
-            self._arbiters[execution] = Arbiter(self._values, execution, domain, options)
-        return self._arbiters[execution]
+            self.arbiters[execution] = Arbiter(self._values, execution, domain, options)
+        return self.arbiters[execution]
 
-    def wanted(self, execution: Arbitration, sequence: int, plan_id: str) -> Arbitration:
-        """
-        Return the execution that is in force for a run.
-
-        :param execution: the execution in the request of the run.
-        :param sequence: of the ExecutionState of the request; 0: the execution never changes.
-        """
-        state = self._state
-        newer = state is not None and 0 < sequence < state.sequence
-        if state is None or not newer or state.plan_id != plan_id:
-            return execution
-        return Arbitration(state.execution)
-
-    def canceled(self, sequence: int) -> bool:
-        """Return whether the policy run of a run is to end; ``sequence`` as in ``wanted``."""
-        state = self._state
-        return state is not None and 0 < sequence < state.sequence and state.canceled
+    def newer(self, request: RunRequest) -> ExecutionState | None:
+        """Return the execution that was published after a request; None: it is as requested."""
+        newer = 0 < request.execution_sequence < self._state.sequence
+        return self._state if newer else None
 
     @staticmethod
     def _read(message: OptionValues) -> tuple[OptionValues, PlanValues]:
@@ -176,7 +128,7 @@ class PolicySubscriber:
         return message, option_values_from_message(message)
 
     def _on_values(self, read: tuple[OptionValues, PlanValues]) -> None:
-        (self._message, self._values), self._arbiters = read, {}
+        (self._message, self._values), self.arbiters = read, {}
         self._node.waiting.check()
 
     def _on_execution(self, message: ExecutionState) -> None:
@@ -226,6 +178,11 @@ class Runner:
         """Whether there is a run, or a request that waits for its first state."""
         return bool(self._taken_by)
 
+    def serve(self, options: Iterable[LearnedOption]) -> list[str]:
+        """Hold the options that fit the game, once it is known; return why others do not."""
+        self._policy.arbiters.clear()
+        return self.library.replace(options) if self.library is not None else []
+
     def newest_state(self) -> Observed | None:
         """Return the newest state of the game; None: none was published yet."""
         if self.library is not None and (observed := self._current.take()) is not None:
@@ -235,151 +192,127 @@ class Runner:
     def stop(self) -> None:
         """End the current run, or the wait for its first state, because the node ends."""
         self._stopping = True
-        if self._active is not None:
-            self._finish(self._active.run.end(RunStatus.FAILED, _STOPS))
+        self._finish(RunStatus.FAILED, _STOPS)
 
     async def run(self, request: RunRequest) -> OptionResult:
         """Execute a run to its end, or refuse it."""
-        if self._stopping:
-            return _refused(request, RunStatus.FAILED, _STOPS)
-        if self.library is None:
-            return _refused(request, RunStatus.NO_EPISODE, 'game has not announced itself')
-        if self._taken_by:
-            return _refused(request, RunStatus.BUSY, self._taken_by)
         try:
-            execution = _check(request.goal, self.library)
-            self._taken_by = request.goal.option_name or execution.value
-            return await self._drive(request, execution, self.library)
-        except RunCanceled:
-            if self._stopping:
-                return _refused(request, RunStatus.FAILED, _STOPS)
-            return _refused(request, RunStatus.CANCELED)
+            return _RESULT.encode(await self._run(request))
+        except RefusedError as error:
+            status, detail = error.status, str(error)
         except UnknownOptionError as error:
-            return _refused(request, RunStatus.UNKNOWN_OPTION, str(error))
-        except RunError as error:
-            return _refused(request, RunStatus.BAD_REQUEST, str(error))
+            status, detail = RunStatus.UNKNOWN_OPTION, str(error)
         except (NeedsRulesError, PlanError) as error:
-            return _refused(request, RunStatus.NO_VALUES, str(error))
+            status, detail = RunStatus.NO_VALUES, str(error)
+        name = request.goal.option_name
+        return _RESULT.encode(RunResult(status, status.explained(detail), name))
+
+    async def _run(self, request: RunRequest) -> RunResult:
+        """
+        Execute a run to its end.
+
+        :raises RefusedError: or UnknownOptionError, NeedsRulesError, PlanError: it cannot be.
+        """
+        if self._stopping:
+            raise RefusedError(RunStatus.FAILED, _STOPS)
+        if self.library is None:
+            raise RefusedError(RunStatus.NO_EPISODE, 'game has not announced itself')
+        if self._taken_by:
+            raise RefusedError(RunStatus.BUSY, self._taken_by)
+        execution = _check(request.goal, self.library)
+        self._taken_by = request.goal.option_name or execution.value
+        try:
+            run = await self._begin(request, execution, self.library)
+            self._active = active = _Active(run, str(uuid.uuid4()), request)
+            goal = request.goal
+            self._goals.publish(
+                OptionGoal(
+                    run_id=active.run_id,
+                    via=request.via,
+                    option_name=run.name,
+                    participant=goal.participant,
+                    max_steps=run.max_steps,
+                    execution=execution,
+                    plan_id=goal.plan_id,
+                )
+            )
+            self._send(active)
+            end: RunResult = await active.done
+            return replace(end, run_id=active.run_id)
         finally:
             self._taken_by = ''
 
-    async def _drive(
+    async def _begin(
         self, request: RunRequest, execution: Arbitration, library: OptionLibrary
-    ) -> OptionResult:
-        """Wait for the option values and the start state, and run from there."""
-        plan_id = request.goal.plan_id
-        if execution is not Arbitration.RUN_TO_END:
-            await self._wait(request, lambda: self._policy.has(plan_id))
-            if not self._policy.has(plan_id):
-                raise PlanError(
-                    f'the option values of plan {plan_id} did not come; {self._policy.newest()}'
-                )
-        state = await self._first_state(request)
-        if state is None:
-            return _refused(request, RunStatus.NO_EPISODE, self._missing(request))
-        if not state.transition.open:
-            return _refused(request, RunStatus.NO_EPISODE, 'the episode has ended')
-        position = _position(state)
-        run, arbiter = self._prepare(request, execution, library, position)
-        end = run.begin(state.state, *position)
-        if end is not None:
-            return _result(end)
-        run_id = str(uuid.uuid4())
-        self._active = active = _Active(
-            run, run_id, request, library, execution, arbiter, *position
-        )
-        self._announce(active)
-        self._send(active)
-        end = await active.done
-        return _result(end, run_id, active.execution)
+    ) -> Run:
+        """Wait for the option values and the start state; errors are those of ``_run``."""
+        goal, before = request.goal, self.newest_state()
+        arbitrated, wanted = execution is not Arbitration.RUN_TO_END, (goal.episode, goal.step)
+        values = self._policy
+        if arbitrated and not await self._wait(request, lambda: values.plan_id == goal.plan_id):
+            newest = (
+                f'the newest are those of {values.plan_id}' if values.plan_id else 'none came yet'
+            )
+            raise PlanError(f'the option values of plan {goal.plan_id} did not come; {newest}')
 
-    async def _wait(self, request: RunRequest, condition: Callable[[], bool]) -> None:
-        """
-        Wait for a condition of the start of a run, with a deadline.
-
-        :raises RunCanceled: the client has canceled, or the node ends.
-        """
-        await self._node.waiting.until(
-            lambda: condition() or self._stopping or self._canceled(request), self.patience
-        )
-        if self._stopping or self._canceled(request):
-            raise RunCanceled
-
-    async def _first_state(self, request: RunRequest) -> Observed | None:
-        """
-        Return the state that a run is to start from; None: it is not received in time.
-
-        :raises RunCanceled: the client has canceled.
-        """
-        before, wanted = self.newest_state(), (request.goal.episode, request.goal.step)
-
-        def is_here() -> bool:
-            state = self._state
-            return state is not None and wanted == _position(state)
-
-        def is_past() -> bool:  # a game that was restarted counts from 1
+        def is_here_or_past() -> bool:  # a game that was restarted counts from 1
             state = self._state
             if state is None:
                 return False
             newer = _position(state)[0] == wanted[0] or state is not before
-            return newer and wanted < _position(state)
+            return newer and wanted <= _position(state)
 
-        if not wanted[0]:
-            return before if before is not None and _position(before)[0] else None
-        await self._wait(request, lambda: is_here() or is_past())
-        return self._state if is_here() else None
-
-    def _missing(self, request: RunRequest) -> str:
-        """Return in words which state is missing."""
-        goal, state = request.goal, self._state
-        if state is None or not goal.episode:
-            return 'no state came from game'
-        return (
-            f'episode {goal.episode} step {goal.step} did not come; the game is at episode '
-            f'{state.transition.episode} step {state.transition.step}'
-        )
-
-    def _prepare(
-        self,
-        request: RunRequest,
-        execution: Arbitration,
-        library: OptionLibrary,
-        position: tuple[int, int],
-    ) -> tuple[Run, Arbiter | None]:
-        """Return the run, and the arbiter that may stop it; errors are those of ``run``."""
-        goal, domain = request.goal, library.domain
-        rng = generator(self._seed, 'run', goal.option_name or execution, *position)
-        rest = domain, domain.gamma, goal.max_steps, self._mode, rng
-        arbiter = None
-        if execution is not Arbitration.RUN_TO_END:
-            arbiter = self._policy.arbiter(execution, library)
-        if arbiter is not None and execution in MODULAR:
-            return Run(arbiter, *rest), None
-        return Run(library.resolve(goal.option_name, goal.participant), *rest), arbiter
-
-    def _announce(self, active: _Active) -> None:
-        """Publish that a run begins."""
-        self._goals.publish(
-            OptionGoal(
-                run_id=active.run_id,
-                via=active.request.via,
-                option_name=active.run.name,
-                participant=active.request.goal.participant,
-                max_steps=active.run.max_steps,
-                execution=active.execution,
-                plan_id=active.request.goal.plan_id,
+        if goal.episode:
+            await self._wait(request, is_here_or_past)
+        state = self._state
+        if state is None or not _position(state)[0]:
+            raise RefusedError(RunStatus.NO_EPISODE, 'no state came from game')
+        here = _position(state)
+        if goal.episode and here != wanted:
+            raise RefusedError(
+                RunStatus.NO_EPISODE,
+                f'episode {goal.episode} step {goal.step} did not come; the game is at episode '
+                f'{here[0]} step {here[1]}',
             )
+        if not state.transition.open:
+            raise RefusedError(RunStatus.NO_EPISODE, 'the episode has ended')
+        named = execution not in MODULAR
+        rng = generator(self._seed, 'run', goal.option_name or execution, *here)
+        return Run(
+            library.resolve(goal.option_name, goal.participant) if named else None,
+            library.domain,
+            state.state,
+            here,
+            goal.max_steps,
+            arbiter=self._policy.arbiter(execution, library) if arbitrated else None,
+            rng=rng if self._mode is Mode.SAMPLED else None,
         )
+
+    async def _wait(self, request: RunRequest, condition: Callable[[], bool]) -> bool:
+        """
+        Wait for a condition of the start of a run, with a deadline; return whether it holds.
+
+        :raises RefusedError: the client has canceled, or the node ends.
+        """
+        await self._node.waiting.until(
+            lambda: condition() or self._stopping or self._canceled(request), self.patience
+        )
+        if self._stopping:
+            raise RefusedError(RunStatus.FAILED, _STOPS)
+        if self._canceled(request):
+            raise RefusedError(RunStatus.CANCELED)
+        return condition()
 
     def _send(self, active: _Active) -> None:
         """Send the next action to game."""
-        action = active.library.domain.actions[active.run.next_action()].name
+        run = active.run
+        episode, step = run.position
         command = ActionCommand(
             source=ActionCommand.SOURCE_MACHINE,
-            episode=active.episode,
-            step=active.step,
-            action=action,
-            option_name=active.run.acting.name,
+            episode=episode,
+            step=step,
+            action=run.domain.actions[run.next_action()].name,
+            option_name=run.acting.name,
         )
         active.deadline = self._node.monotonic() + self._pace.step_period + self.patience
         self._actions.publish(command)
@@ -387,65 +320,63 @@ class Runner:
 
     def _on_state(self, observed: Observed) -> None:
         """Handle the next state; ``current_state`` repeats those of ``game_state``."""
-        known, (episode, step) = self._state, _position(observed)
+        known, here = self._state, _position(observed)
         same_game = known is not None and known.publisher_id == observed.publisher_id
-        if known is not None and same_game and (episode, step) <= _position(known):
+        if known is not None and same_game and here <= _position(known):
             return
         self._state = observed
         self._node.waiting.check()
         active = self._active
         if active is None:
             return
+        position = active.run.position
         if not same_game:
-            self._finish(active.run.end(RunStatus.INTERRUPTED, 'the game was started again'))
-        elif episode != active.episode:
-            self._finish(active.run.end(RunStatus.INTERRUPTED, 'the game was reset'))
-        elif step > active.step:
+            self._finish(RunStatus.INTERRUPTED, 'the game was started again')
+        elif here[0] != position[0]:
+            self._finish(RunStatus.INTERRUPTED, 'the game was reset')
+        elif here > position:
             self._on_step(active, observed)
 
     def _on_step(self, active: _Active, observed: Observed) -> None:
         """Handle the state that the current command led to, or that another driver's led to."""
-        led = observed.transition
+        led, run = observed.transition, active.run
         mine = led.action_publisher_id == self._node.publisher_id
         if not mine or led.action_sequence != active.command:
             text = f'{shown(led.action_publisher_id)} took {led.previous_action}'
-            self._finish(active.run.end(RunStatus.INTERRUPTED, text))
+            self._finish(RunStatus.INTERRUPTED, text)
             return
-        active.step = led.step
-        end = active.run.observe(observed.state, led.reward, led.terminated, led.truncated)
-        active.request.on_step(active.run, led)
+        end = run.observe(observed.state, led.reward, led.terminated, led.truncated)
+        active.request.on_step(run, led)
         end = end or self._stopped(active)
         if end is not None:
-            self._finish(end)
+            self._active = None
+            active.done.set_result(end)
         else:
             self._send(active)
 
     def _stopped(self, active: _Active) -> RunResult | None:
         """Return how the run ends before its next command; None: it continues."""
-        run, request, before = active.run, active.request, active.execution
+        run, request, plan_id = active.run, active.request, active.request.goal.plan_id
         if self._canceled(request):
             return run.end(RunStatus.CANCELED)
-        plan_id = request.goal.plan_id
-        wanted = self._policy.wanted(before, request.execution_sequence, plan_id)
-        if wanted is not before:
-            if wanted in MODULAR or before in MODULAR:
-                return run.end(RunStatus.EXECUTION_CHANGED, f'from {before} to {wanted}')
+        newer, before = self._policy.newer(request), run.execution
+        if newer is None or newer.plan_id != plan_id or newer.execution == before:
+            return run.stopped()
+        wanted = Arbitration(newer.execution)
+        if wanted in MODULAR or before in MODULAR:
+            return run.end(RunStatus.EXECUTION_CHANGED, f'from {before} to {wanted}')
+        if wanted is Arbitration.RUN_TO_END:
+            run.arbiter = None
+        elif self._policy.plan_id == plan_id and self.library is not None:
             try:
-                self._change(active, wanted)
+                run.arbiter = self._policy.arbiter(wanted, self.library)
             except ValueError as error:  # the options were taught anew meanwhile
                 return run.end(RunStatus.FAILED, str(error))
-        return run.stopped(active.arbiter) if active.arbiter is not None else None
-
-    def _change(self, active: _Active, wanted: Arbitration) -> None:
-        """Change the execution of an option, unless the values for it are not received yet."""
-        if wanted is Arbitration.RUN_TO_END:
-            active.execution, active.arbiter = wanted, None
-        elif self._policy.has(active.request.goal.plan_id):
-            active.arbiter = self._policy.arbiter(wanted, active.library)
-            active.execution = wanted
+        return run.stopped()
 
     def _canceled(self, request: RunRequest) -> bool:
-        return request.canceled() or self._policy.canceled(request.execution_sequence)
+        newer = self._policy.newer(request)
+        return request.canceled() or (newer is not None and newer.canceled)
 
     def _on_refusal(self, message: ActionRefusal) -> None:
         """End the run because the game refused its command."""
@@ -455,7 +386,7 @@ class Runner:
             return
         interrupted = (ActionRefusal.REASON_HELD_BY_PERSON, ActionRefusal.REASON_STALE)
         status = RunStatus.INTERRUPTED if message.reason in interrupted else RunStatus.FAILED
-        self._finish(active.run.end(status, message.detail))
+        self._finish(status, message.detail)
 
     def _on_control(self, control: ControlState) -> None:
         """Begin the deadline of a command anew where the pace has changed."""
@@ -470,12 +401,13 @@ class Runner:
         if active is None or self._pace.paused_by:
             return
         if self._node.monotonic() > active.deadline:
-            self._finish(active.run.end(RunStatus.NO_PROGRESS, f'{self.patience:g} s'))
+            self._finish(RunStatus.NO_PROGRESS, f'{self.patience:g} s')
 
-    def _finish(self, end: RunResult) -> None:
+    def _finish(self, status: RunStatus, detail: str) -> None:
+        """End the current run from outside, where there is one."""
         active, self._active = self._active, None
         if active is not None:
-            active.done.set_result(end)
+            active.done.set_result(active.run.end(status, detail))
 
 
 def _position(observed: Observed) -> tuple[int, int]:
@@ -487,31 +419,27 @@ def _check(goal: RunOption.Request | ExecuteOption.Goal, library: OptionLibrary)
     """
     Check the parts of a request that do not depend on the start state.
 
-    :raises RunError: the request is invalid.
+    :raises RefusedError: the request is invalid.
     :raises UnknownOptionError: there is no such option.
     """
     execution = execution_named(goal.execution)
+    fault = ''
     if execution is not Arbitration.RUN_TO_END and not goal.plan_id:
-        raise RunError(f'{execution} needs the values of a plan: give its plan_id')
-    if execution not in MODULAR:
+        fault = f'{execution} needs the values of a plan: give its plan_id'
+    elif execution not in MODULAR:
         library.resolve(goal.option_name, goal.participant)
     elif goal.option_name or goal.participant:
-        raise RunError(f'{execution} runs all options of the plan: leave option_name empty')
+        fault = f'{execution} runs all options of the plan: leave option_name empty'
+    if fault:
+        raise RefusedError(RunStatus.BAD_REQUEST, fault)
     return execution
-
-
-def _refused(request: RunRequest, status: RunStatus, detail: str = '') -> OptionResult:
-    return _result(refusal(status, request.goal.option_name, detail))
 
 
 def _checked(message: ExecutionState) -> ExecutionState:
     """
     Return the message.
 
-    :raises ValueError: its execution does not exist.
+    :raises RefusedError: its execution does not exist.
     """
-    try:
-        execution_named(message.execution)
-    except RunError as error:
-        raise ValueError(str(error)) from None
+    execution_named(message.execution)
     return message
