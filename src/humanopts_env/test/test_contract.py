@@ -1,6 +1,6 @@
 """Our domains and reference options keep their contracts, and breaches of a promise are found."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 import itertools
@@ -8,7 +8,9 @@ from pathlib import Path
 import time
 from typing import Any, cast
 
+from humanopts_env import testing
 from humanopts_env.board import Board
+from humanopts_env.domains import check
 from humanopts_env.domains.base import (
     Action,
     Domain,
@@ -17,9 +19,8 @@ from humanopts_env.domains.base import (
     is_enumerable,
     Outcome,
 )
-from humanopts_env.domains.check import check_domain, ContractError
+from humanopts_env.domains.check import check_domain, ContractError, Evidence
 from humanopts_env.domains.pacman.domain import PacMan
-from humanopts_env.domains.reference import ReferenceOption
 from humanopts_env.domains.rooms import Rooms
 from humanopts_env.domains.taxi import Taxi, TaxiState
 from humanopts_env.domains.taxi_reference import reference_options
@@ -139,52 +140,48 @@ WORTHLESS = broken(step=step_with(lambda outcome: replace(outcome, reward=float(
 
 
 @pytest.mark.parametrize(
-    ('breach', 'test', 'text'),
+    ('breach', 'claim', 'text'),
     [
-        (DICE, 'the_same_seed_plays_the_same_game', 'not the same again with the same generator'),
-        (DICE, 'steps_agree_with_the_transitions', ''),
-        (ENDLESS, 'no_step_is_taken_after_the_end', 'it takes a step after the end'),
-        (UNNAMED, 'names_keys_and_questions_are_distinct_and_well_formed', 'have one name'),
-        (TWO_KEYS, 'names_keys_and_questions_are_distinct_and_well_formed', 'have one key'),
+        (DICE, check.the_same_generator_gives_the_same_step, 'not the same again'),
+        (DICE, testing.tables_agree_with_states_and_steps, 'is not in the transitions'),
+        (ENDLESS, check.no_step_is_taken_after_the_end, 'it takes a step after the end'),
+        (UNNAMED, check.names_and_numbers_are_usable, 'two features have one name'),
+        (TWO_KEYS, check.names_and_numbers_are_usable, 'two actions have one key'),
         (
             NARROW,
-            'a_state_has_feature_values_and_a_text',
+            check.a_state_has_a_text_features_and_a_board,
             r'taxi_row is 4 in .* out of its range 0\.\.3',
         ),
-        (RAISING, '', 'it raised ZeroDivisionError: division by zero'),
-        (READER, 'text_that_is_no_state_is_refused', 'it reads "no state at all" as a state'),
-        (LENIENT, 'text_that_is_no_state_is_refused', ''),
-        (OBLIGING, 'an_action_that_is_not_in_the_domain_is_refused', 'takes the action -1, of 6'),
-        (JUMPY, 'what_a_step_did_can_follow', 'can_follow denies'),
-        (CREDULOUS, 'what_a_step_did_can_follow', ''),
-        (SUDDEN, 'what_a_step_did_can_follow', 'is_over disagree'),
-        (WORTHLESS, 'what_a_step_did_can_follow', 'has the reward nan'),
-        (TELLTALE, 'the_board_shows_nothing_else', ''),
-        (OUTSIDE, 'what_is_on_the_board_is_in_its_cells', 'is drawn outside the board'),
-        (OPEN, 'layouts_are_those_of_the_board', ''),
-        (SILENT, 'a_state_has_feature_values_and_a_text', 'is drawn as nothing'),
-        (BLIND, 'the_board_shows_all_that_may_be_seen', ''),
-        (MUTABLE, 'tables_have_their_shapes_and_cannot_be_changed', ''),
-        (TORN, 'tables_agree_with_the_states', ''),
+        (READER, check.other_actions_and_texts_are_refused, ' as a state'),
+        (LENIENT, check.other_actions_and_texts_are_refused, ' as a state'),
+        (OBLIGING, check.other_actions_and_texts_are_refused, 'it takes the action -1, of 6'),
+        (JUMPY, check.a_step_can_follow_and_says_whether_the_task_is_over, 'can_follow denies'),
+        (CREDULOUS, testing.not_every_state_can_follow, 'any state can follow'),
+        (SUDDEN, check.a_step_can_follow_and_says_whether_the_task_is_over, 'is_over disagree'),
+        (WORTHLESS, check.a_step_can_follow_and_says_whether_the_task_is_over, 'reward nan'),
+        (TELLTALE, testing.a_board_shows_the_features_that_it_may_and_nothing_else, 'shows more'),
+        (BLIND, testing.a_board_shows_the_features_that_it_may_and_nothing_else, 'cannot be seen'),
+        (OUTSIDE, check.a_state_has_a_text_features_and_a_board, 'is drawn outside the board'),
+        (OPEN, testing.layouts_are_those_of_the_board, 'a wall or a step too many'),
+        (SILENT, check.a_state_has_a_text_features_and_a_board, 'is drawn as nothing'),
+        (MUTABLE, testing.tables_agree_with_states_and_steps, 'over can be written to'),
+        (TORN, testing.tables_agree_with_states_and_steps, 'feature_table differs'),
     ],
 )
 def test_a_broken_promise_is_found(
-    breach: Callable[[], Domain[Any]], test: str, text: str
+    breach: Callable[[], Domain[Any]], claim: check.Claim, text: str
 ) -> None:
-    """
-    Each breach fails the test that is named for it, and gross ones are refused by name.
-
-    :param test: of the contract; empty: the error ends the tests as it is.
-    :param text: of the refusal; empty: the quick check does not see it.
-    """
-    if test:
-        suite = DomainContract()
-        suite.make = breach  # type: ignore[method-assign]
-        with pytest.raises(AssertionError):
-            getattr(suite, f'test_{test}')()
-    if text:
+    """Each by the claim that is named for it, in words; a domain with a gross one is refused."""
+    with pytest.raises(AssertionError, match=text):
+        claim(Evidence(breach(), testing.STEPS, testing.SAMPLES))
+    if claim in check.CLAIMS:
         with pytest.raises(ContractError, match=f'^taxi breaks the contract of domains: .*{text}'):
             check_domain(breach(), 'taxi')
+
+
+def test_a_domain_that_raises_is_refused() -> None:
+    with pytest.raises(ContractError, match='it raised ZeroDivisionError: division by zero'):
+        check_domain(RAISING(), 'taxi')
 
 
 def test_a_domain_that_calls_itself_otherwise_is_refused() -> None:
@@ -228,30 +225,31 @@ for _name, _make in REFERENCES.items():
     globals()[f'TestReferencesOf{_name}'] = pytest.mark.heavy(_suite)
 
 
-@pytest.mark.heavy
+NOWHERE, NEVER = np.zeros(500, dtype=np.bool_), np.zeros((500, 6), dtype=np.bool_)
+
+
 @pytest.mark.parametrize(
-    ('test', 'change'),
+    ('claim', 'change'),
     [
-        ('test_a_person_can_be_told_what_each_means', {'definition': ''}),
-        ('test_a_person_can_be_told_what_each_means', {'features': PICKUP.features[::-1]}),
-        ('test_a_person_can_be_told_what_each_means', {'name': 'Pickup'}),
-        ('test_each_can_start_somewhere', {'initiation': np.zeros(500, dtype=np.bool_)}),
-        ('test_it_acts_where_it_can_start', {'optimal': np.zeros((500, 6), dtype=np.bool_)}),
-        ('test_it_acts_where_it_can_start', {'termination': np.zeros(500, dtype=np.bool_)}),
-        ('test_its_features_tell_where', {'features': ('taxi_row',)}),
-        ('test_every_run_comes_to_its_end', {'optimal': PICKUP.initiation[:, None] & ONLY_SOUTH}),
+        (testing.each_has_a_name_a_definition_and_features_in_order, {'definition': ''}),
+        (
+            testing.each_has_a_name_a_definition_and_features_in_order,
+            {'features': PICKUP.features[::-1]},
+        ),
+        (testing.each_has_a_name_a_definition_and_features_in_order, {'name': 'Pickup'}),
+        (testing.each_acts_where_it_can_start_and_has_ended_elsewhere, {'initiation': NOWHERE}),
+        (testing.each_acts_where_it_can_start_and_has_ended_elsewhere, {'optimal': NEVER}),
+        (testing.each_acts_where_it_can_start_and_has_ended_elsewhere, {'termination': NOWHERE}),
+        (testing.its_features_tell_where_each_starts_and_ends, {'features': ('taxi_row',)}),
+        (
+            testing.every_run_comes_to_its_end,
+            {'optimal': PICKUP.initiation[:, None] & ONLY_SOUTH},
+        ),
     ],
 )
-def test_what_breaks_the_contract_of_options_is_found(test: str, change: dict[str, Any]) -> None:
+def test_what_breaks_the_contract_of_options_is_found(
+    claim: Callable[[testing.OptionEvidence], None], change: dict[str, Any]
+) -> None:
     broken = replace(PICKUP, **change)
-
-    class Suite(ReferenceContract):
-        def make(self) -> Domain[Any]:
-            return Taxi()
-
-        def options(self, domain: Domain[Any]) -> Mapping[str, ReferenceOption]:
-            return {broken.name: broken}
-
-    (name,) = [name for name in dir(Suite) if name.startswith(test)]
     with pytest.raises(AssertionError):
-        getattr(Suite(), name)()
+        claim(testing.OptionEvidence(Taxi(), {broken.name: broken}))

@@ -5,12 +5,11 @@ from humanopts_env.domains.capabilities import feature_groups
 from humanopts_env.domains.pacman.domain import PacMan
 from humanopts_env.domains.pacman.games import (
     arrival_steps,
+    PacManGames,
     PLANNING_FEATURES,
-    planning_features,
     sample_games,
 )
 from humanopts_env.domains.pacman.paths import STAY
-from humanopts_env.domains.pacman.rules import PacManBatch
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.seeding import generator
 import pytest
@@ -121,8 +120,7 @@ def test_masks_and_directions_have_no_order() -> None:
 
 def buckets_of(text: str) -> dict[str, int]:
     """Return the planning features of one state."""
-    batch = PacManBatch.from_states(DOMAIN.rules, [DOMAIN.decode(text)])
-    values = planning_features(batch)[0].tolist()
+    values = DOMAIN.games([DOMAIN.decode(text)]).planning_features()[0].tolist()
     return dict(zip(PLANNING_FEATURES, values))
 
 
@@ -169,8 +167,9 @@ def test_nobody_arrives_sooner_than_by_a_shortest_path() -> None:
 
 @pytest.mark.parametrize('maze', ['gardens', 'yard', '%%%%%\n%P..%\n%%%%%'])
 def test_planning_features_are_within_their_buckets(maze: str) -> None:
-    batch = sample_games(PacMan(maze).rules, generator(0, 'buckets'), 500)
-    values = planning_features(batch)
+    domain = PacMan(maze)
+    batch = sample_games(domain.rules, generator(0, 'buckets'), 500)
+    values = PacManGames(domain, batch).planning_features()
     assert (
         (values >= 0) & (values < [len(edges) + 1 for edges in PLANNING_FEATURES.values()])
     ).all()

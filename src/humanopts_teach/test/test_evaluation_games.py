@@ -6,7 +6,7 @@ import re
 from typing import Any
 
 from humanopts_env.domains.base import Domain
-from humanopts_env.domains.pacman.baselines import PAPER_OPTIONS, play_heuristic
+from humanopts_env.domains.pacman.baselines import PAPER_OPTIONS
 from humanopts_env.domains.pacman.domain import PacMan
 from humanopts_env.domains.registry import make_domain, parameters_json
 from humanopts_env.domains.rooms import Rooms
@@ -133,12 +133,9 @@ def test_a_policy_has_the_row_that_another_process_gives(
     brief: Domain[Any], options: list[LearnedOption], games: GamesEvaluation
 ) -> None:
     chase = make_domain('pacman', {**brief.parameters, 'ghosts': 'chase'})
-    for way in every_baseline(chase, options, FEW)[::2]:
+    for way in every_baseline(chase, options, FEW)[-1::-2]:
         scores = play_baseline(chase, way, SEED, GAMES).scores
         assert np.array_equal(scores, games.scores['ghosts=chase', way.name])
-    assert isinstance(chase, PacMan)
-    rule = play_heuristic(chase, GAMES, SEED)
-    assert np.array_equal(rule.total, games.scores['ghosts=chase', RULE_NAME])
 
 
 def test_a_watcher_can_end_it(brief: Domain[Any], options: list[LearnedOption]) -> None:

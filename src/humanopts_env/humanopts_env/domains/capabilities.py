@@ -17,10 +17,11 @@ A domain has a capability by having the method or attribute; nothing is register
 ``humanopts_env.testing`` tests each of them in every domain that has it.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol, runtime_checkable
 
+from humanopts_env.arrays import Ints
 from humanopts_env.board import Board
 from humanopts_env.domains.base import ActableDomain, Parameter, shown_values
 from humanopts_env.domains.search_space import SearchSpace
@@ -104,28 +105,14 @@ class HasTeachingDefaults(Protocol):
 
 
 @dataclass(frozen=True)
-class Scores:
-    """The results of N games."""
-
-    total: NDArray[Any]  # (N,) undiscounted return
-    outcomes: Mapping[str, NDArray[Any]]  # (N,) each, as ``Games.outcomes``
-
-
-class Heuristic(Protocol):
-    """A rule written by hand that chooses among the reference options."""
-
-    def __call__(self, games: int, seed: int, /) -> Scores:
-        """Play games until they are over or cut off, with a choice at every step."""
-
-
-@dataclass(frozen=True)
 class Baselines:
     """The baselines that plans are compared with."""
 
     variants: Mapping[str, Mapping[str, Parameter]] = field(default_factory=dict)
     """Changed parameters of each variant of the game to compare in, by the variant's name."""
     paper_options: tuple[str, ...] = ()  # names, for a plan with these options alone
-    heuristic: Heuristic | None = None
+    heuristic: Callable[[Any], Ints] | None = None
+    """A rule written by hand: returns the action (N,) in each of N ``Games``."""
 
 
 @runtime_checkable

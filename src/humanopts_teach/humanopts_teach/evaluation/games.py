@@ -6,20 +6,23 @@ plans with all options play beside random choice among the options and, where th
 a rule written by hand. Each plays as many games under the same rules, in each variant of the game.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 import time
 from typing import Any, TYPE_CHECKING
 
-from humanopts_env.arrays import Floats
+from humanopts_env.arrays import Flags, Floats, Ints
 from humanopts_env.domains.base import Domain
 from humanopts_env.domains.capabilities import Baselines, HasBaselines
 from humanopts_env.domains.registry import make_domain, parameters_json
+from humanopts_env.games import Games, new_games
 from humanopts_env.seeding import generator
+from humanopts_learner.execution import Fixed, play
 from humanopts_learner.intervals import Interval
 from humanopts_learner.options.learned_option import LearnedOption, OptionError
 from humanopts_learner.planning.action_set import ActionSet
+from humanopts_learner.planning.evaluate import Returns
 from humanopts_learner.planning.plan import judge_plan, Performance
 from humanopts_learner.planning.request import (
     Arbitration,
@@ -36,6 +39,7 @@ from humanopts_teach.evaluation import ProgressCallback
 from humanopts_teach.evaluation.side_by_side import all_of
 from humanopts_teach.evaluation.tables import finite_parts, records, table
 from humanopts_teach.evaluation.tables import GAMES as COLUMNS
+import numpy as np
 
 if TYPE_CHECKING:
     import pandas as pd  # slow to import
@@ -148,7 +152,9 @@ def play_baseline(
         results: Any = play_games(actions, policy, domain.gamma, seed, games)
         counts = {'decisions': results.decisions.mean(), 'fallbacks': results.fallbacks.mean()}
     elif (rule := baselines_of(domain).heuristic) is not None:
-        results = rule(games, seed)
+        rng, moves = generator(seed, 'hand-written rule'), Moves(rule)
+        begun, once = new_games(domain, games, rng), Fixed(np.zeros(games, dtype=np.intp))
+        results = Returns.of(play(begun, moves, once, rng, domain.max_steps), domain.gamma, 1)
     else:
         raise PlanError(f'{domain.name} has no rule that was written by hand')
     outcomes = {name: Interval.of(values) for name, values in results.outcomes.items()}
@@ -164,6 +170,27 @@ def played_plan(baseline: Baseline, plan: SampledPlan, judged: Performance) -> P
         'seconds': plan.seconds,
     }
     return _played(baseline, judged.totals, judged.outcomes, counts)
+
+
+@dataclass(frozen=True)
+class Moves:
+    """What a rule written by hand does in each game, as one option that ends after every step."""
+
+    rule: Callable[[Games], Ints]
+    actions: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.intp))  # (N,)
+    limits: Ints = field(default_factory=lambda: np.ones(1, dtype=np.intp))
+
+    def see(self, games: Games) -> 'Moves':
+        return replace(self, actions=self.rule(games))
+
+    def take(self, games: Ints) -> 'Moves':
+        return replace(self, actions=self.actions.take(games))
+
+    def action(self, option: Ints) -> Ints:
+        return self.actions
+
+    def ends(self, option: Ints) -> Flags:
+        return np.ones(len(option), dtype=np.bool_)
 
 
 def _played(

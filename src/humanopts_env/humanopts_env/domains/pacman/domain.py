@@ -165,12 +165,11 @@ class PacMan(Domain[PacManState]):
         return self.rules.can_follow(state, action, successor)
 
     def feature_values(self, state: PacManState) -> Floats:
-        values: Floats = self.read_features(self.rules.game_at(state))[0]
+        values: Floats = self.listed(self.read_all_features(self.rules.game_at(state)))[0]
         return values
 
-    def read_features(self, batch: PacManBatch) -> Rows:
-        """Return the values of every feature in N games, (N, F)."""
-        rows = self.read_all_features(batch)
+    def listed(self, rows: Rows) -> Rows:
+        """Return the columns (N, F) of the domain's own features, from those of all."""
         return rows if self.has_all_features else rows[:, self._listed]
 
     def encode(self, state: PacManState) -> str:

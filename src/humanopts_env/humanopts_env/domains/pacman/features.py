@@ -14,17 +14,15 @@ to one maze. What the last step ate is in both: nothing else tells that food was
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cached_property
 
-from humanopts_env.arrays import Flags, Ints, Rows
+from humanopts_env.arrays import Ints, Rows
 from humanopts_env.domains.base import Feature, FeatureKind, subset_names
 from humanopts_env.domains.capabilities import FeatureGroup
-from humanopts_env.domains.pacman.paths import FIRST_MOVE, Masks, MOVES, STAY
+from humanopts_env.domains.pacman.paths import FIRST_MOVE, HAS_MOVE, MOVES, STAY
 from humanopts_env.domains.pacman.rules import Keys, PacManBatch, Rules
 from humanopts_env.domains.pacman.state import EATEN, SCARED_STEPS
 import numpy as np
-from numpy.typing import NDArray
 
 DIRECTIONS = (*MOVES, 'here', 'none')
 NOWHERE = STAY + 1  # index of the last
@@ -37,7 +35,6 @@ THINGS = {  # prefix of feature names: what it is to a person
     'danger': 'the nearest dangerous ghost',
     'prey': 'the nearest scared ghost',
 }
-SOUGHT = ('food', 'pill', 'prey')  # among them
 STEPS, NUMBER, FIRST = 16, 3, 7  # bits of a key: from where on steps and a number are; the first
 FEW = 9  # things; their least key is found one thing after the other
 
@@ -141,8 +138,8 @@ class FeatureReader:
     def __call__(self, batch: PacManBatch) -> Rows:
         """Return the features of every game, (N, F)."""
         here, tables, groups = batch.pacman, batch.tables, len(batch.ghosts)
-        food = nearest_key(tables.food_number, here, batch.food_taken)
-        pill = nearest_key(tables.pill_number, here, batch.pills_taken)
+        food = nearest_key(tables.food, here, batch.food_taken)
+        pill = nearest_key(tables.pills, here, batch.pills_taken)
         cells = np.empty((groups + 3, len(batch)), dtype=np.intp)
         cells[:groups] = batch.ghosts
         cells[groups] = self._food.take(food & tables.low)
@@ -164,118 +161,67 @@ class FeatureReader:
         out[-1] = self._legal.take(here)
         return out.T
 
-    def first_moves(self, batch: PacManBatch, sought: NDArray[np.integer]) -> NDArray[np.int32]:
-        """
-        Return the direction of one thing in each game, (N,).
 
-        :param sought: (N,) indices into ``SOUGHT``; another number: of nothing.
-        """
-        here, tables, count = batch.pacman, batch.tables, self._place.shape[1]
-        food, pill = (sought == 0).nonzero()[0], (sought == 1).nonzero()[0]
-        cells = np.full(len(batch), count - 1, dtype=np.intp)
-        if food.size:
-            taken = batch.food_taken.take(food, axis=0)
-            number = nearest_key(tables.food_number, here.take(food), taken) & tables.low
-            cells[food] = self._food.take(number)
-        if pill.size:
-            taken = batch.pills_taken.take(pill, axis=0)
-            number = nearest_key(tables.pill_number, here.take(pill), taken) & tables.low
-            cells[pill] = self._pills.take(number)
-        ways = self._way.take(here * count + cells)
-        if batch.scared.any():
-            ghosts = self._way.take(here * count + batch.ghosts) | self._ghosts
-            prey = np.where(batch.scared > 0, ghosts, self._no_way).min(axis=0)
-            np.copyto(ways, prey, where=sought == 2)
-        first: NDArray[np.int32] = ways & FIRST
-        return first
-
-
-def nearest_key(keys: Keys, here: Ints, taken: Keys) -> Keys:
+def nearest_key(keys: Keys, cells: Ints, taken: Keys) -> Keys:
     """
-    Return the key (N,) of the nearest thing that is left.
+    Return the key (..., N) of the nearest thing that is left.
 
     :param keys: (C, K + 1) of ``Tables``.
-    :param here: (N,) cells.
+    :param cells: (..., N) from where.
     :param taken: (N, K + 1) marks of ``PacManBatch``.
     """
-    few = keys.shape[1] < FEW
-    left = keys.T.take(here, axis=1).T if few else keys.take(here, axis=0)
-    np.bitwise_or(left, taken, out=left)
-    least: Keys = left.min(axis=1)
+    if keys.shape[1] < FEW:
+        left = np.stack([key.take(cells) | mark for key, mark in zip(keys.T, taken.T)], axis=-1)
+    else:
+        left = keys.take(cells, axis=0)
+        np.bitwise_or(left, taken, out=left)
+    least: Keys = left.min(axis=-1)
     return least
 
 
-@dataclass(frozen=True, slots=True)
-class Surroundings:
-    """The nearest thing of each kind in N games, and the first moves of shortest paths to it."""
+def steps_to(batch: PacManBatch, thing: str, cells: Ints) -> Ints:
+    """
+    Return the steps (..., N) from cells to the nearest thing of a kind; ``far``: there is none.
 
-    food: Ints  # (N,) steps; ``far`` where there is none
-    pill: Ints
-    danger: Ints  # dangerous ghost
-    prey: Ints  # scared ghost
-    fear: Ints  # (N,) steps for which the nearest scared ghost is scared
-    to_food: Masks  # (N,)
-    to_pill: Masks
-    to_prey: Masks
-    far: int
-
-
-def look_around(batch: PacManBatch) -> Surroundings:
-    """Measure the distances in every game."""
+    :param thing: one of ``THINGS``.
+    :param cells: (..., N).
+    """
     paths, tables = batch.rules.paths, batch.tables
-    food, to_food = _nearest_things(batch, tables.food_masks, tables.food_move, batch.food_taken)
-    pill, to_pill = _nearest_things(batch, tables.pill_masks, tables.pill_move, batch.pills_taken)
-    way = batch.pacman * len(paths.step) + batch.ghosts  # (G, N); equally far in both directions
-    steps = paths.distance.ravel().take(way).astype(np.intp)
-    scared = batch.scared > 0
-    danger = np.where(scared, paths.far, steps).min(axis=0, initial=paths.far)
-    hunted = np.where(scared, steps, paths.far)
-    prey = hunted.min(axis=0, initial=paths.far)
-    nearest = scared & (hunted == prey)
-    first = np.where(nearest, paths.shortest.ravel().take(way), 0)
-    return Surroundings(
-        food=food,
-        pill=pill,
-        danger=danger,
-        prey=prey,
-        fear=np.where(nearest, batch.scared, 0).max(axis=0, initial=0),
-        to_food=to_food,
-        to_pill=to_pill,
-        to_prey=np.bitwise_or.reduce(first, axis=0).astype(np.uint8),
-        far=paths.far,
-    )
+    steps = np.full(cells.shape, paths.far, dtype=np.intp)
+    items = {
+        'food': (tables.food, batch.food_taken),
+        'pill': (tables.pills, batch.pills_taken),
+    }
+    if thing in items:
+        keys, taken = items[thing]
+        np.minimum(nearest_key(keys, cells, taken) >> tables.low_bits, paths.far, out=steps)
+        return steps
+    if thing == 'fruit':
+        places, there = batch.fruit_at[None], batch.fruit[None] > 0
+    else:
+        places, there = batch.ghosts, (batch.scared > 0) == (thing == 'prey')
+    for place, is_there in zip(places, there):
+        way = paths.distance.ravel().take(cells * len(paths.step) + place)
+        np.minimum(steps, np.where(is_there, way, paths.far), out=steps)
+    return steps
 
 
-def _nearest_things(
-    batch: PacManBatch, masks: Masks, keys: Keys, taken: Keys
-) -> tuple[Ints, Masks]:
-    """Return steps to the nearest thing left, and first moves to all as near."""
-    far = batch.rules.paths.far
-    steps = keys.take(batch.pacman, axis=0)
-    np.bitwise_or(steps, taken, out=steps)
-    steps >>= batch.tables.low_bits
-    least = np.minimum(steps.min(axis=1), far)
-    first = masks.take(batch.pacman, axis=0)
-    first *= (steps == least[:, None]).view(np.uint8)
-    found: Masks = np.bitwise_or.reduce(first, axis=1)
-    found[least == far] = 0
-    return least.astype(np.intp), found
+def steps_after(batch: PacManBatch, thing: str, wall: int) -> Ints:
+    """
+    Return (N, 4): the steps to the nearest thing of a kind after each move.
+
+    :param wall: in place of the steps where a wall blocks the move.
+    """
+    paths = batch.rules.paths
+    after = steps_to(batch, thing, paths.step[batch.pacman, :STAY].T).T
+    after[~HAS_MOVE[paths.legal[batch.pacman]]] = wall
+    return after
 
 
-def flight(batch: PacManBatch) -> Flags:
-    """Return (N, 4): the legal moves after which the nearest dangerous ghost is farthest."""
-    safety = safety_after(batch)
-    best: Flags = safety == safety.max(axis=1, keepdims=True)
-    return best
-
-
-def safety_after(batch: PacManBatch) -> Keys:
-    """Return (N, 4): 1 + steps of the nearest dangerous ghost after each move; 0: not legal."""
-    tables, here = batch.tables, batch.pacman
-    way = here * len(tables.legal) + batch.ghosts  # (G, N)
-    steps = tables.after.take(way, axis=0)  # (G, N, 4)
-    np.copyto(steps, tables.legal.max(), where=(batch.scared > 0)[:, :, None])
-    least: Keys = tables.legal.take(here, axis=0)
-    for of_ghost in steps:
-        np.minimum(least, of_ghost, out=least)
-    return least
+def fear_of_prey(batch: PacManBatch) -> Ints:
+    """Return (N,): the steps for which the nearest scared ghost is scared; 0: there is none."""
+    paths, scared = batch.rules.paths, batch.scared > 0
+    steps = np.where(scared, paths.distance[batch.pacman, batch.ghosts], paths.far)
+    nearest = scared & (steps == steps.min(axis=0, initial=paths.far))
+    fear: Ints = np.where(nearest, batch.scared, 0).max(axis=0, initial=0)
+    return fear

@@ -14,12 +14,7 @@ from functools import lru_cache
 from typing import Any, TYPE_CHECKING
 
 from humanopts_env.arrays import Flags, Ints, Rows
-from humanopts_env.domains.pacman.features import (
-    FeatureReader,
-    nearest_key,
-    safety_after,
-    SOUGHT,
-)
+from humanopts_env.domains.pacman.features import fear_of_prey, FeatureReader, steps_after
 from humanopts_env.domains.pacman.paths import HAS_MOVE, MOVES, Paths, STAY
 from humanopts_env.domains.pacman.rules import PacManBatch, Rules
 from humanopts_env.domains.pacman.state import PacManState
@@ -34,8 +29,8 @@ if TYPE_CHECKING:
 AFAR = 1000  # stands for the distance of what is not there, or farther away
 LONGEST = 300  # steps that are played before a state is drawn
 CHANGES = 0.1  # probability of a new aim at a step
+AIMS = ('food', 'pill', 'prey', 'fruit')  # what Pac-Man may go to
 WANTS = ('food', 'food', 'pill', 'prey', None)  # aims, each equally likely; None: random moves
-_AIMS = np.array([SOUGHT.index(want) if want else len(SOUGHT) for want in WANTS])
 
 
 PLANNING_FEATURES = {  # numbers in buckets: value k holds ``edges[k - 1] <= number < edges[k]``
@@ -54,14 +49,13 @@ PLANNING_FEATURES = {  # numbers in buckets: value k holds ``edges[k - 1] <= num
     'pills_left': (1, 2),
     'lives': (2,),
 }
-_BUCKETS = np.array(  # (P, AFAR + 2) bucket of each number from -1 to AFAR
+BUCKETS = np.array(  # (P, AFAR + 2) bucket of each number from -1 to AFAR
     [
         np.searchsorted(edges, range(-1, AFAR + 1), side='right')
         for edges in PLANNING_FEATURES.values()
     ],
     dtype=np.int32,
 )
-_BUCKET_OF_0 = np.arange(len(_BUCKETS))[:, None] * _BUCKETS.shape[1] + 1
 
 
 class PacManGames:
@@ -69,17 +63,24 @@ class PacManGames:
 
     def __init__(self, domain: 'PacMan', batch: PacManBatch) -> None:
         self.domain, self.batch = domain, batch
+        self._rows: Rows | None = None  # all features, until the next step
 
     def __len__(self) -> int:
         return len(self.batch)
 
     def features(self) -> Rows:
-        return self.domain.read_features(self.batch)
+        return self.domain.listed(self._all_features())
+
+    def _all_features(self) -> Rows:
+        if self._rows is None:
+            self._rows = self.domain.read_all_features(self.batch)
+        return self._rows
 
     def over(self) -> Flags:
         return self.batch.over
 
     def step(self, actions: Ints, chance: Chance) -> Steps:
+        self._rows = None
         if isinstance(chance, np.random.Generator):
             draws = self.batch.draws(chance)
         else:
@@ -88,6 +89,7 @@ class PacManGames:
         return Steps(self.batch.step(actions, draws).astype(np.float64), self.batch.over)
 
     def reset(self, games: Ints, chance: np.random.Generator) -> None:
+        self._rows = None
         self.batch.restart(games)
 
     def take(self, games: Ints) -> 'PacManGames':
@@ -101,45 +103,28 @@ class PacManGames:
         return {'cleared': self.batch.food_left == 0, 'lives left': self.batch.lives}
 
     def planning_features(self) -> NDArray[np.int32]:
-        return planning_features(self.batch)
-
-
-def planning_features(batch: PacManBatch) -> NDArray[np.int32]:
-    """Return the buckets of every game, (N, P), in the order of PLANNING_FEATURES."""
-    tables, here, none = batch.tables, batch.pacman, batch.tables.nothing
-    from_here, is_fruit = here * len(tables.is_food), batch.fruit > 0
-    ghosts = tables.way.take(from_here + batch.ghosts)  # (G, N)
-    hunted = np.where(batch.scared > 0, ghosts, none)
-    keys = np.stack(
-        [
-            nearest_key(tables.food_move, here, batch.food_taken),
-            nearest_key(tables.pill_move, here, batch.pills_taken),
-            hunted.min(axis=0, initial=none),
-            tables.way.take(from_here + np.where(is_fruit, batch.fruit_at, here)),
-        ]
-    )
-    is_there, steps = keys < none, keys >> tables.low_bits
-    moves = np.empty((5, len(batch)), dtype=np.intp)
-    moves[:4] = np.where(is_there, keys & tables.low, STAY)
-    moves[4] = safety_after(batch).argmax(axis=1)
-    cells = tables.step.take(here * (STAY + 1) + moves)
-    arrival = _arrival(batch, np.concatenate((here[None], cells)))  # (6, N)
-    np.copyto(arrival[1:], 0, where=moves == STAY)
-    to_hunt = (hunted >> tables.low_bits == steps[2]) & is_there[2]
-    fear = np.where(to_hunt, batch.scared, 0).max(axis=0, initial=0)
-    known = np.empty((len(PLANNING_FEATURES), len(batch)), dtype=np.intp)
-    known[:4], known[9], known[4] = arrival[:4], arrival[4], arrival[5]
-    known[[5, 6, 7, 10]] = np.where(is_there, steps, AFAR)
-    known[8] = np.where(is_there[2], np.maximum(fear - steps[2], -1), -1)
-    np.copyto(known[10], AFAR, where=~is_fruit)
-    known[11], known[13] = batch.food_left, batch.lives
-    known[12] = 0
-    for taken in batch.pills_taken.T:
-        known[12] += taken == 0
-    np.minimum(known, AFAR, out=known)
-    known += _BUCKET_OF_0
-    values: NDArray[np.int32] = _BUCKETS.take(known)
-    return values.T
+        """Return the buckets of every game, (N, P), in the order of PLANNING_FEATURES."""
+        batch, paths = self.batch, self.batch.rules.paths
+        column = dict(zip(self.domain.read_all_features.names, self._all_features().T.astype(int)))
+        moves = [np.minimum(column[f'{thing}_direction'], STAY) for thing in AIMS]
+        moves.append(steps_after(batch, 'danger', -1).argmax(axis=1))  # flight
+        cells = paths.step.ravel().take(batch.pacman * (STAY + 1) + moves)
+        arrival = _arrival(batch, np.concatenate((batch.pacman[None], cells)))
+        fear = fear_of_prey(batch)
+        known = {
+            'danger': arrival[0],
+            'danger_in_flight': arrival[-1],
+            'prey_time': np.maximum(fear - np.where(fear, column['prey_distance'], 1), -1),
+            'food_left': batch.food_left,
+            'pills_left': (batch.pills_taken == 0).sum(axis=1),
+            'lives': batch.lives,
+        }
+        for thing, move, soonest in zip(AIMS, moves, arrival[1:]):
+            known[f'danger_to_{thing}'] = np.where(move == STAY, 0, soonest)
+            known[f'{thing}_distance'] = np.where(move == STAY, AFAR, column[f'{thing}_distance'])
+        numbers = np.stack([known[name] for name in PLANNING_FEATURES], axis=1)
+        found: NDArray[np.int32] = BUCKETS[np.arange(len(BUCKETS)), np.minimum(numbers, AFAR) + 1]
+        return found
 
 
 @lru_cache(maxsize=8)
@@ -185,7 +170,8 @@ def sample_games(rules: Rules, rng: np.random.Generator, count: int) -> PacManBa
     :param count: number of games.
     """
     length, want = rng.integers(LONGEST, size=count), rng.integers(len(WANTS), size=count)
-    read, games = _reader(rules), PacManBatch.begin(rules, count)
+    read, games = FeatureReader(rules), PacManBatch.begin(rules, count)
+    directions = [read.names.index(f'{want}_direction') if want else -1 for want in WANTS]
     order = np.argsort(length, kind='stable')  # games that are drawn first go first
     drawn = np.searchsorted(length[order], np.arange(LONGEST), side='right').tolist()
     for step in range(length.max(initial=-1) + 1):
@@ -194,15 +180,11 @@ def sample_games(rules: Rules, rng: np.random.Generator, count: int) -> PacManBa
         at_random = rng.integers(len(MOVES), size=count)
         draws = rules.batch_draws(rng, count)
         batch, playing = games.after(drawn[step]), order[drawn[step] :]
-        move = read.first_moves(batch, _AIMS[want.take(playing)])
-        move = np.where(move < len(MOVES), move, at_random.take(playing))
+        rows, at = read(batch), np.take(directions, want.take(playing))
+        move = rows[np.arange(len(rows)), at].astype(np.intp)
+        move = np.where((at >= 0) & (move < len(MOVES)), move, at_random.take(playing))
         batch.step(move, draws[:, playing])
         over = batch.over.nonzero()[0]
         if over.size:
             batch.restart(over)
     return games.take(np.argsort(order))
-
-
-@lru_cache(maxsize=8)
-def _reader(rules: Rules) -> FeatureReader:
-    return FeatureReader(rules)

@@ -6,13 +6,11 @@ judged in many games at once; one state is a batch of one. Where the game is ove
 and all have ended.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from humanopts_env.arrays import Flags
-from humanopts_env.domains.pacman.features import flight, look_around, Surroundings
-from humanopts_env.domains.pacman.paths import HAS_MOVE
+from humanopts_env.domains.pacman.features import steps_after, steps_to
 from humanopts_env.domains.pacman.rules import (
     ATE_FOOD,
     ATE_FRUIT,
@@ -37,45 +35,16 @@ TO_FRUIT = 'go to the fruit'
 DANGER = 4  # steps within which a dangerous ghost is avoided
 
 
-def _closest_food(batch: PacManBatch, seen: Surroundings) -> Judgement:
-    return _judge(batch, seen.food < seen.far, ATE_FOOD, HAS_MOVE[seen.to_food])
-
-
-def _avoid_ghost(batch: PacManBatch, seen: Surroundings) -> Judgement:
-    return _judge(batch, seen.danger <= DANGER, 0, flight(batch))
-
-
-def _nearest_pill(batch: PacManBatch, seen: Surroundings) -> Judgement:
-    return _judge(batch, seen.pill < seen.far, ATE_PILL, HAS_MOVE[seen.to_pill])
-
-
-def _eat_ghost(batch: PacManBatch, seen: Surroundings) -> Judgement:
-    return _judge(batch, seen.prey < seen.far, ATE_GHOST, HAS_MOVE[seen.to_prey])
-
-
-def _to_fruit(batch: PacManBatch, seen: Surroundings) -> Judgement:
-    ways = batch.rules.paths.shortest[batch.pacman, batch.fruit_at]  # arbitrary without fruit
-    return _judge(batch, batch.fruit > 0, ATE_FRUIT, HAS_MOVE[ways])
-
-
-def _judge(batch: PacManBatch, can_start: Flags, meal: int, best: Flags) -> Judgement:
-    """Judge an option that ends where it cannot start, and where its meal was eaten."""
-    initiation = can_start & ~batch.over
-    return Judgement(initiation, ~initiation | (batch.ate & meal > 0), best & initiation[:, None])
-
-
-Judge = Callable[[PacManBatch, Surroundings], Judgement]
-
-
 @dataclass(frozen=True, eq=False)
 class PacManOption:
-    """A ``ReferenceOption`` of Pac-Man."""
+    """A ``ReferenceOption`` of Pac-Man: go to the nearest thing of a kind, or away from it."""
 
     rules: Rules
     name: str
     features: tuple[str, ...]
     definition: str
-    judge: Judge  # of many games at once
+    thing: str  # one of THINGS
+    meal: int  # it ends where this was eaten; 0: it goes away from the thing, while that is near
 
     def can_start(self, state: PacManState) -> bool:
         """Return whether the state is in the initiation set."""
@@ -91,23 +60,34 @@ class PacManOption:
 
     def judge_states(self, states: Sequence[PacManState]) -> Judgement:
         """Judge N states at once."""
-        return self._judge(PacManBatch.from_states(self.rules, states))
+        return self.judge(PacManBatch.from_states(self.rules, states))
 
     def judge_games(self, games: 'PacManGames') -> Judgement:
         """Judge the states of N games."""
-        return self._judge(games.batch)
+        return self.judge(games.batch)
 
-    def _judge(self, batch: PacManBatch) -> Judgement:
-        return self.judge(batch, look_around(batch))
+    def judge(self, batch: PacManBatch) -> Judgement:
+        """Judge N games; it has ended where it cannot start, and where its meal was eaten."""
+        far = self.rules.paths.far
+        steps = steps_to(batch, self.thing, batch.pacman)
+        if self.meal:
+            starts = steps < far
+            best = steps_after(batch, self.thing, far) < steps[:, None]
+        else:
+            starts, after = steps <= DANGER, steps_after(batch, self.thing, -1)
+            best = after == after.max(axis=1, keepdims=True)
+        starts &= ~batch.over
+        return Judgement(starts, ~starts | (batch.ate & self.meal > 0), best & starts[:, None])
 
 
-# Name, definition, judge, features, and the beginnings of their names where the domain has
+# Name, definition, thing, meal, features, and the beginnings of their names where the domain has
 # positions only.
-OPTIONS: tuple[tuple[str, str, Judge, tuple[str, ...], tuple[str, ...]], ...] = (
+OPTIONS: tuple[tuple[str, str, str, int, tuple[str, ...], tuple[str, ...]], ...] = (
     (
         CLOSEST_FOOD,
         'Starts anywhere; goes a shortest way to a nearest food; ends when food was eaten.',
-        _closest_food,
+        'food',
+        ATE_FOOD,
         ('food_direction', 'ate'),
         ('pacman', 'food', 'ate'),
     ),
@@ -115,7 +95,8 @@ OPTIONS: tuple[tuple[str, str, Judge, tuple[str, ...], tuple[str, ...]], ...] = 
         AVOID_GHOST,
         f'Starts where a dangerous ghost is at most {DANGER} steps away; goes where the nearest '
         'one is then farthest; ends when none is so near any more.',
-        _avoid_ghost,
+        'danger',
+        0,
         ('danger_direction', 'danger_distance', 'legal_moves'),
         ('pacman', 'ghost'),
     ),
@@ -123,7 +104,8 @@ OPTIONS: tuple[tuple[str, str, Judge, tuple[str, ...], tuple[str, ...]], ...] = 
         NEAREST_PILL,
         'Starts where a power pill is left; goes a shortest way to a nearest one; ends when one '
         'was eaten.',
-        _nearest_pill,
+        'pill',
+        ATE_PILL,
         ('pill_direction', 'ate'),
         ('pacman', 'pill', 'ate'),
     ),
@@ -131,7 +113,8 @@ OPTIONS: tuple[tuple[str, str, Judge, tuple[str, ...], tuple[str, ...]], ...] = 
         EAT_GHOST,
         'Starts where a ghost is scared; goes a shortest way to where a nearest such one is; ends '
         'when one was eaten, or when none is scared any more.',
-        _eat_ghost,
+        'prey',
+        ATE_GHOST,
         ('prey_direction', 'ate'),
         ('pacman', 'ghost', 'ate'),
     ),
@@ -139,7 +122,8 @@ OPTIONS: tuple[tuple[str, str, Judge, tuple[str, ...], tuple[str, ...]], ...] = 
         TO_FRUIT,
         'Starts while there is fruit; goes a shortest way to it; ends when it was eaten, or when '
         'it is gone.',
-        _to_fruit,
+        'fruit',
+        ATE_FRUIT,
         ('fruit_direction', 'ate'),
         ('pacman', 'fruit', 'ate'),
     ),
@@ -150,8 +134,8 @@ def reference_options(domain: 'PacMan') -> dict[str, PacManOption]:
     """Return every Pac-Man option of the paper's table 1 by name, and the one for the fruit."""
     names = [feature.name for feature in domain.features]
     found = {}
-    for name, definition, judge, used, beginnings in OPTIONS:
+    for name, definition, thing, meal, used, beginnings in OPTIONS:
         if not domain.has_all_features:
             used = tuple(feature for feature in names if feature.startswith(beginnings))
-        found[name] = PacManOption(domain.rules, name, used, definition, judge)
+        found[name] = PacManOption(domain.rules, name, used, definition, thing, meal)
     return found

@@ -33,7 +33,7 @@ from typing import Any
 
 from humanopts_env.arrays import Flags, Ints
 from humanopts_env.domains.pacman.maze import Maze
-from humanopts_env.domains.pacman.paths import FIRST_MOVE, HAS_MOVE, maze_paths, Paths, STAY
+from humanopts_env.domains.pacman.paths import HAS_MOVE, maze_paths, Paths, STAY
 from humanopts_env.domains.pacman.state import (
     FRUIT_STEPS,
     Ghost,
@@ -70,11 +70,6 @@ def _picks() -> NDArray[np.uint8]:
 PICKS = _picks()
 
 
-def _with_none(keys: NDArray[Any]) -> NDArray[Any]:
-    """Return an array (C, K + 1) with one more entry, 0, for nothing."""
-    return np.pad(keys, ((0, 0), (0, 1)))
-
-
 class Tables:
     """The maze as flat read-only arrays, so that each quantity is one look-up."""
 
@@ -96,31 +91,17 @@ class Tables:
         # (K,) food by its distance from the middle, and its cells
         self.from_middle = np.array(maze.from_middle, dtype=np.intp)
         self.middle_cells = np.array(maze.food, dtype=np.intp)[self.from_middle]
-        # A key is a distance and, in its lowest bits, something else about a thing, so that the
-        # least key tells both of the nearest thing.
-        self.low_bits = (max(food, pills, STAY) + 1).bit_length()
+        # A key is a distance and, in its lowest bits, the number of a food or pill, so that the
+        # least key tells both of the nearest one. (C, K + 1) and (C, P + 1) keys from each cell
+        self.low_bits = (max(food, pills) + 1).bit_length()
         self.low = (1 << self.low_bits) - 1  # all of these bits
         small = np.iinfo(np.uint16).max >> self.low_bits >= paths.far
         kind: Any = np.uint16 if small else np.uint32
-        keys = paths.distance.astype(kind) << self.low_bits
-        # (C * C,) keys of each cell from each cell with the first move there
-        first = keys | FIRST_MOVE.astype(kind)[paths.shortest]
-        self.way = first.ravel()
-        # (C, K + 1) keys of food from each cell with its number, and with the first move there;
-        # (C, P + 1) those of pills
-        self.food_number = _with_none(keys[:, list(maze.food)] | np.arange(food, dtype=kind))
-        self.pill_number = _with_none(keys[:, list(maze.pills)] | np.arange(pills, dtype=kind))
-        self.food_move = _with_none(first[:, list(maze.food)])
-        self.pill_move = _with_none(first[:, list(maze.pills)])
-        # (C, K + 1) and (C, P + 1) first moves of all shortest paths
-        self.food_masks = _with_none(paths.shortest[:, list(maze.food)])
-        self.pill_masks = _with_none(paths.shortest[:, list(maze.pills)])
-        # (C * C, 4) 1 + steps to each cell after each move from each cell; 0: it is not legal
-        legal = HAS_MOVE[paths.legal]
-        after = paths.distance.astype(kind)[paths.step[:, :STAY]] + 1  # (C, 4, C)
-        self.after = (after * legal[:, :, None]).swapaxes(1, 2).reshape(-1, STAY).astype(kind)
-        # (C, 4) the same where all are far
-        self.legal = np.where(legal, kind(paths.far + 1), kind(0))
+        keys = np.pad(paths.distance.astype(kind) << self.low_bits, ((0, 0), (0, 1)))
+        self.food, self.pills = (
+            keys[:, [*cells, -1]] | np.append(np.arange(len(cells), dtype=kind), kind(0))
+            for cells in (maze.food, maze.pills)
+        )
         # (K + P + 2,) marks of one game in which nothing is left
         self.all_taken = np.full(food + pills + 2, np.iinfo(kind).max, dtype=kind)
         self.nothing = self.all_taken[0] >> self.low_bits << self.low_bits  # above all keys
