@@ -3,7 +3,6 @@
 from dataclasses import replace
 from functools import cache
 import sys
-import tracemalloc
 
 from humanopts_env.arrays import Flags, Floats
 from humanopts_learner.planning import solve
@@ -15,9 +14,7 @@ from humanopts_learner.planning.models import (
 )
 from humanopts_learner.planning.request import PlanCanceled, PlanError
 from humanopts_learner.planning.solve import (
-    _sweep_states,
     compiled_sweep,
-    Solution,
     solve_smdp,
     value_history,
 )
@@ -154,76 +151,30 @@ def test_a_callback_sees_every_sweep_and_can_stop_the_work() -> None:
         solve_smdp(model, on_sweep=cancel)
 
 
-def solved_with(compiled: object, model: MultiTimeModel) -> tuple[Solution, list[float]]:
-    """Return a solution and its residuals, by compiled sweeps or, with None, by those of NumPy."""
-    residuals: list[float] = []
-    with pytest.MonkeyPatch.context() as patch:
-        loaded = cache(lambda: compiled)
-        loaded()
-        patch.setattr(solve, 'compiled_sweep', loaded)
-        solution = solve_smdp(model, on_sweep=lambda _, residual: residuals.append(residual))
-    return solution, residuals
-
-
 @settings(max_examples=60)
 @given(
-    seed=SEEDS,
-    n_states=st.integers(1, 60),
-    n_options=st.integers(1, 5),
-    one_step=st.booleans(),
-    interpreted=st.booleans(),
+    seed=SEEDS, n_states=st.integers(1, 60), n_options=st.integers(1, 5), one_step=st.booleans()
 )
 def test_compiled_sweeps_have_the_bits_of_those_of_numpy(
-    seed: int, n_states: int, n_options: int, one_step: bool, interpreted: bool
+    seed: int, n_states: int, n_options: int, one_step: bool
 ) -> None:
     pytest.importorskip('numba')
     model = random_model(seed, n_states, n_options)
     if one_step:  # all discounted alike, but for the end of the task
         model.rows.data[model.rows.data > 0] = 0.95
-    sweep = _sweep_states if interpreted else compiled_sweep()
-    (by_numpy, before), (compiled, after) = (solved_with(each, model) for each in (None, sweep))
-    assert before == after
+    compiled_sweep()  # from now on it is used for models of any size
+    compiled = solve_smdp(model)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(solve, 'compiled_sweep', cache(lambda: None))
+        by_numpy = solve_smdp(model)
+    assert (compiled.sweeps, compiled.residual) == (by_numpy.sweeps, by_numpy.residual)
     assert compiled.values.tobytes() == by_numpy.values.tobytes()
     assert compiled.best.tolist() == by_numpy.best.tolist()
-    assert compiled.values == pytest.approx(policy_iteration(model)[0], abs=1e-6)
-
-
-def test_only_large_models_are_worth_loading_a_compiled_sweep() -> None:
-    class LoadedError(Exception):
-        pass
-
-    @cache
-    def load() -> None:
-        raise LoadedError
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(solve, 'compiled_sweep', load)
-        patch.setattr(solve, 'COMPILED_FROM', 60)
-        assert solve_smdp(random_model(1, 19, 3)).converged
-        with pytest.raises(LoadedError):
-            solve_smdp(random_model(1, 20, 3))
 
 
 def test_without_numba_nothing_is_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, 'numba', None)  # so that its import fails
     assert compiled_sweep.__wrapped__() is None
-
-
-def test_sweeps_allocate_nothing() -> None:
-    model = random_model(6, 20_000, 3)
-    grown: list[int] = []
-
-    def measure(sweeps: int, residual: float) -> None:
-        now, peak = tracemalloc.get_traced_memory()
-        grown.append(peak - now)
-        tracemalloc.reset_peak()
-
-    tracemalloc.start()
-    try:
-        solve_smdp(model, max_sweeps=10, on_sweep=measure)
-    finally:
-        tracemalloc.stop()
-    assert max(grown[1:]) < 20_000  # one array of the states would be 160,000
 
 
 def rows_of(*rows: list[float]) -> csr_array:

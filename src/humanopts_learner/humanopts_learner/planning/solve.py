@@ -10,8 +10,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
+from typing import Any
 
-from humanopts_env.arrays import Flags, Floats
+from humanopts_env.arrays import Flags, Floats, Ints
 from humanopts_learner.planning.models import look_ahead, MultiTimeModel
 from humanopts_learner.planning.request import check_limits
 import numpy as np
@@ -19,6 +20,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 OnSweep = Callable[[int, float], bool | None]
+Sweep = Callable[[Floats, Floats], float]
 COMPILED_FROM = 1_000_000  # state-option pairs; sweeps over fewer end before Numba is loaded
 _FLOATS, _TABLE = 'float64[::1]', 'float64[:, ::1]'
 _SIGNATURE = f'float64(uint32[:, ::1], {_TABLE}, {_TABLE}, float64, {_FLOATS}, {_FLOATS})'
@@ -35,125 +37,66 @@ class Solution:
     converged: bool  # residual is at most tol
 
 
-class _Backup:
+def _sweep_of(model: MultiTimeModel, n_choices: int) -> tuple[Ints, Sweep]:
     """
-    Sweeps over the options of all states, in place.
+    Prepare the sweeps over a model.
 
-    :ivar states: (R,) those that are swept, in the order of values below.
+    :return: the states (R,) that are swept, and the sweep: from their old values (R + 1,), the
+        last of which is the end of the task, 0, it writes the new ones, and returns the largest
+        change.
     """
+    available, reward = model.available[:, :n_choices], model.reward[:, :n_choices]
+    worth_it = compiled_sweep.cache_info().currsize or reward.size >= COMPILED_FROM
+    if model.single and worth_it and (compiled := compiled_sweep()):
+        tables = _single_successors(model, available, reward)
+        return np.arange(len(reward)), lambda old, new: compiled(*tables, old, new)
+    swept = np.zeros(len(reward), dtype=np.bool_)
+    swept[model.rows.indices[: model.rows.indptr[reward.size]]] = True
+    # Layer k has the k-th available option of each state that has one. Rows of equal length one
+    # after another are multiplied in a third of the time.
+    count, length = available.sum(axis=1), np.diff(model.rows.indptr)
+    first = length[available.argmax(axis=1) * len(reward) + np.arange(len(reward))]
+    order = np.lexsort((first, -count))
+    states = order[(swept & (count > 0))[order]]
+    at, option = np.nonzero(available[states])
+    layer = np.arange(len(at)) - np.searchsorted(at, at)
+    pairs = np.lexsort((at, layer))
+    at, option, ends = at[pairs], option[pairs], np.cumsum(np.bincount(layer))
+    chosen, column = (
+        model.rows[option * len(reward) + states[at]],
+        np.full(len(reward), len(states)),
+    )
+    column[states] = np.arange(len(states))
+    parts = chosen.data, column[chosen.indices], chosen.indptr
+    rows, rewards = csr_array(parts, (len(at), len(states) + 1)), reward[states[at], option]
 
-    def __init__(self, model: MultiTimeModel, n_choices: int) -> None:
-        self._model, self._n_choices = model, n_choices
-        available, reward = model.available[:, :n_choices], model.reward[:, :n_choices]
-        self._dead = ~np.asarray(available.T.any(axis=0))  # by rows in memory
-        self._common = 1.0  # discount of all successors that have no other
-        self._compiled: Callable[..., float] | None = None
-        prepare = self._prepare_single if model.single else self._prepare_sparse
-        prepare(available, reward)
+    def sweep(old: Floats, new: Floats) -> float:
+        choices = rows @ old
+        choices += rewards
+        new[:-1] = choices[: len(states)]
+        for begin, end in pairwise(ends.tolist()):
+            np.maximum(new[: end - begin], choices[begin:end], out=new[: end - begin])
+        return float(np.abs(new - old).max())
 
-    def _prepare_single(self, available: Flags, reward: Floats) -> None:
-        """
-        Prepare sweeps over arrays (O, R).
+    return states, sweep
 
-        Machine code goes state by state, and reads each number once. NumPy goes option by option;
-        both give the same bits.
-        """
-        shape, rows = reward.T.shape, self._model.rows
-        end = rows.indptr[reward.size]
-        self.states = np.arange(shape[1])
-        successor, discount = rows.indices[:end], rows.data[:end]
-        if end < reward.size:  # some pairs have none
-            has = np.diff(rows.indptr[: reward.size + 1]) == 1
-            successor, discount = np.zeros(len(has), dtype=np.int32), np.zeros(len(has))
-            successor[has], discount[has] = rows.indices[:end], rows.data[:end]
-        nothing, common = discount == 0.0, float(discount.max())
-        nothing |= ~available.T.ravel()
-        successor = np.where(nothing, np.int32(shape[1]), successor)  # the end of the task
-        successor, discount = successor.reshape(shape), discount.reshape(shape)
-        if (nothing.reshape(shape) | (discount == common)).all():
-            self._common, discount = common, np.empty((0, 0))
-        rewards = np.array(reward.T, order='C')
-        np.copyto(rewards, -np.inf, where=~available.T)
-        rewards[0, self._dead] = 0.0  # nothing follows there, so their value stays 0
-        if compiled_sweep.cache_info().currsize or reward.size >= COMPILED_FROM:
-            self._compiled = compiled_sweep()
-        if self._compiled:
-            parts = successor.astype(np.uint32), rewards, discount
-            self._tables = [np.ascontiguousarray(part.T) for part in parts]
-        else:
-            self._tables = [successor.astype(np.intp), rewards, discount]
-            self._discounted, self._choices = np.empty(shape[1] + 1), np.empty(shape[1])
 
-    def _prepare_sparse(self, available: Flags, reward: Floats) -> None:
-        """
-        Prepare sweeps by layers: layer k has the k-th available option of each state that has one.
-
-        States are in the order of their number of options, and then of the number of successors
-        of the first: rows of equal length are multiplied more than twice as fast as in any order.
-        """
-        count, rows = len(available), self._model.rows
-        swept = np.zeros(count, dtype=np.bool_)
-        swept[rows.indices[: rows.indptr[available.size]]] = True
-        swept[0] = True  # there is one at least
-        states = np.flatnonzero(swept)
-        available = available[states]
-        available[self._dead[states], 0] = True  # nothing follows there, so their value stays 0
-        n_options = available.sum(axis=1)
-        first = available.argmax(axis=1) * count + states
-        order = np.lexsort((np.diff(rows.indptr)[first], -n_options))
-        self.states, n_options = states[order], n_options[order]
-        at, option = np.nonzero(available[order])
-        layer = np.arange(len(at)) - np.repeat(np.cumsum(n_options) - n_options, n_options)
-        pairs = np.lexsort((at, layer))
-        state, option = self.states[at[pairs]], option[pairs]
-        ends = np.append(0, np.cumsum(np.bincount(layer)))
-        self._layers = [slice(*part) for part in pairwise(ends.tolist())]
-        chosen, place = rows[option * count + state], np.zeros(count, dtype=np.int32)
-        place[self.states] = np.arange(len(states), dtype=np.int32)
-        chosen.data[np.repeat(self._dead[state], np.diff(chosen.indptr))] = 0.0
-        parts = chosen.data, place[chosen.indices], chosen.indptr
-        self._rows = csr_array(parts, shape=(len(state), len(states)))
-        self._rewards = np.where(self._dead[state], 0.0, reward[state, option])
-
-    def sweep(self, old: Floats, new: Floats) -> float:
-        """
-        Write the next values to ``new``, and return the largest change.
-
-        :param old: (R + 1,), the last is the end of the task, 0; as ``new``.
-        """
-        if self._compiled:
-            return self._compiled(*self._tables, self._common, old, new)
-        if self._model.single:
-            np.multiply(old, self._common, out=self._discounted)
-            old, new, change = old[:-1], new[:-1], self._choices
-            for option, (successor, reward) in enumerate(zip(*self._tables[:2])):
-                choice = self._choices if option else new  # one at a time stays in cache
-                np.take(self._discounted, successor, out=choice, mode='clip')
-                if self._tables[2].size:
-                    choice *= self._tables[2][option]
-                choice += reward
-                np.maximum(new, choice, out=new)
-        else:
-            old, new = old[:-1], new[:-1]
-            choices = self._rows @ old
-            choices += self._rewards
-            np.copyto(new, choices[self._layers[0]])
-            for layer in self._layers[1:]:
-                first = new[: layer.stop - layer.start]
-                np.maximum(first, choices[layer], out=first)
-            change = choices[: len(new)]
-        np.subtract(new, old, out=change)
-        return float(np.abs(change, out=change).max())
-
-    def everywhere(self, values: Floats, before: Floats) -> Floats:
-        """Return the values (S,) of all states, by those (R,) of the last two sweeps."""
-        found = np.zeros(self._model.n_states)
-        found[self.states] = values
-        if len(values) == len(found):
-            return found
-        found[self.states] = before
-        ahead = look_ahead(self._model, found)[:, : self._n_choices].max(axis=1)
-        return np.where(self._dead, 0.0, ahead)
+def _single_successors(model: MultiTimeModel, available: Flags, reward: Floats) -> tuple[Any, ...]:
+    """Return the tables of ``_sweep_states``, where no pair has more than one successor."""
+    shape, rows = reward.T.shape, model.rows
+    has = np.diff(rows.indptr[: reward.size + 1]) == 1
+    successor, discount = np.zeros(len(has), dtype=np.int32), np.zeros(len(has))
+    end = rows.indptr[reward.size]
+    successor[has], discount[has] = rows.indices[:end], rows.data[:end]
+    nothing, common = discount == 0.0, float(discount.max())
+    nothing |= ~available.T.ravel()
+    successor[nothing] = len(reward)  # the end of the task
+    rewards = np.where(available, reward, -np.inf)
+    rewards[~available.any(axis=1), 0] = 0.0  # nothing follows there, so their value stays 0
+    same = (nothing | (discount == common)).all()
+    discounts = np.empty((0, 0)) if same else np.ascontiguousarray(discount.reshape(shape).T)
+    successors = np.ascontiguousarray(successor.astype(np.uint32).reshape(shape).T)
+    return successors, np.ascontiguousarray(rewards), discounts, common
 
 
 def _sweep_states(
@@ -225,34 +168,35 @@ def solve_smdp(
     """
     check_limits(tol, max_sweeps)
     n_choices = n_choices or len(model.names)
-    backup = _Backup(model, n_choices)
-    values, before, earlier = np.zeros((3, len(backup.states) + 1))  # of the last three sweeps
+    states, sweep = _sweep_of(model, n_choices)
+    live = np.asarray(model.available[:, :n_choices].any(axis=1))
+
+    def ahead(values: Floats) -> Floats:
+        return look_ahead(model, values)[:, :n_choices]
+
+    def everywhere(values: Floats, before: Floats) -> Floats:
+        """Return the values (S,) of all states, by those of the last two sweeps."""
+        known = np.zeros(len(live))
+        known[states] = values[:-1]
+        if len(states) < len(live):
+            known[states] = before[:-1]
+            known = np.where(live, ahead(known).max(axis=1), 0.0)
+        return known
+
+    values, before, earlier = np.zeros((3, len(states) + 1))  # of the last three sweeps
     for sweeps in range(1, max_sweeps + 1):
-        residual = backup.sweep(values, earlier)
+        residual = sweep(values, earlier)
         values, before, earlier = earlier, values, before
         stop = on_sweep is not None and on_sweep(sweeps, residual)
         if stop or residual <= tol or sweeps == max_sweeps:
-            found = backup.everywhere(values[:-1], before[:-1])
-            if len(backup.states) < model.n_states:  # the others may have changed by more
-                old = backup.everywhere(before[:-1], earlier[:-1]) if sweeps > 1 else 0.0
+            found = everywhere(values, before)
+            if len(states) < len(live):  # the others may have changed by more
+                old = everywhere(before, earlier) if sweeps > 1 else 0.0
                 residual = float(np.abs(found - old).max())
             if stop or residual <= tol:
                 break
-    best, greatest = np.full(model.n_states, -1, dtype=np.int32), np.full(model.n_states, -np.inf)
-    for option, worth in enumerate(look_ahead(model, found).T[:n_choices]):
-        best[worth > greatest] = option
-        np.maximum(greatest, worth, out=greatest)
+    best = np.where(live, ahead(found).argmax(axis=1), -1).astype(np.int32)
     return Solution(found, best, sweeps, residual, residual <= tol)
-
-
-@dataclass(frozen=True)
-class SweepRow:
-    """The values after one sweep, for figures and tables."""
-
-    sweep: int  # 0: before the first
-    residual: float  # largest change of the sweep, reward units; NaN before the first
-    error: float  # largest distance from the final values
-    settled: int  # states whose value is as near to its final value as asked
 
 
 def value_history(model: MultiTimeModel, tol: float = 1e-8, max_sweeps: int = 1000) -> Floats:
@@ -269,26 +213,3 @@ def value_history(model: MultiTimeModel, tol: float = 1e-8, max_sweeps: int = 10
         history.append(np.where(usable, ahead, 0.0))
         residual = float(np.abs(history[-1] - history[-2]).max())
     return np.array(history)
-
-
-def sweep_table(
-    model: MultiTimeModel, near: float = 1e-3, max_sweeps: int = 1000
-) -> list[SweepRow]:
-    """
-    Return one row for each sweep, from the values of 0 to the final ones.
-
-    :param near: a value so close to its final one, in reward units, is settled.
-    :raises PlanError: as ``solve_smdp``.
-    """
-    history = value_history(model, max_sweeps=max_sweeps)
-    distance = np.abs(history - history[-1])
-    change = np.abs(np.diff(history, axis=0)).max(axis=1)
-    return [
-        SweepRow(
-            sweep=sweep,
-            residual=float(change[sweep - 1]) if sweep else float('nan'),
-            error=float(distance[sweep].max()),
-            settled=int((distance[sweep] <= near).sum()),
-        )
-        for sweep in range(len(history))
-    ]

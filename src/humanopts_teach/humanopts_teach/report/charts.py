@@ -7,12 +7,12 @@ The charts of a report: learning curves, planning and its sweeps, and games.
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from itertools import zip_longest
 import math
 from typing import Any, Literal
 
+from humanopts_env.arrays import Floats
 from humanopts_learner.planning.exact_plan import build_model, ExactPlan
-from humanopts_learner.planning.solve import sweep_table, SweepRow
+from humanopts_learner.planning.solve import value_history
 from humanopts_teach.evaluation.bag_evaluation import OptionEvaluation
 from humanopts_teach.evaluation.games import GamesEvaluation
 from humanopts_teach.evaluation.tables import SECONDS
@@ -219,20 +219,20 @@ def sweep_report(plans: Mapping[str, ExactPlan], name: str) -> SweepReport | Non
 
     :param plans: with exact models, by name.
     """
-    values = [plan.domain.n_states * plan.solution.sweeps for plan in plans.values()]
-    if not values or max(values) > MAX_VALUES:
+    if (
+        not plans
+        or max(p.domain.n_states * p.solution.sweeps for p in plans.values()) > MAX_VALUES
+    ):
         return None
-    tables = {}
+    values = {}  # (sweeps + 1, S) of each plan
     for called, plan in plans.items():
         model = build_model(plan.domain, plan.action_set, plan.options, plan.gamma)
-        tables[called] = sweep_table(model, near=NEAR, max_sweeps=plan.solution.sweeps)
-    states = next(iter(plans.values())).domain.n_states
-    found = list(zip_longest(*tables.values()))
+        values[called] = value_history(model, max_sweeps=plan.solution.sweeps)
     rows = [
-        (sweep, [text for row in found[sweep] for text in _cells(row, states)])
-        for sweep in _shown([len(table) - 1 for table in tables.values()])
+        (sweep, [text for history in values.values() for text in _cells(history, sweep)])
+        for sweep in _shown([len(history) - 1 for history in values.values()])
     ]
-    return SweepReport(list(tables), NEAR, _residuals(tables, f'{name}-residual'), rows)
+    return SweepReport(list(values), NEAR, _residuals(values, f'{name}-residual'), rows)
 
 
 def _shown(last: Sequence[int]) -> list[int]:
@@ -244,22 +244,24 @@ def _shown(last: Sequence[int]) -> list[int]:
     return sorted(shown)
 
 
-def _cells(row: SweepRow | None, states: int) -> tuple[str, str]:
-    if row is None:
+def _cells(history: Floats, sweep: int) -> tuple[str, str]:
+    if sweep >= len(history):
         return '', ''
-    return (number(row.residual, 3) if row.sweep else '', f'{row.settled / states:.1%}')
+    settled = (np.abs(history[sweep] - history[-1]) <= NEAR).mean()
+    residual = np.abs(history[sweep] - history[sweep - 1]).max()
+    return number(residual, 3) if sweep else '', f'{settled:.1%}'
 
 
-def _residuals(tables: Mapping[str, Sequence[SweepRow]], name: str) -> str:
+def _residuals(values: Mapping[str, Floats], name: str) -> str:
     title, unit = 'Residual of each sweep', 'reward units'
     label = 'Residual by sweep'
     with _chart(name, label, title=title, xlabel='sweep', ylabel=unit, yscale='log') as work:
         axes = work.axes
-        for index, (called, rows) in enumerate(tables.items()):
-            changed = [row for row in rows[1:] if row.residual > 0]  # the last may change nothing
-            sweeps, residuals = [row.sweep for row in changed], [row.residual for row in changed]
-            text = f'{called}: {len(rows) - 1} sweeps'
-            axes.plot(sweeps, residuals, ms=3, label=text, **_series(index))
+        for index, (called, history) in enumerate(values.items()):
+            residual = np.abs(np.diff(history, axis=0)).max(axis=1)
+            changed = np.flatnonzero(residual)  # the last sweep may change nothing
+            text = f'{called}: {len(residual)} sweeps'
+            axes.plot(1 + changed, residual[changed], ms=3, label=text, **_series(index))
         low, high = axes.get_ylim()
         axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5) if high < 100 * low else (1,)))
         axes.yaxis.set_major_formatter(StrMethodFormatter('{x:g}'))
