@@ -1,6 +1,7 @@
 """Option files: versioned, readable JSON with the demonstrations that they were learned from."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 import hashlib
 import json
 import os
@@ -17,10 +18,11 @@ from humanopts_learner.demonstrations import (
     Text,
     TREES,
 )
-from humanopts_learner.options.decision_tree import EncodedFeature, Tree, TreeError
+from humanopts_learner.options.decision_tree import EncodedFeature, LEAF, Tree, TreeError
 from humanopts_learner.options.learned_option import LearnedOption, OptionError
 from humanopts_ros.limits import JsonError, MAX_JSON, parse_json
 from humanopts_ros.text_files import fault_in, FileError, read_text
+import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 FORMAT = 'humanopts-option'
@@ -42,11 +44,12 @@ def option_to_json(option: LearnedOption, demonstrations: Sequence[Demonstration
 
     :param demonstrations: those that it was learned from, or none.
     """
-    trees = {part: getattr(option, part).to_dict() for part in PARTS}
     planned: dict[str, Any] = {}
     if option.method != TREES:
-        columns = [encoded.to_dict() for encoded in option.policy_encoding]
-        planned = {'method': option.method, 'policy_columns': columns}
+        planned = {
+            'method': option.method,
+            'policy_columns': [asdict(encoded) for encoded in option.policy_encoding],
+        }
     data = {
         'format': FORMAT,
         'version': VERSION,
@@ -54,9 +57,9 @@ def option_to_json(option: LearnedOption, demonstrations: Sequence[Demonstration
         'domain_parameters': json.loads(option.domain_parameters),
         **{key: getattr(option, key) for key in COUNTS},
         **{key: list(getattr(option, key)) for key in NAMES},
-        'columns': [encoded.to_dict() for encoded in option.encoding],
+        'columns': [asdict(encoded) for encoded in option.encoding],
         **planned,
-        **trees,
+        **{part: _tree_data(getattr(option, part)) for part in PARTS},
         'demonstrations': [json.loads(demo.to_json()) for demo in demonstrations],
     }
     return _pretty(data) + '\n'
@@ -66,27 +69,45 @@ class _Values(BaseModel):
     model_config = ConfigDict(frozen=True, extra='forbid')
 
 
-class _Column(_Values):
-    feature: Text
-    index: Count
-    value: Count | None
+class _Node(_Values):
+    """A node of a tree; a leaf has counts alone."""
 
-
-class _Leaf(_Values):
+    column: Count = LEAF
+    at_most: Real = 0.0
+    left: Count = LEAF
+    right: Count = LEAF
     counts: tuple[Count, ...]
-
-
-class _Split(_Leaf):
-    column: Count
-    at_most: Real
-    left: Count
-    right: Count
 
 
 class _Tree(_Values):
     columns: Count
     classes: tuple[Count, ...]
-    nodes: tuple[_Split | _Leaf, ...]
+    nodes: tuple[_Node, ...]
+
+    def tree(self) -> Tree:
+        """
+        Return the tree.
+
+        :raises TreeError: the nodes are not a tree.
+        """
+        if {len(node.counts) for node in self.nodes} != {len(self.classes)}:
+            raise TreeError(f'a node of a tree has not {len(self.classes)} counts')
+        return Tree(
+            np.array([node.left for node in self.nodes], dtype=np.int32),
+            np.array([node.right for node in self.nodes], dtype=np.int32),
+            np.array([node.column for node in self.nodes], dtype=np.int32),
+            np.array([node.at_most for node in self.nodes], dtype=np.float64),
+            np.array([node.counts for node in self.nodes], dtype=np.int64),
+            self.classes,
+            self.columns,
+        )
+
+
+def _tree_data(tree: Tree) -> dict[str, Any]:
+    arrays = tree.feature, tree.threshold, tree.left, tree.right, tree.counts
+    nodes = [dict(zip(_Node.model_fields, each)) for each in zip(*(a.tolist() for a in arrays))]
+    nodes = [node if node['left'] != LEAF else {'counts': node['counts']} for node in nodes]
+    return {'columns': tree.n_features, 'classes': list(tree.classes), 'nodes': nodes}
 
 
 class _OptionFile(_Values):
@@ -104,9 +125,9 @@ class _OptionFile(_Values):
     actions: tuple[Text, ...]
     features: tuple[Text, ...]
     uuids: tuple[Text, ...]
-    columns: tuple[_Column, ...]
+    columns: tuple[EncodedFeature, ...]
     method: Text = TREES
-    policy_columns: tuple[_Column, ...] = ()
+    policy_columns: tuple[EncodedFeature, ...] = ()
     policy: _Tree
     initiation: _Tree
     termination: _Tree
@@ -121,13 +142,11 @@ def option_from_json(text: str) -> tuple[LearnedOption, list[Demonstration]]:
     """
     try:
         data = _OptionFile.model_validate(parse_json(text))
-        plain = data.model_dump(exclude={'demonstrations'})
-        values: dict[str, Any] = {key: plain[key] for key in (*TEXTS, *COUNTS, *NAMES, 'method')}
-        values |= {part: Tree.from_dict(plain[part]) for part in PARTS}
         option = LearnedOption(
-            **values,
-            encoding=tuple(EncodedFeature(**each) for each in plain['columns']),
-            policy_encoding=tuple(EncodedFeature(**each) for each in plain['policy_columns']),
+            **{key: getattr(data, key) for key in (*TEXTS, *COUNTS, *NAMES, 'method')},
+            **{part: getattr(data, part).tree() for part in PARTS},
+            encoding=data.columns,
+            policy_encoding=data.policy_columns,
             domain_parameters=json.dumps(data.domain_parameters, sort_keys=True),
         )
         demonstrations = list(data.demonstrations)

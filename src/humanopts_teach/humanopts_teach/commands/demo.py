@@ -10,7 +10,6 @@ from typing import Any
 
 from humanopts_env.domains.base import Domain, DomainError, is_enumerable
 from humanopts_env.domains.registry import make_domain
-from humanopts_learner.options.decision_tree import import_scikit_learn
 from humanopts_learner.options.learned_option import LearnedOption
 from humanopts_learner.planning.request import (
     HUMAN,
@@ -191,7 +190,7 @@ def _import_what_follows(learns: bool) -> None:
     :param learns: options are learned again in this process.
     """
     if learns:
-        import_scikit_learn()
+        import sklearn.tree  # noqa: F401
     from humanopts_teach.report import write  # noqa: F401
 
 
