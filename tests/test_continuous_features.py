@@ -57,15 +57,15 @@ lake = teach_support.lake:reference_options
 
 
 class TestLake(DomainContract):
-    def make(self) -> Domain[Any]:
+    def make(self) -> Domain:
         return Lake()
 
 
 class TestOptionsOfLake(ReferenceContract):
-    def make(self) -> Domain[Any]:
+    def make(self) -> Domain:
         return Lake()
 
-    def options(self, domain: Domain[Any]) -> Mapping[str, ReferenceOption]:
+    def options(self, domain: Domain) -> Mapping[str, ReferenceOption]:
         return reference_options(domain)
 
 

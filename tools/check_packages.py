@@ -39,6 +39,7 @@ KEYS = {
     'sklearn': 'python3-sklearn',
     'typer': 'python3-typer-pip',
     'starlette': 'python3-nicegui-pip',
+    'typing_extensions': 'python3-typing-extensions',
     'uvicorn': 'python3-nicegui-pip',
     'yaml': 'python3-yaml',
     'zstandard': 'python3-zstandard',

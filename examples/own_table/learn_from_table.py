@@ -32,7 +32,7 @@ SWEEPS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 15, 20, 30)
 
 
 def learn_options(
-    demonstrations: list[Demonstration], domain: EnumerableDomain[Any]
+    demonstrations: list[Demonstration], domain: EnumerableDomain
 ) -> list[LearnedOption]:
     """Learn each option of the table, and print how well its demonstrations determine it."""
     options = []
@@ -49,7 +49,7 @@ def learn_options(
     return options
 
 
-def draw_option(axes: Any, domain: EnumerableDomain[Any], option: LearnedOption) -> None:
+def draw_option(axes: Any, domain: EnumerableDomain, option: LearnedOption) -> None:
     """Draw the policy as arrows in the initiation set (grey), and where the option ends (red)."""
     cells = domain.board_slices()[0].states  # (rows, cols) state indices; -1: a wall
     rows, floor = domain.feature_table(), cells >= 0
@@ -68,7 +68,7 @@ def draw_option(axes: Any, domain: EnumerableDomain[Any], option: LearnedOption)
 
 
 def draw_sweeps(
-    axes: Any, domain: EnumerableDomain[Any], options: dict[str, list[LearnedOption]]
+    axes: Any, domain: EnumerableDomain, options: dict[str, list[LearnedOption]]
 ) -> None:
     """Draw how value iteration gets on with each set of options."""
     for label, used in options.items():

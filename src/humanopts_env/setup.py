@@ -5,7 +5,7 @@ NAME = 'humanopts_env'
 setup(
     name=NAME,
     version='0.1.0',
-    install_requires=['lazy-loader>=0.3', 'numpy>=1.26.4', 'scipy>=1.11.4'],
+    install_requires=['lazy-loader>=0.3', 'numpy>=1.26.4', 'scipy>=1.11.4', 'typing-extensions'],
     packages=find_packages(exclude=['test']),
     package_data={NAME: ['py.typed', '__init__.pyi', 'mazes/*.lay']},
     data_files=[

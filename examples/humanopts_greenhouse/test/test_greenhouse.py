@@ -24,7 +24,7 @@ NORTH, SOUTH, WEST, EAST, FILL, POUR = range(6)
 class TestGreenhouse(DomainContract):
     """The usual house."""
 
-    def make(self) -> Domain[Any]:
+    def make(self) -> Domain:
         """Return a new one."""
         return Greenhouse()
 
@@ -32,7 +32,7 @@ class TestGreenhouse(DomainContract):
 class TestSmallGreenhouse(DomainContract):
     """The smallest house."""
 
-    def make(self) -> Domain[Any]:
+    def make(self) -> Domain:
         """Return a new one."""
         return Greenhouse(3)
 
@@ -40,11 +40,11 @@ class TestSmallGreenhouse(DomainContract):
 class TestItsOptions(ReferenceContract):
     """Whether or not the package is installed."""
 
-    def make(self) -> Domain[Any]:
+    def make(self) -> Domain:
         """Return a new one."""
         return Greenhouse()
 
-    def options(self, domain: Domain[Any]) -> dict[str, Any]:
+    def options(self, domain: Domain) -> dict[str, Any]:
         """Return what the entry point names."""
         return dict(reference_options(domain))
 

@@ -200,7 +200,7 @@ class Game:
     :ivar paused: why commands are refused now; empty: they are carried out.
     """
 
-    def __init__(self, domain: Domain[Any]) -> None:
+    def __init__(self, domain: Domain) -> None:
         self.domain = domain
         self.transition = Transition()
         self.control = Control(Holder.NOBODY, '', 'the game started')

@@ -32,7 +32,7 @@ class Games(Protocol):
     """N games of one domain; games that are over stay as they are."""
 
     @property
-    def domain(self) -> Domain[Any]:
+    def domain(self) -> Domain:
         """The domain."""
 
     def __len__(self) -> int:
@@ -72,7 +72,7 @@ class HasGames(Protocol):
         """Return games that are in given states."""
 
 
-def games_at(domain: Domain[Any], states: Sequence[Any]) -> Games:
+def games_at(domain: Domain, states: Sequence[Any]) -> Games:
     """Return games of a domain that are in given states, in its fastest way to play them."""
     if isinstance(domain, HasGames):
         return domain.games(states)
@@ -81,7 +81,7 @@ def games_at(domain: Domain[Any], states: Sequence[Any]) -> Games:
     return StateGames(domain, list(states))
 
 
-def new_games(domain: Domain[Any], count: int, chance: np.random.Generator) -> Games:
+def new_games(domain: Domain, count: int, chance: np.random.Generator) -> Games:
     """Begin N games at the start of the task."""
     one = games_at(domain, [domain.reset(np.random.default_rng(0))])
     games = one.take(np.zeros(count, dtype=np.intp))
@@ -89,7 +89,7 @@ def new_games(domain: Domain[Any], count: int, chance: np.random.Generator) -> G
     return games
 
 
-def feature_rows(domain: Domain[Any], states: Sequence[Any]) -> Rows:
+def feature_rows(domain: Domain, states: Sequence[Any]) -> Rows:
     """Return the features of N states, (N, F)."""
     return games_at(domain, states).features()
 
@@ -105,7 +105,7 @@ class TableGames:
     """Games of an enumerable domain; ``state`` (N,) has the index of each game's state."""
 
     def __init__(
-        self, domain: EnumerableDomain[Any], state: Ints, simulator: TabularSimulator | None = None
+        self, domain: EnumerableDomain, state: Ints, simulator: TabularSimulator | None = None
     ) -> None:
         """
         Take the games over.
@@ -116,7 +116,7 @@ class TableGames:
         self._simulator = simulator or TabularSimulator(domain.transitions(), domain.over())
 
     @classmethod
-    def at(cls, domain: EnumerableDomain[Any], states: Sequence[Any]) -> Self:
+    def at(cls, domain: EnumerableDomain, states: Sequence[Any]) -> Self:
         """Return games that are in given states."""
         return cls(domain, np.array([domain.index(state) for state in states], dtype=np.intp))
 
@@ -160,7 +160,7 @@ class TableGames:
 class StateGames:
     """Games of any domain, as a list of states that are stepped one after another."""
 
-    def __init__(self, domain: Domain[Any], states: list[Any]) -> None:
+    def __init__(self, domain: Domain, states: list[Any]) -> None:
         self.domain, self._states = domain, states
 
     def __len__(self) -> int:

@@ -71,7 +71,7 @@ class DomainEnv(gymnasium.Env[Any, Any]):
         :param render_mode: 'ansi' for text, or None.
         :raises DomainError: there is no such domain, or it refuses the parameters.
         """
-        self.domain: Domain[Any] = make_domain(domain, parameters)
+        self.domain: Domain = make_domain(domain, parameters)
         self.render_mode = render_mode
         self.action_space = gymnasium.spaces.Discrete(len(self.domain.actions))
         if is_enumerable(self.domain):
@@ -143,7 +143,7 @@ class DomainEnv(gymnasium.Env[Any, Any]):
         return self._now
 
     @property
-    def _listed(self) -> EnumerableDomain[Any]:
+    def _listed(self) -> EnumerableDomain:
         if not is_enumerable(self.domain):
             raise AttributeError(f'the states of {self.domain.name} cannot be listed')
         return self.domain
@@ -179,7 +179,7 @@ class DomainEnv(gymnasium.Env[Any, Any]):
         return share
 
 
-def spec_of(domain: Domain[Any]) -> EnvSpec:
+def spec_of(domain: Domain) -> EnvSpec:
     """Return the specification from which ``gymnasium.make`` makes a domain's environment."""
     names = {known: name for name, known in ENVIRONMENTS.items()}
     name = names.get(domain.name, 'humanopts/Table-v0')

@@ -4,11 +4,11 @@ The contracts of domains and of reference options, as test classes for pytest.
 In the tests of a package that adds a domain::
 
     class TestMyDomain(DomainContract):
-        def make(self) -> Domain[Any]:
+        def make(self) -> Domain:
             return MyDomain()
 
     class TestMyOptions(ReferenceContract):
-        def make(self) -> Domain[Any]:
+        def make(self) -> Domain:
             return MyDomain()
 
 A contract is a list of claims, functions that raise ``Breach`` with what is wrong; each becomes a
@@ -352,7 +352,7 @@ def _assert_once(names: Collection[str], what: str) -> None:
 class OptionEvidence:
     """The options of a domain, judged in its open states or in sampled ones."""
 
-    def __init__(self, domain: Domain[Any], options: Mapping[str, ReferenceOption]) -> None:
+    def __init__(self, domain: Domain, options: Mapping[str, ReferenceOption]) -> None:
         self.domain, self.options = domain, options
 
     @cached_property
@@ -416,7 +416,7 @@ def every_run_comes_to_its_end(seen: OptionEvidence) -> None:
             _run(seen.domain, option, states, which)
 
 
-def _run(domain: Domain[Any], option: ReferenceOption, states: Sequence[Any], which: int) -> None:
+def _run(domain: Domain, option: ReferenceOption, states: Sequence[Any], which: int) -> None:
     for number, start in enumerate(states):
         state, rng = start, generator(0, 'reference contract', option.name, which, number)
         for _ in range(domain.max_steps or MAX_RUN):
@@ -454,7 +454,7 @@ OPTION_CLAIMS = (
 class DomainContract:
     """Tests that a domain keeps the promises of ``humanopts_env.domains.base``."""
 
-    def make(self) -> Domain[Any]:
+    def make(self) -> Domain:
         """Return the domain to test; a new one at every call."""
         # not abstract: pytest would report that it cannot make the class, not what is missing
         raise NotImplementedError('make() must return the domain to test')
@@ -463,11 +463,11 @@ class DomainContract:
 class ReferenceContract:
     """Tests that reference options satisfy ``humanopts_env.domains.reference``."""
 
-    def make(self) -> Domain[Any]:
+    def make(self) -> Domain:
         """Return the domain whose options are tested."""
         raise NotImplementedError('make() must return the domain whose options are tested')
 
-    def options(self, domain: Domain[Any]) -> Mapping[str, ReferenceOption]:
+    def options(self, domain: Domain) -> Mapping[str, ReferenceOption]:
         """Return the options to test by name; by default those that are registered."""
         return reference_options(domain)
 

@@ -68,7 +68,7 @@ for _name, _make in {**OURS, **PACMANS}.items():
 def test_tables_are_there_where_states_can_be_listed() -> None:
     """So that the contract looks at them."""
     for make in (WithoutTables, PacMan):
-        assert not is_enumerable(cast(Domain[Any], make()))
+        assert not is_enumerable(cast(Domain, make()))
 
 
 def broken(**methods: Any) -> type[Taxi]:
@@ -169,7 +169,7 @@ WORTHLESS = broken(step=step_with(lambda outcome: replace(outcome, reward=float(
     ],
 )
 def test_a_broken_promise_is_found(
-    breach: Callable[[], Domain[Any]], claim: check.Claim, text: str
+    breach: Callable[[], Domain], claim: check.Claim, text: str
 ) -> None:
     """Each by the claim that is named for it, in words; a domain with a gross one is refused."""
     with pytest.raises(AssertionError, match=text):

@@ -168,7 +168,7 @@ GAME = (
     ids=lambda value: getattr(value, 'name', str(value)),
 )
 def test_a_step_says_what_it_did(
-    domain: Domain[Any], before: str, action: str, after: str, text: str
+    domain: Domain, before: str, action: str, after: str, text: str
 ) -> None:
     """
     States are in the notation of their domain, those of Pac-Man what fills ``GAME``.

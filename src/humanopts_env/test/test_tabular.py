@@ -42,7 +42,7 @@ class Chain:
 
 def visited(transitions: Transitions) -> list[int]:
     """Return the reachable states of the chain."""
-    domain = cast(EnumerableDomain[Any], Chain(transitions))
+    domain = cast(EnumerableDomain, Chain(transitions))
     return np.flatnonzero(reachable(domain)).tolist()
 
 

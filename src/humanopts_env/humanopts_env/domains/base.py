@@ -4,13 +4,14 @@ from collections.abc import Collection, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from itertools import compress, product
-from typing import Any, Generic, Protocol, runtime_checkable, TypeGuard, TypeVar
+from typing import Any, Generic, Protocol, runtime_checkable, TypeGuard
 
 from humanopts_env.arrays import Flags, Floats, Rows
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import TypeVar
 
-S = TypeVar('S', bound=Hashable)
+S = TypeVar('S', bound=Hashable, default=Any)  # states; ``Domain`` alone is one of any
 Parameter = int | float | str | bool
 
 
@@ -241,7 +242,7 @@ class EnumerableDomain(Domain[S], Protocol[S]):
         return []
 
 
-def is_enumerable(domain: ActableDomain) -> TypeGuard[EnumerableDomain[Any]]:
+def is_enumerable(domain: ActableDomain) -> TypeGuard[EnumerableDomain]:
     """Return whether the domain's states can all be listed."""
     return isinstance(domain, EnumerableDomain)
 

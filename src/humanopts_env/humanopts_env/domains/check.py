@@ -68,7 +68,7 @@ class Evidence:
     """
 
     def __init__(
-        self, domain: Domain[Any], steps: int, samples: int = 0, seconds: float = math.inf
+        self, domain: Domain, steps: int, samples: int = 0, seconds: float = math.inf
     ) -> None:
         """
         Walk at random.
@@ -192,7 +192,7 @@ CLAIMS: tuple[Claim, ...] = (
 )
 
 
-def check_domain(domain: Domain[Any], name: str) -> None:
+def check_domain(domain: Domain, name: str) -> None:
     """
     Check by sampling that a domain satisfies the claims that a game relies on.
 

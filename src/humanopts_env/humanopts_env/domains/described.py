@@ -88,12 +88,12 @@ def described_domain(message: Any) -> DescribedDomain:
     return domain
 
 
-def can_simulate(domain: ActableDomain) -> TypeGuard[Domain[Any]]:
+def can_simulate(domain: ActableDomain) -> TypeGuard[Domain]:
     """Return whether the rules of a domain are known here, so that it can be simulated."""
     return not isinstance(domain, DescribedDomain)
 
 
-def simulated(domain: ActableDomain, what: str) -> Domain[Any]:
+def simulated(domain: ActableDomain, what: str) -> Domain:
     """
     Return a domain with its rules.
 

@@ -91,7 +91,7 @@ def judge_games(option: ReferenceOption, games: Games) -> Judgement:
 class TabularReferenceOption:
     """A reference option of an enumerable domain, as arrays over its S states and A actions."""
 
-    domain: EnumerableDomain[Any]
+    domain: EnumerableDomain
     name: str
     features: tuple[str, ...]
     initiation: Flags  # (S,)

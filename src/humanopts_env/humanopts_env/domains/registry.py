@@ -16,7 +16,7 @@ REFERENCE_OPTIONS = 'humanopts.reference_options'
 OURS = 'humanopts_env.'
 
 
-def make_domain(name: str, parameters: Mapping[str, Parameter] | None = None) -> Domain[Any]:
+def make_domain(name: str, parameters: Mapping[str, Parameter] | None = None) -> Domain:
     """
     Build a registered domain, or the domain of a Gymnasium environment: ``gymnasium:ENV_ID``.
 
@@ -29,13 +29,13 @@ def make_domain(name: str, parameters: Mapping[str, Parameter] | None = None) ->
     factory, ours = _factory(name)
     check_parameters(name, factory, parameters or {})
     with _explained(f'{name} cannot be made'):
-        domain = cast(Domain[Any], factory(**(parameters or {})))
+        domain = cast(Domain, factory(**(parameters or {})))
     if not ours:
         check_domain(domain, name)
     return domain
 
 
-def domain_from_json(name: str, parameters: str) -> Domain[Any]:
+def domain_from_json(name: str, parameters: str) -> Domain:
     """
     Build a domain from its name and the JSON object of its parameters, as messages carry them.
 
@@ -49,7 +49,7 @@ def parameters_json(domain: ActableDomain) -> str:
     return json.dumps(dict(domain.parameters), sort_keys=True)
 
 
-def reference_options(domain: Domain[Any]) -> dict[str, ReferenceOption]:
+def reference_options(domain: Domain) -> dict[str, ReferenceOption]:
     """
     Return the domain's reference options by name; empty where it has none.
 

@@ -10,7 +10,6 @@ destination) are one situation.
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 from humanopts_env.arrays import Flags, Ints, Rows
 from humanopts_env.domains.base import (
@@ -51,7 +50,7 @@ class SearchSpace:
         return np.flatnonzero(self.open)
 
 
-def space_of_states(domain: EnumerableDomain[Any]) -> SearchSpace:
+def space_of_states(domain: EnumerableDomain) -> SearchSpace:
     """Return the search space in which every state is a cell of its own, and goals are drawn."""
     return plain_space(
         domain.transitions(),
@@ -92,7 +91,7 @@ def plain_space(
 
 
 def space_by_features(
-    domain: EnumerableDomain[Any],
+    domain: EnumerableDomain,
     *,
     cell: Sequence[str],
     status: str,
@@ -140,7 +139,7 @@ def plain_cell_name(values: tuple[int, ...]) -> str:
     return f'cell {",".join(map(str, values))}'
 
 
-def _groups(domain: EnumerableDomain[Any], names: Sequence[str]) -> tuple[Ints, Ints]:
+def _groups(domain: EnumerableDomain, names: Sequence[str]) -> tuple[Ints, Ints]:
     """Return the distinct values of some features, and (S,) the index of each state's values."""
     rows = domain.feature_table()[:, feature_columns(domain, names)]
     values, group = np.unique(rows, axis=0, return_inverse=True)

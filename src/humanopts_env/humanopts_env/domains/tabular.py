@@ -17,13 +17,13 @@ def read_only(array: NDArray[Scalar]) -> NDArray[Scalar]:
     return array
 
 
-def feature_column(domain: EnumerableDomain[Any], name: str) -> Floats:
+def feature_column(domain: EnumerableDomain, name: str) -> Floats:
     """Return (S,): the value of one feature in every state."""
     values: Floats = domain.feature_table()[:, feature_columns(domain, [name])[0]]
     return values
 
 
-def reachable(domain: EnumerableDomain[Any]) -> Flags:
+def reachable(domain: EnumerableDomain) -> Flags:
     """
     Return (S,): whether an episode can reach each state from the start states.
 

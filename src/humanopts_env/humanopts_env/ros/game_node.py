@@ -97,7 +97,7 @@ class GameNode(NodeBase):
         """Leave the last state as the current one."""
         self._show()
 
-    def _read_domain(self) -> Domain[Any]:
+    def _read_domain(self) -> Domain:
         name = self.setting('domain', 'taxi', 'registered name of the domain')
         parameters = self.setting('domain_parameters', '{}', 'JSON object of its parameters')
         try:
