@@ -15,8 +15,10 @@ from humanopts_env.domains.pacman.maze import load_maze, MazeError
 from humanopts_teach.bags import BagError
 from humanopts_teach.commands import CommandError
 from humanopts_teach.commands.options import PLAIN, SeveralValues, whole
+from humanopts_teach.evaluation import ProgressCallback
 from humanopts_teach.evaluation.summary import SummaryError
 from humanopts_teach.report.pages import counted, duration
+import pandas as pd
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 import typer
@@ -24,12 +26,12 @@ import typer
 from experiments import demonstrations, figure2, figure3, figure4, table1, table2, transfer
 from experiments.people import Participant, read_bag_lessons, Study
 from experiments.report import PAGE, Reproduction, Section, write_reproduction
-from experiments.trials import ClusterError, LIBRARIES, OnTrial, Outcome, run_trials, Trial
+from experiments.trials import ClusterError, LIBRARIES, Rows, run_trials, Trial
 
 _LINE_EVERY = 15.0  # s between lines, where there is no terminal
 app = typer.Typer(**PLAIN)
 # Each has a ``NAME`` on the command line, a ``TITLE``, ``trials`` of a study, and ``present``,
-# which makes a section of what they came to.
+# which makes a section from the rows of their results.
 PAPER: list[ModuleType] = [figure2, figure3, figure4, table2]
 EXPERIMENTS = {each.NAME: each for each in (*PAPER, transfer, demonstrations)}
 
@@ -115,7 +117,7 @@ def reproduce(
                 [f'Python {platform.python_version()}', *(f'{n} {version(n)}' for n in LIBRARIES)]
             ),
         }
-        sections = [section_of(each, outcome, trials[each]) for each in wanted]
+        sections = [section_of(each, outcome.rows_of(trials[each])) for each in wanted]
         sections[:0] = [table1.present()] if what == 'all' else []
         missing = list(outcome.failures.values())
         write_reproduction(out, Reproduction(sections, _people(every), study, missing, facts))
@@ -133,11 +135,11 @@ def reproduce(
     return 1 if missing else 0
 
 
-def section_of(experiment: ModuleType, outcome: Outcome, trials: Sequence[Trial]) -> Section:
-    """Return the section of an experiment; it says nothing where no trial has a result."""
-    done = [(t.parameters, outcome.results[t.key]) for t in trials if t.key in outcome.results]
-    section = experiment.present(done) if done else Section(experiment.NAME, experiment.TITLE)
-    assert isinstance(section, Section)
+def section_of(experiment: ModuleType, rows: Rows) -> Section:
+    """Return the section of an experiment; an empty one where no trial has a result."""
+    if not rows:
+        return Section(experiment.NAME, experiment.TITLE)
+    section: Section = experiment.present(pd.DataFrame(rows))
     return section
 
 
@@ -157,27 +159,17 @@ def _people(trials: Sequence[Trial]) -> list[Participant]:
 @contextmanager
 def trial_progress(
     console: Console | None = None, clock: Callable[[], float] = time.monotonic
-) -> Iterator[OnTrial]:
-    """Show on standard error how far the work is: a bar on a terminal, lines anywhere else."""
+) -> Iterator[ProgressCallback]:
+    """Show progress on standard error: a bar on a terminal, lines anywhere else."""
     console = console or Console(stderr=True)
     columns = (TextColumn('{task.description}'), BarColumn(), TimeRemainingColumn())
     bar = Progress(*columns, console=console, disable=not console.is_terminal)
     task, next_line = bar.add_task('', total=None), clock()
 
-    def show(outcome: Outcome, ended: Trial | None) -> None:
+    def show(done: float, total: float, text: str) -> None:
         nonlocal next_line
-        count = len(outcome.missing)
-        text = f'{outcome.finished} of {count} trials'
-        if ended is None:
-            before = len(outcome.results)
-            text = f'{before + count} trials, {before} of them done before'
-            bar.update(task, total=sum(trial.cost for trial in outcome.missing))
-        else:
-            bar.advance(task, ended.cost)
-            if ended.key in outcome.failures:
-                console.print(f'failed: {ended}', markup=False, highlight=False)
-        bar.update(task, description=text)
-        if not console.is_terminal and (clock() >= next_line or outcome.finished == count):
+        bar.update(task, completed=done, total=total, description=text)
+        if not console.is_terminal and (clock() >= next_line or done == total):
             next_line = clock() + _LINE_EVERY
             console.print(text, markup=False, highlight=False, soft_wrap=True)
 

@@ -12,6 +12,7 @@ then as good as what was shown from every start.
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from functools import partial
+import math
 from typing import Any
 
 from humanopts_env.domains.registry import make_domain, reference_options
@@ -26,9 +27,8 @@ from humanopts_teach.report.figures import Drawing
 import pandas as pd
 
 from experiments import report
-from experiments.paper import Statement
 from experiments.people import CAREFUL, Participant, participants, Study
-from experiments.trials import Trial
+from experiments.trials import Rows, Trial
 
 NAME = 'demonstrations'
 TITLE = 'Demonstrations that an option takes'
@@ -64,9 +64,11 @@ def trials(study: Study) -> list[Trial]:
     ]
 
 
-def count_demonstrations(parameters: Mapping[str, Any]) -> list[dict[str, Any]]:
+def count_demonstrations(parameters: Mapping[str, Any]) -> Rows:
     """Return a row for each reference option: the demonstrations that it took; None: too few."""
     rows = []
+    person = parameters['person']
+    case = {key: parameters[key] for key in ('domain', 'method', 'strategy')}
     for name in reference_options(make_domain(parameters['domain'])):
         past = _lesson(parameters, name)
         count, accuracy = next((at[:2] for at in past if at[2]), (None, None))
@@ -75,6 +77,9 @@ def count_demonstrations(parameters: Mapping[str, Any]) -> list[dict[str, Any]]:
             right = right[wrong[-1] + 1 :]
         rows.append(
             {
+                **case,
+                'people': person['group'],
+                'code': person['code'],
                 'option': name,
                 UNTIL[0]: count,
                 UNTIL[1]: right[0][0] if right else None,
@@ -108,26 +113,13 @@ def _lesson(parameters: Mapping[str, Any], name: str) -> list[tuple[int, float, 
     return past
 
 
-def count_table(done: report.Done) -> pd.DataFrame:
-    """Return a row for each option that a person taught: ``KEYS``, code, counts, accuracy."""
-    return pd.DataFrame(
-        {
-            **{key: p[key] for key in ('domain', 'method', 'strategy')},
-            'people': p['person']['group'],
-            'code': p['person']['code'],
-            **row,
-        }
-        for p, result in done
-        for row in result
-    )
-
-
 def summary_table(counts: pd.DataFrame) -> pd.DataFrame:
     """
-    Return a row for each option, method, strategy and group of people: medians and the most.
+    Return a row for each option, method, strategy and group of people: medians and maxima.
 
-    :return: ``KEYS``, count (of people), for both of ``UNTIL`` the median, the most and how many
-        people did not get there within the budget, and the most by which criteria came later.
+    :return: ``KEYS``, count (of people), for both of ``UNTIL`` the median, the maximum and the
+        number of people who did not get there within the budget, and the most by which the
+        criteria came later.
     """
     groups = counts.assign(excess=counts[UNTIL[0]] - counts[UNTIL[1]]).groupby(KEYS, sort=False)
     found = {'count': groups.size()}
@@ -140,23 +132,33 @@ def summary_table(counts: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame({**found, 'most in excess': groups['excess'].max()}).reset_index()
 
 
-def present(done: report.Done) -> report.Section:
-    """Return the section of the report."""
-    counts = count_table(done)
-    by_option = summary_table(counts)
+def present(rows: pd.DataFrame) -> report.Section:
+    """Return the section of the report; a row is an option that a person taught."""
+    counts = rows.drop(columns='trial', errors='ignore').astype(dict.fromkeys(UNTIL, float))
     tables = [
-        report.Table('demonstrations-summary', 'Demonstrations by option', by_option),
+        report.Table('demonstrations-summary', 'Demonstrations by option', summary_table(counts)),
         report.Table('demonstrations-each', 'Each lesson', counts, shown=False),
     ]
+    failures = counts[counts['strategy'] == 'failures']
+    pictures = [
+        report.Picture(
+            f'demonstrations-{domain}',
+            f'Demonstrations until the criteria hold for each option of {domain}',
+            (7.6, 5.2),
+            partial(_draw, mine),
+            f'{domain}: until the criteria hold, with the strategy failures; the dots are people, '
+            'careful or with slips, the bars medians. Lessons that did not get there are missing.',
+        )
+        for (domain,), mine in report.grouped(failures, ['domain'])
+    ]
     facts = {'budget': BUDGET, 'error_rate': ERROR_RATE}
-    said, pictures = _comparisons(counts), _pictures(counts)
-    return report.Section(NAME, TITLE, said, pictures, tables, facts)
+    taxi = failures[failures['domain'] == 'taxi']
+    return report.Section(NAME, TITLE, _comparisons(taxi), pictures, tables, facts)
 
 
-def _comparisons(counts: pd.DataFrame) -> list[report.Comparison]:
+def _comparisons(taxi: pd.DataFrame) -> list[report.Comparison]:
     """Compare the mean demonstrations of each option of Taxi with the goal of its method."""
     found = []
-    taxi = counts[(counts['domain'] == 'taxi') & (counts['strategy'] == 'failures')]
     for (method, people), rows in report.grouped(taxi, ['method', 'people']):
         # Where a lesson did not get there, it took more demonstrations than it had.
         means = {
@@ -168,38 +170,18 @@ def _comparisons(counts: pd.DataFrame) -> list[report.Comparison]:
             f'With {method} (people: {people}), the criteria of each Taxi option hold after '
             f'{most} demonstrations or fewer, the mean over people.'
         )
-        text = report.listed(f'{rows["code"].nunique()} people', means, '.1f')
         met = all_hold(mean.at_most(most) for mean in means.values())
-        found.append(report.compared(Statement(said, report.OURS), text, met))
+        case = f'{rows["code"].nunique()} people'
+        found.append(report.compare(said, met, case, means, '.1f'))
     return found
 
 
-def _pictures(counts: pd.DataFrame) -> list[report.Picture]:
-    return [
-        report.Picture(
-            f'demonstrations-{domain}',
-            f'Demonstrations until the criteria hold for each option of {domain}',
-            (7.6, 5.2),
-            partial(_draw, rows),
-            f'{domain}: until the criteria hold, with the strategy failures; the dots are people, '
-            'careful or with slips, the bars medians. Lessons that did not get there are missing.',
-        )
-        for (domain,), rows in report.grouped(counts[counts['strategy'] == 'failures'], ['domain'])
-    ]
+def _median(counts: 'pd.Series[float]') -> Interval:
+    return Interval(counts.median(), math.nan, math.nan)
 
 
 def _draw(rows: pd.DataFrame, work: Drawing) -> None:
-    axes, options = work.axes, list(dict.fromkeys(rows['option']))
-    for number, method in enumerate(METHODS):
-        mine = rows[rows['method'] == method]
-        for place, option in enumerate(options):
-            values = mine[mine['option'] == option][UNTIL[0]].dropna()
-            height = place + 0.15 * (2 * number - 1)
-            axes.plot(values, [height] * len(values), 'o', ms=4, alpha=0.4, color=f'C{number}')
-            (bar,) = axes.plot(values.median(), height, '|', color=f'C{number}', ms=14, mew=2)
-        bar.set_label(method)
-    axes.set_yticks(range(len(options)), options)
-    axes.invert_yaxis()
-    axes.set(xlabel='demonstrations', xlim=(0, None))
-    axes.grid(axis='x')
-    axes.legend()
+    style = {'ms': 4, 'alpha': 0.4}
+    report.draw_samples(work.axes, rows, 'option', UNTIL[0], 'method', _median, **style)
+    work.axes.set(xlabel='demonstrations', xlim=(0, None))
+    work.axes.legend()

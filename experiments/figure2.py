@@ -37,7 +37,6 @@ from matplotlib.ticker import MaxNLocator, PercentFormatter
 import pandas as pd
 
 from experiments import paper, report
-from experiments.paper import Statement
 from experiments.people import (
     BagLesson,
     CAREFUL,
@@ -47,12 +46,12 @@ from experiments.people import (
     taught_in,
     VARIED,
 )
-from experiments.trials import Trial
+from experiments.trials import Rows, Trial
 
 NAME = 'fig2'
 TITLE = 'Figure 2: accuracy against demonstrations'
 ASKED = 6  # most start states for each demonstration, "not here" answers included
-PEOPLE = 'people'  # the group of those in bags
+PEOPLE = 'people'  # the group of people in bags
 
 
 @dataclass(frozen=True)
@@ -61,28 +60,29 @@ class TaughtGame:
 
     domain: str
     features: str  # name of the list
-    parameters: str  # of the domain, JSON object
+    feature_list: str | None  # value of that parameter of the domain; None: it has none
     shown: int  # demonstrations of an option by one person
     groups: tuple[str, ...]  # of people
     cost: float  # of a trial, about processor seconds
     strategies: tuple[str, ...] = STRATEGIES  # of start states
     note: str = ''  # on the features, for captions
 
+    @property
+    def parameters(self) -> str:
+        """The parameters of the domain that differ from its own, JSON object."""
+        return json.dumps({'features': self.feature_list} if self.feature_list else {})
+
 
 DIRECTIONS, POSITIONS = 'directions', 'positions (features=paper)'  # names of lists of features
 HANDED_OVER = 'These features are first moves of shortest paths: they hand the policy over.'
 AS_LISTED = 'These features are positions only, as in the list of the paper.'
 GAMES = (
-    TaughtGame('taxi', 'all', '{}', 60, (CAREFUL, VARIED), cost=2.0),
-    TaughtGame('pacman', DIRECTIONS, '{}', 40, (VARIED,), cost=10.0, note=HANDED_OVER),
-    TaughtGame(
-        *('pacman', POSITIONS, '{"features": "paper"}', 60, (VARIED,)),
-        cost=6.0,
-        strategies=('random',),
-        note=AS_LISTED,
-    ),
+    TaughtGame('taxi', 'all', None, 60, (CAREFUL, VARIED), cost=2.0),
+    TaughtGame('pacman', DIRECTIONS, None, 40, (VARIED,), cost=10.0, note=HANDED_OVER),
+    TaughtGame('pacman', POSITIONS, 'paper', 60, (VARIED,), 6.0, ('random',), AS_LISTED),
 )
-CASE = ['domain', 'features', 'option', 'people', 'start states by']  # what tells curves apart
+CASE = ['domain', 'features', 'option', 'people', 'start states by']  # tells curves apart
+PERSON = [*CASE, 'person']
 RETURN = 'return'
 MEASURES = {  # with the titles of their plots; all but the return are shares of states
     RETURN: 'policy: average return',
@@ -91,8 +91,6 @@ MEASURES = {  # with the titles of their plots; all but the return are shares of
     'termination': 'β (does it end?)',
 }
 LEVELS = (0.95, 1.0)  # of policy accuracy; the report says how many demonstrations they take
-REACHED, HELD = 'first', 'for good'  # crossings of a level: the first, and the last
-CROSSINGS = tuple(f'{level:.0%}, {crossing}' for level in LEVELS for crossing in (REACHED, HELD))
 GOALS = {('failures', 0.95): 15, ('failures', 1.0): 30}  # demonstrations at most, careful, Taxi
 ROUNDING = 1e-9  # of an accuracy
 STYLES = {'random': 'C1--', 'coverage': 'C3-.', 'failures': 'C0-'}
@@ -131,14 +129,8 @@ def trials(study: Study) -> list[Trial]:
     ]
 
 
-def learn_from_simulated(parameters: Mapping[str, Any]) -> dict[str, Any]:
-    """
-    Have a simulated participant teach an option, and measure it after every demonstration.
-
-    :return: points [demonstrations, "not here" answers, average return, policy accuracy, that of
-        I, that of beta], the average return of the reference option (best return; None: unknown),
-        the person's seconds, and why the lesson was cut short (empty: it was not).
-    """
+def learn_from_simulated(parameters: Mapping[str, Any]) -> Rows:
+    """Let a simulated participant teach an option; measure it after every demonstration."""
     person = Participant(**parameters['person'])
     domain = domain_from_json(parameters['domain'], parameters['domain_parameters'])
     name, wanted, strategy = (parameters[key] for key in ('option', 'demonstrations', 'strategy'))
@@ -150,12 +142,12 @@ def learn_from_simulated(parameters: Mapping[str, Any]) -> dict[str, Any]:
 
     rules = LessonRules(strategy, ASKED * wanted, person.seed, until_no_failures=False)
     taught = teach(domain, person.teaching(name), rules, enough)
-    told = {'seconds': taught.seconds, 'cut_short': taught.cut_short}
-    return _measured(lesson, domain, name) | told
+    who = person.group, strategy, person.code
+    return point_rows(lesson, domain, name, who, taught.seconds, taught.cut_short)
 
 
-def learn_again(parameters: Mapping[str, Any]) -> dict[str, Any]:
-    """Learn an option again from the demonstrations in a bag; see ``learn_from_simulated``."""
+def learn_again(parameters: Mapping[str, Any]) -> Rows:
+    """Learn an option again from the demonstrations in a bag; measure it after each."""
     known = BagLesson(**parameters)
     bag = open_bag(Path(known.bag))
     domain = read_domain(bag)
@@ -163,227 +155,192 @@ def learn_again(parameters: Mapping[str, Any]) -> dict[str, Any]:
     first = next(n for n, demo in enumerate(demos, start=1) if demo.kind is Kind.TRAJECTORY)
     counts = range(first, len(demos) + 1)
     lesson = [learn_option(demos[:count], domain, known.seed) for count in counts]
-    told = {'seconds': sum(demo.seconds for demo in demos), 'cut_short': ''}
-    return _measured(lesson, domain, known.option) | told
+    who = PEOPLE, known.strategy, known.participant
+    return point_rows(lesson, domain, known.option, who, sum(demo.seconds for demo in demos))
 
 
-def _measured(lesson: Sequence[LearnedOption], domain: Domain[Any], name: str) -> dict[str, Any]:
-    """Return points and best return; without a reference option, None for each."""
-    learned = {option.n_demonstrations: option for option in lesson}  # the last of each number
-    options, returns = [*learned.values()], list[float | None]([None] * (len(learned) + 1))
-    if reference := reference_options(domain).get(name):
-        returns = [finite(each) for each in average_returns([*options, None], domain, reference)]
-    points = [
-        [option.n_demonstrations, option.n_not_here, its, *accuracies(option, domain).values()]
+def point_rows(
+    lesson: Sequence[LearnedOption],
+    domain: Domain[Any],
+    name: str,
+    who: tuple[str, str, str],
+    seconds: float,
+    cut_short: str = '',
+) -> Rows:
+    """
+    Measure an option after each of its demonstrations.
+
+    :param lesson: the option after each answer; of those after as many demonstrations the last
+        counts.
+    :param who: group, strategy of start states, and code of the person.
+    :param seconds: of the whole lesson.
+    :param cut_short: why the lesson ended early; empty: it did not.
+    :return: ``PERSON``, demonstrations, not here (answers so far), ``MEASURES``, best return (of
+        the reference option), minutes, cut short. None without a reference to compare with.
+    """
+    if (reference := reference_options(domain).get(name)) is None:
+        return []
+    options = [*{option.n_demonstrations: option for option in lesson}.values()]
+    *returns, best = map(finite, average_returns([*options, None], domain, reference))
+    taught = domain.name, domain.parameters.get('features')
+    features = [g.features for g in GAMES if taught == (g.domain, g.feature_list)]
+    case = [domain.name, *(features or ['all']), name, *who]
+    return [
+        {
+            **dict(zip(PERSON, case, strict=True)),
+            'demonstrations': option.n_demonstrations,
+            'not here': option.n_not_here,
+            **dict(zip(MEASURES, (its, *accuracies(option, domain).values()), strict=True)),
+            'best return': best,
+            'minutes': seconds / 60,
+            'cut short': cut_short,
+        }
         for option, its in zip(options, returns)
     ]
-    return {'points': points, 'best_return': returns[-1]}
-
-
-def accuracy_table(done: report.Done) -> pd.DataFrame:
-    """
-    Return a row for each person and number of demonstrations, case by case.
-
-    Options that have no reference to compare with are left out.
-
-    :return: ``CASE``, person, demonstrations, not here (answers so far), ``MEASURES``, and of the
-        whole lesson: best return (of the reference option), minutes, cut short (why; empty: it was
-        not).
-    """
-    names = ['demonstrations', 'not here', *MEASURES]
-    rows = [
-        _who(parameters)
-        | dict(zip(names, point))
-        | {
-            'best return': result['best_return'],
-            'minutes': result['seconds'] / 60,
-            'cut short': result['cut_short'],
-        }
-        for parameters, result in done
-        for point in result['points']
-        if any(known[3] is not None for known in result['points'])
-    ]
-    columns = [*CASE, 'person', *names, 'best return', 'minutes', 'cut short']
-    numbers = dict.fromkeys([*MEASURES, 'best return'], float)
-    points = pd.DataFrame(rows, columns=columns).astype(numbers)
-    # a "not here" answer changes the point of the demonstrations so far
-    last = points.drop_duplicates([*CASE, 'person', 'demonstrations'], keep='last')
-    return _case_by_case(last)
-
-
-def _who(parameters: Mapping[str, Any]) -> dict[str, str]:
-    """Return the case and the person of a trial."""
-    person = {'group': PEOPLE, 'code': parameters.get('participant')}
-    person = parameters.get('person', person)
-    domain, known = parameters['domain'], json.loads(parameters['domain_parameters'])
-    lists = {
-        game.features
-        for game in GAMES
-        if (game.domain, json.loads(game.parameters).get('features'))
-        == (domain, known.get('features'))
-    }
-    case = [domain, *(lists or {'all'}), parameters['option'], person['group']]
-    return dict(zip([*CASE, 'person'], [*case, parameters['strategy'], person['code']]))
-
-
-def _case_by_case(frame: pd.DataFrame) -> pd.DataFrame:
-    """Return all rows of the first case, then those of the next."""
-    order = frame.groupby(CASE, sort=False).ngroup()
-    return frame.iloc[order.argsort(kind='stable')].reset_index(drop=True)
 
 
 def curve_table(points: pd.DataFrame) -> pd.DataFrame:
     """
     Return the numbers that are drawn: means and their intervals over people.
 
-    :return: ``CASE``, measure, demonstrations, count, mean, low, high, best (of the measure).
+    :return: ``CASE``, demonstrations, best return, count, mean, low, high, measure.
     """
-    kept = [*CASE, 'demonstrations', 'best return']
-    each = points.melt(kept, [*MEASURES], 'measure', 'value')
-    found = report.mean_intervals(each, [*CASE, 'measure', 'demonstrations'], 'value')
-    best = points.groupby(CASE, sort=False)['best return'].first().rename('best').reset_index()
-    found = found.merge(best, on=CASE, how='left')
-    shares = found['measure'] != RETURN
-    found.loc[shares, 'low'] = found['low'].clip(lower=0.0)
-    found.loc[shares, 'high'] = found['high'].clip(upper=1.0)
-    found.loc[shares, 'best'] = 1.0
-    return _case_by_case(found)
+    by = [*CASE, 'demonstrations', 'best return']
+    share = {measure: () if measure == RETURN else (0.0, 1.0) for measure in MEASURES}
+    each = [
+        report.mean_intervals(points, by, measure, *limits).assign(measure=measure)
+        for measure, limits in share.items()
+    ]
+    return pd.concat(each, ignore_index=True)
 
 
 def person_table(points: pd.DataFrame) -> pd.DataFrame:
     """
     Return a row for each person.
 
-    :return: ``CASE``, person, for each of ``LEVELS`` the demonstrations until it was first
-        reached, and until it was reached for good: it held after every later demonstration; the
-        last measures, best return, minutes, cut short, shown (all demonstrations).
+    :return: ``PERSON``; for each of ``LEVELS`` the demonstrations after which it held for good,
+        NaN where it did not; the last measures, best return, minutes, cut short, and shown (all
+        demonstrations).
     """
     last = {name: f'last accuracy of {name}' for name in MEASURES} | {RETURN: 'last return'}
     rows = []
-    for key, mine in report.grouped(points, [*CASE, 'person']):
-        row: dict[str, Any] = dict(zip([*CASE, 'person'], key))
+    for key, mine in report.grouped(points, PERSON):
+        row: dict[str, Any] = dict(zip(PERSON, key))
         for level in LEVELS:
-            first = mine['policy'] >= level - 1e-12
-            held = first[::-1].cummin()[::-1]
-            for crossing, there in ((REACHED, first), (HELD, held)):
-                at = mine[there]['demonstrations']
-                row[f'{level:.0%}, {crossing}'] = next(iter(at), pd.NA)
-        end = mine.iloc[-1].drop(list(row), errors='ignore')
-        shown = end.pop('demonstrations')
-        rows.append({**row, **end.drop('not here').rename(last), 'shown': shown})
-    return pd.DataFrame(rows).astype(dict.fromkeys(CROSSINGS, 'Int64'))
+            held = (mine['policy'] >= level - ROUNDING)[::-1].cummin()[::-1]
+            row[f'{level:.0%}'] = mine['demonstrations'][held].min()
+        end = mine.iloc[-1].drop([*PERSON, 'trial', 'not here'], errors='ignore')
+        rows.append({**row, **end.rename({**last, 'demonstrations': 'shown'})})
+    return pd.DataFrame(rows)
 
 
 def needed_table(people: pd.DataFrame) -> pd.DataFrame:
     """
-    Return the demonstrations that people needed for ``LEVELS`` of policy accuracy.
+    Return the demonstrations after which ``LEVELS`` of policy accuracy held for good.
 
-    A level that was reached can be lost again by a demonstration that misleads, so that there are
-    two numbers: until it was reached first, and for good. Where a person did not, the mean is at
-    least that with all demonstrations that were shown.
+    Where a person did not get there, the mean is at least that with all demonstrations shown.
     """
     rows = []
     for key, members in report.grouped(people, CASE):
         row = {**dict(zip(CASE, key)), 'count': len(members)}
-        for case in CROSSINGS:
-            reached, longest = int(members[case].notna().sum()), members['shown'].max()
-            text = f'{members[case].fillna(longest).mean():.1f}'
+        for level in LEVELS:
+            needed, longest = members[f'{level:.0%}'], members['shown'].max()
+            reached = int(needed.notna().sum())
+            text = f'{needed.fillna(longest).mean():.1f}'
             if reached < len(members):
                 text = f'over {text} ({reached} of {len(members)} people)'
-            row[f'demonstrations for {case}'] = text if reached else f'not within {longest}'
+            row[f'demonstrations for {level:.0%}'] = text if reached else f'not within {longest}'
         rows.append({**row, 'minutes': round(members['minutes'].mean(), 2)})
     return pd.DataFrame(rows)
 
 
-def last_table(curves: pd.DataFrame) -> pd.DataFrame:
-    """Return what each measure came to in the end, with the average return of the reference."""
-    last = curves.groupby([*CASE, 'measure'], sort=False).tail(1)
-    wide = last.pivot(index=[*CASE, 'demonstrations'], columns='measure', values='mean')
-    cases = last[last['measure'] == RETURN].set_index([*CASE, 'demonstrations'])['best']
-    wide = wide.reindex(cases.index).assign(**{'best return': cases})
-    wide = wide.reindex(columns=[RETURN, 'best return', *list(MEASURES)[1:]]).round(3)
-    return _case_by_case(wide.rename_axis(columns=None).reset_index())
+def last_table(points: pd.DataFrame) -> pd.DataFrame:
+    """Return the means after the last demonstration, and the return of the reference option."""
+    by, shown = [*CASE, 'demonstrations'], points['demonstrations']
+    last = points[shown == points.groupby(CASE)['demonstrations'].transform('max')]
+    found: pd.DataFrame = last.groupby(by, sort=False)[['best return', *MEASURES]].mean()
+    return found.round(3).reset_index()
 
 
-def present(done: report.Done) -> report.Section:
+def present(points: pd.DataFrame) -> report.Section:
     """Return the section of the report."""
-    points = accuracy_table(done)
     curves, people = curve_table(points), person_table(points)
-    needed = needed_table(people)
-    each = people.drop(columns='shown')
     tables = [
-        report.Table('fig2-needed', 'Demonstrations needed for a policy accuracy', needed),
-        report.Table('fig2-last', 'After the last demonstration', last_table(curves)),
+        report.Table(
+            'fig2-needed', 'Demonstrations needed for a policy accuracy', needed_table(people)
+        ),
+        report.Table('fig2-last', 'After the last demonstration', last_table(points)),
         report.Table('fig2-curves', 'The curves', curves, shown=False),
-        report.Table('fig2-people', 'Each person', each, shown=False),
+        report.Table('fig2-people', 'Each person', people.drop(columns='shown'), shown=False),
     ]
-    said = [*_compare_cases(points, people, needed), *_compare_minutes(people)]
+    said = [*_compare_cases(points, people), *_compare_minutes(people)]
     shown = {f'{game.domain}, {game.features}': game.shown for game in GAMES}
     facts = {'shown': shown, 'pace': PACE, 'longest': LONGEST}
     return report.Section(NAME, TITLE, said, _pictures(curves), tables, facts)
 
 
-def _compare_cases(
-    points: pd.DataFrame, people: pd.DataFrame, needed: pd.DataFrame
-) -> Iterator[report.Comparison]:
-    for (key, members), (_, mine), (_, row) in zip(
-        report.grouped(people, CASE), report.grouped(points, CASE), needed.iterrows()
+def _compare_cases(points: pd.DataFrame, people: pd.DataFrame) -> Iterator[report.Comparison]:
+    for (key, members), (_, mine) in zip(
+        report.grouped(people, CASE), report.grouped(points, CASE)
     ):
         domain, features, option, group, strategy = key
         case = f'{_game(domain, features)}, “{option}”, start states by {strategy}'
         if _as_in_paper(group, strategy) and paper.FIGURE_2_OPTIONS.get(domain) == option:
             yield from _compare_accuracies(case, mine)
         if group == CAREFUL and domain == 'taxi':
-            yield from _compare_needed(case, strategy, members, row)
+            yield from _compare_needed(f'{case}, without errors', strategy, members)
 
 
 def _compare_accuracies(case: str, points: pd.DataFrame) -> Iterator[report.Comparison]:
-    """Yield how return and best actions rise, within each person, and what I and beta are."""
+    """Yield how return and best actions rise, within each person, and the errors of I and β."""
     most = int(points['demonstrations'].max())
     last, gains = min(paper.DEMONSTRATIONS, most), {}
     for measure in (RETURN, 'policy'):
         values = points.pivot(index='person', columns='demonstrations', values=measure)
         # a person who began with "not here" answers alone, or showed fewer, has no pair
-        pairs = values.reindex(columns=[1, last]).dropna().to_numpy()
+        pairs = values.reindex(columns=[1, last]).dropna().to_numpy(float)
         gains[MEASURES[measure]] = Interval.of_difference(pairs[:, -1], pairs[:, 0])
     ends = points.groupby('person', sort=False).last()
     parts = ('initiation', 'termination')
     errors = {MEASURES[part]: Interval.of(1 - ends[part].dropna()) for part in parts}
-    rises = report.listed(f'{case}, gain within a person from 1 to {last}', gains)
-    wrong = report.listed(f'{case}, errors after {most}', errors)
-    yield report.compared(paper.SAID['rises'], rises, all_hold(g.above() for g in gains.values()))
-    verdict = any_holds(error.above(ROUNDING) for error in errors.values())
-    yield report.compared(paper.SAID['imperfect'], wrong, verdict)
+    yield report.compare(
+        paper.SAID['rises'],
+        all_hold(gain.above() for gain in gains.values()),
+        f'{case}, gain within a person from 1 to {last}',
+        gains,
+    )
+    yield report.compare(
+        paper.SAID['imperfect'],
+        any_holds(error.above(ROUNDING) for error in errors.values()),
+        f'{case}, errors after {most}',
+        errors,
+    )
 
 
 def _compare_needed(
-    case: str, strategy: str, members: pd.DataFrame, row: pd.Series
+    case: str, strategy: str, members: pd.DataFrame
 ) -> Iterator[report.Comparison]:
     """
     Yield the demonstrations that careful people needed beside the paper's and our goals.
 
-    Those count after which the level held for good. Who did not reach it counts with all that
-    were shown, so that their number can only be too low then: it may refute that few are needed,
-    and never shows it. The paper names no level, so that nothing can be compared with its number.
+    A person who did not reach a level counts with all demonstrations shown. Their number can only
+    be too low then: it may refute that few are needed, and never shows it.
     """
     for level in LEVELS:
-        said = {name: row[f'demonstrations for {level:.0%}, {name}'] for name in (REACHED, HELD)}
-        demonstrations = members[f'{level:.0%}, {HELD}']
-        needed = Interval.of(demonstrations.fillna(members['shown']).astype(float))
-        if demonstrations.notna().all():
-            said[HELD] = needed
+        reached = members[f'{level:.0%}']
+        needed = Interval.of(reached.fillna(members['shown']).astype(float))
+        known = needed if reached.notna().all() else f'over {needed.mean:.1f}'
+        values = {f'{level:.0%} for good after': known}
         if (strategy, level) in GOALS:
             most = GOALS[strategy, level]
             text = f'{level:.0%} policy accuracy takes at most {most} demonstrations.'
-            verdict = False if needed.at_most(most) is False else None
-            if demonstrations.notna().all():
-                verdict = needed.at_most(most)
-            found = report.listed(f'{case}, without errors', said, '.1f')
-            yield report.compared(Statement(text, report.OURS), found, verdict)
+            verdict = needed.at_most(most)
+            if verdict and reached.isna().any():
+                verdict = None
+            yield report.compare(text, verdict, case, values, '.1f')
         elif (strategy, level) == ('random', LEVELS[0]):
-            shown = f'{case}, without errors; {paper.NO_LEVEL}; here for {level:.0%}'
-            found = report.listed(shown, said, '.1f')
-            yield report.compared(paper.SAID['forty'], found, report.Mark.NOT_COMPARABLE)
+            said, mark = paper.SAID['forty'], report.Mark.NOT_COMPARABLE
+            yield report.compare(said, mark, case, values, '.1f', paper.NO_LEVEL)
 
 
 def _game(domain: str, features: str) -> str:
@@ -402,8 +359,8 @@ def _compare_minutes(people: pd.DataFrame) -> Iterator[report.Comparison]:
             real = bool((mine['people'] == PEOPLE).all())
             pace = 'minutes by the clock' if real else 'minutes at an assumed pace'
             verdict = taken.at_most(paper.MINUTES[domain]) if real else report.Mark.NOT_COMPARABLE
-            text = report.listed(_game(domain, features), {pace: taken}, '.1f')
-            yield report.compared(paper.SAID[f'minutes_in_{domain}'], text, verdict)
+            said, case = paper.SAID[f'minutes_in_{domain}'], _game(domain, features)
+            yield report.compare(said, verdict, case, {pace: taken}, '.1f')
 
 
 def _as_in_paper(group: str, strategy: str) -> bool:
@@ -433,13 +390,13 @@ def _draw(shown: pd.DataFrame, work: Drawing) -> None:
     plots = work.figure.subplots(1, len(MEASURES))
     muted = matplotlib.rcParams['axes.edgecolor']
     for axes, (measure, title) in zip(plots, MEASURES.items()):
-        mine = shown[shown['measure'] == measure]
+        mine = shown[shown['measure'] == measure].sort_values('demonstrations')
         report.draw_curves(axes, mine, 'start states by', 'demonstrations', STYLES, lw=1.5)
         axes.axvline(paper.DEMONSTRATIONS, color=muted, ls=':', lw=1)
         axes.set(title=title, xlabel='demonstrations')
         axes.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=7))
         if measure == RETURN:
-            axes.axhline(mine['best'].mean(), color=muted, lw=1, label='reference')
+            axes.axhline(mine['best return'].mean(), color=muted, lw=1, label='reference')
             continue
         axes.set(ylim=(None, 1.02))
         axes.sharey(plots[1])

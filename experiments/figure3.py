@@ -6,7 +6,8 @@ extraction, from random tasks of its own.
 """
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 from humanopts_env.domains.registry import make_domain, parameters_json
@@ -22,8 +23,8 @@ import pandas as pd
 
 from experiments import paper
 from experiments.people import extraction, Study
-from experiments.report import compared, Comparison, Done, listed, Picture, Section, Table, written
-from experiments.trials import Trial
+from experiments.report import compare, Comparison, grouped, Picture, Section, Table, written
+from experiments.trials import Rows, Trial
 
 NAME = 'fig3'
 TITLE = 'Figure 3: automatic options'
@@ -33,6 +34,8 @@ CENTRE = 'go to cell 2,2'  # of the 5 x 5 grid
 MIDDLE = 12  # index of that cell
 LARGEST_SIDE = 5.0  # of a picture's board, inches
 PAPERS = (*(f'{event} at {name}' for event in ('pickup', 'dropoff') for name in 'RGYB'), CENTRE)
+KINDS = {'pickups': 'pickup', 'dropoffs': 'dropoff', 'cells': ''}  # of options, by last event
+EACH = {'option': 'option', 'can start': 'share of states where it can start'}  # lists, as titled
 
 
 def trials(study: Study) -> list[Trial]:
@@ -45,191 +48,131 @@ def trials(study: Study) -> list[Trial]:
     ]
 
 
-def extract(parameters: Mapping[str, Any]) -> dict[str, Any]:
-    """Find the options of a domain; return them and the cost, see ``as_json``."""
+def extract(parameters: Mapping[str, Any]) -> Rows:
+    """Find the options of a domain; return the row of ``extraction_row``."""
     domain = make_domain(parameters['domain'])
-    return as_json(extraction(domain.name, parameters_json(domain), parameters['seed']))
+    found = extraction(domain.name, parameters_json(domain), parameters['seed'])
+    return [{**parameters, **extraction_row(found)}]
 
 
-def as_json(found: AutomaticOptions) -> dict[str, Any]:
-    """Return options in the order of finding, and what it cost to find them."""
-    reached = found.space.open
+def extraction_row(found: AutomaticOptions) -> dict[str, Any]:
+    """Return the columns of an extraction; lists are in the order of finding, or by cell."""
+    reached, options = found.space.open, found.options
+    events = [option.target.event for option in options]
     return {
-        'options': [
-            {
-                'name': option.name,
-                'cell': int(option.target.cell),
-                'event': option.target.event,
-                'visits': int(option.target.visits),
-                'can_start': float(option.initiation[reached].mean()),
-                'reaches': float(option.reaches),
-            }
-            for option in found.options
-        ],
-        'visits': found.visits.tolist(),
+        'options': len(options),
+        **{kind: events.count(event) for kind, event in KINDS.items()},
+        'share that reaches the target': float(np.mean([option.reaches for option in options])),
         'seconds': found.seconds,
-        'game_steps': found.game_steps,
+        'game steps': found.game_steps,
         'episodes': found.episodes,
-        'solved': found.solved,
+        'share of runs that reached their goals': found.solved,
+        'option': [option.name for option in options],
+        'can start': [float(option.initiation[reached].mean()) for option in options],
+        'target': [int(option.target.cell) for option in options],
+        'visits': found.visits.tolist(),
     }
 
 
-def present(done: Done) -> Section:
+def present(extractions: pd.DataFrame) -> Section:
     """Return the section of the report."""
-    found: dict[str, list[Any]] = {}  # extractions by domain
-    for parameters, one in done:
-        found.setdefault(parameters['domain'], []).append(one)
+    options = extractions.explode([*EACH])[['domain', 'seed', *EACH]].rename(columns=EACH)
+    cost = extractions.drop(columns=[*EACH, 'target', 'visits', 'trial'], errors='ignore')
+    by_domain = {domain: mine for (domain,), mine in grouped(extractions, ['domain'])}
     tables = [
         Table(
             f'fig3-found-{domain}',
-            f'{DOMAINS[domain]}: which options were found, and how often',
-            found_table(domain, extractions),
+            f'{DOMAINS[domain]}: how often each option was found',
+            found_table(domain, mine['option']),
             shown=domain == 'taxi',
         )
-        for domain, extractions in found.items()
+        for domain, mine in by_domain.items()
     ]
     tables += [
-        Table('fig3-options', 'The options', option_table(done), shown=False),
-        Table('fig3-extractions', 'Each extraction, and what it cost', extraction_table(done)),
+        Table('fig3-options', 'The options', options, shown=False),
+        Table('fig3-extractions', 'Each extraction, and its cost', cost),
     ]
-    pictures = [_picture(domain, first) for domain, (first, *_) in found.items()]
-    compared_ones = _comparisons(found['taxi']) if 'taxi' in found else []
-    return Section(NAME, TITLE, compared_ones, pictures, tables)
+    compared = _comparisons(by_domain['taxi']) if 'taxi' in by_domain else []
+    pictures = [_picture(mine.iloc[0]) for mine in by_domain.values()]
+    return Section(NAME, TITLE, compared, pictures, tables)
 
 
-def found_table(domain: str, found: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
+def found_table(domain: str, found: Iterable[Sequence[str]]) -> pd.DataFrame:
     """Return in how many extractions each option was found, those of the paper in any case."""
     seen, papers = _seen(found), PAPERS if domain == 'taxi' else ()
     others = sorted(set(seen) - set(papers), key=lambda name: (-seen[name], name))
     rows = [
-        [name, ('yes' if name in papers else 'no') if papers else None, seen[name], len(found)]
+        [name, ('yes' if name in papers else 'no') if papers else None, seen[name]]
         for name in (*papers, *others)
     ]
-    return pd.DataFrame(rows, columns=['option', 'in the paper', 'found in', 'of extractions'])
+    return pd.DataFrame(rows, columns=['option', 'in the paper', 'extractions'])
 
 
-def option_table(done: Done) -> pd.DataFrame:
-    """Return a row for each option of each extraction."""
-    named = {
-        'name': 'option',
-        'visits': 'visits',
-        'can_start': 'share of states where it can start',
-        'reaches': 'share of these from which it came to its target',
-    }
-    rows = [
-        {'domain': DOMAINS[p['domain']], 'seed': p['seed'], 'number': number}
-        | {title: option[name] for name, title in named.items()}
-        for p, one in done
-        for number, option in enumerate(one['options'], start=1)
-    ]
-    return pd.DataFrame(rows)
-
-
-def extraction_table(done: Done) -> pd.DataFrame:
-    """Return a row for each extraction."""
-    rows = [
-        {
-            'domain': DOMAINS[parameters['domain']],
-            'seed': parameters['seed'],
-            'options': len(one['options']),
-            'pickups': events['pickup'],
-            'dropoffs': events['dropoff'],
-            'cells': events[''],
-            'share that comes to the target': float(
-                np.mean([o['reaches'] for o in one['options']])
-            ),
-            'seconds': one['seconds'],
-            'game steps': one['game_steps'],
-            'episodes': one['episodes'],
-            'share of runs that came to their goals': one['solved'],
-        }
-        for parameters, one in done
-        for events in [_events(one)]
-    ]
-    return pd.DataFrame(rows)
-
-
-def _events(one: Mapping[str, Any]) -> Counter[str]:
-    """Return how many options end by each event; an empty name: by going to a cell."""
-    return Counter(option['event'] for option in one['options'])
-
-
-def _seen(found: Sequence[Mapping[str, Any]]) -> Counter[str]:
+def _seen(found: Iterable[Sequence[str]]) -> Counter[str]:
     """Return in how many extractions an option of each name was found."""
-    return Counter(name for one in found for name in {o['name'] for o in one['options']})
+    return Counter(name for names in found for name in set(names))
 
 
-def _comparisons(found: Sequence[Mapping[str, Any]]) -> list[Comparison]:
+def _comparisons(taxi: pd.DataFrame) -> list[Comparison]:
     """Compare extractions in Taxi with the paper's."""
-    seen, taxi = _seen(found), Taxi()
-    counts = [len(one['options']) for one in found]
-    middle = np.mean([one['visits'][MIDDLE] / max(one['visits']) for one in found])
-    automatic = Interval.of([np.mean([o['can_start'] for o in one['options']]) for one in found])
-    reached = search_space(taxi).reached & ~taxi.over()
-    meant = (reference_options(taxi)[name].initiation[reached] for name in paper.TAUGHT['taxi'])
-    human = float(np.mean([float(starts.mean()) for starts in meant]))
-    can_start: dict[str, Any] = {'automatic': automatic, 'human, as an expert means it': human}
-    return [
-        _mostly(
+    seen, domain, options = _seen(taxi['option']), Taxi(), taxi['options']
+    rarest, n_actions = min(seen[name] for name in PAPERS[:-1]), len(domain.actions)
+    middle = np.mean([visits[MIDDLE] / max(visits) for visits in taxi['visits']])
+    centre = [CENTRE in names for names in taxi['option']]
+    mostly: list[tuple[str, Any, dict[str, Any]]] = [
+        (
             'kinds',
-            [_events(one) == paper.AUTOMATIC for one in found],
-            {'the rarest pickup or dropoff in': min(seen[name] for name in PAPERS[:-1])},
+            (taxi[[*KINDS]] == [*paper.AUTOMATIC]).all(axis=1),
+            {'rarest option in': rarest},
         ),
-        _mostly(
-            'centre',
-            [any(o['name'] == CENTRE for o in one['options']) for one in found],
-            {'visits of the centre, of those of the most visited cell,': f'{middle:.1%}'},
-        ),
-        _mostly(
+        ('centre', centre, {'visits, relative to the most visited cell,': f'{middle:.1%}'}),
+        (
             'more',
-            [count - len(taxi.actions) == 3 for count in counts],
-            {'options': float(np.mean(counts)), 'primitive actions': len(taxi.actions)},
-        ),
-        compared(
-            paper.SAID['general'],
-            listed('share of states where an option can start', can_start, '.0%'),
-            automatic.below(human),
+            options - n_actions == 3,
+            {'options': options.mean(), 'primitive actions': n_actions},
         ),
     ]
+    found = []
+    for said, flags, more in mostly:
+        share = Interval.of_share(np.array(flags))
+        count = f'{sum(flags)} of {len(flags)} extractions,'
+        values = {count: written(share, '.0%'), **more}
+        found.append(compare(paper.SAID[said], share.above(0.5), 'found in', values))
+    reached = search_space(domain).reached & ~domain.over()
+    meant = [reference_options(domain)[name].initiation[reached] for name in paper.TAUGHT['taxi']]
+    human = float(np.mean([starts.mean() for starts in meant]))
+    automatic = Interval.of(taxi['can start'].map(np.mean))
+    values = {'automatic': automatic, 'human, as an expert means it': human}
+    case = 'share of states where an option can start'
+    general = compare(paper.SAID['general'], automatic.below(human), case, values, '.0%')
+    return [*found, general]
 
 
-def _mostly(said: str, flags: Sequence[bool], more: Mapping[str, Any]) -> Comparison:
-    """Compare in how many extractions something was found with more than half of all."""
-    share = Interval.of_share(np.array(flags))
-    found: dict[str, Any] = {
-        f'{sum(flags)} of {len(flags)} extractions,': written(share, '.0%'),
-        **more,
-    }
-    return compared(paper.SAID[said], listed('found in', found), share.above(0.5))
-
-
-def _picture(name: str, first: Mapping[str, Any]) -> Picture:
+def _picture(first: 'pd.Series[Any]') -> Picture:
     """Return the visits of each cell, with the options numbered at their targets."""
-    domain, options = make_domain(name), list(enumerate(first['options'], start=1))
-    space = search_space(domain)
+    domain = make_domain(first['domain'])
+    space, name = search_space(domain), DOMAINS[domain.name]
     assert space.board is not None, f'{name} has a board'
-    board, states = geometry(domain, space.board), space.board.states
+    states = space.board.states
     cells = np.where(states >= 0, space.cell[states], -1)  # of each place; -1: none
     rows, cols = cells.shape
-    labels: dict[int, list[str]] = {}  # numbers by cell
-    for number, option in options:
-        labels.setdefault(option['cell'], []).append(str(number))
-
-    def draw(work: Drawing) -> None:
-        visited = np.where(cells >= 0, np.asarray(first['visits'])[cells], np.nan)
-        draw_heat(work, board, visited, Normalize(0.0, float(np.nanmax(visited))), 'visits')
-        box = {'boxstyle': 'round,pad=0.25', 'fc': '#ffffff', 'ec': '#101418', 'lw': 1.0}
-        style: dict[str, Any] = {'ha': 'center', 'va': 'center', 'weight': 'bold', 'bbox': box}
-        size = min(max(7.5, 60.0 / max(rows, cols)), 11.0)
-        for cell, numbers in labels.items():
-            for row, col in np.argwhere(cells == cell):
-                text = ', '.join(numbers)
-                work.axes.text(col, row, text, size=size, color='#101418', **style)
-        work.axes.set_title('Visits of greedy runs, and automatic options')
-        work.axes.tick_params(length=0)
-
+    draw = partial(_draw, first, cells, geometry(domain, space.board))
     side = LARGEST_SIDE / max(rows, cols)
+    label = f'Visits of greedy runs in {name}, with the targets of automatic options'
+    numbered = '; '.join(f'{n}: {option}' for n, option in enumerate(first['option'], start=1))
     size = side * cols + 1.2, side * rows + 0.8
-    label = f'Visits of greedy runs in {DOMAINS[name]}, with the targets of automatic options'
-    caption = f'{DOMAINS[name]}. ' + '; '.join(f'{n}: {option["name"]}' for n, option in options)
-    return Picture(f'fig3-{name}', label, size, draw, caption)
+    return Picture(f'fig3-{domain.name}', label, size, draw, f'{name}. {numbered}')
+
+
+def _draw(first: 'pd.Series[Any]', cells: Any, board: Any, work: Drawing) -> None:
+    visited = np.where(cells >= 0, np.asarray(first['visits'])[cells], np.nan)
+    draw_heat(work, board, visited, Normalize(0.0, float(np.nanmax(visited))), 'visits')
+    box = {'boxstyle': 'round,pad=0.25', 'fc': '#ffffff', 'ec': '#101418', 'lw': 1.0}
+    style: dict[str, Any] = {'ha': 'center', 'va': 'center', 'weight': 'bold', 'bbox': box}
+    size = min(max(7.5, 60.0 / max(cells.shape)), 11.0)
+    for cell in set(first['target']):
+        text = ', '.join(str(n) for n, of in enumerate(first['target'], start=1) if of == cell)
+        for row, col in np.argwhere(cells == cell):
+            work.axes.text(col, row, text, size=size, color='#101418', **style)
+    work.axes.set_title('Visits of greedy runs, and automatic options')
+    work.axes.tick_params(length=0)

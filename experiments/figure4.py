@@ -31,10 +31,11 @@ from humanopts_learner.qlearning import (
 )
 from humanopts_teach.report.figures import Drawing
 from matplotlib.ticker import MaxNLocator, StrMethodFormatter
+import numpy as np
 import pandas as pd
 
 from experiments import paper, people, report
-from experiments.trials import Trial
+from experiments.trials import Rows, Trial
 
 NAME, DOMAIN = 'fig4', 'taxi'
 TITLE = 'Figure 4: steps per episode of Q-learning'
@@ -51,6 +52,7 @@ TRIED, TRIALS = 10, 3  # rates that are tried, and learners for each
 TOGETHER = 6  # members in one trial, at most
 COST = 8.0  # of a member, about processor seconds
 KEYS = ['method', 'action set']
+FIRST, LAST, ALL = 'first 10 episodes', 'last 10', 'steps in all'
 
 
 def trials(study: people.Study) -> list[Trial]:
@@ -75,18 +77,18 @@ def trials(study: people.Study) -> list[Trial]:
             COST * len(members),
         )
         for method in METHODS
-        for name, (whose, *_) in SETS.items()
-        for first in range(0, len(sources[whose]), TOGETHER)
-        for members in [sources[whose][first : first + TOGETHER]]
+        for name, (owner, *_) in SETS.items()
+        for first in range(0, len(sources[owner]), TOGETHER)
+        for members in [sources[owner][first : first + TOGETHER]]
     ]
 
 
-def learn_curves(parameters: Mapping[str, Any]) -> list[dict[str, Any]]:
+def learn_curves(parameters: Mapping[str, Any]) -> Rows:
     """
     Learn with one action set.
 
-    :return: for each member: mean steps of the learners by episode, the rates, and the names of
-        the options.
+    :return: a row for each member: method, action set, number of its options, its rates, and its
+        steps: the mean of the learners by episode.
     """
     domain, chosen = Taxi(), SETS[parameters['set']][1]
     members = [{**parameters, **member} for member in parameters['members']]
@@ -101,103 +103,70 @@ def learn_curves(parameters: Mapping[str, Any]) -> list[dict[str, Any]]:
     rates = drawn_rates(parameters['seed'], TRIED)
     settings = Settings(parameters['episodes'], Method(parameters['method']), max_steps=LIMIT)
     best = best_rates_of_each(domain, tables, rates, TRIALS, settings, search)
-    judged = learn_in_step(
-        domain,
-        [Learners(table, [one] * parameters['learners']) for table, one in zip(tables, best)],
-        settings,
-        judging,
-    )
-    return [
-        {
-            'steps': learned.steps.mean(axis=0).tolist(),
-            'learning_rate': one.learning_rate,
-            'explore': one.explore,
-            'options': [option.name for option in each],
-        }
-        for learned, one, each in zip(judged, best, options)
+    learners = [
+        Learners(table, [one] * parameters['learners']) for table, one in zip(tables, best)
     ]
-
-
-def episode_table(done: report.Done) -> pd.DataFrame:
-    """
-    Return a row for each episode of each member.
-
-    :return: method, action set, member (its number among all), episode, steps, and of the member:
-        options (how many), learning rate, exploring (share of decisions).
-    """
-    members = [(parameters, one) for parameters, found in done for one in found]
-    rows = [
+    return [
         {
             'method': METHODS[parameters['method']],
             'action set': parameters['set'],
-            'member': member,
-            'episode': range(1, len(one['steps']) + 1),
-            'steps': one['steps'],
-            'options': len(one['options']),
-            'learning rate': one['learning_rate'],
-            'exploring': one['explore'],
+            'options': len(each),
+            'learning rate': one.learning_rate,
+            'exploring': one.explore,
+            'steps': learned.steps.mean(axis=0).tolist(),
         }
-        for member, (parameters, one) in enumerate(members)
+        for each, one, learned in zip(
+            options, best, learn_in_step(domain, learners, settings, judging)
+        )
     ]
-    frame = pd.DataFrame(rows).explode(['episode', 'steps'], ignore_index=True)
-    return frame.astype({'episode': int, 'steps': float})
 
 
-def summary_table(episodes: pd.DataFrame) -> pd.DataFrame:
-    """Return a row for each method and action set: steps while learning, and the best rates."""
-    rates = ['learning rate', 'exploring']
-    members = episodes.groupby([*KEYS, 'member'], sort=False)
-    totals = members.agg({'steps': 'sum', **dict.fromkeys(['options', *rates], 'first')})
-    found = report.mean_intervals(totals.reset_index(), KEYS, 'steps', least=0.0).set_index(KEYS)
-    found = found.rename(columns={'mean': 'steps in all'})
-    means = totals.groupby(KEYS, sort=False)[['options', *rates]].mean()
-    found.insert(1, 'options', means['options'])
-    last = episodes['episode'].max()
-    for name, part in (
-        ('first 10 episodes', episodes[episodes['episode'] <= 10]),
-        ('last 10', episodes[episodes['episode'] > last - 10]),
-    ):
-        found[name] = part.groupby(KEYS, sort=False)['steps'].mean()
-    return found.join(means[rates]).reset_index()
-
-
-def present(done: report.Done) -> report.Section:
-    """Return the section of the report."""
-    episodes = episode_table(done)
+def present(members: pd.DataFrame) -> report.Section:
+    """Return the section of the report; in ``members``, a row has the steps of all episodes."""
+    steps = np.array(members['steps'].tolist())  # (members, episodes)
+    parts = {ALL: steps.sum(1), FIRST: steps[:, :10].mean(1), LAST: steps[:, -10:].mean(1)}
+    totals = members.assign(**parts)
+    summary = report.mean_intervals(totals, KEYS, ALL, least=0.0)
+    means = totals.groupby(KEYS, sort=False)[
+        ['options', FIRST, LAST, 'learning rate', 'exploring']
+    ].mean()
+    episodes = members.explode('steps').astype({'steps': float})
+    episodes['episode'] = episodes.groupby(level=0).cumcount() + 1
     curves = report.mean_intervals(episodes, [*KEYS, 'episode'], 'steps', least=1.0)
     tables = [
-        report.Table('fig4-summary', 'Steps while learning', summary_table(episodes)),
+        report.Table(
+            'fig4-summary',
+            'Steps while learning',
+            summary.rename(columns={'mean': ALL}).join(means, on=KEYS),
+        ),
         report.Table('fig4-curves', 'The curves', curves, shown=False),
     ]
     facts = {'episodes': paper.EPISODES, 'limit': LIMIT, 'rates tried': TRIED}
-    said, pictures = _comparisons(episodes), _pictures(curves)
-    return report.Section(NAME, TITLE, said, pictures, tables, facts)
+    return report.Section(NAME, TITLE, _comparisons(totals), _pictures(curves), tables, facts)
 
 
-def _comparisons(episodes: pd.DataFrame) -> list[report.Comparison]:
+def _comparisons(totals: pd.DataFrame) -> list[report.Comparison]:
     """
     Compare the steps of all episodes; people and extractions are independent units.
 
-    Fewer steps alone do not say that anything was learned, so the first and the last episodes of
-    human options stand beside them.
+    Fewer steps alone do not show that anything was learned, so the first and the last episodes of
+    human options follow.
     """
     found = []
-    last = episodes['episode'].max()
-    totals = episodes.groupby([*KEYS, 'member'], sort=False)['steps'].sum().reset_index()
     for (method,), rows in report.grouped(totals, ['method']):
-        steps = {name: mine['steps'] for (name,), mine in report.grouped(rows, ['action set'])}
-        if {'human', 'automatic'} <= set(steps):
-            fewer = Interval.of_difference(steps['automatic'], steps['human'], paired=False)
-            values = {name: Interval.of(each) for name, each in steps.items()}
+        by_set = {name: mine for (name,), mine in report.grouped(rows, ['action set'])}
+        if {'human', 'automatic'} <= set(by_set):
+            human, automatic = by_set['human'], by_set['automatic']
+            fewer = Interval.of_difference(automatic[ALL], human[ALL], paired=False)
+            values = {name: Interval.of(mine[ALL]) for name, mine in by_set.items()}
+            values['automatic less human'] = fewer
+            why = (
+                f'steps of an episode: human in the first 10 {human[FIRST].mean():.1f}; '
+                f'in the last 10 {human[LAST].mean():.1f}'
+            )
             case = f'{method}, steps in all {paper.EPISODES} episodes'
-            own = episodes[(episodes['method'] == method) & (episodes['action set'] == 'human')]
-            means = {
-                'human in the first 10': own[own['episode'] <= 10]['steps'].mean(),
-                'in the last 10': own[own['episode'] > last - 10]['steps'].mean(),
-            }
-            text = report.listed(case, {**values, 'automatic less human': fewer}, ',.0f')
-            text += report.listed('; steps of an episode', means, '.1f')
-            found.append(report.compared(paper.SAID['learning'], text, fewer.above()))
+            said = paper.SAID['learning']
+            found.append(report.compare(said, fewer.above(), case, values, ',.0f', why))
     return found
 
 

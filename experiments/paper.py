@@ -84,7 +84,7 @@ NO_LEVEL = 'the paper does not say which accuracy is acceptable'
 EPISODES = 120  # figure 4
 MOST_STEPS = 300  # figure 4: where its axis ends
 CURVES = ('primitive', 'human', 'automatic')  # figure 4
-AUTOMATIC = {'pickup': 4, 'dropoff': 4, '': 1}  # section 7.3: options by their last event
+AUTOMATIC = (4, 4, 1)  # section 7.3: options that end by pickup, by dropoff, in a cell
 MINUTES = {'taxi': 15.0, 'pacman': 20.0}  # section 7.1: at most, on average
 FIGURE_2_OPTIONS = {  # figure 2 (a) and (b)
     'taxi': 'go to destination and dropoff',

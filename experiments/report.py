@@ -1,4 +1,4 @@
-"""The report of a reproduction: the paper's claims beside what was found, tables, figures."""
+"""The report of a reproduction: the paper's claims beside the results, tables and figures."""
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -14,8 +14,7 @@ from humanopts_learner.spreadsheet import csv_of
 from humanopts_teach.evaluation.summary import write_text
 from humanopts_teach.evaluation.tables import records
 from humanopts_teach.report.figures import Drawing, drawing, file_settings
-from humanopts_teach.report.pages import Finding, number
-from humanopts_teach.report.pages import render as render_page
+from humanopts_teach.report.pages import Finding, number, render
 from markupsafe import Markup
 import matplotlib
 from matplotlib.axes import Axes
@@ -33,12 +32,8 @@ DPI = 160
 OURS = 'goal of this project'
 
 
-# Parameters and results of the trials that have one.
-Done = Sequence[tuple[Mapping[str, Any], Any]]
-
-
 class Mark(Enum):
-    """How what was found compares with what was claimed."""
+    """How a result compares with a claim."""
 
     AGREES = 'agrees'
     DIFFERS = 'does not agree'
@@ -57,7 +52,7 @@ class Mark(Enum):
 
 @dataclass(frozen=True)
 class Comparison:
-    """One claim, beside the numbers that were found."""
+    """One claim, beside our results."""
 
     said: str
     where: str  # section, figure or table of the paper; or OURS
@@ -65,17 +60,47 @@ class Comparison:
     mark: Mark
 
 
-def compared(claim: Statement, found: str, verdict: bool | Mark | None) -> Comparison:
+def compare(
+    claim: Statement | str,
+    verdict: bool | Mark | None,
+    case: str = '',
+    values: Mapping[Any, Interval | float | str] | None = None,
+    style: str = '',
+    why: str = '',
+) -> Comparison:
     """
-    Return a claim beside what was found.
+    Compare a claim with our results.
 
-    :param claim: of the paper, or of this project: then its place is ``OURS``.
+    :param claim: of the paper; a text: a goal of this project.
     :param verdict: whether it holds; None: the data do not decide it.
+    :param case: what the values belong to.
+    :param values: that decide it, by name.
+    :param style: format of the values, as of ``written``.
+    :param why: an explanation that follows the values.
     """
+    statement = Statement(claim, OURS) if isinstance(claim, str) else claim
     if not isinstance(verdict, Mark):
-        yes, no = (Mark.MET, Mark.MISSED) if claim.where == OURS else (Mark.AGREES, Mark.DIFFERS)
+        ours = statement.where == OURS
+        yes, no = (Mark.MET, Mark.MISSED) if ours else (Mark.AGREES, Mark.DIFFERS)
         verdict = {True: yes, False: no, None: Mark.UNDECIDED}[verdict]
-    return Comparison(claim.text, claim.where, found, verdict)
+    found = '; '.join(f'{name} {written(each, style)}' for name, each in (values or {}).items())
+    found = '; '.join(filter(None, (f'{case}: {found}' if found else '', why)))
+    return Comparison(statement.text, statement.where, found, verdict)
+
+
+def written(value: Interval | float | str, style: str = '') -> str:
+    """
+    Return a value for people, with its limits where it has any.
+
+    :param style: format of a number; empty: four digits, and above 100 all before the point.
+    """
+    if isinstance(value, str):
+        return value
+    mean = value.mean if isinstance(value, Interval) else value
+    style = style or (',.0f' if abs(mean) >= 100 else '.4g')
+    if not isinstance(value, Interval) or math.isnan(value.low):
+        return f'{mean:{style}}'
+    return f'{mean:{style}} ({value.low:{style}} to {value.high:{style}})'
 
 
 @dataclass(frozen=True)
@@ -87,6 +112,13 @@ class Picture:
     size: tuple[float, float]  # inches
     draw: Callable[[Drawing], None]  # series have the colours C0, C1, ...
     caption: str = ''
+
+    @property
+    def svg(self) -> Markup:
+        """The figure as an ``<svg>`` element in the colours of the page."""
+        with drawing(self.name, self.label, *self.size) as work:
+            self.draw(work)
+        return Markup(work.svg)
 
 
 @dataclass(frozen=True)
@@ -121,7 +153,7 @@ class Reproduction:
     """The content of the page."""
 
     sections: Sequence[Section]
-    people: Sequence[Participant]  # empty: those in bags taught
+    people: Sequence[Participant]  # empty: people in bags taught
     study: Study
     missing: Sequence[str]  # trials that failed, in words
     provenance: Mapping[str, str]
@@ -137,8 +169,8 @@ def mean_intervals(
     """
     Return means over independent people or runs, with 95 % intervals by Student's t.
 
-    :param by: columns whose values make a group; the other rows of a group are averaged.
-    :param least: what a value can be at least; limits are cut off there, and at ``most``.
+    :param by: columns whose values form a group; the other rows of a group are averaged.
+    :param least: smallest possible value; limits are cut off there, and at ``most``.
     :return: ``by``, count (of values that are not NaN), mean, low, high; NaN where there is none,
         as the limits of a single value.
     """
@@ -160,26 +192,6 @@ def grouped(
     yield from groups
 
 
-def listed(case: str, values: Mapping[Any, Interval | float | str], style: str = '') -> str:
-    """Return a case with its values as one line; ``style`` as of ``written``."""
-    return f'{case}: ' + '; '.join(f'{n} {written(value, style)}' for n, value in values.items())
-
-
-def written(value: Interval | float | str, style: str = '') -> str:
-    """
-    Return a value for people, with its limits where it has any.
-
-    :param style: format of a number; empty: four digits, and above 100 all before the point.
-    """
-    if isinstance(value, str):
-        return value
-    mean = value.mean if isinstance(value, Interval) else value
-    style = style or (',.0f' if abs(mean) >= 100 else '.4g')
-    if not isinstance(value, Interval) or math.isnan(value.low):
-        return f'{mean:{style}}'
-    return f'{mean:{style}} ({value.low:{style}} to {value.high:{style}})'
-
-
 def draw_curves(
     axes: Axes,
     curves: pd.DataFrame,
@@ -192,7 +204,7 @@ def draw_curves(
     Draw means and, where there are any, their limits.
 
     :param curves: columns ``by``, ``x``, mean, low, high; a curve for each value of ``by``.
-    :param lines: colour, line and marker of each curve, as matplotlib writes them: ``C1--o``.
+    :param lines: colour, line and marker of each curve in the notation of matplotlib: ``C1--o``.
     :param style: of all of them.
     """
     for (name,), curve in grouped(curves, [by]):
@@ -201,6 +213,38 @@ def draw_curves(
             band: Any = {'color': lines[name][:2], 'alpha': 0.15, 'lw': 0}
             axes.fill_between(curve[x], curve['low'], curve['high'], **band)
     axes.grid(axis='y')
+
+
+def draw_samples(
+    axes: Axes,
+    rows: pd.DataFrame,
+    by: str,
+    value: str,
+    series: str,
+    centre: Callable[[Any], Interval],
+    **style: Any,
+) -> None:
+    """
+    Draw single values as dots, one line of the figure for each value of ``by``.
+
+    :param series: column; a colour, and a place beside the others, for each value.
+    :param centre: of the values of a series: a bar, and its limits.
+    :param style: of the dots.
+    """
+    names, several = list(rows[by].unique()), list(rows[series].unique())
+    for index, (called, mine) in enumerate(rows.groupby(series, sort=False)):
+        for place, name in enumerate(names):
+            height = place + 0.3 * (index - (len(several) - 1) / 2)
+            values, color = mine.loc[mine[by] == name, value].dropna(), f'C{index}'
+            axes.plot(values, [height] * len(values), 'o', color=color, **style)
+            middle = centre(values)
+            axes.plot([middle.low, middle.high], [height, height], color='C1', lw=2)
+            ink = color if len(several) > 1 else 'C1'
+            (bar,) = axes.plot(middle.mean, height, '|', color=ink, ms=14, mew=2)
+        bar.set_label(str(called))
+    axes.set_yticks(range(len(names)), names)
+    axes.invert_yaxis()
+    axes.grid(axis='x')
 
 
 def write_reproduction(folder: Path, data: Reproduction) -> None:
@@ -218,23 +262,19 @@ def write_reproduction(folder: Path, data: Reproduction) -> None:
                 work.figure.savefig(folder / f'{picture.name}.svg', metadata={'Date': None})
         for table in section.tables:
             write_text(folder / f'{table.name}.csv', csv_of(table.frame))
-        write_text(folder / f'{section.name}.json', section_json(section))
-    write_text(folder / PAGE, render(data))
-
-
-def section_json(section: Section) -> str:
-    """Return comparisons and tables of a section as JSON; null is a missing number."""
-    values: dict[str, Any] = {
-        'title': section.title,
-        'code': code_version(),
-        **section.facts,
-        'comparisons': [
-            {'said': c.said, 'where': c.where, 'found': c.found, 'verdict': c.mark.value}
-            for c in section.comparisons
-        ],
-        'tables': {table.name: table.rows for table in section.tables},
-    }
-    return json.dumps(values, indent=1, allow_nan=False) + '\n'
+        values: dict[str, Any] = {
+            'title': section.title,
+            'code': code_version(),
+            **section.facts,
+            'comparisons': [
+                {'said': c.said, 'where': c.where, 'found': c.found, 'verdict': c.mark.value}
+                for c in section.comparisons
+            ],
+            'tables': {table.name: table.rows for table in section.tables},
+        }
+        text = json.dumps(values, indent=1, allow_nan=False) + '\n'
+        write_text(folder / f'{section.name}.json', text)
+    write_text(folder / PAGE, page_of(data))
 
 
 def verdicts(sections: Sequence[Section]) -> dict[tuple[str, str, str], Counter[Mark]]:
@@ -247,7 +287,7 @@ def verdicts(sections: Sequence[Section]) -> dict[tuple[str, str, str], Counter[
     return found
 
 
-def render(data: Reproduction) -> str:
+def page_of(data: Reproduction) -> str:
     """Return the page."""
     marks = Counter(c.mark for section in data.sections for c in section.comparisons)
     findings = [
@@ -261,23 +301,15 @@ def render(data: Reproduction) -> str:
         'bags': list(dict.fromkeys(lesson.bag for lesson in data.study.bags)),
         'findings': findings,
         'title': TITLE,
-        'svg_of': _svg_for_page,
-        'written': _of_table,
+        'written': _cell,
     }
-    return render_page('experiments', 'page.html', values)
+    return render('experiments', 'page.html', values)
 
 
-def _of_table(value: Any) -> str:
+def _cell(value: Any) -> str:
     """Return a value of a table for people."""
     if isinstance(value, float) and abs(value) >= 1000:
         return f'{value:,.0f}'
     if isinstance(value, int) and value >= 10_000:
         return f'{value:,}'
     return number(value) if isinstance(value, float) or value is None else str(value)
-
-
-def _svg_for_page(picture: Picture) -> Markup:
-    """Return an ``<svg>`` element that is coloured by the page."""
-    with drawing(picture.name, picture.label, *picture.size) as work:
-        picture.draw(work)
-    return Markup(work.svg)

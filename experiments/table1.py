@@ -10,7 +10,7 @@ from humanopts_teach.evaluation.table1 import TABLE_1
 import pandas as pd
 
 from experiments import paper
-from experiments.report import compared, Mark, Section, Table
+from experiments.report import compare, Mark, Section, Table
 
 NAME = 'table1'
 TITLE = 'Table 1: the options that people name'
@@ -30,7 +30,7 @@ def present() -> Section:
         for button, share in buttons.items()
     ]
     frame = pd.DataFrame(rows, columns=['domain', 'button', "paper's share of people", 'here'])
-    said = [compared(paper.SAID[key], why, Mark.NO_COUNTERPART) for key, why in WHY.items()]
+    said = [compare(paper.SAID[key], Mark.NO_COUNTERPART, why=why) for key, why in WHY.items()]
     return Section(
         NAME, TITLE, said, tables=[Table('table1', "The paper's buttons, and ours", frame)]
     )

@@ -6,11 +6,12 @@ in the usual game, and every variant of that kind of owner plans with them. Plan
 are played from every start state; those with sampled models in new games.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 import math
 from typing import Any
 
+from humanopts_env.arrays import Flags
 from humanopts_env.domains.base import Domain, EnumerableDomain, is_enumerable
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.games import TableGames
@@ -21,7 +22,7 @@ from humanopts_learner.planning.action_set import ActionSet
 from humanopts_learner.planning.evaluate import AnyAvailable, play_plan, Returns
 from humanopts_learner.planning.exact_plan import make_exact_plan, option_table
 from humanopts_learner.planning.interruption import as_executed
-from humanopts_learner.planning.plan import AnyPlan
+from humanopts_learner.planning.plan import AnyPlan, summarise_plan
 from humanopts_learner.planning.request import (
     Arbitration,
     AUTOMATIC,
@@ -33,12 +34,13 @@ from humanopts_learner.planning.request import (
 )
 from humanopts_learner.planning.sampled_plan import make_sampled_plan, play_games
 from humanopts_learner.planning.sampled_policies import UniformPolicy
+from humanopts_learner.summary import PlanSummary
 from humanopts_teach.evaluation.games import carried_over
-from humanopts_teach.evaluation.tables import finite, SECONDS
+from humanopts_teach.evaluation.tables import finite
 import numpy as np
-from numpy.typing import NDArray
 
 from experiments import paper, people
+from experiments.trials import Rows
 
 NAME = 'table2'
 AS_IN_PAPER = 'human, without eating ghosts'  # in Pac-Man
@@ -46,6 +48,17 @@ AS_IN_PAPER = 'human, without eating ghosts'  # in Pac-Man
 # more that it does not name.
 SECTION_7, NAMED, ALSO_FRUIT = 'of section 7', 'named in the paper', 'the fruit too'
 REPEATS = 7  # makings of one exact plan, for its seconds
+PLAN, CURVE, COST = 'plan', 'curve', 'cost'  # kinds of row
+SECONDS, RETURN = 'total, s', 'mean return'
+COLUMNS = {  # of a plan, by field of its summary
+    'table_seconds': 'tables, s',
+    'model_seconds': 'models, s',
+    'sweep_seconds': 'sweeps, s',
+    'sweeps': 'sweeps',
+    'n_states': 'states',
+    'game_steps': 'game steps',
+}
+PARTS = [*COLUMNS.values()][:3]  # of the seconds
 
 
 @dataclass(frozen=True)
@@ -63,12 +76,12 @@ class Variant:
     """A row of the table: the options and actions of a plan, and the execution of its policy."""
 
     name: str
-    whose: str  # kind of owner of the options
+    owner: str  # kind of owner of the options
     action_set: str
-    line: str  # colour, line and marker, as matplotlib has them
+    line: str  # colour, line and marker in the notation of matplotlib
     execution: Arbitration = Arbitration.RUN_TO_END
     options: str = NAMED  # of a person, in Pac-Man
-    by_chance: bool = False  # nothing is planned: any option that can start, each alike
+    by_chance: bool = False  # nothing is planned: any option that can start, with equal chance
 
 
 TAXI = ComparedGame('Taxi', 'taxi', exact=True)
@@ -110,27 +123,30 @@ class Effort:
 EFFORT = Effort()
 
 
-def plan_all_games(parameters: Mapping[str, Any]) -> dict[str, list[dict[str, Any]]]:
+def plan_all_games(parameters: Mapping[str, Any]) -> Rows:
     """
     Plan with every variant that some options belong to, in every game of their domain.
 
-    :return: rows of tables: ``plans`` and ``curve`` (plans of smaller budgets), and ``costs`` of
-        the options.
+    :return: rows of three kinds: the cost of the options, plans, and the curve (plans of smaller
+        budgets).
     """
-    effort, plans = Effort(**parameters['effort']), parameters['plans']
+    effort, plans, name = Effort(**parameters['effort']), parameters['plans'], parameters['domain']
     owned = _options_by_variant(parameters)
-    costs = ('demonstrations', 'minutes', 'seconds', 'game_steps')
-    found: dict[str, list[dict[str, Any]]] = {'plans': [], 'curve': []}
-    found['costs'] = [
+    rows: Rows = [
         {
+            'kind': COST,
+            'domain': name,
             'action set': variant.name,
             'options': len(owner.options),
-            **{name: getattr(owner, name) for name in costs},
+            'demonstrations': owner.demonstrations,
+            'teaching minutes': owner.minutes,
+            'extraction seconds': owner.seconds,
+            'extraction game steps': owner.game_steps,
         }
         for variant, owner in owned
     ]
     for game in GAMES:
-        if game.domain != parameters['domain']:
+        if game.domain != name:
             continue
         domain = make_domain(game.domain, game.parameters)
         seed = people.owner_seed(parameters, NAME, game.name)
@@ -140,15 +156,13 @@ def plan_all_games(parameters: Mapping[str, Any]) -> dict[str, list[dict[str, An
                 for option in owner.options
             ]
             if variant.by_chance:
-                tables = {'plans': choose_by_chance(domain, options, plans, effort, seed)}
+                found = choose_by_chance(domain, options, plans, effort, seed)
             elif is_enumerable(domain):
-                tables = plan_exactly(domain, variant, options, plans)
+                found = plan_exactly(domain, variant, options)
             else:
-                tables = plan_from_samples(domain, variant, options, plans, effort, seed)
-            for name, rows in tables.items():
-                of = {'game': game.name, 'action set': variant.name}
-                found[name] += [{**of, **row} for row in rows]
-    return found
+                found = plan_from_samples(domain, variant, options, plans, effort, seed)
+            rows += [{'game': game.name, 'action set': variant.name, **row} for row in found]
+    return rows
 
 
 def _options_by_variant(
@@ -165,31 +179,31 @@ def _options_by_variant(
     return [
         (variant, owned[variant.options])
         for variant in VARIANTS
-        if variant.whose == parameters['whose'] and variant.options in owned
+        if variant.owner == parameters['owner'] and variant.options in owned
     ]
 
 
-def _record(
-    budget: int, plan: AnyPlan | None, returns: Returns, done: NDArray[Any]
+def _row(
+    kind: str, budget: int, returns: Returns, done: Flags, plan: AnyPlan | None = None
 ) -> dict[str, Any]:
     """
     Return seconds, sizes and means of a plan and the games that it was judged in, as JSON data.
 
     :param budget: sweeps at most, or game steps.
+    :param done: (E,) whether each game ended with the task done.
     :param plan: None: nothing was planned.
-    :param done: (E,) which games did what there is to do.
     """
+    known = PlanSummary('') if plan is None else summarise_plan(plan)
+    row = {title: getattr(known, name) for name, title in COLUMNS.items()}
     return {
+        'kind': kind,
         'budget': budget,
-        **{name: getattr(plan, name) if plan else 0.0 for name in SECONDS},
-        'sweeps': plan.solution.sweeps if plan else 0,
-        'states': len(plan.solution.values) if plan else 0,
-        'game_steps': plan.game_steps if plan else 0,
-        'mean': float(returns.total.mean()),
+        **row,
+        SECONDS: sum(row[part] for part in PARTS),
+        RETURN: float(returns.total.mean()),
         'discounted': finite(returns.discounted.mean()),
         'done': float(done.mean()),
-        'fallbacks': float(returns.fallbacks.mean()),
-        'games': len(returns.total),
+        'fallbacks in a game': float(returns.fallbacks.mean()),
     }
 
 
@@ -199,29 +213,27 @@ def choose_by_chance(
     plans: int,
     effort: Effort,
     seed: int,
-) -> list[dict[str, Any]]:
+) -> Iterator[dict[str, Any]]:
     """
     Play as plans do, with random choice among the same options: what a plan has to beat.
 
     Wherever a choice is due, any option that can start is chosen, each with the same probability,
     and runs to its end. Where none can start, a primitive action is taken.
 
-    :param plans: how often, with chance of its own each time.
+    :param plans: repetitions, with chance of its own each time.
     :return: rows as those of plans.
     """
-    rows = []
     for number in range(plans):
+        rng = generator(seed, 'table 2', 'chance', number)
         if is_enumerable(domain):
-            rng = generator(seed, 'table 2', 'chance', number)
             returns = play_states_by_chance(domain, options, rng)
             done = returns.successes
         else:
             actions, games = ActionSet(domain, HUMAN, options), _seed_for(seed, 'games', number)
-            policy = UniformPolicy(generator(seed, 'table 2', 'chance', number))
+            policy = UniformPolicy(rng)
             returns = play_games(actions, policy, domain.gamma, games, effort.games)
-            done = returns.outcomes['cleared']
-        rows.append(_record(0, None, returns, done))
-    return rows
+            done = returns.outcomes['cleared'].astype(bool)
+        yield _row(PLAN, 0, returns, done)
 
 
 def play_states_by_chance(
@@ -245,36 +257,31 @@ def plan_exactly(
     domain: EnumerableDomain[Any],
     variant: Variant,
     options: Sequence[LearnedOption | TabularOption],
-    plans: int,
-) -> dict[str, list[dict[str, Any]]]:
+) -> Iterator[dict[str, Any]]:
     """
     Plan with exact models, and play from every start state, once.
 
-    :param plans: how often the same plan is made, for its seconds.
-    :return: rows of plans, and of the curve (one for each number of sweeps, doubled until
-        converged).
-    """
+    A plan takes hardly any time, so each is made several times, and the one of the median seconds
+    counts.
 
-    def judge(max_sweeps: int = MAX_SWEEPS) -> tuple[bool, dict[str, Any]]:
-        """Judge the plan of the median seconds of several, since one takes hardly any."""
-        request, made = PlanRequest(variant.action_set, max_sweeps=max_sweeps), []
+    :return: the curve, one row for each number of sweeps, doubled until converged; and the plan.
+    """
+    sweeps, last = 1, False
+    while not last:
+        request, made = PlanRequest(variant.action_set, max_sweeps=sweeps), []
         for _ in range(REPEATS):
             plan = make_exact_plan(domain, options, request, clock=people.CLOCK)
             began = people.CLOCK()
             executed = as_executed(plan, variant.execution)
             seconds = plan.model_seconds + people.CLOCK() - began
             made.append((replace(plan, model_seconds=seconds), executed))
-        made.sort(key=lambda pair: sum(getattr(pair[0], name) for name in SECONDS))
+        made.sort(key=lambda pair: pair[0].seconds)
         plan, executed = made[REPEATS // 2]
         returns = play_plan(executed, domain.start_states())
-        return plan.solution.converged, _record(max_sweeps, plan, returns, returns.successes)
-
-    curve, converged, sweeps = [], False, 1
-    while not converged and sweeps <= MAX_SWEEPS:
-        converged, record = judge(sweeps)
-        curve.append(record)
+        last = plan.solution.converged or 2 * sweeps > MAX_SWEEPS
+        kinds = [CURVE] + [PLAN] * last
+        yield from (_row(kind, sweeps, returns, returns.successes, plan) for kind in kinds)
         sweeps *= 2
-    return {'curve': curve, 'plans': [judge()[1] for _ in range(plans)]}
 
 
 def plan_from_samples(
@@ -284,17 +291,19 @@ def plan_from_samples(
     plans: int,
     effort: Effort,
     seed: int,
-) -> dict[str, list[dict[str, Any]]]:
+) -> Iterator[dict[str, Any]]:
     """
     Plan from samples, and judge each plan in new games.
 
     :param plans: how many are made of the largest budget, each by random draws of its own.
     :param seed: of plans and games.
-    :return: rows of plans, and of the curve (one for each budget).
+    :return: the curve, one row for each budget; and the plans.
     """
-    budgets, rows = effort.budgets(variant), []
-    numbers = [0] * len(budgets) + list(range(1, plans))
-    for budget, number in zip([*budgets, *[budgets[-1]] * (plans - 1)], numbers):
+    *smaller, largest = effort.budgets(variant)
+    for budget, number in [
+        *((each, 0) for each in smaller),
+        *((largest, n) for n in range(plans)),
+    ]:
         request = PlanRequest(
             variant.action_set,
             game_steps=budget,
@@ -303,5 +312,6 @@ def plan_from_samples(
         )
         plan = make_sampled_plan(domain, options, request, clock=people.CLOCK)
         returns = plan.play(_seed_for(seed, 'games', number), effort.games)
-        rows.append(_record(budget, plan, returns, returns.outcomes['cleared']))
-    return {'curve': rows[: len(budgets)], 'plans': rows[-plans:]}
+        done = returns.outcomes['cleared'].astype(bool)
+        kinds = [CURVE] * (number == 0) + [PLAN] * (budget == largest)
+        yield from (_row(kind, budget, returns, done, plan) for kind in kinds)

@@ -20,18 +20,15 @@ from humanopts_teach.evaluation.games import (
     every_baseline,
     PLAN,
     play_baseline,
-    RANDOM,
-    RULE,
 )
 from humanopts_teach.report.figures import Drawing
 from humanopts_teach.report.pages import counted
 import pandas as pd
 
 from experiments import paper, report
-from experiments.paper import Statement
-from experiments.people import options_of, OwnedOptions, owners, PERSON, Study
+from experiments.people import options_of, owners, PERSON, Study
 from experiments.random_mazes import random_maze
-from experiments.trials import Trial
+from experiments.trials import Rows, Trial
 
 NAME, DOMAIN = 'transfer', 'pacman'
 TITLE = 'Transfer: options of one maze in others'
@@ -68,64 +65,56 @@ def trials(study: Study) -> list[Trial]:
     ]
 
 
-def play_in_maze(parameters: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Return a row for each variant of the game and way to play: means over the games."""
-    options = taught_in_usual_maze(parameters['teacher']).options
-    maze = make_domain(DOMAIN, {'maze': parameters['maze']})
-    seed = int(generator(parameters['seed'], NAME, parameters['number']).integers(2**31))
+def play_in_maze(parameters: Mapping[str, Any]) -> Rows:
+    """
+    Play in one maze.
+
+    :return: a row for each variant of the game and way to play: maze (its number), text (of the
+        maze), game, way to play, kind, score (mean of the games), cleared (share) and the other
+        outcomes, fallbacks (of a game), seconds (of planning).
+    """
+    names = (*paper.TAUGHT[DOMAIN], *paper.ALSO_NAMED[DOMAIN], *paper.NOT_NAMED[DOMAIN])
+    options = options_of(parameters, make_domain(DOMAIN), names).options
+    number, text = parameters['number'], parameters['maze']
+    maze = make_domain(DOMAIN, {'maze': text})
+    seed = int(generator(parameters['seed'], NAME, number).integers(2**31))
     rows = []
-    for name, changed in baselines_of(maze).variants.items():
+    for game, changed in baselines_of(maze).variants.items():
         domain = make_domain(DOMAIN, {**maze.parameters, **changed})
         for baseline in every_baseline(domain, options, parameters['steps']):
             row = dict(play_baseline(domain, baseline, seed, parameters['games']).row)
-            outcomes = {outcome: of['mean'] for outcome, of in row.pop('outcomes').items()}
-            rows.append({'game': name, 'way to play': row.pop('name'), **row, **outcomes})
+            means = {outcome: of['mean'] for outcome, of in row.pop('outcomes').items()}
+            known = {'maze': number, 'text': text, 'game': game, 'way to play': row.pop('name')}
+            rows.append({**known, **row, **means})
     return rows
 
 
-def taught_in_usual_maze(teacher: Mapping[str, Any]) -> OwnedOptions:
-    """Return all that a person taught in the usual maze."""
-    names = (*paper.TAUGHT[DOMAIN], *paper.ALSO_NAMED[DOMAIN], *paper.NOT_NAMED[DOMAIN])
-    return options_of({'teacher': teacher}, make_domain(DOMAIN), names)
-
-
-def score_table(done: report.Done) -> pd.DataFrame:
-    """
-    Return a row for each maze, variant of the game and way to play.
-
-    :return: maze (its number), game, way to play, kind, score (mean of the games), cleared (share)
-        and the other outcomes, fallbacks (of a game), seconds (of planning).
-    """
-    return pd.DataFrame({'maze': p['number'], **row} for p, result in done for row in result)
-
-
-def summary_table(scores: pd.DataFrame) -> pd.DataFrame:
-    """Return a row for each variant and way to play: means over the mazes, score with limits."""
-    found = report.mean_intervals(scores, KEYS, 'score')
-    others = scores.columns.intersection(['cleared', 'fallbacks', 'seconds'], sort=False)
-    found = found.join(scores.groupby(KEYS, sort=False)[list(others)].mean(), on=KEYS)
-    return found.rename(columns={'count': 'mazes', 'mean': 'score'})
-
-
-def present(done: report.Done) -> report.Section:
-    """Return the section of the report."""
-    scores = score_table(done)
-    mazes = pd.DataFrame([(p['number'], p['maze']) for p, _ in done], columns=['maze', 'text'])
-    summary = summary_table(scores)
+def present(rows: pd.DataFrame) -> report.Section:
+    """Return the section of the report; a row is a way to play in a variant of a maze."""
+    mazes = rows[['maze', 'text']].drop_duplicates('maze')
+    scores = rows.drop(columns=['text', 'trial'], errors='ignore')
+    means = [name for name in ('cleared', 'fallbacks', 'seconds') if name in scores]
+    summary = report.mean_intervals(scores, KEYS, 'score').join(
+        scores.groupby(KEYS)[means].mean(), on=KEYS
+    )
+    summary = summary.rename(columns={'count': 'mazes', 'mean': 'score'})
     tables = [
         report.Table('transfer-summary', 'Mean scores over the mazes', summary),
         report.Table('transfer-scores', 'Scores by maze', scores, shown=False),
         report.Table('transfer-mazes', 'The mazes', mazes, shown=False),
     ]
-    facts, pictures = {'steps': STEPS, 'games': GAMES}, _pictures(scores)
+    pictures = [
+        report.Picture(
+            f'transfer-{game.rpartition("=")[2]}',
+            f'Scores by maze of every way to play Pac-Man, {game}',
+            (7.6, 3.8),
+            partial(_draw, mine),
+            f'{game}: the dots are mazes, the bars means over the mazes with 95 % intervals.',
+        )
+        for (game,), mine in report.grouped(scores, KEYS[:1])
+    ]
+    facts = {'steps': STEPS, 'games': GAMES}
     return report.Section(NAME, TITLE, _comparisons(scores), pictures, tables, facts)
-
-
-def _by_maze(rows: pd.DataFrame) -> dict[str, pd.Series]:
-    """Return the scores (mazes,) of each way to play in one game, in the order of the rows."""
-    return {
-        name: mine.set_index('maze')['score'] for (name,), mine in report.grouped(rows, KEYS[1:])
-    }
 
 
 def _comparisons(scores: pd.DataFrame) -> list[report.Comparison]:
@@ -136,46 +125,23 @@ def _comparisons(scores: pd.DataFrame) -> list[report.Comparison]:
     """
     asked = []
     for (game,), rows in report.grouped(scores, ['game']):
-        by_way = _by_maze(rows)
-        kinds = dict(zip(rows['way to play'], rows['kind']))
-        *_, plan = (name for name in by_way if kinds[name] == PLAN and name != PRIMITIVE)
-        asked += [
-            (game, by_way, plan, other)
-            for other in by_way
-            if kinds[other] in (RANDOM, RULE) or other == PRIMITIVE
-        ]
+        by_way = rows.pivot(index='maze', columns='way to play', values='score')
+        plans = rows['kind'] == PLAN
+        primitive = rows['way to play'] == PRIMITIVE
+        plan = rows['way to play'][plans & ~primitive].iloc[-1]
+        others = rows['way to play'][~plans | primitive].unique()
+        asked += [(game, by_way[plan], by_way[other]) for other in others]
     found = []
-    for game, by_way, plan, other in asked:
-        more = Interval.of_difference(by_way[plan], by_way[other], level_of_each(len(asked)))
-        values = {name: Interval.of(by_way[name]) for name in (plan, other)}
-        case = f'{game}, {counted(len(by_way[plan]), "maze")}'
-        text = report.listed(case, {**values, 'more': more}, ',.0f')
-        said = f'Options that are planned with and interrupted score more than: {other}.'
-        found.append(report.compared(Statement(said, report.OURS), text, more.above()))
+    for game, plan, other in asked:
+        more = Interval.of_difference(plan, other, level_of_each(len(asked)))
+        values = {each.name: Interval.of(each) for each in (plan, other)}
+        case = f'{game}, {counted(len(plan), "maze")}'
+        said = f'Options that are planned with and interrupted score more than: {other.name}.'
+        found.append(report.compare(said, more.above(), case, {**values, 'more': more}, ',.0f'))
     return found
 
 
-def _pictures(scores: pd.DataFrame) -> list[report.Picture]:
-    return [
-        report.Picture(
-            f'transfer-{game.rpartition("=")[2]}',
-            f'Scores by maze of every way to play Pac-Man, {game}',
-            (7.6, 3.8),
-            partial(_draw, _by_maze(rows), game),
-            f'{game}: the dots are mazes, the bars means over the mazes with 95 % intervals.',
-        )
-        for (game,), rows in report.grouped(scores, ['game'])
-    ]
-
-
-def _draw(by_way: Mapping[str, pd.Series], game: str, work: Drawing) -> None:
-    axes = work.axes
-    for place, values in enumerate(by_way.values()):
-        mean = Interval.of(values)
-        axes.plot([mean.low, mean.high], [place, place], color='C1', lw=2)
-        axes.plot(mean.mean, place, '|', color='C1', ms=12)
-        axes.plot(values, [place] * len(values), 'o', ms=3.5, alpha=0.5, color='C0')
-    axes.set_yticks(range(len(by_way)), list(by_way))
-    axes.invert_yaxis()
-    axes.set(title=game, xlabel='mean score of a maze')
-    axes.grid(axis='x')
+def _draw(rows: pd.DataFrame, work: Drawing) -> None:
+    style = {'ms': 3.5, 'alpha': 0.5}
+    report.draw_samples(work.axes, rows, 'way to play', 'score', 'game', Interval.of, **style)
+    work.axes.set(title=rows['game'].iloc[0], xlabel='mean score of a maze')

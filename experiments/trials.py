@@ -19,6 +19,7 @@ from pathlib import Path
 import time
 from typing import Any
 
+from humanopts_teach.evaluation import ProgressCallback
 from humanopts_teach.evaluation.side_by_side import as_they_end, processes
 from humanopts_teach.evaluation.summary import write_text
 
@@ -26,7 +27,8 @@ PACKAGES = ('humanopts_env', 'humanopts_learner', 'humanopts_teach', 'experiment
 LIBRARIES = ('numpy', 'scipy', 'scikit-learn')  # that results may depend on to the last digit
 ANSWERS_WITHIN = 10.0  # s for a Dask scheduler to answer
 WORKERS_WITHIN = 30.0  # s for the first worker of a Dask cluster to join
-Compute = Callable[[Mapping[str, Any]], Any]  # parameters -> result, both JSON data
+Rows = list[dict[str, Any]]  # a result: rows of a table, JSON data
+Compute = Callable[[Mapping[str, Any]], Rows]  # takes parameters, JSON data
 
 
 class ClusterError(RuntimeError):
@@ -82,37 +84,25 @@ class Trial:
         return f'{self.experiment} ({said})'
 
 
-def load_result(folder: Path, trial: Trial) -> Any:
-    """Return a finished trial's result; None: it is not finished, or its file is damaged."""
-    try:
-        kept = json.loads((folder / f'{trial.key}.json').read_text('utf-8'))
-    except (OSError, ValueError):
-        return None
-    same = isinstance(kept, dict) and kept.get('trial') == trial.identity
-    return kept.get('result') if same else None
-
-
 @dataclass
 class Outcome:
-    """The results and failures of a run."""
+    """The results and failures of a run, by key of the trial."""
 
-    missing: list[Trial] = field(default_factory=list)  # those to compute in this run
-    results: dict[str, Any] = field(default_factory=dict)  # by key of the trial
+    results: dict[str, Rows] = field(default_factory=dict)
     computed: int = 0  # in this run; the other results were there before
-    failures: dict[str, str] = field(default_factory=dict)  # by key: the trial, and what happened
+    failures: dict[str, str] = field(default_factory=dict)  # the trial, and what happened
 
-    @property
-    def finished(self) -> int:
-        """How many of the missing trials have ended."""
-        return self.computed + len(self.failures)
-
-
-# Shows how far the work is; called with None first, and then with each trial that has ended.
-OnTrial = Callable[[Outcome, Trial | None], object]
+    def rows_of(self, trials: Iterable[Trial]) -> list[dict[str, Any]]:
+        """Return the rows of all finished trials, each with the number of its ``trial``."""
+        return [
+            {'trial': number, **row}
+            for number, trial in enumerate(trials)
+            for row in self.results.get(trial.key, ())
+        ]
 
 
 def run_trials(
-    trials: Sequence[Trial], folder: Path, progress: OnTrial, jobs: int, dask: str = ''
+    trials: Sequence[Trial], folder: Path, progress: ProgressCallback, jobs: int, dask: str = ''
 ) -> Outcome:
     """
     Compute what is not done yet; each result is on disk as soon as it is there.
@@ -120,6 +110,7 @@ def run_trials(
     A trial that fails is named in the outcome, and the others go on.
 
     :param folder: of the finished trials; it is made where it is missing.
+    :param progress: called with costs.
     :param jobs: processes on this machine, 1 or more; 1: in this process.
     :param dask: address of a Dask scheduler that does the work instead; empty: none.
     :raises ClusterError: the cluster does not answer, or Dask is not installed.
@@ -127,20 +118,26 @@ def run_trials(
     :raises OSError: the folder cannot be made.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    outcome = Outcome()
+    outcome, missing = Outcome(), list[Trial]()
     for trial in {trial.key: trial for trial in trials}.values():
-        if (result := load_result(folder, trial)) is None:
-            outcome.missing.append(trial)
+        try:
+            kept = json.loads((folder / f'{trial.key}.json').read_text('utf-8'))
+        except (OSError, ValueError):
+            kept = None  # not finished, or damaged
+        if isinstance(kept, dict) and kept.get('trial') == trial.identity and 'result' in kept:
+            outcome.results[trial.key] = kept['result']
         else:
-            outcome.results[trial.key] = result
-    progress(outcome, None)
-    if not outcome.missing:
+            missing.append(trial)
+    total, count = sum(trial.cost for trial in missing), len(missing)
+    before = len(outcome.results)
+    progress(0.0, total, f'{before + count} trials, {before} of them done before')
+    if not missing:
         return outcome
-    calls = [partial(_compute, trial.compute, dict(trial.parameters)) for trial in outcome.missing]
+    calls = [partial(_compute, trial.compute, dict(trial.parameters)) for trial in missing]
     with _executor(jobs, dask) as executor:
-        costs = [trial.cost for trial in outcome.missing]
+        costs, done = [trial.cost for trial in missing], 0.0
         for number, (result, seconds, error) in as_they_end(calls, costs, executor):
-            trial = outcome.missing[number]
+            trial = missing[number]
             if error:
                 outcome.failures[trial.key] = f'{trial}: {error}'
             else:  # a reader of the file sees none or all of it
@@ -149,18 +146,20 @@ def run_trials(
                 write_text(folder / f'{trial.key}.json', text + '\n')
                 outcome.results[trial.key] = result
                 outcome.computed += 1
-            progress(outcome, trial)
+            done += trial.cost
+            ended = outcome.computed + len(outcome.failures)
+            progress(done, total, f'{ended} of {count} trials')
     return outcome
 
 
-def _compute(compute: Compute, parameters: dict[str, Any]) -> tuple[Any, float, str]:
+def _compute(compute: Compute, parameters: dict[str, Any]) -> tuple[Rows, float, str]:
     """Compute one trial in the process that has it; return result, seconds, and the error."""
-    began = time.perf_counter()
+    began, rows, error = time.perf_counter(), Rows(), ''
     try:
-        result, error = compute(parameters), ''
+        rows = compute(parameters)
     except Exception as problem:  # whatever happens to one trial, the others go on
-        result, error = None, f'{type(problem).__name__}: {problem}'
-    return result, time.perf_counter() - began, error
+        error = f'{type(problem).__name__}: {problem}'
+    return rows, time.perf_counter() - began, error
 
 
 @contextmanager

@@ -1,6 +1,5 @@
-"""Figures 2, 3 and 4 again: trials of small size, results that are known, files and page."""
+"""Figures 2, 3 and 4 again: small trials, known results, files and page."""
 
-from collections.abc import Mapping
 import csv
 from dataclasses import asdict, replace
 import json
@@ -19,24 +18,23 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from experiments import figure2, figure3, figure4, paper, table1, table2
+from experiments import demonstrations, figure2, figure3, figure4, paper, table1, table2
 from experiments.command import section_of
-from experiments.people import CAREFUL, OwnedOptions, participants, Study, VARIED
+from experiments.people import BagLesson, CAREFUL, OwnedOptions, participants, Study, VARIED
 from experiments.report import (
+    compare,
     Comparison,
-    Done,
     Mark,
     mean_intervals,
-    OURS,
     Picture,
     Reproduction,
     Section,
     verdicts,
     write_reproduction,
 )
-from experiments.trials import Outcome
+from experiments.trials import Rows
 
-PICKUP = 'go to passenger and pickup'
+PICKUP, DROPOFF = paper.TAUGHT['taxi']
 SEED = 4
 
 
@@ -54,7 +52,7 @@ def draw(picture: Picture) -> Drawing:
     return work
 
 
-# What all experiments share.
+# All experiments.
 
 
 def test_interval_is_that_of_students_t() -> None:
@@ -84,33 +82,23 @@ def test_bad_input_is_one_line(
         status = main(['reproduce', *arguments, *out])
     except SystemExit as end:
         status = int(end.code or 0)
-    errors = capsys.readouterr().err.strip().splitlines()
+    (line,) = capsys.readouterr().err.strip().splitlines()
     assert status == 2
-    assert len(errors) == 1
-    assert said in errors[0]
-
-
-@pytest.mark.parametrize('module', [figure2, figure3, figure4, table2])
-def test_nothing_is_said_of_trials_that_failed(module: Any) -> None:
-    section = section_of(module, Outcome(), module.trials(Study(participants=1, seeds=1)))
-    assert section == Section(module.NAME, module.TITLE)
+    assert said in line
 
 
 def test_the_page_has_every_statement_of_the_paper_once() -> None:
     """Goals of the project are not the paper's; the marks of a statement are counted."""
-    said = [
-        Comparison('a', 'section 1', '1', Mark.AGREES),
-        Comparison('b', OURS, '2', Mark.MET),
-        Comparison('a', 'section 1', '3', Mark.DIFFERS),
-        Comparison('c', 'section 2', '4', Mark.NO_COUNTERPART),
-        Comparison('a', 'section 1', '5', Mark.AGREES),
-    ]
-    found = verdicts([Section('x', 'X', said[:2]), Section('y', 'Y', said[2:])])
-    assert found == {
-        ('x', 'a', 'section 1'): {Mark.AGREES: 1},
-        ('y', 'a', 'section 1'): {Mark.DIFFERS: 1, Mark.AGREES: 1},
-        ('y', 'c', 'section 2'): {Mark.NO_COUNTERPART: 1},
+    a, c = paper.SAID['rises'], paper.SAID['centre']
+    x = [compare(a, True), compare('a goal', True)]
+    y = [compare(a, False), compare(c, Mark.NO_COUNTERPART), compare(a, True)]
+    assert [each.mark for each in x] == [Mark.AGREES, Mark.MET]
+    assert verdicts([Section('x', 'X', x), Section('y', 'Y', y)]) == {
+        ('x', a.text, a.where): {Mark.AGREES: 1},
+        ('y', a.text, a.where): {Mark.DIFFERS: 1, Mark.AGREES: 1},
+        ('y', c.text, c.where): {Mark.NO_COUNTERPART: 1},
     }
+    assert section_of(figure2, []) == Section('fig2', figure2.TITLE)  # every trial failed
 
 
 def test_buttons_that_people_named_are_options_here() -> None:
@@ -124,44 +112,69 @@ def test_buttons_that_people_named_are_options_here() -> None:
     assert taught == {(domain, name) for domain, names in paper.TAUGHT.items() for name in names}
 
 
+@pytest.mark.parametrize('experiment', [figure2, figure3, figure4, table2, demonstrations])
+def test_trials_differ_and_more_people_leave_the_first_as_they_are(experiment: Any) -> None:
+    few, many = ([trial.key for trial in experiment.trials(Study(n, seeds=3))] for n in (6, 7))
+    assert set(few) <= set(many)
+    assert len(many) == len(set(many))
+
+
 # Figure 2.
 
 
-def lesson_of(*policy: float, not_here: int = 0) -> dict[str, Any]:
-    """Return what a trial came to: policy accuracies after 1, 2, 3 ... demonstrations."""
-    points = [
-        [n, not_here, 10 * value - 20, value, 1.0, 0.5] for n, value in enumerate(policy, start=1)
+def lesson_of(*policy: float, **case: Any) -> Rows:
+    """Return the points of a lesson: policy accuracies after 1, 2, 3 ... demonstrations."""
+    known = dict(zip(figure2.PERSON, ['taxi', 'all', PICKUP, CAREFUL, 'random', 'p']))
+    return [
+        {
+            **known,
+            'demonstrations': n,
+            'not here': 0,
+            **dict(zip(figure2.MEASURES, (10 * value - 20, value, 1.0, 0.5))),
+            'best return': -10.0,
+            'minutes': 1.5,
+            'cut short': '',
+            **{name.replace('_', ' '): value for name, value in case.items()},
+        }
+        for n, value in enumerate(policy, start=1)
     ]
-    return {
-        'points': points,
-        'best_return': -10.0,
-        'seconds': 90.0,
-        'cut_short': '',
-    }
 
 
-def as_wished(parameters: Mapping[str, Any]) -> dict[str, Any]:
-    """Return results as one would wish: failures best, random as in the paper."""
-    levels = {'failures': (9, 19), 'coverage': (19, 49), 'random': (39, 58)}
-    good, perfect = levels[parameters['strategy']]
-    return lesson_of(*[0.5] * good, *[0.96] * (perfect - good), *[1.0] * (60 - perfect))
+def as_wished(strategy: str) -> list[float]:
+    """Return accuracies as one would wish: failures best, random as in the paper."""
+    good, perfect = {'failures': (9, 19), 'coverage': (19, 49), 'random': (39, 58)}[strategy]
+    return [0.5] * good + [0.96] * (perfect - good) + [1.0] * (60 - perfect)
 
 
-def figure_2(result: Any, *domains: str) -> Section:
-    """Return the section of results by parameters of trials; of some domains, or of all."""
-    every = [trial.parameters for trial in figure2.trials(Study(participants=2, seed=5))]
-    mine = [known for known in every if not domains or known['domain'] in domains]
-    return figure2.present([(known, result(known)) for known in mine])
+def figure_2(*lessons: Rows) -> Section:
+    return figure2.present(pd.DataFrame([row for lesson in lessons for row in lesson]))
 
 
 @pytest.fixture(scope='module')
 def section() -> Section:
-    return figure_2(as_wished)
+    return figure_2(
+        *(
+            lesson_of(
+                *as_wished(strategy),
+                domain=game.domain,
+                features=game.features,
+                option=option,
+                people=group,
+                start_states_by=strategy,
+                person=person,
+            )
+            for game in figure2.GAMES
+            for group in game.groups
+            for option in paper.TAUGHT[game.domain]
+            for strategy in game.strategies
+            for person in 'ab'
+        )
+    )
 
 
 @pytest.fixture(scope='module')
 def written(section: Section, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of a reproduction with results that are known, of which one is drawn."""
+    """The folder of a reproduction with known results, of which one is drawn."""
     folder = tmp_path_factory.mktemp('reproduction')
     section = replace(section, pictures=section.pictures[:1])
     people = [replace(participants(VARIED, 1, 5)[0], code='<p&1>')]
@@ -170,63 +183,40 @@ def written(section: Section, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def careful(number: int, **others: Any) -> dict[str, Any]:
-    person = asdict(participants(CAREFUL, 2, seed=1)[number])
-    known = {'domain': 'taxi', 'domain_parameters': '{}', 'option': PICKUP}
-    return {**known, 'strategy': 'random', 'demonstrations': 4, 'person': person, **others}
-
-
-def test_demonstrations_needed_are_those_until_a_level_is_reached_first_and_for_good() -> None:
-    """The first person loses the level with the third demonstration, and has it again."""
-    done: Done = [
-        (careful(0), lesson_of(0.5, 0.95, 0.9, 1.0, not_here=3)),
-        (careful(1), lesson_of(0.5, 0.6, 0.7, 0.96)),
-    ]
-    people = figure2.person_table(figure2.accuracy_table(done))
-    (needed,) = figure2.needed_table(people).to_dict('records')
-    assert people['95%, first'].tolist() == [2, 4]
-    assert people['95%, for good'].tolist() == [4, 4]
-    assert people['100%, first'].tolist() == [4, pd.NA]
-    assert needed['demonstrations for 95%, first'] == '3.0'
-    assert needed['demonstrations for 95%, for good'] == '4.0'
-    assert needed['demonstrations for 100%, first'] == 'over 4.0 (1 of 2 people)'
-
-
-def test_a_level_that_is_lost_at_last_is_not_reached_for_good() -> None:
-    (row,) = figure2.present([(careful(0), lesson_of(0.5, 0.96, 0.6))]).tables[0].rows
-    assert row['demonstrations for 95%, first'] == '2.0'
-    assert row['demonstrations for 95%, for good'] == 'not within 3'
-
-
-def test_marks_count_demonstrations_until_the_level_holds_for_good() -> None:
-    """The level is first reached after 5, and lost once after 20: the goal is missed."""
-    section = figure_2(lambda _: lesson_of(*[0.5] * 4, *[1.0] * 15, 0.5, *[1.0] * 40), 'taxi')
-    (goal, *_) = about(section, 'at most 15')
-    assert goal.mark is Mark.MISSED
-    assert 'first 5.0; for good 21.0' in goal.found
-
-
-def test_answer_not_here_changes_the_point_of_the_demonstrations_so_far() -> None:
-    points = [
-        [1, 0, -9.0, 0.5, 0.6, 0.7],
-        [1, 1, -9.0, 0.5, 0.8, 0.9],
-        [2, 1, -8.0, 0.6, 0.8, 0.9],
-    ]
-    done: Done = [(careful(0), {**lesson_of(), 'points': points})]
-    found = figure2.accuracy_table(done)
-    assert found['initiation'].tolist() == [0.8, 0.8]
-    assert found['not here'].tolist() == [1, 1]
+def test_a_level_counts_from_where_it_holds_for_good() -> None:
+    """The first person loses it with the third demonstration, the last at the end."""
+    section = figure_2(
+        lesson_of(0.5, 0.95, 0.9, 1.0, person='a'),
+        lesson_of(0.5, 0.6, 0.7, 0.96, person='b'),
+        lesson_of(0.5, 0.96, 0.6, option=DROPOFF),
+    )
+    first, last = section.tables[0].rows
+    assert first['demonstrations for 95%'] == '4.0'
+    assert first['demonstrations for 100%'] == 'over 4.0 (1 of 2 people)'
+    assert last['demonstrations for 95%'] == 'not within 3'
+    lost = lesson_of(*[0.5] * 4, *[1.0] * 15, 0.5, *[1.0] * 40, start_states_by='failures')
+    goal, _ = about(figure_2(lost, [{**row, 'person': 'b'} for row in lost]), 'at most')
+    assert (goal.mark, '21.0 (21.0 to 21.0)' in goal.found) == (Mark.MISSED, True)
 
 
 def test_lesson_of_a_trial_has_the_demonstrations_asked_for() -> None:
-    person = asdict(participants(VARIED, 1, seed=2)[0])
-    parameters = careful(0, strategy='failures', person=person)
+    parameters = {
+        'domain': 'taxi',
+        'domain_parameters': '{}',
+        'option': PICKUP,
+        'strategy': 'failures',
+        'demonstrations': 4,
+        'person': asdict(participants(VARIED, 1, seed=2)[0]),
+    }
     found = figure2.learn_from_simulated(parameters)
-    assert found['points'][-1][0] == 4
-    assert found['cut_short'] == ''
-    assert found['seconds'] > 20  # ten questions and four drives, by the assumed pace
-    assert all(0 <= value <= 1 for point in found['points'] for value in point[3:])
-    assert all(-100 <= point[2] <= found['best_return'] for point in found['points'])
+    assert found[-1]['demonstrations'] == 4
+    assert found[-1]['cut short'] == ''
+    assert found[-1]['minutes'] > 1 / 3  # ten questions and four drives, by the assumed pace
+    frame = pd.DataFrame(found)
+    assert frame['demonstrations'].is_unique  # an answer "not here" changes the last point
+    assert frame['not here'].is_monotonic_increasing
+    assert frame[[*figure2.MEASURES][1:]].stack().between(0, 1).all()
+    assert frame['return'].between(-100, frame['best return']).all()
     assert figure2.learn_from_simulated(parameters) == found
 
 
@@ -246,30 +236,27 @@ def test_goals_that_are_reached_are_met_and_the_papers_forty_has_no_level(
 
 def test_a_goal_is_undecided_where_the_interval_holds_the_limit() -> None:
     """Of two people one needs 5 and one 15 demonstrations."""
-
-    def result(parameters: Mapping[str, Any]) -> dict[str, Any]:
-        few = parameters['person']['code'] == participants(CAREFUL, 2, 5)[0].code
-        good = (5, 15)[not few] - 1
-        return lesson_of(*[0.5] * good, *[0.96] * (60 - good))
-
-    section = figure_2(result, 'taxi')
-    goal, *_ = about(section, 'at most 15')
+    lessons = [
+        lesson_of(*[0.5] * n, *[0.96] * (60 - n), person=str(n), start_states_by='failures')
+        for n in (4, 14)
+    ]
+    goal, *_ = about(figure_2(*lessons), 'at most 15')
     assert goal.mark is Mark.UNDECIDED
     assert goal.found.endswith(' 10.0 (-53.5 to 73.5)')  # 5 * t(0.975, 1) on each side
 
 
 def test_gain_of_accuracy_is_that_within_people() -> None:
     """Ten people from 0.1 to 0.9: all gain 0.05, much less than they differ."""
-    person = asdict(participants(VARIED, 1, 5)[0])
-    done: Done = [
-        (
-            careful(0, strategy='random', person={**person, 'code': f'p{number}'})
-            | {'option': paper.FIGURE_2_OPTIONS['taxi']},
-            lesson_of(level, level + 0.05 + 0.001 * (number % 2)),
+    lessons = [
+        lesson_of(
+            *(level, level + 0.05 + 0.001 * (number % 2)),
+            person=str(number),
+            people=VARIED,
+            option=paper.FIGURE_2_OPTIONS['taxi'],
         )
         for number, level in enumerate(np.linspace(0.1, 0.9, 10).tolist())
     ]
-    (rises, *_) = figure2.present(done).comparisons
+    (rises, *_) = figure_2(*lessons).comparisons
     assert rises.mark is Mark.AGREES
     assert 'best actions 0.0505 (0.05012 to 0.05088)' in rises.found
 
@@ -283,14 +270,8 @@ def test_csv_json_and_figure_hold_the_same_numbers(section: Section, written: Pa
     for axes, measure in zip(plots, figure2.MEASURES, strict=True):
         lines = {line.get_label(): line for line in axes.get_lines()}
         for strategy in ('random', 'coverage', 'failures'):
-            named = {
-                'domain': 'taxi',
-                'features': 'all',
-                'option': PICKUP,
-                'people': CAREFUL,
-                'start states by': strategy,
-                'measure': measure,
-            }
+            case = ['taxi', 'all', PICKUP, CAREFUL, strategy]
+            named = {**dict(zip(figure2.CASE, case)), 'measure': measure}
             mine = [r for r in rows if {**r, **named} == r]
             x, y = lines[strategy].get_data()
             assert [int(r['demonstrations']) for r in mine] == np.asarray(x).tolist()
@@ -315,15 +296,11 @@ def test_figure_2_of_pacman_is_there_with_both_lists_of_features(section: Sectio
     assert len(captions) == 2
     assert 'they hand the policy over' in captions[0]
     assert 'positions only' in captions[1]
-    trials = figure2.trials(Study(participants=1))
-    mine = [t.parameters for t in trials if t.parameters['domain'] == 'pacman']
-    names = {
-        len(domain_from_json('pacman', known['domain_parameters']).features) for known in mine
-    }
-    assert names == {15, 30}
+    _, *games = figure2.GAMES
+    assert [len(domain_from_json('pacman', g.parameters).features) for g in games] == [30, 15]
     last = {row['features']: row for row in section.tables[1].rows if row['domain'] == 'pacman'}
-    assert set(last) == {figure2.DIRECTIONS, figure2.POSITIONS}
     assert {row['best return'] for row in last.values()} == {-10.0}
+    assert set(last) == {figure2.DIRECTIONS, figure2.POSITIONS}
     axes = draw(section.pictures[-1]).figure.axes[0]
     lines = {line.get_label(): line for line in axes.get_lines()}
     assert set(np.asarray(lines['reference'].get_ydata())) == {-10.0}
@@ -335,22 +312,30 @@ def test_figure_2_of_pacman_is_there_with_both_lists_of_features(section: Sectio
 @pytest.fixture(scope='module')
 def extraction() -> dict[str, Any]:
     quick = Extraction(tasks=50, train_episodes=60, option_episodes=20, max_steps=200)
-    return figure3.as_json(find_options(make_domain('taxi'), SEED, quick))
+    return figure3.extraction_row(find_options(make_domain('taxi'), SEED, quick))
 
 
-def figure_3(*found: Mapping[str, Any], domain: str = 'taxi') -> Section:
-    return figure3.present(
-        [({'domain': domain, 'seed': SEED + n}, x) for n, x in enumerate(found)]
+def figure_3(*found: dict[str, Any], domain: str = 'taxi') -> Section:
+    rows = [{'domain': domain, 'seed': SEED + n, **one} for n, one in enumerate(found)]
+    return figure3.present(pd.DataFrame(rows))
+
+
+def test_extraction_is_shown_with_its_cost_and_every_option_is_on_the_map(
+    extraction: dict[str, Any],
+) -> None:
+    assert min(extraction['pickups'], extraction['dropoffs']) > 0
+    assert extraction['game steps'] > 100_000
+    assert 0 < min(extraction['can start']) < 1
+    section = figure_3(extraction)
+    (row,) = section.tables[2].rows
+    assert (row['domain'], row['seed'], row['options']) == (
+        'taxi',
+        SEED,
+        len(extraction['option']),
     )
-
-
-def test_extraction_is_shown_with_its_cost(extraction: dict[str, Any]) -> None:
-    assert {o['event'] for o in extraction['options']} >= {'pickup', 'dropoff'}
-    assert extraction['game_steps'] > 100_000
-    assert 0 < min(o['can_start'] for o in extraction['options']) < 1
-    row = figure_3(extraction).tables[2].rows[0]
-    assert (row['domain'], row['seed']) == ('Taxi', SEED)
-    assert row['options'] == len(extraction['options'])
+    texts = draw(section.pictures[0]).axes.texts
+    numbers = ', '.join(text.get_text() for text in texts).split(', ')
+    assert sorted(map(int, numbers)) == list(range(1, row['options'] + 1))
 
 
 @pytest.mark.parametrize(
@@ -365,42 +350,30 @@ def test_extraction_is_shown_with_its_cost(extraction: dict[str, Any]) -> None:
 def test_the_cell_agrees_when_it_is_mostly_the_centre(
     extraction: dict[str, Any], names: list[str], mark: Mark
 ) -> None:
-    first, *others = extraction['options']
-    cells = [{**first, 'name': name, 'event': ''} for name in names]
-    section = figure_3(*({**extraction, 'options': [cell, *others]} for cell in cells))
+    _, *others = extraction['option']
+    section = figure_3(*({**extraction, 'option': [name, *others]} for name in names))
     assert marks(section)[1] is mark
 
 
-def test_it_is_counted_how_often_each_option_of_the_paper_was_found(
-    extraction: dict[str, Any],
-) -> None:
-    fewer = {**extraction, 'options': [{**extraction['options'][0], 'name': 'pickup at R'}]}
-    section = figure_3(extraction, fewer)
+def test_extractions_with_each_option_of_the_paper_are_counted(extraction: dict[str, Any]) -> None:
+    one = {name: extraction[name][:1] for name in ('target', 'can start')}
+    section = figure_3(extraction, {**extraction, **one, 'option': ['pickup at R']})
     rows = {row['option']: list(row.values())[1:] for row in section.tables[0].rows}
-    assert rows['pickup at R'] == ['yes', 2, 2]
-    assert rows['dropoff at Y'] == ['yes', 1, 2]
-    assert rows[figure3.CENTRE][0] == 'yes'
+    assert rows['pickup at R'] == ['yes', 2]
+    assert rows['dropoff at Y'] == ['yes', 1]
     assert [name for name, row in rows.items() if row[0] == 'yes'] == list(figure3.PAPERS)
-    assert 'the rarest pickup or dropoff in 1' in section.comparisons[0].found
+    assert 'rarest option in 1' in section.comparisons[0].found
 
 
-def test_pacman_has_a_map_of_its_maze_and_is_not_compared() -> None:
-    option = {'cell': 3, 'name': 'go to cell 0,3', 'event': '', 'visits': 5}
-    option |= {'can_start': 0.5, 'reaches': 1.0}
-    cost = {'seconds': 1.0, 'game_steps': 9, 'episodes': 2, 'solved': 1.0}
+def test_pacman_has_a_map_of_its_maze_and_is_not_compared(extraction: dict[str, Any]) -> None:
     places = len(make_domain('pacman').rules.maze.cells)  # type: ignore[attr-defined]
-    known = {'options': [option], 'visits': list(range(places)), **cost}
+    one = {'option': ['go to cell 0,3'], 'target': [3], 'can start': [0.5]}
+    known = {**extraction, **one, 'visits': list(range(places))}
     section = figure_3(known, domain='pacman')
     assert not section.comparisons
     (row,) = section.tables[0].rows
-    assert list(row.values()) == ['go to cell 0,3', None, 1, 1]
+    assert list(row.values()) == ['go to cell 0,3', None, 1]
     assert [text.get_text() for text in draw(section.pictures[0]).axes.texts] == ['1']
-
-
-def test_every_option_is_numbered_on_the_map(extraction: dict[str, Any]) -> None:
-    work = draw(figure_3(extraction).pictures[0])
-    numbers = ', '.join(text.get_text() for text in work.axes.texts).split(', ')
-    assert sorted(map(int, numbers)) == list(range(1, len(extraction['options']) + 1))
 
 
 # Figure 4.
@@ -417,65 +390,53 @@ def test_trial_of_figure_4_has_the_mean_steps_of_its_learners(
     trials = figure4.trials(Study(participants=1, seeds=2))
     human = next(trial for trial in trials if trial.parameters['set'] == 'human')
     (found,) = figure4.learn_curves({**human.parameters, 'episodes': 5})
-    assert len(found['steps']) == 5
-    assert found['options'] == ['go to passenger and pickup', 'go to destination and dropoff']
+    assert (len(found['steps']), found['options']) == (5, 2)
     assert all(2 <= steps <= figure4.LIMIT for steps in found['steps'])
     assert figure4.learn_curves({**human.parameters, 'episodes': 5}) == [found]
 
 
 def test_every_action_set_has_as_many_members() -> None:
-    """Six of them at most in one trial, so more people leave trials of six as they are."""
+    """Six of them at most in one trial."""
     trials = figure4.trials(Study(participants=7))
     for name in figure4.SETS:
         mine = [trial.parameters for trial in trials if trial.parameters['set'] == name]
         assert [len(parameters['members']) for parameters in mine] == [6, 1] * 2
-    first = {trial.key for trial in figure4.trials(Study(participants=6))}
-    assert first < {trial.key for trial in trials}
-    assert len({trial.key for trial in trials}) == len(trials)
 
 
-def figure_4(level: Mapping[str, float], spread: float = 0.0) -> Section:
-    """Return the section of episodes that all take as many steps, by action set."""
-    known = {'learning_rate': 0.1, 'explore': 0.1, 'options': ['a']}
-    return figure4.present(
-        [
-            (
-                trial.parameters,
-                [
-                    {
-                        'steps': [level[trial.parameters['set']] + spread * (number % 2)]
-                        * paper.EPISODES,
-                        **known,
-                    }
-                    for number in range(len(trial.parameters['members']))
-                ],
-            )
-            for trial in figure4.trials(Study(participants=2))
-            if trial.parameters['set'] in level
-        ]
-    )
+def figure_4(level: dict[str, float], spread: float = 0.0) -> Section:
+    """Return the section of two members for each set, whose episodes take as many steps."""
+    known = {'options': 1, 'learning rate': 0.1, 'exploring': 0.1}
+    rows = [
+        {'method': method, 'action set': name, **known, 'steps': [steps] * paper.EPISODES}
+        for method in figure4.METHODS.values()
+        for name, each in level.items()
+        for steps in (each, each + spread)
+    ]
+    return figure4.present(pd.DataFrame(rows))
 
 
-def test_human_options_that_learn_slower_do_not_agree() -> None:
-    faster = figure_4({'human': 10.0, 'automatic': 20.0})
-    slower = figure_4({'human': 30.0, 'automatic': 20.0})
-    assert marks(faster)[:2] == [Mark.AGREES] * 2
-    assert marks(slower)[:2] == [Mark.DIFFERS] * 2
-    assert 'human 1,200' in faster.comparisons[0].found
-
-
-def test_human_options_whose_lead_is_within_the_interval_are_not_distinguishable() -> None:
-    """Means of 1,260 and 1,320 steps by two people and extractions, who differ by 120 steps."""
-    section = figure_4({'human': 10.0, 'automatic': 10.5}, spread=1.0)
-    assert marks(section)[:2] == [Mark.UNDECIDED] * 2
-    # Welch: 60 on each side of standard error, t(0.975, 2) = 4.303
-    assert 'automatic less human 60 (-305 to 425)' in section.comparisons[0].found
+@pytest.mark.parametrize(
+    ('human', 'automatic', 'spread', 'mark', 'words'),
+    [
+        (10.0, 20.0, 0.0, Mark.AGREES, 'human 1,200'),
+        (30.0, 20.0, 0.0, Mark.DIFFERS, 'human in the first 10 30.0'),
+        # Welch: means of 1,260 and 1,320, 60 on each side of standard error, t(0.975, 2) = 4.303
+        (10.0, 10.5, 1.0, Mark.UNDECIDED, 'automatic less human 60 (-305 to 425)'),
+    ],
+)
+def test_human_options_that_learn_faster_agree(
+    human: float, automatic: float, spread: float, mark: Mark, words: str
+) -> None:
+    section = figure_4({'human': human, 'automatic': automatic}, spread)
+    assert marks(section)[:2] == [mark] * 2
+    assert words in section.comparisons[0].found
 
 
 def test_curves_of_figure_4_in_csv_are_those_that_are_drawn() -> None:
-    section = figure_4({'human': 10.0, 'automatic': 20.0})
-    drawn = {picture.name: picture for picture in section.pictures}
-    for line in draw(drawn['fig4-smdp']).axes.get_lines():
+    """The paper's axis ends where it ends in the paper, and has no mixtures."""
+    section = figure_4({'human': 10.0, 'primitive': 900.0, 'human + primitive': 5.0})
+    drawn = {picture.name: draw(picture).axes for picture in section.pictures}
+    for line in drawn['fig4-smdp'].get_lines():
         mine = [
             row['mean']
             for row in section.tables[1].rows
@@ -483,11 +444,63 @@ def test_curves_of_figure_4_in_csv_are_those_that_are_drawn() -> None:
         ]
         assert np.asarray(line.get_ydata()).tolist() == mine
         assert len(mine) == 120
+    assert drawn['fig4-smdp-paper'].get_ylim() == (0, 300)
+    labels = [line.get_label() for line in drawn['fig4-smdp-paper'].get_lines()]
+    assert labels == ['human', 'primitive']
 
 
-def test_the_papers_axis_ends_where_it_ends_in_the_paper_and_has_no_mixtures() -> None:
-    section = figure_4({'human': 10.0, 'primitive': 900.0, 'human + primitive': 5.0})
-    drawn = {picture.name: picture for picture in section.pictures}
-    axes = draw(drawn['fig4-smdp-paper']).axes
-    assert axes.get_ylim() == (0, 300)
-    assert [line.get_label() for line in axes.get_lines()] == ['primitive', 'human']
+# Demonstrations.
+
+
+def test_people_teach_carefully_and_again_with_slips() -> None:
+    trials = demonstrations.trials(Study(participants=2))
+    people = [trial.parameters['person'] for trial in trials]
+    rates = {person['group']: person['error_rate'] for person in people}
+    assert rates == {'careful': 0.0, 'slips': demonstrations.ERROR_RATE}
+    assert len(trials) == 2 * 2 * 2 * 2 * 2
+    lesson = BagLesson('/bag', 'p1', 'go', 'taxi', '{}', 'failures', 1, 'x')
+    assert demonstrations.trials(Study(bags=(lesson,))) == []
+
+
+def test_by_goal_every_option_of_taxi_is_right_after_a_few(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(demonstrations, 'LONGER', 1)
+    person = asdict(replace(participants(CAREFUL, 1, 1)[0], error_rate=0.02))
+    parameters = {'domain': 'taxi', 'method': 'goal', 'strategy': 'failures', 'person': person}
+    rows = demonstrations.count_demonstrations(parameters)
+    assert json.loads(json.dumps(rows)) == rows
+    assert len(rows) == 6
+    for row in rows:
+        assert 3 <= row[demonstrations.UNTIL[0]] <= 5
+        assert 1 <= row[demonstrations.UNTIL[1]] <= 3
+        assert row['accuracy when the criteria hold'] == 1.0
+
+
+@pytest.mark.parametrize(
+    ('met', 'mark'),
+    [
+        ([3, 4, 3], Mark.MET),
+        ([3, 5, 7], Mark.UNDECIDED),
+        ([9, 9, 10], Mark.MISSED),
+        ([3, None, 5], Mark.UNDECIDED),
+    ],
+)
+def test_the_goal_is_met_where_the_whole_interval_is_below(
+    met: list[int | None], mark: Mark
+) -> None:
+    """A lesson that did not get there is counted as never."""
+    case = dict(zip(demonstrations.KEYS, ['taxi', DROPOFF, 'goal', 'failures', 'careful']))
+    rows = [
+        {**case, 'code': str(n), demonstrations.UNTIL[0]: count, demonstrations.UNTIL[1]: 2}
+        for n, count in enumerate(met)
+    ]
+    section = demonstrations.present(pd.DataFrame(rows))
+    (found,) = section.comparisons
+    assert found.mark is mark
+    assert found.found.startswith('3 people: go to destination and dropoff ')
+    (row,) = section.tables[0].rows
+    assert (row['count'], row['until the criteria hold: never']) == (3, met.count(None))
+    assert row['until the criteria hold: most'] == max(filter(None, met))
+    assert row['most in excess'] == max(filter(None, met)) - 2
+    assert len(draw(section.pictures[0]).axes.get_lines()[0].get_xdata()) == 3 - met.count(None)

@@ -1,6 +1,6 @@
 """Trials of a reproduction: what is computed, what is not computed again, what fails."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict
 import io
@@ -10,20 +10,18 @@ import subprocess
 import sys
 from typing import Any
 
+from humanopts_teach.bags.mcap_file import ignore_progress
 import pytest
 from rich.console import Console
 
 from experiments import figure2
 from experiments import trials as experiment_trials
 from experiments.command import trial_progress
-from experiments.people import CAREFUL, participants, Study, VARIED
-from experiments.trials import ClusterError, digest, Outcome, run_trials, Trial
+from experiments.people import CAREFUL, participants, VARIED
+from experiments.trials import ClusterError, digest, Rows, run_trials, Trial
 
 PICKUP = 'go to passenger and pickup'
-
-
-def quiet(outcome: Outcome, ended: Trial | None) -> None:
-    """Show nothing."""
+COSTS = {7: 9.0, 6: 5.0}
 
 
 class Work:
@@ -33,18 +31,17 @@ class Work:
         self.folder, self.asked = folder, list[int]()
         self.broken = dict(broken or {})
 
-    def square(self, parameters: Mapping[str, Any]) -> int:
+    def square(self, parameters: Mapping[str, Any]) -> Rows:
         number: int = parameters['number']
         self.asked.append(number)
         if number in self.broken:
             raise self.broken[number]
-        return number**2
+        return [{'square': number**2}]
 
-    def trials(self, numbers: Sequence[int]) -> list[Trial]:
-        return [Trial('squares', {'number': n}, self.square) for n in numbers]
-
-    def run(self, trials: Sequence[Trial]) -> Outcome:
-        return run_trials(trials, self.folder, quiet, jobs=1)
+    def run(self, *numbers: int) -> list[int]:
+        trials = [Trial('squares', {'number': n}, self.square, COSTS.get(n, 1.0)) for n in numbers]
+        self.outcome = run_trials(trials, self.folder, ignore_progress, jobs=1)
+        return [row['square'] for row in self.outcome.rows_of(trials)]
 
 
 def tiny(*strategies: str) -> list[Trial]:
@@ -58,25 +55,17 @@ def tiny(*strategies: str) -> list[Trial]:
     ]
 
 
-def test_what_is_done_is_not_computed_again(tmp_path: Path) -> None:
-    work = Work(tmp_path)
-    trials = work.trials([2, 3])
-    first, again = work.run(trials), work.run([*trials, *work.trials([5])])
-    assert sorted(work.asked) == [2, 3, 5]
-    assert (first.computed, again.computed) == (2, 1)
-    assert [again.results[trial.key] for trial in trials] == [4, 9]
-
-
-def test_other_parameters_or_other_code_are_computed_anew(
+def test_what_is_done_is_not_computed_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Results depend on the code."""
     work = Work(tmp_path)
-    for numbers in ([2], [3], [2]):
-        work.run(work.trials(numbers))
-    assert work.asked == [2, 3]
+    assert work.run(2, 3) == [4, 9]
+    assert work.run(5, 3, 2) == [25, 9, 4]
+    assert (work.asked, work.outcome.computed) == ([2, 3, 5], 1)
     monkeypatch.setattr(experiment_trials, 'code_version', lambda: 'other')
-    work.run(work.trials([2]))
-    assert work.asked == [2, 3, 2]
+    work.run(2)
+    assert work.asked == [2, 3, 5, 2]
 
 
 def test_code_is_another_when_a_file_changes_that_is_not_of_a_node(tmp_path: Path) -> None:
@@ -92,65 +81,46 @@ def test_code_is_another_when_a_file_changes_that_is_not_of_a_node(tmp_path: Pat
 
 def test_failing_trial_is_named_the_others_are_kept_and_it_is_tried_again(tmp_path: Path) -> None:
     work = Work(tmp_path, {3: ValueError('no threes')})
-    trials = work.trials([2, 3, 4])
-    outcome = work.run(trials)
-    assert outcome.failures == {trials[1].key: 'squares (number 3): ValueError: no threes'}
-    assert sorted(outcome.results.values()) == [4, 16]
-    work.broken.clear()
-    assert sorted(work.run(trials).results.values()) == [4, 9, 16]
-    assert sorted(work.asked) == [2, 3, 3, 4]
+    assert work.run(2, 3, 4) == [4, 16]
+    assert [*work.outcome.failures.values()] == ['squares (number 3): ValueError: no threes']
+    work.broken = {4: KeyboardInterrupt()}
+    assert work.run(2, 3, 4) == [4, 9, 16]
+    assert work.asked == [2, 3, 4, 3]
 
 
-def test_interrupted_run_goes_on_where_it_stopped(tmp_path: Path) -> None:
-    work = Work(tmp_path, {4: KeyboardInterrupt()})
-    trials = work.trials([2, 3, 4, 5])
+def test_interrupted_run_goes_on_where_it_stopped_with_the_costliest_first(tmp_path: Path) -> None:
+    work = Work(tmp_path, {6: KeyboardInterrupt()})
     with pytest.raises(KeyboardInterrupt):
-        work.run(trials)
-    assert work.asked == [2, 3, 4]
+        work.run(2, 5, 6, 7)
     work.broken.clear()
-    assert work.run(trials).computed == 2
-    assert work.asked == [2, 3, 4, 4, 5]
+    assert work.run(2, 5, 6, 7) == [4, 25, 36, 49]
+    assert work.asked == [7, 6, 6, 2, 5]
 
 
 @pytest.mark.parametrize('damage', ['', '{"trial": ', '[]', '{"trial": {}, "result": 99}'])
-def test_file_that_is_not_the_trial_counts_as_not_there(tmp_path: Path, damage: str) -> None:
+def test_file_that_is_not_the_trial_counts_as_missing(tmp_path: Path, damage: str) -> None:
     work = Work(tmp_path)
-    work.run(work.trials([2]))
+    work.run(2)
     next(tmp_path.glob('*.json')).write_text(damage, 'utf-8')
-    assert list(work.run(work.trials([2])).results.values()) == [4]
+    assert work.run(2) == [4]
     assert work.asked == [2, 2]
-
-
-def test_costliest_trials_are_begun_first(tmp_path: Path) -> None:
-    work = Work(tmp_path)
-    costs = {2: 1.0, 3: 9.0, 4: 5.0}
-    work.run([Trial('squares', {'number': n}, work.square, c) for n, c in costs.items()])
-    assert work.asked == [3, 4, 2]
 
 
 def test_two_processes_compute_what_one_does(tmp_path: Path) -> None:
     trials = tiny('random', 'coverage')
-    one, two = (run_trials(trials, tmp_path / str(jobs), quiet, jobs) for jobs in (1, 2))
+    one, two = (run_trials(trials, tmp_path / str(jobs), ignore_progress, jobs) for jobs in (1, 2))
     assert one.results == two.results
     assert len(one.results) == 2
 
 
-def test_lines_say_how_far_it_is_and_what_failed() -> None:
+def test_lines_show_progress_where_there_is_no_terminal(tmp_path: Path) -> None:
     now, out = [0.0], io.StringIO()
-    trials = [Trial('squares', {'number': n}, len, cost) for n, cost in enumerate((3.0, 1.0))]
-    outcome = Outcome(trials)
     with trial_progress(Console(file=out), clock=lambda: now[0]) as progress:
-        progress(outcome, None)
-        now[0], outcome.computed = 60.0, 1
-        progress(outcome, trials[0])
-        outcome.failures[trials[1].key] = 'why'
-        progress(outcome, trials[1])
-    assert out.getvalue().splitlines() == [
-        '2 trials, 0 of them done before',
-        '1 of 2 trials',
-        'failed: squares (number 1)',
-        '2 of 2 trials',
-    ]
+        for seconds, done, text in ((0.0, 0.0, 'begun'), (1.0, 1.0, 'soon'), (60.0, 2.0, 'later')):
+            now[0] = seconds
+            progress(done, 4.0, text)
+        progress(4.0, 4.0, 'done')
+    assert out.getvalue().splitlines() == ['begun', 'later', 'done']
 
 
 def test_more_participants_leave_the_first_as_they_are() -> None:
@@ -162,18 +132,12 @@ def test_more_participants_leave_the_first_as_they_are() -> None:
     assert all(p.error_rate == p.needless_rate == 0 for p in participants(CAREFUL, 3, seed=1))
 
 
-def test_trials_of_a_study_differ() -> None:
-    keys = [trial.key for trial in figure2.trials(Study(participants=2))]
-    # people; options, groups and strategies of Taxi, of Pac-Man, and of it with positions
-    assert len(set(keys)) == len(keys) == 2 * (2 * 2 * 3 + 3 * 3 + 3)
-
-
 def test_without_dask_it_is_said_what_is_missing(tmp_path: Path) -> None:
     try:
         import distributed  # noqa: F401
     except ImportError:
         with pytest.raises(ClusterError, match='dask and distributed'):
-            run_trials(tiny('random'), tmp_path, quiet, 1, 'tcp://127.0.0.1:1')
+            run_trials(tiny('random'), tmp_path, ignore_progress, 1, 'tcp://127.0.0.1:1')
 
 
 CLUSTER = """
@@ -215,7 +179,7 @@ def cluster() -> Iterator[str]:
 def test_dask_cluster_computes_what_this_machine_does(tmp_path: Path, cluster: str) -> None:
     trials = tiny('random', 'coverage', 'failures')
     here, there = (
-        run_trials(trials, tmp_path / name, quiet, 1, address)
+        run_trials(trials, tmp_path / name, ignore_progress, 1, address)
         for name, address in (('here', ''), ('there', cluster))
     )
     assert there.failures == {}
@@ -227,7 +191,7 @@ def test_cluster_with_other_code_is_named(
 ) -> None:
     monkeypatch.setattr(experiment_trials, 'code_version', lambda: 'other')
     with pytest.raises(ClusterError, match=r'scheduler has other code'):
-        run_trials(tiny('random'), tmp_path, quiet, 1, cluster)
+        run_trials(tiny('random'), tmp_path, ignore_progress, 1, cluster)
 
 
 def test_scheduler_without_the_experiments_is_named(tmp_path: Path) -> None:
@@ -236,7 +200,7 @@ def test_scheduler_without_the_experiments_is_named(tmp_path: Path) -> None:
         started(tmp_path, '') as address,
         pytest.raises(ClusterError, match=r'scheduler cannot import .* PYTHONPATH'),
     ):
-        run_trials(tiny('random'), tmp_path, quiet, 1, address)
+        run_trials(tiny('random'), tmp_path, ignore_progress, 1, address)
 
 
 def test_scheduler_that_does_not_answer_is_named(
@@ -245,4 +209,4 @@ def test_scheduler_that_does_not_answer_is_named(
     pytest.importorskip('distributed')
     monkeypatch.setattr(experiment_trials, 'ANSWERS_WITHIN', 0.5)
     with pytest.raises(ClusterError, match='answers at tcp:'):
-        run_trials(tiny('random'), tmp_path, quiet, 1, 'tcp://127.0.0.1:1')
+        run_trials(tiny('random'), tmp_path, ignore_progress, 1, 'tcp://127.0.0.1:1')
