@@ -42,7 +42,7 @@ def parse_json(text: str, most: int = MAX_JSON) -> Any:
         raise JsonError(str(error)) from None
     except ValueError:  # an integer of more digits than Python converts
         raise JsonError(_TOO_LARGE) from None
-    _check(value)
+    check_json(value)
     return value
 
 
@@ -50,8 +50,12 @@ _TOO_DEEP = f'it is nested more than {MAX_DEPTH} levels deep'
 _TOO_LARGE = 'it holds an integer that is too large'
 
 
-def _check(value: Any) -> None:
-    """Check depth and numbers of a parsed text, one level after the other."""
+def check_json(value: Any) -> None:
+    """
+    Check depth and numbers of a parsed text, one level after the other.
+
+    :raises JsonError: as ``parse_json``.
+    """
     level, depth = [value], 0
     while level:
         if depth > MAX_DEPTH:

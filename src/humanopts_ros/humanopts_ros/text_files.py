@@ -7,6 +7,7 @@ a device, an endless file nor a text made to blow up can stop or end a command.
 
 from collections.abc import Iterable, Iterator
 import errno
+from itertools import count
 import json
 import os
 from pathlib import Path
@@ -14,7 +15,7 @@ import re
 import stat
 from typing import Any, TYPE_CHECKING
 
-from humanopts_ros.limits import MAX_DEPTH, MAX_INTEGER, shown
+from humanopts_ros.limits import check_json, JsonError, MAX_DEPTH, shown
 import yaml
 
 if TYPE_CHECKING:
@@ -22,21 +23,11 @@ if TYPE_CHECKING:
 
 MAX_TEXT = 2**20  # bytes of a text file
 MAX_YAML = 4 * 2**20  # characters of a YAML text
-MAX_NODES = 200_000  # values of a YAML text, those that aliases repeat included
-MAX_ALIASES = 100  # repetitions (*name) in a YAML text
+MAX_NODES = 200_000  # values of a YAML text, with those that aliases repeat
 _MAX_DIRECTIVES = 4  # lines that begin with %; libyaml compares each with all before it
 _LOADER = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)
-_INTEGER = re.compile(r'0|-?[1-9][0-9]*')
-_FLOAT = re.compile(r'-?((0|[1-9][0-9]*)(\.[0-9]*)?|\.[0-9]+)([eE][-+]?[0-9]+)?')
-_NOT_FINITE = re.compile(r'[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)')
-_MAX_NUMBER = 400  # characters of a number
-_BOOLEANS = {
-    written: value
-    for value, words in ((True, ('true', 'yes', 'on')), (False, ('false', 'no', 'off')))
-    for word in words
-    for written in (word, word.capitalize(), word.upper())
-}
-_NULL = ('', '~', 'null', 'Null', 'NULL')
+_NUMBER = re.compile(r'-?((0|[1-9]\d{0,399})(\.\d*)?|\.\d+)([eE][-+]?\d+)?', re.ASCII)
+_WORDS: dict[str, bool | None] = {**yaml.SafeLoader.bool_values, '': None, '~': None, 'null': None}
 
 
 class FileError(ValueError):
@@ -118,7 +109,7 @@ def parse_yaml(text: str) -> Any:
 
     Keys are texts, as written. Numbers are decimal, as in JSON and YAML 1.2; dates and other
     notations (010, 0x1F, 1_000, 12:30) are texts. Booleans are those of YAML 1.1: yes, no, on and
-    off too. A value that an alias repeats is the same object, and is not to be changed.
+    off too.
 
     :raises YamlError: it is not YAML, exceeds a limit above, has two equal keys, merge keys (<<),
         tags or several documents, or holds a number that is too large or not finite.
@@ -128,14 +119,63 @@ def parse_yaml(text: str) -> Any:
     if text.count('\n%') + text.startswith('%') > _MAX_DIRECTIVES:
         raise YamlError('it has too many directives, lines that begin with %: remove them')
     try:
-        return _Document(yaml.parse(text, Loader=_LOADER)).value()
-    except YamlError:
-        raise
+        _check_events(text)
+        node = yaml.compose(text, Loader=_LOADER)
+        value = None if node is None else _value(node, 0, count(1))
+        check_json(value)
+    except JsonError as error:
+        raise YamlError(str(error)) from None
     except yaml.MarkedYAMLError as error:
         what = ', '.join(filter(None, (error.context, error.problem)))
         raise YamlError(f'it is not YAML: {shown(what)}{_place(error.problem_mark)}') from None
-    except (yaml.YAMLError, ValueError) as error:  # characters that YAML does not allow
+    except yaml.YAMLError as error:  # characters that YAML does not allow
         raise YamlError(f'it is not YAML: {shown(" ".join(str(error).split()))}') from None
+    return value
+
+
+def _check_events(text: str) -> None:
+    """
+    Check depth, size and tags without recursion: the parser itself would overflow the C stack.
+
+    :raises YamlError: a limit is exceeded, or there is a tag.
+    """
+    depth = 0
+    for number, event in enumerate(yaml.parse(text, Loader=_LOADER)):
+        depth += isinstance(event, yaml.CollectionStartEvent)
+        depth -= isinstance(event, yaml.CollectionEndEvent)
+        if depth > MAX_DEPTH + 1:
+            raise _refused(event, f'it is nested more than {MAX_DEPTH} levels deep')
+        if number > 2 * MAX_NODES:
+            raise _refused(event, f'it holds more than {MAX_NODES:,} values')
+        if getattr(event, 'tag', None) is not None:
+            raise _refused(event, f'it has the tag {shown(event.tag)}: remove tags (!)')
+
+
+def _value(node: yaml.Node, depth: int, number: Iterator[int]) -> Any:
+    """Return the value of a node; depth and number grow with each value that an alias repeats."""
+    if depth > MAX_DEPTH:
+        raise _refused(node, f'it is nested more than {MAX_DEPTH} levels deep')
+    if next(number) > MAX_NODES:
+        raise _refused(node, f'it holds more than {MAX_NODES:,} values')
+    if isinstance(node, yaml.SequenceNode):
+        return [_value(each, depth + 1, number) for each in node.value]
+    if isinstance(node, yaml.ScalarNode):
+        text = node.value
+        if node.style:  # quoted, or a block
+            return text
+        if _NUMBER.fullmatch(text):
+            return int(text) if text.lstrip('-').isdigit() else float(text)
+        return _WORDS.get(text.lower(), text)
+    values: dict[str, Any] = {}
+    for key, value in node.value:
+        if not isinstance(key, yaml.ScalarNode):
+            raise _refused(key, 'a key has to be a plain text')
+        if key.value == '<<' and not key.style:
+            raise _refused(key, 'merge keys (<<) cannot be used: write the entries out')
+        if key.value in values:
+            raise _refused(key, f'the key {shown(key.value)!r} is there twice')
+        values[key.value] = _value(value, depth + 1, number)
+    return values
 
 
 def _place(mark: Any) -> str:
@@ -161,122 +201,5 @@ def fault_in(error: 'ValidationError', known: Iterable[str] = ()) -> str:
     return shown(f'{place}: {why}' if place else why)
 
 
-class _Document:
-    """The value of a YAML document, made from the events of the parser."""
-
-    def __init__(self, events: Iterator[Any]) -> None:
-        self._events = events
-        self._anchors: dict[str, tuple[Any, int, int]] = {}  # value, values in it, their depth
-        self._open: set[str] = set()  # anchors of values that are not complete
-        self._nodes = self._aliases = 0
-
-    def value(self) -> Any:
-        """
-        Return the value; None of an empty text.
-
-        :raises YamlError: a limit is exceeded, or something cannot be used.
-        """
-        next(self._events)  # the stream begins
-        if isinstance(next(self._events), yaml.StreamEndEvent):
-            return None
-        value, _ = self._read(next(self._events), 0)
-        next(self._events)  # the document ends
-        after = next(self._events)
-        if not isinstance(after, yaml.StreamEndEvent):
-            raise _refused(after, 'it holds several documents (---): give one')
-        return value
-
-    def _read(self, event: Any, depth: int) -> tuple[Any, int]:
-        """Return the value that begins with an event, and how many levels are below it."""
-        if depth > MAX_DEPTH:
-            raise _refused(event, f'it is nested more than {MAX_DEPTH} levels deep')
-        if isinstance(event, yaml.AliasEvent):
-            return self._repeat(event, depth)
-        if event.tag is not None:
-            raise _refused(event, f'it has the tag {shown(event.tag)}: remove tags (!)')
-        if event.anchor is not None:
-            self._open.add(event.anchor)
-        before = self._nodes
-        self._count(event, 1)
-        value: Any
-        if isinstance(event, yaml.ScalarEvent):
-            value, below = _scalar(event), 0
-        elif isinstance(event, yaml.SequenceStartEvent):
-            value, below = self._list(depth)
-        else:
-            value, below = self._dict(depth)
-        if event.anchor is not None:
-            self._open.discard(event.anchor)
-            self._anchors[event.anchor] = value, self._nodes - before, below
-        return value, below
-
-    def _list(self, depth: int) -> tuple[list[Any], int]:
-        values, deepest = [], 0
-        while not isinstance(event := next(self._events), yaml.SequenceEndEvent):
-            value, below = self._read(event, depth + 1)
-            values.append(value)
-            deepest = max(deepest, below + 1)
-        return values, deepest
-
-    def _dict(self, depth: int) -> tuple[dict[str, Any], int]:
-        values: dict[str, Any] = {}
-        deepest = 0
-        while not isinstance(event := next(self._events), yaml.MappingEndEvent):
-            if not isinstance(event, yaml.ScalarEvent) or event.tag is not None:
-                raise _refused(event, 'a key has to be a plain text')
-            key = str(event.value)
-            if key == '<<' and event.implicit[0]:
-                raise _refused(event, 'merge keys (<<) cannot be used: write the entries out')
-            if key in values:
-                raise _refused(event, f'the key {shown(key)!r} is there twice')
-            if event.anchor is not None:
-                raise _refused(event, 'a key cannot have an anchor (&)')
-            self._count(event, 1)
-            values[key], below = self._read(next(self._events), depth + 1)
-            deepest = max(deepest, below + 1)
-        return values, deepest
-
-    def _repeat(self, event: Any, depth: int) -> tuple[Any, int]:
-        self._aliases += 1
-        if self._aliases > MAX_ALIASES:
-            raise _refused(event, f'it has more than {MAX_ALIASES} aliases (*): write them out')
-        if event.anchor in self._open or event.anchor not in self._anchors:
-            raise _refused(event, f'the alias *{shown(event.anchor)} has no value before it')
-        value, nodes, below = self._anchors[event.anchor]
-        self._count(event, nodes)
-        if depth + below > MAX_DEPTH:
-            raise _refused(event, f'it is nested more than {MAX_DEPTH} levels deep')
-        return value, below
-
-    def _count(self, event: Any, nodes: int) -> None:
-        self._nodes += nodes
-        if self._nodes > MAX_NODES:
-            raise _refused(event, f'it holds more than {MAX_NODES:,} values')
-
-
-def _refused(event: Any, why: str) -> YamlError:
-    return YamlError(f'{why}{_place(event.start_mark)}')
-
-
-def _scalar(event: Any) -> str | int | float | bool | None:
-    """Return the value of a scalar; whatever is quoted is a text."""
-    text = str(event.value)
-    if not event.implicit[0]:
-        return text
-    if text in _NULL:
-        return None
-    if text in _BOOLEANS:
-        return _BOOLEANS[text]
-    if text[0] in '-+.0123456789' and len(text) <= _MAX_NUMBER:
-        if _INTEGER.fullmatch(text):
-            if abs(number := int(text)) >= MAX_INTEGER:
-                raise _refused(event, 'it holds an integer that is too large')
-            return number
-        if _FLOAT.fullmatch(text):
-            value = float(text)
-            if abs(value) == float('inf'):
-                raise _refused(event, f'it holds the number {shown(text)}, which is not finite')
-            return value
-        if _NOT_FINITE.fullmatch(text):
-            raise _refused(event, f'it holds the number {text}, which is not finite')
-    return text
+def _refused(place: Any, why: str) -> YamlError:
+    return YamlError(f'{why}{_place(place.start_mark)}')
