@@ -126,7 +126,7 @@ def topics(graph: Graph) -> dict[str, str]:
     """Return the names and types of all topics that carry messages and are not rclpy's own."""
     found = {}
     for topic, types in graph.node.get_topic_names_and_types():
-        if topic.strip('/') not in RCLPY_TOPICS and not topic.startswith('/_game/'):
+        if topic.strip('/') not in RCLPY_TOPICS and not topic.startswith(('/_game/', '/_node/')):
             (found[topic.strip('/')],) = types
     return found
 

@@ -22,7 +22,7 @@ from humanopts_interfaces.msg import (
     NodeStatus,
     OptionStatus,
 )
-from humanopts_ros.qos import CURRENT, LATCHED
+from humanopts_ros.qos import CURRENT
 from humanopts_teach.bags.reader import open_bag
 from humanopts_teach.cli import main
 from humanopts_teach.launching import LaunchError
@@ -524,50 +524,3 @@ def _refused(command: Command) -> bool:
         return False
     assert command.ended(30.0) == 2
     return True
-
-
-def test_nodes_that_pause_all_the_time_do_not_flood_the_terminal(
-    live: Graph, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv('ROS_DOMAIN_ID', str(live.domain_id))
-    out = live.node.create_publisher(NodeStatus, 'node_status', CURRENT)
-    conductor = GraphClient('/', {'expect_recorder': False}, tmp_path, watch=live.spin)
-    said: list[str] = []
-    sent = itertools.count()
-
-    def check() -> None:
-        number = next(sent)
-        name, state = f'/node{number % 5}', NodeStatus.STATE_PAUSED
-        out.publish(NodeStatus(node=name, publisher_id=f'{name}#1', text=str(number), state=state))
-        live.spin()
-        if number > 300:
-            raise LaunchError('enough')
-
-    try:
-        with pytest.raises(LaunchError, match='enough'):
-            conductor.stay(check, said.append)
-    finally:
-        conductor.close()
-    assert {line.partition(' ')[0] for line in said} == {f'/node{number}' for number in range(5)}
-    assert len(said) == 20
-
-
-def test_no_other_node_writes_a_line_of_the_launch(live: Graph, tmp_path: Path) -> None:
-    arguments = ['up', 'rooms', '--no-record', '--out', tmp_path / 'out']
-    command = Command(arguments, tmp_path, live.domain_id)
-    try:
-        command.until(lambda: 'ready: ' in command.output, 'the launch')
-        publisher = live.node.create_publisher(NodeStatus, 'node_status', LATCHED)
-        name = '/x\nhumanopts: the disk is full\r'
-        text = 'y\nhumanopts up: \x1b[1mgive your password\u2028'
-        status = NodeStatus(
-            node=name, text=text, publisher_id=f'{name}#1', state=NodeStatus.STATE_PAUSED
-        )
-        publisher.publish(status)
-        live.until(lambda: 'is paused' in command.errors, 'what the command says of it')
-        assert command.errors.splitlines() == [
-            r'/x humanopts: the disk is full\r is paused: '
-            r'y humanopts up: \x1b[1mgive your password\u2028'
-        ]
-    finally:
-        command.close()

@@ -23,8 +23,8 @@ from graph_support.machine import Machine
 from humanopts_interfaces.msg import GameState, LearningStatus, NodeStatus
 from humanopts_interfaces.srv import SetPace
 from humanopts_ros.node_base import NodeBase
-from humanopts_ros.node_restarts import NodeRestarts
 from humanopts_ros.qos import CURRENT, LATCHED
+from humanopts_ros.senders import id_topic
 from humanopts_ros.workarounds import MemoryReturn, reset_postponed
 from humanopts_teach.bags.reader import open_bag
 import psutil
@@ -35,6 +35,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.timer import Timer
+from std_msgs.msg import Empty
 from std_srvs.srv import Trigger
 
 ALL = (GAME, LEARNER, LESSON, OPTION_SERVER, PLANNER, RECORDER, TEACHER)
@@ -327,49 +328,48 @@ def test_a_condition_that_held_for_a_moment_is_waited_for_again(live: Graph) -> 
 STARTING, READY, STOPPING = (
     NodeStatus.STATE_STARTING, NodeStatus.STATE_READY, NodeStatus.STATE_STOPPING,
 )  # fmt: skip
-WATCHER = f'{__name__}:Watcher'
 
 
-class Watcher(NodeBase):
-    """Keeps which nodes were started again, in order."""
-
-    def __init__(self, **options: object) -> None:
-        super().__init__('watcher', **options)
-        self.found: list[str] = []
-        self.restarts = NodeRestarts(self, self.found.append)
-
-
-def test_a_restart_is_told_when_the_node_begins_and_when_it_is_ready(live: Graph) -> None:
-    watcher = live.start(WATCHER, '/room')
+def test_a_restart_is_seen_when_the_node_begins_and_when_it_is_ready_unless_it_is_forged(
+    live: Graph,
+) -> None:
+    watcher = live.start(LISTENER, '/room')
+    found: list[str] = []
+    watcher.peers.on_restart.append(found.append)
     out = live.node.create_publisher(NodeStatus, '/room/node_status', CURRENT)
     live.until(out.get_subscription_count, 'the watcher to listen')
-
     number = itertools.count()
 
-    def last() -> NodeStatus:
-        """A status of another life of a node, by which a test sees that all was taken."""
-        return NodeStatus(node='/room/last', publisher_id=f'/room/last#{next(number)}')
+    def publish(publisher_id: str, state: int, restarts: list[str], name: str = '') -> None:
+        found.clear()
+        last = str(next(number))
+        for signed, text in ((publisher_id, ''), ('/room/last#1', last)):
+            node = name or signed.partition('#')[0]
+            out.publish(NodeStatus(node=node, publisher_id=signed, state=state, text=text))
+            name = ''
+        taken = watcher.peers.statuses
+        live.until(lambda: 'last' in taken and taken['last'].text == last, 'all to be taken')
+        assert found == restarts
 
-    def say(node: str, publisher: str, state: int, told: list[str]) -> None:
-        watcher.found.clear()
-        out.publish(NodeStatus(node=node, publisher_id=publisher, state=state))
-        out.publish(last())
-        live.until(lambda: 'last' in watcher.found, 'all to be taken')
-        assert watcher.found == [*told, 'last']
+    def state_id(publisher_id: str) -> None:
+        live.node.create_publisher(Empty, f'/room/{id_topic(publisher_id, "node")}', LATCHED)
 
-    out.publish(last())
-    say('/room/game', '/room/game#1', STARTING, [])
-    say('/room/game', '/room/game#1', READY, [])
-    say('/room/game', '/room/game#1', READY, [])
-    say('/room/game', '/room/game#1', STOPPING, [])
-    say('/room/game', '/room/game#2', STARTING, ['game'])
-    say('/room/game', '/room/game#2', READY, ['game'])
-    say('/room/game', '/room/game#2', READY, [])
-    say('/room/game', '/room/game#3', READY, ['game'])  # its beginning was not heard
-    say('/room/game', '/room/lesson#3', READY, [])  # signed by another
-    say('/hall/game', '/hall/game#9', READY, [])  # of another namespace
-    say('/hall/game', '/hall/game#10', READY, [])
-    assert watcher.restarts.counts['game'] == 3
+    state_id('/room/last#1')
+    for part in '123':
+        state_id(f'/room/game#{part}')
+    publish('/room/game#1', STARTING, [])
+    publish('/room/game#1', READY, [])
+    publish('/room/game#forged', STARTING, [])
+    publish('/room/game#1', STOPPING, [])
+    publish('/room/game#2', STARTING, ['game'])
+    publish('/room/game#2', READY, ['game'])
+    publish('/room/game#2', READY, [])
+    publish('/room/game#1', READY, [])  # replaced
+    publish('/room/game#3', READY, ['game'])  # its beginning was not heard
+    publish('/room/game#3', READY, [], name='/room/lesson')
+    publish('/hall/game#2', READY, [])  # of another namespace
+    assert watcher.peers.restarts == {'game': 3}
+    assert watcher.peers.state('game') == READY
 
 
 LISTENER = f'{__name__}:Listener'

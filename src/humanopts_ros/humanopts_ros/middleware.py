@@ -16,6 +16,7 @@ from xml.etree import ElementTree
 
 LAUNCHER_PID = 'HUMANOPTS_LAUNCHER_PID'  # of the process that started a node; it ends with it
 INSTANCE = 'HUMANOPTS_INSTANCE'  # how the publisher_id of a node ends that a launcher started
+RESTARTS = 'HUMANOPTS_RESTARTS'  # times that the launcher has started the node again before
 RANGE, PEERS = 'ROS_AUTOMATIC_DISCOVERY_RANGE', 'ROS_STATIC_PEERS'
 PROFILES = ('FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_DEFAULT_PROFILES_FILE')  # Jazzy reads [0]
 LAST_DOMAIN_ID = 232

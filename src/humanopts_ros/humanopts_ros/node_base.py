@@ -7,18 +7,18 @@ import functools
 from itertools import chain
 import os
 import time
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 import uuid
 import weakref
 
 from humanopts_interfaces.msg import NodeStatus
-from humanopts_ros.graph import node_names
 from humanopts_ros.guard import Guard
-from humanopts_ros.middleware import INSTANCE, MiddlewareError
+from humanopts_ros.middleware import INSTANCE, MiddlewareError, RESTARTS
+from humanopts_ros.peers import node_names, Peers
 from humanopts_ros.publisher import M, PublishError, StampedPublisher, without_source
 from humanopts_ros.qos import ACTION, LATCHED, SERVICE, STREAM
 from humanopts_ros.recording import Selection
-from humanopts_ros.senders import check_sender, sender_of
+from humanopts_ros.senders import id_topic, Role, sender_of, signer
 from humanopts_ros.workarounds import prepare_discovery, watch_time
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 import rclpy
@@ -40,6 +40,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 from rclpy.task import Future
 from rclpy.timer import Timer
+from std_msgs.msg import Empty
 
 RECORDER = 'recorder'
 SEEDS = (0, 2**62)
@@ -156,6 +157,8 @@ class NodeBase(Node):
     action is then answered with a status and a text.
     """
 
+    role: ClassVar[Role] = 'node'
+
     def __init__(
         self, name: str, *, monotonic: Callable[[], float] = time.monotonic, **options: Any
     ) -> None:
@@ -186,6 +189,9 @@ class NodeBase(Node):
             self._patterns('record_topics', 'topics to record beside those of the graph'),
             self._patterns('record_exclude', 'topics not to record'),
         )
+        # States which messages are this node's, before the first of them.
+        self.create_publisher(Empty, id_topic(self.publisher_id, self.role), LATCHED)
+        self._restarts = int(os.environ.pop(RESTARTS, '0'))
         self._status = self.stamped_publisher(NodeStatus, 'node_status', LATCHED)
         self.ready = False
         self.failed = False  # the process ends with status 1 although it was stopped normally
@@ -235,25 +241,16 @@ class NodeBase(Node):
             ``senders``; usually, what others publish there is refused.
         """
         sender = sender_of(self.resolve_topic_name(topic), self.get_namespace())
-        use = self._only_from(sender, topic, callback) if sender and not anybody else callback
+
+        @functools.wraps(callback)
+        def use(message: Any) -> None:
+            if sender and not anybody and signer(message.publisher_id) != sender:
+                self.refuse(topic, message, f'it is not from {sender}')
+            else:
+                callback(message)
+
         guarded = self.guard.guarded(use)
         return super().create_subscription(msg_type, topic, guarded, qos_profile, **options)
-
-    def _only_from(
-        self, sender: str, topic: str, use: Callable[[Any], object]
-    ) -> Callable[[Any], None]:
-        """Return the callback of a topic that only one node may publish on."""
-
-        @functools.wraps(use)
-        def on_message(message: Any) -> None:
-            try:
-                check_sender(message.publisher_id, sender)
-            except ValueError as error:
-                self.refuse(topic, message, error)
-            else:
-                use(message)
-
-        return on_message
 
     def create_service(
         self, srv_type: Any, srv_name: str, callback: Callable[..., Any], **options: Any
@@ -289,6 +286,11 @@ class NodeBase(Node):
                 use(value)
 
         return self.create_subscription(kind, topic, on_message, qos)
+
+    @functools.cached_property
+    def peers(self) -> Peers:
+        """The nodes of this namespace, from the first use on."""
+        return Peers(self)
 
     def full_name(self, name: str) -> str:
         """Return the full name of a node of this namespace."""
@@ -496,7 +498,8 @@ class NodeBase(Node):
         """
         self._own_state, self._own_text, self._remark_sent = state, text, self.guard.remark
         whole = '; '.join(filter(None, (text, self._remark_sent)))
-        status = NodeStatus(state=state, node=self.get_fully_qualified_name(), text=whole)
+        name, restarts = self.get_fully_qualified_name(), self._restarts
+        status = NodeStatus(state=state, node=name, text=whole, restarts=restarts)
         try:
             self._status.publish(status)
         except PublishError as error:

@@ -2,18 +2,17 @@
 Which node may publish what: one rule for the nodes of a graph and for the readers of bags.
 
 A message names its publisher by an id such as ``/game#1a2b3c4d``: the full name of the node, and a
-part that changes when the node is started again.
-
-The game may be any node, and any process may sign with its name. So the game states its id in the
-graph itself: it has a publisher on ``_game/NAME/_PART``, a hidden topic that never carries a
-message. The other nodes are known by their names.
+part that changes when the node is started again. Any process may sign with any name, so each node
+states its id in the graph itself, by a publisher on ``_node/NAME/_PART``: a hidden topic that
+never carries a message. The game, which may have any name, has it on ``_game/NAME/_PART``.
 """
 
 from collections.abc import Collection
+from typing import Literal
 
 from humanopts_ros.recording import own_name, prefix_of
 
-_GAMES = '_game/'
+Role = Literal['node', 'game']
 GAME_TOPICS = frozenset(
     {'domain_info', 'game_state', 'current_state', 'control', 'action_refused'}
 )
@@ -33,22 +32,22 @@ SENDERS = {topic: node for node, topics in _TOPICS.items() for topic in topics}
 
 
 def signer(publisher_id: str) -> str:
-    """Return the full name of the node that signs so; empty: it is no signature."""
+    """Return the full name of the node that an id is of; empty: it is not an id."""
     name, mark, _ = publisher_id.partition('#')
     return name if mark else ''
 
 
-def game_mark(publisher_id: str) -> str:
-    """Return the topic, relative to the namespace, by which a game states its id."""
+def id_topic(publisher_id: str, role: Role) -> str:
+    """Return the topic, relative to the namespace, by which a node states its id."""
     name, _, part = publisher_id.rpartition('/')[2].partition('#')
-    return f'{_GAMES}{name}/_{part}'
+    return f'_{role}/{name}/_{part}'
 
 
-def game_of_mark(topic: str, namespace: str) -> str:
+def stated_id(topic: str, namespace: str, role: Role) -> str:
     """Return the id that a topic, by its full name, states; empty: it states none here."""
     prefix = prefix_of(namespace)
-    name, mark, part = topic.removeprefix(prefix + _GAMES).partition('/_')
-    return f'{prefix}{name}#{part}' if mark and topic.startswith(prefix + _GAMES) else ''
+    name, mark, part = topic.removeprefix(f'{prefix}_{role}/').partition('/_')
+    return f'{prefix}{name}#{part}' if mark and topic.startswith(f'{prefix}_{role}/') else ''
 
 
 def is_next_game(publisher_id: str, current: str, stated: Collection[str]) -> bool:
@@ -73,14 +72,3 @@ def sender_of(topic: str, namespace: str) -> str:
     """
     node = SENDERS.get(own_name(topic, namespace), '')
     return prefix_of(namespace) + node if node else ''
-
-
-def check_sender(publisher_id: str, sender: str) -> None:
-    """
-    Check that a message is from a node.
-
-    :param sender: full name of the node.
-    :raises ValueError: another node has published it.
-    """
-    if signer(publisher_id) != sender:
-        raise ValueError(f'it is not from {sender}')

@@ -147,8 +147,8 @@ def _check_events(text: str) -> None:
             raise _refused(event, f'it is nested more than {MAX_DEPTH} levels deep')
         if number > 2 * MAX_NODES:
             raise _refused(event, f'it holds more than {MAX_NODES:,} values')
-        if getattr(event, 'tag', None) is not None:
-            raise _refused(event, f'it has the tag {shown(event.tag)}: remove tags (!)')
+        if (tag := getattr(event, 'tag', None)) is not None:
+            raise _refused(event, f'it has the tag {shown(tag)}: remove tags (!)')
 
 
 def _value(node: yaml.Node, depth: int, number: Iterator[int]) -> Any:

@@ -1,6 +1,5 @@
 """What status makes of a graph, and when a node that ended is started again."""
 
-from collections import Counter
 from dataclasses import replace
 import json
 
@@ -10,8 +9,6 @@ from humanopts_teach.launching.status import (
     LITTLE_DISK,
     NodeReport,
     RecorderReport,
-    restarts_in,
-    restarts_text,
 )
 import pytest
 
@@ -71,14 +68,6 @@ def test_a_place_without_nodes_has_a_status_of_its_own() -> None:
     empty = GraphReport(3, '/room', [])
     assert empty.status == 2
     assert empty.to_text() == 'no node of humanopts is in ROS_DOMAIN_ID 3, namespace /room'
-
-
-def test_restarts_are_read_from_what_the_conductor_tells_and_from_nothing_else() -> None:
-    counts = Counter({'game': 2, 'option_server': 11})
-    for more in ('', '; 2 messages refused, the last on control from /x#1: it is not from /game'):
-        assert restarts_in(f'the node game ended{restarts_text(counts)}{more}') == counts
-    for text in ('', '; so far', '; so far x', '; so far game -1', 'so far game 1', '; so far , '):
-        assert restarts_in(text) == Counter()
 
 
 KILLED = -9

@@ -4,7 +4,7 @@ from collections import deque
 from functools import partial
 import json
 import sys
-from typing import Any
+from typing import Any, ClassVar
 
 from humanopts_env.domains.base import Domain, DomainError
 from humanopts_env.domains.registry import domain_from_json
@@ -41,9 +41,8 @@ from humanopts_ros.node_base import NodeBase, SEEDS, StartError
 from humanopts_ros.process import run_node
 from humanopts_ros.publisher import PublishError, StampedPublisher
 from humanopts_ros.qos import CURRENT, LATCHED, STREAM
-from humanopts_ros.senders import game_mark
+from humanopts_ros.senders import Role
 from rclpy.parameter import Parameter
-from std_msgs.msg import Empty
 
 _SAY_AGAIN = 1.0  # s between looks whether a message is to be published again
 _LEASE_PERIOD = 0.25  # s between looks whether the holder of control has renewed it
@@ -52,6 +51,8 @@ _SHOW_PERIOD = 0.02  # s, least time between current states while the machine pl
 
 class GameNode(NodeBase):
     """Publishes the states of the game, and refuses other commands with the reason."""
+
+    role: ClassVar[Role] = 'game'
 
     def __init__(self, **options: Any) -> None:
         super().__init__('game', **options)
@@ -64,8 +65,6 @@ class GameNode(NodeBase):
             (0.0, LONGEST_PERIOD),
             on_change=self._on_step_period,
         )
-        # States which messages are the game's, before the first of them.
-        self.create_publisher(Empty, game_mark(self.publisher_id), LATCHED)
         self._info = self.stamped_publisher(DomainInfo, 'domain_info', LATCHED)
         self._stream = self.stamped_publisher(GameState, 'game_state')
         self._current = self.stamped_publisher(GameState, 'current_state', LATCHED)

@@ -16,9 +16,9 @@ from humanopts_env.game import (
 )
 from humanopts_env.ros.convert import domain_from_info
 from humanopts_interfaces.msg import ActionRefusal, ControlState, DomainInfo, GameState
-from humanopts_ros.graph import game_ids
 from humanopts_ros.limits import shown
 from humanopts_ros.node_base import NodeBase
+from humanopts_ros.peers import stated_ids
 from humanopts_ros.polled import PolledValue
 from humanopts_ros.qos import CURRENT, STREAM
 from humanopts_ros.senders import is_next_game, signer
@@ -170,7 +170,7 @@ class GameSubscriber:
         """
         if publisher_id and publisher_id == self.publisher_id:
             return True
-        stated = game_ids(self._node)
+        stated = stated_ids(self._node, 'game')
         if is_next_game(publisher_id, self.publisher_id, stated):
             self._unlisted.pop(publisher_id, None)
             self.publisher_id = publisher_id

@@ -29,7 +29,6 @@ from humanopts_learner.ros.planner_actions import (
 )
 from humanopts_learner.run import execution_named, RefusedError, RunStatus
 from humanopts_ros.node_base import NodeBase
-from humanopts_ros.node_restarts import NodeRestarts
 from humanopts_ros.qos import LATCHED
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import CallbackGroup
@@ -77,7 +76,7 @@ class PolicyServer(GoalServer):
         self._published = ''  # plan_id of the newest OptionValues
         self._values = node.stamped_publisher(OptionValues, 'option_values', LATCHED)
         self._executions = node.stamped_publisher(ExecutionState, 'execution', LATCHED)
-        self._restarts = NodeRestarts(node)
+        self._peers = node.peers
         self._reset_client = node.recorded_client(ResetGame, 'reset_game', group)
         self._run_client = node.recorded_client(RunOption, 'run_option', group)
         node.recorded_service(SetExecution, 'set_execution', self._on_set, group)

@@ -22,7 +22,7 @@ import time
 import uuid
 
 from humanopts_ros.limits import one_line, printable
-from humanopts_ros.middleware import INSTANCE, LAUNCHER_PID
+from humanopts_ros.middleware import INSTANCE, LAUNCHER_PID, RESTARTS
 from humanopts_teach.launching import LaunchError, OccupiedError
 from humanopts_teach.launching.forks import start
 from humanopts_teach.launching.job import in_foreground
@@ -284,7 +284,8 @@ class Launcher:
 
     def _process(self, spec: ProcessSpec, instance: str, settings: Path) -> BaseProcess:
         self.on_start(spec.name, instance)
-        environment = {**os.environ, INSTANCE: instance}
+        restarts = sum(end.node == spec.name for end in self.ends)
+        environment = {**os.environ, INSTANCE: instance, RESTARTS: str(restarts)}
         return start(spec.module, self._arguments(settings), environment, self._log(spec.name))
 
     def _ended(self, running: _Running, status: int, what: str, now: float) -> None:

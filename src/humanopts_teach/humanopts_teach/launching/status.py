@@ -1,9 +1,7 @@
 """The status of a graph: its nodes and its recording, as text and as JSON data."""
 
-from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-import re
 from typing import Any
 
 from humanopts_ros.limits import one_line, shown
@@ -11,20 +9,7 @@ from humanopts_teach.text_table import table
 
 NO_GRAPH = 2  # exit status: there is nothing in this ROS_DOMAIN_ID and namespace
 LITTLE_DISK = 10**9  # bytes left on the disk of the recording below which that is a fault
-_SO_FAR = re.compile(r'the node [^;]+; so far ([^;]+)')  # and then what was refused
 _SILENT = 'does not answer'
-
-
-def restarts_text(counts: Mapping[str, int]) -> str:
-    """Return how often nodes were started again, for the status of the conductor."""
-    return f'; so far {", ".join(f"{name} {count}" for name, count in sorted(counts.items()))}'
-
-
-def restarts_in(text: str) -> Counter[str]:
-    """Return the counts in a text of ``restarts_text``; empty: it is another text."""
-    found = _SO_FAR.match(text)
-    parts = [part.rpartition(' ') for part in found[1].split(', ')] if found else []
-    return Counter({name: int(count) for name, _, count in parts if count.isdigit()})
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,6 @@ from humanopts_interfaces.msg import NodeStatus, RecorderStatus
 from humanopts_ros.node_base import NodeBase, RECORDER
 from humanopts_ros.process import run_node
 from humanopts_ros.qos import CURRENT, STREAM
-from humanopts_ros.senders import check_sender
 
 TOPIC = '/diagnostics'
 _PERIOD = 1.0  # s
@@ -32,21 +31,12 @@ class DiagnosticsNode(NodeBase):
 
     def __init__(self, **options: Any) -> None:
         super().__init__('diagnostics', **options)
-        self._statuses: dict[str, NodeStatus] = {}  # the newest by node
         self._recorder: RecorderStatus | None = None
         self._out = self.create_publisher(DiagnosticArray, TOPIC, STREAM)
-        self.subscribe(NodeStatus, 'node_status', self._read, self._keep, CURRENT)
+        self._statuses = self.peers.statuses
         keep = partial(setattr, self, '_recorder')
         self.create_subscription(RecorderStatus, 'recorder_status', keep, CURRENT)
         self.create_timer(_PERIOD, self._publish)
-
-    def _read(self, status: NodeStatus) -> NodeStatus:
-        """Check that a status is of the node that it names."""
-        check_sender(status.publisher_id, self.full_name(status.node.rpartition('/')[2]))
-        return status
-
-    def _keep(self, status: NodeStatus) -> None:
-        self._statuses[status.node] = status
 
     def _publish(self) -> None:
         found = list(of_nodes(self._statuses, set(self.nodes_there())))
@@ -63,7 +53,8 @@ def of_nodes(statuses: Mapping[str, NodeStatus], there: set[str]) -> Iterator[Di
 
     :param there: full names of the nodes on the graph; what is gone is stale.
     """
-    for name, status in sorted(statuses.items()):
+    for _, status in sorted(statuses.items()):
+        name = status.node
         level, word = _LEVELS.get(status.state, (DiagnosticStatus.ERROR, 'unknown'))
         if name not in there and status.state != NodeStatus.STATE_STOPPING:
             level, word = DiagnosticStatus.STALE, 'gone'

@@ -1,10 +1,9 @@
 """The command line's own node: sees that the graph is ready, and asks it for work."""
 
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 import json
-import math
 from pathlib import Path
 import time
 from typing import Any, TypeVar
@@ -17,26 +16,26 @@ from humanopts_learner.options.learned_option import LearnedOption
 from humanopts_learner.ros.learned_options import OptionSubscriber
 from humanopts_ros.limits import one_line, shown
 from humanopts_ros.node_base import NodeBase, start_ros
+from humanopts_ros.peers import stated_ids
 from humanopts_ros.qos import ACTION, CURRENT
 from humanopts_ros.senders import signer
 from humanopts_teach.launching import LaunchError, OccupiedError
 from humanopts_teach.launching.launcher import CONDUCTOR
 from humanopts_teach.launching.processes import RECORDER, Value
 from humanopts_teach.launching.restarts import NodeExit
-from humanopts_teach.launching.status import restarts_text
 from humanopts_teach.lesson.simulated_teacher import FINISHED
 from humanopts_teach.ros.goals import Goal
 from rclpy.action.client import ActionClient
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.utilities import try_shutdown
 
-LESSON = 'lesson'
+LESSON, PLANNER = 'lesson', 'planner'
 _PATIENCE = 5.0  # s; a pause may pass, or another node is about to say or show its cause
 _LEASE = 20.0  # s that readers that were killed still hold up those who write to them
 _WORK_SECONDS = 600.0  # for a plan, or for episodes
-_MAX_LINES = 20  # about paused nodes that are not of this launch ...
-_LINES_PERIOD = 60.0  # s ... in this time
+_NAMES_PERIOD = 1.0  # s between looks for other processes with names of this launch
 _ROUNDS = 100  # callbacks that are carried out to catch up; more than topics and statuses
+_READY, _PAUSED = msg.NodeStatus.STATE_READY, msg.NodeStatus.STATE_PAUSED
 
 T = TypeVar('T')
 
@@ -45,15 +44,13 @@ class GraphClient(NodeBase):
     """
     Drives a launched graph from the command line's thread.
 
-    It knows every node's status and the newest message of the latched topics. Every wait looks
+    It knows the state of every node and the newest message of the latched topics. Every wait looks
     after the processes and has a deadline; ``watch`` is called about twenty times a second
     meanwhile: it checks the processes, and shows progress.
 
-    :ivar statuses: by full name of the node, of its newest process.
     :ivar starting: whether the launch is not ready yet; then another process that has the name of
         one of its nodes ends it. Nothing that comes later does.
     :ivar report: called with a line about a process that has the name of a node of the launch.
-    :ivar restarts: how often each node has ended and was to be started again, by full name.
     :ivar feedback: of the action under way; None: none has come.
     """
 
@@ -78,22 +75,19 @@ class GraphClient(NodeBase):
             arguments += ['-p', f'{name}:={json.dumps(value)}']
         start_ros(arguments)
         super().__init__(CONDUCTOR)
-        self.statuses: dict[str, msg.NodeStatus] = {}
         self.starting = True
         self.report: Callable[[str], object] = lambda line: None
-        self._own: dict[str, str] = {}  # publisher_id of the newest process of each of our nodes
-        self._strangers: set[str] = set()  # our nodes in the name of which others publish
-        self._reported: set[str] = set()  # those of them that were reported
-        self.restarts: Counter[str] = Counter()
-        self._ends: dict[str, list[float]] = {}  # when processes of each node ended, s
-        self._gone: set[str] = set()  # publisher_ids of processes that have ended
+        self._own: dict[str, str] = {}  # node by publisher_id, of each process of this launch
+        self._reported: set[str] = set()  # other processes with such a name
+        self._names_at = 0.0  # when to look for these again, s
+        self._ends: Counter[str] = Counter()  # of own processes, by node
         self._resent = 0  # sequence of the lesson's status from which all is in the newest bag
         self._awaited: set[str] = set()  # nodes of this launch; others may be started again
         self.feedback: Any = None
         self._record, self._bag = bool(parameters['expect_recorder']), bag
         self._watch = watch
-        self._fine = time.monotonic()  # when no node was paused last
-        self.create_subscription(msg.NodeStatus, 'node_status', self._keep_status, CURRENT)
+        self._fine = time.monotonic()  # when no node was paused last, or may be for a while, s
+        self._statuses = self.peers.statuses
         for kind, topic, name in (
             (msg.LessonState, 'lesson_state', 'lesson'),
             (msg.LearningStatus, 'learning_status', 'learning'),
@@ -141,7 +135,7 @@ class GraphClient(NodeBase):
                     self.state = self._current_state.take() or self.state
                 self._watch()
                 self._check_names()
-                self._check_statuses()
+                self._check_paused()
             if (newest := progress()) != last:
                 last, deadline = newest, now + seconds
             if now > deadline:
@@ -155,16 +149,17 @@ class GraphClient(NodeBase):
         :param seconds: longest wait for the next change of what is missing.
         :raises LaunchError: as ``wait``; the text says which nodes are missing.
         """
-        self._awaited |= set(names)
+        nodes = [name.rpartition('/')[2] for name in names]
+        self._awaited.update(nodes)
         try:
             self.wait(
-                lambda: not self._missing(names),
+                lambda: not self._missing(nodes),
                 seconds,
                 'a change of the nodes',
-                lambda: self._missing(names),
+                lambda: self._missing(nodes),
             )
         except LaunchError as error:
-            if not (missing := self._missing(names)):
+            if not (missing := self._missing(nodes)):
                 raise
             raise LaunchError(f'{error}; not ready: {", ".join(missing)}') from error
 
@@ -213,12 +208,9 @@ class GraphClient(NodeBase):
 
     def all_recorded(self) -> bool:
         """Return whether a recorder that was started again has been sent all that was shown."""
-        lesson = self.statuses.get(self.full_name(LESSON))
-        return not self._resent or (
-            lesson is not None
-            and lesson.state == lesson.STATE_READY
-            and lesson.sequence >= self._resent
-        )
+        lesson = self._statuses.get(LESSON)
+        there = lesson is not None and lesson.sequence >= self._resent
+        return not self._resent or (there and self.peers.state(LESSON) == _READY)
 
     def learned(self) -> list[tuple[LearnedOption, msg.OptionStatus]]:
         """Return every learned option and its status."""
@@ -235,34 +227,21 @@ class GraphClient(NodeBase):
         Serve the graph until an interrupt.
 
         :param check: called all the while, to look after the processes.
-        :param report: called with a line when a node pauses, and when it goes on. Lines about
-            nodes that this launch has not started, whose names anybody may claim, are limited.
+        :param report: called with a line when a node of the launch pauses, and when it goes on.
         :raises LaunchError: from ``check``.
         """
-        reported: dict[str, str] = {}
-        lines: deque[float] = deque([-math.inf] * _MAX_LINES, _MAX_LINES)  # when they came, s
+        paused: dict[str, str] = {}  # what was reported
         while True:
             self.take(0.05)
             check()
             self._check_names()
-            paused = self._paused()
-            for name in sorted(reported.keys() | paused.keys()):
-                text, status = paused.get(name), self.statuses.get(name)
-                now = self.monotonic()
-                limited = name not in self._own and now < lines[0] + _LINES_PERIOD
-                if limited or text == reported.get(name):
-                    continue  # where it is limited, the newest state is reported later
-                if text is not None:
-                    reported[name] = text
-                    said = f'is paused: {text}'
-                else:
-                    del reported[name]
-                    if status is None or status.state != msg.NodeStatus.STATE_READY:
-                        continue
-                    said = 'goes on'
-                if name not in self._own:
-                    lines.append(now)
-                report(one_line(f'{name} {said}'))
+            for name in sorted({*self._own.values()}):
+                state, text = self.peers.state(name), self._text(name)
+                if state == _PAUSED and text != paused.get(name):
+                    paused[name] = text
+                    report(f'{self.full_name(name)} is paused: {text}')
+                elif state == _READY and paused.pop(name, None) is not None:
+                    report(f'{self.full_name(name)} goes on')
 
     def take(self, seconds: float) -> None:
         """Process one message, once there is one."""
@@ -279,8 +258,7 @@ class GraphClient(NodeBase):
 
     def teacher_finished(self) -> bool:
         """Return whether the simulated teacher has taught everything."""
-        status = self.statuses.get(self.full_name('simulated_teacher'))
-        return status is not None and status.text.startswith(FINISHED)
+        return self._text('simulated_teacher').startswith(FINISHED)
 
     def knows_learned(self, option_name: str) -> bool:
         """
@@ -311,9 +289,8 @@ class GraphClient(NodeBase):
         self.wait(sent.accepted.done, 10.0, f'the planner to accept {what}')
         if not sent.accepted.result():
             raise LaunchError(f'the planner refused {what}')
-        planner = self.full_name('planner')
-        before, result = self.restarts[planner], sent.result
-        self.wait(lambda: result.done() or self.restarts[planner] != before, _WORK_SECONDS, what)
+        before, result = self._ends[PLANNER], sent.result
+        self.wait(lambda: result.done() or self._ends[PLANNER] != before, _WORK_SECONDS, what)
         if not result.done():
             raise LaunchError(f'the planner ended before {what}')
         return result.result()
@@ -326,12 +303,12 @@ class GraphClient(NodeBase):
         :raises LaunchError: it failed although every node went on, or a node is given up.
         """
         while True:
-            before = self.restarts.total()
+            before = self._ends.total()
             try:
                 return work()
             except LaunchError:
                 self._watch()  # a node may have ended just now
-                if self.restarts.total() == before:
+                if self._ends.total() == before:
                     raise
                 self.wait_ready(sorted(self._awaited))
 
@@ -341,9 +318,9 @@ class GraphClient(NodeBase):
 
         :param instance: how its publisher_id will end; only that process speaks for the node.
         """
-        node = self.full_name(name)
-        self._own[node] = f'{node}#{instance}'
-        self.statuses.pop(node, None)
+        publisher_id = f'{self.full_name(name)}#{instance}'
+        self._own[publisher_id] = name
+        self.peers.expect(publisher_id)
 
     def note_end(self, end: NodeExit, instance: str) -> None:
         """
@@ -351,85 +328,59 @@ class GraphClient(NodeBase):
 
         :param instance: how the publisher_id of its process ended; what comes late is not heard.
         """
-        node = self.full_name(end.node)
-        self.restarts[node] += end.again
-        self._ends.setdefault(node, []).append(time.monotonic())
-        self.statuses.pop(node, None)
-        self._gone.add(f'{node}#{instance}')
-        lesson = self.statuses.get(self.full_name(LESSON))
+        self._ends[end.node] += end.again
+        self._fine = time.monotonic() + _LEASE
+        self.peers.forget(f'{self.full_name(end.node)}#{instance}')
         if end.node == LESSON:  # the next one sends everything
             self._resent = min(self._resent, 1)
-        if end.node == RECORDER and lesson is not None:  # it pauses, and then goes on
-            self._resent = lesson.sequence + (1 if lesson.state == lesson.STATE_PAUSED else 2)
+        if end.node == RECORDER and LESSON in self._statuses:  # it pauses, and then goes on
+            lesson = self._statuses[LESSON]
+            self._resent = lesson.sequence + (1 if lesson.state == _PAUSED else 2)
         self.get_logger().error(end.sentence)
-        counts = {name.rpartition('/')[2]: count for name, count in self.restarts.items() if count}
-        so_far = restarts_text(counts) if counts else ''
-        self.set_status(msg.NodeStatus.STATE_READY, f'{end.sentence}{so_far}')
+        self.set_status(_READY, end.sentence)
 
     def _keep_options(self, options: list[LearnedOption], newest: msg.LearnedOption) -> None:
         self.options, self.newest_option = options, newest
 
-    def _keep_status(self, status: msg.NodeStatus) -> None:
-        node, own = status.node, self._own.get(status.node)
-        if status.publisher_id in self._gone or signer(status.publisher_id) != node:
-            return
-        if own is not None and status.publisher_id != own:
-            self._strangers.add(node)  # another process has the name, or claims it
-            return
-        known = self.statuses.get(node, status)
-        if status.publisher_id != known.publisher_id:  # a node of another launch of this graph
-            if status.state == status.STATE_STOPPING:
-                return
-            if known.state == known.STATE_STOPPING:
-                self._gone.add(known.publisher_id)
-        status.text = one_line(status.text)
-        self.statuses[node] = status
+    def _text(self, name: str) -> str:
+        """Return what a node says of itself."""
+        return one_line(self._statuses[name].text) if name in self._statuses else ''
 
     def _stopped(self) -> str:
         """Return why the launch's recorder has stopped, and what is left; empty: it has not."""
-        status = self.statuses.get(self.full_name(RECORDER))
-        if status is None or status.state != msg.NodeStatus.STATE_PAUSED:
+        if self.peers.state(RECORDER) != _PAUSED:
             return ''
-        return f'{status.text}. The bag can be read: humanopts bag info {self._bag}'
+        return f'{self._text(RECORDER)}. The bag can be read: humanopts bag info {self._bag}'
 
-    def _missing(self, names: list[str]) -> list[str]:
-        ready = {
-            name
-            for name, status in self.statuses.items()
-            if status.state == msg.NodeStatus.STATE_READY
-        }
-        missing = [self._told(name) for name in names if name not in ready]
+    def _missing(self, names: Sequence[str]) -> list[str]:
+        """Return what a launch still waits for, each node with what it says of itself."""
+        lacking = [name for name in names if self.peers.state(name) != _READY]
         if not self.ready:
-            missing.append(self._told(self.get_fully_qualified_name()))
+            lacking.append(CONDUCTOR)
+        missing = [
+            self.full_name(name) + (f' ({text})' if (text := self._text(name)) else '')
+            for name in lacking
+        ]
         complete = self.recorder is not None and self.recorder.complete
         if self._record and not missing and not complete:
             missing.append('the recorder has not got every topic')
         return missing
 
-    def _told(self, name: str) -> str:
-        """Return the name of a node and what it says of itself."""
-        text = self.statuses[name].text if name in self.statuses else ''
-        return f'{name} ({text})' if text else name
+    def _check_paused(self) -> None:
+        """
+        Look whether a node that is needed is paused.
 
-    def _paused(self) -> dict[str, str]:
-        """Return the nodes that are paused, and why."""
-        return {
-            name: status.text
-            for name, status in self.statuses.items()
-            if status.state == msg.NodeStatus.STATE_PAUSED
-        }
-
-    def _check_statuses(self) -> None:
+        :raises LaunchError: the recorder is, or another one is for too long.
+        """
         if stopped := self._stopped():
             raise LaunchError(stopped)
-        mine = self._awaited | {self.full_name(RECORDER)}
-        paused = {name: text for name, text in self._paused().items() if name in mine}
         now = time.monotonic()
+        paused = [name for name in self._awaited if self.peers.state(name) == _PAUSED]
         if not paused:
-            self._fine = now
-        elif now - max([self._fine, *(t[-1] + _LEASE for t in self._ends.values())]) > _PATIENCE:
-            name, text = next(iter(paused.items()))
-            raise LaunchError(f'{name} cannot go on: {text}')
+            self._fine = max(self._fine, now)
+        elif now - self._fine > _PATIENCE:
+            name = paused[0]
+            raise LaunchError(f'{self.full_name(name)} cannot go on: {self._text(name)}')
 
     def _check_names(self) -> None:
         """
@@ -437,19 +388,18 @@ class GraphClient(NodeBase):
 
         :raises OccupiedError: one has while the launch starts.
         """
-        suspects = set(self._own) if self.starting else self._strangers - self._reported
-        if not suspects:
+        now = time.monotonic()
+        if not self.starting and now < self._names_at:
             return
-        there = Counter(self.nodes_there())
-        # One that was killed is there until the others miss it.
-        since = time.monotonic() - _LEASE - _PATIENCE
-        left = {name: sum(t > since for t in times) for name, times in self._ends.items()}
-        found = sorted(name for name in suspects if there[name] > 1 + left.get(name, 0))
+        self._names_at = now + _NAMES_PERIOD
+        names = {*map(signer, self._own)}
+        others = {each for each in stated_ids(self) if signer(each) in names} - self._own.keys()
+        found = sorted({*map(signer, others)} - self._reported)
         if found and self.starting:
             raise OccupiedError(
                 f'{", ".join(found)} runs already in this ROS_DOMAIN_ID and namespace; stop it, '
                 'or choose another --namespace or ROS_DOMAIN_ID'
             )
+        self._reported.update(found)
         for name in found:
-            self._reported.add(name)
             self.report(f'another process runs {name} in this ROS_DOMAIN_ID and namespace; end it')

@@ -1,7 +1,6 @@
 """Looks at a graph from outside, before a launch and for ``status``: it publishes nothing."""
 
-from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
@@ -11,8 +10,8 @@ from typing import Any
 
 from humanopts_interfaces import msg
 from humanopts_ros.codec import Codec
-from humanopts_ros.graph import game_ids
 from humanopts_ros.node_base import start_ros, starting_ros
+from humanopts_ros.peers import node_names, Peers, stated_ids
 from humanopts_ros.qos import CURRENT
 from humanopts_ros.senders import sender_of, signer
 from humanopts_ros.workarounds import on_loopback, prepare_discovery
@@ -24,7 +23,6 @@ from humanopts_teach.launching.status import (
     GraphReport,
     NodeReport,
     RecorderReport,
-    restarts_in,
 )
 import psutil
 from rcl_interfaces.srv import GetParameters
@@ -41,7 +39,6 @@ _REMOTE = 1.5  # s in which processes of other machines are found
 _LONGEST = 5.0  # s, where a process here is never found, as one that is stopped
 _LEAVING = 3.0  # s for nodes to leave whose launcher was killed
 _WINDOW = 1.2  # s for them to answer, and between the two looks from which rates are
-_MAX_PUBLISHERS = 100  # of a topic, of which the newest message is kept
 _RECORDER = Codec(
     RecorderReport,
     msg.RecorderStatus,
@@ -62,7 +59,7 @@ def probe_graph(namespace: str) -> GraphReport:
         return _Probe(namespace, node).report()
 
 
-def check_free(namespace: str, names: Iterable[str]) -> None:
+def check_free(namespace: str, names: Collection[str]) -> None:
     """
     Check that nodes of a launch are not on the graph, whoever has started them.
 
@@ -78,16 +75,14 @@ def check_free(namespace: str, names: Iterable[str]) -> None:
     if on_loopback() and not _participants_here():
         return
     wanted = {f'{namespace.rstrip("/")}/{name}' for name in names}
-    game = f'{namespace.rstrip("/")}/game'
     with _listener(namespace, 'newcomer') as node:
         began = now = time.monotonic()
         earliest = began if on_loopback() else began + _REMOTE
         complete = leaving = 0.0  # since when all are found, and some are in the way; 0: not now
         while True:
-            spaces = node.get_node_names_and_namespaces()
-            found = {f'{space.rstrip("/")}/{name}' for name, space in spaces}
-            games = map(signer, game_ids(node)) if game in wanted else []
-            there = sorted({*(wanted & found), *games})
+            found = node_names(node)
+            games = [*map(signer, stated_ids(node, 'game'))] if 'game' in names else []
+            there = sorted({*wanted.intersection(found), *games})
             leaving = (leaving or now) if there else 0.0
             if there and now > leaving + _LEAVING:
                 raise OccupiedError(
@@ -95,7 +90,7 @@ def check_free(namespace: str, names: Iterable[str]) -> None:
                     f'{namespace}, started by no launch of this machine; stop it, or choose '
                     'another --namespace or ROS_DOMAIN_ID'
                 )
-            all_found = len(spaces) >= _found(node) >= len(_participants_here())
+            all_found = len(found) >= _n_processes(node) >= len(_participants_here())
             complete = (complete or now) if all_found else 0.0
             done = 0.0 < complete < now - _SETTLING or now > began + _LONGEST
             if done and now > earliest and not there:
@@ -125,7 +120,7 @@ def _participants_here() -> set[str]:
     return found
 
 
-def _found(node: Node) -> int:
+def _n_processes(node: Node) -> int:
     """Return how many processes a node has found, its own among them."""
     found = node.get_publishers_info_by_topic('ros_discovery_info', no_mangle=True)
     return len({bytes(each.endpoint_gid[:12]) for each in found})
@@ -178,14 +173,12 @@ class _Probe:
         self._namespace, self._node = namespace, node
         self._executor = SingleThreadedExecutor(context=node.context)
         self._executor.add_node(node)
-        self._statuses: dict[str, msg.NodeStatus] = {}  # the newest of each node
-        # The newest message by topic and publisher.
-        self._newest: defaultdict[str, dict[str, Any]] = defaultdict(dict)
-        self._told: dict[str, str] = {}  # by each conductor: there is one for each part of a graph
+        self._peers = Peers(node)
+        self._newest: dict[str, Any] = {}  # message by topic
+        self._games: set[str] = set()  # publisher ids
         self._sent: dict[str, float] = {}  # when each node was asked, s
         self._answers: dict[str, float] = {}  # s, by node
-        self._processes: dict[str, psutil.Process | None] = {}
-        self._node.create_subscription(msg.NodeStatus, 'node_status', self._keep_status, CURRENT)
+        self._processes = _processes_of_launch(namespace)
         for kind, topic in (
             (msg.RecorderStatus, 'recorder_status'),
             (msg.GameState, 'current_state'),
@@ -202,13 +195,11 @@ class _Probe:
             self._executor.shutdown()
 
     def _report(self) -> GraphReport:
-        self._processes = _processes_of_launch(self._namespace)
-        there = set(self._processes)
-        self._serve(lambda: bool(there) and self._statuses.keys() >= there, _SEARCH)
-        found = self._node.get_publishers_info_by_topic('node_status')
-        publish = (str(each.node_name) for each in found if '_NODE' not in each.node_name)
-        nodes = sorted({*self._statuses, *publish, *there})
-        began, before = time.monotonic(), self._taken()
+        there, statuses = set(self._processes), self._peers.statuses
+        self._serve(lambda: bool(there) and statuses.keys() >= there, _SEARCH)
+        stating = (signer(each).rpartition('/')[2] for each in stated_ids(self._node))
+        nodes = sorted({*statuses, *stating, *there})
+        began, before = time.monotonic(), dict(self._newest)
         asked = {
             name: self._node.create_client(GetParameters, f'{name}/get_parameters')
             for name in nodes
@@ -216,33 +207,29 @@ class _Probe:
         }
         self._serve(lambda: self._ask(asked), _WINDOW if nodes else 0.0)
         self._serve(lambda: False, _WINDOW - (time.monotonic() - began) if nodes else 0.0)
-        passed, newest = time.monotonic() - began, self._taken()
+        passed, newest = time.monotonic() - began, self._newest
 
-        def rate(topic: str, count: Callable[[Any], int]) -> float | None:
+        def rate(topic: str, count: str) -> float | None:
             first, last = before.get(topic), newest.get(topic)
             if first is None or last is None or first.publisher_id != last.publisher_id:
                 return None
-            return max(0, count(last) - count(first)) / passed
+            return max(0, int(getattr(last, count)) - int(getattr(first, count))) / passed
 
-        restarts = sum(map(restarts_in, self._told.values()), Counter[str]())
-        state, info = newest.get('current_state'), newest.get('domain_info')
-        control = newest.get('control')
-        steps = rate('current_state', lambda message: int(message.sequence))
+        state = newest.get('current_state', msg.GameState())
         return GraphReport(
             domain_id=domain_id(),
             namespace=self._namespace,
-            nodes=[self._node_report(name, restarts[name]) for name in nodes],
-            recorder=self._recorder(
-                newest.get('recorder_status') if RECORDER in self._statuses else None,
-                rate('recorder_status', lambda status: int(status.messages)),
+            nodes=[self._node_report(name) for name in nodes],
+            recorder=self._recorder(rate('recorder_status', 'messages')),
+            game=newest.get('domain_info', msg.DomainInfo()).domain,
+            episode=state.episode,
+            step=state.step,
+            steps_per_second=(
+                (rate('current_state', 'sequence') or 0.0) if 'current_state' in newest else None
             ),
-            game=info.domain if info is not None else '',
-            episode=state.episode if state is not None else 0,
-            step=state.step if state is not None else 0,
-            steps_per_second=None if state is None else steps or 0.0,
-            holder=control.holder_id if control is not None else '',
+            holder=newest.get('control', msg.ControlState()).holder_id,
             # One that was killed stays on the graph for a while, but sends nothing.
-            games=[each for each in game_ids(self._node) if each in self._newest['domain_info']],
+            games=[each for each in stated_ids(self._node, 'game') if each in self._games],
         )
 
     def _serve(self, done: Callable[[], bool], seconds: float) -> None:
@@ -263,39 +250,18 @@ class _Probe:
         self._answers[name] = time.monotonic() - self._sent[name]
 
     def _keep(self, topic: str, message: Any) -> None:
-        """Keep the newest message of each publisher."""
-        newest = self._newest[topic]
-        if len(newest) < _MAX_PUBLISHERS or message.publisher_id in newest:
-            newest.pop(message.publisher_id, None)
-            newest[message.publisher_id] = message
+        """Keep the newest message of the node that may publish on a topic."""
+        sender = sender_of(self._node.resolve_topic_name(topic), self._namespace)
+        publisher_id = message.publisher_id
+        games = stated_ids(self._node, 'game')
+        if (signer(publisher_id) == sender) if sender else (publisher_id in games):
+            self._newest[topic] = message
+            if topic == 'domain_info':
+                self._games.add(publisher_id)
 
-    def _taken(self) -> dict[str, Any]:
-        """Return the newest message by topic, of the nodes that may publish there."""
-        found, games = {}, game_ids(self._node)
-        for topic, newest in self._newest.items():
-            owner = sender_of(self._node.resolve_topic_name(topic), self._namespace)
-            for publisher_id, message in newest.items():
-                if (signer(publisher_id) == owner) if owner else (publisher_id in games):
-                    found[topic] = message
-        return found
-
-    def _keep_status(self, status: msg.NodeStatus) -> None:
-        if signer(status.publisher_id) != status.node:
-            return
-        name = status.node.rpartition('/')[2]
-        if name == CONDUCTOR:
-            self._told[status.publisher_id] = status.text
-        known = self._statuses.get(name)
-        same = known is None or status.publisher_id == known.publisher_id
-        if same or status.state != status.STATE_STOPPING:  # another process has the name now
-            self._statuses[name] = status
-
-    def _status(self, name: str) -> msg.NodeStatus:
-        """Return the newest status of a node; an empty one: it has published none."""
-        return self._statuses.get(name, msg.NodeStatus())
-
-    def _node_report(self, name: str, restarts: int) -> NodeReport:
-        status, process = self._status(name), self._processes.get(name)
+    def _node_report(self, name: str) -> NodeReport:
+        status = self._peers.statuses.get(name, msg.NodeStatus())
+        process = self._processes.get(name)
         found: dict[str, Any] = {}
         if process is not None:
             try:
@@ -314,14 +280,13 @@ class _Probe:
             self._answers.get(name),
             name != CONDUCTOR,  # it serves the graph only while it waits
             status.text,
-            restarts,
+            status.restarts,
             **found,
         )
 
-    def _recorder(
-        self, status: msg.RecorderStatus | None, rate: float | None
-    ) -> RecorderReport | None:
-        if status is None:
+    def _recorder(self, rate: float | None) -> RecorderReport | None:
+        status = self._newest.get('recorder_status')
+        if status is None or RECORDER not in self._peers.statuses:
             return None
         try:
             left = shutil.disk_usage(status.path).free

@@ -14,7 +14,6 @@ from humanopts_env.game import Transition
 from humanopts_env.ros.game_subscriber import GameSubscriber, Observed
 from humanopts_interfaces import msg, srv
 from humanopts_ros.node_base import NodeBase, starting_ros
-from humanopts_ros.node_restarts import NodeRestarts
 from humanopts_ros.qos import CURRENT, DISPLAY
 from humanopts_ros.workarounds import prepare_discovery
 from humanopts_teach.lesson.requests import (
@@ -108,7 +107,7 @@ class LessonClient:
         self._action = node.stamped_publisher(msg.ActionCommand, 'action')
         self._renewal = node.create_timer(_RENEWAL, node.publish_status_again, autostart=False)
         self._game = GameSubscriber(node, self._on_domain)
-        self._restarts = NodeRestarts(node, self._on_restart)
+        node.peers.on_restart.append(self._on_restart)
         self._subscriptions = [
             self._game.follow('current_state', self._on_game, CURRENT),
             node.subscribe(
@@ -273,7 +272,8 @@ class LessonClient:
 
     def _lives(self) -> tuple[int, int]:
         """Return how often the nodes were started again that change what requests have changed."""
-        return self._restarts.counts[self._game.name], self._restarts.counts[LESSON]
+        restarts = self._node.peers.restarts
+        return restarts[self._game.name], restarts[LESSON]
 
     def _on_restart(self, name: str) -> None:
         """Answer what a node that was started again has not answered, and never will."""

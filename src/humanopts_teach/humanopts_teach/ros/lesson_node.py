@@ -18,7 +18,6 @@ from humanopts_learner.options.learned_option import OptionError
 from humanopts_learner.options.starts import STRATEGIES
 from humanopts_learner.ros.convert import demonstration_to_message, summary_from_message
 from humanopts_ros.node_base import NodeBase, PATIENCE, RECORDER, SEEDS, StartError
-from humanopts_ros.node_restarts import NodeRestarts
 from humanopts_ros.process import run_node
 from humanopts_ros.publisher import PublishError
 from humanopts_ros.qos import CURRENT, LATCHED, STREAM
@@ -96,7 +95,7 @@ class LessonNode(NodeBase):
         self._contested = False  # another node has published a state of the lesson
         self.create_timer(_SAY_AGAIN, self._say_again)
         self._game = GameSubscriber(self, self._on_domain)
-        NodeRestarts(self, self._on_restart)
+        self.peers.on_restart.append(self._on_restart)
         self._game_states = self._game.follow('game_state', self._on_game_state)
         self._recorder_status = self.create_subscription(
             msg.RecorderStatus, 'recorder_status', self._on_recorder, CURRENT

@@ -8,9 +8,10 @@ from operator import attrgetter
 import time
 from typing import Any, NamedTuple
 
-from humanopts_ros.graph import publishers_of
+from humanopts_ros.peers import publishers_of, stated_ids
 from humanopts_ros.polled import never_called, Polled
-from humanopts_ros.recording import INTERFACES, is_own, prefix_of, Selection, SHARED
+from humanopts_ros.recording import INTERFACES, is_own, Selection, SHARED
+from humanopts_ros.senders import signer
 from humanopts_ros.workarounds import TimeOfDay
 from humanopts_teach.bags.arrival_times import ArrivalTimes
 from rclpy.duration import Duration
@@ -58,7 +59,7 @@ class RawSubscriber:
     of what an executor does with them.
 
     :ivar times: of the arrivals.
-    :ivar own_nodes: full names of the nodes that have published their status in the namespace.
+    :ivar own_nodes: full names of the nodes that have stated their ids in the namespace.
     """
 
     def __init__(self, node: Node, selection: Selection) -> None:
@@ -76,8 +77,7 @@ class RawSubscriber:
         """Subscribe to what is new on the graph, as its publishers offer it; return that."""
         added: list[TopicSubscription] = []
         self.complete = True
-        status = prefix_of(self._selection.namespace) + 'node_status'
-        self.own_nodes |= set(publishers_of(self._node, status))
+        self.own_nodes.update(map(signer, stated_ids(self._node)))
         for topic, types in self._node.get_topic_names_and_types():
             kind = next((each for each in types if each.startswith(INTERFACES)), types[0])
             if topic in self.unknown or not self._wants(topic, kind):

@@ -15,9 +15,9 @@ import time
 from typing import Any
 
 from humanopts_interfaces.msg import NodeStatus, RecorderStatus, StreamLoss
-from humanopts_ros.graph import game_ids
 from humanopts_ros.limits import shown
 from humanopts_ros.node_base import NodeBase, StartError
+from humanopts_ros.peers import stated_ids
 from humanopts_ros.process import run_node
 from humanopts_ros.publisher import PublishError
 from humanopts_ros.qos import LATCHED
@@ -224,7 +224,7 @@ class Recorder(NodeBase):
 
     def _find_game(self) -> None:
         """Keep in the bag which publisher is the game, as the other nodes see it."""
-        stated = game_ids(self)
+        stated = stated_ids(self, 'game')
         current = next(reversed(self._games), '')
         for publisher_id in stated:
             if publisher_id not in self._games and is_next_game(publisher_id, current, stated):

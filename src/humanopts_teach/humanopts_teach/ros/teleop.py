@@ -24,7 +24,6 @@ from humanopts_interfaces.msg import (
 from humanopts_learner.ros.convert import summary_from_message
 from humanopts_learner.summary import OptionSummary
 from humanopts_ros.node_base import NodeBase, SEEDS
-from humanopts_ros.node_restarts import NodeRestarts
 from humanopts_ros.publisher import PublishError
 from humanopts_ros.qos import ACTION, CURRENT, DISPLAY, STREAM
 from humanopts_teach.dialogue.app import App
@@ -82,7 +81,7 @@ class TeleopNode(NodeBase):
             for kind, action in ACTIONS.items()
         }
         self._goal: Goal | None = None  # of the run under way
-        NodeRestarts(self, self._on_restart)
+        self.peers.on_restart.append(self._on_restart)
         self._held: Request | None = None  # its server is not there yet
         self._came: set[str] = set()  # nodes that were there once
         self._started = self._checked = time.monotonic()
