@@ -224,7 +224,7 @@ class PolicyServer(GoalServer):
 
         :raises GoalError: option_server does not answer.
         """
-        counts, server = self._restarts.counts, 'option_server'
+        counts, server = self._peers.restarts, 'option_server'
         before = counts[server]
         answer = await self._node.answer(
             self._run_client, request, _RUN_SECONDS, lambda: counts[server] != before
