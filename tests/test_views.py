@@ -96,8 +96,8 @@ def test_the_page_has_the_topics_of_the_node(live: Graph) -> None:
     page = (ROOT / 'docs/reference/graph.md').read_text('utf-8')
     section = page.split('\n## Views\n')[1].split('\n## ')[0]
     rows = re.findall(r'^\| `(views/\w+)` \| `([\w/]+)` \| (\w+) \|', section, re.M)
-    found = dict(live.node_called('/views').get_publisher_names_and_types_by_node('views', '/'))
-    shown = {name.lstrip('/'): kind for name, (kind,) in found.items() if name.startswith('/views/')}
+    found = live.node_called('/views').get_publisher_names_and_types_by_node('views', '/')
+    shown = {name[1:]: kind for name, (kind,) in found if name.startswith('/views/')}
     assert {name: kind for name, kind, _ in rows} == shown
     assert {profile for *_, profile in rows} == {'latched'}
     for name in shown:
