@@ -1,14 +1,15 @@
 """
 generate_interfaces.py FOLDER: runs the generators of ROS interfaces that CMake configured there.
 
-make would run one after the other, and each would parse all interfaces again, which is most of
-their work. Here they are parsed once, and all cores generate. make finds everything up to date.
+make would run one after the other, and each would parse all interfaces again. Here they are parsed
+once, without their comments, and all cores generate. make then finds everything up to date.
 """
 
 from concurrent.futures import ProcessPoolExecutor
 import functools
 import multiprocessing
 from pathlib import Path
+import re
 import runpy
 import sys
 
@@ -24,6 +25,8 @@ OTHERS = {  # the longest first
     'rosidl_typesupport_introspection_c': [],
     DISPATCH: ['--typesupports', *TYPE_SUPPORTS],
 }
+# Two thirds of the text; nothing that Python loads contains them.
+COMMENT = re.compile(r'@verbatim \(language="comment", text=\n(?: *".*\n)+')
 LIBRARIES = Path(sys.prefix) / 'lib'
 
 
@@ -39,12 +42,18 @@ def generate(folder: Path, name: str, *arguments: str) -> None:
 
 
 def main(folder: Path) -> None:
-    """Run them all; one that is not known here would leave its part out of what others write."""
+    """Run all generators; refuse unknown ones, whose output would be missing from the others'."""
     described = folder.glob('rosidl_*__arguments.json')
     names = {path.name.removesuffix('__arguments.json') for path in described}
     if names - {'rosidl_adapter'} != {FIRST, *OTHERS}:
         sys.exit(f'{__file__} knows {FIRST}, {", ".join(OTHERS)}; found are {", ".join(names)}')
-    parser.parse_idl_string = functools.cache(parser.parse_idl_string)
+    parse = parser.parse_idl_string
+
+    @functools.cache
+    def parse_once(text: str, png_file: None = None) -> object:
+        return parse(COMMENT.sub('', text), png_file=png_file)
+
+    parser.parse_idl_string = parse_once
     generate(folder, FIRST)
     with ProcessPoolExecutor(mp_context=multiprocessing.get_context('fork')) as pool:
         for each in [pool.submit(generate, folder, name, *args) for name, args in OTHERS.items()]:

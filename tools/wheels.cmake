@@ -26,14 +26,14 @@ function(humanopts_generate_interfaces)
     COMMAND_ERROR_IS_FATAL ANY)
 endfunction()
 
-# The sources of several messages are compiled as one: most of the time goes into the same headers.
-# Descriptions have the same static names in each file.
+# Compile the sources of many messages as one: most of the time goes into the same headers.
+# Descriptions stay separate: they have the same static names in each file.
 function(humanopts_join_sources)
   get_property(targets DIRECTORY PROPERTY BUILDSYSTEM_TARGETS)
   foreach(target IN LISTS targets)
     get_target_property(type ${target} TYPE)
     if(type MATCHES "LIBRARY$" AND NOT type STREQUAL "INTERFACE_LIBRARY")
-      set_target_properties(${target} PROPERTIES UNITY_BUILD ON UNITY_BUILD_BATCH_SIZE 8)
+      set_target_properties(${target} PROPERTIES UNITY_BUILD ON UNITY_BUILD_BATCH_SIZE 24)
       get_target_property(sources ${target} SOURCES)
       list(FILTER sources INCLUDE REGEX "__description\\.c$")
       set_source_files_properties(${sources} PROPERTIES SKIP_UNITY_BUILD_INCLUSION ON)
