@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Annotated
 
 from humanopts_ros.middleware import check_settings
+from humanopts_teach.command_line import PLAIN, SeveralValues
 from humanopts_teach.commands import CommandError
-from humanopts_teach.commands.options import PLAIN, SeveralValues
 import psutil
 import typer
 

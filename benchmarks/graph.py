@@ -32,7 +32,7 @@ ROUNDS = 200
 def game(request: pytest.FixtureRequest) -> Iterator['Game']:
     """Launch some nodes beside the bare peer; no other node reads the states."""
     with own_place() as folder:
-        setup = Setup('taxi', folder, {}, teach=False, record=False)
+        setup = Setup('taxi', folder, teach=False, record=False)
         shown = demonstrations(Taxi())
         option = learn_option(shown, Taxi(), 1)
         save_option(setup.options, option, ())

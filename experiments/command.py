@@ -13,8 +13,8 @@ from typing import Annotated, Literal
 
 from humanopts_env.domains.pacman.maze import load_maze, MazeError
 from humanopts_teach.bags import BagError
+from humanopts_teach.command_line import PLAIN, SeveralValues, whole
 from humanopts_teach.commands import CommandError
-from humanopts_teach.commands.options import PLAIN, SeveralValues, whole
 from humanopts_teach.evaluation import ProgressCallback
 from humanopts_teach.evaluation.summary import SummaryError
 from humanopts_teach.report.pages import counted, duration

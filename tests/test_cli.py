@@ -18,7 +18,7 @@ from humanopts_learner.options.starts import STRATEGIES
 from humanopts_teach.bags.contents import read_episodes
 from humanopts_teach.bags.reader import open_bag
 from humanopts_teach.cli import main
-from humanopts_teach.commands.options import LaunchOptions
+from humanopts_teach.command_line import LaunchOptions
 from humanopts_teach.commands.session import check_folder, default_folder, setup_from
 from humanopts_teach.launching.processes import Setup
 import pexpect

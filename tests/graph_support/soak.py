@@ -453,7 +453,7 @@ def lesson(
     machine = Machine(folder)
     with (
         patch.dict(os.environ, machine.environment),
-        session(setup, '/', report=said.append, restarts=10**9) as running,
+        session(setup, report=said.append, restarts=10**9) as running,
     ):
         soak = Soak(running, machine, rng, outcome)
         soak.told = said

@@ -6,24 +6,20 @@ The work is imported when a command runs, so that help and completion are quick.
 
 from collections.abc import Sequence
 import errno
-from functools import partial
 import importlib
 from importlib.metadata import version
 from importlib.util import find_spec
 import os
 from pathlib import Path
 import sys
-from typing import Annotated, Any
+from typing import Annotated, Any, TYPE_CHECKING
 
 from humanopts_ros.limits import accept_any_text, one_line, printable
 from humanopts_ros.middleware import MiddlewareError
 from humanopts_teach.bags import BagError
-from humanopts_teach.commands import agreed, CommandError, interruptible
-from humanopts_teach.commands.bag import app as bag_app
-from humanopts_teach.commands.options import (
+from humanopts_teach.command_line import (
     CommandGroup,
     LaunchOptions,
-    node_names,
     OnlyOption,
     PageOptions,
     PLAIN,
@@ -32,12 +28,17 @@ from humanopts_teach.commands.options import (
     whole,
     with_options,
 )
+from humanopts_teach.commands import agreed, CommandError, interruptible
+from humanopts_teach.commands.bag import app as bag_app
 from humanopts_teach.commands.output import open_streams, silence
 from humanopts_teach.commands.study import app as study_app
 from humanopts_teach.launching import LaunchError, OccupiedError
 from humanopts_teach.launching.job import stand_in_front
 import typer
 from typer.core import TyperCommand
+
+if TYPE_CHECKING:
+    from humanopts_teach.launching.processes import Setup
 
 NAME = 'humanopts'
 COMPLETE = '_HUMANOPTS_COMPLETE'  # set by the shell, for a list of completions
@@ -160,12 +161,34 @@ def demo(
     return run_demo(domain, launch, episodes, games, game_steps or 0, error_rate)
 
 
+def up_setup(
+    domain: str, no_record: bool, only: str, taught: list[str], launch: LaunchOptions
+) -> 'Setup':
+    """Return the setup of ``up``; raise CommandError if an argument is invalid."""
+    from humanopts_teach.commands.session import new_name, setup_from
+
+    return setup_from(
+        domain,
+        launch,
+        bag_name=new_name('bags/up'),
+        record=not no_record,
+        only=only,
+        taught=tuple(taught),
+    )
+
+
 @app.command(cls=DomainCommand)
 @with_options
 def up(
     domain: DomainArgument,
     no_record: Annotated[bool, typer.Option('--no-record', help='do not write a bag')] = False,
     only: OnlyOption = '',
+    taught: Annotated[
+        list[str],
+        typer.Option(
+            metavar='NAME', help='option that a simulated teacher teaches; may be repeated'
+        ),
+    ] = [],  # noqa: B006
     *,
     launch: LaunchOptions,
 ) -> int:
@@ -173,24 +196,15 @@ def up(
     from humanopts_teach.launching.forks import prepare
 
     prepare()
-    from humanopts_teach.commands.session import new_name, session, setup_from
+    from humanopts_teach.commands.session import print_line, Session, stay
 
-    setup = setup_from(
-        domain,
-        launch,
-        bag_name=new_name('bags/up'),
-        record=not no_record,
-        only=node_names(only),
-    )
-    running = None
-    try:
-        with session(setup, launch.namespace) as running:
-            print('ready: ' + ', '.join(running.launcher.node_names))
-            print(f'logs and data in {setup.directory}; Ctrl-C stops everything', flush=True)
-            running.stay(partial(print, file=sys.stderr, flush=True))
-    except KeyboardInterrupt:
-        print('stopped')
-    return 0 if running is None else running.end()
+    def started(running: Session) -> None:
+        print('ready: ' + ', '.join(running.launcher.node_names))
+        print(f'logs and data in {running.setup.directory}; Ctrl-C stops everything', flush=True)
+
+    status = stay(up_setup(domain, no_record, only, taught, launch), started, print_line)
+    print('stopped')
+    return status
 
 
 @app.command(cls=DomainCommand)
@@ -202,7 +216,7 @@ def teach(
         typer.Option(
             metavar='CODE',
             show_default=False,
-            help='of the person: letters, digits, - and _, at most 60 of them; default: ask',
+            help='code of the person: letters, digits, - and _, at most 60; default: ask',
         ),
     ] = '',
     *,
@@ -210,17 +224,19 @@ def teach(
     only: OnlyOption = '',
     launch: LaunchOptions,
 ) -> int:
-    """Launch, and teach from this terminal's keyboard, or from browsers."""
+    """Launch the nodes, and teach from this terminal or from browsers."""
     from humanopts_teach.lesson.store import CODE, CODE_RULE
     from humanopts_teach.terminal.device import why_not
 
     if participant and not CODE.fullmatch(participant):
         raise CommandError(f'--participant {participant!r} is not a code: {CODE_RULE}')
+    if pages.browser and only:
+        raise CommandError('--only is not for --browser, where each page has nodes of its own')
     if not pages.browser:
         if fault := why_not():
             raise CommandError(f'{fault}; or teach in a browser: --browser')
-        if (ended_with := stand_in_front()) is not None:
-            return ended_with
+        if (status := stand_in_front()) is not None:
+            return status
     from humanopts_teach.commands.session import (
         check_folder,
         default_folder,
@@ -231,32 +247,29 @@ def teach(
         WATCHED,
     )
 
-    given: dict[str, Any] = {'participant': participant, 'ask_participant': False}
-    if pages.browser and only:
-        raise CommandError('--only is not for --browser, where each page has nodes of its own')
     if participant and not pages.browser:
-        given['participant'] = _settled(participant, launch.out or default_folder(domain))
+        participant = _settled(participant, launch.out or default_folder(domain))
     setup = setup_from(
         domain,
         launch,
         bag_name=new_name('bags/teach'),
-        **(given if participant else {}),
+        participant=participant or 'p1',
+        ask_participant=not participant,
         keyboard=True,
         step_period=WATCHED,
-        only=node_names(only),
+        only=only,
     )
     if pages.browser:
         from humanopts_teach.commands.browser import teach_in_browser
 
         check_folder(setup)
-        return teach_in_browser(setup, launch.namespace, pages, participant)
+        return teach_in_browser(setup, pages, participant)
 
     def say_where(running: Session) -> None:
         print(f'demonstrations and options are in {setup.directory}')
         print(f'the bag is {running.bags[-1]}')
 
-    ended, status = run_in_terminal(setup, launch.namespace, say_where)
-    return ended.end() or status
+    return run_in_terminal(setup, say_where)
 
 
 @app.command()

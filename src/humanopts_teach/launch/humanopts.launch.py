@@ -1,20 +1,21 @@
 """
 The whole graph, where ROS 2 is installed: ``ros2 launch humanopts_teach humanopts.launch.py``.
 
-``--show-args`` lists the arguments. A person teaches from a terminal of their own:
+``--show-args`` lists the arguments, which are those of ``humanopts up``. A person teaches from a
+second terminal:
 ``ros2 run humanopts_teach keyboard_teleop``.
 """
 
 from collections.abc import Callable
 
-from humanopts_teach.launching.processes import ProcessSpec
-from humanopts_teach.launching.restarts import CANNOT_START, MOST
-from humanopts_teach.launching.ros_launch import (
+from humanopts_teach.commands.ros_launch import (
     ARGUMENTS,
     launched,
     setup_from_launch,
     stop_seconds,
 )
+from humanopts_teach.launching.processes import ProcessSpec
+from humanopts_teach.launching.restarts import CANNOT_START, MOST
 from launch import LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
 from launch.events.process import ProcessExited
@@ -26,26 +27,21 @@ _RESPAWN_DELAY = 0.5  # s
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Return what ``ros2 launch`` is to do."""
+    """Return the arguments and nodes of the launch."""
     declared = [
-        DeclareLaunchArgument(a.name, default_value=a.default, description=a.description)
-        for a in ARGUMENTS
+        DeclareLaunchArgument(name, default_value=default, description=text)
+        for name, (default, text) in ARGUMENTS.items()
     ]
-    namespace = DeclareLaunchArgument(
-        'namespace', default_value='', description='of all nodes, so that several games can run'
-    )
-    return LaunchDescription([*declared, namespace, OpaqueFunction(function=_nodes)])
+    return LaunchDescription([*declared, OpaqueFunction(function=_nodes)])
 
 
 def _nodes(context: LaunchContext) -> list[Node]:
-    values = {a.name: LaunchConfiguration(a.name).perform(context) for a in ARGUMENTS}
-    setup = setup_from_launch(values)
-    namespace = LaunchConfiguration('namespace').perform(context)
-    return [_node(spec) for spec in launched(setup, namespace)]
+    texts = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
+    return [_node(spec) for spec in launched(setup_from_launch(texts))]
 
 
 def _node(spec: ProcessSpec) -> Node:
-    parameters = {  # texts stay texts, where launch_ros would read them as YAML
+    parameters = {  # launch_ros would read texts as YAML
         name: ParameterValue(value, value_type=str) if isinstance(value, str) else value
         for name, value in spec.parameters.items()
     }
@@ -65,7 +61,7 @@ def _node(spec: ProcessSpec) -> Node:
 
 
 def _give_up(name: str) -> Callable[[ProcessExited, LaunchContext], list[Shutdown] | None]:
-    """Return what ends the launch when a node cannot start, or has been started often enough."""
+    """Return a handler that ends the launch when a node cannot start or has ended too often."""
     ends = 0
 
     def on_exit(event: ProcessExited, context: LaunchContext) -> list[Shutdown] | None:

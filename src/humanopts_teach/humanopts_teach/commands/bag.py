@@ -16,8 +16,7 @@ from typing import Annotated, Any, Literal, TextIO, TYPE_CHECKING
 
 from humanopts_ros.limits import one_line, printable
 from humanopts_ros.text_files import FileError
-from humanopts_teach.commands import CommandError
-from humanopts_teach.commands.options import (
+from humanopts_teach.command_line import (
     CommandGroup,
     ExcelOption,
     number,
@@ -25,6 +24,7 @@ from humanopts_teach.commands.options import (
     several_games,
     whole,
 )
+from humanopts_teach.commands import CommandError
 import typer
 
 if TYPE_CHECKING:

@@ -22,8 +22,8 @@ from humanopts_teach.browser.seats import (
     Seat,
     Seats,
 )
+from humanopts_teach.command_line import PageOptions
 from humanopts_teach.commands import CommandError, noticed_interrupts
-from humanopts_teach.commands.options import PageOptions
 from humanopts_teach.commands.session import new_name
 from humanopts_teach.commands.study_session import Study
 from humanopts_teach.dialogue.panel import ScreenView
@@ -40,12 +40,11 @@ _STOPPING_SECONDS = 40.0  # for the processes of a graph to end; each has less
 OpenGame = Callable[[TeleopThread, Seat], AbstractAsyncContextManager[Press]]
 
 
-def teach_in_browser(setup: Setup, namespace: str, pages: PageOptions, participant: str) -> int:
+def teach_in_browser(setup: Setup, pages: PageOptions, participant: str) -> int:
     """
     Serve pages until Ctrl-C; other parameters and errors are those of ``_serve_seats``.
 
     :param setup: of each participant's graph, besides its folder and bag.
-    :param namespace: in which each graph has one of its own.
     :raises OccupiedError: another server has the namespace.
     """
 
@@ -57,12 +56,12 @@ def teach_in_browser(setup: Setup, namespace: str, pages: PageOptions, participa
             ask_participant=False,
             bag_name=new_name('bags/teach'),
         )
-        return _game(own, namespace, thread, seat)
+        return _game(own, thread, seat)
 
     def known() -> list[str]:
         return [each.parent.name for each in setup.directory.glob('*/demonstrations')]
 
-    with only_launch(namespace, [_SERVER]):
+    with only_launch(setup.namespace, [_SERVER]):
         print(f'Each participant has a folder in {setup.directory}.')
         return _serve_seats(setup.domain, open_game, pages, participant, known)
 
@@ -135,17 +134,17 @@ def _name(host: str) -> str:
 
 @asynccontextmanager
 async def _game(
-    setup: Setup, namespace: str, thread: TeleopThread, seat: Seat | ConditionSeat
+    setup: Setup, thread: TeleopThread, seat: Seat | ConditionSeat
 ) -> AsyncIterator[Press]:
     """
-    Keep the graph of a seat, and the node that its participant teaches by.
+    Run the graph of a seat, and the node through which its participant teaches.
 
-    :param setup: of this seat.
+    :param setup: of this participant; the graph has a namespace of its own within the setup's.
     """
-    own_namespace = f'{namespace.rstrip("/")}/seat_{seat.number}'
+    setup = replace(setup, namespace=f'{setup.namespace.rstrip("/")}/seat_{seat.number}')
     loop = asyncio.get_running_loop()
     (spec,) = [spec for spec in processes(setup) if spec.terminal]
-    async with _graph(setup, own_namespace, seat):
+    async with _graph(setup, seat):
         found: asyncio.Future[Any] = loop.create_future()
 
         def show(view: ScreenView, frame: int) -> None:
@@ -155,7 +154,7 @@ async def _game(
             loop.call_soon_threadsafe(seat.end)
 
         thread.open(
-            lambda: BrowserTeleopNode(own_namespace, spec.parameters, show, end),
+            lambda: BrowserTeleopNode(setup.namespace, spec.parameters, show, end),
             lambda node: loop.call_soon_threadsafe(found.set_result, node),
         )
         node = await found
@@ -170,7 +169,7 @@ async def _game(
 
 
 @asynccontextmanager
-async def _graph(setup: Setup, namespace: str, seat: Seat | ConditionSeat) -> AsyncIterator[None]:
+async def _graph(setup: Setup, seat: Seat | ConditionSeat) -> AsyncIterator[None]:
     """Run a graph in processes of its own until the end; the seat ends if it does."""
     process = await asyncio.create_subprocess_exec(
         *(sys.executable, '-m', 'humanopts_teach.commands.seat_graph'),
@@ -181,7 +180,7 @@ async def _graph(setup: Setup, namespace: str, seat: Seat | ConditionSeat) -> As
     assert process.stdin is not None
     assert process.stdout is not None
     output = process.stdout
-    process.stdin.write(f'{namespace}\n{setup.to_json()}\n'.encode())
+    process.stdin.write(f'{setup.to_json()}\n'.encode())
 
     async def said() -> str:
         """Return the next thing that the process says; empty: it is ready."""
@@ -231,7 +230,7 @@ async def _all_turns(study: Study, thread: TeleopThread, seat: Seat) -> AsyncIte
             participant = study.enter(seat.participant)
             while (turn := study.next_turn(participant)) is not None:
                 condition = ConditionSeat(seat)
-                async with _game(turn.setup, study.namespace, thread, condition) as pressed:
+                async with _game(turn.setup, thread, condition) as pressed:
                     press = pressed
                     await condition.over.wait()
                     press = _nothing

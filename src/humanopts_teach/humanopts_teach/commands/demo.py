@@ -21,8 +21,8 @@ from humanopts_ros.limits import one_line
 from humanopts_teach.bags import BagError
 from humanopts_teach.bags.info import TopicRow
 from humanopts_teach.bags.reader import open_bag
+from humanopts_teach.command_line import LaunchOptions
 from humanopts_teach.commands import refusing
-from humanopts_teach.commands.options import LaunchOptions
 from humanopts_teach.commands.progress import DemoProgress
 from humanopts_teach.commands.session import (
     new_name,
@@ -96,7 +96,7 @@ def run_demo(
     judged = played if exact else games or judged_by(domain)
     compares = games > 0 and not exact
     with DemoProgress() as progress:
-        with session(setup, launch.namespace, progress, new=True) as running:
+        with session(setup, progress, new=True) as running:
             taught = _teach(running, progress)
             live = _plan_and_play(running, domain, taught, played, judged, exact, progress)
         progress.stage('evaluating the bag')

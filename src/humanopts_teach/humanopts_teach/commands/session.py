@@ -1,9 +1,9 @@
-"""A launch for the length of one command: what is asked for, checked, and the graph that runs."""
+"""One launch, for as long as a command runs: what is asked for, checked, and the running graph."""
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field
 import os
 from pathlib import Path
 import re
@@ -17,25 +17,22 @@ from humanopts_env.domains.capabilities import HasTeachingDefaults
 from humanopts_env.domains.names import is_registered
 from humanopts_env.domains.registry import make_domain, reference_options
 from humanopts_learner.demonstrations import check_method
-from humanopts_learner.options.judge import Thresholds
 from humanopts_ros.limits import printable
 from humanopts_ros.middleware import check_settings
 from humanopts_ros.recording import Selection
 from humanopts_teach.bags.writer import parts
+from humanopts_teach.command_line import LaunchOptions
 from humanopts_teach.commands import CommandError, Interrupts, noticed_interrupts, refusing
-from humanopts_teach.commands.options import LaunchOptions
 from humanopts_teach.commands.output import unfailing_output
-from humanopts_teach.launching import LaunchError, USUAL
+from humanopts_teach.launching import LaunchError, RECORDER, USUAL
 from humanopts_teach.launching.job import front_is_gone
 from humanopts_teach.launching.launcher import Launcher
 from humanopts_teach.launching.place import only_launch
 from humanopts_teach.launching.processes import (
     common_parameters,
+    node_names,
     processes,
-    RECORDER,
-    Recording,
     Setup,
-    UnknownNodeError,
 )
 from humanopts_teach.launching.restarts import MOST, NodeExit
 from humanopts_teach.ros.graph_client import GraphClient
@@ -43,8 +40,8 @@ from humanopts_teach.ros.graph_probe import check_free
 
 _NAMESPACE = re.compile(r'/|(/[A-Za-z_][A-Za-z0-9_]*)+')  # of nodes, as ROS 2 allows them
 _TEACHING_SECONDS = 600.0  # longest time in which the simulated teacher does nothing
-WATCHED = 0.15  # s between steps of the machine, while a person looks on
-NEWS_SECONDS = 10.0  # for what was published to come here
+WATCHED = 0.15  # s between steps of the machine while a person watches
+NEWS_SECONDS = 10.0  # for published messages to arrive here
 
 
 def setup_from(
@@ -53,70 +50,46 @@ def setup_from(
     """
     Return the setup that the options of a launch ask for.
 
-    :param evaluated: the command needs a bag that can be evaluated.
-    :param own: fields that the command sets itself; ``directory`` and ``step_period`` where the
-        user gives none.
-    :raises CommandError: the domain, its parameters or its thresholds are not valid, the namespace
-        cannot be used, the bag would not hold what an evaluation needs, or a node that is to run
-        here is none of the launch.
+    :param evaluated: the command evaluates the bag.
+    :param own: fields of Setup that the command sets; ``directory`` and ``step_period`` only
+        where the user gives none.
+    :raises CommandError: the domain, its parameters, a threshold, the namespace or a node name is
+        invalid, or a bag to be evaluated would lack a topic.
     """
     check_place(launch.namespace)
-    parameters = dict(launch.parameter)
-    usual = Thresholds()
-    given = {name: getattr(launch, name) for name in asdict(usual)}
+    given = {name: value for name, value in vars(launch).items() if value is not None}
+    folder = given.get('out', own.pop('directory', default_folder(domain)))
+    directory = Path(os.path.abspath(folder))
     with refusing(ValueError):
-        only = own.get('only', ())
-        if is_registered(domain) or not only or 'game' in only:  # else it is another node's
-            check_method(launch.learn, make_domain(domain, parameters))
-        thresholds = replace(usual, **{n: v for n, v in given.items() if v is not None})
-    if own.get('record', True):
-        own['recording'] = _recording(launch, evaluated)
-    if launch.step_period is not None:
-        own['step_period'] = launch.step_period
-    folder = launch.out or own.pop('directory', default_folder(domain))
-    setup = Setup(
-        domain=domain,
-        **{**own, 'directory': Path(os.path.abspath(folder))},
-        domain_parameters=parameters,
-        seed=launch.seed,
-        strategy=launch.strategy,
-        learn=launch.learn,
-        diagnostics=launch.diagnostics,
-        views=launch.views,
-        budget=launch.budget,
-        thresholds=thresholds,
-    )
-    with refusing(UnknownNodeError, what='--only: '):
+        setup = Setup(domain=domain, **{**own, **given, 'directory': directory})
+        only = node_names(setup.only)
+        if is_registered(domain) or not only or 'game' in only:  # else the game is elsewhere
+            check_method(setup.learn, make_domain(domain, setup.domain_parameters))
         processes(setup)
+    topics = Selection(setup.namespace, setup.record_topics, setup.record_exclude)
+    if setup.record and (lacking := topics.unevaluable):
+        if evaluated:
+            raise CommandError(lacking)
+        print_line(lacking)
     return setup
 
 
-def _recording(launch: LaunchOptions, evaluated: bool) -> Recording:
-    """Return what goes into the bag; warn, or refuse, where it could not be evaluated."""
-    topics, exclude = tuple(launch.record), tuple(launch.record_exclude)
-    if lacking := Selection(launch.namespace, topics, exclude).unevaluable:
-        if evaluated:
-            raise CommandError(lacking)
-        print(f'humanopts: {lacking}', file=sys.stderr)
-    return Recording(topics, exclude, launch.split_bytes or 0, launch.split_seconds or 0.0)
-
-
 def new_name(prefix: str) -> str:
-    """Return a name that sorts by time and was not used before this second."""
+    """Return a name with the time of day, which sorts by time."""
     return time.strftime(f'{prefix}-%Y%m%d-%H%M%S')
 
 
 def default_folder(domain: str) -> Path:
-    """Return where the data of a domain goes: its name, with no character that paths dislike."""
+    """Return the folder for data of a domain, without characters that paths dislike."""
     return Path('runs') / re.sub(r'[^\w.-]+', '-', domain)
 
 
 def check_place(namespace: str) -> None:
     """
-    Check where nodes are to run, or run.
+    Check a namespace and the ROS settings of the shell.
 
-    :raises CommandError: the namespace cannot be used.
-    :raises MiddlewareError: ROS cannot start with the settings of the shell.
+    :raises CommandError: the namespace is invalid.
+    :raises MiddlewareError: ROS cannot start with these settings.
     """
     if not _NAMESPACE.fullmatch(namespace):
         raise CommandError(f'{namespace!r} is not a namespace; one reads / or /room_1/left')
@@ -131,34 +104,34 @@ class Session:
     launcher: Launcher
     graph: GraphClient
     interrupts: Interrupts
-    unclean: list[str] = field(default_factory=list)  # nodes that failed at their end, in words
+    unclean: list[str] = field(default_factory=list)  # nodes that failed while stopping, in words
 
     @property
     def bags(self) -> list[Path]:
-        """The bags of the session: one, and another for each time that the recorder ended."""
+        """The bags of the session: the first, and one for each restart of the recorder."""
         return parts(self.setup.bag) or [self.setup.bag]
 
-    def check(self, *besides: str) -> None:
+    def check(self, *optional: str) -> None:
         """
-        Look after the processes, and whether the session is to end.
+        Check the processes and for an interrupt.
 
-        :param besides: as of ``Launcher.check``.
-        :raises LaunchError: a node ended, and is not started again.
-        :raises KeyboardInterrupt: SIGINT, SIGTERM or SIGHUP has come.
+        :param optional: as of ``Launcher.check``.
+        :raises LaunchError: a node ended, and does not start again.
+        :raises KeyboardInterrupt: SIGINT, SIGTERM or SIGHUP was received.
         """
         self.interrupts.check()
-        self.launcher.check(*besides)
+        self.launcher.check(*optional)
 
     def stay(
         self, report: Callable[[str], None], watch: Callable[[], object] = lambda: None
     ) -> None:
         """
-        Stay until the session is to end.
+        Stay until an interrupt.
 
-        :param report: called with each line that a node says of itself.
-        :param watch: called again and again, for what the command looks after besides.
-        :raises LaunchError: a node ended, and is not started again, or not all was recorded.
-        :raises KeyboardInterrupt: the session is to end, and all was recorded.
+        :param report: called with each line that a node reports about itself.
+        :param watch: called repeatedly.
+        :raises LaunchError: a node ended and does not start again, or the recording has gaps.
+        :raises KeyboardInterrupt: an interrupt was received, and everything was recorded.
         """
 
         def check() -> None:
@@ -173,9 +146,9 @@ class Session:
 
     def watch_terminal(self) -> None:
         """
-        Take a message of the graph, once there is one, and look for an interrupt.
+        Process a message of the graph, if there is one, and check for an interrupt.
 
-        :raises KeyboardInterrupt: one has come.
+        :raises KeyboardInterrupt: one was received.
         """
         self.graph.take(0.1)
         self.interrupts.check()
@@ -184,7 +157,7 @@ class Session:
 
     def check_recording(self) -> None:
         """
-        Check at the end of a session that everything was recorded, as far as is known.
+        Check at the end of a session that everything was recorded.
 
         :raises LaunchError: the recorder died, or has stopped; the text says why.
         """
@@ -193,7 +166,7 @@ class Session:
             raise LaunchError(unrecorded)
 
     def restarts(self) -> list[str]:
-        """Return a sentence for each node that was started again, and for gaps in the bags."""
+        """Return a sentence for each node that was restarted, and for gaps in the recording."""
         counts = Counter((end.node, end.how) for end in self.launcher.ends if end.again)
         said = [
             f'the node {node} ended {"once" if count == 1 else f"{count} times"} ({how}) and was '
@@ -202,7 +175,7 @@ class Session:
         ]
         if len(self.bags) > 1:
             names = ', '.join(map(str, self.bags))
-            said.append(f'the recording is in several bags, and has gaps between them: {names}')
+            said.append(f'the recording is in several bags, with gaps between them: {names}')
         return said
 
     def end(self) -> int:
@@ -214,7 +187,7 @@ class Session:
 
 
 def taught_options(domain: Domain[Any]) -> tuple[str, ...]:
-    """Return what the simulated teacher teaches: all that it knows, or what the domain says."""
+    """Return the options to teach: those that the domain suggests, or all that are known."""
     with refusing(DomainError):
         known = tuple(reference_options(domain))
     if not known:
@@ -222,18 +195,18 @@ def taught_options(domain: Domain[Any]) -> tuple[str, ...]:
             f'{domain.name} has no reference options, which the simulated teacher needs; '
             f'teach it yourself: humanopts teach {domain.name}'
         )
-    usual = domain.teaching.options if isinstance(domain, HasTeachingDefaults) else ()
-    return usual or known
+    suggested = domain.teaching.options if isinstance(domain, HasTeachingDefaults) else ()
+    return suggested or known
 
 
 def wait_until_taught(running: Session) -> None:
     """
-    Wait until the simulated teacher has finished, and what was learned of it has come here.
+    Wait until the simulated teacher has finished and its last option has arrived here.
 
-    :raises LaunchError: it does not go on, or a node died.
+    :raises LaunchError: the teacher is stuck, or a node died.
     """
     graph, setup = running.graph, running.setup
-    seconds = _TEACHING_SECONDS + setup.step_period
+    seconds = _TEACHING_SECONDS + (setup.step_period or 0.0)
     graph.wait(graph.teacher_finished, seconds, 'the simulated teacher', graph.taught_so_far)
     last = setup.taught[-1]
     graph.wait(lambda: graph.knows_learned(last), NEWS_SECONDS, f'what was learned of {last!r}')
@@ -241,14 +214,14 @@ def wait_until_taught(running: Session) -> None:
 
 def check_folder(setup: Setup, *, new: bool = False) -> None:
     """
-    Refuse an output folder that cannot be used.
+    Check that the output folder can be used.
 
-    :param new: it must be empty or not there.
+    :param new: it must be empty or missing.
     :raises CommandError: it cannot be used; the text says why.
     """
     folder = setup.directory
     try:
-        str(folder).encode()  # parameters and the bag name it
+        str(folder).encode()  # parameters and the bag contain it
     except UnicodeEncodeError:
         raise CommandError(f'{folder} is not in UTF-8; choose another --out') from None
     with refusing(OSError, what=f'cannot write in {folder}: '):
@@ -264,7 +237,7 @@ def check_folder(setup: Setup, *, new: bool = False) -> None:
                 probe.flush()
         finally:
             with suppress(OSError):  # another process put a file there
-                for path in made:  # a launch that is refused leaves nothing
+                for path in made:  # a refused launch leaves nothing
                     path.rmdir()
 
 
@@ -276,9 +249,9 @@ def print_line(line: str) -> None:
 @contextmanager
 def place(namespace: str, names: Sequence[str] = USUAL) -> Iterator[None]:
     """
-    Hold the places of nodes that nobody runs yet.
+    Reserve node names in a namespace.
 
-    :raises OccupiedError: some of them run already.
+    :raises OccupiedError: some of these nodes run already.
     """
     with only_launch(namespace, names):
         check_free(namespace, names)
@@ -288,46 +261,44 @@ def place(namespace: str, names: Sequence[str] = USUAL) -> Iterator[None]:
 @contextmanager
 def session(
     setup: Setup,
-    namespace: str,
-    progress: Callable[[GraphClient], None] = lambda _: None,
+    progress: Callable[[GraphClient], object] = lambda _: None,
     report: Callable[[str], object] = print_line,
     restarts: int = MOST,
     *,
     new: bool = False,
 ) -> Iterator[Session]:
     """
-    Launch a graph, wait until it is ready, and stop it whatever happens, the recorder last.
+    Launch a graph, wait until it is ready, and finally stop it, the recorder last.
 
-    A node that ends meanwhile is started again; reported here, on the graph, in its log.
-    Nothing is written until no other launch is known to run these nodes.
+    A node that ends in between is started again; that is reported here, on the graph and in its
+    log. Nothing is written before it is certain that no other launch runs these nodes.
 
     :param progress: called about twenty times a second during a wait.
-    :param restarts: times in a row that a node is started again.
-    :param report: called with a line about a node that ended, was stopped or goes on.
-    :param new: the output folder must be empty or not there.
-    :raises OccupiedError: nodes of the launch run already, or another launch has the folder.
+    :param restarts: how often in a row a node is started again.
+    :param report: called with a line when a node ends, is stopped or continues.
+    :param new: the output folder must be empty or missing.
+    :raises OccupiedError: the nodes run already, or another launch uses the folder.
     :raises CommandError: the output folder cannot be used.
     :raises LaunchError: a node ended and is not started again, or does not become ready.
-    :raises KeyboardInterrupt: SIGINT, SIGTERM or SIGHUP has come; everything is stopped.
+    :raises KeyboardInterrupt: SIGINT, SIGTERM or SIGHUP was received; everything is stopped.
     """
-    specs, logs = processes(setup), setup.directory / 'log'
-    launcher = Launcher(specs, logs, namespace, restarts=restarts)
+    specs = processes(setup)
+    launcher = Launcher(specs, setup.directory / 'log', setup.namespace, restarts=restarts)
 
     def watch() -> None:
-        interrupts.check()
-        launcher.check()
+        running.check()
         progress(graph)
 
     names = [spec.name for spec in specs if not spec.terminal]
-    with unfailing_output(), place(namespace, names), noticed_interrupts() as interrupts:
+    with unfailing_output(), place(setup.namespace, names), noticed_interrupts() as interrupts:
         check_folder(setup, new=new)
         interrupts.check()
-        graph = GraphClient(namespace, common_parameters(setup), setup.bag, watch=watch)
+        graph = GraphClient(setup.namespace, common_parameters(setup), setup.bag, watch=watch)
         running = Session(setup, launcher, graph, interrupts)
 
         def on_end(end: NodeExit, instance: str) -> None:
             graph.note_end(end, instance)
-            if end.again:  # the other is an error of the session
+            if end.again:  # otherwise the session fails with it
                 report(end.text)
 
         launcher.on_start, launcher.on_end = graph.note_start, on_end
@@ -347,20 +318,41 @@ def session(
                     report(problem)
 
 
-def run_in_terminal(
-    setup: Setup, namespace: str, done: Callable[[Session], object] = lambda running: None
-) -> tuple[Session, int]:
+def stay(
+    setup: Setup,
+    started: Callable[[Session], object],
+    report: Callable[[str], None],
+    watch: Callable[[], object] = lambda: None,
+) -> int:
     """
-    Launch a graph, give the terminal to the person, and stop everything.
+    Launch a graph and stay until an interrupt; return the exit status.
+
+    :param started: called when the graph is ready.
+    :param report: called with each line about a node.
+    :param watch: called repeatedly; may raise KeyboardInterrupt to end the launch.
+    :raises LaunchError: as of ``session``, or the recording has gaps.
+    """
+    running = None
+    try:
+        with session(setup, lambda _: watch(), report) as running:
+            started(running)
+            running.stay(report, watch)
+    except KeyboardInterrupt:
+        pass
+    return 0 if running is None else running.end()
+
+
+def run_in_terminal(setup: Setup, done: Callable[[Session], object] = lambda running: None) -> int:
+    """
+    Launch a graph, give the terminal to the person, and stop everything; return the exit status.
 
     :param done: called when the terminal is free again, before the recording is checked.
-    :return: the session that has ended, and the exit status of the terminal's node.
-    :raises LaunchError: as of ``session``, or not all was recorded.
+    :raises LaunchError: as of ``session``, or the recording has gaps.
     """
     print('starting ...', flush=True)
-    said: list[str] = []  # while the terminal is not ours
+    said: list[str] = []  # while the terminal is in use
     try:
-        with session(setup, namespace, report=said.append) as running:
+        with session(setup, report=said.append) as running:
             status = running.launcher.run_terminal(running.watch_terminal)
             done(running)
             running.graph.catch_up()
@@ -368,4 +360,4 @@ def run_in_terminal(
     finally:
         for line in said:
             print_line(line)
-    return running, status
+    return running.end() or status

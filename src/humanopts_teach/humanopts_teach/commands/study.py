@@ -9,8 +9,8 @@ from typing import Annotated, Any, TYPE_CHECKING
 
 from humanopts_ros.limits import one_line, printable
 from humanopts_teach.bags import BagError
+from humanopts_teach.command_line import ExcelOption, PageOptions, PLAIN, whole, with_options
 from humanopts_teach.commands import CommandError, refusing
-from humanopts_teach.commands.options import ExcelOption, PageOptions, PLAIN, whole, with_options
 from humanopts_teach.launching.job import stand_in_front
 import typer
 from typer.core import TyperGroup

@@ -10,8 +10,8 @@ from humanopts_env.seeding import generator
 from humanopts_learner.ros.convert import summary_from_message
 from humanopts_learner.summary import OptionSummary
 from humanopts_ros.limits import one_line
+from humanopts_teach.command_line import LaunchOptions
 from humanopts_teach.commands import agreed, CommandError, refusing
-from humanopts_teach.commands.options import LaunchOptions
 from humanopts_teach.commands.session import (
     new_name,
     NEWS_SECONDS,
@@ -24,7 +24,7 @@ from humanopts_teach.commands.session import (
     wait_until_taught,
     WATCHED,
 )
-from humanopts_teach.launching.processes import Setup, StudyTurn
+from humanopts_teach.launching.processes import Setup
 from humanopts_teach.lesson.store import similar_code
 from humanopts_teach.ros.teleop import published_record
 from humanopts_teach.study.events import (
@@ -112,10 +112,10 @@ class Study:
             self.warn()
             participant = self.enter(self.settled(code))
             while (turn := self.next_turn(participant)) is not None:
-                ended, status = run_in_terminal(turn.setup, self.namespace)
+                status = run_in_terminal(turn.setup)
                 if left := self.farewell(participant, turn):
                     print(left)
-                    return ended.end() or status
+                    return status
             print(self.finish(participant))
         return 0
 
@@ -125,7 +125,7 @@ class Study:
             participant = self.enter(code, simulated=True)
             while (turn := self.next_turn(participant, simulated=True)) is not None:
                 print(f'{code}: {turn.condition.name}', flush=True)
-                with session(turn.setup, self.namespace) as running:
+                with session(turn.setup) as running:
 
                     def teach(running: Session = running) -> list[OptionSummary]:
                         wait_until_taught(running)
@@ -242,14 +242,16 @@ class Study:
             domain = make_domain(condition.domain, dict(condition.parameters))
             own = {'taught': taught_options(domain), 'teacher_error_rate': _ERROR_RATE}
         parts = PARTS.dump_json(tuple(left or ())).decode()
-        turn = StudyTurn(plan.study, condition.name, parts, participant.path.absolute())
         return setup_from(
             condition.domain,
             launch,
             bag_name=new_name('bags/study'),
             participant=participant.code,
             ask_participant=False,
-            study=turn,
+            study=plan.study,
+            condition=condition.name,
+            study_parts=parts,
+            study_record=str(participant.path.absolute()),
             **own,
         )
 

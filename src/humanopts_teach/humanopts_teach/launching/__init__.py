@@ -12,6 +12,8 @@ MODULES = {  # that run the nodes, in the order in which they are started
     'simulated_teacher': 'humanopts_teach.ros.simulated_teacher',
     'keyboard_teleop': 'humanopts_teach.ros.keyboard_teleop',
 }
+RECORDER, CONDUCTOR = 'recorder', 'conductor'  # the latter runs in the launcher's own process
+OUTLASTING = 20.0  # s that a recorder waits for other nodes of its launch to end
 USUAL = 'recorder', 'game', 'learner', 'lesson', 'option_server', 'planner'  # of a launch
 
 

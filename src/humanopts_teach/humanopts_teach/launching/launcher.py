@@ -23,15 +23,14 @@ import uuid
 
 from humanopts_ros.limits import one_line, printable
 from humanopts_ros.middleware import INSTANCE, LAUNCHER_PID, RESTARTS
-from humanopts_teach.launching import LaunchError, OccupiedError
+from humanopts_teach.launching import LaunchError, OccupiedError, RECORDER
 from humanopts_teach.launching.forks import start
 from humanopts_teach.launching.job import in_foreground
 from humanopts_teach.launching.place import answer
-from humanopts_teach.launching.processes import ProcessSpec, RECORDER
+from humanopts_teach.launching.processes import ProcessSpec
 from humanopts_teach.launching.restarts import how, MOST, NodeExit, RestartPolicy, said_last
 import psutil
 
-CONDUCTOR = 'conductor'  # the node in the launcher's own process
 PARAMETERS = '--params-file'  # before the last word of a node's command line
 TAIL_LINES = 12
 _STOP_SECONDS = 10.0  # for a node to end by itself before it is killed

@@ -7,18 +7,16 @@ from pathlib import Path
 
 from humanopts_env.domains.base import Parameter
 from humanopts_learner.options.judge import Thresholds
-from humanopts_teach.launching import MODULES
-from humanopts_teach.lesson import BUDGET, METHOD, STRATEGY
+from humanopts_teach.command_line import LaunchOptions
+from humanopts_teach.launching import MODULES, RECORDER
 from pydantic import TypeAdapter
 
 Value = Parameter | list[str]
-RECORDER = 'recorder'
-OUTLASTING = 20.0  # s that a recorder waits for the end of those whom it outlasts
-_PATIENCE = 5.0  # s that a run waits for game, beside the time that game takes for a step
+_PATIENCE = 5.0  # s that a run waits for the game, in addition to the time of one of its steps
 
 
 class UnknownNodeError(ValueError):
-    """A launch has no node of a name; the text says which, and what there is."""
+    """A launch has no node of this name; the text names it and those there are."""
 
 
 @dataclass(frozen=True)
@@ -31,12 +29,12 @@ class ProcessSpec:
 
     @property
     def package(self) -> str:
-        """The package that the executable belongs to."""
+        """The package of the executable."""
         return self.module.partition('.')[0]
 
     @property
     def late(self) -> bool:
-        """Whether it is started when the others are ready."""
+        """Whether it starts when the others are ready."""
         return self.name == 'simulated_teacher'
 
     @property
@@ -46,62 +44,50 @@ class ProcessSpec:
 
 
 @dataclass(frozen=True)
-class Recording:
-    """What goes into the bag, and in how many files."""
-
-    topics: tuple[str, ...] = ()  # patterns of topics beside those of the graph
-    exclude: tuple[str, ...] = ()  # patterns of topics that are left out
-    split_bytes: int = 0  # size at which the next file is begun; 0: never
-    split_seconds: float = 0.0  # time after which it is; 0: never
-
-
-@dataclass(frozen=True)
-class StudyTurn:
-    """What a participant of a study does in one launch."""
-
-    study: str  # its name
-    condition: str
-    parts: str  # JSON
-    record: Path  # file of the participant's events
-
-
-@dataclass(frozen=True)
-class Setup:
-    """What a launch starts."""
+class Setup(LaunchOptions):
+    """A launch: the options of the user, and what the command adds to them."""
 
     domain: str
-    directory: Path  # demonstrations, options and the bag go below it
-    domain_parameters: Mapping[str, Parameter] = field(default_factory=dict)
-    seed: int = 0
-    thresholds: Thresholds = field(default_factory=Thresholds)
-    strategy: str = STRATEGY
-    learn: str = METHOD  # of learning, where the person asks for no other
-    budget: int = BUDGET
+    directory: Path  # of demonstrations, options and the bag
     participant: str = 'p1'
-    ask_participant: bool = True  # at the keyboard, where that code is only proposed
-    teach: bool = True  # lesson and learner run
+    ask_participant: bool = True  # at the keyboard, which proposes that code
+    teach: bool = True  # run lesson and learner
     taught: tuple[str, ...] = ()  # options that a simulated teacher teaches; empty: no teacher
     teacher_error_rate: float = 0.0
     keyboard: bool = False
     record: bool = True
-    recording: Recording = field(default_factory=Recording)
-    game_steps: int = 0  # that the command's plans are sampled from; 0: as many as is usual
+    game_steps: int = 0  # steps that the command samples plans from; 0: the default
     bag_name: str = 'bag'
-    step_period: float = 0.0  # s between a machine's steps
-    diagnostics: bool = False  # a node publishes /diagnostics
-    views: bool = False  # a node publishes the game for RViz and Foxglove
-    only: tuple[str, ...] = ()  # nodes that run here, besides the terminal's; empty: all
-    study: StudyTurn | None = None  # at the keyboard
+    only: str = ''  # nodes to start here, besides the terminal's, separated by commas; empty: all
+    study: str = ''  # name of the study; empty: no study
+    condition: str = ''
+    study_parts: str = ''  # of the participant in this launch, JSON
+    study_record: str = ''  # file of the participant's events
 
     @property
     def bag(self) -> Path:
-        """Where the recorder writes; where it was started again, beside that."""
+        """Path of the first bag; a recorder that starts again writes another beside it."""
         return self.directory / self.bag_name
 
     @property
     def options(self) -> Path:
-        """Where the learner keeps option files."""
+        """Folder of the learner's option files."""
         return self.directory / 'options'
+
+    @property
+    def thresholds(self) -> Thresholds:
+        """
+        The thresholds of the criteria.
+
+        :raises ValueError: they are out of range.
+        """
+        given = {name: getattr(self, name) for name in asdict(Thresholds())}
+        return Thresholds(**{name: value for name, value in given.items() if value is not None})
+
+    @property
+    def domain_parameters(self) -> dict[str, Parameter]:
+        """The parameters of the domain."""
+        return dict(self.parameter)
 
     def to_json(self) -> str:
         """Return the setup as one line of JSON."""
@@ -117,7 +103,7 @@ def processes(setup: Setup) -> list[ProcessSpec]:
     """
     Return the processes of a launch, the recorder first.
 
-    :raises UnknownNodeError: a node that is to run here is none of the launch.
+    :raises UnknownNodeError: ``only`` names a node that the launch does not have.
     """
     wanted = {
         RECORDER: setup.record,
@@ -134,32 +120,39 @@ def processes(setup: Setup) -> list[ProcessSpec]:
         for name, module in MODULES.items()
         if wanted.get(name, True)
     ]
-    if not setup.only:
-        return specs
+    only = node_names(setup.only)
     names = [spec.name for spec in specs if not spec.terminal]
-    if unknown := [name for name in setup.only if name not in names]:
+    if unknown := [name for name in only if name not in names]:
         raise UnknownNodeError(f'unknown node {unknown[0]!r}; choose from {", ".join(names)}')
-    return [spec for spec in specs if spec.terminal or spec.name in setup.only]
+    return [spec for spec in specs if spec.terminal or not only or spec.name in only]
+
+
+def node_names(text: str) -> list[str]:
+    """Return the names in a text that separates them by commas."""
+    return [name.strip() for name in text.split(',') if name.strip()]
 
 
 def _own_parameters(setup: Setup) -> dict[str, dict[str, Value]]:
-    """Return the parameters of each node, besides those that all have."""
-    recording, turn = setup.recording, setup.study
+    """Return the parameters of each node that others do not have."""
+    study: dict[str, Value] = {
+        'study_parts': setup.study_parts,
+        'study_record': setup.study_record,
+    }
     return {
         RECORDER: {
             'expect_recorder': False,
             'path': str(setup.bag),
             'go_on': True,
             'metadata': json.dumps(recorded_facts(setup)),
-            'max_bytes': recording.split_bytes,
-            'max_seconds': recording.split_seconds,
+            'max_bytes': setup.split_bytes or 0,
+            'max_seconds': setup.split_seconds or 0.0,
             'attach': [str(setup.options)],
         },
         'game': {
             'domain': setup.domain,
-            'domain_parameters': json.dumps(dict(setup.domain_parameters)),
+            'domain_parameters': json.dumps(setup.domain_parameters),
             'seed': setup.seed,
-            'step_period': setup.step_period,
+            'step_period': setup.step_period or 0.0,
         },
         'learner': {
             'directory': str(setup.options),
@@ -176,7 +169,7 @@ def _own_parameters(setup: Setup) -> dict[str, dict[str, Value]]:
         'option_server': {
             'options_directory': str(setup.options),
             'seed': setup.seed,
-            'no_progress_seconds': _PATIENCE + setup.step_period,
+            'no_progress_seconds': _PATIENCE + (setup.step_period or 0.0),
         },
         'simulated_teacher': {
             'options': list(setup.taught),
@@ -188,16 +181,16 @@ def _own_parameters(setup: Setup) -> dict[str, dict[str, Value]]:
             'participant': setup.participant,
             'ask_participant': setup.ask_participant,
             'seed': setup.seed,
-            **({'study_parts': turn.parts, 'study_record': str(turn.record)} if turn else {}),
+            **(study if setup.study else {}),
         },
     }
 
 
 def recorded_facts(setup: Setup) -> dict[str, str]:
-    """Return the settings, as texts for the bag, that an evaluation of it needs."""
+    """Return the settings that an evaluation of the bag needs, as texts."""
     facts = {
         'domain': setup.domain,
-        'domain_parameters': json.dumps(dict(setup.domain_parameters)),
+        'domain_parameters': json.dumps(setup.domain_parameters),
         'seed': str(setup.seed),
         **{name: repr(value) for name, value in asdict(setup.thresholds).items()},
         'strategy': setup.strategy,
@@ -208,14 +201,15 @@ def recorded_facts(setup: Setup) -> dict[str, str]:
         facts['game_steps'] = str(setup.game_steps)
     if setup.taught or setup.keyboard:
         facts['participant'] = setup.participant
-    if setup.study is not None:
-        facts |= {'study': setup.study.study, 'condition': setup.study.condition}
+    if setup.study:
+        facts |= {'study': setup.study, 'condition': setup.condition}
     return facts
 
 
 def common_parameters(setup: Setup) -> dict[str, Value]:
-    """Return what every node but the recorder has to know about the recording."""
-    given = setup.recording
-    patterns = {'record_topics': given.topics, 'record_exclude': given.exclude}
-    some = {name: list(values) for name, values in patterns.items() if values}
-    return {'expect_recorder': setup.record, **some}
+    """Return what every node knows about the recording; the recorder has other values."""
+    patterns: dict[str, Value] = {
+        'record_topics': setup.record_topics,
+        'record_exclude': setup.record_exclude,
+    }
+    return {'expect_recorder': setup.record} | {k: v for k, v in patterns.items() if v}

@@ -19,9 +19,8 @@ from humanopts_ros.node_base import NodeBase, start_ros
 from humanopts_ros.peers import stated_ids
 from humanopts_ros.qos import ACTION, CURRENT
 from humanopts_ros.senders import signer
-from humanopts_teach.launching import LaunchError, OccupiedError
-from humanopts_teach.launching.launcher import CONDUCTOR
-from humanopts_teach.launching.processes import RECORDER, Value
+from humanopts_teach.launching import CONDUCTOR, LaunchError, OccupiedError, RECORDER
+from humanopts_teach.launching.processes import Value
 from humanopts_teach.launching.restarts import NodeExit
 from humanopts_teach.lesson.simulated_teacher import FINISHED
 from humanopts_teach.ros.goals import Goal

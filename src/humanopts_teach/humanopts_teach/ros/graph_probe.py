@@ -15,10 +15,9 @@ from humanopts_ros.peers import node_names, Peers, stated_ids
 from humanopts_ros.qos import CURRENT
 from humanopts_ros.senders import sender_of, signer
 from humanopts_ros.workarounds import on_loopback, prepare_discovery
-from humanopts_teach.launching import MODULES, OccupiedError
-from humanopts_teach.launching.launcher import CONDUCTOR, PARAMETERS
+from humanopts_teach.launching import CONDUCTOR, MODULES, OccupiedError, RECORDER
+from humanopts_teach.launching.launcher import PARAMETERS
 from humanopts_teach.launching.place import domain_id, holder
-from humanopts_teach.launching.processes import RECORDER
 from humanopts_teach.launching.status import (
     GraphReport,
     NodeReport,

@@ -36,7 +36,7 @@ from humanopts_teach.bags.writer import (
     next_part,
     parts,
 )
-from humanopts_teach.launching.processes import OUTLASTING
+from humanopts_teach.launching import OUTLASTING
 from humanopts_teach.launching.usage import usage_of
 from humanopts_teach.ros.raw_subscriber import RawSubscriber, Taken, TopicSubscription
 from rcl_interfaces.msg import Log, ParameterEvent

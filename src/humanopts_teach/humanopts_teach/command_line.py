@@ -1,7 +1,7 @@
-"""The options that ``demo``, ``up`` and ``teach`` share, and how texts become their values."""
+"""The options that commands share, and how their texts become values."""
 
-from collections.abc import Callable
-from dataclasses import dataclass, Field, field, fields, is_dataclass, MISSING
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields, is_dataclass, MISSING
 import inspect
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -27,7 +27,7 @@ def number(what: str, accepted: Callable[[Any], bool], kind: type = float) -> Ca
     """
     Return a parser of numbers.
 
-    :param what: the numbers that are accepted, to complete "... is not"; NaN never is.
+    :param what: completes the message "... is not"; describes the accepted numbers.
     """
 
     def parse(text: str) -> Any:
@@ -97,43 +97,33 @@ OnlyOption = Annotated[
     typer.Option(
         metavar='NAMES',
         show_default=False,
-        help='start only these nodes here, such as game,lesson,recorder, and the others on '
-        'another machine; default: all',
+        help='nodes to start here, such as game,lesson,recorder, while the others run on another '
+        'machine; default: all',
     ),
 ]
 
 
-def node_names(text: str) -> tuple[str, ...]:
-    """Return the names in a text, where they are separated by commas."""
-    return tuple(name.strip() for name in text.split(',') if name.strip())
-
-
-def _threshold(parser: Callable[[str], Any], metavar: str, what: str) -> Any:
-    """Return the option of a criterion's threshold."""
-    text = f'of an option: {what}'
-    return typer.Option(parser=parser, metavar=metavar, help=text)
-
-
 @dataclass(frozen=True)
 class PageOptions:
-    """What the command line says about pages that are served; each field is an option."""
+    """Options of the page server; each field is one."""
 
     browser: Annotated[
-        bool, typer.Option('--browser', help='serve pages; several people can take part at once')
+        bool, typer.Option('--browser', help='serve pages to one or several people')
     ] = False
     host: Annotated[
-        str, typer.Option(metavar='ADDRESS', help='with --browser: to serve at; 0.0.0.0: all')
+        str,
+        typer.Option(metavar='ADDRESS', help='with --browser: address to serve at; 0.0.0.0: all'),
     ] = '127.0.0.1'
     port: Annotated[
         int,
-        typer.Option(min=0, max=65535, metavar='N', help='with --browser; 0: any that is free'),
+        typer.Option(min=0, max=65535, metavar='N', help='with --browser: port; 0: any free one'),
     ] = 8080
     allow_host: Annotated[
         list[str],
         typer.Option(
             metavar='NAME',
-            help='with --browser: a name of this machine in browsers, such as that of a reverse '
-            'proxy; may be repeated',
+            help='with --browser: a host name by which browsers reach this machine, such as that '
+            'of a reverse proxy; may be repeated',
         ),
     ] = field(default_factory=list)
     seats: Annotated[
@@ -141,8 +131,8 @@ class PageOptions:
         typer.Option(
             parser=whole(1),
             metavar='N',
-            help='with --browser: games at once at most; further people wait in line; default: '
-            'as many as fit into the memory',
+            help='with --browser: largest number of games at once; more people wait in line; '
+            'default: as many as fit in memory',
         ),
     ] = None
     linger: Annotated[
@@ -150,56 +140,65 @@ class PageOptions:
         typer.Option(
             parser=number('from 1 to 86400', lambda value: 1 <= value <= 86400),
             metavar='SECONDS',
-            help='with --browser: how long a game goes on whose page is closed',
+            help='with --browser: how long a game continues after its page is closed',
         ),
     ] = 120.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class LaunchOptions:
-    """What the command line says about a launch; each field is an option."""
+    """Options of every launch; each field is one."""
 
     out: Annotated[
         Path | None,
         typer.Option(
             metavar='DIR',
-            help='folder for bags, options and logs; default: runs/DOMAIN, and a new one for demo',
+            help='folder for bags, options and logs; default: runs/DOMAIN, for demo a new one',
         ),
     ] = None
     seed: Annotated[
-        int, typer.Option(parser=whole(0), metavar='N', help='of every random draw')
+        int, typer.Option(parser=whole(0), metavar='N', help='seed of every random draw')
     ] = 1
     strategy: Annotated[
-        Literal['random', 'coverage', 'failures'],
-        typer.Option(help='how start states are chosen'),
+        Literal['random', 'coverage', 'failures'], typer.Option(help='choice of start states')
     ] = STRATEGY
     learn: Annotated[
         Literal['trees', 'goal'],
         typer.Option(
-            help='trees: policies are learned from the actions shown; goal: they are planned, to '
+            help='learning method: trees learns policies from the actions shown; goal plans to '
             'an end like those shown, where all states can be listed'
         ),
     ] = METHOD
     budget: Annotated[
         int,
-        typer.Option(parser=whole(1), metavar='N', help='most start states shown for an option'),
+        typer.Option(
+            parser=whole(1), metavar='N', help='largest number of start states shown per option'
+        ),
     ] = BUDGET
     return_delta: Annotated[
         float | None,
-        _threshold(
-            any_number,
-            'UNITS',
-            'reward units by which its return may fall short; default: a tenth of the range from '
-            'random actions to the demonstrations',
+        typer.Option(
+            parser=any_number,
+            metavar='UNITS',
+            help='largest shortfall of the return of an option, in reward units; default: a tenth '
+            'of the range from random actions to the demonstrations',
         ),
     ] = None
     initiation_error: Annotated[
         float | None,
-        _threshold(share, 'SHARE', 'share that its held-out I may get wrong; default: 0.05'),
+        typer.Option(
+            parser=share,
+            metavar='SHARE',
+            help='largest held-out error of the initiation set of an option; default: 0.05',
+        ),
     ] = None
     termination_error: Annotated[
         float | None,
-        _threshold(share, 'SHARE', 'share that its held-out β may get wrong; default: 0.05'),
+        typer.Option(
+            parser=share,
+            metavar='SHARE',
+            help='largest held-out error of the termination of an option; default: 0.05',
+        ),
     ] = None
     parameter: Annotated[
         list[Any],  # of pairs: a name and a value
@@ -207,27 +206,30 @@ class LaunchOptions:
             parser=name_and_value,
             callback=each_once,
             metavar='NAME=VALUE',
-            help='a parameter of the domain, such as rows=7 or is_slippery=false; may be repeated',
+            help='parameter of the domain, such as rows=7 or is_slippery=false; may be repeated',
         ),
     ] = field(default_factory=list)
-    namespace: Annotated[str, typer.Option(metavar='NAME', help='of the nodes')] = '/'
-    record: Annotated[
+    namespace: Annotated[
+        str, typer.Option(metavar='NAME', help='namespace of the nodes; begins with /')
+    ] = '/'
+    record_topics: Annotated[
         list[str],
         typer.Option(
+            '--record',
             metavar='PATTERN',
-            help='also record topics like this, such as /odom or /camera/*; may be repeated',
+            help='record matching topics too, such as /odom or /camera/*; may be repeated',
         ),
     ] = field(default_factory=list)
     record_exclude: Annotated[
         list[str],
-        typer.Option(metavar='PATTERN', help='do not record topics like this; may be repeated'),
+        typer.Option(metavar='PATTERN', help='do not record matching topics; may be repeated'),
     ] = field(default_factory=list)
     split_bytes: Annotated[
         int | None,
         typer.Option(
             parser=size,
             metavar='SIZE',
-            help='go on in another file of the bag at this size, such as 500M; default: never',
+            help='start another file of the bag at this size, such as 500M; default: never',
         ),
     ] = None
     split_seconds: Annotated[
@@ -235,7 +237,7 @@ class LaunchOptions:
         typer.Option(
             parser=number('a number of seconds up to 1000000', lambda value: 0 < value <= 10**6),
             metavar='SECONDS',
-            help='and after this time; default: never',
+            help='start another file of the bag after this time; default: never',
         ),
     ] = None
     step_period: Annotated[
@@ -243,51 +245,60 @@ class LaunchOptions:
         typer.Option(
             parser=seconds,
             metavar='SECONDS',
-            help='between steps of the machine, to watch it; default: 0.15 for teach, '
-            '0.02 for demo in a terminal, else 0',
+            help='time between steps of the machine; default: 0.15 for teach, 0.02 for demo in a '
+            'terminal, else 0',
         ),
     ] = None
     diagnostics: Annotated[
-        bool,
-        typer.Option('--diagnostics', help='publish /diagnostics, for the tools of ROS'),
+        bool, typer.Option('--diagnostics', help='publish /diagnostics, for ROS tools')
     ] = False
     views: Annotated[
-        bool,
-        typer.Option('--views', help='publish the game for RViz and Foxglove'),
+        bool, typer.Option('--views', help='publish the game for RViz and Foxglove')
     ] = False
 
 
 def with_options(command: Callable[..., int]) -> Callable[..., int]:
-    """Give a command every field of its arguments that are dataclasses as an option."""
-    signature = inspect.signature(command)
-    given = {p.name: p.annotation for p in signature.parameters.values()}
-    bundles = {name: fields(kind) for name, kind in given.items() if is_dataclass(kind)}
+    """Turn every field of a command's dataclass arguments into an option."""
 
     def run(**values: Any) -> int:
-        for name, options in bundles.items():
-            values[name] = given[name](**{each.name: values.pop(each.name) for each in options})
-        return command(**values)
+        return command(**bundled(command, values))
 
+    signature = inspect.signature(command)
     parameters: list[inspect.Parameter] = []
     for parameter in signature.parameters.values():
-        options = bundles.get(parameter.name)
-        parameters += [parameter] if options is None else map(_parameter, options)
-    keyword = inspect.Parameter.KEYWORD_ONLY
+        kind = parameter.annotation
+        parameters += [
+            inspect.Parameter(
+                each.name,
+                inspect.Parameter.KEYWORD_ONLY,
+                default=[] if each.default is MISSING else each.default,
+                annotation=each.type,
+            )
+            for each in (fields(kind) if is_dataclass(kind) else ())
+        ] or [parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY)]
     run.__name__, run.__doc__ = command.__name__, command.__doc__
-    run.__signature__ = signature.replace(  # type: ignore[attr-defined]
-        parameters=[parameter.replace(kind=keyword) for parameter in parameters]
-    )
+    run.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
     return run
 
 
-def _parameter(option: 'Field[Any]') -> inspect.Parameter:
-    default = [] if option.default is MISSING else option.default
-    kind = inspect.Parameter.KEYWORD_ONLY
-    return inspect.Parameter(option.name, kind, default=default, annotation=option.type)
+def bundled(command: Callable[..., Any], values: Mapping[str, Any]) -> dict[str, Any]:
+    """
+    Return the arguments of a command.
+
+    :param values: of its options, by name; those of a dataclass argument become one argument.
+    """
+    found = {}
+    for name, parameter in inspect.signature(command).parameters.items():
+        kind: Any = parameter.annotation
+        options = fields(kind) if is_dataclass(kind) else None
+        found[name] = (
+            kind(**{each.name: values[each.name] for each in options}) if options else values[name]
+        )
+    return found
 
 
 class CommandGroup(TyperGroup):
-    """Commands; unknown ones are refused with the names of those that there are."""
+    """Commands; an unknown one is refused with the list of commands."""
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """Return the command that the first word names."""

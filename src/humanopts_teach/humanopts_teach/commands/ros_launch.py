@@ -1,0 +1,74 @@
+"""``ros2 launch``: its arguments are those of ``humanopts up``."""
+
+from collections.abc import Mapping
+from contextlib import ExitStack
+from dataclasses import replace
+from typing import Any
+
+from humanopts_teach.cli import app, up_setup
+from humanopts_teach.command_line import bundled
+from humanopts_teach.commands import refusing
+from humanopts_teach.launching import OUTLASTING, RECORDER
+from humanopts_teach.launching.place import only_launch
+from humanopts_teach.launching.processes import processes, ProcessSpec, Setup
+import typer
+
+_commands: Any = typer.main.get_command(app)
+_UP = _commands.commands['up']
+ARGUMENTS: dict[str, tuple[str, str]] = {  # default and description of each, by name
+    each.name: (
+        str(each.default) if isinstance(each.default, str | int) else '',
+        each.help + '; separate several by ;' * each.multiple,
+    )
+    for each in _UP.params
+    if each.name != 'domain'
+} | {'domain': ('taxi', 'name of the domain')}
+_places = ExitStack()  # until this process ends
+
+
+def setup_from_launch(texts: Mapping[str, str]) -> Setup:
+    """
+    Return the setup that the arguments of a launch ask for.
+
+    It has no keyboard: ``ros2 launch`` gives the terminal to no process.
+
+    :param texts: values of the arguments, by name; empty: not given.
+    :raises CommandError: one of them is invalid.
+    """
+    words = [texts['domain']]
+    for each in _UP.params:
+        text, name = texts[each.name].strip(), each.opts[0]
+        if each.name == 'domain' or not text:
+            continue
+        if each.is_flag and text.lower() in ('true', 'false'):
+            words += [name] * (text.lower() == 'true')
+        else:
+            parts = text.split(';') if each.multiple else [text]
+            words += [f'{name}={part.strip()}' for part in parts]
+    with refusing(typer.TyperException):
+        return up_setup(**bundled(up_setup, _UP.make_context('up', words).params))
+
+
+def launched(setup: Setup) -> list[ProcessSpec]:
+    """
+    Return the processes of a launch, and reserve their names until this process ends.
+
+    ``ros2 launch`` ends all processes at once, so the recorder waits for the others.
+
+    :raises OccupiedError: another launch of this machine runs some of them.
+    """
+    specs = processes(setup)
+    names = [spec.name for spec in specs]
+    _places.enter_context(only_launch(setup.namespace, names))
+    others = [name for name in names if name != RECORDER]
+    return [
+        replace(spec, parameters={**spec.parameters, 'outlasts': others})
+        if spec.name == RECORDER and others
+        else spec
+        for spec in specs
+    ]
+
+
+def stop_seconds(name: str) -> tuple[float, float]:
+    """Return after how long ``ros2 launch`` sends SIGTERM to a node that ends, and SIGKILL, s."""
+    return (OUTLASTING + 40.0, 20.0) if name == RECORDER else (10.0, 5.0)
