@@ -18,8 +18,8 @@ from humanopts_env.games import TableGames
 from humanopts_env.seeding import generator
 from humanopts_learner.execution import play
 from humanopts_learner.options.learned_option import LearnedOption, TabularOption, tabulate
-from humanopts_learner.planning.action_set import ActionSet
-from humanopts_learner.planning.evaluate import AnyAvailable, play_plan, Returns
+from humanopts_learner.planning.action_set import ActionSet, AnyOption
+from humanopts_learner.planning.evaluate import play_plan, Returns
 from humanopts_learner.planning.exact_plan import make_exact_plan, option_table
 from humanopts_learner.planning.interruption import as_executed
 from humanopts_learner.planning.plan import AnyPlan, summarise_plan
@@ -33,7 +33,6 @@ from humanopts_learner.planning.request import (
     PRIMITIVE,
 )
 from humanopts_learner.planning.sampled_plan import make_sampled_plan, play_games
-from humanopts_learner.planning.sampled_policies import UniformPolicy
 from humanopts_learner.summary import PlanSummary
 from humanopts_teach.evaluation.games import carried_over
 from humanopts_teach.evaluation.tables import finite
@@ -230,7 +229,7 @@ def choose_by_chance(
             done = returns.successes
         else:
             actions, games = ActionSet(domain, HUMAN, options), _seed_for(seed, 'games', number)
-            policy = UniformPolicy(rng)
+            policy = AnyOption(rng)
             returns = play_games(actions, policy, domain.gamma, games, effort.games)
             done = returns.outcomes['cleared'].astype(bool)
         yield _row(PLAN, 0, returns, done)
@@ -245,7 +244,7 @@ def play_states_by_chance(
     action_set = HUMAN if options else PRIMITIVE
     table = option_table(domain, action_set, [tabulate(option, domain) for option in options])
     games = TableGames(domain, domain.start_states().astype(np.intp))
-    played = play(games, table, AnyAvailable(rng), rng, domain.max_steps, gamma=domain.gamma)
+    played = play(games, table, AnyOption(rng), rng, domain.max_steps, gamma=domain.gamma)
     return Returns.of(played, domain.gamma, len(options))
 
 

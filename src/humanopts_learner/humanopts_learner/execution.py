@@ -69,19 +69,23 @@ class Policy(Protocol[S_in]):
 
     def stops(self, seen: S_in, option: Ints) -> Flags | None:
         """Return (N,): whether each game's option (N,) is stopped; None: nowhere."""
+        return None
+
+
+def draw_among(among: Flags, rng: np.random.Generator) -> Ints:
+    """Return the index (N,) of one True entry of each row (N, O), all equally likely."""
+    chosen: Ints = np.where(among, rng.random(among.shape), -1.0).argmax(axis=1)
+    return chosen
 
 
 @dataclass(frozen=True)
-class Fixed:
+class Fixed(Policy[Seen]):
     """The policy that runs the same option in a game again and again."""
 
     option: Ints  # (N,) of each game
 
     def choose(self, seen: Seen, games: Ints) -> Choice:
         return Choice(self.option.take(games))
-
-    def stops(self, seen: Seen, option: Ints) -> Flags | None:
-        return None
 
 
 @dataclass(frozen=True)

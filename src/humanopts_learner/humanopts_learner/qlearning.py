@@ -25,7 +25,7 @@ from humanopts_env.arrays import Flags, Floats, Ints
 from humanopts_env.domains.base import EnumerableDomain
 from humanopts_env.games import Steps, TableGames
 from humanopts_env.seeding import generator
-from humanopts_learner.execution import Choice, Execution, Runs
+from humanopts_learner.execution import Choice, draw_among, Execution, Policy, Runs
 from humanopts_learner.options.learned_option import OptionTable, SeenStates
 from humanopts_learner.planning.request import PlanError
 import numpy as np
@@ -84,7 +84,7 @@ class Learners:
     rates: Sequence[Rates]  # of the learners, which draw independently
 
 
-class _Values:
+class _Values(Policy[SeenStates]):
     """
     The values of N learners, and the policy that they follow: a best option, sometimes any.
 
@@ -124,9 +124,6 @@ class _Values:
         among &= known > -np.inf
         self.began[games] = seen.states
         return Choice(self.first.take(games) + draw_among(among, self._rng))
-
-    def stops(self, seen: SeenStates, option: Ints) -> Flags | None:
-        return None
 
     def learn_of_runs(self, runs: Runs, there: Ints, gamma: float) -> None:
         """
@@ -268,9 +265,3 @@ def best_rates_of_each(
     learned = learn_in_step(domain, [Learners(each, every) for each in tables], settings, seed)
     scores = [one.steps.reshape(len(candidates), -1).mean(axis=1) for one in learned]
     return [candidates[int(score.argmin())] for score in scores]
-
-
-def draw_among(among: Flags, rng: np.random.Generator) -> Ints:
-    """Return the index (N,) of one True entry of each row (N, A), all equally likely."""
-    chosen: Ints = np.where(among, rng.random(among.shape), -1.0).argmax(axis=1)
-    return chosen

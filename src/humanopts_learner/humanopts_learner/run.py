@@ -23,7 +23,7 @@ from humanopts_learner.options.rollout import is_deterministic
 from humanopts_learner.planning.action_set import ActionSet
 from humanopts_learner.planning.interruption import arbitrate, interruptions, OptionValues
 from humanopts_learner.planning.request import Arbitration, MODULAR, PlanError
-from humanopts_learner.planning.sampled_policies import GreedyPolicy
+from humanopts_learner.planning.sampled_plan import GreedyPolicy
 import numpy as np
 
 _ONE = np.zeros(1, dtype=np.intp)  # the number of the only game, and of its only option

@@ -163,15 +163,6 @@ def test_an_episode_start_does_not_depend_on_how_many_are_drawn() -> None:
     assert episode_starts(TAXI, 6, 30).tolist() != many.tolist()
 
 
-def test_play_refuses_starts_that_are_no_states() -> None:
-    with pytest.raises(PlanError, match=r'0\.\.499'):
-        play_plan(plan('human'), np.array([500]))
-    endless = Taxi()
-    endless.max_steps = 0
-    with pytest.raises(PlanError, match='max_steps'):
-        play_plan(replace(plan('human'), domain=endless), np.array([1]))
-
-
 def test_choose_refuses_states_in_which_nothing_is_to_be_done() -> None:
     over = TAXI.state_at(int(np.flatnonzero(TAXI.over())[0]))
     with pytest.raises(PlanError, match='the task is over'):

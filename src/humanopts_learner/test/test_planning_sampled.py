@@ -12,7 +12,7 @@ from humanopts_env.seeding import generator
 from humanopts_learner.intervals import Interval
 from humanopts_learner.options.learned_option import LearnedOption, options_from_references
 from humanopts_learner.planning.abstraction import Abstraction, Column
-from humanopts_learner.planning.action_set import ActionSet, CodeTable
+from humanopts_learner.planning.action_set import ActionSet, AnyOption
 from humanopts_learner.planning.plan import make_plan
 from humanopts_learner.planning.request import (
     Arbitration,
@@ -23,13 +23,8 @@ from humanopts_learner.planning.request import (
     Progress,
     Sampling,
 )
-from humanopts_learner.planning.sampled_models import (
-    SampleCounts,
-    Samples,
-)
 from humanopts_learner.planning.sampled_plan import make_sampled_plan, SampledPlan
-from humanopts_learner.planning.sampled_policies import UniformPolicy
-from humanopts_learner.planning.sampling import Recording, Sampler
+from humanopts_learner.planning.sampling import SampleCounts, Sampler, Samples, samples_of
 from humanopts_learner.planning.solve import solve_smdp
 import numpy as np
 import pytest
@@ -87,7 +82,7 @@ def test_a_model_is_the_mean_of_its_samples() -> None:
     counts.add(samples((7, 0, 1.0, 0.9, 9), (9, 1, 5.0, 0.0, 9)))
     counts.add(samples((7, 0, 3.0, 0.81, 9), (9, 1, 5.0, 0.0, 9)))
     model = counts.model(min_samples=2)
-    seven, nine = counts.index.add(np.array([7, 9]))
+    seven, nine = map(counts.states.tolist().index, [7, 9])
     assert model.available[[seven, nine]].tolist() == [[True, False], [False, True]]
     assert model.reward[seven, 0] == pytest.approx(2.0)
     assert model.rows.toarray()[seven, nine] == pytest.approx((0.9 + 0.81) / 2)
@@ -114,7 +109,7 @@ def test_successors_that_nothing_is_known_of_count_as_the_known_ones() -> None:
     counts.add(samples((1, 0, 0.0, 0.9, 2), (1, 0, 0.0, 0.9, 2), (1, 0, 0.0, 0.6, 3)))
     counts.add(samples(*[(2, 0, 1.0, 0.0, 2)] * 2))
     model = counts.model(min_samples=2)
-    one, two, three = counts.index.add(np.array([1, 2, 3]))
+    one, two, three = map(counts.states.tolist().index, [1, 2, 3])
     assert model.rows.toarray()[one, two] == pytest.approx(0.8)
     assert model.rows.toarray()[one, three] == 0.0
 
@@ -126,31 +121,23 @@ def test_what_cannot_be_chosen_makes_no_state_known() -> None:
     assert not counts.model(min_samples=2).available.any()
     counts.add(samples(*[(3, 0, 1.0, 0.0, 3)] * 2))
     model = counts.model(min_samples=2)
-    one, two, three = counts.index.add(np.array([1, 2, 3]))
+    one, two, three = map(counts.states.tolist().index, [1, 2, 3])
     expected = [[False, False], [False, True], [True, False]]
     assert model.available[[one, two, three]].tolist() == expected
     assert model.rows.toarray()[3 + two, three] == pytest.approx(0.9)
 
 
-@pytest.mark.parametrize('count', [0, 1, 3, 5000])
-def test_a_table_finds_its_codes_and_no_others(count: int) -> None:
-    codes = np.unique(np.random.default_rng(1).integers(2**53, size=count))
-    table = CodeTable(codes)
-    assert (table.find(codes) == np.arange(len(codes))).all()
-    assert (table.find(np.setdiff1d(np.arange(5000), codes)) == len(codes)).all()
-
-
 def test_every_end_of_a_run_is_a_sample_of_its_own() -> None:
     """By hand: one game, a run of three steps and one of two that ends the task."""
-    recording = Recording(5, 1)
-    recording.state[:, 0] = [1, 2, 3, 4, 5]
-    recording.successor[:, 0] = [2, 3, 4, 5, 6]
-    recording.option[:, 0] = [0, 0, 0, 1, 1]
-    recording.modelled[:, 0] = [True, False, True, True, True]  # option 0 could not start in 2
-    recording.reward[:, 0] = [1.0, 2.0, 4.0, 0.0, 10.0]
-    recording.ended[:, 0] = [False, False, True, False, True]
-    recording.over[:, 0] = [False, False, False, False, True]
-    found = recording.samples(0.5)
+    # state, option (which cannot start in 2), sampled, reward, ended, over, state after the step
+    steps = [
+        (1, 0, True, 1.0, False, False, 2),
+        (2, 0, False, 2.0, False, False, 3),
+        (3, 0, True, 4.0, True, False, 4),
+        (4, 1, True, 0.0, False, False, 5),
+        (5, 1, True, 10.0, True, True, 6),
+    ]
+    found = samples_of([tuple(np.array([value]) for value in step) for step in steps], 0.5)
     assert found.state.tolist() == [1, 3, 4, 5]
     assert found.option.tolist() == [0, 0, 1, 1]
     assert found.reward.tolist() == [3.0, 4.0, 5.0, 10.0]
@@ -164,7 +151,7 @@ def test_sampling_keeps_to_its_budget() -> None:
     rng = generator(1, 'test')
     sampler = Sampler(actions, SampleCounts(actions.names), 50, GAMMA, rng)
     reported: list[int] = []
-    assert sampler.play(UniformPolicy(rng), 5_049, reported.append) == 5_000
+    assert sampler.play(AnyOption(rng), 5_049, reported.append) == 5_000
     assert reported[-1] == 5_000
 
 
@@ -241,8 +228,8 @@ def test_games_begin_again_where_they_are_over_or_cut_off() -> None:
     lake.max_steps = 3
     actions, rng = ActionSet(lake, 'primitive', []), generator(1, 'test')
     counts = SampleCounts(actions.names)
-    Sampler(actions, counts, 20, GAMMA, rng).play(UniformPolicy(rng), 2_000, lambda _: None)
-    assert len(counts.index) == 10
+    Sampler(actions, counts, 20, GAMMA, rng).play(AnyOption(rng), 2_000, lambda _: None)
+    assert len(counts.states) == 10
 
 
 def test_games_with_equal_columns_are_in_one_abstract_state() -> None:

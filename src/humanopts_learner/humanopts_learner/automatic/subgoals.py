@@ -12,8 +12,8 @@ from functools import cached_property
 from humanopts_env.arrays import Flags, Ints
 from humanopts_env.domains.search_space import SearchSpace
 from humanopts_env.domains.tabular import TabularSimulator
+from humanopts_learner.execution import draw_among
 from humanopts_learner.planning.request import PlanError
-from humanopts_learner.qlearning import draw_among
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array

@@ -11,6 +11,7 @@ from humanopts_env.domains.reference import ReferenceOption, TabularReferenceOpt
 from humanopts_env.domains.registry import parameters_json
 from humanopts_env.games import Games, TableGames
 from humanopts_learner.demonstrations import METHODS, TREES
+from humanopts_learner.execution import draw_among
 from humanopts_learner.option import Option
 from humanopts_learner.options.decision_tree import (
     encode_rows,
@@ -215,6 +216,10 @@ class SeenStates:
 
     def take(self, games: Ints) -> 'SeenStates':
         return SeenStates(self.table, self.states.take(games))
+
+    def at_random(self, rng: np.random.Generator) -> Ints:
+        """Return (N,): an option that can be chosen there, all equally likely."""
+        return draw_among(self.table.available.take(self.states, axis=0), rng)
 
     def action(self, option: Ints) -> Ints:
         actions = self.table.action

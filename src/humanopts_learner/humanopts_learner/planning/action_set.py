@@ -15,43 +15,13 @@ from humanopts_env.domains.base import Domain
 from humanopts_env.domains.capabilities import HasPrimitiveColumns
 from humanopts_env.games import Games, games_at
 from humanopts_learner.demonstrations import PRIMITIVE_PREFIX
+from humanopts_learner.execution import Choice, draw_among, Policy
 from humanopts_learner.option import Option, StochasticOption
+from humanopts_learner.options.learned_option import SeenStates
 from humanopts_learner.planning.abstraction import Abstraction, Codes
 from humanopts_learner.planning.request import OPTIONS_ONLY, PRIMITIVE
 import numpy as np
 from numpy.typing import NDArray
-
-GOLDEN = np.uint64(0x9E3779B97F4A7C15)  # 2**64 by the golden ratio, odd: for hashing
-
-
-class CodeTable:
-    """
-    Finds abstract states in a list by a hash, many times as fast as by bisection.
-
-    :ivar codes: (K,) of the states, ascending.
-    """
-
-    def __init__(self, codes: Codes) -> None:
-        self.codes, self._bits = codes, len(codes).bit_length() + 2
-        self._padded = np.append(codes, np.iinfo(np.int64).max)  # of no state
-        self._place = np.full(1 << self._bits, len(codes))  # of one of the codes with each hash
-        self._place[self._hash(codes)] = np.arange(len(codes))
-
-    def find(self, codes: Codes) -> Ints:
-        """Return the places (N,) of codes (N,) in the list; K: it is not there."""
-        place: Ints = self._place.take(self._hash(codes))
-        others = (self._padded.take(place) != codes).nonzero()[0]
-        if others.size:
-            wanted = codes.take(others)
-            at = self.codes.searchsorted(wanted)
-            place[others] = np.where(self._padded.take(at) == wanted, at, len(self.codes))
-        return place
-
-    def _hash(self, codes: Codes) -> Ints:
-        """Return the highest bits of products with the golden ratio (Fibonacci hashing)."""
-        mixed = codes.view(np.uint64) * GOLDEN
-        mixed >>= np.uint64(64 - self._bits)
-        return mixed.view(np.int64)
 
 
 @dataclass(frozen=True)
@@ -75,6 +45,12 @@ class Observation:
             self.n_options,
         )
 
+    def at_random(self, rng: np.random.Generator) -> Ints:
+        """Return (N,): an option that can start there, all equally likely, or the fallback."""
+        option = draw_among(self.startable, rng)
+        np.copyto(option, self.fallback, where=self.fallback >= 0)
+        return option
+
     def action(self, option: Ints) -> Ints:
         action = option - self.n_options
         running = np.flatnonzero(action < 0)
@@ -93,6 +69,16 @@ class Observation:
         found: Flags = option < self.startable.shape[1]
         found[found] = self.startable[found, option[found]]
         return found
+
+
+@dataclass(frozen=True)
+class AnyOption(Policy[Observation | SeenStates]):
+    """Any option that can start, all with the same probability; each runs to its end."""
+
+    rng: np.random.Generator
+
+    def choose(self, seen: Observation | SeenStates, games: Ints) -> Choice:
+        return Choice(seen.at_random(self.rng))
 
 
 class ActionSet:

@@ -14,7 +14,7 @@ from humanopts_env.arrays import Flags, Floats, Ints
 from humanopts_env.domains.base import Domain, EnumerableDomain, S
 from humanopts_env.games import Chance, TableGames
 from humanopts_env.seeding import generator
-from humanopts_learner.execution import Choice, Execution, play, Played
+from humanopts_learner.execution import Choice, Execution, play, Played, Policy
 from humanopts_learner.options.learned_option import SeenStates
 from humanopts_learner.planning.exact_plan import ExactPlan, option_table
 from humanopts_learner.planning.models import look_ahead, primitive_model
@@ -61,21 +61,14 @@ class Returns:
         )
 
 
-def episode_starts(
-    domain: EnumerableDomain[Any], seed: int, episodes: int, progress: Progress = ignore_progress
-) -> NDArray[np.int32]:
+def episode_starts(domain: EnumerableDomain[Any], seed: int, episodes: int) -> NDArray[np.int32]:
     """
     Draw the start states of episodes, (E,) state indices.
 
-    Each draw has its own generator, so start i is the same however many are asked for.
-
-    :param progress: called with the stage evaluation, which begins with this.
+    Each draw has its own generator, so start i does not depend on the number of episodes.
     """
-    starts = np.empty(episodes, dtype=np.int32)
-    for episode in range(episodes):
-        progress('evaluation', 0.0, 0, math.nan)
-        starts[episode] = domain.index(episode_start(domain, seed, episode))
-    return starts
+    starts = [domain.index(episode_start(domain, seed, episode)) for episode in range(episodes)]
+    return np.array(starts, dtype=np.int32)
 
 
 def episode_start(domain: Domain[S], seed: int, episode: int) -> S:
@@ -84,30 +77,13 @@ def episode_start(domain: Domain[S], seed: int, episode: int) -> S:
 
 
 @dataclass(frozen=True)
-class PlannedOptions:
+class PlannedOptions(Policy[SeenStates]):
     """The policy of an exact plan: each option runs to its end."""
 
     best: NDArray[np.integer]  # (S,) index of the option that is begun
 
     def choose(self, seen: SeenStates, games: Ints) -> Choice:
         return Choice(self.best.take(seen.states).astype(np.intp))
-
-    def stops(self, seen: SeenStates, option: Ints) -> Flags | None:
-        return None
-
-
-@dataclass(frozen=True)
-class AnyAvailable:
-    """Any option that can be chosen, all with the same probability; each runs to its end."""
-
-    rng: np.random.Generator
-
-    def choose(self, seen: SeenStates, games: Ints) -> Choice:
-        can = seen.table.available.take(seen.states, axis=0)
-        return Choice(np.where(can, self.rng.random(can.shape), -1.0).argmax(axis=1))
-
-    def stops(self, seen: SeenStates, option: Ints) -> Flags | None:
-        return None
 
 
 def play_plan(
@@ -127,13 +103,11 @@ def play_plan(
     :param seed: of the outcomes; not used where every action has one.
     :param max_steps: episodes are cut off after this many steps; 0: the domain's own limit.
     :param progress: called with the stage evaluation; what it raises passes through.
-    :raises PlanError: neither limits the episodes, or a start is not a state.
+    :raises PlanError: neither limits the episodes.
     """
     limit = max_steps or plan.domain.max_steps
     if limit < 1:
         raise PlanError(f'{plan.domain.name} never cuts an episode off: give max_steps')
-    if len(starts) and not 0 <= starts.min() <= starts.max() < plan.domain.n_states:
-        raise PlanError(f'a start is not within 0..{plan.domain.n_states - 1}')
     chance: Chance = np.random.default_rng(0)  # nothing is drawn from it
     if not plan.domain.transitions().deterministic:
         chance = [generator(seed, 'play', episode) for episode in range(len(starts))]

@@ -109,7 +109,7 @@ def judge_plan(
     if episodes < 1:
         raise PlanError(f'cannot play {episodes} episodes')
     if isinstance(plan, ExactPlan):
-        starts = episode_starts(plan.domain, seed, episodes, progress)
+        starts = episode_starts(plan.domain, seed, episodes)
         returns = play_plan(plan, starts, seed=seed, progress=progress)
     else:
         returns = plan.play(seed, episodes, progress=progress)

@@ -1,38 +1,164 @@
-"""Planning from samples: rounds of play, each by the policy of the models so far."""
+"""
+Planning from samples: rounds of play, each by the policy of the models so far.
+
+The policies choose among the options of an action set, for many games at once.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 import math
 import time
 from typing import Any
 
+from humanopts_env.arrays import Flags, Floats, Ints
 from humanopts_env.domains.base import Domain
 from humanopts_env.games import new_games
 from humanopts_env.seeding import generator
-from humanopts_learner.execution import play, Policy
+from humanopts_learner.execution import Choice, play, Policy
 from humanopts_learner.option import Option
-from humanopts_learner.planning.action_set import ActionSet, Observation
+from humanopts_learner.planning.abstraction import Codes
+from humanopts_learner.planning.action_set import ActionSet, AnyOption, Observation
 from humanopts_learner.planning.evaluate import Returns
 from humanopts_learner.planning.exact_plan import PolicyPlan, SweepProgress
-from humanopts_learner.planning.interruption import OptionValues
+from humanopts_learner.planning.interruption import arbitrate, interruptions, OptionValues
 from humanopts_learner.planning.models import look_ahead, MultiTimeModel
 from humanopts_learner.planning.request import (
     Arbitration,
     Clock,
     ignore_progress,
+    MODULAR,
     PlanError,
     PlanRequest,
     Progress,
 )
-from humanopts_learner.planning.sampled_models import SampleCounts
-from humanopts_learner.planning.sampled_policies import (
-    ExploringPolicy,
-    GreedyPolicy,
-    UniformPolicy,
-)
-from humanopts_learner.planning.sampling import Sampler
+from humanopts_learner.planning.sampling import SampleCounts, Sampler
 from humanopts_learner.planning.solve import Solution, solve_smdp
 import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class GreedyPolicy(Policy[Observation]):
+    """
+    The option of the greatest value among those that can start and were sampled enough.
+
+    Where none of those that can start was, it is the option that is the best in most states.
+
+    :ivar values: of the abstract states visited; continuation values where the option cannot
+        start. Where it can, going on is worth as much as choosing it.
+    :ivar execution: of the policy; nothing is drawn in any.
+    """
+
+    actions: ActionSet
+    values: OptionValues
+    execution: Arbitration = Arbitration.RUN_TO_END
+
+    @cached_property
+    def preference(self) -> NDArray[np.int64]:
+        """(O,) number of states in which each option is the best."""
+        values = self.values.option_values
+        best = values[np.isfinite(values).any(axis=1)].argmax(axis=1)
+        return np.bincount(best, minlength=self.actions.first_fallback)
+
+    def choose(self, seen: Observation, games: Ints) -> Choice:
+        """Return the next option in each game; of modules the one that acts for a step."""
+        row = self._row(seen)
+        option_values = self._option_values(seen, row)
+        choice = self._best(seen, option_values)
+        if self.execution not in MODULAR:
+            return choice
+        going_on = self._continuation_values.take(row, axis=0)
+        continuation_values = np.where(seen.startable, option_values, going_on)
+        strongest = self.execution is Arbitration.MODULAR_STRONGEST
+        competing = continuation_values if strongest else option_values
+        known = np.isfinite(competing).any(axis=1)
+        winner = arbitrate(self.execution, option_values, continuation_values, seen.wanted)
+        unknown: Flags = np.logical_and(choice.unknown, ~known)
+        return Choice(np.where(known, winner, choice.option), unknown)
+
+    def best(self, seen: Observation) -> Ints:
+        """Return (N,): the option of the greatest value, whatever the execution."""
+        return self._best(seen, self._option_values(seen, self._row(seen))).option
+
+    def stops(self, seen: Observation, option: Ints) -> Flags | None:
+        """Return (N,): whether each game's option is stopped; modules run for one step."""
+        if self.execution is Arbitration.RUN_TO_END:
+            return None
+        stopped = np.full(len(option), self.execution in MODULAR)
+        if self.execution in MODULAR:
+            return stopped
+        running = np.flatnonzero((option >= 0) & (option < self.actions.first_fallback))
+        seen = seen.take(running)
+        row = self._row(seen)
+        best, its = self._option_values(seen, row), option[running]
+        at = np.arange(len(running)), its
+        worth = np.where(seen.startable[at], best[at], self._continuation_values[row, its])
+        margin = self.values.interruption_margin
+        stopped[running] = interruptions(best, worth[:, None], margin)[:, 0]
+        return stopped
+
+    def _best(self, seen: Observation, values: Floats) -> Choice:
+        """Return the best option by its values (N, O), among those that can start there."""
+        option = values.argmax(axis=1)
+        unknown = np.zeros(len(option), dtype=np.bool_)
+        greatest = values.ravel().take(option + np.arange(0, values.size, values.shape[1]))
+        others = np.flatnonzero(greatest == -np.inf)
+        if others.size:
+            can = seen.startable.take(others, axis=0)
+            option[others] = np.where(can, self.preference, -1).argmax(axis=1)
+            fallback = seen.fallback.take(others)
+            unknown[others] = fallback < 0
+            option[others] = np.where(fallback < 0, option[others], fallback)
+        return Choice(option, unknown)
+
+    @cached_property
+    def _codes(self) -> Codes:
+        """The states (K,), and any number, as unknown states have the place after the last."""
+        return np.append(self.values.states, 0)
+
+    @cached_property
+    def _values(self) -> Floats:
+        """Option values (K + 1, O), unknown in the last row."""
+        return np.pad(self.values.option_values, ((0, 1), (0, 0)), constant_values=-np.inf)
+
+    @cached_property
+    def _continuation_values(self) -> Floats:
+        values = self.values.continuation_values
+        return np.pad(values, ((0, 1), (0, 0)), constant_values=-np.inf)
+
+    def _row(self, seen: Observation) -> Ints:
+        """Return (N,): the row of each game's state in the tables."""
+        place = self.values.states.searchsorted(seen.states)
+        unknown = self._codes.take(place) != seen.states
+        return np.where(unknown, len(self.values.states), place)
+
+    def _option_values(self, seen: Observation, row: Ints) -> Floats:
+        """Return option values (N, O); -inf: the option cannot start, or is not known."""
+        values = self._values.take(row, axis=0)
+        np.copyto(values, -np.inf, where=~seen.startable)
+        return values
+
+
+@dataclass(frozen=True)
+class ExploringPolicy(Policy[Observation]):
+    """A greedy policy that sometimes runs a random option that can start, and does not stop it."""
+
+    greedy: GreedyPolicy
+    share: float  # of decisions that explore
+    rng: np.random.Generator
+
+    def choose(self, seen: Observation, games: Ints) -> Choice:
+        best = self.greedy.choose(seen, games)
+        option = seen.at_random(self.rng)
+        explore = self.rng.random(len(option)) < self.share
+        return replace(best, option=np.where(explore, option, best.option))
+
+    def stops(self, seen: Observation, option: Ints) -> Flags | None:
+        stopped = self.greedy.stops(seen, option)
+        if stopped is None:
+            return None
+        return stopped & (self.rng.random(len(option)) >= self.share)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,7 +247,7 @@ def make_sampled_plan(
     n_games = min(config.n_games, asked.game_steps // config.game_steps)
     sampler = Sampler(actions, counts, n_games, asked.gamma, rng)
     part = asked.game_steps // config.rounds
-    policy: Policy[Observation] = UniformPolicy(rng)
+    policy: Policy[Observation] = AnyOption(rng)
     game_steps, model_seconds, sweep_seconds = 0, 0.0, 0.0
     for number in range(config.rounds):
 
@@ -167,12 +293,11 @@ def _solve(
     ahead = look_ahead(model, found.values)  # (S, modelled)
     continuation_values = np.full((len(ahead), n_choices), -np.inf)
     continuation_values[:, : len(actions.options)] = ahead[:, n_choices:]
-    codes = counts.index.codes
-    order = np.argsort(codes)
+    order = np.argsort(counts.states)
     table = OptionValues(
         action_set=actions.action_set,
         names=actions.names[:n_choices],
-        states=codes[order],
+        states=counts.states[order],
         option_values=ahead[order, :n_choices],
         continuation_values=continuation_values[order],
         interruption_margin=asked.sampling.interruption_margin,

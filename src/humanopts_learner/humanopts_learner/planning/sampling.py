@@ -9,49 +9,125 @@ of an episode, or the end of the sampling) and runs that the policy stops count 
 where they were.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
 
+from humanopts_env.arrays import Floats
 from humanopts_env.games import new_games
 from humanopts_learner.execution import Execution, NONE, Policy
+from humanopts_learner.planning.abstraction import Codes
 from humanopts_learner.planning.action_set import ActionSet, Observation
-from humanopts_learner.planning.sampled_models import SampleCounts, Samples
+from humanopts_learner.planning.models import MultiTimeModel, SparseRows
 import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array, csr_array
 
 BLOCK = 1_000_000  # game steps that are kept before they are counted
 
 
-class Recording:
-    """T steps of N games."""
+@dataclass(frozen=True)
+class Samples:
+    """M finished runs, or final parts of runs."""
 
-    def __init__(self, length: int, count: int) -> None:
-        shape = (length, count)
-        self.state = np.empty(shape, dtype=np.int64)  # abstract
-        self.option = np.empty(shape, dtype=np.int16)
-        self.modelled = np.empty(shape, dtype=np.bool_)
-        self.reward = np.empty(shape)
-        self.ended = np.empty(shape, dtype=np.bool_)
-        self.over = np.empty(shape, dtype=np.bool_)
-        self.successor = np.empty(shape, dtype=np.int64)  # abstract state after the step
+    state: Codes  # (M,) abstract state where it began
+    option: NDArray[np.integer]  # (M,) index of the model
+    reward: Floats  # (M,) sum of gamma**i * r[i], i = 0..k-1
+    discount: Floats  # (M,) gamma**k; 0 where the task was over
+    successor: Codes  # (M,) abstract state where it ended
 
-    def samples(self, gamma: float) -> Samples:
-        """Return every suffix of every run, by one pass backwards."""
-        reward = self.reward
-        successor = self.successor
-        discount = np.where(self.over, 0.0, gamma)
-        self.ended[-1] = True
-        for t in range(len(reward) - 2, -1, -1):
-            on = ~self.ended[t]
-            reward[t] += np.where(on, gamma * reward[t + 1], 0.0)
-            discount[t] = np.where(on, gamma * discount[t + 1], discount[t])
-            successor[t] = np.where(on, successor[t + 1], successor[t])
-        kept = self.modelled
-        return Samples(
-            self.state[kept],
-            self.option[kept].astype(np.intp),
-            reward[kept],
-            discount[kept],
-            successor[kept],
-        )
+
+class SampleCounts:
+    """
+    Sums over the samples of S abstract states and O options.
+
+    :ivar states: (S,) codes of the abstract states, in the order of the first visits.
+    """
+
+    def __init__(self, names: tuple[str, ...], choosable: int = 0) -> None:
+        """
+        Begin without samples.
+
+        :param names: of the models, (O,).
+        :param choosable: the number of them, from the first, that can be chosen; 0: all.
+        """
+        self.names, self._choosable = names, choosable or len(names)
+        self.states: Codes = np.empty(0, dtype=np.int64)
+        self._count, self._reward = np.zeros((2, len(names), 0))
+        self._rows: SparseRows = csr_array((0, 0))
+
+    def add(self, samples: Samples) -> None:
+        """Add samples, of states that are known or new."""
+        old, (count, _) = len(self.states), self._count.shape
+        codes = np.concatenate([samples.state, samples.successor])
+        self.states = np.append(self.states, np.setdiff1d(codes, self.states))
+        size, order = len(self.states), np.argsort(self.states)
+        state, successor = np.split(order[self.states.searchsorted(codes, sorter=order)], 2)
+        pair, wider = samples.option * size + state, ((0, 0), (0, size - old))
+
+        def total(known: Floats, weights: Floats | None = None) -> Floats:
+            new = np.bincount(pair, weights, minlength=count * size).reshape(count, size)
+            return np.pad(known, wider) + new
+
+        self._count = total(self._count)
+        self._reward = total(self._reward, samples.reward)
+        rows = self._rows.tocoo()
+        option, row = np.divmod(rows.row.astype(np.int64), max(old, 1))
+        shape = count * size, size
+        known = coo_array((rows.data, (option * size + row, rows.col)), shape).tocsr()
+        added = coo_array((samples.discount, (pair, successor)), shape)
+        self._rows = known + added.tocsr()
+
+    def model(self, min_samples: int) -> MultiTimeModel:
+        """
+        Return the mean of the samples.
+
+        Pairs of state and option with fewer than ``min_samples`` are not available. States without
+        an available pair that can be chosen have no value: samples that end there count as if they
+        had ended like the other samples of their pair, and pairs with no other samples are not
+        available.
+        """
+        enough = self._count >= max(min_samples, 1)
+        pairs = np.flatnonzero(enough)  # the others are many, and are not looked at
+        rows = self._rows[pairs]
+        total = rows.sum(axis=1)
+        left = np.ones(len(pairs), dtype=np.bool_)
+        while True:
+            known = np.asarray(enough[: self._choosable].any(axis=0))
+            kept = rows @ known
+            more = left & ((kept > 0) | (total == 0))
+            if (more == left).all():
+                break
+            left = more
+            enough.ravel()[pairs] = left
+        scale = np.where(left & (kept > 0), total, 0.0)
+        scale /= np.where(kept > 0, kept, 1.0) * self._count.ravel()[pairs]
+        rows.data *= np.repeat(scale, np.diff(rows.indptr)) * known[rows.indices]
+        rows.eliminate_zeros()
+        lengths = np.zeros(enough.size + 1, dtype=rows.indptr.dtype)
+        lengths[pairs + 1] = np.diff(rows.indptr)
+        parts = rows.data, rows.indices, np.cumsum(lengths, dtype=lengths.dtype)
+        reward = np.zeros(enough.shape)
+        reward[enough] = self._reward[enough] / self._count[enough]
+        joined = csr_array(parts, shape=self._rows.shape)
+        return MultiTimeModel(self.names, reward.T, enough.T, joined)
+
+
+def samples_of(steps: Sequence[tuple[Any, ...]], gamma: float) -> Samples:
+    """
+    Return every suffix of every run, by one pass backwards.
+
+    :param steps: of N games, (N,) each: abstract state, model of the option, whether it is
+        sampled, reward, whether the run ended, whether the task is over, abstract state after it.
+    """
+    state, option, sampled, reward, ended, over, successor = map(np.array, zip(*steps))
+    discount = np.where(over, 0.0, gamma)
+    for t in range(len(reward) - 2, -1, -1):
+        on = ~ended[t]
+        reward[t] += np.where(on, gamma * reward[t + 1], 0.0)
+        discount[t] = np.where(on, gamma * discount[t + 1], discount[t])
+        successor[t] = np.where(on, successor[t + 1], successor[t])
+    return Samples(*(part[sampled] for part in (state, option, reward, discount, successor)))
 
 
 class Sampler:
@@ -85,24 +161,24 @@ class Sampler:
         n_games = len(self._age)
         left, done = steps // n_games, 0
         while left:
-            recording = Recording(min(left, max(BLOCK // n_games, 1)), n_games)
-            execution = Execution(self._actions, policy, n_games)
-            for t in range(len(recording.reward)):
-                self._step(execution, recording, t)
+            execution, recorded = Execution(self._actions, policy, n_games), []
+            for _ in range(min(left, max(BLOCK // n_games, 1))):
+                recorded.append(self._step(execution))
                 done += n_games
                 on_steps(done)
-            self._counts.add(recording.samples(self._gamma))
-            left -= len(recording.reward)
+            self._counts.add(samples_of(recorded, self._gamma))
+            left -= len(recorded)
         return done
 
-    def _step(self, execution: Execution[Observation], recording: Recording, t: int) -> None:
-        """Take one step in every game; those that are over or cut off then begin again."""
-        fallback, seen = self._actions.first_fallback, self._seen
-        actions = execution.act(seen)
-        inside = seen.can_start(execution.option)
-        recording.state[t] = seen.states
-        recording.option[t] = np.where(inside, execution.option, execution.option + fallback)
-        recording.modelled[t] = execution.option < fallback
+    def _step(self, execution: Execution[Observation]) -> tuple[Any, ...]:
+        """
+        Take one step in every game; those that are over or cut off then begin again.
+
+        :return: as ``samples_of`` takes it.
+        """
+        fallback, before = self._actions.first_fallback, self._seen
+        actions = execution.act(before)
+        inside, option = before.can_start(execution.option), execution.option.copy()
         steps = self._games.step(actions, self._rng)
         self._age += 1
         cut_off = self._age >= self._limit
@@ -112,8 +188,8 @@ class Sampler:
             self._games.reset(np.flatnonzero(last), self._rng)
             self._age[last] = 0
         self._seen = self._actions.see(self._games)
-        recording.reward[t], recording.over[t] = steps.reward, steps.over
-        # The successor of a game that is over does not count.
-        recording.successor[t] = (left or self._seen).states
         execution.observe(self._seen, steps, cut_off)
-        recording.ended[t] = execution.option == NONE
+        model = np.where(inside, option, option + fallback)
+        # The successor of a game that is over does not count.
+        after, ended = (left or self._seen).states, execution.option == NONE
+        return before.states, model, option < fallback, steps.reward, ended, steps.over, after

@@ -21,7 +21,7 @@ from humanopts_env.seeding import generator
 from humanopts_learner.execution import Fixed, play
 from humanopts_learner.intervals import Interval
 from humanopts_learner.options.learned_option import LearnedOption, OptionError
-from humanopts_learner.planning.action_set import ActionSet
+from humanopts_learner.planning.action_set import ActionSet, AnyOption
 from humanopts_learner.planning.evaluate import Returns
 from humanopts_learner.planning.plan import judge_plan, Performance
 from humanopts_learner.planning.request import (
@@ -33,7 +33,6 @@ from humanopts_learner.planning.request import (
     PRIMITIVE,
 )
 from humanopts_learner.planning.sampled_plan import make_sampled_plan, play_games, SampledPlan
-from humanopts_learner.planning.sampled_policies import UniformPolicy
 from humanopts_teach.bags.mcap_file import ignore_progress
 from humanopts_teach.evaluation import ProgressCallback
 from humanopts_teach.evaluation.side_by_side import all_of
@@ -148,7 +147,7 @@ def play_baseline(
     counts: dict[str, Any] = {}
     if baseline.kind == RANDOM:
         actions = ActionSet(domain, baseline.request.action_set, baseline.options)
-        policy = UniformPolicy(generator(seed, 'random choice'))
+        policy = AnyOption(generator(seed, 'random choice'))
         results: Any = play_games(actions, policy, domain.gamma, seed, games)
         counts = {'decisions': results.decisions.mean(), 'fallbacks': results.fallbacks.mean()}
     elif (rule := baselines_of(domain).heuristic) is not None:
