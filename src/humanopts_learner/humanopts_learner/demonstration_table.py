@@ -23,17 +23,14 @@ that a spreadsheet would take for a formula is not part of the text. A data fram
 cells say, whatever their type: 1, 1.0, True and 'TRUE' are the same flag.
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Callable, Sequence
 from functools import partial
-import math
 from pathlib import Path
-import re
-from typing import Any, TYPE_CHECKING, TypeVar
+from typing import Annotated, Any, TYPE_CHECKING
 
 from humanopts_env.domains.base import (
     Domain,
-    EnumerableDomain,
     Feature,
     FeatureKind,
     is_enumerable,
@@ -41,41 +38,21 @@ from humanopts_env.domains.base import (
 from humanopts_learner.demonstrations import Demonstration, DemonstrationError, make_demonstration
 from humanopts_learner.spreadsheet import EXCEL, from_cell
 from humanopts_ros.limits import composed
+from humanopts_ros.text_files import fault_in
 import numpy as np
+from pydantic import Field, TypeAdapter, ValidationError
 
 if TYPE_CHECKING:
     import pandas as pd
 
-T = TypeVar('T')
 AGAIN = 'can_start_at_end'
 NEEDED = ('demonstration', 'step', 'action')
 OPTIONAL = ('state', 'reward', 'option', 'participant', AGAIN)
-FLAGS = {
-    **dict.fromkeys(('true', 'yes', 'y', 't', '1', 'on'), True),
-    **dict.fromkeys(('false', 'no', 'n', 'f', '0', 'off'), False),
-}
 # Text that pandas reads as "missing": so that a file means the same by path and as a data frame.
 MISSING = ('', 'na', 'n/a', '#n/a', '<na>', 'nan', '-nan', 'null', 'none')
-_WHOLE = re.compile(r'([+-]?[0-9]+)\.0*')  # how a column of numbers with a gap in it is written
-
-
-@dataclass(frozen=True)
-class _Row:
-    """One row as text; what is missing is empty."""
-
-    place: str  # in words
-    cells: Mapping[str, str]
-
-    def read(self, column: str, parse: Callable[[str], T]) -> T:
-        """
-        Return what a cell says.
-
-        :raises DemonstrationError: it cannot be used; the text names row and column.
-        """
-        try:
-            return parse(self.cells[column])
-        except ValueError as error:
-            raise DemonstrationError(f'{self.place}, column {column}: {error}') from error
+_WHOLE = r'^([+-]?[0-9]+)\.0*$'  # how a column of numbers with a gap in it is written
+_NUMBER = TypeAdapter(Annotated[float, Field(allow_inf_nan=False)]).validate_python
+_FLAG = TypeAdapter(bool).validate_python  # true, yes, on, 1, and their opposites
 
 
 def demonstrations_from_table(
@@ -98,33 +75,41 @@ def demonstrations_from_table(
     :raises OSError: there is no such file.
     """
     rows = _rows(table)
-    columns = _checked_columns(rows[0], domain)
-    if 'option' not in columns and not option_name:
+    _check_columns(list(rows.columns), domain)
+    if 'option' not in rows and not option_name:
         raise DemonstrationError('the table has no column option: give option_name')
-    groups: dict[tuple[str, str, str], list[_Row]] = {}
-    for row in rows:
-        who = row.read('participant', _name) if 'participant' in columns else participant
-        option = composed(row.read('option', _name) if 'option' in columns else option_name)
-        groups.setdefault((who, option, row.read('demonstration', _name)), []).append(row)
-    numbers: dict[tuple[str, str], int] = {}
+    given = {'participant': participant, 'option': option_name}
+    rows = rows.assign(**{name: value for name, value in given.items() if name not in rows})
+    actions = [action.name for action in domain.actions]
+    cells: dict[str, Callable[[str], Any]] = {
+        'participant': _name,
+        'option': lambda text: composed(_name(text)),
+        'demonstration': _name,
+        'step': _NUMBER,
+        'action': partial(_action, known=actions),
+        AGAIN: lambda text: text.lower() not in MISSING and _FLAG(text),
+    }
+    for column, parse in cells.items():
+        if column in rows:
+            rows[column] = _read(rows, column, parse)
+    counts: Counter[tuple[str, str]] = Counter()
     found = []
-    for (who, option, name), group in groups.items():
-        numbers[who, option] = numbers.get((who, option), 0) + 1
+    groups: Any = rows.groupby(['participant', 'option', 'demonstration'], sort=False)
+    for (who, option, name), group in groups:
+        counts[who, option] += 1
+        steps = group.sort_values('step')
         try:
-            steps = _in_order(group, domain)
             found.append(
                 make_demonstration(
                     domain,
                     option,
-                    [_state(row, domain) for row in steps],
-                    [row.cells['action'] for row in steps[:-1]],
-                    [row.read('reward', _number) for row in steps[:-1]]
-                    if 'reward' in columns
-                    else None,
+                    _states(steps, domain),
+                    _actions(steps),
+                    _read(steps[:-1], 'reward', _NUMBER) if 'reward' in steps else None,
                     features=features,
-                    can_start_at_end=AGAIN in columns and _can_start_at_end(steps),
+                    can_start_at_end=AGAIN in steps and _can_start_at_end(steps),
                     participant=who,
-                    number=numbers[who, option],
+                    number=counts[who, option],
                 )
             )
         except ValueError as error:
@@ -152,53 +137,42 @@ def demonstrations_to_table(demonstrations: Sequence[Demonstration]) -> 'pd.Data
     )
 
 
-def _rows(table: 'pd.DataFrame | Path | str') -> list[_Row]:
+def _rows(table: 'pd.DataFrame | Path | str') -> 'pd.DataFrame':
     """
-    Return the rows as text.
+    Return the rows that are not empty as text, labelled as a reader would find them.
 
     :raises DemonstrationError: it is not a table, has no rows, or two columns of one name.
     """
     import pandas as pd
 
-    if isinstance(table, str | Path):
+    if isinstance(table, pd.DataFrame):
+        frame = table
+    else:
         as_text: Any = {'dtype': str, 'keep_default_na': False, 'skip_blank_lines': False}
         try:
             lines = pd.read_csv(
                 table, header=None, skipinitialspace=True, encoding=EXCEL, **as_text
             )
-        except (ValueError, pd.errors.ParserError, pd.errors.EmptyDataError) as error:
+        except ValueError as error:  # also the errors of pandas
             raise DemonstrationError(f'{table} is not a table: {error}') from error
         frame = lines.iloc[1:].set_axis(lines.iloc[0].fillna(''), axis=1)
         frame.index += 1  # as a spreadsheet counts them, with the head as row 1
-    else:
-        frame = table
     names = [from_cell(str(column)).strip() for column in frame.columns]
-    if twice := [name for name in dict.fromkeys(names) if name and names.count(name) > 1]:
+    if twice := [name for name, count in Counter(names).items() if name and count > 1]:
         raise DemonstrationError(f'the table has two columns {twice[0]}')
-    filled = frame.astype(object).where(frame.notna(), '')
-    rows = [
-        _Row(f'row {label}', dict(zip(names, map(_text, values), strict=True)))
-        for label, values in zip(frame.index, filled.itertuples(index=False, name=None))
-    ]
-    if not (rows := [row for row in rows if any(row.cells.values())]):
+    text = frame.astype(object).where(frame.notna(), '').set_axis(names, axis=1)
+    text = text.map(lambda value: from_cell(str(value)).strip()).replace(_WHOLE, r'\1', regex=True)
+    if (text := text[(text != '').any(axis=1)]).empty:
         raise DemonstrationError('the table has no rows')
-    return rows
+    return text
 
 
-def _text(value: Any) -> str:
-    """Return what a cell says: alike for numbers that a type writes in another way."""
-    text = from_cell(str(value)).strip()
-    whole = _WHOLE.fullmatch(text)
-    return whole[1] if whole else text
-
-
-def _checked_columns(row: _Row, domain: Domain[Any]) -> tuple[str, ...]:
+def _check_columns(columns: Sequence[str], domain: Domain[Any]) -> None:
     """
-    Return the names of the columns.
+    Check the names of the columns.
 
     :raises DemonstrationError: one is missing, or meant and written otherwise.
     """
-    columns = tuple(row.cells)
     known = (*NEEDED, *OPTIONAL, *(feature.name for feature in domain.features))
     for column in columns:
         meant = '_'.join(column.lower().replace('-', ' ').split())
@@ -206,49 +180,22 @@ def _checked_columns(row: _Row, domain: Domain[Any]) -> tuple[str, ...]:
             raise DemonstrationError(f'the table has a column {column!r}: call it {meant}')
     if missing := [name for name in NEEDED if name not in columns]:
         raise DemonstrationError(f'the table has no column {", ".join(missing)}')
-    return columns
 
 
-def _in_order(group: Sequence[_Row], domain: Domain[Any]) -> list[_Row]:
-    """Return the rows of one demonstration by step: 0, 1, ..., with an action in all but one."""
-    numbered = sorted(((row.read('step', _number), row) for row in group), key=lambda at: at[0])
-    rows = [row for _, row in numbered]
-    if [step for step, _ in numbered] != list(range(len(rows))):
-        raise DemonstrationError(f'its steps are not 0 to {len(rows) - 1}, each once')
-    actions = [_action(row, domain) for row in rows]
-    if actions[-1] or not all(actions[:-1]):
-        raise DemonstrationError('every row but the last names an action, and the last does not')
-    return rows
-
-
-def _action(row: _Row, domain: Domain[Any]) -> str:
+def _read(rows: 'pd.DataFrame', column: str, parse: Callable[[str], Any]) -> list[Any]:
     """
-    Return the action of a row; empty: none is named.
+    Return what the cells of a column say.
 
-    :raises DemonstrationError: there is no such action.
+    :raises DemonstrationError: one cannot be used; the text names row and column.
     """
-    name = row.cells['action']
-    if name in {action.name for action in domain.actions}:
-        return name
-    if name.lower() in MISSING:
-        return ''
-    known = ', '.join(action.name for action in domain.actions)
-    raise DemonstrationError(f'{row.place}, column action: no action {name!r}; there is {known}')
-
-
-def _can_start_at_end(steps: Sequence[_Row]) -> bool:
-    """
-    Return whether the last row says that the option can start again there.
-
-    :raises DemonstrationError: a cell is not a flag, or only an earlier row says so.
-    """
-    flags = [row.read(AGAIN, _flag) for row in steps]
-    if any(flags) and not flags[-1]:
-        place = steps[flags.index(True)].place
-        raise DemonstrationError(
-            f'{place}, column {AGAIN}: it counts in the last row, which says no'
-        )
-    return flags[-1]
+    found = []
+    for place, text in rows[column].items():
+        try:
+            found.append(parse(text))
+        except ValueError as error:
+            why = fault_in(error) if isinstance(error, ValidationError) else error
+            raise DemonstrationError(f'row {place}, column {column}: {why}') from error
+    return found
 
 
 def _name(text: str) -> str:
@@ -257,61 +204,81 @@ def _name(text: str) -> str:
     return text
 
 
-def _number(text: str) -> float:
-    try:
-        value = math.nan if '_' in text else float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise ValueError(f'{text!r} is not a number')
-    return value
+def _action(text: str, known: Sequence[str]) -> str:
+    """Return the action that a cell names; empty: none."""
+    if text in known:
+        return text
+    if text.lower() in MISSING:
+        return ''
+    raise ValueError(f'no action {text!r}; there is {", ".join(known)}')
 
 
-def _flag(text: str) -> bool:
-    said = text.lower()
-    if said in MISSING:
-        return False
-    if said not in FLAGS:
-        raise ValueError(f'{text!r} is neither true nor false')
-    return FLAGS[said]
+def _actions(steps: 'pd.DataFrame') -> list[str]:
+    """
+    Return the actions of one demonstration.
+
+    :raises DemonstrationError: steps are not 0, 1, ..., or not all but the last have an action.
+    """
+    if list(steps['step']) != list(range(len(steps))):
+        raise DemonstrationError(f'its steps are not 0 to {len(steps) - 1}, each once')
+    *actions, last = steps['action']
+    if last or not all(actions):
+        raise DemonstrationError('every row but the last names an action, and the last does not')
+    return actions
 
 
-def _state(row: _Row, domain: Domain[Any]) -> Any:
-    if 'state' in row.cells:
-        return row.read('state', domain.decode)
-    if not any(feature.name in row.cells for feature in domain.features):
+def _can_start_at_end(steps: 'pd.DataFrame') -> bool:
+    """
+    Return whether the last row says that the option can start again there.
+
+    :raises DemonstrationError: only an earlier row says so.
+    """
+    flags = steps[AGAIN]
+    if flags.any() and not flags.iloc[-1]:
+        place = flags.idxmax()
+        raise DemonstrationError(
+            f'row {place}, column {AGAIN}: it counts in the last row, which says no'
+        )
+    return bool(flags.iloc[-1])
+
+
+def _states(steps: 'pd.DataFrame', domain: Domain[Any]) -> list[Any]:
+    """
+    Return the states of one demonstration, by their notation or by features that determine them.
+
+    :raises DemonstrationError: they are not given, or features are those of several states.
+    """
+    if 'state' in steps:
+        return _read(steps, 'state', domain.decode)
+    named = {at: each for at, each in enumerate(domain.features) if each.name in steps}
+    if not named:
         raise DemonstrationError(f'the table has no column state, and no feature of {domain.name}')
     if not is_enumerable(domain):
         raise DemonstrationError(
             f'the table has no column state, and the states of {domain.name} cannot all be listed'
         )
-    return _state_with(domain, row)
+    values = [_read(steps, each.name, partial(_value, each)) for each in named.values()]
+    states = []
+    for place, wanted in zip(steps.index, zip(*values)):
+        found = np.flatnonzero((domain.feature_table()[:, list(named)] == wanted).all(axis=1))
+        if len(found) != 1:
+            words = steps.loc[place]
+            given = ', '.join(f'{each.name} {words[each.name]}' for each in named.values())
+            raise DemonstrationError(f'row {place}: {len(found)} states have {given}, not one')
+        states.append(domain.state_at(int(found[0])))
+    return states
 
 
-def _state_with(domain: EnumerableDomain[Any], row: _Row) -> Any:
-    """Return the one state that has the features of a row, given in words or as indices."""
-    alike, given = np.ones(domain.n_states, dtype=np.bool_), []
-    for column, feature in enumerate(domain.features):
-        if feature.name in row.cells:
-            value = row.read(feature.name, partial(_value, feature=feature))
-            alike &= domain.feature_table()[:, column] == value
-            given.append(f'{feature.name} {row.cells[feature.name]}')
-    found = np.flatnonzero(alike)
-    if len(found) != 1:
-        raise DemonstrationError(
-            f'{row.place}: {len(found)} states have {", ".join(given)}, not one'
-        )
-    return domain.state_at(int(found[0]))
-
-
-def _value(text: str, feature: Feature) -> float:
+def _value(feature: Feature, text: str) -> float:
+    """Return the value of a feature, given in words or as its index."""
     words = feature.values
     if feature.kind is FeatureKind.CONTINUOUS:
-        return _number(text)
+        return float(_NUMBER(text))
     if text in words:
         return words.index(text)
-    if tuple(words) == ('no', 'yes') and text.lower() in FLAGS:
-        return int(FLAGS[text.lower()])
-    if not (text.isascii() and text.isdecimal()) or int(text[:9]) >= len(words) or len(text) > 9:
+    if tuple(words) == ('no', 'yes'):
+        return float(_FLAG(text))
+    index = int(text) if text.isascii() and text.isdecimal() else len(words)
+    if index >= len(words):
         raise ValueError(f'there is no value {text!r}; there is {", ".join(words)}')
-    return int(text)
+    return index

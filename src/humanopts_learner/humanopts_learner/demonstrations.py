@@ -1,6 +1,6 @@
 """Demonstrations of options, checked against the rules of the game."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from enum import Enum
 from functools import cache, cached_property
@@ -246,32 +246,8 @@ def check_demonstration(demonstration: Demonstration, domain: ActableDomain) -> 
     :raises DemonstrationError: it has no steps, numbers that are not finite, features of another
         domain, or actions that do not lead from one state to the next.
     """
-    demo = demonstration
-    try:
-        uuid_module.UUID(demo.uuid)
-    except ValueError:
-        raise DemonstrationError(f'its uuid {demo.uuid!r} is not a UUID') from None
-    if demo.domain != domain.name or _parameters(demo) != dict(domain.parameters):
-        raise DemonstrationError(
-            f'it is of domain {demo.domain} {demo.domain_parameters}, and the game is '
-            f'{domain.name} {json.dumps(dict(domain.parameters), sort_keys=True)}'
-        )
-    if not demo.option_name.strip():
-        raise DemonstrationError('it names no option')
-    texts = ('its participant', demo.participant), ('its session', demo.session)
-    faults = [option_name_fault(demo.option_name), *(_text_fault(*each) for each in texts)]
-    if fault := next(filter(None, faults), ''):
-        raise DemonstrationError(f'it cannot be kept: {fault}')
-    if demo.participant.startswith(MACHINE):
-        raise DemonstrationError(
-            f'its participant is {demo.participant!r}; codes that begin with {MACHINE} are those '
-            'of options that nobody taught'
-        )
-    if not demo.chosen_features:
-        raise DemonstrationError('it names no feature that the option depends on')
-    check_method(demo.method, domain)
-    _check_features(demo, domain)
-    _check_steps(demo, domain)
+    if fault := next(_faults(demonstration, domain), ''):
+        raise DemonstrationError(fault)
 
 
 def option_name_fault(name: str) -> str:
@@ -336,62 +312,86 @@ def group_by_option(
     return groups
 
 
-def _parameters(demo: Demonstration) -> Any:
+def _faults(demo: Demonstration, domain: ActableDomain) -> Iterator[str]:
+    """
+    Yield what is wrong with a demonstration; what comes later relies on what comes before.
+
+    :raises DemonstrationError: its method or parameters cannot be used.
+    """
     try:
-        return parse_json(demo.domain_parameters or '{}', MAX_PARAMETERS)
+        uuid_module.UUID(demo.uuid)
+    except ValueError:
+        yield f'its uuid {demo.uuid!r} is not a UUID'
+    try:
+        parameters = parse_json(demo.domain_parameters or '{}', MAX_PARAMETERS)
     except JsonError as error:
-        raise DemonstrationError(f'its domain parameters are not JSON: {error}') from None
-
-
-def _check_features(demo: Demonstration, domain: ActableDomain) -> None:
+        yield f'its domain parameters are not JSON: {error}'
+    if demo.domain != domain.name or parameters != dict(domain.parameters):
+        yield (
+            f'it is of domain {demo.domain} {demo.domain_parameters}, and the game is '
+            f'{domain.name} {parameters_json(domain)}'
+        )
+    if not demo.option_name.strip():
+        yield 'it names no option'
+    for fault in (
+        option_name_fault(demo.option_name),
+        _text_fault('its participant', demo.participant),
+        _text_fault('its session', demo.session),
+    ):
+        if fault:
+            yield f'it cannot be kept: {fault}'
+    if demo.participant.startswith(MACHINE):
+        yield (
+            f'its participant is {demo.participant!r}; codes that begin with {MACHINE} are those '
+            'of options that nobody taught'
+        )
+    if not demo.chosen_features:
+        yield 'it names no feature that the option depends on'
+    check_method(demo.method, domain)
     known = tuple(feature.name for feature in domain.features)
     if demo.feature_names != known:
-        raise DemonstrationError(
-            f'its features are not those of {domain.name}: {", ".join(demo.feature_names)}'
-        )
+        yield f'its features are not those of {domain.name}: {", ".join(demo.feature_names)}'
     try:
         feature_columns(domain, demo.chosen_features)
     except DomainError as error:
-        raise DemonstrationError(str(error)) from None
-    if len(demo.features) != len(demo.states) or any(len(r) != len(known) for r in demo.features):
-        raise DemonstrationError(
+        yield str(error)
+    steps = len(demo.actions)
+    if [len(row) for row in demo.features] != [len(known)] * len(demo.states):
+        yield (
             f'it has {len(demo.states)} states but {len(demo.features)} rows of features, '
             f'or rows that are not {len(known)} wide'
         )
-
-
-def _check_steps(demo: Demonstration, domain: ActableDomain) -> None:
-    steps = len(demo.actions)
     if demo.kind is Kind.TRAJECTORY and steps == 0:
-        raise DemonstrationError('it has no steps')
+        yield 'it has no steps'
     if demo.kind is Kind.NOT_HERE and (steps or len(demo.states) != 1):
-        raise DemonstrationError('a "not here" answer has one state and no steps')
+        yield 'a "not here" answer has one state and no steps'
     if len(demo.states) != steps + 1 or len(demo.rewards) != steps:
-        raise DemonstrationError(
+        yield (
             f'{steps} actions need {steps + 1} states and {steps} rewards, not '
             f'{len(demo.states)} and {len(demo.rewards)}'
         )
-    if not 0 <= demo.machine_steps <= steps:
-        raise DemonstrationError(f"{demo.machine_steps} of its {steps} steps are the machine's")
+    if demo.machine_steps > steps:
+        yield f"{demo.machine_steps} of its {steps} steps are the machine's"
     if not all(math.isfinite(value) for value in (*demo.rewards, demo.seconds)):
-        raise DemonstrationError('it holds a number that is not finite (NaN or infinity)')
+        yield 'it holds a number that is not finite (NaN or infinity)'
     try:
         actions = [action_index(domain, name) for name in demo.actions]
+        for values in demo.features:
+            check_features(values, domain)
         if not can_simulate(domain):
-            for values in demo.features:
-                check_features(values, domain)
             return
         states = [domain.decode(text) for text in demo.states]
     except ValueError as error:
-        raise DemonstrationError(str(error)) from None
+        yield str(error)
+        return
     for row, values in enumerate(feature_rows(domain, states).tolist()):
         if tuple(values) != demo.features[row]:
-            raise DemonstrationError(f'the features of state {row} are not those of its state')
+            yield f'the features of state {row} are not those of its state'
     for t, action in enumerate(actions):
         if domain.is_over(states[t]):
-            raise DemonstrationError(f'it goes on after the task was over in state {t}')
+            yield f'it goes on after the task was over in state {t}'
         if not domain.can_follow(states[t], action, states[t + 1]):
-            raise DemonstrationError(
+            yield (
                 f'action {demo.actions[t]} does not lead from state {t} ({demo.states[t]}) '
                 f'to state {t + 1} ({demo.states[t + 1]})'
             )

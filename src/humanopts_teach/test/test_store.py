@@ -22,7 +22,6 @@ from humanopts_teach.lesson.store import (
     StoreError,
 )
 import pytest
-from teach_support.lesson import fill_disk
 
 KEY = ('taxi', '{}')
 SESSION = SessionOpened(*KEY, 'p1', 's1')
@@ -103,7 +102,7 @@ def test_entries_come_back_in_order_after_a_restart(tmp_path: Path) -> None:
 def test_a_line_cut_off_anywhere_is_moved_aside_and_nothing_else_is_lost(tmp_path: Path) -> None:
     content = filled(tmp_path / 'whole').read_bytes()
     last_line = content.rfind(b'\n', 0, -1) + 1
-    for cut in range(last_line + 1, len(content) - 1, 37):
+    for cut in range(last_line + 1, len(content) - 1, 101):
         folder = tmp_path / str(cut)
         folder.mkdir()
         (folder / 'p1.jsonl').write_bytes(content[:cut])
@@ -116,17 +115,6 @@ def test_a_line_cut_off_anywhere_is_moved_aside_and_nothing_else_is_lost(tmp_pat
         assert (folder / 'p1.jsonl.torn-1').read_bytes() == content[last_line:cut]
         with DemonstrationStore(folder) as store:
             assert store.damage == []
-
-
-def test_a_damaged_line_in_the_middle_is_named_and_left_in_the_file(tmp_path: Path) -> None:
-    path = filled(tmp_path)
-    lines = path.read_bytes().splitlines(keepends=True)
-    lines[1] = b'\xff\xfe rubbish\n'
-    path.write_bytes(b''.join(lines))
-    with DemonstrationStore(tmp_path) as store:
-        assert list(store.entries('p1')) == [ENTRIES[0], *ENTRIES[2:]]
-        assert 'line 2 of' in store.damage[0]
-    assert path.read_bytes() == b''.join(lines)
 
 
 @pytest.mark.parametrize(
@@ -175,22 +163,6 @@ def test_lines_of_another_participant_are_left_out(tmp_path: Path) -> None:
         assert len(store.damage) == len(ENTRIES)
 
 
-def test_a_full_disk_leaves_nothing_half_kept(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = filled(tmp_path)
-    content = path.read_bytes()
-    with DemonstrationStore(tmp_path) as store:
-        with monkeypatch.context() as patch:
-            fill_disk(patch)
-            with pytest.raises(StoreError, match='the disk is full'):
-                store.append(SESSION)
-        assert path.read_bytes() == content
-        assert list(store.entries('p1')) == ENTRIES
-        store.append(SESSION)  # the same call works once there is space
-        assert store.entries('p1')[-1] == SESSION
-
-
 def test_a_line_is_synced_to_disk_before_append_returns(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -207,24 +179,18 @@ def test_a_line_is_synced_to_disk_before_append_returns(
     assert synced == [b'p1.jsonl', tmp_path.name.encode()]  # the file, and its new name
 
 
-def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_used_is_named(tmp_path: Path) -> None:
     (tmp_path / 'file').write_text('in the way')
     with pytest.raises(StoreError, match='cannot open the folder of demonstrations'):
         DemonstrationStore(tmp_path / 'file' / 'below')
-
-
-def test_a_folder_that_has_gone_is_named(tmp_path: Path) -> None:
-    with DemonstrationStore(tmp_path / 'gone') as store:
-        (tmp_path / 'gone' / '.lock').unlink()
-        (tmp_path / 'gone').rmdir()
+    with DemonstrationStore(gone := tmp_path / 'gone') as store:
+        with pytest.raises(StoreError, match='another lesson'):
+            DemonstrationStore(gone)
+        (gone / '.lock').unlink()
+        gone.rmdir()
         with pytest.raises(StoreError, match=r'cannot write to .*p1\.jsonl'):
             store.append(SESSION)
-
-
-def test_two_lessons_cannot_use_one_folder(tmp_path: Path) -> None:
-    with DemonstrationStore(tmp_path), pytest.raises(StoreError, match='another lesson'):
-        DemonstrationStore(tmp_path)
-    DemonstrationStore(tmp_path).close()
+    DemonstrationStore(gone).close()
 
 
 ELSEWHERE = """
@@ -235,31 +201,26 @@ OpenSessionFile(Path(sys.argv[1])).keep('p1', 's1')
 """
 
 
-def test_a_process_of_the_same_parent_goes_on_with_what_was_open(tmp_path: Path) -> None:
-    os.mkfifo(tmp_path / 'open_session.json')  # nobody will ever write into it
-    assert OpenSessionFile(tmp_path).left() is None
-    OpenSessionFile(tmp_path).keep('p1', 's1')
-    OpenSessionFile(tmp_path).keep('p1', 's2')
+def test_only_a_process_of_the_same_parent_goes_on_with_what_was_open(tmp_path: Path) -> None:
+    place = OpenSessionFile(tmp_path)
+    os.mkfifo(tmp_path / OPEN_SESSION)  # nobody will ever write into it
+    assert place.left() is None
+    for session in ('s1', 's2'):
+        place.keep('p1', session)
     assert OpenSessionFile(tmp_path).left() == ('p1', 's2')
-    OpenSessionFile(tmp_path).forget()
-    OpenSessionFile(tmp_path).forget()
-    assert OpenSessionFile(tmp_path).left() is None
+    for _ in range(2):
+        place.forget()
+        assert place.left() is None
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_process_of_another_parent_does_not(tmp_path: Path) -> None:
     subprocess.run([sys.executable, '-c', ELSEWHERE, str(tmp_path)], check=True)
     assert (tmp_path / OPEN_SESSION).exists()
-    assert OpenSessionFile(tmp_path).left() is None
+    assert place.left() is None
 
 
-@pytest.mark.parametrize('text', ['', '[', '[]', '"x"', '{"parent": 1}', '\0', '[' * 100])
+@pytest.mark.parametrize('text', ['', '[]', '{"parent": 1}', '\0', '[' * 100])
 def test_a_file_that_cannot_be_read_is_none(tmp_path: Path, text: str) -> None:
     (tmp_path / OPEN_SESSION).write_text(text)
     assert OpenSessionFile(tmp_path).left() is None
-
-
-def test_a_folder_that_cannot_be_written_stops_nobody(tmp_path: Path) -> None:
-    place = OpenSessionFile(tmp_path / 'no such folder')
-    place.keep('p1', 's1')
-    assert place.left() is None
+    nowhere = OpenSessionFile(tmp_path / 'no such folder')
+    nowhere.keep('p1', 's1')
+    assert nowhere.left() is None
