@@ -1,5 +1,6 @@
 """The node planner on the real graph: plans are those of the pure code, and so is playing them."""
 
+from contextlib import nullcontext
 import math
 from typing import Any
 
@@ -20,6 +21,7 @@ OPTIONS = taught()
 FIRST_ONLY = [option for option in OPTIONS if option.name == FETCH]
 EPISODES, SEED = 4, 16  # in the third, the options go round in circles
 HUGE = '{"rows": 130, "cols": 130}'  # 338,000 states: sweeps take some ten seconds
+CANCELED = GoalStatus.STATUS_CANCELED, PlanResult.STATUS_CANCELED
 
 
 @pytest.fixture(scope='module')
@@ -53,29 +55,19 @@ def test_a_plan_is_the_plan_of_the_pure_code(planning: Planning, action_set: str
     assert result.sweep_seconds > 0
 
 
-def test_a_plan_that_is_not_judged_has_no_mean(planning: Planning) -> None:
-    result = planning.plan('primitive', gamma=0.5)
-    assert (result.gamma, result.evaluation_episodes) == (0.5, 0)
-    assert math.isnan(result.mean_return)
-    assert math.isnan(result.mean_return_low)
-
-
-def test_sweeps_can_be_limited(planning: Planning) -> None:
-    result = planning.plan('primitive', max_sweeps=2)
+def test_goals_and_results_of_plans_are_on_the_graph_also_of_those_that_are_not_judged(
+    planning: Planning,
+) -> None:
+    result = planning.plan('human', max_sweeps=2, gamma=0.5)
     assert result.status == PlanResult.STATUS_NOT_CONVERGED
     assert (result.sweeps, result.converged) == (2, False)
     assert result.detail == 'not converged after 2 sweeps'
-
-
-def test_goals_and_results_of_plans_are_on_the_graph(planning: Planning) -> None:
-    result = planning.plan('human')
-    planning.graph.until(
-        lambda: planning.plan_results and planning.plan_results[-1].plan_id == result.plan_id,
-        'the result',
-    )
+    assert (result.evaluation_episodes, math.isnan(result.mean_return)) == (0, True)
+    found = planning.plan_results
+    planning.graph.until(lambda: found and found[-1].plan_id == result.plan_id, 'the result')
     (goal,) = [goal for goal in planning.plan_goals if goal.plan_id == result.plan_id]
-    assert (goal.action_set, goal.gamma, goal.tolerance) == ('human', 0.99, 1e-8)
-    assert (goal.max_sweeps, goal.game_steps, goal.seed) == (10_000, 0, SEED)
+    assert (goal.action_set, goal.gamma, goal.tolerance) == ('human', 0.5, 1e-8)
+    assert (goal.max_sweeps, goal.game_steps, goal.seed) == (2, 0, SEED)
     assert list(goal.options) == [option.name for option in OPTIONS]
 
 
@@ -107,6 +99,29 @@ def test_an_option_that_cannot_be_read_does_not_hide_the_others(planning: Planni
     )
 
 
+def test_what_cannot_be_planned_is_refused_in_words(planning: Planning) -> None:
+    bad, no_options = PlanResult.STATUS_BAD_REQUEST, PlanResult.STATUS_NO_OPTIONS
+
+    def refused(status: int, says: str, action_set: str = 'human', **fields: Any) -> None:
+        late = 'options_sequence' in fields
+        with planning.graph.hurried() if late else nullcontext():
+            result = planning.plan(action_set, **fields)
+        assert (result.status, result.plan_id) == (status, '')
+        assert says in result.detail
+
+    refused(bad, "no action set 'robot'; there is human, primitive, human+primitive", 'robot')
+    refused(bad, 'gamma is nan', gamma=math.nan)
+    refused(bad, f"no option 'fly'; there is {FETCH!r}", options=[FETCH, 'fly'])
+    refused(bad, 'learned_options 10000 did not come', options_sequence=10_000)
+    planning.teach([*OPTIONS, *taught('p2')])
+    refused(bad, 'name one of p1, p2')
+    refused(no_options, "'p3' taught no option; those who did: p1, p2", participant='p3')
+    assert planning.plan('human', participant='p2').status == PlanResult.STATUS_CONVERGED
+    planning.teach([])
+    refused(no_options, 'teach one first')
+    assert planning.plan('primitive').status == PlanResult.STATUS_CONVERGED
+
+
 def test_judging_is_canceled_at_once(planning: Planning) -> None:
     goal = planning.begin_plan('primitive', evaluation_episodes=500_000)
     planning.graph.until(
@@ -114,107 +129,45 @@ def test_judging_is_canceled_at_once(planning: Planning) -> None:
     )
     goal.cancel()
     status, result = goal.result(5.0)
-    assert (status, result.status) == (GoalStatus.STATUS_CANCELED, PlanResult.STATUS_CANCELED)
+    assert (status, result.status) == CANCELED
 
 
-@pytest.mark.parametrize(
-    ('action_set', 'fields', 'says'),
-    [
-        ('robot', {}, "no action set 'robot'; there is human, primitive, human+primitive"),
-        ('primitive', {'gamma': 2.0}, 'gamma is 2.0'),
-        ('primitive', {'gamma': math.nan}, 'gamma is nan'),
-        ('primitive', {'tolerance': -1.0}, 'tol is -1.0'),
-        ('human', {'options': [FETCH, 'fly']}, f"no option 'fly'; there is {FETCH!r}"),
-    ],
-)
-def test_a_request_that_makes_no_sense_is_refused_in_words(
-    planning: Planning, action_set: str, fields: dict[str, Any], says: str
-) -> None:
-    result = planning.plan(action_set, **fields)
-    assert (result.status, result.plan_id) == (PlanResult.STATUS_BAD_REQUEST, '')
-    assert says in result.detail
-
-
-def test_without_options_only_primitive_actions_can_be_planned_with(planning: Planning) -> None:
-    planning.teach([])
-    refused = planning.plan('human')
-    assert (refused.status, refused.plan_id) == (PlanResult.STATUS_NO_OPTIONS, '')
-    assert 'teach one first' in refused.detail
-    assert planning.plan('primitive').status == PlanResult.STATUS_CONVERGED
-
-
-def test_options_that_do_not_come_are_named(planning: Planning) -> None:
-    with planning.graph.hurried():
-        result = planning.plan('human', options_sequence=10_000)
-    assert result.status == PlanResult.STATUS_BAD_REQUEST
-    assert 'learned_options 10000 did not come' in result.detail
-
-
-def test_options_of_two_people_are_not_mixed(planning: Planning) -> None:
-    planning.teach([*OPTIONS, *taught('p2')])
-    either = planning.plan('human')
-    assert either.status == PlanResult.STATUS_BAD_REQUEST
-    assert 'name one of p1, p2' in either.detail
-    assert planning.plan('human', participant='p2').status == PlanResult.STATUS_CONVERGED
-    nothing = planning.plan('human', participant='p3')
-    assert nothing.status == PlanResult.STATUS_NO_OPTIONS
-    assert nothing.detail == "'p3' taught no option; those who did: p1, p2"
-
-
-def test_playing_by_a_plan_is_what_the_pure_code_says(planning: Planning) -> None:
+@pytest.mark.parametrize('options', [OPTIONS, FIRST_ONLY], ids=['all', 'one'])
+def test_playing_by_a_plan_is_what_the_pure_code_says(planning: Planning, options: Any) -> None:
+    planning.teach(options)
     planned = planning.plan('human')
     runs = [planning.play('human') for _ in range(2)]
-    plan = make_plan(TAXI, OPTIONS, PlanRequest('human'))
+    plan = make_plan(TAXI, options, PlanRequest('human'))
     returns = play_plan(plan, episode_starts(TAXI, SEED, EPISODES))
     for result in runs:
         assert result.status == PolicyResult.STATUS_DONE
         assert (result.episodes, result.successes) == (EPISODES, returns.successes.sum())
-        assert (result.decisions, result.fallbacks) == (returns.decisions.sum(), 0)
+        assert result.decisions == returns.decisions.sum()
+        assert result.fallbacks == returns.fallbacks.sum()
         assert result.mean_return == returns.total.mean()
         assert result.mean_discounted_return == pytest.approx(returns.discounted.mean(), abs=1e-9)
+    assert (result.fallbacks > 0) == (options is FIRST_ONLY)
     goals = planning.policy_goals[-2:]
     assert [goal.run_id for goal in goals] == [result.run_id for result in runs]
     assert {goal.plan_id for goal in goals} == {planned.plan_id}
+    short = planning.play('human', episodes=2, max_decisions=1)
+    assert (short.episodes, short.successes, short.decisions) == (2, 0, 2)
 
 
-def test_fallbacks_are_counted(planning: Planning) -> None:
-    planning.teach(FIRST_ONLY)
-    planning.plan('human')
-    result = planning.play('human', episodes=3)
-    plan = make_plan(TAXI, FIRST_ONLY, PlanRequest('human'))
-    returns = play_plan(plan, episode_starts(TAXI, SEED, 3))
-    assert result.status == PolicyResult.STATUS_DONE
-    assert result.fallbacks == returns.fallbacks.sum() > 0
-    assert result.mean_return == returns.total.mean()
+def test_what_cannot_be_played_is_refused_in_words(planning: Planning) -> None:
+    def refused(status: int, says: str, **fields: Any) -> None:
+        result = planning.play('human', **fields)
+        assert (result.status, result.run_id, result.episodes) == (status, '', 0)
+        assert says in result.detail
 
-
-def test_an_episode_is_given_up_after_so_many_decisions(planning: Planning) -> None:
-    planning.plan('human')
-    result = planning.play('human', episodes=2, max_decisions=1)
-    assert (result.episodes, result.successes, result.decisions) == (2, 0, 2)
-
-
-def test_without_a_plan_nothing_is_played(planning: Planning) -> None:
-    result = planning.play('human', participant='nobody')
-    assert result.status == PolicyResult.STATUS_NO_PLAN
-    assert 'plan it first' in result.detail
-    assert (result.run_id, result.episodes) == ('', 0)
-
-
-def test_a_plan_is_out_of_date_when_the_options_changed(planning: Planning) -> None:
     for action_set in ('human', 'primitive'):
         planning.plan(action_set)
-    planning.teach(FIRST_ONLY)
-    planning.plan('primitive')
-    result = planning.play('human')
-    assert result.status == PolicyResult.STATUS_NO_PLAN
-    assert 'the options changed' in result.detail
+    refused(PolicyResult.STATUS_NO_PLAN, 'plan it first', participant='nobody')
+    refused(PolicyResult.STATUS_BAD_REQUEST, 'episodes is 0', episodes=0)
+    sequence = planning.teach(FIRST_ONLY)
+    planning.plan('primitive', options_sequence=sequence)
+    refused(PolicyResult.STATUS_NO_PLAN, 'the options changed')
     assert planning.play('primitive', episodes=1).status == PolicyResult.STATUS_DONE
-
-
-def test_playing_no_episode_is_refused(planning: Planning) -> None:
-    planning.plan('human')
-    assert planning.play('human', episodes=0).status == PolicyResult.STATUS_BAD_REQUEST
 
 
 def test_a_second_policy_is_answered_busy_and_playing_is_canceled(planning: Planning) -> None:
@@ -232,7 +185,7 @@ def test_a_second_policy_is_answered_busy_and_playing_is_canceled(planning: Plan
     assert result.mean_return == goal.feedback[-1].mean_return
 
 
-def test_a_person_takes_over_from_a_policy(planning: Planning) -> None:
+def test_a_person_takes_over_from_a_policy_and_keeps_the_game(planning: Planning) -> None:
     planning.plan('human')
     goal = planning.begin('human', episodes=5000)
     planning.graph.until(lambda: goal.feedback, 'an episode')
@@ -242,17 +195,9 @@ def test_a_person_takes_over_from_a_policy(planning: Planning) -> None:
     assert result.status == PolicyResult.STATUS_INTERRUPTED
     assert 'held by the person' in result.detail
     assert planning.player.do('north', PERSON).action_source == PERSON
-
-
-def test_a_game_held_by_a_person_is_not_taken_from_them(planning: Planning) -> None:
-    planning.plan('human')
-    planning.player.fresh()
-    planning.player.hold(True)
-    _, result = planning.graph.act(
-        RunPolicy, 'run_policy', action_set='human', episodes=1
-    ).result()
-    assert result.status == PolicyResult.STATUS_INTERRUPTED
-    assert result.episodes == 0
+    again = planning.graph.act(RunPolicy, 'run_policy', action_set='human', episodes=1)
+    _, result = again.result()
+    assert (result.status, result.episodes) == (PolicyResult.STATUS_INTERRUPTED, 0)
     assert math.isnan(result.mean_return)
 
 
@@ -268,32 +213,29 @@ def test_a_goal_that_comes_before_the_game_waits_for_it_a_while(live: Graph) -> 
     assert second.result()[1].status == PlanResult.STATUS_CONVERGED
 
 
-@pytest.fixture
-def long(live: Graph) -> Goal:
-    """A plan that takes long, under way."""
+def test_planning_says_how_far_it_is_is_canceled_at_once_and_ends_with_the_node(
+    live: Graph,
+) -> None:
+    def begin() -> Goal:
+        goal = live.act(Plan, 'plan', action_set='primitive', gamma=0.999)
+        live.until(lambda: any(f.sweeps for f in goal.feedback), 'a sweep', 60.0)
+        return goal
+
     live.start(GAME, domain_parameters=HUGE)
     live.start(PLANNER)
     live.ready('/game', '/planner')
-    goal = live.act(Plan, 'plan', action_set='primitive', gamma=0.999)
-    live.until(lambda: any(f.sweeps for f in goal.feedback), 'a sweep', 60.0)
-    return goal
-
-
-def test_planning_says_how_far_it_is_and_is_canceled_at_once(long: Goal, live: Graph) -> None:
+    goal = begin()
     _, busy = live.act(Plan, 'plan', action_set='primitive').result()
     assert busy.status == PlanResult.STATUS_BUSY
-    long.cancel()
-    status, result = long.result(5.0)
-    assert (status, result.status) == (GoalStatus.STATUS_CANCELED, PlanResult.STATUS_CANCELED)
+    goal.cancel()
+    status, result = goal.result(5.0)
+    assert (status, result.status) == CANCELED
     assert result.plan_id != ''
-    sweeps = [f for f in long.feedback if f.stage == 'sweeps']
+    sweeps = [f for f in goal.feedback if f.stage == 'sweeps']
     assert [f.sweeps for f in sweeps] == sorted(f.sweeps for f in sweeps)
-    assert all(0.0 <= f.progress < 1.0 for f in sweeps)
-    assert all(f.residual > 0 for f in sweeps)
-
-
-def test_a_planner_at_work_ends_at_once_when_it_is_asked_to(long: Goal, live: Graph) -> None:
+    assert all(0.0 <= f.progress < 1.0 and f.residual > 0 for f in sweeps)
+    goal = begin()
     live.stop(live.node_called('/planner'))
-    status, result = long.result()
+    status, result = goal.result()
     assert (status, result.status) == (GoalStatus.STATUS_ABORTED, PlanResult.STATUS_FAILED)
     assert result.detail == 'the planner stops'

@@ -9,15 +9,10 @@ from graph_support.live import Graph
 from graph_support.planning import Planning, start_planning
 from graph_support.scripted import taught_pacman
 from humanopts_env.domains.registry import make_domain, parameters_json
-from humanopts_env.seeding import generator
 from humanopts_interfaces.msg import PlanResult, PolicyResult
-from humanopts_learner.library import OptionLibrary
 from humanopts_learner.options.learned_option import LearnedOption
-from humanopts_learner.planning.evaluate import episode_start
 from humanopts_learner.planning.plan import AnyPlan, judge_plan, make_plan
-from humanopts_learner.planning.request import Arbitration, MODULAR, PlanRequest
-from humanopts_learner.planning.sampled_plan import SampledPlan
-import numpy as np
+from humanopts_learner.planning.request import Arbitration, PlanRequest
 import pytest
 
 MAZE = make_domain('pacman', {'maze': 'yard', 'max_steps': 80})
@@ -91,46 +86,13 @@ def planned(planning: Planning) -> Planning:
 
 
 @pytest.mark.parametrize('execution', Arbitration)
-def test_an_episode_is_what_the_pure_code_plays_each_time(
-    planned: Planning, pure: Pure, options: list[LearnedOption], execution: Arbitration
-) -> None:
+def test_an_episode_is_the_same_each_time(planned: Planning, execution: Arbitration) -> None:
+    """That it is what the pure code plays is in test_planning_interruption.py of the learner."""
     first, again = (planned.play('human', execution=execution, seed=STOPS) for _ in range(2))
-    total, decisions, stopped = arbitrated(pure(), options, execution)
-    assert (first.status, first.mean_return) == (PolicyResult.STATUS_DONE, total)
-    assert (first.decisions, first.interruptions) == (decisions, stopped)
-    assert (execution is Arbitration.INTERRUPTED) == (stopped > 0)
-    assert (again.mean_return, again.decisions) == (total, decisions)
-    assert (again.interruptions, again.fallbacks) == (stopped, first.fallbacks)
-
-
-def arbitrated(
-    plan: SampledPlan, options: list[LearnedOption], execution: Arbitration
-) -> tuple[float, int, int]:
-    """Play one episode by the policy of many games; return score, decisions and stops."""
-    policy, library = plan.as_executed(execution), OptionLibrary(MAZE)
-    library.replace(options)
-    state = episode_start(MAZE, STOPS, 0)
-    rng, column = generator(STOPS, 'episode', MAZE.name), -1
-    total, decisions, stopped = 0.0, 0, 0
-    for _ in range(MAZE.max_steps):
-        if MAZE.is_over(state):
-            break
-        seen = plan.actions.observe_state(state)
-        if column >= 0:
-            stops = policy.stops(seen, np.array([column]))
-            if stops is not None and stops[0]:
-                stopped, column = stopped + 1, -1
-        if column < 0:
-            choice = policy.choose(seen, np.zeros(1, dtype=np.intp))
-            decisions, column = decisions + 1, int(choice.option[0])
-        option = library.resolve(plan.names[column])
-        action = option.action(MAZE.feature_values(state)[None])
-        outcome = MAZE.step(state, int(action[0]), rng)
-        state, total = outcome.state, total + outcome.reward
-        modules = execution in MODULAR
-        if modules or option.ends(MAZE.feature_values(state)[None])[0]:
-            column = -1
-    return total, decisions, stopped
+    assert first.status == PolicyResult.STATUS_DONE
+    assert (execution is Arbitration.INTERRUPTED) == (first.interruptions > 0)
+    for field in ('mean_return', 'decisions', 'interruptions', 'fallbacks'):
+        assert getattr(again, field) == getattr(first, field)
 
 
 def test_sampling_is_canceled_at_once(planning: Planning) -> None:

@@ -28,7 +28,6 @@ from graph_support.scripted import touring
 LEARNERS = '/learner#test'  # how the publisher_id of the test in the learner's place begins
 LIMIT = 60  # decisions in an episode of Acting
 START = 'taxi 2,2 passenger G destination B'
-Step = tuple[str, str, str, float]  # state that it led to, action, whose it was, reward
 
 
 class Planning:
@@ -128,21 +127,6 @@ class Acting(Planning):
         goal = super().begin('human', **fields)
         self.commands.clear(), self.runs.clear(), self.player.states.clear()
         return goal
-
-    def stepped(self, count: int) -> list[Step]:
-        """Return state, action, actor and reward of so many steps since play began."""
-
-        def taken() -> list[Step]:
-            actor = {(c.publisher_id, c.sequence): c.option_name for c in self.commands}
-            made = [((s.action_publisher_id, s.action_sequence), s) for s in self.player.states]
-            return [
-                (s.state, s.previous_action, actor[command], s.reward)
-                for command, s in made
-                if command in actor
-            ]
-
-        self.graph.until(lambda: len(taken()) >= count, 'the steps')
-        return taken()
 
     def change(self, execution: str) -> SetExecution.Response:
         """Have the policy that runs carried out otherwise."""
