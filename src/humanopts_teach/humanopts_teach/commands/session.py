@@ -247,13 +247,15 @@ def print_line(line: str) -> None:
 
 
 @contextmanager
-def place(namespace: str, names: Sequence[str] = USUAL) -> Iterator[None]:
+def place(
+    namespace: str, names: Sequence[str] = USUAL, folder: Path | None = None
+) -> Iterator[None]:
     """
-    Reserve node names in a namespace.
+    Reserve nodes in a namespace and an output folder.
 
-    :raises OccupiedError: some of these nodes run already.
+    :raises OccupiedError: some of these nodes run there already.
     """
-    with only_launch(namespace, names):
+    with only_launch(namespace, names, folder):
         check_free(namespace, names)
         yield
 
@@ -290,7 +292,11 @@ def session(
         progress(graph)
 
     names = [spec.name for spec in specs if not spec.terminal]
-    with unfailing_output(), place(setup.namespace, names), noticed_interrupts() as interrupts:
+    with (
+        unfailing_output(),
+        place(setup.namespace, names, setup.directory),
+        noticed_interrupts() as interrupts,
+    ):
         check_folder(setup, new=new)
         interrupts.check()
         graph = GraphClient(setup.namespace, common_parameters(setup), setup.bag, watch=watch)

@@ -1,6 +1,6 @@
 """Starting and stopping the processes of a graph."""
 
-MODULES = {  # that run the nodes, in the order in which they are started
+MODULES = {  # of the nodes, in the order in which they start
     'recorder': 'humanopts_teach.ros.recorder',
     'game': 'humanopts_env.ros.game_node',
     'learner': 'humanopts_learner.ros.learner_node',
@@ -14,12 +14,12 @@ MODULES = {  # that run the nodes, in the order in which they are started
 }
 RECORDER, CONDUCTOR = 'recorder', 'conductor'  # the latter runs in the launcher's own process
 OUTLASTING = 20.0  # s that a recorder waits for other nodes of its launch to end
-USUAL = 'recorder', 'game', 'learner', 'lesson', 'option_server', 'planner'  # of a launch
+USUAL = 'recorder', 'game', 'learner', 'lesson', 'option_server', 'planner'  # nodes of a launch
 
 
 class LaunchError(RuntimeError):
-    """The graph cannot be started, or a node of it died; the text says which and why."""
+    """The graph cannot start, or one of its nodes died; the text says which and why."""
 
 
 class OccupiedError(LaunchError):
-    """A node of the launch, or its log, is another launch's; the text says which and whose."""
+    """Another launch runs a node of this one, or writes to its folder; the text names both."""

@@ -1,8 +1,8 @@
 """
-Nodes as forks of one process that has imported what they need, the fork server of multiprocessing.
+Nodes as forks of one process that has imported their modules: the fork server of multiprocessing.
 
-To import that takes a node about a second of processor time; a fork of a process that has done so
-takes a hundredth of it. What is forked gets its own environment, log, process group and end.
+These imports take a node about a second of processor time, and a fork a hundredth of that. Each
+fork has an environment, a log and a process group of its own.
 """
 
 import atexit
@@ -26,16 +26,16 @@ from humanopts_ros.middleware import LAUNCHER_PID
 from humanopts_teach.launching import LaunchError, MODULES, USUAL
 from setproctitle import setproctitle
 
-_SERVES = 'HUMANOPTS_FORK_SERVER_OF'  # process that starts a fork server; only that one imports
-_MAX_FOLDER = 60  # characters of the folder of a socket, whose path has 107 at most
+_SERVES = 'HUMANOPTS_FORK_SERVER_OF'  # pid of the launcher, while it starts the server
+_MAX_FOLDER = 60  # characters of the folder of a socket; its path is limited to 107
 _context = multiprocessing.get_context('forkserver')
 
 
 def prepare() -> None:
     """
-    Start the fork server, which imports while this process goes on.
+    Start the fork server, which imports in the background.
 
-    :raises LaunchError: it cannot be started; for one, no folder for temporary files is writable.
+    :raises LaunchError: it cannot be started, for example without a writable temporary folder.
     """
     _context.set_forkserver_preload([__name__])
     os.environ[_SERVES] = str(os.getpid())
@@ -55,10 +55,10 @@ def start(
     module: str, arguments: Sequence[str], environment: Mapping[str, str], log: Path
 ) -> BaseProcess:
     """
-    Start a process that calls ``main`` of a module; its end is this one's, too.
+    Start a process that calls ``main`` of a module and ends with this process.
 
-    :param log: to which it adds its output.
-    :raises OSError: the machine has no process for it.
+    :param log: file to which it appends its output.
+    :raises OSError: the machine cannot start another process.
     """
     prepare()
     try:
@@ -72,35 +72,35 @@ def start(
 
 
 def _serve() -> None:
-    """Import what the usual nodes need, in the fork server, as long as its launch is there."""
+    """Import the usual nodes in the fork server, until its launcher is gone."""
     launch = os.getppid()
     os.setpgid(0, 0)
     null = os.open(os.devnull, os.O_RDWR)
     for standard in (0, 1):
         os.dup2(null, standard)
-    setproctitle('humanopts fork server')  # now: titles take the place of the first environment
+    setproctitle('humanopts fork server')  # first: a title overwrites the initial environment
     atexit.register(os._exit, 0)
-    gc.disable()  # what is imported is no garbage: a tenth of the time
+    gc.disable()  # imports make no garbage, and take a tenth less time
     for name in USUAL:
         if os.getppid() != launch:  # the command was refused
             os._exit(0)
         import_module(MODULES[name])
-    gc.freeze()  # what all share is not looked through, and so not copied
+    gc.freeze()  # shared objects are not visited, and their pages not copied
     gc.enable()
 
 
 def _run(module: str, arguments: list[str], environment: dict[str, str], log: str) -> NoReturn:
     """
-    Be what a new process of these would be.
+    Behave like a new process, in a fork.
 
-    It ends without taking down the modules of Python, whose shared memory that would copy.
+    It ends without finalizing Python, which would copy the shared memory of its modules.
     """
     os.setpgid(0, 0)
     os.environ.clear()
     os.environ.update({**environment, LAUNCHER_PID: str(os.getppid())})
     try:
         output = os.open(log, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o666)
-    except OSError:  # it was removed, and the disk is full, say
+    except OSError:  # for example, it was removed and the disk is full
         output = os.open(os.devnull, os.O_WRONLY)
     for standard in (1, 2):
         os.dup2(output, standard)

@@ -1,10 +1,10 @@
 """
-A launch as a job of the shell that Ctrl-Z suspends, while its nodes go on.
+A launch as a job of the shell: Ctrl-Z suspends it while its nodes continue.
 
-A process that is stopped for long is forgotten by the others of the graph, and its lesson is lost.
-So the shell waits for a process that does nothing else, and only that one is stopped: the launch
-and the terminal's node go on behind it, hold control, and leave the terminal alone until the
-person is back (``terminal.device``).
+The graph forgets a process that is stopped for long, and its lesson is lost. So the shell waits
+for a process that does nothing else, and Ctrl-Z stops only that one. The launch and the terminal's
+node continue behind it, keep control of the game, and leave the terminal alone until the person is
+back (``terminal.device``).
 """
 
 import os
@@ -12,17 +12,17 @@ import signal
 import sys
 
 _FORWARDED = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
-_FROM_A_PROCESS = 0  # si_code, at most; those of the terminal reach the launch by themselves
-_front = 0  # the process that stands in front of this one; 0: none does
+_FROM_A_PROCESS = 0  # largest si_code; the launch receives those of the terminal directly
+_front = 0  # process that the shell waits for; 0: this one
 
 
 def stand_in_front() -> int | None:
     """
     Fork; the process that the shell waits for stays here until the launch behind it ends.
 
-    It comes before ROS is loaded, whose libraries start threads that a fork would not have.
+    Call this before ROS is loaded: a fork does not have the threads of its libraries.
 
-    :return: the exit status of the launch; None: this is the launch, which goes on.
+    :return: the exit status of the launch; None: this process is the launch.
     """
     global _front
     assert 'rclpy' not in sys.modules, 'the fork comes too late'
@@ -33,7 +33,7 @@ def stand_in_front() -> int | None:
     launch = os.fork()
     if launch == 0:
         _front = front
-        for number in (signal.SIGTSTP, signal.SIGTTOU):  # by those that it starts, too
+        for number in (signal.SIGTSTP, signal.SIGTTOU):  # inherited by its nodes
             signal.signal(number, signal.SIG_IGN)
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
         return None
@@ -51,13 +51,13 @@ def stand_in_front() -> int | None:
 
 
 def front_is_gone() -> bool:
-    """Return whether the process that stood in front was killed."""
+    """Return whether the process that the shell waits for was killed."""
     return _front not in (0, os.getppid())
 
 
 def in_foreground(terminal: int) -> bool:
     """
-    Return whether a terminal is this job's, and not the shell's or another job's.
+    Return whether this job has the terminal, rather than the shell or another job.
 
     :param terminal: its descriptor.
     """

@@ -1,5 +1,5 @@
 """
-Which nodes run where: the first launch of a node in a ROS_DOMAIN_ID and namespace has its place.
+Which launch runs a node: the first one in a ROS_DOMAIN_ID and namespace, and in a folder.
 
 A place is the name of a Unix socket in the abstract namespace of Linux. All users of a machine
 share it, whatever their folders; binding is atomic, nothing is on disk, and the kernel frees the
@@ -11,6 +11,7 @@ from contextlib import contextmanager, ExitStack, suppress
 import errno
 import hashlib
 import os
+from pathlib import Path
 import pwd
 import socket
 import struct
@@ -26,21 +27,28 @@ def domain_id() -> int:
     return int(os.environ.get('ROS_DOMAIN_ID') or 0)
 
 
-def _address(namespace: str, node: str) -> bytes:
-    key = hashlib.sha256(f'{domain_id()} {namespace} {node}'.encode()).hexdigest()
-    return f'\0humanopts-{key}'.encode()
+def _graph(namespace: str) -> str:
+    return f'ROS_DOMAIN_ID {domain_id()}, namespace {namespace}'
+
+
+def _address(where: str, node: str) -> bytes:
+    return f'\0humanopts-{hashlib.sha256(f"{where} {node}".encode()).hexdigest()}'.encode()
 
 
 def holder(namespace: str, node: str) -> tuple[int, str] | None:
     """
     Return who has launched a node in a namespace, on this machine.
 
-    :return: the process, 0 where it is in another container, and its user; None: nobody.
+    :return: the process, 0 if it is in another container, and its user; None: nobody.
     """
+    return _holder(_address(_graph(namespace), node))
+
+
+def _holder(address: bytes) -> tuple[int, str] | None:
     with socket.socket(socket.AF_UNIX) as probe:
         probe.setblocking(False)
         try:
-            probe.connect(_address(namespace, node))
+            probe.connect(address)
             found = probe.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
         except ConnectionRefusedError:
             return None
@@ -53,49 +61,53 @@ def holder(namespace: str, node: str) -> tuple[int, str] | None:
 
 
 @contextmanager
-def only_launch(namespace: str, nodes: Iterable[str]) -> Iterator[None]:
+def only_launch(
+    namespace: str, nodes: Iterable[str], folder: Path | None = None
+) -> Iterator[None]:
     """
-    Hold the places of nodes; those that this process holds already stay its own.
+    Reserve nodes in a namespace and in a folder; this process may reserve them repeatedly.
 
     :param nodes: names without the namespace.
+    :param folder: into which they write; None: any.
     :raises OccupiedError: others hold some of them; the text names the nodes and the processes.
     """
-    taken: dict[tuple[int, str], list[str]] = {}  # nodes, by process and user
     with ExitStack() as stack:
-        for node in sorted(nodes):  # of two that come at once, one gets the first that both want
-            address = _address(namespace, node)
-            if address in _held:
-                continue
-            own = stack.enter_context(socket.socket(socket.AF_UNIX))
-            own.setblocking(False)
-            try:
-                own.bind(address)
-            except OSError as error:
-                if error.errno != errno.EADDRINUSE:
-                    raise
-                taken.setdefault(holder(namespace, node) or (0, ''), []).append(node)
-                continue
-            own.listen(socket.SOMAXCONN)
-            _held[address] = own
-            stack.callback(_held.pop, address)
-        if taken:
-            raise OccupiedError(_said(taken, namespace))
+        _reserve(_graph(namespace), nodes, '--namespace or ROS_DOMAIN_ID', stack)
+        if folder is not None:
+            _reserve(os.path.realpath(folder), nodes, '--out', stack)
         yield
 
 
+def _reserve(where: str, nodes: Iterable[str], option: str, stack: ExitStack) -> None:
+    taken: dict[tuple[int, str], list[str]] = {}  # nodes, by process and user
+    for node in sorted(nodes):  # of two that come at once, one gets the first that both want
+        address = _address(where, node)
+        if address in _held:
+            continue
+        own = stack.enter_context(socket.socket(socket.AF_UNIX))
+        own.setblocking(False)
+        try:
+            own.bind(address)
+        except OSError as error:
+            if error.errno != errno.EADDRINUSE:
+                raise
+            taken.setdefault(_holder(address) or (0, ''), []).append(node)
+            continue
+        own.listen(socket.SOMAXCONN)
+        _held[address] = own
+        stack.callback(_held.pop, address)
+    if taken:
+        who = '; '.join(
+            f'{f"process {process}" if process else "a process"}{f" of {user}" if user else ""} '
+            f'already runs {", ".join(held)}'
+            for (process, user), held in taken.items()
+        )
+        raise OccupiedError(f'{who} in {where}; stop it, or choose another {option}')
+
+
 def answer() -> None:
-    """Let those go who have asked who holds a place; to be called often."""
+    """Accept and drop the connections of those who asked for the holder; to be called often."""
     for own in _held.values():
         with suppress(OSError):
             while True:
                 own.accept()[0].close()
-
-
-def _said(taken: dict[tuple[int, str], list[str]], namespace: str) -> str:
-    who = '; '.join(
-        f'{f"process {process}" if process else "a process"}{f" of {user}" if user else ""} '
-        f'runs humanopts already in ROS_DOMAIN_ID {domain_id()}, namespace {namespace}: '
-        f'{", ".join(nodes)}'
-        for (process, user), nodes in taken.items()
-    )
-    return f'{who}; stop it, or choose another --namespace or ROS_DOMAIN_ID'

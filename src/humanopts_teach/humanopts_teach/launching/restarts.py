@@ -1,24 +1,24 @@
-"""When a node that ended is started again, and when no more."""
+"""When a node that ended is started again, and when it is given up."""
 
 from dataclasses import dataclass
 import signal
 
-MOST = 5  # times in a row that a node is started again
-STEADY = 10.0  # s that a node must have run, so that its end is the first in a row again
-_FIRST_PAUSE = 0.1  # s before it is started again; each further time in a row twice as long
-CANNOT_START = 2  # exit status of a node whose parameters cannot be used
-_SERVER_GONE = 255  # of one that multiprocessing has lost with the fork server
+MOST = 5  # restarts of a node in a row
+STEADY = 10.0  # s of work after which the next end is the first in a row again
+_FIRST_PAUSE = 0.1  # s before the first restart in a row; doubles with each
+CANNOT_START = 2  # exit status of a node with invalid parameters
+_SERVER_GONE = 255  # multiprocessing's, of a process that lost its fork server
 
 
 def how(status: int) -> str:
-    """Return an exit status in words; -N: by signal N."""
+    """Return an exit status in words; -N: signal N."""
     if status == _SERVER_GONE:
         return 'the process that it was forked from was killed'
     return f'by signal {signal.Signals(-status).name}' if status < 0 else f'exit status {status}'
 
 
 def said_last(lines: str) -> str:
-    """Return how a sentence about a node goes on with the last lines of its log."""
+    """Return the end of a sentence about a node, with the last lines of its log."""
     return f'; its last lines:{lines}' if lines else '; its log is empty'
 
 
@@ -28,9 +28,9 @@ class NodeExit:
 
     node: str
     how: str  # "by signal SIGKILL", "exit status 1"
-    last_lines: str  # of its log, each line after a line break; empty: it wrote nothing
-    restarts: int  # in a row before or because of this
-    again: bool  # it is started again
+    last_lines: str  # of its log, each after a line break; empty: it wrote nothing
+    restarts: int  # in a row, with the one that follows
+    again: bool  # whether it is started again
 
     @property
     def sentence(self) -> str:
@@ -43,33 +43,33 @@ class NodeExit:
 
     @property
     def text(self) -> str:
-        """What happened, and what the node said last."""
+        """What happened, and the last lines of the node's log."""
         return f'{self.sentence}{said_last(self.last_lines)}'
 
 
 class RestartPolicy:
     """
-    Counts how often in a row a node ended soon, and says when it is started again.
+    Counts quick ends of a node in a row, and decides when to restart it.
 
     :ivar restarts: in a row.
     """
 
     def __init__(self, most: int = MOST) -> None:
         """
-        Begin with a node that has not run.
+        Create the policy of a node that has not started yet.
 
-        :param most: times in a row that it is started again.
+        :param most: restarts in a row.
         """
         self._most, self._began = most, 0.0
         self.restarts = 0
 
     def begin(self, now: float) -> None:
-        """Note that the node is started, s."""
+        """Note the time at which the node starts, s."""
         self._began = now
 
     def end(self, now: float, status: int) -> float | None:
         """
-        Note that the node ended; return when it is to be started again, s; None: no more.
+        Note that the node ended; return when to restart it, s; None: never.
 
         :param status: its exit status.
         """

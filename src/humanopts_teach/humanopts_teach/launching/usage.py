@@ -1,4 +1,4 @@
-"""What a process uses of the machine."""
+"""Processor time and memory that processes use, and memory that is left."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,24 +10,24 @@ import psutil
 
 @dataclass(frozen=True)
 class Usage:
-    """What a process uses."""
+    """Resources that a process uses."""
 
-    time: float  # s, of a clock that only goes on
-    cpu: float  # s of processor time since it began, over all threads
-    memory: int  # bytes that it has now
-    peak: int  # the most that it has had at once
+    time: float  # s, of the monotonic clock
+    cpu: float  # s of processor time since its start, all threads
+    memory: int  # bytes at present
+    peak: int  # largest number of bytes so far
 
 
 def usage_of(pid: int) -> Usage:
     """
-    Return what a process uses.
+    Return the resources that a process uses.
 
-    :raises psutil.Error: it is gone.
+    :raises psutil.Error: it has ended.
     """
     process = psutil.Process(pid)
     cpu, memory = process.cpu_times(), process.memory_info().rss
-    # psutil has no peak on Linux, and getrusage counts the memory of the program that started it.
-    # The kernel adds both figures up late, thread by thread: its peak may be the lower one.
+    # psutil has no peak on Linux, and getrusage includes the program that started the process.
+    # The kernel updates both figures late, thread by thread, so its peak may be below the present.
     peak = re.search(r'VmHWM:\s+(\d+)', Path(f'/proc/{pid}/status').read_text('utf-8'))
     if peak is None:
         raise psutil.NoSuchProcess(pid)
@@ -38,9 +38,9 @@ def memory_left(
     groups: Path = Path('/sys/fs/cgroup'), own: Path = Path('/proc/self/cgroup')
 ) -> tuple[int, int]:
     """
-    Return the bytes of memory that this process may still take, and those that it may have at all.
+    Return the bytes of memory that are available to this process, and the total.
 
-    They are the machine's, or fewer: a container, or a service, has limits of its own.
+    They are those of the machine, or of its container or service, which has limits of its own.
 
     :param groups: where the control groups (version 2) are mounted.
     :param own: the file that names the group of this process.
@@ -49,7 +49,7 @@ def memory_left(
     left, total = memory.available, memory.total
     lines = own.read_text('utf-8').splitlines() if own.exists() else []
     folder = groups / next((line[3:] for line in lines if line.startswith('0::')), '').lstrip('/')
-    for each in (folder, *folder.parents):  # each of them limits what is below
+    for each in (folder, *folder.parents):  # each limits those below it
         if not each.is_relative_to(groups):
             break
         try:
@@ -57,9 +57,9 @@ def memory_left(
                 int((each / f'memory.{n}').read_text('utf-8')) for n in ('max', 'current')
             )
             stat = (each / 'memory.stat').read_text('utf-8')
-        except (OSError, ValueError):  # "max", or the group is not in this view of them
+        except (OSError, ValueError):  # "max", or the group is not visible
             continue
-        # Pages of files, which the kernel gives up.
+        # The kernel can reclaim cached pages of files.
         cache = re.search(r'^inactive_file (\d+)$', stat, re.MULTILINE)
         left = min(left, limit - used + (int(cache[1]) if cache else 0))
         total = min(total, limit)
@@ -67,7 +67,7 @@ def memory_left(
 
 
 def memory_of_children() -> list[int]:
-    """Return the bytes of each child of this process with all below it; shared ones count once."""
+    """Return the bytes of each child process with its descendants; shared pages count once."""
     return [_memory_of_tree(child) for child in psutil.Process().children()]
 
 
@@ -76,4 +76,4 @@ def _memory_of_tree(process: psutil.Process) -> int:
         own = int(process.memory_full_info().pss)
         return own + sum(map(_memory_of_tree, process.children()))
     except psutil.Error:
-        return 0  # it has ended just now
+        return 0  # it ended just now
