@@ -1,7 +1,7 @@
 """Launching: what dies is named, the recorder is the last to go, and places are kept apart."""
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack
 import itertools
 import json
 import os
@@ -28,7 +28,7 @@ from humanopts_teach.cli import main
 from humanopts_teach.launching import LaunchError
 from humanopts_teach.launching.forks import prepare
 from humanopts_teach.launching.launcher import Launcher
-from humanopts_teach.launching.processes import processes, ProcessSpec, Setup, Value
+from humanopts_teach.launching.processes import ProcessSpec, Value
 from humanopts_teach.ros.graph_client import GraphClient
 import psutil
 import pytest
@@ -41,9 +41,15 @@ def spec(name: str, module: str, **parameters: Value) -> ProcessSpec:
 
 
 @pytest.fixture
-def launch(live: Graph, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Launch]:
-    """Start processes on the graph of the test."""
+def live(live: Graph, monkeypatch: pytest.MonkeyPatch) -> Graph:
+    """The graph of a test, whose ROS_DOMAIN_ID this process has."""
     monkeypatch.setenv('ROS_DOMAIN_ID', str(live.domain_id))
+    return live
+
+
+@pytest.fixture
+def launch(live: Graph, tmp_path: Path) -> Iterator[Launch]:
+    """Start processes on the graph of the test."""
     launchers = []
 
     def start(*specs: ProcessSpec, **options: int) -> Launcher:
@@ -85,40 +91,38 @@ def test_a_node_that_was_killed_is_started_again_in_a_limited_number(
     for count in range(3):
         live.until(lambda n=count: starts(live) == n + 1, 'the next life', 30.0)
         assert [end.again for end in launcher.ends] == [True] * count
-        os.kill(launcher.pid('game'), signal.SIGKILL)
+        pid = launcher.pid('game')
+        os.kill(pid, signal.SIGKILL)
         if count < 2:
-            live.until(lambda n=count: looked(launcher) == n + 1, 'its end to be seen')
-            live.until(lambda n=count: looked(launcher) and launcher.pids, 'the restart')
+            live.until(lambda p=pid: not launcher.check() and launcher.pid('game') != p, 'a start')
     first, *others = death(launcher).splitlines()
     ended = 'the node game ended (by signal SIGKILL)'
     assert first == f'{ended} after 2 restarts in a row while it was needed; its last lines:'
     again = f'  humanopts: {ended}, and is started again'
     assert [line for line in others if line.startswith('  humanopts')] == [again, again]
     assert [end.again for end in launcher.ends] == [True, True, False]
-    assert launcher.pids == []
     assert gone == list(dict.fromkeys(s.publisher_id for s in live.statuses['/game']))
 
 
-@pytest.mark.parametrize('output', ['full', 'unread'])
 def test_a_launch_goes_on_though_nothing_it_writes_can_be_written(
-    live: Graph, tmp_path: Path, output: str
+    live: Graph, tmp_path: Path
 ) -> None:
     out = tmp_path / 'out'
-    with unwritable(output) as write:
-        command = subprocess.Popen(
+    read, unread = os.pipe()
+    os.close(read)
+    with (
+        Path('/dev/full').open('wb') as full,
+        subprocess.Popen(
             [sys.executable, '-m', 'humanopts_teach', *words('/', out)],
             stdin=subprocess.DEVNULL,
-            stdout=write,
-            stderr=write,
-            env={**os.environ, 'ROS_DOMAIN_ID': str(live.domain_id)},
-        )
-    try:
+            stdout=full,
+            stderr=unread,
+        ) as command,
+    ):
+        os.close(unread)
         live.watch('/')
-        live.ready('/game')
-        live.until(lambda: '/conductor' in live.statuses, 'the launch')
-        live.ready('/conductor')
+        live.ready('/game', '/conductor')
         resource.prlimit(command.pid, resource.RLIMIT_FSIZE, (0, 0))
-        (out / 'log/game.yaml').write_text((out / 'log/game.yaml').read_text() + ' ')
         for count in (2, 3):
             (game,) = [
                 c
@@ -129,33 +133,12 @@ def test_a_launch_goes_on_though_nothing_it_writes_can_be_written(
             live.until(lambda n=count: starts(live) == n, 'the restart', 30.0)
         command.send_signal(signal.SIGINT)
         assert command.wait(30.0) == 1
-    finally:
-        command.kill()
-        command.wait()
-
-
-@contextmanager
-def unwritable(output: str) -> Iterator[int]:
-    """Return a descriptor where nothing can be written."""
-    if output == 'full':
-        write = os.open('/dev/full', os.O_WRONLY)
-    else:
-        read, write = os.pipe()
-        os.close(read)
-    yield write
-    os.close(write)
 
 
 def starts(live: Graph) -> int:
     """Return how many processes of the game have become ready."""
     ready = [s for s in live.statuses.get('/game', []) if s.state == NodeStatus.STATE_READY]
     return len({status.publisher_id for status in ready})
-
-
-def looked(launcher: Launcher) -> int:
-    """Look after the processes; return how many have ended so far."""
-    launcher.check()
-    return len(launcher.ends)
 
 
 def test_the_recorder_is_stopped_when_the_others_are_gone(
@@ -166,7 +149,6 @@ def test_the_recorder_is_stopped_when_the_others_are_gone(
         spec('game', GAME, expect_recorder=True),
     )
     live.ready('/game')
-    assert sorted(launcher.pids) == sorted(map(launcher.pid, ('game', 'recorder')))
     assert launcher.stop() == []
     bag = open_bag(tmp_path / 'bag')
     assert bag.damage == ''
@@ -197,7 +179,7 @@ def test_a_bag_that_could_not_be_ended_is_told(
 
 
 def test_a_bag_that_is_short_is_told_though_another_recorder_took_over(
-    live: Graph, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    live: Graph, tmp_path: Path
 ) -> None:
     def check() -> None:
         live.spin()
@@ -205,7 +187,6 @@ def test_a_bag_that_is_short_is_told_though_another_recorder_took_over(
             raise LaunchError('the other is there')
 
     said: list[str] = []
-    monkeypatch.setenv('ROS_DOMAIN_ID', str(live.domain_id))
     first = live.start(RECORDER, path=tmp_path / 'first', max_seconds=0.2)
     parameters = {'expect_recorder': True}
     conductor = GraphClient('/', parameters, tmp_path / 'first', watch=live.spin)
@@ -232,18 +213,16 @@ def test_a_bag_that_is_short_is_told_though_another_recorder_took_over(
 
 
 def test_a_launch_that_runs_goes_on_whatever_has_or_claims_the_names_of_its_nodes(
-    live: Graph, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    live: Graph, tmp_path: Path
 ) -> None:
-    """What is claimed by a message alone is not even told, also after a node has ended."""
-    monkeypatch.setenv('ROS_DOMAIN_ID', str(live.domain_id))
+    """A claim by a message alone is not even reported, also after a node has ended."""
     out = live.node.create_publisher(NodeStatus, 'node_status', CURRENT)
     live.watch('/')
 
     def forge(state: int) -> None:
         out.publish(NodeStatus(node='/game', publisher_id='/game#another', state=state))
 
-    command = Command(words('/', tmp_path), tmp_path, live.domain_id)
-    try:
+    with Command(words('/', tmp_path), tmp_path, live.domain_id) as command:
         command.until(lambda: 'ready: /game' in command.output, 'the nodes')
         live.ready('/game')
         forge(NodeStatus.STATE_READY)
@@ -259,79 +238,58 @@ def test_a_launch_that_runs_goes_on_whatever_has_or_claims_the_names_of_its_node
         command.send(signal.SIGINT)
         assert command.ended(30.0) == 1  # as nodes were started again
         assert command.output.endswith('stopped\n')
-    finally:
-        command.close()
-
-
-def test_a_node_that_dies_while_it_is_stopped_is_named_with_the_signal(
-    live: Graph, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / 'dies.py').write_text(
-        'import os, signal, time\n'
-        'def main():\n'
-        '    signal.signal(signal.SIGTERM, lambda *_: os.abort())\n'
-        "    print('ready', flush=True)\n"
-        '    time.sleep(60)\n'
-    )
-    launcher = Launcher([spec('game', 'dies')], tmp_path / 'log')
-    monkeypatch.syspath_prepend(tmp_path)
-    launcher.start()
-    live.until(lambda: (tmp_path / 'log/game.log').read_text() == 'ready\n', 'the node')
-    (problem,) = launcher.stop()
-    assert problem.startswith('the node game ended (by signal SIGABRT); its last lines:')
 
 
 def test_a_fork_is_what_a_process_of_its_own_would_be(
     live: Graph, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / 'tells.py').write_text(
-        'import json, os, sys, time\n'
+        'import json, os, signal, sys, time\n'
         'def main():\n'
         "    print(json.dumps([os.getcwd(), os.environ['WHO'], sys.argv[1:4], os.getpgrp()]))\n"
+        "    if os.getcwd() == '/':\n"
+        '        signal.signal(signal.SIGTERM, lambda *_: os.abort())\n'
+        "    print('ready', flush=True)\n"
         '    time.sleep(60)\n'
     )
     monkeypatch.syspath_prepend(tmp_path)
-    prepare()  # what follows is not known to the server
+    prepare()  # the server does not know what follows
     monkeypatch.setenv('WHO', 'anna')
     (tmp_path / 'here').mkdir()
     monkeypatch.chdir(tmp_path / 'here')
     launcher = Launcher([spec('game', 'tells')], tmp_path)
-    launcher.start()
-    log, pid = tmp_path / 'game.log', launcher.pid('game')
-    live.until(lambda: log.read_text().endswith('\n'), 'what the node tells')
-    arguments = ['--ros-args', '-r', '__ns:=/']
-    assert json.loads(log.read_text()) == [str(tmp_path / 'here'), 'anna', arguments, pid]
+    log = tmp_path / 'game.log'
+
+    def started() -> list[Any]:
+        launcher.start()
+        live.until(lambda: log.exists() and log.read_text().endswith('ready\n'), 'the node')
+        found: list[Any] = json.loads(log.read_text().partition('\n')[0])
+        return found
+
+    pid = (told := started())[-1]
+    assert told == [str(tmp_path / 'here'), 'anna', ['--ros-args', '-r', '__ns:=/'], pid]
+    assert pid == launcher.pid('game')
     title = Path(f'/proc/{pid}/cmdline').read_bytes().decode()
     assert f'-m tells --ros-args -r __ns:=/ --params-file {tmp_path}/game.yaml' in title
     assert launcher.stop() == []
     (tmp_path / 'here').rmdir()
-    launcher.start()
-    live.until(lambda: log.read_text().endswith('\n'), 'what another one tells')
-    assert json.loads(log.read_text())[0] == '/'
-    assert launcher.stop() == []
+    assert started()[0] == '/'
+    (problem,) = launcher.stop()
+    assert problem.startswith('the node game ended (by signal SIGABRT); its last lines:')
 
 
-def test_a_command_that_is_refused_leaves_no_process(tmp_path: Path, domain_id: int) -> None:
-    command = Command(['up', 'chess'], tmp_path, domain_id)
-    try:
-        assert command.ended(30.0) == 2
-        command.gone(2.0)
-    finally:
-        command.close()
-
-
-def test_nodes_end_with_a_launch_that_is_killed(
-    tmp_path: Path, domain_id: int, monkeypatch: pytest.MonkeyPatch
+def test_no_process_outlives_a_command_that_is_refused_or_killed(
+    live: Graph, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (folder := tmp_path / ('temporary' * 10)).mkdir()  # too long for the path of a socket
     monkeypatch.setenv('TMPDIR', str(folder))
-    command = Command(words('/', tmp_path / 'out'), tmp_path, domain_id)
-    try:
+    with Command(['up', 'chess'], tmp_path, live.domain_id) as command:
+        assert command.ended(30.0) == 2
+        command.gone(2.0)
+    with Command(words('/', tmp_path / 'out'), tmp_path, live.domain_id) as command:
         command.until(lambda: 'ready: /game' in command.output, 'the nodes')
         command.send(signal.SIGKILL)
         command.gone(10.0)
-    finally:
-        command.close()
 
 
 def test_nodes_end_when_the_server_that_forked_them_is_killed(launch: Launch, live: Graph) -> None:
@@ -344,7 +302,7 @@ def test_nodes_end_when_the_server_that_forked_them_is_killed(launch: Launch, li
     live.until(lambda: not node.is_running(), 'the end of the node')
 
 
-def test_a_node_that_is_stopped_is_told_by_name_and_a_server_that_is_stopped_holds_nobody_up(
+def test_a_stopped_node_is_reported_and_a_stopped_server_does_not_block_the_end(
     launch: Launch, live: Graph, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     launcher = launch(spec('game', GAME))
@@ -367,9 +325,8 @@ def test_a_node_that_is_stopped_is_told_by_name_and_a_server_that_is_stopped_hol
 
 
 def test_what_was_learned_is_known_once_all_of_it_has_come_in_any_order(
-    live: Graph, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    live: Graph, tmp_path: Path
 ) -> None:
-    monkeypatch.setenv('ROS_DOMAIN_ID', str(live.domain_id))
     whose = {'participant': 'p01', 'option_name': 'go'}
 
     def told(phase: int, sequence: int, uuid: str) -> dict[str, Any]:
@@ -410,18 +367,6 @@ def test_a_log_folder_that_cannot_be_written_is_named(tmp_path: Path) -> None:
         Launcher([spec('game', GAME)], tmp_path / 'log').start()
 
 
-def test_a_run_waits_longer_for_a_game_that_takes_its_time() -> None:
-    patience = {
-        period: next(
-            s.parameters['no_progress_seconds']
-            for s in processes(Setup('taxi', Path(), step_period=period))
-            if s.name == 'option_server'
-        )
-        for period in (0.0, 60.0)
-    }
-    assert patience == {0.0: 5.0, 60.0: 65.0}
-
-
 def words(namespace: str, out: Path, only: str = 'game') -> list[str]:
     """Return the words of a launch."""
     options = ['--no-record', '--only', only, '--out', str(out), '--namespace', namespace]
@@ -440,78 +385,57 @@ def test_a_launch_refuses_another_in_its_place_and_one_beside_it_where_a_game_ru
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     """Launches side by side are in test_browser.py: a graph for each participant."""
-    monkeypatch.setenv('ROS_DOMAIN_ID', str(live.domain_id))
     (tmp_path / 'east').mkdir()
+    (tmp_path / 'beside').mkdir()
     game = live.start(GAME, '/west')
-    east = Command(words('/east', tmp_path / 'east/out'), tmp_path, live.domain_id)
-    beside = None
-    try:
+    renamed = ['--ros-args', '-r', '__node:=simulator', '-r', '__ns:=/north']
+    live.run(['-m', module_of(GAME), *renamed], 'simulator')
+    for namespace in ('/east', '/north'):
+        live.watch(namespace)
+    folder = tmp_path / 'east/out'
+    with Command(words('/east', folder), tmp_path, live.domain_id) as east:
         east.until(lambda: 'ready: /east/game' in east.output, 'the nodes')
-        before = contents(tmp_path / 'east')
+        before = contents(folder)
         monkeypatch.setenv('TMPDIR', str(tmp_path / 'west'))  # no other place for it
         monkeypatch.setenv('XDG_RUNTIME_DIR', str(tmp_path / 'none'))
-        live.watch('/east')
-        live.ready('/west/game', '/east/game')
+        live.ready('/west/game', '/east/game', '/north/simulator')
         for namespace, out, only, why in (
-            ('/east', 'east/out', 'game', 'runs humanopts already'),
-            ('/east', 'new', 'lesson,game', 'namespace /east: game; stop it'),
+            ('/east', 'east/out', 'game', 'already runs game in ROS_DOMAIN_ID'),
+            ('/east', 'new', 'lesson,game', 'namespace /east; stop it'),
             ('/west', 'new', 'game', '/west/game runs already in ROS_DOMAIN_ID'),
-            ('/room', 'east/out', 'game', 'out/log/game.log; stop it, or choose another --out'),
+            ('/north', 'new', 'game', '/north/simulator runs already in ROS_DOMAIN_ID'),
+            ('/room', 'east/out', 'game', 'east/out; stop it, or choose another --out'),
         ):
             assert main(words(namespace, tmp_path / out, only)) == 2
             (line,) = capsys.readouterr().err.splitlines()
             assert why in line
-        assert contents(tmp_path / 'east') == before
+        assert contents(folder) == before
         assert not (tmp_path / 'new').exists()
         assert live.node_called('/west/game') is game
-        (tmp_path / 'beside').mkdir()
-        beside = Command(
-            words('/east', tmp_path / 'east/out', 'lesson'), tmp_path / 'beside', live.domain_id
-        )
-        beside.until(lambda: 'ready: /east/lesson' in beside.output, 'another part of it')
-        for part in (beside, east):
-            assert part.running()
-            part.send(signal.SIGINT)
-            assert part.ended(30.0) == 0
-            assert part.output.endswith('stopped\n')
-            assert part.errors == ''
-            part.gone(2.0)
-    finally:
-        east.close()
-        if beside is not None:
-            beside.close()
-
-
-def test_a_launch_gives_way_to_a_game_of_another_name(
-    live: Graph,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    monkeypatch.setenv('ROS_DOMAIN_ID', str(live.domain_id))
-    live.run(['-m', module_of(GAME), '--ros-args', '-r', '__node:=simulator'], 'simulator')
-    live.watch('/')
-    live.ready('/simulator')
-    assert main(words('/', tmp_path / 'out', 'game,lesson')) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert '/simulator runs already in ROS_DOMAIN_ID' in line
-    assert not (tmp_path / 'out').exists()
+        arguments = words('/east', folder, 'lesson')
+        with Command(arguments, tmp_path / 'beside', live.domain_id) as beside:
+            beside.until(lambda: 'ready: /east/lesson' in beside.output, 'another part of it')
+            for part in (beside, east):
+                assert part.running()
+                part.send(signal.SIGINT)
+                assert part.ended(30.0) == 0
+                assert part.output.endswith('stopped\n')
+                assert part.errors == ''
+                part.gone(2.0)
 
 
 def test_of_launches_that_come_at_once_one_stays(domain_id: int, tmp_path: Path) -> None:
-    folders = [tmp_path / str(number) for number in range(4)]
-    for folder in folders:
-        folder.mkdir()
-    commands = [Command(words('/', f / 'out'), f, domain_id) for f in folders]
-    try:
-        (winner,) = [c for c in commands if not _refused(c)]
+    with ExitStack() as stack:
+        commands = []
+        for number in range(3):
+            (folder := tmp_path / str(number)).mkdir()
+            command = Command(words('/', folder / 'out'), folder, domain_id)
+            commands.append(stack.enter_context(command))
+        (winner,) = [command for command in commands if not _refused(command)]
         winner.until(lambda: 'ready: /game' in winner.output, 'the nodes')
         winner.send(signal.SIGINT)
         assert winner.ended(30.0) == 0
         assert len(list(tmp_path.glob('*/out'))) == 1
-    finally:
-        for command in commands:
-            command.close()
 
 
 def _refused(command: Command) -> bool:
@@ -520,7 +444,4 @@ def _refused(command: Command) -> bool:
     while 'ready' not in command.output and 'already' not in command.errors:
         assert time.monotonic() < deadline, command.errors
         time.sleep(0.05)
-    if 'ready' in command.output:
-        return False
-    assert command.ended(30.0) == 2
-    return True
+    return 'ready' not in command.output and command.ended(30.0) == 2

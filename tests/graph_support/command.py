@@ -124,6 +124,12 @@ class Command:
             assert time.monotonic() < deadline, f'still there: {left}'
             time.sleep(0.05)
 
+    def __enter__(self) -> 'Command':
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
     def close(self) -> None:
         """End whatever is left."""
         for number in (self._process.pid, *self.running()):
@@ -157,16 +163,13 @@ class DemoRun:
 
 def run_demo(folder: Path, domain_id: int, *arguments: Any, seconds: float = 300.0) -> DemoRun:
     """Run a demo to its end, within some seconds; its files are in ``folder/out``."""
-    command = Command(['demo', '--out', folder / 'out', *arguments], folder, domain_id)
-    try:
+    with Command(['demo', '--out', folder / 'out', *arguments], folder, domain_id) as command:
         command.until(lambda: 'the first state' in command.output, 'the first state')
         first = command.seconds
         status = command.ended(seconds)
         return DemoRun(
             folder / 'out', status, command.output, command.errors, first, command.seconds
         )
-    finally:
-        command.close()
 
 
 def shared_demo(folder: Path, *arguments: Any) -> DemoRun:
