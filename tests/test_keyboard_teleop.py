@@ -315,7 +315,7 @@ def test_a_key_changes_how_the_machine_plays_within_the_episode_and_a_signal_end
         said = terminals.witness(
             ExecutionState, lambda m, wanted=execution: m.execution == wanted, terminal
         )
-    terminal.see('Arbitration: all options act at once: the greatest mass.')
+    terminal.see('Arbitration: all options act at once; the greatest mass wins.')
     last = max(m.sequence for m in terminals.messages if isinstance(m, GameState))
     terminals.witness(GameState, lambda m: m.sequence > last + 2, terminal)
     terminal.press(ESCAPE)

@@ -20,8 +20,8 @@ from humanopts_teach.dialogue.panel import (
     Line,
     Page,
     TypedText,
-    view,
 )
+from humanopts_teach.dialogue.view import view
 from humanopts_teach.lesson.lesson import Lesson
 from humanopts_teach.lesson.requests import (
     Answer,
@@ -155,7 +155,7 @@ class Desk:
         for block in (*shown.panel.beside, *shown.panel.below):
             lines += _lines(block)
         said = [f'"{shown.said.text}"'] if shown.said.text else []
-        keys = '  '.join(f'[{label}] {words}' for label, words in shown.keys)
+        keys = '  '.join(f'[{label}] {words}' for _, label, words in shown.keys if label)
         return '\n'.join(line for line in (*lines, *said, keys) if line)
 
     def _carry_out(self, request: Request) -> Answer:
@@ -219,13 +219,13 @@ def _lines(block: Block) -> Iterator[str]:
         case Page(text):
             yield text
         case Choices(items, at):
-            for number, item in enumerate(items):
-                yield f'{">" if number == at else " "} {item.text}  {item.note}'.rstrip()
+            for number, (text, note) in enumerate(items):
+                yield f'{">" if number == at else " "} {text}  {note}'.rstrip()
         case KeyList(rows):
             for label, words in rows:
                 yield f'  {label}  {words}'
         case Features(shown, hidden):
-            yield f'{", ".join(f"{f.name} {f.value}".strip() for f in shown)}; {hidden}'
+            yield f'{", ".join(f"{name} {value}".strip() for name, value in shown)}; {hidden}'
         case Criteria(rows):
             for row in rows:
                 yield f'  {row.mark} {row.name}  {row.now}  {row.needs}'

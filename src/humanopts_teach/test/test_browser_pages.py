@@ -17,9 +17,9 @@ from urllib.request import urlopen
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.game import Transition
 from humanopts_teach.browser.seats import Press, Seat, Seats
-from humanopts_teach.dialogue.app import App, MOST_KEYS
+from humanopts_teach.dialogue.app import App, MAX_KEYS
 from humanopts_teach.dialogue.entry import Item, ListScreen
-from humanopts_teach.dialogue.panel import view
+from humanopts_teach.dialogue.view import view
 from humanopts_teach.lesson.requests import LessonView, Phase
 import pytest
 from teach_support.flood import Flood, PROMPT
@@ -230,7 +230,7 @@ def test_a_second_page_of_a_participant_asks_first(address: str) -> None:
 
 @pytest.mark.parametrize(
     'given',
-    [{'keys': (5, None, {}), 'frame': 1}, {'keys': ('enter',) * (MOST_KEYS + 1)}, {'frame': 'x'}],
+    [{'keys': (5, None, {}), 'frame': 1}, {'keys': ('enter',) * (MAX_KEYS + 1)}, {'frame': 'x'}],
 )
 def test_what_no_page_sends_is_ignored(address: str, given: dict[str, Any]) -> None:
     with PageClient(address, f'/{TOKEN}/emil') as browser:

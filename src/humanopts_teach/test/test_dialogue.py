@@ -13,8 +13,8 @@ from humanopts_learner.options.judge import FEWEST
 from humanopts_learner.summary import Criterion, NO_RANGE, OptionSummary
 from humanopts_teach.dialogue.app import App, REPLY_SECONDS, SETTLE_SECONDS
 from humanopts_teach.dialogue.entry import Item, ListScreen
-from humanopts_teach.dialogue.keys import key_of
 from humanopts_teach.dialogue.menu import opening
+from humanopts_teach.dialogue.view import view
 from humanopts_teach.lesson.requests import (
     AnswerQuestion,
     BeginDemonstration,
@@ -285,7 +285,7 @@ def test_a_key_counts_only_for_the_screen_and_the_question_that_were_seen(begin:
     for number, frame_number in (('1', second), ('2', 10**6)):  # the menu came meanwhile
         desk.app.type([number], frame_number)
         desk.go_on()
-        said = f'{number} was pressed before this was shown, and is ignored.'
+        said = f'{number} was pressed before this was shown; ignored.'
         assert said in desk.see()
         assert 'What next?' in desk.see()
     desk.press('1').type('fetch').press('y', 'o')
@@ -386,7 +386,7 @@ def test_who_is_displaced_asks_nothing_of_the_others_lesson_and_gives_control_ba
     assert not any(isinstance(each, EndDemonstration) for each in last)
     desk.press(key)
     assert 'The lesson is no longer yours. Take it back?' in desk.see()
-    assert 'anna teaches now.' in desk.see()
+    assert 'anna is teaching now.' in desk.see()
     assert desk.asked[asked:] == [SetPace(0.0, paused=False), SetControl(hold=False)]
     desk.press('enter', 'y', 'left')
     assert len(desk.asked) == asked + 2
@@ -502,8 +502,10 @@ class DialogueMachine(RuleBasedStateMachine):
     def press_a_key_that_is_shown(self, number: int) -> None:
         """A key beside which something is written has a meaning."""
         desk = self.desk
-        shown = [key for label, _ in desk.app.screen.keys(desk.app) if (key := key_of(label))]
+        shown = [key for key, label, _ in view(desk.app).keys if label and key != 'ctrl-c']
         desk.app.say('')
+        if not shown:
+            return
         before, asked, key = desk.see(), len(desk.asked), shown[number % len(shown)]
         desk.press(key)
         moves = key in ('left', 'right', 'up', 'down')
@@ -545,7 +547,7 @@ class DialogueMachine(RuleBasedStateMachine):
             app = self.desk.app
             assert len(frame(app, 80, 24)) == 24
             assert app.waits_for is None
-            assert app.screen.keys(app)
+            assert view(app).keys
 
     @invariant()
     def no_demonstration_is_lost(self) -> None:

@@ -1,79 +1,98 @@
-"""What the terminal and the page in the browser draw, as plain values."""
+"""What the terminal and the page draw: values of a lesson, and every kind of block as HTML."""
 
 from dataclasses import replace
+import json
 from typing import get_args
+from xml.etree import ElementTree
 
 from humanopts_env.domains.base import Feature
 from humanopts_env.domains.described import DescribedDomain
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.game import Transition
 from humanopts_learner.summary import Criterion, OptionSummary
-from humanopts_teach.browser.markup import parts
+from humanopts_teach.browser.markup import head_html, PARTS, parts
 from humanopts_teach.dialogue.app import App
-from humanopts_teach.dialogue.entry import Item
-from humanopts_teach.dialogue.menu import opening, to_lesson, to_menu
+from humanopts_teach.dialogue.entry import Item, ListScreen
+from humanopts_teach.dialogue.menu import opening, to_lesson
 from humanopts_teach.dialogue.panel import (
     Block,
     Choices,
     Criteria,
-    CriterionShown,
+    CriterionRow,
     Features,
-    FeatureShown,
+    Key,
     KeyList,
     Line,
     Page,
     Panel,
+    ScreenView,
     TARGET,
     Tone,
     TypedText,
-    view,
 )
+from humanopts_teach.dialogue.view import view
 from humanopts_teach.lesson.requests import LessonView, Phase
-from humanopts_teach.terminal.drawing import drawn
+from humanopts_teach.terminal.drawing import drawn, frame
 import pytest
 
-NAME = 'fetch <b>&'
-FAR = Feature.continuous('far', 'how far it is', 0.0, 9.0, 'm')
-CHOSEN = ('taxi_row', 'taxi_col')
+NASTY = '<script>alert("x")</script>&\''
+HERE, NORTH = 'taxi 2,3 passenger R destination B', 'taxi 1,3 passenger R destination B'
 
 
 @pytest.fixture
 def app() -> App:
-    """A dialogue in whose lesson a demonstration is under way."""
+    """A lesson in which a demonstration is under way."""
     app = App(opening('p1'))
     app.participant = 'p1'
     app.world.domain = make_domain('taxi')
-    app.world.game = Transition(episode=2, step=0, state='taxi 2,3 passenger R destination B')
+    app.world.game = Transition(episode=2, step=0, state=HERE)
+    chosen = 'taxi_row', 'taxi_col'
     app.world.lesson = LessonView(
-        Phase.DEMONSTRATING, 'p1', 's1', NAME, chosen_features=CHOSEN, budget=100, episode=2
+        Phase.DEMONSTRATING, 'p1', 's1', 'fetch', chosen_features=chosen, budget=100, episode=2
     )
+    to_lesson(app)
     return app
 
 
-def test_a_person_who_has_just_come_is_asked_for_a_code(app: App) -> None:
-    shown = view(app)
-    assert shown.panel.beside[0] == Line('Who teaches?', strong=True)
-    assert TypedText('p1') in shown.panel.beside
-    assert list(shown.head) == ['humanopts', 'taxi', 'p1', 'session s1']
+def block(app: App, kind: type) -> Block:
+    (found,) = [each for each in view(app).panel.beside if isinstance(each, kind)]
+    return found
 
 
-def test_the_menu_has_choices_of_which_one_is_marked(app: App) -> None:
-    to_menu(app)
-    (choices,) = [block for block in view(app).panel.beside if isinstance(block, Choices)]
-    assert [item.text for item in choices.items][:1] == ['Teach a new option']
-    assert choices.at == 0
+def tree(view: ScreenView) -> ElementTree.Element:
+    """Return the page as a tree: it parses only if everything is closed and escaped."""
+    found = parts(view)
+    assert tuple(found) == PARTS
+    html = ''.join(f'<div class="{name}">{html}</div>' for name, html in found.items())
+    return ElementTree.fromstring(f'<page>{html}</page>')
 
 
-def test_a_lesson_shows_the_chosen_features_with_their_values_and_no_others(app: App) -> None:
-    to_lesson(app)
-    shown = view(app)
-    (features,) = [block for block in shown.panel.beside if isinstance(block, Features)]
-    values = [(feature.name, feature.value) for feature in features.shown]
-    assert values == [('taxi row', '2'), ('taxi col', '3')]
-    assert features.hidden == 'all else is hidden'
-    assert shown.board is not None
-    assert 'destination' not in [mark.name for mark in shown.board.marks]
-    assert shown.panel.beside[0] == Line('Teaching: ', more=(Line(NAME, strong=True),))
+def buttons(app: App) -> dict[str, list[str]]:
+    """Return the keys of each button of the page by its words."""
+    return {
+        ' '.join((button.get('title') or ''.join(button.itertext())).split()): json.loads(keys)
+        for button in tree(view(app)).iter('button')
+        if (keys := button.get('data-keys'))
+    }
+
+
+def test_a_lesson_shows_the_chosen_features_and_no_others(app: App) -> None:
+    features = Features([('taxi row', '2'), ('taxi col', '3')], 'all else is hidden')
+    assert block(app, Features) == features
+    board = view(app).board
+    assert board is not None
+    assert 'destination' not in [mark.name for mark in board.marks]
+
+
+def test_without_rules_the_features_of_the_state_are_listed(app: App) -> None:
+    far = Feature.continuous('far', 'how far it is', 0.0, 9.0, 'm')
+    actions = list(make_domain('taxi').actions)
+    app.world.domain = DescribedDomain('rover', {}, [far], actions, 0.9, 100)
+    app.world.game = Transition(2, 0, 'anything', features=(3.14159,))
+    app.world.lesson = replace(app.world.lesson, chosen_features=('far',))
+    assert block(app, Features) == Features([('far', '3.142 m')], '')
+    assert frame(app, 80, 24)[1].startswith('far: 3.142 m')
+    assert '<span>far: 3.142 m</span>' in parts(view(app))['board']
 
 
 @pytest.mark.parametrize(
@@ -86,53 +105,65 @@ def test_a_lesson_shows_the_chosen_features_with_their_values_and_no_others(app:
 def test_a_bar_reaches_its_mark_at_the_threshold_and_its_end_at_three_times_that(
     app: App, value: float | None, threshold: float, share: float | None
 ) -> None:
-    to_lesson(app)
     found = Criterion('initiation', value, threshold, met=False)
-    app.world.summaries = [OptionSummary(NAME, 'p1', criteria=(found,))]
-    (criteria,) = [block for block in view(app).panel.beside if isinstance(block, Criteria)]
+    app.world.summaries = [OptionSummary('fetch', 'p1', criteria=(found,))]
+    criteria = block(app, Criteria)
+    assert isinstance(criteria, Criteria)
     assert criteria.rows[0].share == pytest.approx(share)
+    (bar,) = [div for div in tree(view(app)).iter('div') if div.get('class') == 'bar']
+    filled = [] if share is None else [f'width:{100 * share:.1f}%']
+    assert [part.get('style') for part in bar] == [*filled, 'left:33.3%']
 
 
-def test_every_kind_of_block_is_drawn_in_the_terminal_and_on_the_page(app: App) -> None:
-    row = CriterionShown('✓', 'return', '0.5', '≤ 1', Tone.GOOD, 0.5)
+def test_every_kind_of_block_is_drawn_and_its_texts_are_escaped() -> None:
+    row = CriterionRow(NASTY, NASTY, NASTY, NASTY, Tone.GOOD, 0.5)
     blocks: list[Block] = [
-        *(Line('a line'), TypedText('typed'), Choices([Item('an item', '', to_menu)], 0)),
-        *(KeyList([('k', 'a key')]), Features([FeatureShown('a feature', '')], '')),
-        *(Criteria([row]), Page('*a page* <b>')),
+        *(Line(NASTY, more=(Line(NASTY),)), Choices([(NASTY, NASTY)], 0), Criteria([row])),
+        *(KeyList([(NASTY, NASTY)]), Features([(NASTY, NASTY)], NASTY), Page(NASTY)),
     ]
-    assert {type(block) for block in blocks} == set(get_args(Block))
-    for block in blocks:
-        assert str(drawn(block))
-        shown = replace(view(app), panel=Panel([block]))
-        assert parts(shown)['panel'] != parts(replace(shown, panel=Panel()))['panel']
-    page = parts(replace(view(app), panel=Panel([Page('*a page* <b> ![p](http://x.org/p.png)')])))[
-        'panel'
-    ]
-    assert '<em>a page</em> &lt;b&gt;' in page
+    assert {type(block) for block in blocks} == {*get_args(Block)} - {TypedText}
+    for each in blocks:
+        assert str(drawn(each))
+        shown = ScreenView((NASTY,), Panel([each]), Line(NASTY), [Key('k', 'k', NASTY)], NASTY)
+        texts = ''.join(tree(shown).itertext())
+        assert texts.count(NASTY) >= 5
+        assert '<script' not in ''.join(parts(shown).values())
+    (field,) = tree(ScreenView((), Panel([TypedText(NASTY)]))).iter('input')
+    assert field.get('value') == NASTY
+    text = '*a page* <b> ![p](http://x.org/p.png)'
+    assert '<em>a page</em> &lt;b&gt;' in (
+        page := parts(ScreenView((), Panel([Page(text)])))['panel']
+    )
     assert '<img' not in page
 
 
-def test_nodes_that_are_missing_are_said_before_anything_else(app: App) -> None:
-    app.say('well done')
-    assert view(app).said == Line('well done', Tone.GOOD)
-    app.world.missing, app.way_out = ('lesson',), 'come back later'
-    saved = 'Missing: lesson. Everything taught is saved; come back later.'
-    assert view(app).said == Line(saved, Tone.BAD)
+def test_every_key_of_a_demonstration_has_a_button(app: App) -> None:
+    found = buttons(app)
+    assert (found['north'], found['west'], found['p pickup']) == (['up'], ['left'], ['p'])
+    shown = {each.key for each in view(app).keys}
+    assert {key for keys in found.values() for key in keys} == shown >= {'enter', 'n', 'escape'}
 
 
-def test_a_lesson_that_is_paused_says_why(app: App) -> None:
-    app.world.lesson = replace(app.world.lesson, paused='the disk is full')
-    assert view(app).paused == 'the disk is full'
+def test_a_choice_is_a_button_that_moves_there_and_chooses_it(app: App) -> None:
+    items = [Item(str(number), '', to_lesson) for number in range(12)]
+    app.show(ListScreen('Which?', items, at=10))
+    choices = list(buttons(app).values())[:12]
+    assert choices[8:] == [['up', 'up', 'enter'], ['1'], ['2'], ['3']]  # digits of its page
+    app.show(ListScreen('Which?', items))
+    choices = list(buttons(app).values())
+    assert (choices[0], choices[10]) == (['1'], ['up', 'up', 'enter'])  # around the end
+    pressed = {keys[0] for keys in choices[12:]}
+    assert not pressed & {'up', 'right', 'enter', '1'}
+    app.show(ListScreen('Which?', [Item('way', '', to_lesson, (HERE, NORTH))]))
+    assert {keys[0] for keys in buttons(app).values()} >= {'up', 'down', 'left', 'right', 'enter'}
 
 
-def test_what_is_seen_of_a_domain_without_rules_is_its_features(app: App) -> None:
-    rover = DescribedDomain('rover', {}, [FAR], list(make_domain('taxi').actions), 0.9, 100)
-    app.world.domain = rover
-    app.world.game = Transition(2, 0, 'anything', features=(3.14159,))
-    app.world.lesson = replace(app.world.lesson, chosen_features=('far',))
-    to_lesson(app)
-    shown = view(app)
-    assert shown.board is not None
-    assert shown.board.notes == ('far: 3.142 m',)
-    (features,) = [block for block in shown.panel.beside if isinstance(block, Features)]
-    assert features.shown == [FeatureShown('far', '3.142 m')]
+def test_pages_ask_no_other_server() -> None:
+    assert 'http' not in head_html().replace('http://www.w3.org', '')
+    assert '@import' not in head_html()
+
+
+def test_the_board_keeps_its_place_while_the_learner_works(app: App) -> None:
+    for phase, driving in ((Phase.LEARNING, True), (Phase.READY, False), (Phase.ASKING, False)):
+        app.world.lesson = replace(app.world.lesson, phase=phase)
+        assert ('class="driving"' in parts(view(app))['keys']) is driving

@@ -448,7 +448,7 @@ def test_teaching_ends_from_the_menu_and_never_in_a_demonstration(
 ) -> None:
     guest = Guest([TEACH, PAGE], tmp_path / 'a.jsonl', taxi)
     guest.lesson(Phase.NO_OPTION)
-    assert guest.sees('Finish teaching  go on with the study')
+    assert guest.sees('Finish teaching  continue with the study')
     guest.lesson(Phase.DEMONSTRATING)
     guest.look(601.0)
     assert guest.sees('this demonstration is the last')

@@ -7,15 +7,11 @@ import re
 from typing import Any
 
 from humanopts_env import colours
-from humanopts_env.domains.base import Action, Domain
 from humanopts_env.domains.registry import make_domain
-from humanopts_env.domains.taxi import Taxi
 from humanopts_env.seeding import generator
 from humanopts_learner.options.judge import FEWEST
 from humanopts_learner.summary import Criterion, OptionSummary
-from humanopts_teach.browser.markup import parts
-from humanopts_teach.dialogue.keys import key_table, KeyCommand, SUSPEND
-from humanopts_teach.dialogue.panel import view
+from humanopts_teach.dialogue.keys import Command, command_of, key_table, SUSPEND
 from humanopts_teach.lesson.requests import LessonView, Phase
 from humanopts_teach.terminal import drawing
 from humanopts_teach.terminal.device import key_of, usable_colours
@@ -94,28 +90,12 @@ def test_the_fullest_screens_fit_in_80_by_24(desk: Desk, pacman: Desk) -> None:
         assert words <= set(re.findall(r'\w+', screen))
 
 
-def test_what_is_hidden_in_pac_man_is_named_and_meals_are_told(pacman: Desk) -> None:
+def test_a_wide_board_leaves_room_for_what_is_beside_it(pacman: Desk) -> None:
     assert 'hidden: Pac-Man, the ghosts, the power pills, the fruit' in pacman.see()
     assert 'ate food (reward 10)' in pacman.see()
-
-
-def test_menus_are_not_cut_beside_a_wide_board(pacman: Desk) -> None:
     screen = pacman.press('escape', 'enter').sees()
     assert '…' not in screen
     assert {'plans,', 'then', 'plays'} <= set(screen.split())
-
-
-class Undrawn(Taxi):
-    """A world without a board."""
-
-    board = None  # type: ignore[assignment]
-
-
-def test_a_world_that_is_not_drawn_lists_the_features_that_may_be_seen(desk: Desk) -> None:
-    desk.world.domain = Undrawn()
-    listed = [line.split('  ')[0] for line in desk.sees().splitlines()[1:6]]
-    assert listed == ['taxi row: 2', 'taxi col: 3', 'passenger row: 0', 'passenger col: 0', '']
-    assert '<span>taxi row: 2</span>' in parts(view(desk.app))['board']
 
 
 def test_a_small_window_is_told_so_politely(desk: Desk) -> None:
@@ -142,37 +122,22 @@ def test_no_escape_sequence_of_a_message_reaches_the_terminal(desk: Desk, colour
     assert '\x9b' not in coloured
 
 
-TEACHING = (
-    KeyCommand.DONE,
-    KeyCommand.START_AGAIN,
-    KeyCommand.NOT_HERE,
-    KeyCommand.QUIT,
-    KeyCommand.HELP,
-)
-
-
-def test_every_key_of_taxi_drives_and_no_command_has_one_of_them(taxi: Domain[Any]) -> None:
-    table = key_table(taxi.actions, TEACHING)
-    assert {table.action(a.key) for a in taxi.actions} == {a.name for a in taxi.actions}
-    assert not table.actions.keys() & table.commands.keys()
+DONE, NOT_HERE, QUIT, ALIAS = (Command(keys, '', None) for keys in (['enter'], 'nh', 'q', ['?']))
+TAKEN = [Command(key, '', None) for key in 'nqQ']
 
 
 def test_a_command_moves_to_its_next_key_when_an_action_has_it() -> None:
-    actions = [Action('nap', 'n', 'sleep'), Action('squat', 's', 'sit'), Action('ask', 'a', 'ask')]
-    table = key_table(actions, TEACHING)
-    assert table.action('n') == 'nap'
-    assert table.commands['h'] is KeyCommand.NOT_HERE
-    assert KeyCommand.START_AGAIN in table.commands.values()
-    assert len(table.commands) == len(TEACHING)
+    table = key_table([*TAKEN, DONE, NOT_HERE, QUIT, ALIAS])
+    assert [table[key] for key in ('n', 'q', 'Q', 'enter', 'h')] == [*TAKEN, DONE, NOT_HERE]
+    assert table['a'] is QUIT  # any key that is free
+    assert len(table) == 7
 
 
-def test_capitals_do_the_same_unless_they_have_a_meaning_of_their_own(taxi: Domain[Any]) -> None:
-    table = key_table(taxi.actions, TEACHING)
-    assert table.action('P') == 'pickup'
-    assert table.command('Q') is KeyCommand.QUIT
-    both = key_table([Action('up', 'q', ''), Action('down', 'Q', '')], TEACHING)
-    assert (both.action('q'), both.action('Q')) == ('up', 'down')
-    assert both.command('q') is both.command('Q') is None
+def test_capitals_do_the_same_unless_they_have_a_meaning_of_their_own() -> None:
+    table = key_table(TAKEN)
+    assert command_of('N', table) is TAKEN[0]
+    assert command_of('Q', table) is TAKEN[2]
+    assert command_of('x', table) is command_of('enter', table) is None
 
 
 @pytest.mark.parametrize(
@@ -195,17 +160,12 @@ def test_terminal_keys_have_our_names(press: Keys | str, key: str) -> None:
 CONTRAST = 3.5
 
 
-def luminance(red: float, green: float, blue: float) -> float:
-    """Return the relative luminance of WCAG 2 of a colour with parts from 0 to 255."""
-    parts = [c / 255 for c in (red, green, blue)]
-    linear = [c / 12.92 if c <= 0.03928 else ((c + 0.055) / 1.055) ** 2.4 for c in parts]
-    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
-
-
 def contrasts(style: Style) -> tuple[float, float]:
-    """Return the contrast of the text with black and with white."""
+    """Return the contrast of the text with black and with white, by WCAG 2."""
     assert style.color is not None
-    found = luminance(*style.color.get_truecolor())
+    parts = [part / 255 for part in style.color.get_truecolor()]
+    linear = [c / 12.92 if c <= 0.03928 else ((c + 0.055) / 1.055) ** 2.4 for c in parts]
+    found = sum(weight * c for weight, c in zip((0.2126, 0.7152, 0.0722), linear))
     return (found + 0.05) / 0.05, 1.05 / (found + 0.05)
 
 

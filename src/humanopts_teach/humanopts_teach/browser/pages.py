@@ -14,10 +14,10 @@ from humanopts_teach.browser.guard import Guard
 from humanopts_teach.browser.markup import head_html, PARTS, parts
 from humanopts_teach.browser.seats import message, Press, prompt, Seats, Window
 from humanopts_teach.browser.server_log import limited_log
-from humanopts_teach.dialogue.app import App, MOST_KEYS
+from humanopts_teach.dialogue.app import App, MAX_KEYS
 from humanopts_teach.dialogue.entry import TextScreen
 from humanopts_teach.dialogue.menu import opening
-from humanopts_teach.dialogue.panel import Line, panel, ScreenView, Tone
+from humanopts_teach.dialogue.panel import ScreenView
 from humanopts_teach.lesson.store import CODE, CODE_RULE
 from nicegui import Client, core, ui
 
@@ -64,7 +64,7 @@ class PageWindow(Window):
         """Forward key presses in the form that ``page.js`` sends."""
         given = event.args if isinstance(event.args, dict) else {}
         keys, frame = given.get('keys'), given.get('frame')
-        if isinstance(keys, list) and len(keys) <= MOST_KEYS and isinstance(frame, int):
+        if isinstance(keys, list) and len(keys) <= MAX_KEYS and isinstance(frame, int):
             self._press([key for key in keys if isinstance(key, str) and len(key) <= 9], frame)
 
 
@@ -116,9 +116,8 @@ def _ask_code(window: PageWindow, domain: str, proposed: str) -> None:
     app = App(screen)
 
     def show() -> None:
-        said = Line(app.message.text, Tone.BAD)
-        head = ('humanopts', domain)
-        window.show(ScreenView(head, '', None, panel(screen, app), said, []), app.drawn())
+        head = 'humanopts', domain
+        window.show(ScreenView(head, screen.panel(app), app.message), app.drawn())
 
     def press(keys: list[str], frame: int) -> None:
         app.type([key for key in keys if len(key) == 1 or key in ('ctrl-u', 'enter')], frame)

@@ -10,7 +10,8 @@ from contextlib import AbstractAsyncContextManager, suppress
 from itertools import count
 from typing import Protocol
 
-from humanopts_teach.dialogue.panel import Line, Panel, ScreenView, Tone
+from humanopts_teach.dialogue.keys import ENTER, label
+from humanopts_teach.dialogue.panel import Key, Line, Panel, ScreenView
 from humanopts_teach.lesson.store import similar_code
 
 FAREWELL = 'Everything taught is saved.'
@@ -279,13 +280,11 @@ def message(head: tuple[str, ...], text: str, enter: str = '') -> ScreenView:
 
     :param enter: label of Enter; empty: it does nothing.
     """
-    keys = [('Enter', enter)] if enter else []
-    return ScreenView(
-        head, '', None, Panel((Line(text, strong=True),)), Line('', Tone.PLAIN), keys
-    )
+    keys = [Key(ENTER, label(ENTER), enter)] if enter else []
+    return ScreenView(head, Panel((Line(text, strong=True),)), keys=keys)
 
 
 def prompt(window: Window, view: ScreenView, then: Callable[[], None]) -> None:
     """Show a view on which Enter calls ``then``."""
-    window.listen(lambda keys, frame: then() if 'enter' in keys else None)
+    window.listen(lambda keys, frame: then() if ENTER in keys else None)
     window.show(view, 0)

@@ -6,12 +6,21 @@ answer what the lesson asks for counts only if that was on the screen when it wa
 """
 
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import ClassVar
 
 from humanopts_env.domains.base import ActableDomain
-from humanopts_teach.dialogue.keys import END_OF_FILE, INTERRUPT, Keys, label
+from humanopts_teach.dialogue.keys import (
+    Command,
+    command_of,
+    END_OF_FILE,
+    INTERRUPT,
+    key_table,
+    label,
+)
+from humanopts_teach.dialogue.panel import GAP, Line, Panel, Tone
 from humanopts_teach.lesson.question_groups import QuestionGroups
 from humanopts_teach.lesson.requests import (
     ActionGoal,
@@ -37,56 +46,66 @@ from humanopts_teach.lesson.requests import (
 
 REPLY_SECONDS = 5.0  # for a node to answer
 SETTLE_SECONDS = 1.0  # for the latched topics to show what the answer has changed
-MOST_KEYS = 128  # typed ahead; what comes then is dropped
-MOST_FRAMES = 64  # on which a key may have been pressed that comes now
-_PAUSED = 'Not now: the lesson is paused; the top of the screen says why.'
+MAX_KEYS = 128  # typed ahead; further keys are dropped
+_MAX_FRAMES = 64  # whose keys still count
+_PAUSED = 'Not now: the lesson is paused; see the top of the screen.'
 
 
 class Screen:
     """
-    What is shown now, and what a key means in it.
+    What is shown now, and what each key does.
 
     :cvar answers_lesson: a key answers what the lesson asks for, if that was seen.
     :cvar shows_board: the game is shown beside it.
+    :cvar hides_features: during a lesson, the board shows only what the option depends on.
     :cvar claims_lesson: the screen may take over another participant's lesson.
     """
 
-    answers_lesson: ClassVar[bool] = False
-    shows_board: ClassVar[bool] = True
-    claims_lesson: ClassVar[bool] = False
+    answers_lesson: bool = False
+    shows_board: bool = True
+    hides_features: bool = False
+    claims_lesson: bool = False
 
     @property
     def state(self) -> str:
         """The state to draw, in the domain's notation; empty: that of the game."""
         return ''
 
-    def press(self, key: str, app: 'App') -> None:
-        """Carry out one key."""
+    def panel(self, app: 'App') -> Panel:
+        """Return what is shown besides the board."""
+        return Panel()
 
-    def replied(self, request: Request, answer: Answer, app: 'App') -> None:
-        """React to the answer to a request that this screen made."""
+    def commands(self, app: 'App') -> Sequence[Command]:
+        """Return what the keys do, in the order of the screen."""
+        return ()
+
+    def plays(self, app: 'App') -> bool:
+        """Return whether the game is being played."""
+        return False
+
+    def press(self, key: str, app: 'App') -> None:
+        """Carry out the command of a key."""
+        command = command_of(key, key_table(self.commands(app)))
+        if command is None:
+            self.other_key(key, app)
+        elif command.do is not None:
+            command.do(app)
+
+    def other_key(self, key: str, app: 'App') -> None:
+        """React to a key without a command."""
+
+    def refused(self, app: 'App') -> None:
+        """React to a request that was not carried out."""
 
     def run_ended(self, run: ActionGoal, well: bool, app: 'App') -> None:
         """React to the end of a run."""
 
     def tick(self, app: 'App') -> None:
-        """Do what needs no key, when nothing is under way."""
-
-    def keys(self, app: 'App') -> Keys:
-        """Return the labels of the keys that do something now, and what they do."""
-        return []
+        """Do what needs no key, when no request is under way."""
 
     def again(self, app: 'App') -> None:
-        """Go back to this screen."""
+        """Return to this screen."""
         app.show(self)
-
-
-@dataclass(frozen=True, slots=True)
-class Message:
-    """The last thing that was said to the person."""
-
-    text: str = ''
-    bad: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,12 +116,14 @@ class _Seen:
     screen: object = None  # None: any
 
 
-_FORGOTTEN = _Seen(object(), object())  # a frame that is too old: no key of it counts
+_FORGOTTEN = _Seen(object(), object())  # a frame that is too old: none of its keys count
+Then = Callable[[Answer], object]
 
 
 @dataclass
 class _Waiting:
     request: Request
+    then: Then | None
     until: float  # s, deadline
     answer: Answer | None = None
 
@@ -117,21 +138,21 @@ class App:
         self.seed = seed
         self.participant = ''
         self.known_options: tuple[str, ...] = ()  # in the order in which they were begun
-        self.message = Message()
+        self.message = GAP
         self.screen = first
         self.run: ActionGoal | None = None  # under way
-        self.run_text = ''  # how far it is
-        self.next_start = ''  # of the next demonstration, that was chosen; empty: none
+        self.run_text = ''  # its progress
+        self.next_start = ''  # chosen for the next demonstration; empty: none
         self.groups = QuestionGroups()
-        self.can_start_again: dict[str, bool] = {}  # what was last said with done, by option
+        self.can_start_again: dict[str, bool] = {}  # as last set with done, by option
         self.ended = False
         self.way_out = 'Ctrl-C quits'  # what a person can do when nodes are missing
         self._frame = 0  # number of the last one
         self._seen: dict[int, _Seen] = {}  # by number of the frame
-        self._outbox: deque[Request] = deque()
+        self._outbox: deque[tuple[Request, Then | None]] = deque()
         self._keys: deque[tuple[str, _Seen]] = deque()  # with what was seen when it was pressed
         self._waiting: _Waiting | None = None
-        self._owned = False  # the lesson was seen to be this participant's
+        self._owned = False  # the lesson has been this participant's
         self._displaced = first  # shown once another participant has the lesson
 
     @property
@@ -157,22 +178,34 @@ class App:
 
     def say(self, text: str, *, bad: bool = False) -> None:
         """Show a line to the person."""
-        self.message = Message(text, bad)
+        self.message = Line(text, Tone.BAD if bad else Tone.GOOD)
 
-    def ask(self, *requests: Request) -> None:
-        """Have requests made one after the other; one that fails ends the row."""
-        self._outbox.extend(requests)
+    def ask(self, *requests: Request, then: Then | None = None) -> None:
+        """
+        Make requests one after the other; the first that fails drops the others.
+
+        :param then: called with the answer to the last one, once it is carried out.
+        """
+        *before, last = requests
+        self._outbox.extend((request, None) for request in before)
+        self._outbox.append((last, then))
 
     def drive(self, action: str) -> None:
-        """Have a primitive action taken as a person; between two episodes, only take control."""
+        """Take a primitive action as a person; between two episodes, only take control."""
         game = self.world.game
-        if not game.open:
-            if self.run is not None:
-                self.ask(SetControl(hold=True))
-                return
-            self.say('The episode is over: no more steps can be taken.', bad=True)
-        else:
+        if game.open:
             self.ask(Drive(action, game.episode, game.step))
+        elif self.run is not None:
+            self.ask(SetControl(hold=True))
+        else:
+            self.say('The episode is over: no more steps can be taken.', bad=True)
+
+    def actions(self) -> list[Command]:
+        """Return the keys that drive."""
+        return [
+            Command([a.key], a.name, partial(App.drive, action=a.name), a.description)
+            for a in self.domain.actions
+        ]
 
     def claim_lesson(self, participant: str, displaced: Screen) -> None:
         """
@@ -200,18 +233,18 @@ class App:
         for key in keys:
             if key in (INTERRUPT, END_OF_FILE):
                 self.ended = True
-            elif key and len(self._keys) < MOST_KEYS:
+            elif key and len(self._keys) < MAX_KEYS:
                 self._keys.append((key, seen))
 
     def drawn(self) -> int:
         """
-        Keep what is asked for: keys that come now are pressed by one who has seen it.
+        Remember what was asked for: keys pressed from now on are those of a person who saw it.
 
         :return: number of the frame.
         """
         self._frame += 1
         self._seen[self._frame] = _Seen(self._asked_for, self.screen)
-        self._seen.pop(self._frame - MOST_FRAMES, None)
+        self._seen.pop(self._frame - _MAX_FRAMES, None)
         return self._frame
 
     def advance(self, now: float) -> Request | None:
@@ -225,18 +258,18 @@ class App:
         self._owned |= self.world.lesson.participant == self.participant
         while self._waiting is None and not self.ended:
             if self._outbox:
-                request = self._outbox.popleft()
+                request, then = self._outbox.popleft()
                 if self._is_anothers(request):
                     self._yield_lesson()
                     continue
-                self._waiting = _Waiting(request, now + REPLY_SECONDS)
+                self._waiting = _Waiting(request, then, now + REPLY_SECONDS)
                 return request
             if self._keys:
-                self.message = Message()
+                self.message = GAP
                 key, seen = self._keys.popleft()
                 other = seen.screen is not None and seen.screen is not self.screen
                 if other or (self.screen.answers_lesson and seen.asked_for != self._asked_for):
-                    self.say(f'{label(key)} was pressed before this was shown, and is ignored.')
+                    self.say(f'{label(key)} was pressed before this was shown; ignored.')
                 else:
                     self.screen.press(key, self)
                 continue
@@ -246,7 +279,7 @@ class App:
         return None
 
     def replied(self, request: Request, answer: Answer, now: float) -> None:
-        """Keep the answer to the request under way; any other answer is too late and ignored."""
+        """Take the answer to the request under way; any other answer is late and ignored."""
         waiting = self._waiting
         if waiting is None or waiting.request is not request:
             return
@@ -266,7 +299,7 @@ class App:
             self.screen.run_ended(run, well, self)
 
     def go_on(self) -> None:
-        """Have the machine move again, where it waits for the person."""
+        """Resume the machine if it is paused."""
         if self.world.paused_by:
             self.ask(SetPace(self.world.step_period, paused=False))
 
@@ -276,7 +309,7 @@ class App:
             self.run_ended(self.run, False, f'{server(self.run)} is gone.')
 
     def last_requests(self) -> list[Request]:
-        """Return what is left to ask when the terminal ends, so that nothing is left hanging."""
+        """Return the requests that leave nothing open when the dialogue ends."""
         lesson, game = self.world.lesson, self.world.game
         mine = lesson.participant == self.participant
         requests: list[Request] = []
@@ -301,17 +334,21 @@ class App:
 
     def _yield_lesson(self) -> None:
         """Leave lesson and game to another participant, and say so."""
-        self._outbox.clear()
-        self._keys.clear()
+        self._drop()
         if self.run is not None:
             self.ask(CancelRun())
         if self.world.paused_by == self.world.me:
             self.go_on()
         if self.world.i_drive:
             self.ask(SetControl(hold=False))
-        whose = self.world.lesson.participant
-        self.say(f'{whose} teaches now.' if whose else 'The lesson was restarted.', bad=True)
+        other = self.world.lesson.participant
+        self.say(f'{other} is teaching now.' if other else 'The lesson was restarted.', bad=True)
         self.show(self._displaced)
+
+    def _drop(self) -> None:
+        """Forget what has not been asked or pressed."""
+        self._outbox.clear()
+        self._keys.clear()
 
     @property
     def _asked_for(self) -> object:
@@ -323,27 +360,28 @@ class App:
         return lesson.phase, lesson.option_name, lesson.question_id, group, lesson.episode
 
     def _check_waiting(self, now: float) -> None:
+        """Finish the request under way once it is answered and settled, or late."""
         waiting = self._waiting
         if waiting is None:
             return
-        late, answer = now >= waiting.until, waiting.answer
+        request, answer, late = waiting.request, waiting.answer, now >= waiting.until
         if answer is None:
-            if late:
-                text = f'{server(waiting.request)} does not answer.'
-                self._finish(waiting.request, Answer(RequestStatus.REFUSED, text))
-        elif late or not answer.carried_out or settled(waiting.request, answer, self.world):
-            self._finish(waiting.request, answer)
-
-    def _finish(self, request: Request, answer: Answer) -> None:
-        self._waiting = None
-        if not answer.carried_out:
-            self._outbox.clear()
-            self._keys.clear()
-        if answer.detail or not answer.carried_out:
-            self.say(answer.detail, bad=not answer.carried_out)
-        if isinstance(request, Drive) and not answer.carried_out and self.run is not None:
-            self.ask(SetControl(hold=True))  # the machine goes on, and the person wants to drive
-        self.screen.replied(request, answer, self)
+            if not late:
+                return
+            answer = Answer(RequestStatus.REFUSED, f'{server(request)} does not answer.')
+        elif answer.carried_out and not late and not settled(request, answer, self.world):
+            return
+        self._waiting, done = None, answer.carried_out
+        if answer.detail or not done:
+            self.say(answer.detail, bad=not done)
+        if done:
+            if waiting.then is not None:
+                waiting.then(answer)
+            return
+        self._drop()
+        if isinstance(request, Drive) and self.run is not None:
+            self.ask(SetControl(hold=True))  # the machine was faster than the person
+        self.screen.refused(self)
 
 
 def _words(request: Request, answer: Answer) -> str:

@@ -1,18 +1,17 @@
 """Screens in which the game is played: by the person, by a taught option, by a plan."""
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, KW_ONLY, replace
+from collections.abc import Iterator
+from dataclasses import dataclass, KW_ONLY
 from functools import partial
-from typing import ClassVar
 
 from humanopts_env.seeding import generator
-from humanopts_learner.planning.request import Arbitration, HUMAN, HUMAN_AND_PRIMITIVE
+from humanopts_learner.planning.request import Arbitration, HUMAN, HUMAN_AND_PRIMITIVE, MODULAR
 from humanopts_teach.dialogue.app import App, Screen
-from humanopts_teach.dialogue.entry import HelpScreen, Item, ListScreen
-from humanopts_teach.dialogue.keys import key_table, KeyCommand, Keys, KeyTable, label
+from humanopts_teach.dialogue.entry import Item, ListScreen, QUIT, with_help
+from humanopts_teach.dialogue.keys import Command, Do, ENTER, ESCAPE, key_table, SPACE
+from humanopts_teach.dialogue.panel import GAP, Line, Panel, Tone
 from humanopts_teach.lesson.requests import (
     ActionGoal,
-    Answer,
     CancelRun,
     NewEpisode,
     PlanOptions,
@@ -22,109 +21,128 @@ from humanopts_teach.lesson.requests import (
     SetControl,
     SetExecution,
     SetPace,
+    World,
 )
 
-EPISODES = 5  # that are watched
+EPISODES = 5  # to watch
 EXECUTIONS = {
-    Arbitration.RUN_TO_END: 'each option to its end',
-    Arbitration.INTERRUPTED: 'options stop where another is worth more',
-    Arbitration.MODULAR_MASS: 'all options act at once: the greatest mass',
-    Arbitration.MODULAR_STRONGEST: 'all options act at once: the strongest',
+    Arbitration.RUN_TO_END: 'each option runs to its end',
+    Arbitration.INTERRUPTED: 'an option stops where another is worth more',
+    Arbitration.MODULAR_MASS: 'all options act at once; the greatest mass wins',
+    Arbitration.MODULAR_STRONGEST: 'all options act at once; the strongest wins',
 }
-# While the machine drives.
-PACE = (KeyCommand.PAUSE, KeyCommand.STEP, KeyCommand.SLOWER, KeyCommand.FASTER)
-_NOT_THEN = (KeyCommand.NEW_START, KeyCommand.RUN_HERE, KeyCommand.UNCOVERED)
 PERIODS = (2.0, 1.0, 0.5, 0.25, 0.1, 0.0)  # s between steps of the machine
-_COMMANDS = (KeyCommand.NEW_START, KeyCommand.MENU, KeyCommand.HELP, KeyCommand.QUIT)
 _UNKNOWN_COVERAGE = (
-    'Uncovered places are known for plans with your options alone, in games whose states can all '
-    'be listed.'
+    'Uncovered places are known only for plans with your options alone, in games whose states '
+    'can all be listed.'
 )
 
 
-def set_pace(command: KeyCommand, app: App) -> None:
-    """Pause, resume or single-step the machine, or let it move slower or faster."""
-    period, paused = app.world.step_period, bool(app.world.paused_by)
-    if command in (KeyCommand.PAUSE, KeyCommand.STEP):
-        step = command is KeyCommand.STEP
-        app.ask(SetPace(period, paused=step or not paused, steps=int(step)))
-        return
-    near = min(range(len(PERIODS)), key=lambda n: abs(PERIODS[n] - period))
-    other = near + (1 if command is KeyCommand.FASTER else -1)
-    app.ask(SetPace(PERIODS[max(0, min(other, len(PERIODS) - 1))], paused))
+def pace(app: App) -> list[Command]:
+    """Return the keys that pause, resume, single-step, slow down and speed up the machine."""
+    if app.run is None:
+        return []
+    now, paused = app.world.step_period, bool(app.world.paused_by)
+    near = min(range(len(PERIODS)), key=lambda n: abs(PERIODS[n] - now))
+    slower, faster = PERIODS[max(near - 1, 0)], PERIODS[min(near + 1, len(PERIODS) - 1)]
+
+    def set_to(period: float, paused: bool, steps: int = 0) -> Do:
+        return lambda app: app.ask(SetPace(period, paused, steps))
+
+    return [
+        Command([SPACE], 'resume' if paused else 'pause', set_to(now, not paused)),
+        Command('.,', 'single step', set_to(now, True, 1)),
+        Command('-', 'slower', set_to(slower, paused)),
+        Command('+', 'faster', set_to(faster, paused)),
+    ]
 
 
-def pace_words(app: App) -> dict[KeyCommand, str]:
-    """Return what the keys of the pace do, where that is not what their names say."""
-    return {KeyCommand.PAUSE: 'resume'} if app.world.paused_by else {}
+def pace_line(world: World) -> Line:
+    """Return the speed of the machine in words."""
+    if world.paused_by:
+        return Line('The machine is paused.', Tone.WARNING)
+    limit = f'At most one step every {world.step_period:g} s.'
+    return Line(limit if world.step_period else 'At full speed.', Tone.QUIET)
+
+
+def last_step(world: World) -> Iterator[Line]:
+    """Yield what the last step did and its reward, where one was taken."""
+    game, effect = world.game, world.last_effect
+    if game.step:
+        text = effect.text if effect is not None else f'last: {game.previous_action}'
+        without = effect is not None and not effect.changed
+        yield Line(f'{text} (reward {game.reward:g})', Tone.WARNING if without else Tone.PLAIN)
 
 
 @dataclass
 class PlayScreen(Screen):
-    """The person drives as they like; nothing of it is a demonstration."""
+    """The person drives freely; nothing of it is a demonstration."""
 
-    menu: Callable[[App], None]
+    menu: Do
     title: str = 'Drive freely'
     text: str = 'Nothing here is a demonstration.'
-    commands: ClassVar[Sequence[KeyCommand]] = _COMMANDS
-    words: ClassVar[Mapping[KeyCommand, str]] = {}  # what a key does here, where that differs
+    leave: str = 'menu'  # what Escape does, in words
+    quits: bool = True  # one key ends the dialogue
 
-    def press(self, key: str, app: App) -> None:
-        """Drive, which takes control, or carry out a command."""
-        table = self.table(app)
-        action, command = table.action(key), table.command(key)
-        if action is not None:
-            app.drive(action)
-        elif command is KeyCommand.RUN_HERE and app.run is None:
-            self.start(app)
-        elif command is KeyCommand.NEW_START and app.run is None:
-            app.ask(self.new_start(app))
-        elif command in PACE:
-            set_pace(command, app)
-        elif command is KeyCommand.MENU:
-            if app.run is not None:
-                app.go_on()
-                app.ask(CancelRun())
-            else:
-                self.menu(app)
-        elif command is KeyCommand.HELP:
-            keys = self._shown(app).help(app.domain.actions, self._words(app))
-            app.show(HelpScreen(keys, self.again))
-        elif command is KeyCommand.QUIT:
-            app.end()
+    def plays(self, app: App) -> bool:
+        return True
 
-    def start(self, app: App) -> None:
-        """Have the machine begin. To be overridden where a machine plays."""
+    def commands(self, app: App) -> list[Command]:
+        idle, stop = app.run is None, Command([ESCAPE], 'stop', _stop)
+        commands = [
+            *(*app.actions(), *pace(app), *self.machine(app)),
+            Command(
+                'no',
+                'new start',
+                (lambda app: app.ask(self.new_start(app))) if idle else None,
+                'begin an episode from a start of the task',
+            ),
+            Command([ESCAPE], self.leave, self.menu) if idle else stop,
+            *([QUIT] if self.quits else []),
+        ]
+        return with_help(commands, self.again)
+
+    def panel(self, app: App) -> Panel:
+        world, game = app.world, app.world.game
+        lines = [Line(self.title, strong=True), Line(self.text, Tone.QUIET), *self.mode(app), GAP]
+        if app.run is not None:
+            lines += [Line(f'The machine drives. {app.run_text}', Tone.NEWS), pace_line(world)]
+            lines += self.running(app)
+        if game.episode:
+            lines += [Line(f'episode {game.episode}, step {game.step}'), *last_step(world)]
+        if game.terminated:
+            lines.append(Line('The task is over.', Tone.NEWS))
+        elif game.truncated:
+            lines.append(Line('The episode is over: step limit reached.', Tone.WARNING))
+        return Panel(lines)
+
+    def machine(self, app: App) -> list[Command]:
+        """Return the keys of the machine's part."""
+        return []
+
+    def mode(self, app: App) -> Iterator[Line]:
+        """Yield how the machine plays."""
+        yield from ()
+
+    def running(self, app: App) -> Iterator[Line]:
+        """Yield what the machine runs now."""
+        yield from ()
 
     def new_start(self, app: App) -> Request:
         """Return the request for an episode from a start state of the task."""
         rng = generator(app.seed, 'terminal episode', app.participant, app.world.game.episode)
         return NewEpisode(int(rng.integers(2**63)))
 
-    def table(self, app: App) -> KeyTable:
-        pace = PACE if app.run is not None else ()
-        return key_table(app.domain.actions, (*pace, *self.commands))
 
-    def keys(self, app: App) -> Keys:
-        actions = [(label(action.key), action.name) for action in app.domain.actions]
-        return [*actions, *self._shown(app).labelled(self._words(app))]
-
-    def _shown(self, app: App) -> KeyTable:
-        """Return the keys that do something now."""
-        table, without = self.table(app), () if app.run is None else _NOT_THEN
-        commands = {key: each for key, each in table.commands.items() if each not in without}
-        return replace(table, commands=commands)
-
-    def _words(self, app: App) -> Mapping[KeyCommand, str]:
-        stop = {KeyCommand.MENU: 'stop it'} if app.run is not None else {}
-        return {**self.words, **stop, **pace_words(app)}
+def _stop(app: App) -> None:
+    app.go_on()
+    app.ask(CancelRun())
 
 
 @dataclass
 class RunScreen(PlayScreen):
     """The machine runs one taught option; a person's action key takes over."""
 
-    commands: ClassVar[Sequence[KeyCommand]] = (KeyCommand.RUN_HERE, *_COMMANDS)
     text: str = 'The machine runs it from the state shown. An action key takes over.'
     _: KW_ONLY
     option_name: str
@@ -132,7 +150,10 @@ class RunScreen(PlayScreen):
     def __post_init__(self) -> None:
         self.title = f'Run: {self.option_name}'
 
-    def start(self, app: App) -> None:
+    def machine(self, app: App) -> list[Command]:
+        return [Command([ENTER], 'run it from here', self._run if app.run is None else None)]
+
+    def _run(self, app: App) -> None:
         """Give control back, and run the option from the current state."""
         first = [] if app.world.game.open else [self.new_start(app)]
         app.ask(*first, SetControl(hold=False), RunOption(self.option_name, app.participant))
@@ -142,50 +163,47 @@ class RunScreen(PlayScreen):
 class WatchScreen(PlayScreen):
     """The machine plans and plays episodes; a person's action key takes over."""
 
-    commands: ClassVar[Sequence[KeyCommand]] = (
-        KeyCommand.RUN_HERE,
-        KeyCommand.EXECUTION,
-        KeyCommand.UNCOVERED,
-        *_COMMANDS,
-    )
-    words: ClassVar[Mapping[KeyCommand, str]] = {KeyCommand.RUN_HERE: 'plan and play'}
     title: str = f'Watch the machine play {EPISODES} episodes'
     text: str = 'It plans first, then plays. An action key takes over.'
     _: KW_ONLY
-    teach: Callable[[App], None]
+    teach: Do
     action_set: str
     execution: Arbitration = Arbitration.RUN_TO_END
 
-    def press(self, key: str, app: App) -> None:
-        """Change the execution, also of a run under way; do with other keys as elsewhere."""
-        command = self.table(app).command(key)
-        if command is KeyCommand.UNCOVERED and app.run is None:
-            self._show_uncovered(app)
-        elif command is KeyCommand.EXECUTION:
-            known = list(EXECUTIONS)
-            other = known[(known.index(self.in_force(app)) + 1) % len(known)]
-            if isinstance(app.run, PlayEpisodes):
-                app.ask(SetExecution(other))
-            else:
-                self.execution = other
-        else:
-            super().press(key, app)
+    def machine(self, app: App) -> list[Command]:
+        idle = app.run is None
+        return [
+            Command([ENTER], 'plan and play', self._plan if idle else None),
+            Command('xm', 'other arbitration', self._change, 'choose between options differently'),
+            Command(
+                'cy',
+                'uncovered places',
+                self._show_uncovered if idle else None,
+                'list where no option could start (a fallback to a single step), or where a '
+                'single step was worth more',
+            ),
+        ]
 
-    def replied(self, request: Request, answer: Answer, app: App) -> None:
-        """Keep the new execution for the runs that follow."""
-        if isinstance(request, SetExecution) and answer.ok:
-            self.execution = Arbitration(request.execution)
+    def mode(self, app: App) -> Iterator[Line]:
+        yield Line(f'Arbitration: {EXECUTIONS[self.in_force(app)]}.')
+
+    def running(self, app: App) -> Iterator[Line]:
+        world, game = app.world, app.world.game
+        if self.in_force(app) not in MODULAR:
+            if world.running:
+                yield Line(f'Running: {world.running.replace("action:", "one step ")}')
+        # Which option took the last step, where one did and it is known.
+        elif option := world.acted.get((game.action_publisher_id, game.action_sequence)):
+            yield Line(f'{option} won this step.')
 
     def in_force(self, app: App) -> Arbitration:
         """Return how it plays, or will play."""
         playing = isinstance(app.run, PlayEpisodes) and app.world.execution
         return Arbitration(app.world.execution) if playing else self.execution
 
-    def start(self, app: App) -> None:
-        app.ask(SetControl(hold=False), PlanOptions(self.action_set, app.participant, app.seed))
-
     def run_ended(self, run: ActionGoal, well: bool, app: App) -> None:
         """Play once it is planned, and name the options that are not yet learned well enough."""
+        said = app.message.text
         if well and isinstance(run, PlanOptions):
             unready = [
                 summary.option_name
@@ -193,14 +211,24 @@ class WatchScreen(PlayScreen):
                 if summary.participant == app.participant and not summary.criteria_met
             ]
             if unready and self.action_set in (HUMAN, HUMAN_AND_PRIMITIVE):
-                names = ', '.join(unready)
-                app.say(f'{app.message.text} The criteria of {names} are not met yet.', bad=True)
+                app.say(f'{said} The criteria of {", ".join(unready)} are not met yet.', bad=True)
             app.ask(
                 PlayEpisodes(self.action_set, app.participant, EPISODES, app.seed, self.execution)
             )
         elif well and app.world.uncovered:
-            number, key = len(app.world.uncovered), self.table(app).key(KeyCommand.UNCOVERED)
-            app.say(f'{app.message.text} Uncovered places: {number}; {key} lists them.')
+            table = key_table(self.commands(app)).items()
+            key = next(key for key, each in table if each.do == self._show_uncovered)
+            app.say(f'{said} Uncovered places: {len(app.world.uncovered)}; {key} lists them.')
+
+    def _plan(self, app: App) -> None:
+        app.ask(SetControl(hold=False), PlanOptions(self.action_set, app.participant, app.seed))
+
+    def _change(self, app: App) -> None:
+        """Change the execution, also of a run under way."""
+        known = list(EXECUTIONS)
+        self.execution = known[(known.index(self.in_force(app)) + 1) % len(known)]
+        if isinstance(app.run, PlayEpisodes):
+            app.ask(SetExecution(self.execution))
 
     def _show_uncovered(self, app: App) -> None:
         """List where the options of the plan cannot start, or are worth less than single steps."""

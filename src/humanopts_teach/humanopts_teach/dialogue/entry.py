@@ -1,17 +1,111 @@
-"""Screens in which the person types or picks something."""
+"""Screens in which the person reads, types or chooses something."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import ClassVar
+from functools import partial
 
 from humanopts_env.domains.capabilities import explanation
 from humanopts_ros.limits import composed
 from humanopts_teach.dialogue import keys
 from humanopts_teach.dialogue.app import App, Screen
-from humanopts_teach.lesson.requests import Answer, Request
+from humanopts_teach.dialogue.keys import Command, Do
+from humanopts_teach.dialogue.panel import (
+    Block,
+    Choices,
+    GAP,
+    KeyList,
+    Line,
+    Panel,
+    Tone,
+    TypedText,
+)
 
-MOST_CHARACTERS = 60
+MAX_CHARACTERS = 60
 PAGE = 9  # items that a terminal lists at once: each has a digit
+
+
+def end(app: App) -> None:
+    """Leave the dialogue."""
+    app.end()
+
+
+QUIT = Command('qQ', 'quit', end, 'quit; everything taught is saved for the next time')
+_INTERRUPT = Command([keys.INTERRUPT], 'quit', end, 'quit at once')  # as in ``App.type``
+
+
+@dataclass
+class Notice(Screen):
+    """
+    Something to read, and the keys that lead on.
+
+    :ivar other: what any other key does; None: nothing.
+    """
+
+    blocks: Sequence[Block]
+    choices: Sequence[Command]
+    other: Do | None = None
+    shows_board: bool = True
+    claims_lesson: bool = False
+    hides_features: bool = True
+
+    def panel(self, app: App) -> Panel:
+        return Panel(self.blocks)
+
+    def commands(self, app: App) -> Sequence[Command]:
+        return self.choices
+
+    def other_key(self, key: str, app: App) -> None:
+        if self.other is not None:
+            self.other(app)
+
+
+def confirm(question: str, affirm: Do, back: Do) -> Notice:
+    """Return a question that only Enter affirms; every key goes back first."""
+
+    def affirmed(app: App) -> None:
+        back(app)
+        affirm(app)
+
+    choices = [
+        Command([keys.ENTER], 'yes', affirmed),
+        Command([keys.ESCAPE], 'no', back, label='any other key'),
+    ]
+    return Notice([Line(question, strong=True)], choices, back)
+
+
+def key_list(title: str, rows: Sequence[tuple[str, str]], back: Do) -> Notice:
+    """Return a list of keys or signs and their meanings, which any key leaves."""
+    choices = [Command([keys.ESCAPE], 'back', back, label='any key')]
+    blocks = Line(title, strong=True), KeyList(rows)
+    return Notice(blocks, choices, back, shows_board=False)
+
+
+def with_help(
+    commands: Sequence[Command], back: Do, explained: Sequence[Command] = ()
+) -> list[Command]:
+    """
+    Return commands, and one that explains them.
+
+    :param explained: commands to explain instead; none: these.
+    """
+
+    def show(app: App) -> None:
+        table = keys.key_table([*(explained or commands), helping, _INTERRUPT])
+        rows = [
+            (keys.label(key), each.help or each.words)
+            for key, each in table.items()
+            if each.do is not None and each.label is None
+        ]
+        app.show(key_list('Keys', rows, back))
+
+    helping = Command('?h', 'help', show)
+    return [*commands, helping]
+
+
+def _show_game(back: Do, app: App) -> None:
+    """Show what the game is about, what its signs mean, and what its actions do."""
+    actions = [(keys.label(action.key), action.description) for action in app.domain.actions]
+    app.show(key_list('The game', [*explanation(app.domain), *actions], back))
 
 
 @dataclass
@@ -22,125 +116,110 @@ class TextScreen(Screen):
     explanation: str
     typed: str = ''
     submit: Callable[[str, App], None] = lambda text, app: None
-    answered: Callable[[Request, Answer, App], None] = lambda request, answer, app: None
-    back: Callable[[App], None] | None = None
+    back: Do | None = None
     back_words: str = 'back'
     _edited: bool = field(default=False, init=False)
 
     def press(self, key: str, app: App) -> None:
-        kept, self._edited = self.typed if self._edited else '', True
-        if key == keys.ENTER and self.typed.strip():
-            self.submit(composed(self.typed.strip()), app)
-        elif key == keys.ESCAPE and self.back is not None:
-            self.back(app)
-        elif key == keys.BACKSPACE:
-            self.typed = self.typed[:-1]
-        elif key == keys.CLEAR:
-            self.typed = ''
-        elif len(key) == 1 and key.isprintable() and len(kept) < MOST_CHARACTERS:
+        super().press(key, app)
+        self._edited = True
+
+    def panel(self, app: App) -> Panel:
+        title, explanation = Line(self.title, strong=True), Line(self.explanation, Tone.QUIET)
+        return Panel((title, GAP, TypedText(self.typed), GAP, explanation))
+
+    def commands(self, app: App) -> Sequence[Command]:
+        text = self.typed.strip()
+        accept = (lambda app: self.submit(composed(text), app)) if text else None
+        return [
+            Command([keys.ENTER], 'accept', accept),
+            Command([keys.BACKSPACE], 'erase', self._erase if self.typed else None),
+            Command([keys.CLEAR], 'erase all', self._clear, label=''),
+            Command([keys.ESCAPE], self.back_words, self.back),
+            _INTERRUPT,
+        ]
+
+    def other_key(self, key: str, app: App) -> None:
+        kept = self.typed if self._edited else ''
+        if len(key) == 1 and key.isprintable() and len(kept) < MAX_CHARACTERS:
             self.typed = kept + key
 
-    def replied(self, request: Request, answer: Answer, app: App) -> None:
-        self.answered(request, answer, app)
+    def _erase(self, app: App) -> None:
+        self.typed = self.typed[:-1]
 
-    def keys(self, app: App) -> keys.Keys:
-        back = [(keys.label(keys.ESCAPE), self.back_words)] if self.back is not None else []
-        edit = [('Enter', 'accept')] if self.typed.strip() else []
-        edit += [('Backspace', 'erase')] if self.typed else []
-        return [*edit, *back, ('Ctrl-C', 'quit')]
+    def _clear(self, app: App) -> None:
+        self.typed = ''
 
 
 @dataclass(frozen=True)
 class Item:
-    """One thing to pick."""
+    """One thing to choose."""
 
     text: str
     note: str
-    pick: Callable[[App], None]
-    states: Sequence[str] = ()  # that are drawn while it is chosen, the first one first
+    choose: Do
+    states: Sequence[str] = ()  # drawn while it is marked, the first one first
 
 
 @dataclass
 class ListScreen(Screen):
-    """A list from which the person picks by arrow keys, or by number within a page."""
+    """A list from which the person chooses by arrow keys, or by number within a page."""
 
     title: str
     items: Sequence[Item]
-    back: Callable[[App], None] | None = None
-    answered: Callable[[Request, Answer, App], None] = lambda request, answer, app: None
+    back: Do | None = None
     at: int = 0
-    step: int = 0  # of the states of the chosen item
+    step: int = 0  # of the states of the marked item
 
     @property
     def state(self) -> str:
-        """The state of the chosen item that is drawn."""
+        """The state of the marked item that is drawn."""
         states = self.items[self.at].states
         return states[self.step] if states else ''
 
-    def press(self, key: str, app: App) -> None:
-        number = self.at - self.at % PAGE + int(key) - 1 if key in set('123456789') else -1
-        if key in (keys.UP, keys.DOWN):
-            self.at, self.step = (self.at + (1 if key == keys.DOWN else -1)) % len(self.items), 0
-        elif key in (keys.LEFT, keys.RIGHT):
-            last = len(self.items[self.at].states) - 1
-            self.step = max(min(self.step + (1 if key == keys.RIGHT else -1), last), 0)
-        elif 0 <= number < len(self.items):
-            self.at, self.step = number, 0
-            self.items[self.at].pick(app)
-        elif key == '?':
-            show_game(self, app)
-        elif key == keys.ENTER:
-            self.items[self.at].pick(app)
-        elif key == keys.ESCAPE and self.back is not None:
-            self.back(app)
-        elif key in ('q', 'Q'):
-            app.end()
+    def panel(self, app: App) -> Panel:
+        n_states = len(self.items[self.at].states)
+        blocks: list[Block] = [Line(self.title, strong=True)]
+        if n_states > 1:
+            blocks.append(Line(f'board: step {self.step} of {n_states - 1}', Tone.QUIET))
+        blocks += [GAP, Choices([(item.text, item.note) for item in self.items], self.at)]
+        if len(self.items) > PAGE:
+            blocks.append(Line(f'{self.at + 1} of {len(self.items)}', Tone.QUIET))
+        return Panel(blocks)
 
-    def replied(self, request: Request, answer: Answer, app: App) -> None:
-        self.answered(request, answer, app)
+    def commands(self, app: App) -> Sequence[Command]:
+        first, last = self.at - self.at % PAGE, len(self.items[self.at].states) - 1
+        numbers = range(first, min(first + PAGE, len(self.items)))
 
-    def keys(self, app: App) -> keys.Keys:
-        back = [(keys.label(keys.ESCAPE), 'back')] if self.back is not None else []
-        along = [(keys.label(keys.LEFT), 'step back'), (keys.label(keys.RIGHT), 'step on')]
-        way = along if len(self.items[self.at].states) > 1 else []
-        first = [('↑ ↓', 'move'), *way, ('Enter', 'choose'), ('1-9', 'choose'), *back]
-        return [*first, ('?', 'the game'), ('q', 'quit')]
+        def go(at: int, step: int = 0) -> Do:
+            return lambda app: self._go(at % len(self.items), step)
 
+        def choose(at: int) -> Do:
+            def choose_it(app: App) -> None:
+                self._go(at)
+                self.items[at].choose(app)
 
-@dataclass
-class ConfirmScreen(Screen):
-    """A question: every key goes back, and Enter affirms it then."""
+            return choose_it
 
-    question: str
-    affirm: Callable[[App], None]
-    back: Callable[[App], None]
+        along = [
+            Command([keys.LEFT], 'step back', go(self.at, max(self.step - 1, 0))),
+            Command([keys.RIGHT], 'step on', go(self.at, min(self.step + 1, last))),
+        ]
+        return [
+            Command([keys.UP], 'move', go(self.at - 1), label='↑ ↓'),
+            Command([keys.DOWN], 'move down', go(self.at + 1), label=''),
+            *(along if last > 0 else []),
+            Command([keys.ENTER], 'choose', choose(self.at)),
+            *(
+                Command(
+                    str(at - first + 1), 'choose', choose(at), label='' if at > first else '1-9'
+                )
+                for at in numbers
+            ),
+            Command([keys.ESCAPE], 'back', self.back),
+            Command('?', 'the game', partial(_show_game, self.again)),
+            QUIT,
+        ]
 
-    def press(self, key: str, app: App) -> None:
-        self.back(app)
-        if key == keys.ENTER:
-            self.affirm(app)
-
-    def keys(self, app: App) -> keys.Keys:
-        return [('Enter', 'yes'), ('any other key', 'go on as before')]
-
-
-@dataclass
-class HelpScreen(Screen):
-    """All keys in words; any key goes back."""
-
-    shows_board: ClassVar[bool] = False
-    table: Sequence[tuple[str, str]]
-    back: Callable[[App], None]
-    title: str = 'Keys'
-
-    def press(self, key: str, app: App) -> None:
-        self.back(app)
-
-    def keys(self, app: App) -> keys.Keys:
-        return [('any key', 'go back')]
-
-
-def show_game(screen: Screen, app: App) -> None:
-    """Show what the game is about, what its signs mean, and what its actions do."""
-    actions = [(keys.label(action.key), action.description) for action in app.domain.actions]
-    app.show(HelpScreen([*explanation(app.domain), *actions], screen.again, 'The game'))
+    def _go(self, at: int, step: int = 0) -> None:
+        self.at, self.step = at, step

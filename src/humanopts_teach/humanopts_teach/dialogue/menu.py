@@ -1,16 +1,17 @@
 """The way from screen to screen: who teaches, what to do, which option."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import partial
-from typing import ClassVar
 
 from humanopts_env.domains.base import is_enumerable
 from humanopts_learner.demonstrations import GOAL, METHODS, TREES
+from humanopts_learner.planning.request import HUMAN, HUMAN_AND_PRIMITIVE, PRIMITIVE
 from humanopts_teach.dialogue.app import App
 from humanopts_teach.dialogue.driving import PlayScreen, RunScreen, WatchScreen
-from humanopts_teach.dialogue.entry import ConfirmScreen, Item, ListScreen, TextScreen
-from humanopts_teach.dialogue.keys import ESCAPE, Keys
+from humanopts_teach.dialogue.entry import confirm, end, Item, ListScreen, Notice, TextScreen
+from humanopts_teach.dialogue.keys import Command, ESCAPE
+from humanopts_teach.dialogue.panel import Line
 from humanopts_teach.dialogue.teaching import LessonScreen
 from humanopts_teach.lesson.requests import (
     Answer,
@@ -20,7 +21,6 @@ from humanopts_teach.lesson.requests import (
     ListOptions,
     OpenSession,
     Phase,
-    Request,
     SetControl,
     UNKNOWN,
     Verdict,
@@ -32,39 +32,18 @@ class OpeningScreen(TextScreen):
     """
     The first screen: who teaches.
 
-    :ivar known: the code need not be asked for: it is taken once the lesson is there. The person
-        is asked only where it is refused.
+    :ivar known: the proposed code is taken once the lesson is there; the person is asked only if
+        it is refused.
     """
 
     known: bool = False
-    claims_lesson: ClassVar[bool] = True
+    claims_lesson = True
 
     def tick(self, app: App) -> None:
         """Take the code that is known, once."""
         if self.known and app.world.lesson is not UNKNOWN:
             self.known = False
             self.submit(self.typed, app)
-
-
-class DisplacedScreen(ConfirmScreen):
-    """The lesson is no longer this person's; no key that was meant for it takes it back."""
-
-    claims_lesson: ClassVar[bool] = True
-
-    def __init__(self) -> None:
-        super().__init__('The lesson is no longer yours. Take it back?', _come_back, to_menu)
-
-    def press(self, key: str, app: App) -> None:
-        if key == 't':
-            self.affirm(app)
-        elif key == ESCAPE:
-            self.back(app)
-
-    def replied(self, request: Request, answer: Answer, app: App) -> None:
-        _entered(request, answer, app)
-
-    def keys(self, app: App) -> Keys:
-        return [('t', 'take it back'), ('Esc', 'menu'), ('Ctrl-C', 'quit')]
 
 
 def opening(participant: str, *, ask: bool = True) -> OpeningScreen:
@@ -77,9 +56,8 @@ def opening(participant: str, *, ask: bool = True) -> OpeningScreen:
     return OpeningScreen(
         'Who teaches?',
         'Your code keeps your options apart from those of others. Enter accepts it.',
-        typed=participant,
-        submit=_enter,
-        answered=_entered,
+        participant,
+        _enter,
         known=not ask,
     )
 
@@ -87,8 +65,8 @@ def opening(participant: str, *, ask: bool = True) -> OpeningScreen:
 def _enter(code: str, app: App) -> None:
     lesson = app.world.lesson
     under_way = lesson.phase is Phase.DEMONSTRATING
-    app.claim_lesson(code, DisplacedScreen())
-    # A terminal that was cut off left a demonstration under way: that of the same person goes on.
+    app.claim_lesson(code, _displaced())
+    # A terminal that was cut off left a demonstration under way: its owner continues it.
     if under_way and lesson.participant == code:
         app.known_options = (lesson.option_name,)
         to_lesson(app)
@@ -98,28 +76,38 @@ def _enter(code: str, app: App) -> None:
             f'{who} has a demonstration under way, but is not in control now. {who} may still '
             'be there. Discard it?'
         )
-        app.show(ConfirmScreen(question, partial(_take_over, lesson.episode), app.screen.again))
+        app.show(confirm(question, partial(_take_over, lesson.episode), app.screen.again))
     else:
-        app.ask(OpenSession(code))
+        _open(app)
 
 
-def _come_back(app: App) -> None:
-    _enter(app.participant, app)
+def _displaced() -> Notice:
+    """Return what is shown once the lesson is no longer this person's; only t takes it back."""
+    choices = [
+        Command('t', 'take it back', lambda app: _enter(app.participant, app)),
+        Command([ESCAPE], 'menu', to_menu),
+    ]
+    question = Line('The lesson is no longer yours. Take it back?', strong=True)
+    return Notice([question], choices, claims_lesson=True)
 
 
 def _take_over(episode: int, app: App) -> None:
-    """Discard a demonstration that somebody else left, if it still is as it was; then come in."""
+    """Discard the demonstration that another person left, unless it has changed; then enter."""
     lesson = app.world.lesson
     under_way = lesson.phase is Phase.DEMONSTRATING and lesson.episode == episode
     if under_way and not app.world.holder:
         app.ask(EndDemonstration(Verdict.DISCARD, episode, 0))
-    app.ask(OpenSession(app.participant))
+    _open(app)
 
 
-def _entered(request: Request, answer: Answer, app: App) -> None:
-    if answer.ok and isinstance(request, OpenSession):
-        app.known_options = answer.known_options
-        to_menu(app)
+def _open(app: App) -> None:
+    app.ask(OpenSession(app.participant), then=partial(_know, app))
+
+
+def _know(app: App, answer: Answer) -> None:
+    """Return to the menu with the options that the answer names."""
+    app.known_options = answer.known_options
+    to_menu(app)
 
 
 def to_menu(app: App) -> None:
@@ -130,8 +118,7 @@ def to_menu(app: App) -> None:
     known = len(app.known_options)
     items = [Item('Teach a new option', 'name it, answer questions, show it', _name_option)]
     if known:
-        text = f'{known} begun so far'
-        items.append(Item('Go on teaching an option', text, _choose_known))
+        items.append(Item('Continue teaching an option', f'{known} so far', _choose_known))
     items += [
         Item('Run a taught option', 'the machine runs it, you watch', _list_taught),
         Item('Watch the machine play', 'it plans, then plays', _choose_plan),
@@ -139,52 +126,57 @@ def to_menu(app: App) -> None:
     ]
     if known:
         note = 'rename or delete it, or learn it in another way'
-        items.append(Item('Change an option', note, _choose_changed))
-    items.append(Item(*app.leaving, lambda app: app.end()))
-    app.show(ListScreen('What next?', items, answered=_listed))
+        choose = partial(_choose, 'Change which option?', _change)
+        items.append(Item('Change an option', note, choose))
+    app.show(ListScreen('What next?', [*items, Item(*app.leaving, end)]))
 
 
 def to_lesson(app: App) -> None:
-    """Show the lesson as it stands."""
+    """Show the lesson in its current phase."""
     app.groups.forget()
-    app.show(LessonScreen(menu=to_menu, run=to_run))
+    app.show(LessonScreen(to_menu, to_run))
 
 
 def to_run(option_name: str, app: App) -> None:
     """Show the screen from which one option is run."""
-    app.show(RunScreen(menu=to_menu, option_name=option_name))
+    app.show(RunScreen(to_menu, option_name=option_name))
 
 
 def _name_option(app: App) -> None:
-    app.show(
-        TextScreen(
-            'What is the option called?',
-            'In your own words: go to ..., avoid ..., fetch ...',
-            submit=lambda name, app: app.ask(DefineOption(name)),
-            answered=_defined,
-            back=to_menu,
-        )
-    )
+    explanation = 'In your own words: go to ..., avoid ..., fetch ...'
+    app.show(TextScreen('What is the option called?', explanation, '', _define, to_menu))
 
 
-def _defined(request: Request, answer: Answer, app: App) -> None:
-    if answer.ok and isinstance(request, DefineOption):
-        if request.name not in app.known_options:
-            app.known_options = (*app.known_options, request.name)
+def _define(name: str, app: App, method: str = '') -> None:
+    """Name an option, or take it up again, and show its lesson."""
+
+    def defined(answer: Answer) -> None:
+        if name not in app.known_options:
+            app.known_options = (*app.known_options, name)
         to_lesson(app)
+
+    app.ask(DefineOption(name, method=method), then=defined)
+
+
+def _items(names: Iterable[str], choose: Callable[[str, App], object], app: App) -> list[Item]:
+    """Return options to choose from, each with its progress."""
+    items = []
+    for name in names:
+        progress, note = app.world.summary_of(app.participant, name), 'nothing learned yet'
+        if progress is not None:
+            met = ', all criteria met' if progress.criteria_met else ''
+            note = f'{progress.n_demonstrations} shown, {progress.n_not_here} not here{met}'
+        items.append(Item(name, note, partial(choose, name)))
+    return items
+
+
+def _choose(title: str, choose: Callable[[str, App], object], app: App) -> None:
+    app.show(ListScreen(title, _items(app.known_options, choose, app), to_menu))
 
 
 def _choose_known(app: App) -> None:
-    items = [Item(name, _standing(name, app), _defining(name)) for name in app.known_options]
-    items.append(Item('A new option', '', _name_option))
-    app.show(ListScreen('Go on with which option?', items, back=to_menu, answered=_defined))
-
-
-def _choose_changed(app: App) -> None:
-    items = [
-        Item(name, _standing(name, app), partial(_change, name)) for name in app.known_options
-    ]
-    app.show(ListScreen('Change which option?', items, back=to_menu))
+    items = [*_items(app.known_options, _define, app), Item('A new option', '', _name_option)]
+    app.show(ListScreen('Continue with which option?', items, to_menu))
 
 
 def _change(name: str, app: App) -> None:
@@ -196,78 +188,53 @@ def _change(name: str, app: App) -> None:
         progress = app.world.summary_of(app.participant, name)
         other = TREES if progress is not None and progress.method == GOAL else GOAL
         note = f'{METHODS[other]}, from the next demonstration on'
-        items.append(Item(f'Learn it by {other}', note, _defining(name, other)))
-    app.show(ListScreen(name, items, back=_choose_changed, answered=_changed))
+        items.append(Item(f'Learn it by {other}', note, partial(_define, name, method=other)))
+    app.show(ListScreen(name, items, partial(_choose, 'Change which option?', _change)))
 
 
 def _rename(name: str, app: App) -> None:
     def submit(new: str, app: App) -> None:
-        app.ask(ChangeOption(name, new))
+        app.ask(ChangeOption(name, new), then=partial(_know, app))
 
-    back = partial(_change, name)
-    app.show(TextScreen('What should it be called?', name, name, submit, _changed, back))
+    app.show(TextScreen('What should it be called?', name, name, submit, partial(_change, name)))
 
 
 def _delete(name: str, app: App) -> None:
+    def delete(app: App) -> None:
+        app.ask(ChangeOption(name), then=partial(_know, app))
+
     question = f'Delete {name}? The learner forgets it; the recording keeps its demonstrations.'
-    back = partial(_change, name)
-    app.show(ConfirmScreen(question, lambda app: app.ask(ChangeOption(name)), back))
-
-
-def _changed(request: Request, answer: Answer, app: App) -> None:
-    if answer.ok and isinstance(request, ChangeOption):
-        app.known_options = answer.known_options
-        to_menu(app)
-    else:
-        _defined(request, answer, app)
-
-
-def _defining(name: str, method: str = '') -> Callable[[App], None]:
-    return lambda app: app.ask(DefineOption(name, method=method))
-
-
-def _standing(name: str, app: App) -> str:
-    progress = app.world.summary_of(app.participant, name)
-    if progress is None:
-        return 'nothing learned yet'
-    held = ', all criteria met' if progress.criteria_met else ''
-    return f'{progress.n_demonstrations} shown, {progress.n_not_here} not here{held}'
+    app.show(confirm(question, delete, partial(_change, name)))
 
 
 def _list_taught(app: App) -> None:
-    app.ask(ListOptions(app.participant))
+    def listed(answer: Answer) -> None:
+        if answer.option_names:
+            items = _items(answer.option_names, to_run, app)
+            app.show(ListScreen('Run which option?', items, to_menu))
+        else:
+            app.say('No option is taught yet: one can be run after its first demonstration.')
 
-
-def _listed(request: Request, answer: Answer, app: App) -> None:
-    if not answer.ok or not isinstance(request, ListOptions):
-        return
-    if not answer.option_names:
-        app.say('No option is taught yet: one can be run after its first demonstration.')
-        return
-    items = [
-        Item(name, _standing(name, app), partial(to_run, name)) for name in answer.option_names
-    ]
-    app.show(ListScreen('Run which option?', items, back=to_menu))
+    app.ask(ListOptions(app.participant), then=listed)
 
 
 def _choose_plan(app: App) -> None:
-    sets = {
-        'human': ('With your options', 'decides only where an option ends'),
-        'primitive': ('With single steps', 'decides at every step'),
-        'human+primitive': ('With both', 'options where they help'),
-    }
-    items = [Item(*words, _watching(action_set)) for action_set, words in sets.items()]
-    app.show(ListScreen('Plan with what?', items, back=to_menu))
+    def watch(action_set: str, app: App) -> None:
+        app.show(WatchScreen(to_menu, teach=_choose_known, action_set=action_set))
 
-
-def _watching(action_set: str) -> Callable[[App], None]:
-    return lambda app: app.show(
-        WatchScreen(menu=to_menu, teach=_choose_known, action_set=action_set)
-    )
+    items = [
+        Item(text, note, partial(watch, action_set))
+        for action_set, text, note in (
+            (HUMAN, 'With your options', 'decides only where an option ends'),
+            (PRIMITIVE, 'With single steps', 'decides at every step'),
+            (HUMAN_AND_PRIMITIVE, 'With both', 'options where they help'),
+        )
+    ]
+    app.show(ListScreen('Plan with what?', items, to_menu))
 
 
 def _play(app: App) -> None:
-    screen = PlayScreen(menu=to_menu)
+    screen = PlayScreen(to_menu)
     app.show(screen)
     if not app.world.game.open:
         app.ask(screen.new_start(app))

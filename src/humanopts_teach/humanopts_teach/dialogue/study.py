@@ -1,17 +1,18 @@
 """The dialogue of a study: one part after the other, of which teaching is one."""
 
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 import math
-from typing import Any, ClassVar
+from typing import Any
 
 from humanopts_teach.dialogue.app import App, Screen
 from humanopts_teach.dialogue.driving import PlayScreen
-from humanopts_teach.dialogue.entry import TextScreen
-from humanopts_teach.dialogue.keys import ENTER, KeyCommand, Keys, label, LEFT, RIGHT
+from humanopts_teach.dialogue.entry import end, Notice, TextScreen
+from humanopts_teach.dialogue.keys import Command, Do, ENTER, LEFT, RIGHT
 from humanopts_teach.dialogue.menu import opening
+from humanopts_teach.dialogue.panel import GAP, Line, Page, Panel, Tone
 from humanopts_teach.lesson.requests import CancelRun, Phase, Request, SetControl, World
 from humanopts_teach.study.events import (
     Answered,
@@ -26,7 +27,7 @@ from humanopts_teach.study.events import (
     SignOfLife,
     TIME,
 )
-from humanopts_teach.study.plan import Part, PartKind, Question, Questionnaire
+from humanopts_teach.study.plan import Part, PartKind, Questionnaire
 from humanopts_teach.study.record import learned_rows, OpenRecord
 
 SIGN_SECONDS = 5.0  # between signs of life: what a crash can take of the time at a part
@@ -36,7 +37,7 @@ _LAST = 'The time for this part is over: this demonstration is the last.'
 class StudyApp(App):
     """The parts that a participant has left in one condition; what is done is noted at once."""
 
-    leaving = ('Finish teaching', 'go on with the study')
+    leaving = ('Finish teaching', 'continue with the study')
 
     def __init__(
         self,
@@ -69,38 +70,23 @@ class StudyApp(App):
                 self._signed = now
                 with suppress(OSError):  # no more than the time since the last one is lost
                     self._note_taught()
-                    self._note(SignOfLife)
+                    self.note(SignOfLife)
             if now >= self._ends:
                 if self.world.lesson.phase is Phase.DEMONSTRATING:
-                    self._announce_last()
+                    if not self._announced:
+                        self.say(_LAST)
+                    self._announced = True
                 elif self.waits_for is None:
-                    self._end_part(TIME)
+                    self.end(TIME)
         return super().advance(now)
 
     def last_requests(self) -> list[Request]:
         """Note that a part is left in its middle, too."""
         if self._part is not None:
             self._note_taught()
-            self._note(PartLeft)
+            self.note(PartLeft)
             self._part = None
         return super().last_requests()
-
-    def end(self) -> None:
-        """Go on with the next part; Ctrl-C leaves the study, to be gone on with later."""
-        self._end_part(FINISHED)
-
-    def refuse(self) -> None:
-        """End the study: the person does not agree to take part."""
-        self._end_part(REFUSED)
-        self.ended = True
-
-    def answer(self, item: str, value: int, points: int) -> None:
-        """Note the answer to a question."""
-        self._note(Answered, item=item, value=value, points=points)
-
-    def suggest(self, rank: int, text: str) -> None:
-        """Note a button that the person suggests."""
-        self._note(ButtonSuggested, domain=self.domain.name, rank=rank, text=text)
 
     def _begin(self, now: float) -> None:
         """Begin the next part; after the last, end."""
@@ -111,17 +97,15 @@ class StudyApp(App):
         left = 60 * part.minutes - self._record.seconds_in(part.key)
         self._ends = now + left if part.minutes else math.inf
         self._signed, self._announced, self._taught = now, False, []
-        self._note(PartBegan, kind=part.kind)
+        self.note(PartBegan, kind=part.kind)
         self.show(_first_screen(self._part, self._code))
 
-    def _announce_last(self) -> None:
-        """Say once that the time is over."""
-        if not self._announced:
-            self.say(_LAST)
-        self._announced = True
+    def end(self, why: str = FINISHED) -> None:
+        """
+        End the part; the next one begins in the next turn.
 
-    def _end_part(self, why: str) -> None:
-        """End the part; the next one begins in the next turn."""
+        Ctrl-C leaves the study, which can be continued later.
+        """
         if self._part is None:
             return
         if self.run is not None:
@@ -129,10 +113,10 @@ class StudyApp(App):
         if self.world.i_drive:
             self.ask(SetControl(hold=False))
         self._note_taught()
-        self._note(PartEnded, kind=self._part.kind, why=why)
+        self.note(PartEnded, kind=self._part.kind, why=why)
         self._part = None
         self._keys.clear()  # typed for what was shown
-        self._outbox = deque(each for each in self._outbox if not self._is_anothers(each))
+        self._outbox = deque(each for each in self._outbox if not self._is_anothers(each[0]))
         self.show(Screen())
 
     def _note_taught(self) -> None:
@@ -142,94 +126,91 @@ class StudyApp(App):
             rows = learned_rows(mine)
             if rows != self._taught:  # none are known yet right after a return
                 self._taught = rows
-                self._note(OptionsLearned, options=rows)
+                self.note(OptionsLearned, options=rows)
 
-    def _note(self, kind: type[PartEvent], /, **values: object) -> None:
+    def note(self, kind: type[PartEvent], /, **values: object) -> None:
+        """Note an event of the part."""
         assert self._part is not None, 'something was noted between two parts'
         where = {'part': self._part.key, 'condition': self._part.condition}
         self._record.note(kind, **where, **values)
 
 
 @dataclass
-class PageScreen(Screen):
-    """A page that the person reads."""
-
-    shows_board: ClassVar[bool] = False
-    text: str  # Markdown
-    asks: bool = False  # whether the person agrees
-
-    def press(self, key: str, app: App) -> None:
-        assert isinstance(app, StudyApp)
-        if key.lower() == 'y' if self.asks else key == ENTER:
-            app.end()
-        elif self.asks and key.lower() == 'n':
-            app.refuse()
-
-    def keys(self, app: App) -> Keys:
-        if self.asks:
-            return [('y', 'I agree and take part'), ('n', 'I do not take part')]
-        return [('Enter', 'go on')]
-
-
-@dataclass
-class FreePlayScreen(PlayScreen):
-    """The person gets to know the game; Escape goes on with the study."""
-
-    # Only Ctrl-C leaves the study.
-    commands: ClassVar[Sequence[KeyCommand]] = (
-        KeyCommand.NEW_START,
-        KeyCommand.MENU,
-        KeyCommand.HELP,
-    )
-    words: ClassVar[Mapping[KeyCommand, str]] = {KeyCommand.MENU: 'go on with the study'}
-
-
-@dataclass
 class QuestionScreen(Screen):
     """A question that is answered on a scale."""
 
-    shows_board: ClassVar[bool] = False
     questionnaire: Questionnaire
     index: int = 0  # of the question
     value: int | None = field(default=None, init=False)  # chosen so far
+    shows_board = False
 
-    @property
-    def question(self) -> Question:
-        """The question that is shown."""
-        return self.questionnaire.items[self.index]
+    def panel(self, app: App) -> Panel:
+        asked, points = self.questionnaire.items[self.index], self.questionnaire.points
+        signs = ['●' if value == self.value else '○' for value in range(1, points + 1)]
+        scale = Line(f'{asked.low}  {" ".join(signs)}  {asked.high}')
+        count = f'question {self.index + 1} of {len(self.questionnaire.items)}'
+        return Panel((Line(asked.text, strong=True), GAP, scale, GAP, Line(count, Tone.QUIET)))
 
-    def press(self, key: str, app: App) -> None:
-        assert isinstance(app, StudyApp)
+    def commands(self, app: App) -> Sequence[Command]:
         points = self.questionnaire.points
-        if key in (LEFT, RIGHT):
-            middle = (points + 1) // 2
-            moved = middle if self.value is None else self.value + (1 if key == RIGHT else -1)
-            self.value = min(max(moved, 1), points)
-        elif key.isdigit() and 1 <= int(key) <= min(points, 9):
-            self.value = int(key)
-        elif key == ENTER and self.value is not None:
-            app.answer(self.question.name, self.value, points)
-            self.index, self.value = self.index + 1, None
-            if self.index == len(self.questionnaire.items):
-                self.index -= 1
-                app.end()
+        here = (points + 1) // 2 if self.value is None else self.value
+        by = 0 if self.value is None else 1
 
-    def keys(self, app: App) -> Keys:
-        accept = [('Enter', 'accept')] if self.value is not None else []
-        return [(label(LEFT), 'lower'), (label(RIGHT), 'higher'), *accept]
+        def choose(value: int) -> Do:
+            return lambda app: setattr(self, 'value', min(max(value, 1), points))
+
+        return [
+            Command([LEFT], 'lower', choose(here - by)),
+            Command([RIGHT], 'higher', choose(here + by)),
+            Command([ENTER], 'accept', self._accept if self.value else None),
+            *(Command(str(n), '', choose(n), label='') for n in range(1, min(points, 9) + 1)),
+        ]
+
+    def _accept(self, app: App) -> None:
+        assert isinstance(app, StudyApp)
+        assert self.value is not None
+        items = self.questionnaire.items
+        app.note(
+            Answered,
+            item=items[self.index].name,
+            value=self.value,
+            points=self.questionnaire.points,
+        )
+        if self.index + 1 < len(items):
+            self.index, self.value = self.index + 1, None
+        else:
+            app.end()
 
 
 def _first_screen(part: Part, participant: str) -> Screen:
     """Return the screen with which a part begins."""
-    if part.kind in (PartKind.CONSENT, PartKind.PAGE):
-        return PageScreen(part.text, asks=part.kind is PartKind.CONSENT)
-    if part.kind is PartKind.PLAY:
-        return FreePlayScreen(menu=lambda app: app.end(), title='Get to know the game')
-    if part.kind is PartKind.BUTTONS:
-        return _button(1, part.most)
-    if part.questions is not None:
-        return QuestionScreen(part.questions)
-    return opening(participant, ask=False)
+    match part.kind:
+        case PartKind.CONSENT:
+            choices = [
+                Command('y', 'I agree and take part', end),
+                Command('n', 'I do not take part', _refuse),
+            ]
+            return Notice([Page(part.text)], choices, shows_board=False)
+        case PartKind.PAGE:
+            choices = [Command([ENTER], 'continue', end)]
+            return Notice([Page(part.text)], choices, shows_board=False)
+        case PartKind.PLAY:
+            # Only Ctrl-C leaves the study.
+            leave = 'continue with the study'
+            return PlayScreen(end, 'Get to know the game', leave=leave, quits=False)
+        case PartKind.BUTTONS:
+            return _button(1, part.most)
+        case PartKind.QUESTIONS:
+            assert part.questions is not None
+            return QuestionScreen(part.questions)
+        case PartKind.TEACH:
+            return opening(participant, ask=False)
+
+
+def _refuse(app: App) -> None:
+    assert isinstance(app, StudyApp)
+    app.end(REFUSED)
+    app.ended = True
 
 
 def _button(rank: int, most: int) -> TextScreen:
@@ -237,7 +218,7 @@ def _button(rank: int, most: int) -> TextScreen:
 
     def submit(text: str, app: App) -> None:
         assert isinstance(app, StudyApp)
-        app.suggest(rank, text)
+        app.note(ButtonSuggested, domain=app.domain.name, rank=rank, text=text)
         if rank < most:
             app.show(_button(rank + 1, most))
         else:
@@ -247,6 +228,6 @@ def _button(rank: int, most: int) -> TextScreen:
         'Which button would make it easier and faster to win?',
         f'Say what it would do: go to ..., avoid ... Button {rank} of at most {most}.',
         submit=submit,
-        back=lambda app: app.end(),
+        back=end,
         back_words='no more',
     )

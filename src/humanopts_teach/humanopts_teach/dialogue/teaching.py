@@ -1,9 +1,8 @@
 """The screen of one option's lesson: questions, demonstrations, criteria."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import ClassVar
 
 from humanopts_env.domains.capabilities import FeatureGroup
 from humanopts_env.domains.described import can_simulate
@@ -11,17 +10,20 @@ from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.options.rollout import is_deterministic
 from humanopts_teach.dialogue.app import App, Screen
-from humanopts_teach.dialogue.driving import PACE, pace_words, set_pace
-from humanopts_teach.dialogue.entry import ConfirmScreen, HelpScreen, Item, ListScreen
+from humanopts_teach.dialogue.driving import pace
+from humanopts_teach.dialogue.entry import confirm, end, Item, ListScreen, QUIT, with_help
 from humanopts_teach.dialogue.keys import (
+    BACKSPACE,
+    Command,
+    Do,
     ENTER,
+    ESCAPE,
     key_table,
-    KeyCommand,
-    Keys,
-    KeyTable,
     label,
     SPACE,
 )
+from humanopts_teach.dialogue.lesson_panel import progress_panel, question_panel
+from humanopts_teach.dialogue.panel import Panel
 from humanopts_teach.lesson.question_groups import GroupAnswer
 from humanopts_teach.lesson.requests import (
     Answer,
@@ -32,81 +34,197 @@ from humanopts_teach.lesson.requests import (
     LessonView,
     ListDemonstrations,
     Phase,
-    Request,
     RunOption,
     SetControl,
     Verdict,
     WithdrawDemonstration,
 )
 
-_LEAVE = (KeyCommand.MENU, KeyCommand.HELP, KeyCommand.QUIT)
-_LEARNED = (KeyCommand.WATCH, KeyCommand.DEMONSTRATIONS)
-_IN_PHASE: dict[Phase, tuple[KeyCommand, ...]] = {
-    Phase.DEMONSTRATING: (
-        KeyCommand.DONE,
-        KeyCommand.START_AGAIN,
-        KeyCommand.NOT_HERE,
-        KeyCommand.DISCARD,
-        KeyCommand.UNDO,
-        *_LEARNED,
-        KeyCommand.QUESTIONS,
-        *_LEAVE,
-    ),
-    Phase.ASKING: (KeyCommand.BACK, *_LEAVE),
-    Phase.READY: (
-        KeyCommand.BEGIN,
-        *_LEARNED,
-        KeyCommand.BACK,
-        KeyCommand.QUESTIONS,
-        *_LEAVE,
-    ),
-    Phase.FINISHED: (
-        KeyCommand.BEGIN,
-        KeyCommand.RUN,
-        *_LEARNED,
-        KeyCommand.QUESTIONS,
-        *_LEAVE,
-    ),
-}
-
 
 @dataclass
 class LessonScreen(Screen):
     """Teaching one option; what it shows follows the lesson's phase."""
 
-    menu: Callable[[App], None]
+    menu: Do
     run: Callable[[str, App], None]
     automatic: bool = False  # the next demonstration begins by itself
     rest: bool = False  # all other questions are answered no, or as before
-    redo: list[str] = field(default_factory=list)  # actions that are taken again after an undo
+    redo: list[str] = field(default_factory=list)  # actions to take again after an undo
     delete: str = ''  # uuid of the demonstration to withdraw once the learner is done
-    answers_lesson: ClassVar[bool] = True
+    answers_lesson = hides_features = True
+
+    def plays(self, app: App) -> bool:
+        return app.world.lesson.phase in {Phase.DEMONSTRATING, Phase.LEARNING}
+
+    def panel(self, app: App) -> Panel:
+        phase = app.world.lesson.phase
+        if phase is Phase.ASKING:
+            return question_panel(app)
+
+        def key(do: Do, phase: Phase) -> str:
+            table = key_table(self._commands(phase, app)).items()
+            return next((label(key) for key, each in table if each.do == do), '')
+
+        return progress_panel(
+            app,
+            questions=key(self._ask_again, phase),
+            again=key(self._toggle_start, Phase.DEMONSTRATING),
+            demonstrations=key(self._list, Phase.DEMONSTRATING),
+        )
 
     def press(self, key: str, app: App) -> None:
-        """Carry out one key as the phase has it."""
-        lesson = app.world.lesson
-        if self.redo:
-            return
-        table, group = self.table(app), _open_group(app)
-        action, command = table.action(key), table.command(key)
-        asking, before = lesson.phase is Phase.ASKING, bool(lesson.earlier_features)
         self.rest = False
-        if group is not None and key in tuple('yYnN'):
-            app.groups.answer(group, GroupAnswer.EACH if key in 'yY' else GroupAnswer.NONE)
-        elif group is not None and key == ENTER and before:
-            app.groups.answer(group, GroupAnswer.AS_BEFORE)
-        elif group is None and asking and key in tuple('yYnN'):
-            app.ask(AnswerQuestion(lesson.question_id, key in 'yY'))
-        elif asking and key == ENTER and before:
-            app.ask(_as_before(lesson))
-        elif key in tuple('oO') and _can_skip(lesson):
-            self.rest = True
-        elif lesson.phase is Phase.READY and key == SPACE:
-            self._begin(app)
-        elif action is not None:
-            app.drive(action)
-        elif command is not None:
-            self._carry_out(command, lesson, app)
+        if not self.redo:
+            super().press(key, app)
+
+    def commands(self, app: App) -> Sequence[Command]:
+        phase = app.world.lesson.phase
+        helped = phase if phase is Phase.ASKING else Phase.DEMONSTRATING
+        commands, explained = self._commands(phase, app), self._commands(helped, app)
+        return with_help(commands, self.again, explained)
+
+    def _commands(self, phase: Phase, app: App) -> list[Command]:
+        """Return what can be done in a phase."""
+        lesson = app.world.lesson
+        learned = [
+            Command(
+                'wv',
+                'watch and correct',
+                self._watch_new if lesson.n_demonstrations else None,
+                'watch the option from a start of the task; an action key takes over',
+            ),
+            Command(
+                'lb', 'demonstrations', self._list, 'list all demonstrations; view or delete any'
+            ),
+        ]
+        questions = Command(
+            'ek',
+            'questions',
+            self._ask_again,
+            'answer again what the option depends on; Enter keeps an answer',
+        )
+        begin = Command([ENTER], 'begin', self._begin)
+        commands = pace(app)
+        match phase:
+            case Phase.DEMONSTRATING:
+                again = 'YES' if _can_start_again(app) else 'no'
+                commands = [
+                    *(*app.actions(), *commands),
+                    Command(
+                        [ENTER],
+                        'done',
+                        partial(self._end, Verdict.DONE),
+                        'the option ends here: keep this demonstration',
+                    ),
+                    Command(
+                        'sa',
+                        f'can start again at its end: {again}',
+                        self._toggle_start,
+                        'with done: set whether the option could start again where it ended',
+                    ),
+                    Command(
+                        'nh',
+                        'not here',
+                        partial(self._end, Verdict.NOT_HERE),
+                        'the option cannot start here; only before the first step',
+                    ),
+                    Command(
+                        [BACKSPACE],
+                        'discard',
+                        self._discard,
+                        'forget this demonstration and try the same start again',
+                    ),
+                    Command(
+                        'uz',
+                        'undo a step',
+                        self._undo if is_deterministic(app.domain) else None,
+                        'undo your last step: a new episode repeats the steps before it',
+                    ),
+                    *(*learned, questions),
+                ]
+            case Phase.ASKING:
+                commands += [*self._answers(app), self._previous(app)]
+            case Phase.READY:
+                space = Command([SPACE], 'begin', self._begin, label='')
+                commands += [begin, space, *learned, self._previous(app), questions]
+            case Phase.FINISHED:
+                run = Command('rg', 'run it', partial(self.run, lesson.option_name))
+                more = Command([ENTER], 'show one more', self._begin)
+                commands += [more, run, *learned, questions]
+        return [
+            *commands,
+            Command(
+                [ESCAPE],
+                'menu, next option' if phase is Phase.FINISHED else 'menu',
+                partial(self._leave, 'Go to the menu', self.menu),
+                'go to the menu; a demonstration under way is discarded',
+            ),
+            replace(QUIT, do=partial(self._leave, 'Quit', end)),
+        ]
+
+    def _answers(self, app: App) -> list[Command]:
+        """Return the answers to the open question: about a group of features, or about one."""
+        lesson, group = app.world.lesson, app.groups.open_group(app.domain, app.world.lesson)
+        earlier = set(lesson.earlier_features)
+
+        def answer(yes: bool) -> Do:
+            return lambda app: app.ask(
+                AnswerQuestion(lesson.question_id, yes), then=partial(self._answered, app)
+            )
+
+        def say(group: FeatureGroup, said: GroupAnswer) -> Do:
+            return lambda app: app.groups.answer(group, said)
+
+        if group is None:
+            asked = {lesson.question_feature}
+            yes, no, before = answer(True), answer(False), answer(bool(asked & earlier))
+        else:
+            asked = set(group.features)
+            yes, no = say(group, GroupAnswer.EACH), say(group, GroupAnswer.NONE)
+            before = say(group, GroupAnswer.AS_BEFORE)
+        answers = [
+            Command('y', 'yes', yes),
+            Command('n', 'no' if group is None else 'no, to all of them', no),
+        ]
+        if earlier:
+            words = f'as before: {"yes" if asked & earlier else "no"}'
+            answers.append(Command([ENTER], words, before))
+        if _can_skip(lesson):
+            words = 'all others as before' if earlier else 'no to all others'
+            answers.append(Command('o', words, self._skip))
+        return answers
+
+    def _answered(self, app: App, answer: Answer) -> None:
+        if not answer.ok:  # the questions begin again
+            self.rest = False
+            app.groups.forget()
+
+    def _skip(self, app: App) -> None:
+        self.rest = True
+
+    def _previous(self, app: App) -> Command:
+        """Return the key that goes back one question, or one group of features."""
+        lesson = app.world.lesson
+        group, said = app.groups.asked(app.domain, lesson)
+        back = AnswerQuestion(lesson.question_id, back=True)
+
+        def went_back(answer: Answer) -> None:
+            group, said = app.groups.asked(app.domain, app.world.lesson)
+            if group is not None and said is not GroupAnswer.EACH:
+                app.groups.take_back(group)
+                if app.world.lesson.question_feature != group.features[0]:
+                    again = AnswerQuestion(app.world.lesson.question_id, back=True)
+                    app.ask(again, then=went_back)
+
+        def go_back(app: App) -> None:
+            if group is not None and said and lesson.question_feature == group.features[0]:
+                app.groups.take_back(group)
+            else:
+                app.ask(back, then=went_back)
+
+        first = lesson.question_feature == app.domain.features[0].name
+        possible = lesson.phase is not Phase.ASKING or not first or said is not None
+        return Command([BACKSPACE], 'previous question', go_back if possible else None)
 
     def tick(self, app: App) -> None:
         """Begin the next demonstration, or answer a question that needs no person."""
@@ -119,140 +237,42 @@ class LessonScreen(Screen):
                 self._discard(app)
                 app.ask(WithdrawDemonstration(self.delete))
                 self.delete = ''
-        elif self.rest and _can_skip(lesson):
-            app.ask(_as_before(lesson))
         elif lesson.phase is Phase.ASKING:
-            if (reply := app.groups.reply(app.domain, lesson)) is not None:
-                app.ask(AnswerQuestion(lesson.question_id, reply))
+            reply = app.groups.reply(app.domain, lesson)
+            if self.rest and _can_skip(lesson):
+                reply = lesson.question_feature in lesson.earlier_features
+            if reply is not None:
+                answer = AnswerQuestion(lesson.question_id, reply)
+                app.ask(answer, then=partial(self._answered, app))
         elif self.automatic and lesson.phase is Phase.READY:
             self._begin(app)
 
-    def replied(self, request: Request, answer: Answer, app: App) -> None:
-        """Go on to the next start state, or stop where something was refused."""
-        lesson = app.world.lesson
-        if not answer.carried_out:
-            self.redo = []
-        if isinstance(request, BeginDemonstration):
-            self.automatic, app.next_start = False, ''
-            if request.watch and answer.ok:
-                app.ask(SetControl(hold=False), RunOption(lesson.option_name, app.participant))
-        elif isinstance(request, AnswerQuestion) and not answer.ok:
-            self.rest = False
+    def refused(self, app: App) -> None:
+        """Stop what goes on by itself."""
+        self.automatic, self.rest, self.redo = False, False, []
+        if app.world.lesson.phase is Phase.ASKING:
             app.groups.forget()
-        elif isinstance(request, AnswerQuestion) and request.back:
-            group, said = app.groups.asked(app.domain, lesson)
-            if group is not None and said is not GroupAnswer.EACH:
-                app.groups.take_back(group)
-                if lesson.question_feature != group.features[0]:
-                    app.ask(AnswerQuestion(lesson.question_id, back=True))
-        elif isinstance(request, EndDemonstration) and answer.ok:
-            self.automatic = not lesson.paused
-            if answer.contradiction:
-                items = [
-                    Item(text, note, partial(self._delete, deleted), (answer.situation,))
-                    for text, note, deleted in (
-                        ('Keep both', '', ''),
-                        ('Keep the new one', 'the earlier one is deleted', answer.contradicts),
-                        ('Keep the earlier one', 'the new one is deleted', answer.uuid),
-                    )
-                ]
-                title = f'You showed something else before. {answer.contradiction}.'
-                app.show(ListScreen(title, items))
-        elif isinstance(request, ListDemonstrations) and answer.ok:
-            self._show_demonstrations(answer.demonstrations, app)
-
-    def table(self, app: App) -> KeyTable:
-        lesson, phase = app.world.lesson, app.world.lesson.phase
-        actions = app.domain.actions if phase is Phase.DEMONSTRATING else ()
-        without = set() if lesson.n_demonstrations else {KeyCommand.WATCH}
-        first = lesson.question_feature == app.domain.features[0].name
-        if phase is Phase.ASKING and first and app.groups.asked(app.domain, lesson)[1] is None:
-            without.add(KeyCommand.BACK)
-        commands = _possible(_IN_PHASE.get(phase, _LEAVE), app, without)
-        return key_table(actions, (*PACE, *commands) if app.run is not None else commands)
-
-    def questions_key(self, app: App) -> str:
-        """Return the label of the key that asks the questions again; empty: not now."""
-        table = self.table(app)
-        known = KeyCommand.QUESTIONS in table.commands.values()
-        return table.key(KeyCommand.QUESTIONS) if known else ''
-
-    def ending_keys(self, app: App) -> tuple[str, str]:
-        """Return the labels of the keys about ends: it can start again there; demonstrations."""
-        table = _demonstrating(app)
-        return table.key(KeyCommand.START_AGAIN), table.key(KeyCommand.DEMONSTRATIONS)
-
-    def keys(self, app: App) -> Keys:
-        phase = app.world.lesson.phase
-        first = _question_keys(app) if phase is Phase.ASKING else []
-        if phase is Phase.DEMONSTRATING:
-            first = [(label(action.key), action.name) for action in app.domain.actions]
-        again = f'can start again at its end: {"YES" if _can_start_again(app) else "no"}'
-        words = {KeyCommand.START_AGAIN: again, **pace_words(app)}
-        if phase is Phase.FINISHED:
-            words |= {KeyCommand.BEGIN: 'show one more', KeyCommand.MENU: 'menu, next option'}
-        return first + self.table(app).labelled(words)
-
-    def _carry_out(self, command: KeyCommand, lesson: LessonView, app: App) -> None:
-        match command:
-            case KeyCommand.DONE | KeyCommand.NOT_HERE if app.run is not None:
-                app.ask(SetControl(hold=True))
-                app.say('The machine has stopped. Look at the board, then press the key again.')
-            case KeyCommand.BEGIN:
-                self._begin(app)
-            case KeyCommand.DONE:
-                self._done(app)
-            case KeyCommand.NOT_HERE:
-                self._verdict(Verdict.NOT_HERE, app)
-            case KeyCommand.DISCARD:
-                self._discard(app)
-            case KeyCommand.UNDO:
-                self._undo(lesson, app)
-            case KeyCommand.DEMONSTRATIONS:
-                app.ask(ListDemonstrations())
-            case KeyCommand.WATCH:
-                # Another start of the task in each episode; empty: where the game begins.
-                episode, start = app.world.game.episode, ''
-                if can_simulate(app.domain):
-                    rng = generator(app.seed, 'watched start', app.participant, episode)
-                    start = app.domain.encode(app.domain.reset(rng))
-                self._watch(start, app)
-            case KeyCommand.BACK:
-                group, said = app.groups.asked(app.domain, lesson)
-                first = group is not None and lesson.question_feature == group.features[0]
-                if group is not None and first and said is not None:
-                    app.groups.take_back(group)
-                else:
-                    app.ask(AnswerQuestion(lesson.question_id, back=True))
-            case KeyCommand.START_AGAIN:
-                app.can_start_again[lesson.option_name] = not _can_start_again(app)
-            case KeyCommand.QUESTIONS:
-                self._leave('Answer the questions again', self._ask_again, app)
-            case KeyCommand.RUN:
-                self.run(lesson.option_name, app)
-            case KeyCommand.MENU:
-                self._leave('Go to the menu', self.menu, app)
-            case KeyCommand.HELP:
-                app.show(HelpScreen(_help(app), self.again))
-            case KeyCommand.QUIT:
-                self._leave('Quit', lambda app: app.end(), app)
-            case _:
-                set_pace(command, app)
 
     def _begin(self, app: App) -> None:
         app.ask(BeginDemonstration(app.next_start))
+        self.automatic, app.next_start = False, ''
 
-    def _done(self, app: App) -> None:
-        """Say done; ask once more where the last step had no effect."""
+    def _end(self, verdict: Verdict, app: App) -> None:
+        """Give a verdict; ask once more where the last step had no effect."""
         effect = app.world.last_effect
-        if effect is None or effect.changed:
+        if app.run is not None:
+            app.ask(SetControl(hold=True))
+            app.say('The machine has stopped. Look at the board, then press the key again.')
+        elif verdict is not Verdict.DONE:
+            self._verdict(verdict, app)
+        elif effect is None or effect.changed:
             self._count(app)
-            return
-        question = f'The last step had no effect ({effect.text}). Does the option end here?'
-        app.show(ConfirmScreen(question, self._count, self.again))
+        else:
+            question = f'The last step had no effect ({effect.text}). Does the option end here?'
+            app.show(confirm(question, self._count, self.again))
 
     def _count(self, app: App) -> None:
-        """Keep the demonstration; ask whether the steps count that the machine took before."""
+        """Keep the demonstration; ask whether the steps that the machine took first count."""
         steps = app.world.lesson.machine_steps
         if not steps:
             self._verdict(Verdict.DONE, app)
@@ -262,15 +282,31 @@ class LessonScreen(Screen):
             app.show(self)
             self._verdict(Verdict.DONE, app, counts=counts)
 
-        items = [Item('Yes', 'all of it is right', partial(keep, counts=True))]
+        items = [Item('Yes', 'all of them are right', partial(keep, counts=True))]
         if app.world.game.step > steps:
             items.append(Item('No', 'it begins where I took over', partial(keep, counts=False)))
-        title = f'The machine took the first {steps} steps. Are they part of what you show?'
-        app.show(ListScreen(title, items, back=self.again))
+        title = f'The machine took the first {steps} steps. Are they part of the demonstration?'
+        app.show(ListScreen(title, items, self.again))
 
     def _verdict(self, verdict: Verdict, app: App, *, counts: bool = False) -> None:
         game, again = app.world.game, _can_start_again(app) and verdict is Verdict.DONE
-        app.ask(EndDemonstration(verdict, game.episode, game.step, again, counts))
+        request = EndDemonstration(verdict, game.episode, game.step, again, counts)
+        app.ask(request, then=partial(self._ended, app))
+
+    def _ended(self, app: App, answer: Answer) -> None:
+        """Go on to the next start; let the person settle a contradiction first."""
+        self.automatic = not app.world.lesson.paused
+        if answer.contradiction:
+            items = [
+                Item(text, note, partial(self._delete, deleted), (answer.situation,))
+                for text, note, deleted in (
+                    ('Keep both', '', ''),
+                    ('Keep the new one', 'the earlier one is deleted', answer.contradicts),
+                    ('Keep the earlier one', 'the new one is deleted', answer.uuid),
+                )
+            ]
+            title = f'You showed something else before. {answer.contradiction}.'
+            app.show(ListScreen(title, items))
 
     def _discard(self, app: App) -> None:
         """Discard the demonstration under way, if there is one."""
@@ -279,11 +315,11 @@ class LessonScreen(Screen):
         if app.world.lesson.phase is Phase.DEMONSTRATING:
             self._verdict(Verdict.DISCARD, app)
 
-    def _undo(self, lesson: LessonView, app: App) -> None:
-        """Drive again, in a new episode, all that the person has driven but the last step."""
-        since, driven = app.world.since, app.world.driven
+    def _undo(self, app: App) -> None:
+        """Repeat, in a new episode, all steps of the person but the last."""
+        lesson, since, driven = app.world.lesson, app.world.since, app.world.driven
         if since is None or since.step != lesson.machine_steps or not driven:
-            app.say('You have taken no step that can be undone.', bad=True)
+            app.say('There is no step of yours to undo.', bad=True)
         elif lesson.paused:
             app.say('Not now: the lesson is paused and could not begin again.', bad=True)
         else:
@@ -291,11 +327,32 @@ class LessonScreen(Screen):
             self._discard(app)
             app.ask(BeginDemonstration(since.state))
 
+    def _toggle_start(self, app: App) -> None:
+        app.can_start_again[app.world.lesson.option_name] = not _can_start_again(app)
+
+    def _watch_new(self, app: App) -> None:
+        """Watch from another start of the task in each episode; empty: where the game begins."""
+        episode, start = app.world.game.episode, ''
+        if can_simulate(app.domain):
+            rng = generator(app.seed, 'watched start', app.participant, episode)
+            start = app.domain.encode(app.domain.reset(rng))
+        self._watch(start, app)
+
     def _watch(self, start: str, app: App) -> None:
-        """Have the machine run the option in a demonstration that the person can take over."""
+        """Let the machine run the option in a demonstration that the person can take over."""
+
+        def watch(app: App) -> None:
+            run = RunOption(app.world.lesson.option_name, app.participant)
+            app.ask(BeginDemonstration(start, watch=True), SetControl(hold=False), run)
+
         app.show(self)
-        begin = BeginDemonstration(start, watch=True)
-        self._leave('Watch the option', lambda app: app.ask(begin), app)
+        self._leave('Watch the option', watch, app)
+
+    def _list(self, app: App) -> None:
+        def answered(answer: Answer) -> None:
+            self._show_demonstrations(answer.demonstrations, app)
+
+        app.ask(ListDemonstrations(), then=answered)
 
     def _show_demonstrations(self, shown: Sequence[Demonstration], app: App) -> None:
         if not shown:
@@ -306,9 +363,9 @@ class LessonScreen(Screen):
             Item(*_in_words(demo), partial(self._show_one, demo, back), demo.states)
             for demo in reversed(shown)
         ]
-        app.show(ListScreen('Demonstrations, the newest first', items, back=self.again))
+        app.show(ListScreen('Demonstrations, newest first', items, self.again))
 
-    def _show_one(self, demo: Demonstration, back: Callable[[App], None], app: App) -> None:
+    def _show_one(self, demo: Demonstration, back: Do, app: App) -> None:
         watch, states = partial(self._watch, demo.states[0]), demo.states
         items = [Item('Watch the option from its start', 'and correct it', watch, states)]
         if not demo.withdrawn:
@@ -321,7 +378,7 @@ class LessonScreen(Screen):
         self.delete = uuid
         app.show(self)
 
-    def _leave(self, words: str, go: Callable[[App], None], app: App) -> None:
+    def _leave(self, words: str, go: Do, app: App) -> None:
         """Discard the demonstration under way and go; ask first if steps were taken."""
         if app.world.lesson.phase is not Phase.DEMONSTRATING:
             go(app)
@@ -333,17 +390,20 @@ class LessonScreen(Screen):
 
         if app.world.game.step:
             question = f'{words}? This demonstration is discarded; everything else is saved.'
-            app.show(ConfirmScreen(question, discard, self.again))
+            app.show(confirm(question, discard, self.again))
         else:
             discard(app)
 
     def _ask_again(self, app: App) -> None:
-        app.groups.forget()
-        app.ask(DefineOption(app.world.lesson.option_name, ask_again=True))
+        def ask(app: App) -> None:
+            app.groups.forget()
+            app.ask(DefineOption(app.world.lesson.option_name, ask_again=True))
+
+        self._leave('Answer the questions again', ask, app)
 
 
 def _in_words(demo: Demonstration) -> tuple[str, str]:
-    """Return a demonstration in a few words, and what else there is to say."""
+    """Return a demonstration in a few words, and further details."""
     steps = len(demo.actions)
     what = f'{steps} step{"s"[: steps != 1]}, return {demo.total_reward:g}'
     notes = [f'by {demo.method}', f'{demo.seconds:.0f} s']
@@ -355,52 +415,9 @@ def _in_words(demo: Demonstration) -> tuple[str, str]:
 
 
 def _can_skip(lesson: LessonView) -> bool:
-    known = lesson.chosen_features or lesson.earlier_features
-    return lesson.phase is Phase.ASKING and bool(known)
-
-
-def _as_before(lesson: LessonView) -> AnswerQuestion:
-    """Answer the open question as it was answered before; no, where it was not."""
-    return AnswerQuestion(lesson.question_id, lesson.question_feature in lesson.earlier_features)
-
-
-def _open_group(app: App) -> FeatureGroup | None:
-    """Return the group that is asked about; None: no question is open, or it is of one feature."""
-    asking = app.world.lesson.phase is Phase.ASKING
-    return app.groups.open_group(app.domain, app.world.lesson) if asking else None
+    return bool(lesson.chosen_features or lesson.earlier_features)
 
 
 def _can_start_again(app: App) -> bool:
     """Return whether the next done says that the option could start again there."""
     return app.can_start_again.get(app.world.lesson.option_name, False)
-
-
-def _question_keys(app: App) -> Keys:
-    lesson, group = app.world.lesson, _open_group(app)
-    keys = [('y', 'yes'), ('n', 'no' if group is None else 'no, to all of them')]
-    if lesson.earlier_features:
-        asked = {lesson.question_feature} if group is None else set(group.features)
-        before = 'yes' if asked & set(lesson.earlier_features) else 'no'
-        keys += [(label(ENTER), f'as before: {before}'), ('o', 'all others as before')]
-    elif _can_skip(lesson):
-        keys.append(('o', 'no to all others'))
-    return keys
-
-
-def _possible(
-    commands: Sequence[KeyCommand], app: App, without: set[KeyCommand]
-) -> list[KeyCommand]:
-    """Return commands without some, and without undo where chance may end a step otherwise."""
-    without = without if is_deterministic(app.domain) else {*without, KeyCommand.UNDO}
-    return [command for command in commands if command not in without]
-
-
-def _demonstrating(app: App) -> KeyTable:
-    return key_table(app.domain.actions, _possible(_IN_PHASE[Phase.DEMONSTRATING], app, set()))
-
-
-def _help(app: App) -> Keys:
-    words = {KeyCommand.MENU: 'to the menu; a demonstration under way is discarded'}
-    if app.world.lesson.phase is Phase.ASKING:
-        return _question_keys(app) + key_table((), _IN_PHASE[Phase.ASKING]).help((), words)
-    return _demonstrating(app).help(app.domain.actions, words)

@@ -7,7 +7,8 @@ from typing import Any
 
 from humanopts_interfaces.msg import NodeStatus
 from humanopts_ros.node_base import NodeBase, start_ros
-from humanopts_teach.dialogue.panel import ScreenView, view
+from humanopts_teach.dialogue.panel import ScreenView
+from humanopts_teach.dialogue.view import view
 from humanopts_teach.ros.teleop import POLL_SECONDS, TeleopNode
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter

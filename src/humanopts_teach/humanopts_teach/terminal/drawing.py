@@ -10,6 +10,7 @@ from humanopts_ros.limits import one_line
 from humanopts_teach.dialogue import panel
 from humanopts_teach.dialogue.app import App
 from humanopts_teach.dialogue.entry import PAGE
+from humanopts_teach.dialogue.view import view
 from rich.cells import cell_len, set_cell_size
 from rich.console import Console, ConsoleOptions, Group, RenderableType
 from rich.padding import Padding
@@ -44,16 +45,17 @@ def frame(app: App, width: int, height: int, colours: Colours | None = None) -> 
             'are needed: please make it larger. (Ctrl-C quits; everything taught is saved.)'
         )
         return framed([Text(words)], [], width, height, colours)
-    view = panel.view(app)
-    top: list[RenderableType] = [title(' · '.join(view.head), width)]
-    if view.paused:
-        why = Text.assemble(('PAUSED: ', 'bold'), one_line(view.paused), overflow='ellipsis')
+    shown = view(app)
+    top: list[RenderableType] = [title(' · '.join(shown.head), width)]
+    if shown.paused:
+        why = Text.assemble(('PAUSED: ', 'bold'), one_line(shown.paused), overflow='ellipsis')
         why.no_wrap = height < _ROOMY
         top.append(Padding(why, (0, 1), style=f'color(231) on {RED}'))
     if height > _ROOMY:
         top.append(Text())
-    top.append(_middle(view, width))
-    foot = [Text('─' * width, 'dim'), drawn(view.said), *key_bar(view.keys, width)]
+    top.append(_middle(shown, width))
+    keys = [(key.label, key.words) for key in shown.keys if key.label]
+    foot = [Text('─' * width, 'dim'), drawn(shown.said), *key_bar(keys, width)]
     return framed(top, foot, width, height, colours)
 
 
@@ -153,9 +155,9 @@ def drawn(block: panel.Block) -> RenderableType:
             return Text.assemble('> ', (text, 'bold'), ('█', TEAL), overflow='fold')
         case panel.Features(shown, hidden):
             parts: list[str | tuple[str, str]] = [('depends on: ', 'dim')]
-            for number, feature in enumerate(shown):
-                parts += [(', ' if number else '', 'dim'), feature.name]
-                parts.append((f' {feature.value}' if feature.value else '', f'bold {TEAL}'))
+            for number, (name, value) in enumerate(shown):
+                parts += [(', ' if number else '', 'dim'), name]
+                parts.append((f' {value}' if value else '', f'bold {TEAL}'))
             return Text.assemble(*parts, (f'; {hidden}' if hidden else '', 'dim'))
     table = Table.grid(padding=(0, 2, 0, 0))
     match block:
@@ -171,11 +173,11 @@ def drawn(block: panel.Block) -> RenderableType:
         case panel.Choices(items, at):
             table = Table.grid()
             first = at - at % PAGE
-            for number, item in enumerate(items[first : first + PAGE]):
+            for number, (words, note) in enumerate(items[first : first + PAGE]):
                 chosen = first + number == at
                 mark = Text('> ' if chosen else '  ', KEY, no_wrap=True)
-                name = (one_line(f'{number + 1} {item.text}'), 'bold' if chosen else '')
-                table.add_row(mark, Text.assemble(name, (one_line(f'  {item.note}'), 'dim')))
+                item = (one_line(f'{number + 1} {words}'), 'bold' if chosen else '')
+                table.add_row(mark, Text.assemble(item, (one_line(f'  {note}'), 'dim')))
     return table
 
 

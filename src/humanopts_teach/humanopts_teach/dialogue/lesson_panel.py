@@ -1,0 +1,188 @@
+"""What the screen of a lesson shows beside the board: questions, progress, what to do next."""
+
+from collections.abc import Iterator
+import math
+
+from humanopts_env.domains.capabilities import feature_groups
+from humanopts_env.domains.described import published_state
+from humanopts_learner.demonstrations import GOAL, METHODS
+from humanopts_learner.options.conflicts import NO_START
+from humanopts_learner.options.judge import fewest, likely_range
+from humanopts_learner.summary import Criterion, OptionSummary, RETURN
+from humanopts_teach.dialogue.app import App
+from humanopts_teach.dialogue.driving import last_step, pace_line
+from humanopts_teach.dialogue.panel import (
+    Block,
+    Criteria,
+    CriterionRow,
+    Features,
+    GAP,
+    Line,
+    Panel,
+    TARGET,
+    Tone,
+)
+from humanopts_teach.lesson.requests import LessonView, Phase
+
+
+def question_panel(app: App) -> Panel:
+    """Return the open question, its position, and what was answered so far."""
+    lesson = app.world.lesson
+    names = [feature.name for feature in app.domain.features]
+    number = names.index(lesson.question_feature) + 1 if lesson.question_feature in names else 0
+    text, which = lesson.question, f'question {number} of {lesson.questions_total}'
+    group = app.groups.open_group(app.domain, lesson)
+    if group is not None:
+        text = f"Does the '{lesson.option_name}' option depend on anything about {group.words}?"
+        which = f'If yes, {len(group.features)} questions about {group.words} follow.'
+    yes = ', '.join(map(_plain, lesson.chosen_features)) or 'nothing yet'
+    lines = Line(text, strong=True), GAP, Line(which, Tone.QUIET), Line(f'It depends on: {yes}')
+    return Panel((_title(lesson), GAP, *lines))
+
+
+def progress_panel(app: App, *, questions: str, again: str, demonstrations: str) -> Panel:
+    """
+    Return how far the lesson is, and what was learned.
+
+    :param questions: label of the key that asks the questions again; empty: not possible now.
+    :param again: of the key that says that the option can start again at its end.
+    :param demonstrations: of the key that lists the demonstrations.
+    """
+    world, lesson = app.world, app.world.lesson
+    progress = world.summary_of(lesson.participant, lesson.option_name)
+    blocks: list[Block] = [_title(lesson), _position(app)]
+    if app.run is not None:
+        blocks += [Line('The machine shows what it learned.', Tone.NEWS), pace_line(world)]
+    if lesson.phase is Phase.DEMONSTRATING:
+        blocks += last_step(world)
+    blocks.append(_features(app))
+    if lesson.method == GOAL:
+        blocks.append(Line(f'policy {METHODS[GOAL]}', Tone.QUIET))
+    if progress is None or not progress.criteria:
+        blocks.append(Line('Nothing has been learned yet.'))
+    else:
+        blocks += [
+            Line(f'By {progress.method}, tested on unseen starts:', Tone.QUIET),
+            Criteria([_criterion(criterion) for criterion in progress.criteria]),
+            _estimate(lesson, progress),
+        ]
+    if progress is None:
+        return Panel(blocks)
+    return Panel(
+        blocks,
+        [*_results(lesson, progress), *_conflicts(progress, questions, again, demonstrations)],
+    )
+
+
+def _title(lesson: LessonView) -> Line:
+    return Line('Teaching: ', more=(Line(lesson.option_name, strong=True),))
+
+
+def _plain(name: str) -> str:
+    """Return the name of a feature as people read it."""
+    return name.replace('_', ' ')
+
+
+def _position(app: App) -> Line:
+    """Return where the lesson is, and how much was shown."""
+    lesson, step = app.world.lesson, app.world.game.step
+    start = lesson.n_demonstrations + lesson.n_not_here + 1
+    match lesson.phase:
+        case Phase.DEMONSTRATING:
+            where = f'start {start}, step {step}' if step else f'next: start {start}'
+        case Phase.LEARNING:
+            where = 'learning ...'
+        case Phase.FINISHED:
+            where = 'This lesson is finished.'
+        case _:
+            where = 'The lesson is paused.' if lesson.paused else f'Enter shows start {start}.'
+    counts = f'{lesson.n_demonstrations} shown, {lesson.n_not_here} not here'
+    so_far = Line(f'  ({counts}; at most {lesson.budget})', Tone.QUIET)
+    return Line(where, Tone.NEWS, more=(so_far,))
+
+
+def _features(app: App) -> Features:
+    """Return what the option depends on, with its values in the state that is shown."""
+    domain, game, lesson = app.domain, app.world.game, app.world.lesson
+    values: list[float] = []
+    if game.state and lesson.phase is Phase.DEMONSTRATING:
+        state = published_state(domain, game.state, game.features)
+        values = domain.feature_values(state).tolist()
+    shown = [
+        (_plain(feature.name), feature.text(values[index]) if values else '')
+        for index, feature in enumerate(domain.features)
+        if feature.name in lesson.chosen_features
+    ]
+    groups = feature_groups(domain)
+    unseen = [g.words for g in groups if not set(lesson.chosen_features) & set(g.features)]
+    hidden = f'hidden: {", ".join(unseen)}' if unseen else 'all else is hidden'
+    return Features(shown, hidden if len(shown) < len(domain.features) else '')
+
+
+def _criterion(criterion: Criterion) -> CriterionRow:
+    value, threshold = criterion.value, criterion.threshold
+    if criterion.name == RETURN:
+        side = 'better' if (value or 0.0) < 0 else 'worse'
+        now, needs = f'{abs(value or 0.0):.2f} {side}', f'{threshold or 0.0:.2f}'
+    else:
+        now, needs = f'{value or 0.0:.1%} wrong', f'{threshold or 0.0:.1%}'
+    share = None
+    if value is not None and threshold is not None:
+        full = TARGET * value / threshold if threshold > 0 else float(value > threshold)
+        share = min(max(full, 0.0), 1.0)
+    return CriterionRow(
+        '✓' if criterion.met else '?' if criterion.undecided else '·',
+        criterion.name,
+        'not measured' if value is None else now,
+        f'≤ {"?" if threshold is None else needs}',
+        Tone.GOOD if criterion.met else Tone.WARNING,
+        share,
+    )
+
+
+def _estimate(lesson: LessonView, progress: OptionSummary) -> Line:
+    """Return how far it is until the criteria are met."""
+    if progress.criteria_met:
+        return Line(progress.result, Tone.GOOD)
+    if progress.n_demonstrations < (least := fewest(lesson.method)):
+        return Line(f'Measured from {least} demonstrations on.')
+    if progress.obstacles:
+        return Line(progress.result if progress.settled else progress.obstacles, Tone.WARNING)
+    undecided = [c.name for c in progress.criteria if c.undecided]
+    why = f': {", ".join(undecided)} is not yet known well enough' if undecided else ''
+    if progress.more_needed < 0 or progress.method == GOAL:
+        return Line(f'Too early to say how many more are needed{why}.')
+    low, high = likely_range(progress.more_needed)
+    return Line(f'Perhaps {low} to {high} more are needed{why}.')
+
+
+def _results(lesson: LessonView, progress: OptionSummary) -> Iterator[Line]:
+    """Yield the returns, and whether they are still those of what is taught."""
+    yours, its = progress.mean_return_demonstrations, progress.mean_return_policy
+    if not math.isnan(its):
+        text = f'mean return on starts it has seen: yours {yours:.2f}, the option {its:.2f}'
+        yield Line(text, Tone.QUIET)
+    changed = (progress.method == GOAL) != (lesson.method == GOAL)
+    if changed or set(progress.features) != set(lesson.chosen_features):
+        yield Line('These results are for your earlier answers: show one more.', Tone.WARNING)
+
+
+def _conflicts(
+    progress: OptionSummary, questions: str, again: str, demonstrations: str
+) -> Iterator[Line]:
+    """Yield where demonstrations disagree, and what to do about it."""
+    if not progress.conflicts:
+        return
+    more = len(progress.conflicts) - 1
+    also = f' (and {more} more)' if more else ''
+    yield Line(f'Same situation, shown differently{also}:', Tone.WARNING)
+    yield Line(progress.conflicts[0])
+    if progress.suggested_feature:
+        key = f' ({questions})' if questions else ''
+        text = f'Add "{_plain(progress.suggested_feature)}"{key}: it separates most of them.'
+        yield Line(text, Tone.WARNING)
+    elif any(NO_START in text for text in progress.conflicts):
+        # It can start here by some, and not by others; else a missing feature would explain it.
+        slip = f'If the last one was a mistake, delete it ({demonstrations}).'
+        text = f'{slip} If the option can start where it ends, press {again} before done.'
+        yield Line(text, Tone.WARNING)
