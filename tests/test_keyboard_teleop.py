@@ -307,7 +307,7 @@ def test_a_key_changes_how_the_machine_plays_within_the_episode_and_a_signal_end
     terminal.press('3')
     terminal.see('Plan with what?')
     terminal.press('2')
-    terminal.see('Arbitration: each option to its end.')
+    terminal.see('Arbitration: each option runs to its end.')
     terminal.press(ENTER)
     terminals.witness(GameState, lambda m: m.step > 0, terminal)
     for execution in ('interrupted', 'modular_mass'):
