@@ -12,6 +12,7 @@ from .domains.base import (
 from .domains.names import domain_names
 from .domains.reference import ReferenceOption
 from .domains.registry import make_domain, reference_options
+from .domains.replayed_domain import ReplayedDomain, World
 from .domains.table_domain import TableDomain
 from .games import games_at, new_games
 from .gym_env import DomainEnv
@@ -27,8 +28,10 @@ __all__ = [
     'FeatureKind',
     'Outcome',
     'ReferenceOption',
+    'ReplayedDomain',
     'StateError',
     'TableDomain',
+    'World',
     'domain_names',
     'games_at',
     'generator',

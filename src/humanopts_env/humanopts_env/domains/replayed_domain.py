@@ -1,0 +1,164 @@
+"""
+Worlds that change in place as domains: a state is a seed and the actions since the reset.
+
+A state is reached again by replay: reset with its seed, and take its actions. So such a world can
+be simulated, set to any state it was in, and played side by side, though it cannot be copied.
+"""
+
+from abc import ABC, abstractmethod
+from collections import OrderedDict
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+import re
+import string
+from typing import Protocol
+
+from humanopts_env.arrays import Floats
+from humanopts_env.domains.base import Domain, DomainError, Outcome, StateError
+import numpy as np
+
+SIGNS = string.digits + string.ascii_letters  # one for each action in a text
+MAX_WORLDS = 1024  # kept at once, more than a plan samples side by side
+MAX_WALK, GAP = 200, 10  # actions before a sampled state; states of a walk for each sampled one
+SEEDS = 10**9
+STATE = re.compile(r'seed (0|[1-9][0-9]{0,8}) actions (-|[0-9a-zA-Z]+)')
+
+
+class World(Protocol):
+    """A world that changes in place; all its chance follows from the seed of its reset."""
+
+    def reset(self, seed: int) -> None:
+        """Begin an episode."""
+
+    def step(self, action: int) -> tuple[float, bool]:
+        """Take one primitive action; return the reward, and whether the task is over."""
+
+    def features(self) -> Sequence[float]:
+        """Return the value of every feature now, as ``Feature`` describes it."""
+
+
+@dataclass(frozen=True, slots=True)
+class History:
+    """A state of a world: what has been done in it, and what was seen after that."""
+
+    seed: int
+    actions: tuple[int, ...]
+    features: tuple[float, ...]
+    over: bool = False
+
+
+class ReplayedDomain(Domain[History], ABC):
+    """
+    The domain of a world that changes in place.
+
+    A subclass sets the attributes of ``Domain`` and writes ``make_world``. What happens after a
+    state is determined by its seed and actions, so ``step`` draws nothing: chance is in ``reset``.
+
+    Worlds are kept where they are, so that going on from there takes one step; a state that no
+    kept world is in is replayed.
+    """
+
+    @abstractmethod
+    def make_world(self) -> World:
+        """Return a new world; ``reset`` is called before anything else."""
+
+    def reset(self, rng: np.random.Generator) -> History:
+        return self._begin(int(rng.integers(SEEDS)))
+
+    def step(self, state: History, action: int, rng: np.random.Generator) -> Outcome[History]:
+        if not 0 <= action < len(self.actions):
+            raise DomainError(
+                f'{self.name} has no action {action}; it has 0 to {len(self.actions) - 1}'
+            )
+        if state.over:
+            raise DomainError(f'the task is over in {self.encode(state)!r}: no step can be taken')
+        return self._take(state.seed, state.actions, action)
+
+    def is_over(self, state: History) -> bool:
+        return state.over
+
+    def can_follow(self, state: History, action: int, successor: History) -> bool:
+        """Return whether the successor's actions are those of the state and this one."""
+        done = state.seed, (*state.actions, action)
+        return not state.over and (successor.seed, successor.actions) == done
+
+    def feature_values(self, state: History) -> Floats:
+        return np.array(state.features, dtype=np.float64)
+
+    def encode(self, state: History) -> str:
+        """Return the state as one line, such as ``seed 7 actions 0012``."""
+        signs = ''.join(SIGNS[action] for action in state.actions)
+        return f'seed {state.seed} actions {signs or "-"}'
+
+    def decode(self, text: str) -> History:
+        match = STATE.fullmatch(text)
+        actions = tuple(map(SIGNS.index, match[2].strip('-'))) if match else ()
+        if match is None or max(actions, default=0) >= len(self.actions):
+            raise StateError(
+                f'{text!r} is not a state of {self.name}; one reads "seed 7 actions 0012"'
+            )
+        seed = int(match[1])
+        if kept := self._worlds.get((seed, actions)):
+            return kept[1]
+        return self._take(seed, actions[:-1], actions[-1]).state if actions else self._begin(seed)
+
+    def sample_states(self, rng: np.random.Generator, count: int) -> list[History]:
+        """Draw states of random walks, about one in GAP of each, never over."""
+        found: list[History] = []
+        while len(found) < count:
+            seed, world = int(rng.integers(SEEDS)), self.make_world()
+            world.reset(seed)
+            length = rng.integers(min(self.max_steps or MAX_WALK, MAX_WALK))
+            actions = tuple(rng.integers(len(self.actions), size=length).tolist())
+            looks = {*rng.choice(length + 1, 1 + length // GAP, replace=False).tolist()}
+            for step in range(length + 1):
+                if step in looks:
+                    found.append(_history(world, seed, actions[:step]))
+                if step == length or world.step(actions[step])[1]:
+                    break
+        return [found[place] for place in rng.permutation(len(found))[:count]]
+
+    @cached_property
+    def _worlds(self) -> OrderedDict[tuple[int, tuple[int, ...]], tuple[World, History]]:
+        """Worlds and their states by seed and actions, the newest last."""
+        return OrderedDict()
+
+    def _begin(self, seed: int) -> History:
+        return self._keep(self._world_at(seed, ()), seed, (), over=False)
+
+    def _take(self, seed: int, actions: tuple[int, ...], action: int) -> Outcome[History]:
+        """
+        Take an action after others.
+
+        :raises StateError: the task is over before it.
+        """
+        world = self._world_at(seed, actions)
+        reward, over = world.step(action)
+        after = self._keep(world, seed, (*actions, action), over=bool(over))
+        return Outcome(after, float(reward), after.over)
+
+    def _world_at(self, seed: int, actions: tuple[int, ...]) -> World:
+        """Return the kept world that is there, which is kept no longer, or replay the actions."""
+        kept = self._worlds.pop((seed, actions), None)
+        if kept is not None and not kept[1].over:
+            return kept[0]
+        world = self.make_world()
+        world.reset(seed)
+        for action in actions:
+            _, over = world.step(action)
+            if over:
+                raise StateError(f'the task of {self.name} with seed {seed} is over before that')
+        return world
+
+    def _keep(self, world: World, seed: int, actions: tuple[int, ...], *, over: bool) -> History:
+        """Keep a world, and return its state."""
+        state = _history(world, seed, actions, over=over)
+        self._worlds[seed, actions] = world, state
+        if len(self._worlds) > MAX_WORLDS:
+            self._worlds.popitem(last=False)
+        return state
+
+
+def _history(world: World, seed: int, actions: tuple[int, ...], *, over: bool = False) -> History:
+    return History(seed, actions, tuple(map(float, world.features())), over)
