@@ -1,8 +1,7 @@
 """The node game on the real graph: what it takes, what it refuses, and how it survives."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import partial
 from importlib.resources import files
 import json
 from pathlib import Path
@@ -174,14 +173,9 @@ def test_while_a_person_holds_control_machines_and_others_are_refused(player: Pl
     assert ME in other.detail
     assert player.hold(True, '').status == SetControl.Response.STATUS_NOT_HOLDER
     assert taken(player.do('south', PERSON))[0] == 2
-
-
-def test_control_is_given_back_and_then_the_machine_drives(player: Player) -> None:
-    player.hold(True)
-    assert refused(player.do('south'))[0] == ActionRefusal.REASON_HELD_BY_PERSON
     assert player.hold(False).status == SetControl.Response.STATUS_OK
     assert player.controls[-1].holder == ControlState.HOLDER_NOBODY
-    assert taken(player.do('south'))[0] == 1
+    assert taken(player.do('south'))[0] == 3
     assert player.hold(False).detail == 'nothing changed'
 
 
@@ -197,14 +191,6 @@ def test_control_that_nobody_renews_ends_within_two_seconds(player: Player, shar
     assert player.controls[-1].reason == 'pub is silent, and has not renewed its control'
     assert 1.0 < seconds_between(*player.controls[-2:]) < 2.5
     assert taken(player.do('south'))[0] == 2
-
-
-def test_control_that_is_renewed_stays(player: Player, shared: Graph) -> None:
-    player.hold(True)
-    known, before = len(player.controls), player.renewals
-    shared.until(lambda: player.renewals > before + 7, 'three seconds of renewals')
-    assert len(player.controls) == known
-    assert player.controls[-1].holder_id == ME
 
 
 def test_a_holder_that_is_not_there_is_refused(player: Player) -> None:
@@ -263,11 +249,8 @@ def test_control_is_free_at_once_when_the_terminal_is_started_again_or_ends(
 WRONG: list[tuple[dict[str, Any], str]] = [
     ({'domain': 'chess'}, "no domain 'chess'; there is"),
     ({'domain_parameters': '{"rows": 1}'}, 'rows is 1'),
-    ({'domain_parameters': '{"wheels": 3}'}, 'wheels'),
     ({'domain_parameters': 'rows=7'}, 'not JSON'),
-    ({'domain_parameters': '[7]'}, 'not a JSON object'),
     ({'seed': -1}, 'parameter seed'),
-    ({'seed': 'one'}, 'parameter seed'),
     ({'step_period': -0.5}, 'parameter step_period'),
 ]
 
@@ -279,7 +262,7 @@ def test_a_game_that_cannot_start_says_why(
     assert says in shared.refused(GAME, '/wrong', **parameters)
 
 
-def test_the_machine_is_paced_by_a_parameter_that_can_be_set_while_the_game_runs(
+def test_the_machine_is_paced_by_a_parameter_until_a_person_takes_control(
     live: Graph,
 ) -> None:
     game = live.start(GAME, step_period=0.1)
@@ -308,30 +291,12 @@ def test_the_machine_is_paced_by_a_parameter_that_can_be_set_while_the_game_runs
     assert game.get_parameter('step_period').value == 0.5
     live.until(lambda: player.controls[-1].step_period == 0.5, 'the pace of the service')
 
-
-def test_of_two_machines_the_first_takes_a_paced_step_and_the_other_is_refused(
-    live: Graph,
-) -> None:
-    live.start(GAME, step_period=0.5)
-    player = Player(live)
-    player.fresh(START)
-    first = player.command('south', publisher_id='/one#1')
-    player.send(first)
-    answer = refused(player.do('west', publisher_id='/other#1'))
-    assert answer[0] == ActionRefusal.REASON_STALE
-    assert "'south' waits for step_period" in answer[1]
-    assert player.state.step == 0
-    live.until(lambda: player.state.step == 1, 'the step of the first')
-    assert player.state.action_publisher_id == '/one#1'
-
-
-def test_a_step_that_waits_is_refused_at_once_when_a_person_takes_control(live: Graph) -> None:
-    live.start(GAME, step_period=60.0)
-    player = Player(live)
-    player.fresh(START)
+    assert answer('step_period', 60.0) == 'taken'
     waiting = player.command('south', publisher_id='/one#1')
     player.send(waiting)
-    assert "'south' waits" in refused(player.do('west', publisher_id='/other#1'))[1]
+    stale, detail = refused(player.do('west', publisher_id='/other#1'))
+    assert stale == ActionRefusal.REASON_STALE
+    assert "'south' waits for step_period" in detail
     player.hold(True)
     live.until(
         lambda: player.refusals[-1].command_publisher_id == waiting.publisher_id, 'its refusal'
@@ -359,7 +324,7 @@ rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
 node = rclpy.create_node('slow_reader')
 numbers = open(sys.argv[1], 'w', buffering=1)
 keep = lambda state: print(state.sequence, file=numbers)
-node.create_subscription(getattr(msg, sys.argv[2]), sys.argv[3], keep, STREAM)
+node.create_subscription(msg.GameState, 'game_state', keep, STREAM)
 while not ended:
     rclpy.spin_once(node, timeout_sec=0.1)
 """
@@ -384,33 +349,22 @@ def impatient(live: Graph, monkeypatch: pytest.MonkeyPatch) -> Graph:
     return live
 
 
-def slow_reader(
-    graph: Graph, kind: type, topic: str, say: Callable[[], Any]
-) -> tuple[NodeProcess, Path]:
-    """
-    Start a reader that keeps everything; return it, and the file with what it has read.
-
-    :param say: has game publish on the topic; called until the reader hears it.
-    """
+def slow_reader(graph: Graph, player: Player) -> tuple[NodeProcess, Path]:
+    """Start a reader of all states; return it, and the file with the numbers it has read."""
     numbers = graph.folder / 'numbers'
-    reader = graph.run(['-c', READER, str(numbers), kind.__name__, topic], 'reader')
+    reader = graph.run(['-c', READER, str(numbers)], 'reader')
 
     def there() -> bool:
-        readers = graph.node.get_subscriptions_info_by_topic(topic)
+        readers = graph.node.get_subscriptions_info_by_topic('game_state')
         return any(reader.node_name == 'slow_reader' for reader in readers)
 
     def heard() -> bool:  # which is later: we and game get to know the reader apart
-        say()
+        player.reset(START)
         return bool(numbers.read_text())
 
     graph.until(there, 'the reader')
     graph.until(heard, 'the reader to hear game')
     return reader, numbers
-
-
-def has_read(numbers: Path, message: GameState | ActionRefusal) -> bool:
-    """Tell whether a message's number is in a slow reader's file."""
-    return str(message.sequence) in numbers.read_text().split()
 
 
 def flood_until_paused(graph: Graph, player: Player) -> str:
@@ -434,12 +388,16 @@ def test_a_stopped_reader_pauses_the_game_and_no_state_is_lost(
     impatient: Graph,
 ) -> None:
     player = Player(impatient)
-    reader, numbers = slow_reader(impatient, GameState, 'game_state', lambda: player.reset(START))
+    reader, numbers = slow_reader(impatient, player)
     player.reset(START)
     first = player.state.sequence
     for _ in range(100):  # game and reader know each other well before it stops
         player.do('pickup')
-    impatient.until(lambda: has_read(numbers, player.state), 'the reader')
+
+    def has_read() -> bool:
+        return str(player.state.sequence) in numbers.read_text().split()
+
+    impatient.until(has_read, 'the reader')
     reader.pause()
     cause = flood_until_paused(impatient, player)
     assert 'cannot publish on /game_state' in cause
@@ -450,38 +408,8 @@ def test_a_stopped_reader_pauses_the_game_and_no_state_is_lost(
     player.fresh(START)
     assert taken(player.do('south'))[0] == 1
     last = player.state.sequence
-    impatient.until(lambda: has_read(numbers, player.state), 'the reader to have it all')
+    impatient.until(has_read, 'the reader to have it all')
     assert reader.kill(signal.SIGTERM) == 0
     for got in (player.states, numbers.read_text().split()):
         seen = [int(getattr(state, 'sequence', state)) for state in got]
         assert seen[seen.index(first) :] == list(range(first, last + 1))
-
-
-def test_a_stopped_reader_of_refusals_pauses_the_game_which_then_goes_on(impatient: Graph) -> None:
-    player = Player(impatient)
-    player.fresh(START)
-    jump = partial(player.do, 'jump')
-    reader, numbers = slow_reader(impatient, ActionRefusal, 'action_refused', jump)
-    for _ in range(100):
-        jump()
-    impatient.until(lambda: has_read(numbers, player.refusals[-1]), 'the reader')
-    reader.pause()
-
-    def paused() -> bool:
-        return bool(impatient.state('/game') == NodeStatus.STATE_PAUSED)
-
-    while not paused():
-        known = len(player.refusals)
-        for _ in range(200):
-            player.send(player.command('jump'))
-        impatient.until(
-            lambda n=known: len(player.refusals) == n + 200 or paused(), 'the refusals'
-        )
-        assert known < 10_000, 'game never paused'
-    assert 'cannot publish on /action_refused' in impatient.statuses['/game'][-1].text
-    reader.go_on()
-    impatient.until(lambda: impatient.state('/game') == NodeStatus.STATE_READY, 'game to go on')
-    assert taken(player.do('south'))[0] == 1
-    first, last = player.refusals[0].sequence, player.refusals[-1].sequence
-    assert [refusal.sequence for refusal in player.refusals] == list(range(first, last + 1))
-    assert reader.kill(signal.SIGTERM) == 0

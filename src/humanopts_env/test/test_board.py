@@ -7,14 +7,11 @@ committed.
 
 from pathlib import Path
 
-from humanopts_env.board import Board, board_text, caption, DOT, Mark, runs, signs
-from humanopts_env.domains.base import shown_values
+from humanopts_env.board import Board, board_text, caption, DOT, Mark, runs
 from humanopts_env.domains.capabilities import board_of
-from humanopts_env.domains.pacman.domain import PacMan
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.seeding import generator
 import pytest
-from rich.cells import cell_len
 
 MAZE = '%%%%%%%\n%P...o%\n%.%%%.%\n%.G  G%\n%%%%%%%'
 PACMAN = (
@@ -91,33 +88,12 @@ def test_a_world_without_a_board_lists_its_features() -> None:
     assert board_text(Board(notes=listed)) == 'row: 2   doorway: north'
 
 
-def test_a_picture_in_characters_is_shown_as_it_is() -> None:
-    board = Board(picture='a chain\na█c', notes=('state: 1',))
-    assert board_text(board) == 'a chain\na█c\nstate: 1'
-
-
-def test_all_rows_are_equally_wide_and_the_caption_fits_80_columns() -> None:
-    """No character takes two columns of a terminal."""
-    domain = PacMan()
-    for state in domain.sample_states(generator(0, 'lines'), 30):
-        board = domain.board(state)
-        lines = [''.join(sign for sign, _ in line) for line in signs(board)]
-        assert {cell_len(line) for line in lines} == {38}
-        assert all(cell_len(''.join(s for s, _ in line)) < 80 for line in caption(board))
-
-
 @pytest.mark.parametrize('name', ['taxi', 'pacman', 'gymnasium:FrozenLake-v1'])
 def test_only_signs_are_coloured(name: str) -> None:
     domain = make_domain(name)
     board = board_of(domain, domain.reset(generator(0)))
     styled = [text for line in caption(board) for text, style in runs(line) if style]
     assert {*styled} == {mark.kind for mark in board.marks} - {DOT}
-
-
-def test_lists_of_features_are_of_those_that_are_shown() -> None:
-    taxi = make_domain('taxi')
-    values = shown_values(taxi, taxi.decode(TAXI), ('taxi_row', 'blocked_moves'))
-    assert values == {'taxi_row': '2', 'blocked_moves': 'none'}
 
 
 def test_what_does_not_fit_into_a_cell_is_named() -> None:

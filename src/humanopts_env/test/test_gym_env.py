@@ -24,46 +24,11 @@ def make(name: str = 'humanopts/Taxi-v0', **parameters: Any) -> Any:
 def test_gymnasiums_checker_is_satisfied(name: str) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter('error')
-        check_env(make(name, render_mode='ansi').unwrapped)
-
-
-@pytest.mark.parametrize('name', ENVIRONMENTS)
-def test_nothing_is_done_before_the_first_reset(name: str) -> None:
-    """With Gymnasium's own error, whether or not its wrappers are around."""
-    env = make(name, render_mode='ansi').unwrapped
-    for call in (lambda: env.step(0), env.render):
-        with pytest.raises(gymnasium.error.ResetNeeded, match='reset'):
-            call()
-
-
-@pytest.mark.parametrize('name', ENVIRONMENTS)
-def test_an_episode_depends_on_its_seed_alone(name: str) -> None:
-
-    def played(seed: int) -> list[Any]:
-        env, rng = make(name), generator(0, 'gymnasium')
-        seen = [env.reset(seed=seed)[0]]
-        while len(seen) < 40:
-            observation, reward, terminated, truncated, _ = env.step(int(rng.integers(4)))
-            seen.append((np.array(observation).tolist(), reward))
-            if terminated or truncated:
-                seen.append(env.reset()[0])
-        return [str(entry) for entry in seen]
-
-    assert played(1) == played(1)
-    assert played(1) != played(2)
-
-
-@pytest.mark.parametrize('name', ENVIRONMENTS)
-def test_actions_are_drawn_by_the_mask(name: str) -> None:
-    """In the form that Gymnasium's spaces take, after every reset and step."""
-    env = make(name)
-    _, info = env.reset(seed=3)
-    for _ in range(30):
-        action = env.action_space.sample(info['action_mask'])
-        assert info['action_mask'][action] == 1
-        *_, terminated, truncated, info = env.step(action)
-        if terminated or truncated:
-            _, info = env.reset()
+        env = make(name, render_mode='ansi').unwrapped
+        for call in (lambda: env.step(0), env.render):
+            with pytest.raises(gymnasium.error.ResetNeeded, match='reset'):
+                call()
+        check_env(env)
 
 
 def test_it_is_found_by_module_and_name_and_registered_once() -> None:
@@ -113,13 +78,6 @@ def test_an_episode_is_played_to_its_end() -> None:
     assert env.step(5)[1:4] == (1.0, True, False)
     env.reset(seed=0)
     assert [env.step(1)[3] for _ in range(200)] == [False] * 199 + [True]
-
-
-def test_only_registered_domains_are_made() -> None:
-    """An unknown one is refused by name; where states cannot be listed, there is no table."""
-    with pytest.raises(DomainError, match='no domain'):
-        DomainEnv('chess')
-    assert not hasattr(DomainEnv('pacman'), 'P')
 
 
 def test_the_action_mask_of_taxi_is_gymnasiums_own() -> None:

@@ -5,7 +5,7 @@ from typing import Any
 
 import gymnasium
 from humanopts_env.board import Board
-from humanopts_env.domains.base import DomainError, StateError
+from humanopts_env.domains.base import DomainError
 from humanopts_env.domains.gymnasium_domain import gymnasium_domain, GymnasiumDomain
 from humanopts_env.domains.registry import domain_from_json, make_domain, parameters_json
 from humanopts_env.seeding import generator
@@ -119,16 +119,6 @@ def test_a_game_of_the_environment_can_be_followed(env_id: str) -> None:
         state = int(env.reset()[0]) if over else int(after)
 
 
-@pytest.mark.parametrize(
-    ('env_id', 'ends', 'limit'), [('FrozenLake-v1', 5, 100), ('CliffWalking-v1', 1, 1000)]
-)
-def test_ends_and_lengths(env_id: str, ends: int, limit: int) -> None:
-    """Four holes and a goal; a cliff has one end, and no limit of its own."""
-    domain = gymnasium_domain(env_id)()
-    assert domain.over().sum() == ends
-    assert domain.max_steps == limit
-
-
 def test_features_are_those_of_the_states_own_encoding() -> None:
     """Taxi decodes its states; grids have rows and columns; others are numbered."""
     taxi = gymnasium_domain('Taxi-v4')()
@@ -227,13 +217,3 @@ def test_what_cannot_be_a_domain_is_refused_by_name(
     with pytest.raises(DomainError, match=text) as refusal:
         make_domain(name, parameters)
     assert name in str(refusal.value)
-
-
-def test_without_a_distribution_of_starts_those_that_are_drawn_are_taken() -> None:
-    assert gymnasium_domain('test/Chain-v0')().start_states().tolist() == [0, 1]
-
-
-def test_a_state_that_the_game_does_not_have_is_not_drawn() -> None:
-    domain = gymnasium_domain('test/Chain-v0')()
-    with pytest.raises(StateError, match='3 is not a state of gymnasium:test/Chain-v0'):
-        domain.board(3)

@@ -77,11 +77,6 @@ def test_after_a_reset_a_new_command_takes_the_place_of_the_old(
     assert isinstance(result, Accepted)
 
 
-def test_without_a_period_nothing_waits(game: Game) -> None:
-    (result,) = Pacing(game).offer(FIRST)
-    assert isinstance(result, Accepted)
-
-
 @pytest.mark.parametrize('period', [0.0, 0.3])
 def test_while_it_is_paused_only_the_steps_that_are_let_through_are_taken(
     game: Game, period: float
@@ -98,15 +93,6 @@ def test_while_it_is_paused_only_the_steps_that_are_let_through_are_taken(
     (result,) = pacing.set_pace(period, '')
     assert isinstance(result, Accepted)
     assert game.transition.step == 3
-
-
-def test_a_key_is_carried_out_while_the_machine_waits_for_a_person(game: Game) -> None:
-    pacing = Pacing(game)
-    pacing.set_pace(0.0, 'anna-1')
-    assert pacing.offer(FIRST) == []
-    (result,) = pacing.offer(KEY)
-    assert isinstance(result, Accepted)
-    assert reasons(pacing.due()) == [(FIRST, Reason.HELD_BY_PERSON)]
 
 
 def test_steps_that_were_let_through_and_not_taken_are_forgotten_with_the_pause(

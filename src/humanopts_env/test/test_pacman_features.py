@@ -1,16 +1,12 @@
 """Pac-Man's features, their groups, and its drawing, by hand."""
 
-from humanopts_env.domains.base import FeatureKind
 from humanopts_env.domains.capabilities import feature_groups
 from humanopts_env.domains.pacman.domain import PacMan
 from humanopts_env.domains.pacman.games import (
     arrival_steps,
-    PacManGames,
     PLANNING_FEATURES,
-    sample_games,
 )
 from humanopts_env.domains.pacman.paths import STAY
-from humanopts_env.domains.registry import make_domain
 from humanopts_env.seeding import generator
 import pytest
 
@@ -96,28 +92,6 @@ def test_the_papers_list_is_positions_and_timers() -> None:
         assert said == {name: features_of(text)[name] for name in names}
 
 
-def test_the_papers_list_plays_the_same_game() -> None:
-    """States and, for plans, abstract states are those of the full list."""
-    full, named = PacMan('yard'), PacMan('yard', features='paper')
-    states = full.sample_states(generator(0, 'lists'), 50)
-    assert named.sample_states(generator(0, 'lists'), 50) == states
-    found = [domain.games(states).planning_features() for domain in (full, named)]
-    assert (found[0] == found[1]).all()
-
-
-def test_only_the_papers_list_is_among_the_parameters() -> None:
-    """Files and bags from before there were two lists are of the default."""
-    assert 'features' not in PacMan(features='directions').parameters
-    assert PacMan(features='paper').parameters['features'] == 'paper'
-
-
-def test_masks_and_directions_have_no_order() -> None:
-    """Rows, columns, distances and times have one."""
-    nominal = {f.name for f in PacMan().features if f.kind is FeatureKind.NOMINAL}
-    things = ('ghost_1', 'ghost_2', 'food', 'pill', 'fruit', 'danger', 'prey')
-    assert nominal == {*(f'{thing}_direction' for thing in things), 'ate', 'legal_moves'}
-
-
 def buckets_of(text: str) -> dict[str, int]:
     """Return the planning features of one state."""
     values = DOMAIN.games([DOMAIN.decode(text)]).planning_features()[0].tolist()
@@ -165,16 +139,6 @@ def test_nobody_arrives_sooner_than_by_a_shortest_path() -> None:
         assert (steps >= paths.distance[:, None]).all()
 
 
-@pytest.mark.parametrize('maze', ['gardens', 'yard', '%%%%%\n%P..%\n%%%%%'])
-def test_planning_features_are_within_their_buckets(maze: str) -> None:
-    domain = PacMan(maze)
-    batch = sample_games(domain.rules, generator(0, 'buckets'), 500)
-    values = PacManGames(domain, batch).planning_features()
-    assert (
-        (values >= 0) & (values < [len(edges) + 1 for edges in PLANNING_FEATURES.values()])
-    ).all()
-
-
 def test_pac_mans_features_are_grouped_by_the_thing_that_they_are_about() -> None:
     groups = {group.words: group.features for group in feature_groups(PacMan())}
     assert list(groups) == ['Pac-Man', 'the ghosts', 'the food', 'the power pills', 'the fruit']
@@ -184,16 +148,3 @@ def test_pac_mans_features_are_grouped_by_the_thing_that_they_are_about() -> Non
     assert set(ghosts) <= set(groups['the ghosts'])
     grouped = {name for names in groups.values() for name in names}
     assert {feature.name for feature in PacMan().features} - grouped == {'ate'}
-
-
-def test_groups_have_only_features_of_the_game() -> None:
-    paper = {group.words: group.features for group in feature_groups(PacMan(features='paper'))}
-    assert paper['Pac-Man'] == ('pacman_row', 'pacman_col')
-    lonely = PacMan(maze='%%%%%\n%P..%\n%%%%%')
-    assert 'ghost_1_row' not in {feature.name for feature in lonely.features}
-    named = [group.words for group in feature_groups(lonely)]
-    assert named[0] == 'Pac-Man'
-
-
-def test_a_domain_need_not_have_groups() -> None:
-    assert feature_groups(make_domain('taxi')) == ()

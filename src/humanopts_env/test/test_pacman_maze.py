@@ -5,7 +5,7 @@ from pathlib import Path
 from humanopts_env.domains.base import DomainError
 from humanopts_env.domains.pacman.domain import PacMan
 from humanopts_env.domains.pacman.maze import load_maze, maze_names, MazeError, parse_maze
-from humanopts_env.domains.pacman.paths import maze_paths, MOVES, STAY
+from humanopts_env.domains.pacman.paths import maze_paths, STAY
 import numpy as np
 import pytest
 
@@ -80,17 +80,6 @@ def test_what_is_no_maze_is_refused_with_the_reason(text: str, reason: str) -> N
         parse_maze(text)
 
 
-def test_a_maze_may_have_no_ghost_and_no_pill() -> None:
-    """As some of Berkeley's do."""
-    maze = parse_maze(surrounded('P..'))
-    assert maze.homes == maze.pills == ()
-
-
-def test_floor_that_is_shut_off_is_no_cell() -> None:
-    """It does not matter, as long as nothing is in it."""
-    assert len(parse_maze(surrounded('P.% ')).cells) == 2
-
-
 def test_a_maze_is_read_from_a_file_and_named_in_errors(tmp_path: Path) -> None:
     """The text is among the parameters, so that others play the same maze."""
     path = tmp_path / 'own.lay'
@@ -130,13 +119,6 @@ def test_parameters_out_of_range_are_refused(parameters: dict[str, object], reas
         PacMan(**parameters)  # type: ignore[arg-type]
 
 
-def test_the_default_maze_is_worth_2080_points() -> None:
-    """9 x 18 with 98 food, two pills and two ghosts: 980 + 100 + 200 fruit + 4 * 200 ghosts."""
-    maze = load_maze('gardens')
-    assert (maze.rows, maze.cols) == (9, 18)
-    assert (len(maze.food), len(maze.pills), len(maze.homes)) == (98, 2, 2)
-
-
 @pytest.mark.parametrize('name', maze_names())
 def test_our_mazes_are_symmetric_and_without_dead_ends(name: str) -> None:
     """Left and right are alike but for Pac-Man; food is never in a dead end."""
@@ -144,20 +126,6 @@ def test_our_mazes_are_symmetric_and_without_dead_ends(name: str) -> None:
     assert all(line == line[::-1] or 'P' in line for line in maze.text.split('\n'))
     ways = (maze_paths(maze).step[:, :STAY] != np.arange(len(maze.cells))[:, None]).sum(axis=1)
     assert (ways[list(maze.food)] >= 2).all()
-
-
-def test_distances_and_first_moves_are_those_of_shortest_paths() -> None:
-    """Counted on the layout by hand."""
-    maze = parse_maze(LAYOUT)
-    paths, number = maze_paths(maze), maze.cells.index
-    start, ghost, pill = number((5, 5)), number((3, 4)), number((0, 0))
-    assert paths.distance[start, ghost] == 9  # west, and up through the gap
-    assert [m for bit, m in enumerate(MOVES) if paths.shortest[start, ghost] >> bit & 1] == [
-        'west'
-    ]
-    assert paths.distance[start, pill] == 10
-    assert paths.shortest[start, start] == 0
-    assert (paths.distance == paths.distance.T).all()
 
 
 def test_every_first_move_comes_one_step_nearer_and_no_other_does() -> None:
@@ -180,15 +148,3 @@ def test_a_ghost_turns_back_only_in_a_dead_end() -> None:
         west | east | south,
     ]
     assert paths.allowed[end].tolist() == [north] * 5
-
-
-def test_long_mazes_have_wider_numbers() -> None:
-    """A corridor that winds through 30 rows is longer than a byte can say."""
-    rows = [
-        '.' * 20 if n % 2 == 0 else ('%' * 19 + '.' if n % 4 == 1 else '.' + '%' * 19)
-        for n in range(31)
-    ]
-    rows[0] = 'P' + rows[0][1:]
-    paths = maze_paths(parse_maze(surrounded(*rows)))
-    assert paths.longest == 15 * 21 + 19
-    assert paths.distance.dtype == np.uint16

@@ -5,8 +5,8 @@ from dataclasses import replace
 
 from humanopts_env.domains.base import StateError
 from humanopts_env.domains.pacman.domain import PacMan
-from humanopts_env.domains.pacman.maze import load_maze, parse_maze
-from humanopts_env.domains.pacman.paths import MOVES, STAY
+from humanopts_env.domains.pacman.maze import parse_maze
+from humanopts_env.domains.pacman.paths import STAY
 from humanopts_env.domains.pacman.rules import DRAWS, PICKS, Rules
 from humanopts_env.domains.pacman.state import Ghost, NO_CELL, PacManState
 from humanopts_env.seeding import generator
@@ -119,14 +119,6 @@ def test_the_last_food_wins_even_beside_a_ghost() -> None:
     assert (won.lives, won.food) == (3, 0)
 
 
-def test_the_last_life_ends_the_game() -> None:
-    rules = rules_of('.P   G')
-    state = replace(rules.start(), lives=1, ghosts=(Ghost(3, WEST, 0),))
-    lost = run(rules, state, EAST)
-    assert rules.is_over(lost)
-    assert (lost.lives, lost.food) == (0, 1)
-
-
 def test_fruit_comes_after_30_and_65_food_near_the_middle() -> None:
     """On the food that is left nearest to the middle; it is eaten together with that."""
     rules = rules_of('P' + '.' * 35, '.' * 36)
@@ -204,11 +196,6 @@ START = (
 )
 
 
-def test_the_start_reads_so() -> None:
-    """One line; food is a mask of 98 bits."""
-    assert PacMan().encode(PacMan().reset(generator(0, 'start'))) == START
-
-
 def test_all_parts_of_a_state_are_in_its_text() -> None:
     """Fruit has a place, and what was eaten its names."""
     domain = PacMan()
@@ -254,25 +241,6 @@ def test_text_that_is_no_state_of_the_maze_is_refused(old: str, new: str) -> Non
     assert START.count(old) >= 1
     with pytest.raises(StateError):
         PacMan().decode(START.replace(old, new, 1))
-
-
-def test_our_mazes_can_be_cleared() -> None:
-    """Going to the nearest food eats everything, whatever the maze."""
-    for name in ('gardens', 'yard'):
-        rules = Rules(replace(load_maze(name), homes=(), text=f'{name} without ghosts'))
-        state = rules.start()
-        while not rules.is_over(state):
-            row, food = rules.paths.distance[state.pacman], rules.maze.food
-            cell = min((c for k, c in enumerate(food) if state.food >> k & 1), key=row.__getitem__)
-            mask = int(rules.paths.shortest[state.pacman, cell])
-            state = rules.advance(state, (mask & -mask).bit_length() - 1, [])
-        assert state.score >= 10 * len(rules.maze.food)
-
-
-def test_moves_are_named_as_on_a_map() -> None:
-    assert [(a.name, a.key) for a in PacMan().actions] == list(
-        zip(MOVES, ('up', 'left', 'right', 'down'))
-    )
 
 
 def test_a_step_depends_on_the_state_alone_whatever_was_played_before() -> None:

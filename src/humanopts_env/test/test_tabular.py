@@ -68,29 +68,6 @@ LAST = np.zeros((5, 3), dtype=np.bool_)
 LAST[3, 0] = True  # right, from 3 to 4
 
 
-def test_the_last_action_counts_and_all_shortest_ways_are_found() -> None:
-    """0 jumps to 3; 1 and 2 walk; 4 has no way."""
-    distance, optimal = distance_to(LINE, LAST, np.ones(5, dtype=np.bool_))
-    assert distance.tolist() == [2, 3, 2, 1, -1]
-    assert optimal.astype(int).tolist() == [[0, 0, 1], [1, 0, 0], [1, 0, 0], [1, 0, 0], [0, 0, 0]]
-
-
-def test_ways_stay_in_allowed_states() -> None:
-    """Without 2 there is no way from 1; without 3 there is none at all."""
-    allowed = np.array([True, True, False, True, True])
-    assert distance_to(LINE, LAST, allowed)[0].tolist() == [2, -1, -1, 1, -1]
-    distance, optimal = distance_to(LINE, LAST, np.arange(5) != 3)
-    assert (distance == -1).all()
-    assert not optimal.any()
-
-
-def test_two_equal_ways_are_both_optimal() -> None:
-    """Either action leads to the goal in one step."""
-    goal = np.array([[True, True], [False, False]])
-    _, optimal = distance_to(table((1, 1), (1, 1)), goal, np.array([True, False]))
-    assert optimal.tolist() == [[True, True], [False, False]]
-
-
 @settings(max_examples=100)
 @given(seed=st.integers(0, 2**32 - 1), n_states=st.integers(1, 30), n_actions=st.integers(1, 4))
 def test_distances_are_those_of_relaxing_every_step_until_nothing_changes(

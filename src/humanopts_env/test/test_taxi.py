@@ -3,7 +3,7 @@
 from typing import Any
 
 from humanopts_env.domains.base import DomainError, StateError
-from humanopts_env.domains.reference import judge_states, TabularReferenceOption
+from humanopts_env.domains.reference import TabularReferenceOption
 from humanopts_env.domains.tabular import reachable
 from humanopts_env.domains.taxi import Taxi, TaxiState
 from humanopts_env.domains.taxi_reference import reference_options
@@ -99,14 +99,6 @@ def test_features_of_a_waiting_passenger() -> None:
     }
 
 
-def test_aboard_the_passenger_is_where_the_taxi_is() -> None:
-    values = features_of('taxi 2,3 passenger aboard destination G')
-    assert (values['passenger_row'], values['passenger_col']) == ('2', '3')
-    assert values['passenger_in_taxi'] == values['taxi_at_passenger'] == 'yes'
-    assert values['taxi_at_destination'] == 'no'
-    assert values['blocked_moves'] == 'none'
-
-
 def test_walls_block_moves_from_both_sides() -> None:
     """Bit 0 is south, 1 north, 2 east, 3 west."""
     assert features_of('taxi 1,1 passenger R destination B')['blocked_moves'] == 'east'
@@ -146,30 +138,12 @@ def test_a_size_that_is_no_grid_is_refused(bad: Any) -> None:
         Taxi(cols=bad)
 
 
-@pytest.mark.parametrize('bad', [TaxiState(5, 0, 0, 1), TaxiState(0, -1, 0, 1)])
-def test_a_state_of_another_grid_is_refused(bad: TaxiState) -> None:
-    with pytest.raises(StateError, match='5 x 5'):
-        Taxi().index(bad)
-
-
 class OneByOne:
     """A reference option that judges one state at a time."""
 
     def __init__(self, option: TabularReferenceOption) -> None:
         self.can_start, self.ends = option.can_start, option.ends
         self.optimal_actions = option.optimal_actions
-
-
-def test_states_are_judged_one_by_one_as_all_at_once() -> None:
-    domain = Taxi()
-    option = reference_options(domain)['go to passenger and pickup']
-    states = domain.sample_states(generator(1, 'judged'), 30)
-    single: Any = OneByOne(option)
-    slowly, at_once = (
-        judge_states(each, states, len(domain.actions)) for each in (single, option)
-    )
-    for part in ('initiation', 'termination', 'optimal'):
-        assert np.array_equal(getattr(slowly, part), getattr(at_once, part)), part
 
 
 @pytest.mark.parametrize(('rows', 'cols'), [(4, 4), (4, 9), (9, 4), (10, 10), (23, 17)])
@@ -181,13 +155,6 @@ def test_every_open_state_of_any_grid_is_reachable(rows: int, cols: int) -> None
     assert (visited & domain.over()).sum() == 4
 
 
-def test_states_to_show_are_drawn_from_all_that_are_open() -> None:
-    """With the passenger aboard too; all 400 turn up."""
-    domain = Taxi()
-    drawn = {domain.index(s) for s in domain.sample_states(generator(1, 'sample'), 8000)}
-    assert drawn == set(np.flatnonzero(~domain.over()).tolist())
-
-
 DOMAIN = Taxi()
 OPTIONS = reference_options(DOMAIN)
 PICKUP = 'go to passenger and pickup'
@@ -196,16 +163,6 @@ PASSENGER = 'go to passenger'
 DESTINATION = 'go to destination'
 EITHER = 'pickup/dropoff'
 AWAY = 'move away from obstacles'
-
-
-def test_they_are_the_buttons_of_table_1() -> None:
-    assert list(OPTIONS) == [PICKUP, DROPOFF, PASSENGER, DESTINATION, EITHER, AWAY]
-
-
-def test_only_those_that_are_asked_for_are_made() -> None:
-    few = reference_options(DOMAIN, (DROPOFF, PICKUP))
-    assert list(few) == [PICKUP, DROPOFF]
-    assert all(np.array_equal(few[name].distance, OPTIONS[name].distance) for name in few)
 
 
 @pytest.mark.parametrize(
@@ -261,19 +218,6 @@ def test_an_option_has_ended_where_it_cannot_start(name: str, state: str) -> Non
     assert not option.can_start(end)
     assert option.optimal_actions(end) == ()
     assert option.distance[DOMAIN.index(end)] == -1
-
-
-def test_states_after_the_end_are_judged_only_where_the_option_can_lead_there() -> None:
-    """The 400 open states, and the four deliveries."""
-    judged = {name: int(option.judged.sum()) for name, option in OPTIONS.items()}
-    assert judged == {
-        PICKUP: 400,
-        DROPOFF: 404,
-        PASSENGER: 400,
-        DESTINATION: 400,
-        EITHER: 404,
-        AWAY: 400,
-    }
 
 
 @pytest.mark.parametrize('option', OPTIONS.values(), ids=OPTIONS)
