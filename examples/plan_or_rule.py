@@ -36,12 +36,13 @@ def main() -> None:
         ways = {way.name: way for way in every_baseline(domain, options, given.game_steps)}
         for seed in given.seeds:
             plan, rule = (
-                play_baseline(domain, ways[name], seed, given.games) for name in (PLAN, RULE_NAME)
+                play_baseline(domain, ways[name], seed, given.games)['scores']
+                for name in (PLAN, RULE_NAME)
             )
-            more = Interval.of_difference(plan.scores, rule.scores, level)
+            more = Interval.of_difference(plan, rule, level)
             print(
-                f'ghosts={ghosts} seed {seed}: plan {plan.scores.mean():.0f}, '
-                f'rule {rule.scores.mean():.0f}, more {more.mean:.0f} '
+                f'ghosts={ghosts} seed {seed}: plan {plan.mean():.0f}, '
+                f'rule {rule.mean():.0f}, more {more.mean:.0f} '
                 f'({more.low:.0f} to {more.high:.0f})',
                 flush=True,
             )

@@ -82,7 +82,8 @@ def play_in_maze(parameters: Mapping[str, Any]) -> Rows:
     for game, changed in baselines_of(maze).variants.items():
         domain = make_domain(DOMAIN, {**maze.parameters, **changed})
         for baseline in every_baseline(domain, options, parameters['steps']):
-            row = dict(play_baseline(domain, baseline, seed, parameters['games']).row)
+            row = play_baseline(domain, baseline, seed, parameters['games'])
+            del row['scores']
             means = {outcome: of['mean'] for outcome, of in row.pop('outcomes').items()}
             known = {'maze': number, 'text': text, 'game': game, 'way to play': row.pop('name')}
             rows.append({**known, **row, **means})

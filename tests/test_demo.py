@@ -20,7 +20,7 @@ from humanopts_teach.bags.contents import Episode, read_episodes
 from humanopts_teach.bags.info import summarise
 from humanopts_teach.bags.reader import Bag, DEMONSTRATION, open_bag
 from humanopts_teach.cli import main
-from humanopts_teach.evaluation.tables import OPTIONS, PLANS, SECONDS
+from humanopts_teach.evaluation.tables import LIVE_OPTIONS, LIVE_PLANS, PLANS, SECONDS
 import numpy as np
 import pytest
 from teach_support.bags import without
@@ -29,14 +29,13 @@ ROOT = Path(__file__).parents[1]
 PICKUP, DROPOFF = 'go to passenger and pickup', 'go to destination and dropoff'
 KINDS = {'float64': float, 'int64': int, 'bool': bool}
 OPTION = {
-    **{name: KINDS.get(column.dtype, str) for name, column in OPTIONS.items() if column.live},
+    **{name: KINDS.get(dtype, str) for name, dtype in LIVE_OPTIONS.items()},
     'features': [str],
 }
-OFFLINE = {name: KINDS.get(column.dtype, str) for name, column in PLANS.items()}
+OFFLINE = {name: KINDS.get(dtype, str) for name, dtype in PLANS.items()}
 OFFLINE |= {'outcomes': {}}
 del OFFLINE['participant']
-LIVE = {name: OFFLINE[name] for name, column in PLANS.items() if column.live}
-LIVE |= dict.fromkeys(SECONDS, float)
+LIVE = {name: OFFLINE[name] for name in (*LIVE_PLANS, *SECONDS)}
 SCHEMA = {
     'domain': str,
     'seed': int,

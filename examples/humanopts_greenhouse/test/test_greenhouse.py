@@ -137,7 +137,7 @@ def test_a_plan_with_options_plays_like_the_rule_written_by_hand() -> None:
         Baseline('rule', RULE),
         Baseline('moves', RANDOM, request=PlanRequest(PRIMITIVE)),
     ]
-    planned, rule, moves = (play_baseline(HOUSE, each, seed=1, games=60).row for each in baselines)
+    planned, rule, moves = (play_baseline(HOUSE, each, seed=1, games=60) for each in baselines)
     assert planned['score'] == pytest.approx(rule['score'], abs=2.0)
     assert moves['score_high'] < rule['score_low']
 

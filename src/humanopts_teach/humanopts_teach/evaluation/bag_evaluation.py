@@ -36,7 +36,6 @@ from humanopts_learner.planning.request import (
     PlanRequest,
     PRIMITIVE,
 )
-from humanopts_learner.planning.sampled_plan import SampledPlan
 from humanopts_learner.summary import OptionSummary
 from humanopts_ros.limits import parse_json
 from humanopts_teach.bags import BagError
@@ -45,7 +44,7 @@ from humanopts_teach.bags.mcap_file import ignore_progress
 from humanopts_teach.bags.provenance import software, UNKNOWN
 from humanopts_teach.bags.reader import Bag, open_bag
 from humanopts_teach.evaluation import ProgressCallback
-from humanopts_teach.evaluation.games import evaluate_games, GAMES, GamesEvaluation
+from humanopts_teach.evaluation.games import evaluate_games, GAMES, games_to_dict
 from humanopts_teach.evaluation.settings import Settings, settings_from_facts
 from humanopts_teach.evaluation.side_by_side import all_of
 from humanopts_teach.evaluation.tables import option_row, OPTIONS, plan_row, PLANS, records, table
@@ -101,7 +100,7 @@ class BagEvaluation:
     :ivar options: in order of first demonstration.
     :ivar plans: by action set and, where several people taught, person.
     :ivar warnings: sentences on what was assumed or left out.
-    :ivar games: by participant, if asked for.
+    :ivar games: of ``evaluate_games`` by participant, if asked for.
     :ivar demonstrations: all that were given, also those that were taken back or left out.
     """
 
@@ -110,7 +109,7 @@ class BagEvaluation:
     options: tuple[OptionEvaluation, ...]
     plans: Mapping[str, PlanEvaluation]
     warnings: tuple[str, ...] = ()
-    games: Mapping[str, GamesEvaluation] = field(default_factory=dict)
+    games: Mapping[str, 'pd.DataFrame'] = field(default_factory=dict)
     demonstrations: Sequence[Demonstration] = ()
 
     @cached_property
@@ -161,7 +160,7 @@ class BagEvaluation:
                 for each in self.options
             ],
             'planning': records(self.plan_table),
-            'games': {person: found.to_dict() for person, found in self.games.items()},
+            'games': {person: games_to_dict(games) for person, games in self.games.items()},
             'warnings': list(self.warnings),
         }
 
@@ -384,19 +383,15 @@ def with_games(
     found = {}
     for number, person in enumerate(people):
         options = [each.option for each in evaluation.of(person)]
-        known = [
-            (each.plan, each.judged)
-            for each in evaluation.plans.values()
-            if each.participant == person and isinstance(each.plan, SampledPlan)
-        ]
+        plans = (each for each in evaluation.plans.values() if each.participant == person)
+        known = next(((each.plan, each.judged) for each in plans), None)
 
         def report(done: float, total: float, text: str, before: int = number) -> None:
             progress(before + done / total, len(people), text)
 
         try:
             found[person] = evaluate_games(
-                *(domain, options, settings.seed, games, settings.game_steps, report),
-                known=next(iter(known), None),
+                *(domain, options, settings.seed, games, settings.game_steps, report), known=known
             )
         except PlanError as error:
             raise EvaluationError(f'the games cannot be played: {error}') from error

@@ -6,13 +6,13 @@ plans with all options play beside random choice among the options and, where th
 a rule written by hand. Each plays as many games under the same rules, in each variant of the game.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 import time
 from typing import Any, TYPE_CHECKING
 
-from humanopts_env.arrays import Flags, Floats, Ints
+from humanopts_env.arrays import Flags, Ints
 from humanopts_env.domains.base import Domain
 from humanopts_env.domains.capabilities import Baselines, HasBaselines
 from humanopts_env.domains.registry import make_domain, parameters_json
@@ -23,7 +23,7 @@ from humanopts_learner.intervals import Interval
 from humanopts_learner.options.learned_option import LearnedOption, OptionError
 from humanopts_learner.planning.action_set import ActionSet, AnyOption
 from humanopts_learner.planning.evaluate import Returns
-from humanopts_learner.planning.plan import judge_plan, Performance
+from humanopts_learner.planning.plan import AnyPlan, judge_plan, Performance
 from humanopts_learner.planning.request import (
     Arbitration,
     GAME_STEPS,
@@ -32,7 +32,7 @@ from humanopts_learner.planning.request import (
     PlanRequest,
     PRIMITIVE,
 )
-from humanopts_learner.planning.sampled_plan import make_sampled_plan, play_games, SampledPlan
+from humanopts_learner.planning.sampled_plan import make_sampled_plan, play_games
 from humanopts_teach.bags.mcap_file import ignore_progress
 from humanopts_teach.evaluation import ProgressCallback
 from humanopts_teach.evaluation.side_by_side import all_of
@@ -61,53 +61,32 @@ class Baseline:
     request: PlanRequest = HUMAN_PLAN  # of PLAN; RANDOM has its action set
 
 
-@dataclass(frozen=True)
-class Played:
-    """The results of a policy: its row of the table, and the score of each game, (E,)."""
-
-    row: Mapping[str, Any]
-    scores: Floats
-
-
-@dataclass(frozen=True)
-class GamesEvaluation:
+def gains(games: 'pd.DataFrame') -> 'pd.DataFrame':
     """
-    The results of all policies.
+    Return how much more plans score than random choice and the rule, paired by game.
 
-    :ivar rows: columns ``GAMES``.
-    :ivar scores: the score of each game; columns by setting and name, as in the rows.
+    :param games: of ``evaluate_games``.
+    :return: setting, name, less (name of the other), mean, low, high (95 % interval). The plan
+        with all options run to their end is compared with random choice among them, and the last
+        such plan with the rule.
     """
+    import pandas as pd
 
-    rows: 'pd.DataFrame'
-    scores: 'pd.DataFrame'
+    found = []
+    for setting, rows in games.groupby('setting', sort=False):
+        scores, kinds = rows.set_index('name')['scores'], rows.set_index('name')['kind']
+        sizes = rows.set_index('name')['options'].str.len()[kinds == PLAN]
+        plans = sizes.index[sizes == sizes.max()]
+        for plan, kind in ((plans[0], RANDOM), (plans[-1], RULE)):
+            for other in kinds.index[kinds == kind]:
+                more = Interval.of_difference(scores[plan], scores[other])
+                found.append([setting, plan, other, more.mean, more.low, more.high])
+    return pd.DataFrame(found, columns=['setting', 'name', 'less', 'mean', 'low', 'high'])
 
-    @property
-    def gains(self) -> 'pd.DataFrame':
-        """
-        How much more plans score than random choice and the rule, paired by game.
 
-        :return: setting, name, less (name of the other), mean, low, high (95 % interval). The
-            plan with all options run to their end is set against random choice among them, and
-            the last such plan against the rule.
-        """
-        import pandas as pd
-
-        found = []
-        for setting, rows in self.rows.groupby('setting', sort=False):
-            sizes = rows[rows['kind'] == PLAN].set_index('name')['options'].str.len()
-            plans = sizes.index[sizes == sizes.max()]
-            pairs = [(plans[0], other) for other in rows['name'][rows['kind'] == RANDOM]]
-            pairs += [(plans[-1], other) for other in rows['name'][rows['kind'] == RULE]]
-            for one, other in pairs:
-                more = Interval.of_difference(
-                    *(self.scores[setting, each] for each in (one, other))
-                )
-                found.append([setting, one, other, more.mean, more.low, more.high])
-        return pd.DataFrame(found, columns=['setting', 'name', 'less', 'mean', 'low', 'high'])
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the rows and gains as JSON data."""
-        return {'rows': records(self.rows), 'gains': records(self.gains)}
+def games_to_dict(games: 'pd.DataFrame') -> dict[str, Any]:
+    """Return the rows and gains of ``evaluate_games`` as JSON data."""
+    return {'rows': records(games[[*COLUMNS]]), 'gains': records(gains(games))}
 
 
 def baselines_of(domain: Domain[Any]) -> Baselines:
@@ -130,45 +109,60 @@ def carried_over(option: LearnedOption, domain: Domain[Any]) -> LearnedOption:
 
 
 def play_baseline(
-    domain: Domain[Any], baseline: Baseline, seed: int, games: int = GAMES
-) -> Played:
+    domain: Domain[Any],
+    baseline: Baseline,
+    seed: int,
+    games: int = GAMES,
+    known: tuple[AnyPlan, Performance] | None = None,
+) -> dict[str, Any]:
     """
     Play games by a policy.
 
     :param seed: of the plan, and of the games, which are drawn independently.
     :param games: two or more.
-    :raises PlanError: as ``make_sampled_plan``; or the domain has no rule written by hand.
+    :param known: the plan of the baseline, made and judged with the same seed; None: it is made.
+    :return: columns ``GAMES`` without the setting, and the scores of the games (E,).
+    :raises PlanError: as ``make_sampled_plan``; or the domain has no hand-written rule.
     """
     if baseline.kind == PLAN:
-        request = replace(baseline.request, seed=seed)
-        clock = time.process_time  # no other program's work makes it longer
-        plan = make_sampled_plan(domain, baseline.options, request, clock=clock)
-        return played_plan(baseline, plan, judge_plan(plan, seed, games))
-    counts: dict[str, Any] = {}
-    if baseline.kind == RANDOM:
-        actions = ActionSet(domain, baseline.request.action_set, baseline.options)
-        policy = AnyOption(generator(seed, 'random choice'))
-        results: Any = play_games(actions, policy, domain.gamma, seed, games)
-        counts = {'decisions': results.decisions.mean(), 'fallbacks': results.fallbacks.mean()}
-    elif (rule := baselines_of(domain).heuristic) is not None:
-        rng, moves = generator(seed, 'hand-written rule'), Moves(rule)
-        begun, once = new_games(domain, games, rng), Fixed(np.zeros(games, dtype=np.intp))
-        results = Returns.of(play(begun, moves, once, rng, domain.max_steps), domain.gamma, 1)
+        if known is None:
+            request = replace(baseline.request, seed=seed)
+            clock = time.process_time  # no other program's work makes it longer
+            plan: AnyPlan = make_sampled_plan(domain, baseline.options, request, clock=clock)
+            known = plan, judge_plan(plan, seed, games)
+        plan, judged = known
+        scores, outcomes = judged.totals, judged.outcomes
+        counts = {'decisions': judged.decisions / games, 'fallbacks': judged.fallbacks / games}
+        counts |= {'game_steps': plan.game_steps, 'seconds': plan.seconds}
     else:
-        raise PlanError(f'{domain.name} has no rule that was written by hand')
-    outcomes = {name: Interval.of(values) for name, values in results.outcomes.items()}
-    return _played(baseline, results.total, outcomes, counts)
-
-
-def played_plan(baseline: Baseline, plan: SampledPlan, judged: Performance) -> Played:
-    """Return the results of a plan that was made as a baseline says."""
-    counts = {
-        'decisions': judged.decisions / judged.episodes,
-        'fallbacks': judged.fallbacks / judged.episodes,
-        'game_steps': plan.game_steps,
-        'seconds': plan.seconds,
+        if baseline.kind == RANDOM:
+            actions = ActionSet(domain, baseline.request.action_set, baseline.options)
+            policy = AnyOption(generator(seed, 'random choice'))
+            returns = play_games(actions, policy, domain.gamma, seed, games)
+            counts = {'decisions': returns.decisions.mean(), 'fallbacks': returns.fallbacks.mean()}
+        elif (rule := baselines_of(domain).heuristic) is not None:
+            rng, moves = generator(seed, 'hand-written rule'), Moves(rule)
+            begun, once = new_games(domain, games, rng), Fixed(np.zeros(games, dtype=np.intp))
+            returns = Returns.of(play(begun, moves, once, rng, domain.max_steps), domain.gamma, 1)
+            counts = {}
+        else:
+            raise PlanError(f'{domain.name} has no hand-written rule')
+        scores = returns.total
+        outcomes = {name: Interval.of(values) for name, values in returns.outcomes.items()}
+    score = Interval.of(scores)
+    return {
+        'name': baseline.name,
+        'kind': baseline.kind,
+        'options': [option.name for option in baseline.options],
+        'games': games,
+        'score': score.mean,
+        'score_low': score.low,
+        'score_high': score.high,
+        'outcomes': {name: finite_parts(each) for name, each in outcomes.items()},
+        'game_steps': 0,
+        **counts,
+        'scores': scores,
     }
-    return _played(baseline, judged.totals, judged.outcomes, counts)
 
 
 @dataclass(frozen=True)
@@ -190,25 +184,6 @@ class Moves:
 
     def ends(self, option: Ints) -> Flags:
         return np.ones(len(option), dtype=np.bool_)
-
-
-def _played(
-    way: Baseline, scores: Floats, outcomes: Mapping[str, Interval], counts: Mapping[str, Any]
-) -> Played:
-    score = Interval.of(scores)
-    row = {
-        'name': way.name,
-        'kind': way.kind,
-        'options': [option.name for option in way.options],
-        'games': len(scores),
-        'score': score.mean,
-        'score_low': score.low,
-        'score_high': score.high,
-        'outcomes': {name: finite_parts(each) for name, each in outcomes.items()},
-        'game_steps': 0,
-        **counts,
-    }
-    return Played(row, scores)
 
 
 def every_baseline(
@@ -245,8 +220,8 @@ def evaluate_games(
     game_steps: int = 0,
     progress: ProgressCallback = ignore_progress,
     jobs: int = 0,
-    known: tuple[SampledPlan, Performance] | None = None,
-) -> GamesEvaluation:
+    known: tuple[AnyPlan, Performance] | None = None,
+) -> 'pd.DataFrame':
     """
     Play all policies in all variants of the game.
 
@@ -256,36 +231,34 @@ def evaluate_games(
     :param progress: called as the work goes on; what it raises passes through.
     :param jobs: processes that do the work; 0: one for each core; 1: this one.
     :param known: the plan with all options in ``domain``, made and judged with the same seed.
+    :return: a row for each policy in each variant: columns ``GAMES``, and scores, those of the
+        games (E,).
     :raises PlanError: the domain cannot play many games, or the options are of another one.
     """
-    import pandas as pd
-
     variants = {
         name: make_domain(domain.name, {**domain.parameters, **changed})
         for name, changed in baselines_of(domain).variants.items()
     } or {'': domain}
     steps = game_steps or GAME_STEPS
     ways = [
-        ((setting, way.name), variant, way)
+        (setting, variant, way)
         for setting, variant in variants.items()
         for way in every_baseline(variant, options, steps)
     ]
-    results = {}
-    if known and known[1].episodes == games:
-        asked = PLAN, len(options), PlanRequest(HUMAN, game_steps=steps)
-        results = {
-            key: played_plan(way, *known)
-            for key, variant, way in ways
-            if variant.parameters == domain.parameters
-            and (way.kind, len(way.options), way.request) == asked
-        }
-    left = [each for each in ways if each[0] not in results]
-    calls = [partial(play_baseline, variant, way, seed, games) for _, variant, way in left]
-    names = [': '.join(filter(None, key)) for key, *_ in left]
-    costs = [PLAYING + way.request.game_steps for *_, way in left]
+    usual = domain.parameters, PLAN, len(options), PlanRequest(HUMAN, game_steps=steps)
+    found = {
+        number: play_baseline(variant, way, seed, games, known)
+        for number, (_, variant, way) in enumerate(ways)
+        if known and known[1].episodes == games
+        if (variant.parameters, way.kind, len(way.options), way.request) == usual
+    }
+    left = {number: way for number, way in enumerate(ways) if number not in found}
+    calls = [
+        partial(play_baseline, variant, way, seed, games) for _, variant, way in left.values()
+    ]
+    names = [': '.join(filter(None, (setting, way.name))) for setting, _, way in left.values()]
+    costs = [PLAYING + way.request.game_steps for *_, way in left.values()]
     progress(0, len(calls), f'{len(calls)} policies, side by side')
-    found = all_of(calls, names, costs, progress, jobs)
-    results |= {key: each for (key, *_), each in zip(left, found)}
-    rows = [{'setting': key[0], **results[key].row} for key, *_ in ways]
-    scores = pd.DataFrame({key: results[key].scores for key, *_ in ways})
-    return GamesEvaluation(table(COLUMNS, rows), scores)
+    found |= zip(left, all_of(calls, names, costs, progress, jobs))
+    rows = [{'setting': setting, **found[number]} for number, (setting, *_) in enumerate(ways)]
+    return table({**COLUMNS, 'scores': 'object'}, rows)

@@ -10,7 +10,8 @@ from typing import Any, TYPE_CHECKING
 
 from humanopts_learner.append_only_log import sync
 from humanopts_teach.evaluation.bag_evaluation import BagEvaluation
-from humanopts_teach.evaluation.tables import Column, OPTIONS, PLANS, records, SECONDS
+from humanopts_teach.evaluation.games import games_to_dict
+from humanopts_teach.evaluation.tables import LIVE_OPTIONS, LIVE_PLANS, records, SECONDS
 
 if TYPE_CHECKING:
     import pandas as pd  # slow to import
@@ -35,8 +36,8 @@ class Live:
     """
     What was seen while the graph ran.
 
-    :ivar options: columns ``OPTIONS``; what is not seen live is NaN.
-    :ivar plans: columns ``PLANS``.
+    :ivar options: columns ``OPTIONS``; NaN in others than ``LIVE_OPTIONS``.
+    :ivar plans: columns ``PLANS``; NaN in others than ``LIVE_PLANS`` and ``SECONDS``.
     """
 
     options: 'pd.DataFrame'
@@ -55,16 +56,16 @@ def summary(live: Live, offline: BagEvaluation, bag: Mapping[str, Any]) -> dict[
     return {
         'domain': offline.domain.name,
         'seed': settings.pop('seed'),
-        'options': records(live.options[_seen_live(OPTIONS)]),
+        'options': records(live.options[[*LIVE_OPTIONS]]),
         'teaching': settings,
-        'planning': records(live.plans[[*_seen_live(PLANS), *SECONDS]]),
+        'planning': records(live.plans[[*LIVE_PLANS, *SECONDS]]),
         'execution': asdict(live.execution),
         'bag': dict(bag),
         'offline': {
-            'options': records(offline.option_table[_seen_live(OPTIONS)]),
+            'options': records(offline.option_table[[*LIVE_OPTIONS]]),
             'planning': records(offline.plan_table.drop(columns='participant')),
         },
-        'games': next((games.to_dict() for games in offline.games.values()), None),
+        'games': next(map(games_to_dict, offline.games.values()), None),
     }
 
 
@@ -72,11 +73,17 @@ def differences(live: Live, offline: BagEvaluation) -> list[str]:
     """Return a sentence for each difference of the numbers, seconds apart; none: all are equal."""
     found = []
     for what, columns, keys, seen, again in (
-        ('option', OPTIONS, ['participant', 'option_name'], live.options, offline.option_table),
-        ('plan', PLANS, ['action_set'], live.plans, offline.plan_table),
+        (
+            'option',
+            LIVE_OPTIONS,
+            ['participant', 'option_name'],
+            live.options,
+            offline.option_table,
+        ),
+        ('plan', LIVE_PLANS, ['action_set'], live.plans, offline.plan_table),
     ):
         there, here = (
-            {tuple(row[key] for key in keys): row for row in records(frame[_seen_live(columns)])}
+            {tuple(row[key] for key in keys): row for row in records(frame[[*columns]])}
             for frame in (seen, again)
         )
         for key in dict.fromkeys([*there, *here]):
@@ -92,10 +99,6 @@ def differences(live: Live, offline: BagEvaluation) -> list[str]:
                 if value != here[key][name]
             ]
     return found
-
-
-def _seen_live(columns: Mapping[str, Column]) -> list[str]:
-    return [name for name, column in columns.items() if column.live]
 
 
 def write_json(path: Path, values: Mapping[str, Any]) -> None:

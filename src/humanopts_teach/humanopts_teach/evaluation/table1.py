@@ -20,7 +20,7 @@ from humanopts_teach import text_table
 from humanopts_teach.bags import BagError
 from humanopts_teach.bags.contents import domains_played, read_demonstrations
 from humanopts_teach.bags.reader import Bag, DEMONSTRATION, LESSON_STATE
-from humanopts_teach.evaluation.tables import Column, records, rows_of, table
+from humanopts_teach.evaluation.tables import records, rows_of, table
 from humanopts_teach.study.events import ButtonSuggested, Event, event_of, last_attempts
 import numpy as np
 
@@ -47,20 +47,20 @@ TABLE_1 = {  # share of the participants of a domain who gave a button, section 
 
 
 NAMED = {  # a row for each name of each person
-    'domain': Column('object', 'name of the domain'),
-    'participant': Column('object', 'code of the person'),
-    'name': Column('object', "in the person's words; empty: none, the person was there"),
-    'taught': Column('bool', 'whether it was demonstrated'),
+    'domain': 'object',  # name of the domain
+    'participant': 'object',  # code of the person
+    'name': 'object',  # in the person's words; empty: none, the person was there
+    'taught': 'bool',  # whether it was demonstrated
 }
 BUTTONS = {  # a row for each option of a domain
-    'option': Column('object', 'name'),
-    'people': Column('int64', 'who named it'),
-    'share': Column('float64', 'of the people of the domain'),
-    'share_low': Column('float64', "Wilson's 95 % interval"),
-    'share_high': Column('float64', "Wilson's 95 % interval"),
-    'taught': Column('int64', 'people who demonstrated it'),
-    'paper': Column('float64', 'share in the paper'),
-    'wordings': Column('object', 'that people used'),
+    'option': 'object',
+    'people': 'int64',  # who named it
+    'share': 'float64',  # of the people of the domain
+    'share_low': 'float64',  # Wilson's 95 % interval
+    'share_high': 'float64',  # Wilson's 95 % interval
+    'taught': 'int64',  # people who demonstrated it
+    'paper': 'float64',  # share in the paper
+    'wordings': 'object',  # that people used
 }
 
 

@@ -1,11 +1,10 @@
 """
-The tables of an evaluation: what their columns are, and the rows of options and plans.
+The tables of an evaluation: their columns with types, and the rows of options and plans.
 
 They are pandas DataFrames. A number that is not known is NaN in a table, and null in JSON.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
 import math
 from typing import Any, TYPE_CHECKING
 
@@ -20,88 +19,83 @@ if TYPE_CHECKING:
     import pandas as pd  # slow to import
 
 
-@dataclass(frozen=True)
-class Column:
-    """A column of a table."""
-
-    dtype: str  # of pandas; ``object``: values of Python, as they are in JSON
-    text: str  # what it holds, with its unit
-    live: bool = True  # seen live, too; what a bag alone gives must equal it to the last digit
-
-
-OPTIONS = {  # a row for an option after each of its demonstrations; many are an OptionSummary's
-    'participant': Column('object', 'code of the person who taught'),
-    'option_name': Column('object', 'name'),
-    'features': Column('object', 'names of the features that it depends on'),
-    'method': Column('object', 'learning method'),
-    'n_demonstrations': Column('int64', 'trajectories'),
-    'n_not_here': Column('int64', '"not here" answers'),
-    'mean_return_demonstrations': Column('float64', 'undiscounted, reward units'),
-    'mean_return_policy': Column('float64', 'from the same starts, undiscounted, reward units'),
-    'return': Column('float64', 'shortfall of the return, reward units'),
-    'initiation': Column('float64', 'held-out balanced error of I, 0 to 1'),
-    'termination': Column('float64', 'held-out balanced error of beta, 0 to 1'),
-    'policy_accuracy': Column('float64', 'share of states with one of the best actions'),
-    'classification_accuracy_initiation': Column('float64', 'share of states, of I'),
-    'classification_accuracy_termination': Column('float64', 'share of states, of beta'),
-    'criteria_met': Column('bool', 'whether all three criteria are met'),
-    'return_high': Column('float64', 'upper confidence limit of the shortfall', live=False),
-    'return_threshold': Column('float64', 'largest shortfall allowed', live=False),
-    'initiation_threshold': Column('float64', 'largest error allowed', live=False),
-    'termination_threshold': Column('float64', 'largest error allowed', live=False),
-    'gain': Column('float64', 'return of the policy less that shown, reward units', live=False),
-    'gain_low': Column('float64', '95 % interval of the gain', live=False),
-    'gain_high': Column('float64', '95 % interval of the gain', live=False),
-    'seconds': Column('float64', "of the person's time so far", live=False),
+LIVE_OPTIONS = {  # known of an option while it is taught; many are an OptionSummary's
+    'participant': 'object',  # code of the person who taught
+    'option_name': 'object',
+    'features': 'object',  # names of the features that it depends on
+    'method': 'object',  # learning method
+    'n_demonstrations': 'int64',  # trajectories
+    'n_not_here': 'int64',  # "not here" answers
+    'mean_return_demonstrations': 'float64',  # undiscounted, reward units
+    'mean_return_policy': 'float64',  # from the same starts, undiscounted, reward units
+    'return': 'float64',  # shortfall of the return, reward units
+    'initiation': 'float64',  # held-out balanced error of I, 0 to 1
+    'termination': 'float64',  # held-out balanced error of beta, 0 to 1
+    'policy_accuracy': 'float64',  # share of states with one of the best actions
+    'classification_accuracy_initiation': 'float64',  # share of states, of I
+    'classification_accuracy_termination': 'float64',  # share of states, of beta
+    'criteria_met': 'bool',  # whether all three criteria are met
 }
-PLANS = {
-    'participant': Column('object', 'whose options; empty: primitive actions', live=False),
-    'action_set': Column('object', 'human or primitive'),
-    'gamma': Column('float64', 'discount of a step'),
-    'game_steps': Column('int64', 'that models were sampled from; 0: models are exact'),
-    'table_seconds': Column('float64', 'of evaluating policies in every state', live=False),
-    'model_seconds': Column('float64', 'of models', live=False),
-    'sweep_seconds': Column('float64', 'of value iteration', live=False),
-    'sweeps': Column('int64', 'of value iteration'),
-    'residual': Column('float64', 'largest change of the last sweep, reward units'),
-    'converged': Column('bool', 'whether the residual is within the tolerance'),
-    'episodes': Column('int64', 'in which it was judged'),
-    'mean_return': Column('float64', 'undiscounted, reward units'),
-    'mean_return_low': Column('float64', '95 % interval'),
-    'mean_return_high': Column('float64', '95 % interval'),
-    'mean_discounted_return': Column('float64', 'reward units'),
-    'exact_mean_return': Column('float64', 'over all start states', live=False),
-    'fallbacks': Column('int64', 'primitive actions because no option could start'),
-    'outcomes': Column('object', 'mean, low and high of each outcome of the domain, by name'),
+OPTIONS = {  # a row for an option after each of its demonstrations
+    **LIVE_OPTIONS,
+    'return_high': 'float64',  # upper confidence limit of the shortfall
+    'return_threshold': 'float64',  # largest shortfall allowed
+    'initiation_threshold': 'float64',  # largest error allowed
+    'termination_threshold': 'float64',  # largest error allowed
+    'gain': 'float64',  # return of the policy less that shown, reward units
+    'gain_low': 'float64',  # 95 % interval of the gain
+    'gain_high': 'float64',  # 95 % interval of the gain
+    'seconds': 'float64',  # of the person's time so far
 }
-GAMES = {  # a row for each policy in each variant of a game
-    'setting': Column('object', 'variant, such as ghosts=chase; empty: there is one'),
-    'name': Column('object', 'of the policy'),
-    'kind': Column('object', 'plan, chance or rule'),
-    'options': Column('object', 'names of the learned options that it chooses among'),
-    'games': Column('int64', 'that it played'),
-    'score': Column('float64', 'mean'),
-    'score_low': Column('float64', '95 % interval'),
-    'score_high': Column('float64', '95 % interval'),
-    'outcomes': Column('object', 'mean, low and high of each outcome of the domain, by name'),
-    'decisions': Column('float64', 'options and actions begun in a game, mean'),
-    'fallbacks': Column('float64', 'of these, because no option could start, mean'),
-    'game_steps': Column('int64', 'that planning sampled'),
-    'seconds': Column('float64', 'of the processor, of planning'),
+LIVE_PLANS = {  # known of a plan while it is made
+    'action_set': 'object',  # human or primitive
+    'gamma': 'float64',  # discount of a step
+    'game_steps': 'int64',  # that models were sampled from; 0: models are exact
+    'sweeps': 'int64',  # of value iteration
+    'residual': 'float64',  # largest change of the last sweep, reward units
+    'converged': 'bool',  # whether the residual is within the tolerance
+    'episodes': 'int64',  # in which it was judged
+    'mean_return': 'float64',  # undiscounted, reward units
+    'mean_return_low': 'float64',  # 95 % interval
+    'mean_return_high': 'float64',  # 95 % interval
+    'mean_discounted_return': 'float64',  # reward units
+    'fallbacks': 'int64',  # primitive actions because no option could start
+    'outcomes': 'object',  # mean, low and high of each outcome of the domain, by name
 }
 SECONDS = ('table_seconds', 'model_seconds', 'sweep_seconds')  # planning time
+PLANS = {  # a row for each plan
+    'participant': 'object',  # who taught the options; empty: primitive actions
+    **LIVE_PLANS,
+    **dict.fromkeys(SECONDS, 'float64'),
+    'exact_mean_return': 'float64',  # over all start states
+}
+GAMES = {  # a row for each policy in each variant of a game
+    'setting': 'object',  # variant, such as ghosts=chase; empty: there is one
+    'name': 'object',  # of the policy
+    'kind': 'object',  # plan, chance or rule
+    'options': 'object',  # names of the learned options that it chooses among
+    'games': 'int64',  # that it played
+    'score': 'float64',  # mean
+    'score_low': 'float64',  # 95 % interval
+    'score_high': 'float64',  # 95 % interval
+    'outcomes': 'object',  # mean, low and high of each outcome of the domain, by name
+    'decisions': 'float64',  # options and actions begun in a game, mean
+    'fallbacks': 'float64',  # of these, because no option could start, mean
+    'game_steps': 'int64',  # that planning sampled
+    'seconds': 'float64',  # of the processor, of planning
+}
 
 
-def table(columns: Mapping[str, Column], rows: Iterable[Any]) -> 'pd.DataFrame':
+def table(columns: Mapping[str, str], rows: Iterable[Any]) -> 'pd.DataFrame':
     """
     Return rows as a table.
 
+    :param columns: types by name.
     :param rows: values by column; those of other names are left out, and missing ones are NaN.
     """
     import pandas as pd
 
-    frame = pd.DataFrame(rows, columns=list(columns))
-    return frame.astype({name: column.dtype for name, column in columns.items()})
+    return pd.DataFrame(rows, columns=[*columns]).astype(dict(columns))
 
 
 def records(frame: 'pd.DataFrame') -> list[dict[str, Any]]:

@@ -9,7 +9,7 @@ from humanopts_learner.options.judge import likely_range, Thresholds
 from humanopts_learner.summary import Criterion
 from humanopts_ros.limits import one_line
 from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, OptionEvaluation
-from humanopts_teach.evaluation.games import GamesEvaluation
+from humanopts_teach.evaluation.games import gains
 from humanopts_teach.evaluation.tables import rows_of, SECONDS
 from humanopts_teach.text_table import table
 
@@ -53,7 +53,7 @@ def evaluation_text(evaluation: BagEvaluation) -> str:
         ]
     for person, games in evaluation.games.items():
         by = f' with the options of {person}' if len(evaluation.games) > 1 else ''
-        lines += ['', f'{games.rows["games"].max()} games each{by}', *games_text(games)]
+        lines += ['', f'{games["games"].max()} games each{by}', *games_text(games)]
     return '\n'.join(one_line(line) for text in lines for line in text.splitlines() or [''])
 
 
@@ -71,10 +71,10 @@ def criteria_text(option: OptionEvaluation) -> str:
     return 'criteria not met'
 
 
-def games_text(games: GamesEvaluation) -> list[str]:
+def games_text(games: 'pd.DataFrame') -> list[str]:
     """Return lines that compare all policies, with 95 % intervals."""
     lines = []
-    for setting, rows in games.rows.groupby('setting', sort=False):
+    for setting, rows in games.groupby('setting', sort=False):
         outcomes = list(dict.fromkeys(name for each in rows['outcomes'] for name in each))
         head = (setting or 'policy', 'score', *outcomes, 'planning s')
         cells = [
@@ -89,8 +89,7 @@ def games_text(games: GamesEvaluation) -> list[str]:
         lines += ['', numbers(head, cells)]
         lines += [
             f'{row.name} less {row.less}, game by game: {interval(row.mean, row.low, row.high, 0)}'
-            for row in rows_of(games.gains)
-            if row.setting == setting
+            for row in rows_of(gains(rows))
         ]
     return lines
 

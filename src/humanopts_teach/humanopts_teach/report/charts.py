@@ -14,7 +14,6 @@ from humanopts_env.arrays import Floats
 from humanopts_learner.planning.exact_plan import build_model, ExactPlan
 from humanopts_learner.planning.solve import value_history
 from humanopts_teach.evaluation.bag_evaluation import OptionEvaluation
-from humanopts_teach.evaluation.games import GamesEvaluation
 from humanopts_teach.evaluation.tables import SECONDS
 from humanopts_teach.report.figures import Drawing, drawing, MUTED, SERIES
 from humanopts_teach.report.pages import number
@@ -271,9 +270,8 @@ def _residuals(values: Mapping[str, Floats], name: str) -> str:
     return work.svg
 
 
-def games_figures(games: GamesEvaluation, name: str) -> list[str]:
+def games_figures(rows: pd.DataFrame, name: str) -> list[str]:
     """Return the scores and, where there are mazes, the share of mazes cleared."""
-    rows = games.rows
     score = rows[['score', 'score_low', 'score_high']].to_numpy()
     figures = [_intervals(rows, score, f'{name}-score', 'Mean score', 'points')]
     if all(CLEARED in outcomes for outcomes in rows['outcomes']):

@@ -9,6 +9,7 @@ from typing import Any, TYPE_CHECKING
 from humanopts_learner.intervals import Interval, level_of_each
 from humanopts_teach.bags.info import TopicRow
 from humanopts_teach.evaluation.bag_evaluation import BagEvaluation
+from humanopts_teach.evaluation.games import gains
 from humanopts_teach.evaluation.summary import differences, Live
 from humanopts_teach.evaluation.tables import SECONDS
 from humanopts_teach.report.pages import counted, Finding, MARKS, MINUS, number, templates
@@ -64,6 +65,7 @@ def _words() -> Any:
         'level_of_each': level_of_each,
         'pairs': lambda plans: list(combinations(plans, 2)),
         'lost': _lost,
+        'gains': gains,
         'points': lambda mean, low, high: f'{mean:,.0f} ({low:,.0f} to {high:,.0f})'.replace(
             '-', MINUS
         ),
