@@ -4,10 +4,9 @@ The charts of a report: learning curves, planning and its sweeps, and games.
 ``name`` is the prefix of the identifiers in a figure.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-import math
 from typing import Any, Literal
 
 from humanopts_env.arrays import Floats
@@ -17,6 +16,7 @@ from humanopts_teach.evaluation.bag_evaluation import OptionEvaluation
 from humanopts_teach.evaluation.tables import SECONDS
 from humanopts_teach.report.figures import Drawing, drawing, MUTED, SERIES
 from humanopts_teach.report.pages import number
+from matplotlib.axes import Axes
 from matplotlib.ticker import (
     LogLocator,
     MaxNLocator,
@@ -30,11 +30,13 @@ import pandas as pd
 SIZE = (5.0, 2.9)  # inches
 MARGINS = {'left': 0.15, 'right': 0.985, 'bottom': 0.165, 'top': 0.9}  # shares, for six digits
 MAX_MARKERS = 30  # on a curve
-CRITERIA = (  # criterion, title, unit
-    ('return', 'Return: shortfall', 'reward units'),
-    ('initiation', 'Initiation: held-out error (may it start?)', 'balanced error'),
-    ('termination', 'Termination: held-out error (does it end?)', 'balanced error'),
-)
+LEARNING = {  # title and unit of each chart
+    'return': ('Return: shortfall', 'reward units'),
+    'initiation': ('Initiation: held-out error (may it start?)', 'balanced error'),
+    'termination': ('Termination: held-out error (does it end?)', 'balanced error'),
+    'accuracy': ('Accuracy against the reference option', 'share of states'),
+    'gain': ('Return of the policy less that shown', 'reward units'),
+}
 ACCURACIES = {
     'policy_accuracy': 'policy',
     'classification_accuracy_initiation': 'I',
@@ -46,12 +48,11 @@ CURVES: tuple[dict[str, Any], ...] = (  # curves of one chart that coincide stay
     {'color': SERIES[3], 'marker': '^', 'ms': 3.5, 'ls': ':', 'lw': 1.1},
 )
 STAGES = dict(zip(SECONDS, (('policy tables', 0), ('models', 1), ('sweeps', 3))))
-RETURNS = (('undiscounted', 'mean_return'), ('discounted', 'mean_discounted_return'))
 MARKERS = 'osD^'
 WIDTH, ROW_HEIGHT = 5.6, 0.33  # inches
 CLEARED = 'cleared'
 MAX_VALUES = 20_000_000  # states by sweeps, up to which plans are made again for their sweeps
-ALL_ROWS, STEP = 30, 1.1  # sweeps that are all in the table; ratio of the later ones
+MAX_ROWS = 60  # of the table of sweeps, which has fewer of the later ones
 NEAR = 1e-3  # a value so close to its end, in reward units, is settled
 
 
@@ -76,82 +77,70 @@ def _chart(
         yield work
 
 
-def _series(index: int) -> dict[str, Any]:
-    """Return colour and marker of one of several series."""
-    return {'color': SERIES[index % len(SERIES)], 'marker': MARKERS[index % len(MARKERS)]}
-
-
 def learning_curves(option: OptionEvaluation, name: str) -> list[str]:
     """
     Return one SVG for each criterion, one of the accuracies and one of the gain where known.
 
-    Of several rows with as many trajectories (between them came "not here" answers) the last is
+    Of several rows after as many trajectories (between them came "not here" answers) the last is
     drawn.
     """
     points = option.learning[option.learning['n_demonstrations'] > 0]
     points = points.drop_duplicates('n_demonstrations', keep='last').set_index('n_demonstrations')
     if points.empty:
         return []
-    last, figures = int(points.index.max()), []
-
-    @contextmanager
-    def chart(part: str, title: str, unit: str, curves: pd.DataFrame) -> Iterator[Drawing]:
-        """Draw curves with so few markers that they do not overlap."""
+    limit = points['return_high'].where(points['return_high'] != points['return'])
+    of: dict[str, pd.DataFrame] = {
+        'return': pd.DataFrame({'measured': points['return'], 'upper limit': limit}),
+        'initiation': points[['initiation']].set_axis(['measured'], axis=1),
+        'termination': points[['termination']].set_axis(['measured'], axis=1),
+        'accuracy': points[[*ACCURACIES]].rename(columns=ACCURACIES),
+        'gain': points[points['gain_low'].notna()][['gain']].set_axis(['mean'], axis=1),
+    }
+    verdicts = {criterion.name: criterion.verdict for criterion in option.summary.criteria}
+    figures = []
+    for part, (title, unit) in LEARNING.items():
+        curves = of[part]
+        if part not in verdicts and not curves.notna().any(axis=None):
+            continue
         labels: dict[str, Any] = {'title': title, 'xlabel': 'demonstrations', 'ylabel': unit}
         with _chart(f'{name}-{part}', f'{title}: {option.option.name}', **labels) as work:
             axes = work.axes
             for style, (label, curve) in zip(CURVES, curves.items()):
-                known = curve.dropna()
-                if len(known):
-                    every = -(-len(known) // MAX_MARKERS)
+                if len(known := curve.dropna()):
+                    every = -(-len(known) // MAX_MARKERS)  # so that markers do not overlap
                     axes.plot(known.index, known, markevery=every, label=str(label), **style)
-            yield work
-            axes.set_xlim(0, last + 0.6)
+            if part in verdicts:
+                if curves.isna().all(axis=None):
+                    axes.text(0.5, 0.7, verdicts[part], transform=axes.transAxes, ha='center')
+                _draw_threshold(axes, points[f'{part}_threshold'], curves.min().min())
+            elif part == 'accuracy':
+                axes.set_ylim(top=1.03)
+                axes.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
+            else:
+                ends = (points.loc[curves.index, end] for end in ('gain_low', 'gain_high'))
+                band: dict[str, Any] = {'color': SERIES[0], 'alpha': 0.2, 'lw': 0}
+                axes.fill_between(curves.index, *ends, label='95 % interval, same starts', **band)
+                axes.axhline(0, color=MUTED, lw=0.8)
+            axes.set_xlim(0, points.index.max() + 0.6)
             axes.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=7))
             if axes.get_legend_handles_labels()[0]:  # else nothing is measured
                 axes.legend(loc='best')
             work.figure.set_layout_engine(None)  # to lay out takes as long as to draw
             work.figure.subplots_adjust(**MARGINS)
         figures.append(work.svg)
-
-    verdicts = {criterion.name: criterion.verdict for criterion in option.summary.criteria}
-    for criterion, title, unit in CRITERIA:
-        curves = pd.DataFrame({'measured': points[criterion]})
-        if criterion == 'return':
-            high = points['return_high']
-            curves['upper limit'] = high.where(high != points[criterion])
-        with chart(criterion, title, unit, curves) as work:
-            if curves.isna().all(axis=None):
-                where = work.axes.transAxes
-                work.axes.text(0.5, 0.7, verdicts[criterion], transform=where, ha='center')
-            limits = points[f'{criterion}_threshold'].reindex(range(last + 1)).bfill().ffill()
-            if limits.notna().any():
-                constant = '' if limits.nunique() == 1 else ' in the end'
-                label = f'met at or below {limits[last]:.3g}{constant}'
-                least = min(0.0, limits.min(), curves.min().min())
-                style: dict[str, Any] = {'color': SERIES[2]}
-                work.axes.plot(limits.index, limits, ls='--', lw=1.4, label=label, **style)
-                work.axes.fill_between(limits.index, least, limits, alpha=0.13, lw=0, **style)
-    accuracies = points[[*ACCURACIES]].rename(columns=ACCURACIES)
-    if accuracies.notna().any(axis=None):
-        title = 'Accuracy against the reference option'
-        with chart('accuracy', title, 'share of states', accuracies) as work:
-            work.axes.set_ylim(top=1.03)
-            work.axes.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
-    gains = points[points['gain_low'].notna()]
-    if len(gains):
-        title = 'Return of the policy less that shown'
-        curves = gains[['gain']].rename(columns={'gain': 'mean'})
-        with chart('gain', title, 'reward units', curves) as work:
-            label = '95 % interval, same starts'
-            _fill(work, gains.index, gains['gain_low'], gains['gain_high'], SERIES[0], label)
-            work.axes.axhline(0, color=MUTED, lw=0.8)
     return figures
 
 
-def _fill(work: Drawing, x: Any, low: Any, high: Any, color: str, label: str) -> None:
-    """Shade intervals beside one another."""
-    work.axes.fill_between(x, low, high, color=color, alpha=0.2, lw=0, label=label)
+def _draw_threshold(axes: Axes, thresholds: 'pd.Series[float]', least: float) -> None:
+    """Shade where a criterion is met, by demonstrations; ``least``: of the values drawn."""
+    limits = thresholds.reindex(range(thresholds.index.max() + 1)).bfill().ffill()
+    if limits.notna().any():
+        constant = '' if limits.nunique() == 1 else ' in the end'
+        label = f'met at or below {limits.iloc[-1]:.3g}{constant}'
+        bottom = np.nanmin([0.0, limits.min(), least])
+        style: dict[str, Any] = {'color': SERIES[2]}
+        axes.plot(limits.index, limits, ls='--', lw=1.4, label=label, **style)
+        axes.fill_between(limits.index, bottom, limits, alpha=0.13, lw=0, **style)
 
 
 def planning_figures(plans: pd.DataFrame, name: str) -> list[str]:
@@ -162,7 +151,7 @@ def planning_figures(plans: pd.DataFrame, name: str) -> list[str]:
     """
     if plans.empty:
         return []
-    figures, longest = [], plans[[*SECONDS]].sum(axis=1).max()
+    longest = plans[[*SECONDS]].sum(axis=1).max()
     scale, unit, word = (1.0, 's', 'seconds') if longest >= 1.0 else (1e3, 'ms', 'milliseconds')
     title, size = 'Planning time', (5.0, 1.3 + 0.6 * len(plans))
     label = f'{title} by action set'
@@ -180,31 +169,74 @@ def planning_figures(plans: pd.DataFrame, name: str) -> list[str]:
         work.axes.set_xlim(0, 1.22 * left.max())
         work.axes.invert_yaxis()
         work.figure.legend(loc='outside lower center', ncols=3)
-    figures.append(work.svg)
     judged = plans[plans['mean_return'].notna()]
-    if judged.empty:
-        return figures
-    title = 'Mean return of an episode, with 95 % interval'
-    size, label, names = (
-        (5.0, 1.3 + 0.6 * len(judged)),
-        'Mean return by action set',
-        list(judged.index),
-    )
-    with _chart(f'{name}-return', label, size, 'x', title=title, xlabel='reward units') as work:
-        for series, (kind, field) in enumerate(RETURNS):
-            work.axes.plot(judged[field], names, label=kind, ms=8, ls='', **_series(series))
-        ends = judged['mean_return_low'], judged['mean_return_high']
-        work.axes.hlines(names, *ends, color=SERIES[0], lw=2.0, alpha=0.5)
-        work.axes.axvline(0, color=MUTED, lw=0.8)
-        work.axes.set_ylim(len(judged) - 0.4, -0.6)
-        work.axes.xaxis.set_major_locator(MaxNLocator(6))
-        work.figure.legend(loc='outside lower center', ncols=2)
-    return [*figures, work.svg]
+    kinds = {
+        'undiscounted': ['mean_return', 'mean_return_low', 'mean_return_high'],
+        'discounted': ['mean_discounted_return'],
+    }
+    ends = [
+        judged[columns]
+        .set_axis(['mean', 'low', 'high'][: len(columns)], axis=1)
+        .assign(series=kind)
+        for kind, columns in kinds.items()
+    ]
+    title, unit = 'Mean return of an episode', 'reward units'
+    figure = _intervals(pd.concat(ends), f'{name}-return', title, unit, 0.6)
+    return [work.svg, *([figure] if len(judged) else [])]
+
+
+def games_figures(games: pd.DataFrame, name: str) -> list[str]:
+    """Return the scores and, where there are mazes, the share of mazes cleared."""
+    rows = games.set_index('name').rename(columns={'setting': 'series', 'score': 'mean'})
+    score = rows.rename(columns={'score_low': 'low', 'score_high': 'high'})
+    figures = [_intervals(score, f'{name}-score', 'Mean score', 'points')]
+    if all(CLEARED in outcomes for outcomes in rows['outcomes']):
+        shares = pd.DataFrame([each[CLEARED] for each in rows['outcomes']], rows.index)
+        cleared = shares.assign(series=rows['series'].to_numpy())
+        figures.append(_intervals(cleared, f'{name}-cleared', 'Mazes cleared', 'share of games'))
+    return figures
+
+
+def _intervals(
+    rows: pd.DataFrame, name: str, title: str, unit: str, row_height: float = ROW_HEIGHT
+) -> str:
+    """
+    Draw means and their intervals, if there are any, by name; series beside one another.
+
+    :param rows: columns mean, low, high, series; by name.
+    """
+    names, series = list(rows.index.unique()), list(rows['series'].unique())
+    size = WIDTH, 1.2 + row_height * len(names)
+    label = f'{title} by policy, with 95 % intervals'
+    with _chart(name, label, size, 'x', title=title, xlabel=f'{unit}, with 95 % interval') as work:
+        axes = work.axes
+        for index, called in enumerate(series):
+            own = rows[rows['series'] == called]
+            heights = own.index.map(names.index) + 0.2 * (index - (len(series) - 1) / 2)
+            style = _style(index)
+            axes.hlines(heights, own['low'], own['high'], color=style['color'], lw=2.0)
+            axes.plot(own['mean'], heights, ls='', ms=4.5, label=called or None, **style)
+        axes.set_yticks(range(len(names)), names)
+        axes.set_ylim(len(names) - 0.5, -0.5)
+        low, high = axes.get_xlim()
+        axes.set_xlim(min(0.0, low), max(0.0, high))
+        axes.xaxis.set_major_locator(MaxNLocator(6))
+        if unit.startswith('share'):
+            axes.set_xlim(-0.02, 1.02)
+            axes.xaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
+        if series[0]:
+            work.figure.legend(loc='outside lower center', ncols=len(series))
+    return work.svg
+
+
+def _style(index: int) -> dict[str, Any]:
+    """Return colour and marker of one of several series."""
+    return {'color': SERIES[index % len(SERIES)], 'marker': MARKERS[index % len(MARKERS)]}
 
 
 @dataclass(frozen=True)
 class SweepReport:
-    """What each sweep of value iteration brought, plan beside plan."""
+    """The effect of each sweep of value iteration, plan beside plan."""
 
     names: list[str]
     near: float
@@ -218,29 +250,20 @@ def sweep_report(plans: Mapping[str, ExactPlan], name: str) -> SweepReport | Non
 
     :param plans: with exact models, by name.
     """
-    if (
-        not plans
-        or max(p.domain.n_states * p.solution.sweeps for p in plans.values()) > MAX_VALUES
-    ):
+    sizes = [plan.domain.n_states * plan.solution.sweeps for plan in plans.values()]
+    if max(sizes, default=MAX_VALUES + 1) > MAX_VALUES:
         return None
     values = {}  # (sweeps + 1, S) of each plan
     for called, plan in plans.items():
         model = build_model(plan.domain, plan.action_set, plan.options, plan.gamma)
         values[called] = value_history(model, max_sweeps=plan.solution.sweeps)
+    last = [len(history) - 1 for history in values.values()]
+    shown = {0, *np.geomspace(1, max(last), MAX_ROWS).astype(int).tolist(), *last}
     rows = [
         (sweep, [text for history in values.values() for text in _cells(history, sweep)])
-        for sweep in _shown([len(history) - 1 for history in values.values()])
+        for sweep in sorted(shown)
     ]
     return SweepReport(list(values), NEAR, _residuals(values, f'{name}-residual'), rows)
-
-
-def _shown(last: Sequence[int]) -> list[int]:
-    """Return the sweeps that the table shows: the first ones, fewer later on, and each last."""
-    shown, sweep = set(last), 0
-    while sweep <= max(last):
-        shown.add(sweep)
-        sweep = sweep + 1 if sweep < ALL_ROWS else math.ceil(sweep * STEP)
-    return sorted(shown)
 
 
 def _cells(history: Floats, sweep: int) -> tuple[str, str]:
@@ -260,52 +283,11 @@ def _residuals(values: Mapping[str, Floats], name: str) -> str:
             residual = np.abs(np.diff(history, axis=0)).max(axis=1)
             changed = np.flatnonzero(residual)  # the last sweep may change nothing
             text = f'{called}: {len(residual)} sweeps'
-            axes.plot(1 + changed, residual[changed], ms=3, label=text, **_series(index))
+            axes.plot(1 + changed, residual[changed], ms=3, label=text, **_style(index))
         low, high = axes.get_ylim()
         axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5) if high < 100 * low else (1,)))
         axes.yaxis.set_major_formatter(StrMethodFormatter('{x:g}'))
         axes.yaxis.set_minor_locator(NullLocator())
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
         axes.legend(loc='best')
-    return work.svg
-
-
-def games_figures(rows: pd.DataFrame, name: str) -> list[str]:
-    """Return the scores and, where there are mazes, the share of mazes cleared."""
-    score = rows[['score', 'score_low', 'score_high']].to_numpy()
-    figures = [_intervals(rows, score, f'{name}-score', 'Mean score', 'points')]
-    if all(CLEARED in outcomes for outcomes in rows['outcomes']):
-        cleared = np.array([list(each[CLEARED].values()) for each in rows['outcomes']])
-        figures.append(
-            _intervals(rows, cleared, f'{name}-cleared', 'Mazes cleared', 'share of games')
-        )
-    return figures
-
-
-def _intervals(rows: pd.DataFrame, ends: Any, name: str, title: str, unit: str) -> str:
-    """
-    Draw an interval for each policy, the settings beside one another.
-
-    :param ends: mean, low and high of each row, (N, 3).
-    """
-    names, settings = list(rows['name'].unique()), list(rows['setting'].unique())
-    size = WIDTH, 1.2 + ROW_HEIGHT * len(names)
-    label = f'{title} by policy, with 95 % intervals'
-    with _chart(name, label, size, 'x', title=title, xlabel=f'{unit}, with 95 % interval') as work:
-        axes = work.axes
-        for index, setting in enumerate(settings):
-            own = (rows['setting'] == setting).to_numpy()
-            heights = rows['name'][own].map(names.index) + 0.2 * (index - (len(settings) - 1) / 2)
-            mean, low, high = ends[own].T
-            style = _series(index)
-            axes.hlines(heights, low, high, color=style['color'], lw=2.0)
-            axes.plot(mean, heights, ls='', ms=4.5, label=setting or None, **style)
-        axes.set_yticks(range(len(names)), names)
-        axes.set_ylim(len(names) - 0.5, -0.5)
-        axes.set_xlim(left=min(0.0, axes.get_xlim()[0]))
-        if unit.startswith('share'):
-            axes.set_xlim(-0.02, 1.02)
-            axes.xaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
-        if settings[0]:
-            work.figure.legend(loc='outside lower center', ncols=len(settings))
     return work.svg
