@@ -9,6 +9,7 @@ import uuid
 
 from humanopts_env.domains.base import Domain
 from humanopts_env.ros.convert import domain_to_info
+from humanopts_interfaces.msg import Demonstration as Message
 from humanopts_interfaces.msg import GameState, OptionResult
 from humanopts_learner.demonstrations import Demonstration, group_by_option, Kind
 from humanopts_learner.options.files import option_to_json
@@ -38,7 +39,7 @@ from humanopts_teach.evaluation.summary import (
     SummaryError,
     write_json,
 )
-from humanopts_teach.evaluation.tables import option_row, OPTIONS, records, table
+from humanopts_teach.evaluation.tables import LIVE_OPTIONS, option_row, OPTIONS, records, table
 from humanopts_teach.evaluation.text import evaluation_text
 import pytest
 from rclpy.serialization import serialize_message
@@ -83,7 +84,7 @@ def record_lesson(
 
 @pytest.fixture(scope='module')
 def told() -> list[tuple[float, float]]:
-    """How far the evaluation was said to be."""
+    """The progress of the evaluation."""
     return []
 
 
@@ -99,55 +100,51 @@ def evaluation(
 
 @pytest.fixture(scope='module')
 def first(taxi_lesson: Lesson) -> Lesson:
-    """What was shown of the first of its two options."""
+    """The demonstrations of the first of its two options."""
     return [demo for demo in taxi_lesson if demo.option_name == taxi_lesson[0].option_name]
 
 
 def numbers(evaluation: BagEvaluation) -> list[dict[str, Any]]:
-    """Return what is known of each option."""
+    """Return the numbers of each option."""
     return records(evaluation.option_table)
 
 
 @pytest.mark.heavy
-def test_order_and_repetitions_change_no_number(
-    taxi: Domain[Any], first: Lesson, evaluation: BagEvaluation
-) -> None:
-    mixed = [*reversed(first), *first]
-    assert numbers(evaluate(mixed, taxi, SETTINGS)) == numbers(evaluation)[:1]
-
-
-def test_one_demonstration_less_changes_the_numbers(
-    taxi: Domain[Any], taxi_lesson: Lesson, evaluation: BagEvaluation
-) -> None:
-    gone = next(i for i, d in enumerate(taxi_lesson) if d.kind is Kind.TRAJECTORY)
-    fewer = evaluate(taxi_lesson[:gone] + taxi_lesson[gone + 1 :], taxi, SETTINGS)
-    (changed, same), (first, second) = numbers(fewer), numbers(evaluation)
-    assert changed != first
-    assert same == second
-
-
-@pytest.mark.heavy
-def test_what_was_taken_back_is_as_if_it_had_never_been_shown(
+def test_order_repetitions_withdrawn_and_foreign_demonstrations_change_no_number(
     taxi: Domain[Any], first: Lesson, evaluation: BagEvaluation
 ) -> None:
     wrong = replace(first[3], uuid=str(uuid.uuid4()), can_start_at_end=True, number=1000)
-    told = [*first[:9], wrong, replace(wrong, withdrawn=True), *first[9:], wrong]
+    back, stray = (
+        replace(wrong, withdrawn=True),
+        replace(wrong, domain='chess', uuid=str(uuid.uuid4())),
+    )
+    shown = [*first[:9], wrong, back, stray, *first[9:], wrong]
     assert numbers(evaluate([*first, wrong], taxi, SETTINGS)) != numbers(evaluation)[:1]
-    found = evaluate(told, taxi, SETTINGS)
+    found = evaluate(shown, taxi, SETTINGS)
     assert found.options[0].learning.equals(evaluation.options[0].learning)
+    assert any(stray.uuid in warning and 'chess' in warning for warning in found.warnings)
+    assert numbers(evaluate([*reversed(shown), *shown], taxi, SETTINGS)) == numbers(found)
 
 
-def test_a_row_of_the_learning_curve_is_added_by_each_answer(evaluation: BagEvaluation) -> None:
-    for option in evaluation.options:
+def test_an_evaluation_has_learning_curves_and_plans(
+    evaluation: BagEvaluation, told: list[tuple[float, float]]
+) -> None:
+    """Primitive actions plan at least as well as options; no number in JSON is NaN."""
+    values = json.loads(json.dumps(evaluation.to_dict(), allow_nan=False))
+    text = evaluation_text(evaluation)
+    for found, option in zip(values['options'], evaluation.options, strict=True):
         counts = option.learning['n_demonstrations'] + option.learning['n_not_here']
         assert list(counts) == list(range(counts.iloc[0], counts.iloc[-1] + 1))
-
-
-def test_primitive_actions_plan_at_least_as_well_as_options(evaluation: BagEvaluation) -> None:
+        assert len(found['learning_curve']) == len(counts)
+        assert found['learning_curve'][-1].items() <= found.items()
+        assert option.option.name in text
+    assert 'nan' not in text
     plans = evaluation.plan_table
     assert list(plans['action_set']) == ['human', 'primitive']
     assert plans['converged'].all()
     assert plans['mean_return'].is_monotonic_increasing
+    assert told[-1][0] == told[-1][1]
+    assert [done for done, _ in told] == sorted(done for done, _ in told)
 
 
 @pytest.mark.heavy
@@ -161,42 +158,17 @@ def test_people_are_evaluated_apart(taxi: Domain[Any], first: Lesson) -> None:
     assert [*both.plans] == ['human by p1', 'human by p2', 'primitive']
 
 
-def test_progress_ends_at_its_total(
-    evaluation: BagEvaluation, told: list[tuple[float, float]]
-) -> None:
-    assert evaluation.options
-    assert told[-1][0] == told[-1][1]
-    assert [done for done, _ in told] == sorted(done for done, _ in told)
-
-
-def test_json_holds_no_nan_and_the_text_names_every_option(evaluation: BagEvaluation) -> None:
-    values = json.loads(json.dumps(evaluation.to_dict(), allow_nan=False))
-    for found, option in zip(values['options'], evaluation.options, strict=True):
-        assert len(found['learning_curve']) == len(option.learning)
-        assert found['learning_curve'][-1].items() <= found.items()
-    text = evaluation_text(evaluation)
-    assert all(option.option.name in text for option in evaluation.options)
-    assert 'nan' not in text
-
-
-def test_a_demonstration_of_another_game_is_left_out_and_named(
-    taxi: Domain[Any], first: Lesson, evaluation: BagEvaluation
-) -> None:
-    stray = replace(first[0], domain='chess', uuid='00000000-0000-4000-8000-000000000000')
-    found = evaluate([*first, stray], taxi, SETTINGS)
-    assert numbers(found) == numbers(evaluation)[:1]
-    assert any(stray.uuid in warning and 'chess' in warning for warning in found.warnings)
-
-
 def test_nothing_to_learn_from_is_an_error_that_says_so(
-    taxi: Domain[Any], taxi_lesson: Lesson
+    taxi: Domain[Any], taxi_lesson: Lesson, tmp_path: Path
 ) -> None:
-    with pytest.raises(EvaluationError, match='no demonstration to learn from'):
-        evaluate([], taxi, SETTINGS)
     refused = [demo for demo in taxi_lesson if demo.kind is Kind.NOT_HERE]
-    assert refused
-    with pytest.raises(EvaluationError, match='not here'):
+    with pytest.raises(EvaluationError, match=r'no demonstration to learn from.*not here'):
         evaluate(refused, taxi, SETTINGS)
+    record(tmp_path / 'bag', [domain_to_info(taxi), Message()])
+    with pytest.raises(EvaluationError, match='no demonstration to learn from'):
+        evaluate_bag(tmp_path / 'bag')
+    with pytest.raises(BagError, match='nothing'):
+        evaluate_bag(tmp_path / 'nothing')
 
 
 def test_settings_are_read_from_the_facts_in_the_bag() -> None:
@@ -307,23 +279,14 @@ def test_a_state_that_is_none_of_the_domain_is_an_error_of_the_report(
     assert "'chess e4' is not a taxi state" in capsys.readouterr().err
 
 
-@pytest.fixture(scope='module')
-def of_bag(
-    tmp_path_factory: pytest.TempPathFactory, taxi: Domain[Any], taxi_lesson: Lesson
-) -> BagEvaluation:
-    """The bag of the lesson, evaluated."""
-    bag = tmp_path_factory.mktemp('lesson') / 'bag'
-    return evaluate_bag(record_lesson(bag, taxi, taxi_lesson))
-
-
 @pytest.mark.heavy
 def test_a_bag_gives_the_numbers_of_its_demonstrations_exactly(
-    taxi: Domain[Any], first: Lesson, of_bag: BagEvaluation
+    tmp_path: Path, taxi: Domain[Any], taxi_lesson: Lesson, first: Lesson
 ) -> None:
-    live = evaluate(first, taxi, RECORDED)
-    assert of_bag.settings == RECORDED
-    assert of_bag.options[0].learning.equals(live.options[0].learning)
-    assert of_bag.warnings == ()
+    found = evaluate_bag(record_lesson(tmp_path / 'bag', taxi, taxi_lesson))
+    assert found.settings == RECORDED
+    assert found.options[0].learning.equals(evaluate(first, taxi, RECORDED).options[0].learning)
+    assert found.warnings == ()
 
 
 def test_a_bag_without_facts_is_evaluated_with_defaults_and_says_so(
@@ -332,19 +295,6 @@ def test_a_bag_without_facts_is_evaluated_with_defaults_and_says_so(
     found = evaluate_bag(record_lesson(tmp_path / 'bag', taxi, first[:6], facts={}))
     assert found.settings == Settings()
     assert any('seed' in warning for warning in found.warnings)
-
-
-def test_a_bag_that_is_none_or_has_no_demonstration_is_refused(
-    tmp_path: Path, taxi: Domain[Any]
-) -> None:
-    with BagWriter(tmp_path / 'bag') as bag:
-        for kind in ('DomainInfo', 'Demonstration'):
-            bag.add_topic(f'/{kind.lower()}', f'humanopts_interfaces/msg/{kind}')
-        bag.write('/domaininfo', serialize_message(domain_to_info(taxi)), 1)
-    with pytest.raises(EvaluationError, match='no demonstration to learn from'):
-        evaluate_bag(tmp_path / 'bag')
-    with pytest.raises(BagError, match='nothing'):
-        evaluate_bag(tmp_path / 'nothing')
 
 
 DEEP = '[' * 100_000
@@ -392,7 +342,7 @@ def test_a_message_and_the_summary_it_carried_give_the_same_row(
     option, summary = learn_option(shown, taxi, 3), judge(shown, taxi, Thresholds(), 3)
     sent = summary_from_message(summary_to_message(summary))
     live, offline = (table(OPTIONS, [option_row(s, option, taxi)]) for s in (sent, summary))
-    seen = [name for name, column in OPTIONS.items() if column.live]
+    seen = [*LIVE_OPTIONS]
     assert live[seen].equals(offline[seen])
     (row,) = json.loads(json.dumps(records(live[seen]), allow_nan=False))
     unknown = {name for name, value in row.items() if value is None}
@@ -411,32 +361,24 @@ def test_a_difference_names_what_differs_and_both_values(
 
     first, second = options['option_name']
     changed = options.assign(mean_return_policy=[-1.25, options['mean_return_policy'][1]])
-    assert differences(replace(live, options=changed), offline) == [
-        f"mean_return_policy of the option {first!r} 'p1' was -1.25 live and is "
-        f'{float(options["mean_return_policy"][0])!r} offline'
+    was = float(options['mean_return_policy'][0])
+    fewer = replace(live, options=changed[:1], plans=plans[:1].assign(sweeps=0))
+    assert differences(fewer, offline) == [
+        f"mean_return_policy of the option {first!r} 'p1' was -1.25 live and is {was!r} offline",
+        f"the option {second!r} 'p1' is not in what was live",
+        f"sweeps of the plan 'human' was 0 live and is {plans['sweeps'].iloc[0]} offline",
+        "the plan 'primitive' is not in what was live",
     ]
-    assert differences(replace(live, options=options[:1]), offline) == [
-        f"the option {second!r} 'p1' is not in what was live"
-    ]
-    plan, _ = differences(replace(live, plans=plans.assign(sweeps=0)), offline)
-    assert plan.startswith("sweeps of the plan 'human' was 0 live")
-    fewer = replace(offline, plans={'human': offline.plans['human']})
-    assert differences(live, fewer) == ["the plan 'primitive' is not in the bag"]
 
 
-def test_a_written_file_reads_back_equal_and_leaves_nothing_else(tmp_path: Path) -> None:
+def test_a_file_is_written_whole_or_the_old_one_stays(tmp_path: Path) -> None:
     path, values = tmp_path / 'summary.json', {'mean return': -10.5, 'games': None}
-    path.write_text('old')
-    write_json(path, values)
-    assert json.loads(path.read_text()) == values
-    assert list(tmp_path.iterdir()) == [path]
-
-
-def test_what_cannot_be_written_is_refused_and_the_old_file_stays(tmp_path: Path) -> None:
-    path = tmp_path / 'summary.json'
-    with pytest.raises(SummaryError, match=r'nowhere.*No such file'):
-        write_json(tmp_path / 'nowhere/summary.json', {})
     path.write_text('old')
     with pytest.raises(ValueError, match='JSON'):
         write_json(path, {'value': float('nan')})
     assert path.read_text() == 'old'
+    write_json(path, values)
+    assert json.loads(path.read_text()) == values
+    assert list(tmp_path.iterdir()) == [path]
+    with pytest.raises(SummaryError, match=r'nowhere.*No such file'):
+        write_json(tmp_path / 'nowhere/summary.json', {})

@@ -16,17 +16,16 @@ from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.intervals import Interval
 from humanopts_learner.options.learned_option import LearnedOption, options_from_references
 from humanopts_learner.planning.request import HUMAN, PlanCanceled, PlanError, PlanRequest
-from humanopts_learner.planning.sampled_plan import SampledPlan
 from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, evaluate
 from humanopts_teach.evaluation.games import (
     Baseline,
     carried_over,
     evaluate_games,
     every_baseline,
-    GamesEvaluation,
+    gains,
+    games_to_dict,
     PLAN,
     play_baseline,
-    played_plan,
     RULE,
     RULE_NAME,
 )
@@ -38,6 +37,7 @@ from humanopts_teach.report.findings import findings
 from humanopts_teach.report.write import render_report, ReportData
 import numpy as np
 from numpy.typing import NDArray
+import pandas as pd
 import pytest
 
 pytestmark = pytest.mark.heavy
@@ -80,7 +80,7 @@ def told() -> list[tuple[str, float]]:
 @pytest.fixture(scope='module')
 def games(
     brief: Domain[Any], options: list[LearnedOption], told: list[tuple[str, float]]
-) -> GamesEvaluation:
+) -> pd.DataFrame:
     """The results of all policies, from two processes."""
     return evaluate_games(
         *(brief, options, SEED, GAMES, FEW),
@@ -96,33 +96,33 @@ def test_plans_of_a_bag_are_sampled_and_judged(evaluation: BagEvaluation) -> Non
     assert (plans[['episodes', 'game_steps']] == [GAMES, STEPS]).all(axis=None)
     assert (plans['mean_return_low'] < plans['mean_return']).all()
     assert all(set(outcomes) == {'cleared', 'lives left'} for outcomes in plans['outcomes'])
+    said = 'The plan with the action set human, from'
+    (human,) = [f.text for f in findings(evaluation) if f.text.startswith(said)]
+    assert f'from {STEPS:,} game steps' in human
+    assert f'in {GAMES} games' in human
 
 
 def test_a_plan_of_a_bag_has_the_row_that_it_would_have_if_it_were_made_again(
     yard: Domain[Any], evaluation: BagEvaluation, options: list[LearnedOption]
 ) -> None:
     human = evaluation.plans['human']
-    assert isinstance(human.plan, SampledPlan)
     way = Baseline('', PLAN, options, PlanRequest(HUMAN, game_steps=STEPS))
-    known, again = (
-        played_plan(way, human.plan, human.judged),
-        play_baseline(yard, way, SEED, GAMES),
-    )
-    assert {**known.row, 'seconds': 0.0} == {**again.row, 'seconds': 0.0}
-    assert np.array_equal(known.scores, again.scores)
+    known = play_baseline(yard, way, SEED, GAMES, (human.plan, human.judged))
+    again = play_baseline(yard, way, SEED, GAMES)
+    assert np.array_equal(known.pop('scores'), again.pop('scores'))
+    assert {**known, 'seconds': 0.0} == {**again, 'seconds': 0.0}
 
 
-def test_the_papers_and_our_policies_play_in_both_settings(games: GamesEvaluation) -> None:
-    assert [*games.rows['setting'].unique()] == ['ghosts=random', 'ghosts=chase']
-    for _, rows in games.rows.groupby('setting'):
-        assert {row.name: (row.kind, len(row.options)) for row in rows_of(rows)} == POLICIES
-    three = games.rows['options'][games.rows['name'] == 'human, 3 options']
+def test_the_papers_and_our_policies_play_in_both_settings(
+    games: pd.DataFrame, told: list[tuple[str, float]]
+) -> None:
+    assert [*games['setting'].unique()] == ['ghosts=random', 'ghosts=chase']
+    for _, rows in games.groupby('setting'):
+        kinds = zip(rows['kind'], rows['options'].map(len))
+        assert dict(zip(rows['name'], kinds, strict=True)) == POLICIES
+    three = games['options'][games['name'] == 'human, 3 options']
     assert all(names == list(PAPER_OPTIONS) for names in three)
-    assert set(games.rows['games']) == {GAMES}
-
-
-def test_progress_rises_to_the_end(games: GamesEvaluation, told: list[tuple[str, float]]) -> None:
-    assert len(games.rows)
+    assert set(games['games']) == {GAMES}
     shares = [share for _, share in told]
     assert shares == sorted(shares)
     assert shares[-1] == 1.0
@@ -130,12 +130,13 @@ def test_progress_rises_to_the_end(games: GamesEvaluation, told: list[tuple[str,
 
 
 def test_a_policy_has_the_row_that_another_process_gives(
-    brief: Domain[Any], options: list[LearnedOption], games: GamesEvaluation
+    brief: Domain[Any], options: list[LearnedOption], games: pd.DataFrame
 ) -> None:
     chase = make_domain('pacman', {**brief.parameters, 'ghosts': 'chase'})
-    for way in every_baseline(chase, options, FEW)[-1::-2]:
-        scores = play_baseline(chase, way, SEED, GAMES).scores
-        assert np.array_equal(scores, games.scores['ghosts=chase', way.name])
+    scores = games.set_index(['setting', 'name'])['scores']
+    for way in every_baseline(chase, options, FEW)[::2]:
+        again = play_baseline(chase, way, SEED, GAMES)['scores']
+        assert np.array_equal(again, scores['ghosts=chase', way.name])
 
 
 def test_a_watcher_can_end_it(brief: Domain[Any], options: list[LearnedOption]) -> None:
@@ -151,23 +152,19 @@ def test_a_watcher_can_end_it(brief: Domain[Any], options: list[LearnedOption]) 
     assert told == [0, 1]
 
 
-def test_json_and_text_hold_every_number(games: GamesEvaluation) -> None:
-    values = json.loads(json.dumps(games.to_dict(), allow_nan=False))
-    means = [games.scores[row['setting'], row['name']].mean() for row in values['rows']]
-    assert [row['score'] for row in values['rows']] == means
+def test_plans_are_compared_with_chance_and_the_rule_game_by_game(games: pd.DataFrame) -> None:
+    values = json.loads(json.dumps(games_to_dict(games), allow_nan=False))
+    assert [row['score'] for row in values['rows']] == games['scores'].map(np.mean).tolist()
     text = '\n'.join(games_text(games))
     assert all(name in text for name in (*POLICIES, 'ghosts=random', 'ghosts=chase'))
-
-
-def test_plans_are_compared_with_chance_and_the_rule_game_by_game(games: GamesEvaluation) -> None:
-    text = '\n'.join(games_text(games))
     pairs = [
         ('human, 4 options', 'random choice, 4 options'),
         ('human, 4 options, interrupted, 4-fold steps', RULE_NAME),
     ]
-    assert [*zip(games.gains['name'], games.gains['less'])] == pairs * 2
-    for row in rows_of(games.gains):
-        one, other = (games.scores[row.setting, name] for name in (row.name, row.less))
+    assert [(row['name'], row['less']) for row in values['gains']] == pairs * 2
+    scores = games.set_index(['setting', 'name'])['scores']
+    for row in rows_of(gains(games)):
+        one, other = (scores[row.setting, name] for name in (row.name, row.less))
         assert Interval(row.mean, row.low, row.high) == Interval.of(one - other)
         assert f'{row.name} less {row.less}, game by game: ' in text
 
@@ -182,22 +179,22 @@ def test_plans_are_compared_with_chance_and_the_rule_game_by_game(games: GamesEv
 )
 def test_the_gain_over_random_choice_is_that_within_games(
     evaluation: BagEvaluation,
-    games: GamesEvaluation,
+    games: pd.DataFrame,
     gain: NDArray[np.float64],
     good: bool | None,
     words: str,
 ) -> None:
     """Games differ by far more."""
-    scores, luck = games.scores.copy(), 1000.0 * np.arange(GAMES)
-    scores['ghosts=random', 'random choice, 4 options'] = luck
-    scores['ghosts=random', 'human, 4 options'] = luck + gain
-    found = findings(replace(evaluation, games={'p1': replace(games, scores=scores)}))
+    luck = 1000.0 * np.arange(GAMES)
+    scores = [luck + gain * (name == 'human, 4 options') for name in games['name']]
+    changed = games.assign(scores=pd.Series(scores))
+    found = findings(replace(evaluation, games={'p1': changed}))
     (one,) = [f for f in found if 'ghosts=random' in f.text and 'random choice' in f.text]
     assert (one.good, words in one.text) == (good, True), one.text
 
 
 def test_the_report_shows_the_games_and_says_what_is_estimated(
-    evaluation: BagEvaluation, games: GamesEvaluation
+    evaluation: BagEvaluation, games: pd.DataFrame
 ) -> None:
     first = evaluation.options[0]
     brief = replace(evaluation, options=(replace(first, learning=first.learning[-1:]),))
@@ -208,38 +205,26 @@ def test_the_report_shows_the_games_and_says_what_is_estimated(
     for name in POLICIES:
         row = section[section.index(f'<th>{name}</th>') :].partition('</tr>')[0]
         cells = re.findall(r'<td class="n">([^<]*)<', row)
-        means = games.scores.xs(name, axis=1, level=1).mean()
+        means = games['score'][games['name'] == name]
         assert [cells[0], cells[4]] == [f'{mean:,.0f}' for mean in means]
         assert not re.search(r'>-0(\.00)? ', row)
     assert 'id="boards"' not in page
     assert 'Sweep by sweep' not in page
 
 
-def test_where_no_games_were_played_the_plans_are_reported(evaluation: BagEvaluation) -> None:
-    (human,) = [
-        found.text
-        for found in findings(evaluation)
-        if found.text.startswith('The plan with the action set human, from')
-    ]
-    assert f'from {STEPS:,} game steps' in human
-    assert f'in {GAMES} games' in human
-
-
-def test_only_a_domain_with_a_rule_plays_by_it() -> None:
-    with pytest.raises(PlanError, match='rooms has no rule'):
-        play_baseline(Rooms(), Baseline('rule', RULE), 1)
-
-
 def test_options_go_along_to_other_parameters_but_not_to_other_features() -> None:
+    """Only a domain with a rule plays by it."""
     option = options_from_references(Rooms(), rooms_references(Rooms()).values())[0]
     other = Rooms(goal='G2')
     assert option.domain_parameters != parameters_json(other)
     carried_over(option, other).check_domain(other)
     with pytest.raises(PlanError):
         carried_over(option, PacMan())
+    with pytest.raises(PlanError, match='rooms has no hand-written rule'):
+        play_baseline(Rooms(), Baseline('rule', RULE), 1)
 
 
-def test_a_long_episode_is_told_by_the_ends_of_runs(yard: Domain[Any]) -> None:
+def test_a_long_episode_is_shown_by_the_ends_of_runs(yard: Domain[Any]) -> None:
     """Runs of three steps, each worth 3 points."""
     state = yard.encode(yard.sample_states(generator(1, 'film'), 1)[0])
     steps = [
@@ -257,8 +242,6 @@ def test_a_long_episode_is_told_by_the_ends_of_runs(yard: Domain[Any]) -> None:
     assert short.whole
     assert len(short.pictures) == 21
 
-
-def test_a_wide_board_has_room() -> None:
     wide = make_domain('pacman')
     start = wide.encode(wide.reset(generator(1, 'film')))
-    assert episode_strip(wide, [Frame(start)]).width > 15.0
+    assert episode_strip(wide, [Frame(start)]).width > 15.0 > short.width

@@ -1,7 +1,7 @@
 """Reports: self-contained pages whose every number comes from the data."""
 
 from dataclasses import replace
-from html.parser import HTMLParser
+from html import escape
 import math
 from pathlib import Path
 import re
@@ -96,46 +96,15 @@ def page(data: ReportData) -> str:
     return render_report(data)
 
 
-class Links(HTMLParser):
-    """Collects what a page refers to, and its identifiers."""
-
-    def __init__(self, page: str) -> None:
-        super().__init__()
-        self.targets: list[str] = []
-        self.ids: list[str] = []
-        self.feed(page)
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        """Take note of one element."""
-        for name, value in attrs:
-            if name in ('href', 'src', 'xlink:href') and value:
-                self.targets.append(value)
-            if name == 'id' and value:
-                self.ids.append(value)
-
-
-class Text(HTMLParser):
-    """Collects the text of a page."""
-
-    def __init__(self, page: str) -> None:
-        super().__init__()
-        self.text = ''
-        self.feed(page)
-
-    def handle_data(self, data: str) -> None:
-        """Take in a piece of text."""
-        self.text += data
-
-
 def test_the_page_needs_nothing_outside_itself(page: str) -> None:
-    links = Links(page)
-    assert all(target.startswith(('#', 'data:')) for target in links.targets)
+    targets = re.findall(r'(?:href|src)="([^"]*)"', page)
+    ids = re.findall(r'\bid="([^"]*)"', page)
+    assert all(target.startswith(('#', 'data:')) for target in targets)
     assert re.findall(r'https?://|@import|<(script|link|iframe|object|embed|base|img)', page) == []
     assert re.findall(r'url\((?!["\']?#)', page) == []
-    assert len(links.ids) == len(set(links.ids))
-    assert {target[1:] for target in links.targets if target.startswith('#')} <= set(links.ids)
-    used = set(re.findall(r'url\(#([^)]+)\)', page))
-    assert used <= set(links.ids)
+    assert len(ids) == len(set(ids))
+    assert {target[1:] for target in targets if target.startswith('#')} <= set(ids)
+    assert set(re.findall(r'url\(#([^)]+)\)', page)) <= set(ids)
 
 
 def test_figures_take_their_colours_from_the_page(page: str) -> None:
@@ -143,10 +112,6 @@ def test_figures_take_their_colours_from_the_page(page: str) -> None:
     assert re.findall(r'#0[1-4]0[1-4]0[1-4]\b|#0101a', page) == []
     for variable in set(re.findall(r'var\((--\w+)\)', page)):
         assert page.count(f'{variable}: #') == 2, variable  # light and dark
-
-
-def test_the_same_data_makes_the_same_page(brief: BagEvaluation, brief_page: str) -> None:
-    assert render_report(ReportData('taxi: evaluated from a bag', brief)) == brief_page
 
 
 def test_every_criterion_is_drawn_with_its_own_threshold(evaluation: BagEvaluation) -> None:
@@ -191,22 +156,19 @@ def test_an_option_that_nothing_is_known_of_is_drawn_without_accuracy(
     assert all('not yet measurable' in figure for figure in figures)
 
 
-@pytest.mark.parametrize('met', [(True, True), (True, False), (False, False)])
 def test_a_plan_with_an_option_that_does_not_meet_the_criteria_says_so(
-    evaluation: BagEvaluation, met: tuple[bool, bool]
+    evaluation: BagEvaluation,
 ) -> None:
     options = [
-        replace(o, summary=replace(o.summary, criteria=[Criterion('return', 1.0, 1.0, each)]))
-        for o, each in zip(evaluation.options, met)
+        replace(o, summary=replace(o.summary, criteria=(Criterion('return', 1.0, 1.0, met),)))
+        for o, met in zip(evaluation.options, (True, False))
     ]
     told = replace(evaluation, options=tuple(options))
-    named = [name for name, each in zip(TAUGHT, met) if not each]
-    lines = [line for line in evaluation_text(told).splitlines() if 'do not meet' in line]
-    texts = [finding.text for finding in findings(told) if 'uses' in finding.text]
-    said = f'human uses options that do not meet the criteria: {", ".join(named)}'
-    assert lines == ([said] if named else [])
-    assert [text.count('“') for text in texts] == ([len(named)] if named else [])
-    assert all(f'“{name}”' in texts[0] for name in named)
+    said = f'human uses options that do not meet the criteria: {TAUGHT[1]}'
+    assert said in evaluation_text(told).splitlines()
+    (text,) = [finding.text for finding in findings(told) if 'uses' in finding.text]
+    assert text.count('“') == 1
+    assert f'“{TAUGHT[1]}”' in text
 
 
 def test_numbers_on_the_page_are_those_of_the_data(data: ReportData, page: str) -> None:
@@ -273,8 +235,9 @@ def test_rules_say_when_an_option_starts_and_ends(
 
 
 def test_sweeps_of_every_plan_are_in_the_table_up_to_its_last(
-    evaluation: BagEvaluation, page: str
+    evaluation: BagEvaluation, page: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Plans of a large domain are not made again."""
     plans = {n: p.plan for n, p in evaluation.plans.items() if isinstance(p.plan, ExactPlan)}
     sweeps = sweep_report(plans, 'sweeps')
     assert sweeps is not None
@@ -290,12 +253,6 @@ def test_sweeps_of_every_plan_are_in_the_table_up_to_its_last(
         assert all(not rows[n][2 * place] for n in rows if n > last.sweeps)
     assert f'human: {plans["human"].solution.sweeps} sweeps' in sweeps.figure
     assert 'Sweep by sweep' in page
-
-
-def test_plans_of_a_large_domain_are_not_made_again(
-    evaluation: BagEvaluation, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    plans = {n: p.plan for n, p in evaluation.plans.items() if isinstance(p.plan, ExactPlan)}
     monkeypatch.setattr(charts, 'MAX_VALUES', 499)
     assert sweep_report(plans, 'sweeps') is None
     assert sweep_report({}, 'sweeps') is None
@@ -332,7 +289,7 @@ def test_the_page_has_demonstrations_references_and_intervals(
     page, option = brief_page, brief.options[0]
     assert f'<summary>{len(taxi_lesson)} demonstrations' in page
     assert all(f'<code>{demo.states[0]}</code>' in page for demo in taxi_lesson)
-    assert reference_options(taxi)[option.option.name].definition in Text(page).text
+    assert escape(reference_options(taxi)[option.option.name].definition) in page
     own = shortened(option, option_name='my own')
     other = undrawn(replace(brief, options=(own,)))
     assert 'It has no reference option' in render_report(ReportData('Taxi', other))
@@ -394,16 +351,18 @@ def test_the_strip_shows_what_ran_and_only_the_board(taxi: Domain[Any]) -> None:
     assert 'class="g3"' in pictures[0].board
 
 
-def test_names_are_escaped(brief: BagEvaluation) -> None:
-    page = render_report(ReportData('<script>alert(1)</script>', undrawn(brief)))
-    assert '<script>' not in page
-
-
-def test_a_report_of_a_bag_alone_has_no_live_numbers(brief_page: str) -> None:
+def test_a_report_of_a_bag_alone_has_no_live_numbers(
+    brief: BagEvaluation, brief_page: str
+) -> None:
+    """Titles are escaped."""
     assert '<th class="n">live</th>' not in brief_page
     assert 'id="episode"' not in brief_page
     assert 'id="recording"' not in brief_page
     assert 'id="boards"' in brief_page
+    escaped = render_report(ReportData('<script>alert(1)</script>', undrawn(brief)))
+    assert '<script>' not in escaped
+    with pytest.raises(SummaryError, match='gone'):
+        write_evaluation_report(Path('/gone/report.html'), undrawn(brief))
 
 
 @pytest.mark.parametrize('equal', [None, True, False])
@@ -417,13 +376,6 @@ def test_a_report_says_whether_options_equal_their_files(
     assert ('>equal to its option file in the bag, to the last digit<' in page) is (equal is True)
     assert ('>NOT equal to its option file in the bag<' in page) is (equal is False)
     assert any('1 option learned again' in text for text in found) is (equal is True)
-
-
-def test_a_report_that_cannot_be_written_is_an_error_with_its_path(
-    brief: BagEvaluation, tmp_path: Path
-) -> None:
-    with pytest.raises(SummaryError, match='gone'):
-        write_evaluation_report(tmp_path / 'gone' / 'report.html', undrawn(brief))
 
 
 @pytest.mark.parametrize(

@@ -10,16 +10,14 @@ from humanopts_env.domains.base import Domain
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.ros.convert import domain_to_info
 from humanopts_interfaces.msg import Demonstration, LessonState, StudyEvent
-from humanopts_ros.limits import one_line
+from humanopts_ros.limits import composed, one_line
 from humanopts_ros.text_files import FileError
-from humanopts_teach.bags.reader import open_bag
 from humanopts_teach.cli import main
 from humanopts_teach.evaluation import tables
 from humanopts_teach.evaluation.table1 import (
     count_named,
     MergeError,
     NAMED,
-    named_options,
     read_merge,
     TABLE_1,
 )
@@ -69,18 +67,6 @@ def bags(tmp_path: Path, taxi: Domain[Any]) -> list[str]:
     for name, entries in (('a', first), ('b', second), ('c', third)):
         write_messages(tmp_path / name, entries)
     return [str(tmp_path / name) for name in 'abc']
-
-
-def test_a_word_is_one_button_however_its_letters_were_typed(
-    tmp_path: Path, taxi: Domain[Any], capsys: pytest.CaptureFixture[str]
-) -> None:
-    names = 'weiter fa\u0308hren', 'Weiter f\xe4hren', 'WEITER FA\u0308HREN'
-    entries = [lesson(f'p{n}', name) for n, name in enumerate(names)]
-    write_messages(tmp_path / 'a', [('/domain_info', domain_to_info(taxi)), *entries])
-    assert main(['bag', 'table1', str(tmp_path / 'a'), '--json']) == 0
-    (table,) = json.loads(capsys.readouterr().out)
-    (row,) = [row for row in table['rows'] if row['people']]
-    assert (row['option'], row['people']) == ('weiter f\xe4hren', 3)
 
 
 def event(seconds: float, what: str, **values: Any) -> tuple[str, StudyEvent]:
@@ -138,28 +124,28 @@ def named_by(*names: tuple[str, str], domain: str = 'taxi') -> Any:
     return tables.table(NAMED, rows)
 
 
-def test_without_a_merge_file_only_case_and_spaces_are_the_same(tmp_path: Path) -> None:
-    named = named_by(
-        *(
-            ('a', 'Go  to Passenger'),
-            ('b', 'fetch'),
-            ('c', 'Fetch '),
-            ('c', 'fetch'),
-        )
-    )
-    (table,) = count_named(named, {})
-    rows = {row.option: row.people for row in rows_of(table.rows) if row.people}
-    assert rows == {'go to passenger': 1, 'fetch': 2}
-    (tmp_path / 'merge').write_text('Go to PASSENGER: [fetch]')
-    (capitals,) = count_named(named, read_merge(tmp_path / 'merge'))
-    assert {row.option: row.people for row in rows_of(capitals.rows) if row.people} == {
-        'go to passenger': 3
-    }
-
-
-def test_a_domain_that_the_paper_lacks_has_no_column_of_it() -> None:
-    (table,) = count_named(named_by(('a', 'leave'), domain='rooms'), {})
-    (row,) = records(table.rows)
+@pytest.mark.parametrize(
+    ('names', 'merge', 'people'),
+    [
+        (['Go  to Passenger', 'fetch', 'Fetch ', 'fetch'], '', {'go to passenger': 1, 'fetch': 3}),
+        (['Go  to Passenger', 'fetch'], 'Go to PASSENGER: [fetch]', {'go to passenger': 2}),
+        (
+            ['weiter fa\u0308hren', 'Weiter f\xe4hren', 'WEITER FA\u0308HREN'],
+            '',
+            {'weiter f\xe4hren': 3},
+        ),
+    ],
+)
+def test_a_word_is_one_button_however_its_letters_were_typed(
+    tmp_path: Path, names: list[str], merge: str, people: dict[str, int]
+) -> None:
+    """Without a merge file only case, spaces and the Unicode form are the same."""
+    (tmp_path / 'merge').write_text(merge or '{}')
+    named = named_by(*((str(number), composed(name)) for number, name in enumerate(names)))
+    (table,) = count_named(named, read_merge(tmp_path / 'merge'))
+    assert {row.option: row.people for row in rows_of(table.rows) if row.people} == people
+    (unknown,) = count_named(named_by(('a', 'leave'), domain='rooms'), {})
+    (row,) = records(unknown.rows)
     assert (row['option'], row['people'], row['paper']) == ('leave', 1, None)
 
 
@@ -192,7 +178,6 @@ def test_any_merge_file_is_read_or_refused_in_one_line_at_once(tmp_path: Path, t
     ('text', 'why'),
     [
         ('[a, b]', 'has to map'),
-        ('', 'has to map'),
         ('a: b', "'a' needs a list"),
         ('a: [no]', "a wording of 'a' is false, not a text: put it in quotes"),
         ('"": [b]', "'' is not a name"),
@@ -210,7 +195,7 @@ def test_a_merge_file_that_says_nothing_clear_is_refused(
     assert why in capsys.readouterr().err
 
 
-def test_a_merge_file_that_is_not_there_and_a_bag_of_no_domain_are_refused(
+def test_a_missing_merge_file_and_a_bag_of_no_domain_are_refused(
     bags: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(['bag', 'table1', *bags, '--merge', str(tmp_path / 'none')]) == 2
@@ -218,13 +203,3 @@ def test_a_merge_file_that_is_not_there_and_a_bag_of_no_domain_are_refused(
     write_messages(tmp_path / 'none', [lesson('anna', PICKUP)])
     assert main(['bag', 'table1', str(tmp_path / 'none')]) == 2
     assert 'games of 0 domains' in capsys.readouterr().err
-
-
-def test_what_is_taken_back_is_named_and_not_taught(bags: list[str], taxi: Domain[Any]) -> None:
-    found = {
-        (row.participant, row.name): row.taught
-        for row in rows_of(named_options([open_bag(bags[0])]))
-    }
-    assert found[('ben', 'Fetch him')] is False
-    assert found[('anna', PICKUP)] is True
-    assert ('ben', '') in found

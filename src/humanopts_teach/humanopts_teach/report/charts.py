@@ -52,7 +52,7 @@ MARKERS = 'osD^'
 WIDTH, ROW_HEIGHT = 5.6, 0.33  # inches
 CLEARED = 'cleared'
 MAX_VALUES = 20_000_000  # states by sweeps, up to which plans are made again for their sweeps
-MAX_ROWS = 60  # of the table of sweeps, which has fewer of the later ones
+ALL_ROWS, LATER_ROWS = 30, 30  # of the table of sweeps: each of the first, some of the later ones
 NEAR = 1e-3  # a value so close to its end, in reward units, is settled
 
 
@@ -258,10 +258,12 @@ def sweep_report(plans: Mapping[str, ExactPlan], name: str) -> SweepReport | Non
         model = build_model(plan.domain, plan.action_set, plan.options, plan.gamma)
         values[called] = value_history(model, max_sweeps=plan.solution.sweeps)
     last = [len(history) - 1 for history in values.values()]
-    shown = {0, *np.geomspace(1, max(last), MAX_ROWS).astype(int).tolist(), *last}
+    later = np.geomspace(ALL_ROWS, max(ALL_ROWS, *last), LATER_ROWS).astype(int).tolist()
+    shown = {*range(ALL_ROWS), *later, *last}
     rows = [
         (sweep, [text for history in values.values() for text in _cells(history, sweep)])
         for sweep in sorted(shown)
+        if sweep <= max(last)
     ]
     return SweepReport(list(values), NEAR, _residuals(values, f'{name}-residual'), rows)
 
