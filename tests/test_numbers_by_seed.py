@@ -64,7 +64,7 @@ def numbers(world: str, seed: int) -> dict[str, Any]:
     return found
 
 
-def taught(domain: Domain[Any], option: str, seed: int) -> Sequence[Demonstration]:
+def taught(domain: Domain, option: str, seed: int) -> Sequence[Demonstration]:
     """Return what a simulated teacher shows of a reference option."""
     teacher = TeacherSettings((option,), error_rate=0.05, seed=seed)
     rules = LessonRules(seed=seed)
@@ -72,7 +72,7 @@ def taught(domain: Domain[Any], option: str, seed: int) -> Sequence[Demonstratio
     return teach(domain, teacher, rules, enough).demonstrations
 
 
-def shown(domain: EnumerableDomain[Any], seed: int) -> list[Demonstration]:
+def shown(domain: EnumerableDomain, seed: int) -> list[Demonstration]:
     """Return demonstrations of a whole task by its best actions, with an error now and then."""
     best, rng = plan(domain).solution.best, generator(seed, 'numbers by seed')
     demonstrations: list[Demonstration] = []

@@ -19,7 +19,6 @@ Intra-option learning ignores the step limits of options, which depend on more t
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
-from typing import Any
 
 from humanopts_env.arrays import Flags, Floats, Ints
 from humanopts_env.domains.base import EnumerableDomain
@@ -177,7 +176,7 @@ class _Values(Policy[SeenStates]):
 
 
 def learn_in_step(
-    domain: EnumerableDomain[Any], groups: Sequence[Learners], settings: Settings, seed: int
+    domain: EnumerableDomain, groups: Sequence[Learners], settings: Settings, seed: int
 ) -> list[Learning]:
     """
     Learn from values of 0, each option run to its end; all learners step side by side.
@@ -243,7 +242,7 @@ def drawn_rates(seed: int, count: int) -> list[Rates]:
 
 
 def best_rates_of_each(
-    domain: EnumerableDomain[Any],
+    domain: EnumerableDomain,
     tables: Sequence[OptionTable],
     candidates: Sequence[Rates],
     runs: int,

@@ -63,7 +63,7 @@ def options(name: str) -> list[LearnedOption]:
     return to_learned_options(domain_of(name), found(name))
 
 
-def bottlenecks(domain: Domain[Any], runs: list[list[int]], most: int = 9) -> list[Bottleneck]:
+def bottlenecks(domain: Domain, runs: list[list[int]], most: int = 9) -> list[Bottleneck]:
     """Return the bottlenecks of runs that are given as states."""
     run = np.repeat(np.arange(len(runs)), [len(states) for states in runs])
     return find_bottlenecks(Visits(search_space(domain), run, np.concatenate(runs)), most)

@@ -37,13 +37,13 @@ FETCH, FOOD, AVOID = 'go to passenger and pickup', 'go to the closest food', 'av
 
 
 @cache
-def sampled(domain: Domain[Any], count: int) -> tuple[list[Any], Rows]:
+def sampled(domain: Domain, count: int) -> tuple[list[Any], Rows]:
     """Return sampled states, and their features (count, F)."""
     states = domain.sample_states(generator(9, 'fitted'), count)
     return states, feature_rows(domain, states)
 
 
-def fitted(domain: Domain[Any], reference: ReferenceOption, count: int = 2000) -> LearnedOption:
+def fitted(domain: Domain, reference: ReferenceOption, count: int = 2000) -> LearnedOption:
     """Return an option whose trees are fitted to what the reference says of sampled states."""
     states, rows = sampled(domain, count)
     said = judge_states(reference, states, len(domain.actions))
@@ -69,7 +69,7 @@ def fitted(domain: Domain[Any], reference: ReferenceOption, count: int = 2000) -
 
 
 def test_a_sample_measures_what_all_states_do(
-    fetching: list[Demonstration], plain_taxi: Domain[Any]
+    fetching: list[Demonstration], plain_taxi: Domain
 ) -> None:
     """Taxi with and without its tables, within four standard errors of a share of 1,500."""
     reference = reference_options(TAXI)[FETCH]
@@ -137,14 +137,14 @@ def test_an_option_that_follows_the_reference_is_accurate(name: str) -> None:
 
 
 def average_return(
-    option: LearnedOption | None, domain: Domain[Any], reference: ReferenceOption
+    option: LearnedOption | None, domain: Domain, reference: ReferenceOption
 ) -> float:
     """Return the average return of one policy."""
     return average_returns([option], domain, reference)[0]
 
 
 def test_average_return_is_that_of_runs_to_the_references_end(
-    fetching: list[Demonstration], plain_taxi: Domain[Any]
+    fetching: list[Demonstration], plain_taxi: Domain
 ) -> None:
     """Counted by hand: every step costs 1 but the pickup; a run that gets stuck has 100."""
     reference = reference_options(TAXI)[FETCH]

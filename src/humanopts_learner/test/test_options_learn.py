@@ -177,7 +177,7 @@ def test_a_walk_in_a_circle_is_cut_off_at_max_steps(person: Callable[..., Any]) 
 
 @pytest.mark.parametrize('name', [FETCH, DELIVER])
 def test_stepwise_and_vectorised_rollouts_agree(
-    person: Callable[..., Any], plain_taxi: Domain[Any], name: str
+    person: Callable[..., Any], plain_taxi: Domain, name: str
 ) -> None:
     option = learn_option(person(name).show_random(12), TAXI, 0)
     states = [TAXI.state_at(int(i)) for i in reference_options(TAXI)[name].initiation.nonzero()[0]]

@@ -205,7 +205,7 @@ def request(**values: Any) -> PlanRequest:
 
 
 @cache
-def planned(domain: Domain[Any]) -> Any:
+def planned(domain: Domain) -> Any:
     """Return a plan with primitive actions."""
     return make_plan(domain, [], request())
 
@@ -249,7 +249,7 @@ def test_a_sampled_plan_is_judged_as_it_plays() -> None:
 
 @pytest.mark.heavy
 @pytest.mark.parametrize('domain', BOTH, ids=['exact', 'sampled'])
-def test_judging_says_how_far_it_is_and_can_be_canceled(domain: Domain[Any]) -> None:
+def test_judging_says_how_far_it_is_and_can_be_canceled(domain: Domain) -> None:
     plan, seen = planned(domain), list[float]()
 
     def note(stage: str, fraction: float, sweeps: int, residual: float) -> None:

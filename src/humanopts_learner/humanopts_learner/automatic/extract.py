@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 import time
-from typing import Any
 
 from humanopts_env.arrays import Ints
 from humanopts_env.domains.base import Domain, is_enumerable
@@ -54,7 +53,7 @@ class AutomaticOptions:
     solved: float  # share of the greedy runs that reached their goals
 
 
-def search_space(domain: Domain[Any]) -> SearchSpace:
+def search_space(domain: Domain) -> SearchSpace:
     """
     Return the search space that the domain defines, else all of its states.
 
@@ -70,7 +69,7 @@ def search_space(domain: Domain[Any]) -> SearchSpace:
 
 
 def find_options(
-    domain: Domain[Any],
+    domain: Domain,
     seed: int,
     config: Extraction = USUAL,
     progress: Progress | None = None,
@@ -155,7 +154,7 @@ def find_options(
 
 
 def to_learned_options(
-    domain: Domain[Any], found: AutomaticOptions, participant: str = f'{MACHINE}1'
+    domain: Domain, found: AutomaticOptions, participant: str = f'{MACHINE}1'
 ) -> list[LearnedOption]:
     """
     Return the options so that they can be saved, sent, served and planned with like others.

@@ -55,9 +55,7 @@ class _Answers:
     termination: Flags  # (K,)
 
 
-def policy_accuracy(
-    option: LearnedOption, domain: Domain[Any], reference: ReferenceOption
-) -> float:
+def policy_accuracy(option: LearnedOption, domain: Domain, reference: ReferenceOption) -> float:
     """
     Return the share of states in which the likeliest action is among all optimal ones.
 
@@ -69,7 +67,7 @@ def policy_accuracy(
 
 
 def action_accuracy(
-    choose: Callable[[Rows], Ints], domain: Domain[Any], reference: ReferenceOption
+    choose: Callable[[Rows], Ints], domain: Domain, reference: ReferenceOption
 ) -> float:
     """
     Return the share of states in which a policy takes one of the optimal actions.
@@ -85,7 +83,7 @@ def action_accuracy(
 
 
 def average_returns(
-    options: Sequence[LearnedOption | None], domain: Domain[Any], reference: ReferenceOption
+    options: Sequence[LearnedOption | None], domain: Domain, reference: ReferenceOption
 ) -> list[float]:
     """
     Return the average undiscounted return of each of some policies, in reward units.
@@ -161,7 +159,7 @@ class _Seen:
 
 
 def classification_accuracy(
-    option: LearnedOption, domain: Domain[Any], reference: ReferenceOption
+    option: LearnedOption, domain: Domain, reference: ReferenceOption
 ) -> tuple[float, float]:
     """
     Return the shares of states that I and beta classify as the reference does.
@@ -177,14 +175,14 @@ def classification_accuracy(
     return initiation, float((option.ends(right.ending) == right.termination).mean())
 
 
-def _answers(domain: Domain[Any], reference: ReferenceOption) -> _Answers:
+def _answers(domain: Domain, reference: ReferenceOption) -> _Answers:
     if is_enumerable(domain) and isinstance(reference, TabularReferenceOption):
         return _of_all_states(domain, reference)
     game = _Keyed((domain.name, parameters_json(domain)), domain)
     return _of_a_sample(game, _Keyed(id(reference), reference))
 
 
-def _of_all_states(domain: EnumerableDomain[Any], reference: TabularReferenceOption) -> _Answers:
+def _of_all_states(domain: EnumerableDomain, reference: TabularReferenceOption) -> _Answers:
     rows, table, going = domain.feature_table(), domain.transitions(), ~domain.over()
     ways = reference.optimal[:, :, None] & (table.probability > 0)  # (S, A, B)
     can_be = reference.initiation.copy()
@@ -213,14 +211,14 @@ class _Keyed(Generic[T]):
 
 
 @lru_cache(maxsize=4)
-def _sample(game: _Keyed[Domain[Any]]) -> tuple[list[Any], Rows]:
+def _sample(game: _Keyed[Domain]) -> tuple[list[Any], Rows]:
     """Return ``SAMPLE`` states from all parts of the game, never over, and their features."""
     states = game.value.sample_states(generator(0, 'accuracy', 'states', game.value.name), SAMPLE)
     return states, feature_rows(game.value, states)
 
 
 @lru_cache(maxsize=32)
-def _of_a_sample(game: _Keyed[Domain[Any]], meaning: _Keyed[ReferenceOption]) -> _Answers:
+def _of_a_sample(game: _Keyed[Domain], meaning: _Keyed[ReferenceOption]) -> _Answers:
     """Take a step by the first optimal action wherever the option acts: some lead to its end."""
     domain, reference, count = game.value, meaning.value, len(game.value.actions)
     states, rows = _sample(game)

@@ -65,7 +65,7 @@ def find_conflicts(data: Dataset, domain: ActableDomain) -> Conflicts:
 
     A feature is suggested when it separates more than half of the situations, without slips.
     """
-    chosen = sorted({encoded.index for encoded in data.encoding})
+    chosen = data.chosen
     found = [
         conflict
         for examples, word, may_slip in _parts(data, domain)
@@ -109,7 +109,7 @@ def contradiction(
     if not any(demo.kind is Kind.TRAJECTORY for demo in (newest, *earlier)):
         return None
     data = make_dataset([*earlier, newest], domain)
-    chosen, last = sorted({encoded.index for encoded in data.encoding}), len(earlier)
+    chosen, last = data.chosen, len(earlier)
     ends, *others = _parts(data, domain)
     starts_first = newest.kind is Kind.NOT_HERE
     for examples, word, is_action in [others[0], ends] if starts_first else [ends, *others]:

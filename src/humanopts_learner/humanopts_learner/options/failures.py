@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from humanopts_env.arrays import Flags, Floats, Rows
 from humanopts_env.domains.base import EnumerableDomain
@@ -40,7 +39,7 @@ class Failures:
 
 def find_failures(
     option: LearnedOption,
-    domain: EnumerableDomain[Any],
+    domain: EnumerableDomain,
     demonstrations: Sequence[Demonstration],
 ) -> Failures:
     """
@@ -88,9 +87,7 @@ def find_failures(
     )
 
 
-def _best_return(
-    domain: EnumerableDomain[Any], distance: NDArray[np.int32], nearer: Flags
-) -> Floats:
+def _best_return(domain: EnumerableDomain, distance: NDArray[np.int32], nearer: Flags) -> Floats:
     """Return (S,): the largest return of the shortest ways; -infinity where there is none."""
     table = domain.transitions()
     reward, successor = table.reward[:, :, 0], table.successor[:, :, 0]
@@ -125,7 +122,7 @@ def _encoded(option: LearnedOption, parts: Sequence[Rows]) -> NDArray[np.float32
 
 def _shown(
     option: LearnedOption,
-    domain: EnumerableDomain[Any],
+    domain: EnumerableDomain,
     demonstrations: Sequence[Demonstration],
 ) -> tuple[NDArray[np.int64], Flags]:
     """Return how many demonstrations show each state, and which states are ends shown, (S,)."""

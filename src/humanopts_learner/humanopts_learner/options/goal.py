@@ -14,7 +14,6 @@ which has most of the values that the chosen features share in most of the shown
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from humanopts_env.arrays import Flags, Floats, Ints
 from humanopts_env.domains.base import action_index, EnumerableDomain
@@ -35,7 +34,7 @@ class Ways:
 
 
 def ways_to_goal(
-    domain: EnumerableDomain[Any],
+    domain: EnumerableDomain,
     trajectories: Sequence[Demonstration],
     chosen: Sequence[int],
     termination: Flags,
@@ -82,7 +81,7 @@ def ways_to_goal(
 
 
 def preferred_actions(
-    domain: EnumerableDomain[Any],
+    domain: EnumerableDomain,
     trajectories: Sequence[Demonstration],
     chosen: Sequence[int],
     ways: Ways,

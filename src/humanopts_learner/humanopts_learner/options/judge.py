@@ -23,7 +23,6 @@ shown, and nowhere falls shorter of the best way there than the threshold (``fai
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 import math
-from typing import Any
 
 from humanopts_env.arrays import Flags, Floats, Ints, Rows
 from humanopts_env.domains.base import ActableDomain, action_index, Domain
@@ -126,7 +125,7 @@ def judge(
 
 
 def _known_shortfall(
-    option: LearnedOption, domain: Domain[Any], demonstrations: Sequence[Demonstration]
+    option: LearnedOption, domain: Domain, demonstrations: Sequence[Demonstration]
 ) -> float | None:
     """
     Return the largest shortfall from the states where an option can start, in reward units.
@@ -257,7 +256,7 @@ def fit_leave_fold_out(
 
 def held_out_shortfall(
     data: Dataset,
-    domain: Domain[Any],
+    domain: Domain,
     options: Sequence[LearnedOption],
     folds: Ints,
     seed: int,
@@ -322,9 +321,7 @@ def _cost_of_other_end(
     return cost
 
 
-def return_range(
-    data: Dataset, domain: Domain[Any], option: LearnedOption, seed: int
-) -> float | None:
+def return_range(data: Dataset, domain: Domain, option: LearnedOption, seed: int) -> float | None:
     """
     Return the mean of demonstrated return - return of random actions from the same start.
 
@@ -360,7 +357,7 @@ def return_range(
 
 
 def _follow(
-    options: Sequence[LearnedOption], demos: Sequence[Demonstration], domain: Domain[Any]
+    options: Sequence[LearnedOption], demos: Sequence[Demonstration], domain: Domain
 ) -> tuple[NDArray[np.int64], Flags]:
     """
     Let options do what was demonstrated as long as they would have done the same.

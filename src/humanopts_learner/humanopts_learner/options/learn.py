@@ -7,8 +7,9 @@ positive in end states and in "not here" states, because an option may go on onl
 start (Sutton, Precup and Singh 1999, section 2), and negative in the other states of a trajectory.
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import compress
 
 from humanopts_env.arrays import Flags, Rows
@@ -30,7 +31,7 @@ from humanopts_learner.options.decision_tree import (
     Tree,
 )
 from humanopts_learner.options.goal import preferred_actions, ways_to_goal
-from humanopts_learner.options.learned_option import LearnedOption, MEMBERSHIP
+from humanopts_learner.options.learned_option import LearnedOption, MEMBER, MEMBERSHIP
 import numpy as np
 from numpy.typing import NDArray
 
@@ -49,10 +50,12 @@ class Examples:
     labels: NDArray[np.int64]  # (N,)
     source: NDArray[np.int64]  # (N,) index of the demonstration
 
-    def of(self, chosen: Flags) -> 'Examples':
-        """Return the examples of chosen demonstrations (D,), which are numbered anew."""
-        kept, number = chosen[self.source], np.cumsum(chosen) - 1
-        return Examples(self.rows[kept], self.labels[kept], number[self.source[kept]])
+    @classmethod
+    def of(cls, labelled: Iterable[tuple[Rows, Sequence[int]]]) -> 'Examples':
+        """Return the labelled rows of each demonstration as one."""
+        rows, labels = zip(*labelled)
+        source = np.repeat(np.arange(len(labels)), [len(each) for each in labels])
+        return cls(np.concatenate(rows), np.concatenate(labels).astype(np.int64), source)
 
 
 @dataclass(frozen=True)
@@ -60,12 +63,15 @@ class Dataset:
     """The demonstrations and examples of one option of one participant."""
 
     demonstrations: tuple[Demonstration, ...]  # (D,) by number, each once
+    actions: tuple[str, ...]  # of the domain
     features: tuple[str, ...]  # chosen with the newest demonstration
     encoding: tuple[EncodedFeature, ...]  # of the chosen features
-    policy: Examples
-    initiation: Examples
-    termination: Examples
     method: str = TREES  # chosen with the newest demonstration
+
+    @property
+    def chosen(self) -> list[int]:
+        """Indices of the chosen features."""
+        return sorted({encoded.index for encoded in self.encoding})
 
     @property
     def trajectories(self) -> list[Demonstration]:
@@ -78,14 +84,49 @@ class Dataset:
 
         Where a label depends on other demonstrations, it depends on chosen ones only.
         """
-        demos = tuple(compress(self.demonstrations, chosen))
-        return replace(
-            self,
-            demonstrations=demos,
-            policy=self.policy.of(chosen),
-            initiation=_initiation_examples(demos),
-            termination=_termination_examples(demos, self.encoding),
+        return replace(self, demonstrations=tuple(compress(self.demonstrations, chosen)))
+
+    @cached_property
+    def policy(self) -> Examples:
+        """The actions that were shown."""
+        index = {name: number for number, name in enumerate(self.actions)}
+        return Examples.of(
+            (demo.feature_rows[: len(demo.actions)], [index[name] for name in demo.actions])
+            for demo in self.demonstrations
         )
+
+    @cached_property
+    def initiation(self) -> Examples:
+        """
+        Visited states as members of I or not.
+
+        Where the person says that the option can start again at its end, an end where the task is
+        over is no example: the question is not asked there.
+        """
+        again, labelled = any(demo.can_start_at_end for demo in self.demonstrations), []
+        for demo in self.demonstrations:
+            member_at_end = demo.kind is Kind.TRAJECTORY and demo.can_start_at_end
+            labels = [MEMBER] * len(demo.actions) + [int(member_at_end)]
+            asked = len(labels) - (again and demo.terminated)
+            labelled.append((demo.feature_rows[:asked], labels[:asked]))
+        return Examples.of(labelled)
+
+    @cached_property
+    def termination(self) -> Examples:
+        """
+        Visited states as ends or not.
+
+        Whether an option ends is asked only after a step, so a start is no example against an end
+        that looks the same in the chosen features.
+        """
+        chosen, labelled = self.chosen, []
+        ends = {tuple(demo.feature_rows[-1, chosen]) for demo in self.trajectories}
+        for demo in self.demonstrations:
+            labels = [0] * len(demo.actions) + [MEMBER]
+            looks_like_end = tuple(demo.feature_rows[0, chosen]) in ends
+            first = int(looks_like_end and len(labels) > 1)
+            labelled.append((demo.feature_rows[first:], labels[first:]))
+        return Examples.of(labelled)
 
 
 def make_dataset(demonstrations: Sequence[Demonstration], domain: ActableDomain) -> Dataset:
@@ -107,17 +148,15 @@ def make_dataset(demonstrations: Sequence[Demonstration], domain: ActableDomain)
         raise NotLearnableError(
             f'{len(demos)} "not here" and no demonstration yet: show the option at least once'
         )
-    chosen = set(demos[-1].chosen_features)
-    features = tuple(f.name for f in domain.features if f.name in chosen)
-    encoding = feature_encoding(domain, demos[-1].chosen_features)
+    for name in {name for demo in demos for name in demo.actions}:
+        action_index(domain, name)
+    newest = demos[-1]
     return Dataset(
         tuple(demos),
-        features,
-        encoding,
-        _examples(demos, [_policy_labels(demo, domain) for demo in demos]),
-        _initiation_examples(demos),
-        _termination_examples(demos, encoding),
-        demos[-1].method,
+        tuple(action.name for action in domain.actions),
+        tuple(f.name for f in domain.features if f.name in newest.chosen_features),
+        feature_encoding(domain, newest.chosen_features),
+        newest.method,
     )
 
 
@@ -146,7 +185,7 @@ def fit_option(data: Dataset, domain: ActableDomain, seed: int) -> LearnedOption
         participant=first.participant,
         domain=domain.name,
         domain_parameters=parameters_json(domain),
-        actions=tuple(action.name for action in domain.actions),
+        actions=data.actions,
         features=data.features,
         encoding=data.encoding,
         policy=_fit(data, data.policy, range(len(domain.actions)), seed),
@@ -169,8 +208,7 @@ def _with_planned_policy(
     Its tree looks at all features: nothing is learned by it, it only holds what is planned.
     """
     assert is_enumerable(domain)  # ``check_method``
-    chosen = sorted({encoded.index for encoded in data.encoding})
-    rows = domain.feature_table()
+    rows, chosen = domain.feature_table(), data.chosen
     ways = ways_to_goal(domain, data.trajectories, chosen, option.ends(rows))
     actions = preferred_actions(domain, data.trajectories, chosen, ways)
     known = ways.value > 0
@@ -188,62 +226,3 @@ def _fit(data: Dataset, examples: Examples, classes: Sequence[int], seed: int) -
     rng = generator(seed, 'tree', demo.participant, demo.option_name)
     X = encode_rows(data.encoding, examples.rows)
     return fit_tree(X, examples.labels, classes, int(rng.integers(2**31)))
-
-
-def _examples(
-    demos: Sequence[Demonstration], labels: Sequence[tuple[Rows, list[int]]]
-) -> Examples:
-    rows = np.concatenate([rows for rows, _ in labels])
-    source = np.repeat(np.arange(len(demos)), [len(values) for _, values in labels])
-    return Examples(rows, np.array([v for _, vs in labels for v in vs], dtype=np.int64), source)
-
-
-def _initiation_examples(demos: Sequence[Demonstration]) -> Examples:
-    again = any(demo.can_start_at_end for demo in demos)
-    return _examples(demos, [_initiation_labels(demo, again) for demo in demos])
-
-
-def _termination_examples(
-    demos: Sequence[Demonstration], encoding: Sequence[EncodedFeature]
-) -> Examples:
-    picked = sorted({encoded.index for encoded in encoding})
-    ends = {
-        tuple(demo.features[-1][index] for index in picked)
-        for demo in demos
-        if demo.kind is Kind.TRAJECTORY
-    }
-    return _examples(demos, [_termination_labels(demo, picked, ends) for demo in demos])
-
-
-def _policy_labels(demo: Demonstration, domain: ActableDomain) -> tuple[Rows, list[int]]:
-    return demo.feature_rows[: len(demo.actions)], [action_index(domain, a) for a in demo.actions]
-
-
-def _initiation_labels(demo: Demonstration, again: bool) -> tuple[Rows, list[int]]:
-    """
-    Label the states of a demonstration as members of I or not.
-
-    :param again: the person says that the option can start again where it ended. The question
-        is not asked where the task is over; then such an end is no example.
-    """
-    if again and demo.terminated:
-        return demo.feature_rows[:-1], [1] * len(demo.actions)
-    member_at_end = demo.kind is Kind.TRAJECTORY and demo.can_start_at_end
-    return demo.feature_rows, [1] * len(demo.actions) + [int(member_at_end)]
-
-
-def _termination_labels(
-    demo: Demonstration, picked: Sequence[int], ends: Collection[tuple[float, ...]]
-) -> tuple[Rows, list[int]]:
-    """
-    Label the states of a demonstration as ends or not.
-
-    Whether an option ends is asked only after a step, so a start is no example against an end
-    that looks the same.
-
-    :param picked: indices of the chosen features.
-    :param ends: the values of these in which demonstrations ended.
-    """
-    labels = [0] * len(demo.actions) + [1]
-    first = int(tuple(demo.features[0][index] for index in picked) in ends and len(labels) > 1)
-    return demo.feature_rows[first:], labels[first:]

@@ -155,7 +155,7 @@ class TabularOption:
         return cls(reference.name, max_steps, action, reference.initiation, reference.termination)
 
 
-def tabulate(option: Option | TabularOption, domain: EnumerableDomain[Any]) -> TabularOption:
+def tabulate(option: Option | TabularOption, domain: EnumerableDomain) -> TabularOption:
     """
     Evaluate an option in every state of its domain; one that is arrays already stays as it is.
 
@@ -233,7 +233,7 @@ class SeenStates:
 
 
 def options_from_references(
-    domain: EnumerableDomain[Any], references: Iterable[ReferenceOption]
+    domain: EnumerableDomain, references: Iterable[ReferenceOption]
 ) -> list[LearnedOption]:
     """
     Return reference options in the form of learned ones: options without a teacher.
@@ -255,7 +255,7 @@ def options_from_references(
 
 
 def option_from_table(
-    domain: Domain[Any],
+    domain: Domain,
     table: TabularOption,
     features: Sequence[str],
     rows: Rows,

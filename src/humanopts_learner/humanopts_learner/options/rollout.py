@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-def is_deterministic(domain: ActableDomain) -> TypeGuard[EnumerableDomain[Any]]:
+def is_deterministic(domain: ActableDomain) -> TypeGuard[EnumerableDomain]:
     """Return whether all states can be listed, and every action has one outcome."""
     return is_enumerable(domain) and domain.transitions().deterministic
 
@@ -50,7 +50,7 @@ class Rollouts:
 
 def rollouts(
     options: LearnedOption | Sequence[LearnedOption],
-    domain: Domain[Any],
+    domain: Domain,
     starts: Sequence[Any],
     seed: int = 0,
     keys: Sequence[str] = (),
@@ -88,7 +88,7 @@ def rollouts(
 
 def random_rollouts(
     option: LearnedOption,
-    domain: Domain[Any],
+    domain: Domain,
     starts: Sequence[Any],
     limits: NDArray[np.integer],
     actions: np.random.Generator,
@@ -107,7 +107,7 @@ def random_rollouts(
 
 
 def _run(
-    domain: Domain[Any],
+    domain: Domain,
     starts: Sequence[Any],
     options: Sequence[Option],
     which: Ints,
@@ -139,9 +139,7 @@ class FinalRollouts(Rollouts):
     final: Ints  # (N,) state indices
 
 
-def rollouts_from_everywhere(
-    domain: EnumerableDomain[Any], option: TabularOption
-) -> FinalRollouts:
+def rollouts_from_everywhere(domain: EnumerableDomain, option: TabularOption) -> FinalRollouts:
     """
     Run an option from each of the S states of a deterministic domain.
 

@@ -43,7 +43,7 @@ class UnknownStrategyError(ValueError):
 
 def choose_start_state(
     strategy: str,
-    domain: Domain[Any],
+    domain: Domain,
     option: LearnedOption | None,
     demonstrations: Sequence[Demonstration],
     rng: np.random.Generator,
@@ -76,7 +76,7 @@ def choose_start_state(
 
 def draw_sample(
     strategy: str,
-    domain: Domain[Any],
+    domain: Domain,
     demonstrations: Sequence[Demonstration],
     rng: np.random.Generator,
 ) -> list[Any] | None:
@@ -91,7 +91,7 @@ def draw_sample(
 
 
 def _uncovered_state(
-    domain: Domain[Any],
+    domain: Domain,
     option: LearnedOption | None,
     demonstrations: Sequence[Demonstration],
     rng: np.random.Generator,
@@ -114,7 +114,7 @@ def _uncovered_state(
 
 
 def _failing_state(
-    domain: Domain[Any],
+    domain: Domain,
     option: LearnedOption,
     demonstrations: Sequence[Demonstration],
     rng: np.random.Generator,
@@ -137,9 +137,7 @@ def _failing_state(
     return None
 
 
-def _instructive_state(
-    domain: EnumerableDomain[Any], found: Failures, rng: np.random.Generator
-) -> int:
+def _instructive_state(domain: EnumerableDomain, found: Failures, rng: np.random.Generator) -> int:
     """
     Return the state from which a demonstration teaches the most.
 
@@ -160,7 +158,7 @@ def _instructive_state(
     return int(states[_best(_weight_on_the_way(domain, found, weight)[states], rng)])
 
 
-def _weight_on_the_way(domain: EnumerableDomain[Any], found: Failures, weight: Floats) -> Floats:
+def _weight_on_the_way(domain: EnumerableDomain, found: Failures, weight: Floats) -> Floats:
     """Return (S,): the summed weight of the states on shortest ways, their mean where several."""
     successor = domain.transitions().successor[:, :, 0]
     total = weight.astype(np.float64)
@@ -172,7 +170,7 @@ def _weight_on_the_way(domain: EnumerableDomain[Any], found: Failures, weight: F
 
 
 def _farthest(
-    domain: Domain[Any],
+    domain: Domain,
     states: Sequence[Any],
     demonstrations: Sequence[Demonstration],
     rng: np.random.Generator,
@@ -196,7 +194,7 @@ def _farthest(
     return states[_best(distance.min(axis=1), rng)]
 
 
-def _states(domain: EnumerableDomain[Any], chosen: Flags, rng: np.random.Generator) -> list[Any]:
+def _states(domain: EnumerableDomain, chosen: Flags, rng: np.random.Generator) -> list[Any]:
     """Return at most ``SAMPLE`` of the chosen states (S,)."""
     some = rng.permutation(np.flatnonzero(chosen))[:SAMPLE]
     return [domain.state_at(int(index)) for index in some]
@@ -223,7 +221,7 @@ class SampledFailures:
 
 def sample_failures(
     option: LearnedOption,
-    domain: Domain[Any],
+    domain: Domain,
     demonstrations: Sequence[Demonstration],
     rng: np.random.Generator,
     drawn: Sequence[Any] | None = None,
@@ -247,7 +245,7 @@ def sample_failures(
 
 def committee_disagrees(
     option: LearnedOption,
-    domain: Domain[Any],
+    domain: Domain,
     demonstrations: Sequence[Demonstration],
     rows: Rows,
     seed: int,
@@ -272,7 +270,7 @@ def committee_disagrees(
 
 def nothing_fails(
     option: LearnedOption,
-    domain: Domain[Any],
+    domain: Domain,
     demonstrations: Sequence[Demonstration],
     rng: np.random.Generator,
 ) -> bool:

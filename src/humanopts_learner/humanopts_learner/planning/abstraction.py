@@ -9,7 +9,6 @@ are named features with bins, or the planning features of the domain.
 
 from collections.abc import Sequence
 from functools import cache
-from typing import Any
 
 from humanopts_env.arrays import Flags, Ints, Rows
 from humanopts_env.domains.base import Domain, DomainError, feature_columns, FeatureKind
@@ -33,7 +32,7 @@ class Column:
     :raises PlanError: there is no such feature, or its numbers do not make bins.
     """
 
-    def __init__(self, text: str, domain: Domain[Any]) -> None:
+    def __init__(self, text: str, domain: Domain) -> None:
         name, _, numbers = text.partition(':')
         try:
             self.index = feature_columns(domain, [name])[0]
@@ -61,7 +60,7 @@ class Column:
 class Abstraction:
     """Maps games to abstract states."""
 
-    def __init__(self, domain: Domain[Any], columns: Sequence[str] = ()) -> None:
+    def __init__(self, domain: Domain, columns: Sequence[str] = ()) -> None:
         """
         Choose the feature columns.
 

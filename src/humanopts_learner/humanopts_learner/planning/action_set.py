@@ -90,7 +90,7 @@ class ActionSet:
 
     def __init__(
         self,
-        domain: Domain[Any],
+        domain: Domain,
         action_set: str,
         options: Sequence[Option],
         columns: Sequence[str] = (),

@@ -61,7 +61,7 @@ class Returns:
         )
 
 
-def episode_starts(domain: EnumerableDomain[Any], seed: int, episodes: int) -> NDArray[np.int32]:
+def episode_starts(domain: EnumerableDomain, seed: int, episodes: int) -> NDArray[np.int32]:
     """
     Draw the start states of episodes, (E,) state indices.
 

@@ -49,7 +49,7 @@ class PolicyPlan(ABC):
     actions.
     """
 
-    domain: Domain[Any]
+    domain: Domain
     action_set: str
     gamma: float
     names: tuple[str, ...]  # by option index
@@ -91,7 +91,7 @@ class ExactPlan(PolicyPlan):
     in the plan's own values, the first of equals.
     """
 
-    domain: EnumerableDomain[Any]
+    domain: EnumerableDomain
     options: tuple[TabularOption, ...]
 
     def _best(self, state: Any) -> int:
@@ -99,7 +99,7 @@ class ExactPlan(PolicyPlan):
 
 
 def make_exact_plan(
-    domain: EnumerableDomain[Any],
+    domain: EnumerableDomain,
     options: Sequence[Option | TabularOption],
     request: PlanRequest,
     progress: Progress = ignore_progress,
@@ -161,7 +161,7 @@ class SweepProgress:
 
 
 def build_model(
-    domain: EnumerableDomain[Any],
+    domain: EnumerableDomain,
     action_set: str,
     options: Sequence[TabularOption],
     gamma: float,
@@ -203,7 +203,7 @@ def build_model(
 
 
 def _primitive_states(
-    domain: EnumerableDomain[Any], action_set: str, options: Sequence[TabularOption]
+    domain: EnumerableDomain, action_set: str, options: Sequence[TabularOption]
 ) -> Flags:
     """
     Return the states in which primitive actions can be chosen, (S,).
@@ -219,7 +219,7 @@ def _primitive_states(
 
 
 def option_table(
-    domain: EnumerableDomain[Any], action_set: str, options: Sequence[TabularOption]
+    domain: EnumerableDomain, action_set: str, options: Sequence[TabularOption]
 ) -> OptionTable:
     """
     Return the options of an action set as one table.

@@ -9,7 +9,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 import math
 import time
-from typing import Any
 
 from humanopts_env.arrays import Floats
 from humanopts_env.domains.base import Domain, is_enumerable
@@ -33,7 +32,7 @@ AnyPlan = ExactPlan | SampledPlan
 
 
 def make_plan(
-    domain: Domain[Any],
+    domain: Domain,
     options: Sequence[Option],
     request: PlanRequest,
     progress: Progress = ignore_progress,
@@ -54,7 +53,7 @@ def make_plan(
 
 
 def plan(
-    domain: Domain[Any],
+    domain: Domain,
     options: Sequence[Option] = (),
     action_set: str = '',
     gamma: float = 0.0,

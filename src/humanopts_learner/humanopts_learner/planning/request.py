@@ -145,7 +145,7 @@ class PlanRequest:
         check_limits(self.tol, self.max_sweeps or 1)
 
     def in_force(
-        self, domain: Domain[Any], options: Sequence[Any], *, sampled: bool | None = None
+        self, domain: Domain, options: Sequence[Any], *, sampled: bool | None = None
     ) -> 'PlanRequest':
         """
         Check the request for a domain and its options; return it with defaults filled in.

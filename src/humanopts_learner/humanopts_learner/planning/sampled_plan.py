@@ -227,7 +227,7 @@ def play_games(
 
 
 def make_sampled_plan(
-    domain: Domain[Any],
+    domain: Domain,
     options: Sequence[Option],
     request: PlanRequest,
     progress: Progress = ignore_progress,
