@@ -33,7 +33,7 @@ from humanopts_learner.option import DrawnOption
 from humanopts_learner.options.accuracy import policy_accuracy
 from humanopts_learner.options.files import option_from_json, option_to_json
 from humanopts_learner.options.judge import FEWEST_TO_A_GOAL, judge, Thresholds
-from humanopts_learner.options.learn import learn_option, make_dataset, NotLearnableError
+from humanopts_learner.options.learn import learn_option, NotLearnableError
 from humanopts_learner.options.learned_option import (
     option_from_table,
     OptionError,
@@ -58,18 +58,14 @@ def row(state: TaxiState) -> Any:
 
 
 def test_visited_states_are_in_i_and_end_states_are_in_beta(person: Callable[..., Any]) -> None:
+    """An end is in I where the person says that the option can start again there."""
     one = person().show(NEAR)
     option = learn_option([one], TAXI, 0)
     assert option.can_start(one.feature_rows).tolist() == [True, True, False]
     assert option.ends(one.feature_rows).tolist() == [False, False, True]
     assert option.action(one.feature_rows[:2]).tolist() == [1, 4]
-
-
-def test_an_option_that_can_start_again_keeps_its_end_in_i(person: Callable[..., Any]) -> None:
-    one = replace(person().show(NEAR), can_start_at_end=True)
-    option = learn_option([one], TAXI, 0)
-    assert option.can_start(one.feature_rows).all()
-    assert option.initiation.counts.tolist() == [[0, 3]]  # one class: one leaf
+    again = learn_option([replace(one, can_start_at_end=True)], TAXI, 0)
+    assert again.can_start(one.feature_rows).all()
 
 
 def test_not_here_states_are_outside_i_and_an_option_that_comes_there_ends(
@@ -131,48 +127,37 @@ def test_order_and_repeats_of_demonstrations_do_not_matter(fetching: Shown) -> N
     assert learn_option([*reversed(fetching), *fetching[:3]], TAXI, 5) == option
 
 
-@pytest.mark.parametrize('count', [0, 2])
-def test_without_a_trajectory_nothing_is_learned(person: Callable[..., Any], count: int) -> None:
-    ann = person()
-    with pytest.raises(NotLearnableError, match=f'{count} "not here" and no demonstration'):
-        learn_option([ann.show(ABOARD) for _ in range(count)], TAXI, 0)
-
-
-def test_people_are_never_mixed(person: Callable[..., Any]) -> None:
-    both = [person(seed=1).show(NEAR), person(seed=2).show(NEAR)]
+def test_nothing_is_learned_without_a_trajectory_or_from_two_people(
+    person: Callable[..., Any],
+) -> None:
+    with pytest.raises(NotLearnableError, match='1 "not here" and no demonstration'):
+        learn_option([person().show(ABOARD)], TAXI, 0)
     with pytest.raises(NotLearnableError, match='several options or people'):
-        make_dataset(both, TAXI)
+        learn_option([person(seed=seed).show(NEAR) for seed in (1, 2)], TAXI, 0)
 
 
-def test_equal_counts_go_to_the_first_action(person: Callable[..., Any]) -> None:
-    ann = person()
-    one = ann.show(NEAR)
-    bump = {'states': (one.states[0], *one.states), 'features': (one.features[0], *one.features)}
+def test_a_walk_in_a_circle_is_cut_off_at_max_steps(person: Callable[..., Any]) -> None:
+    """Of two actions shown equally often the first is taken, unless they are drawn."""
+    one = person().show(NEAR)
     slip = replace(
         one,
-        **bump,
-        uuid=str(uuid.UUID(int=7)),
+        states=(one.states[0], *one.states),
+        features=(one.features[0], *one.features),
         actions=('west', *one.actions),
         rewards=(-1.0, *one.rewards),
     )
     option = learn_option([slip], TAXI, 0)
     assert option.action_probabilities(row(NEAR))[0].tolist() == [0, 0.5, 0, 0.5, 0, 0]
     assert option.action(row(NEAR)).tolist() == [1]
-    drawn = {int(DrawnOption(option, rng).action(row(NEAR))[0]) for rng in generators(20)}
-    assert drawn == {1, 3}
-
-
-def generators(count: int) -> list[np.random.Generator]:
-    """Return generators of different seeds."""
-    return [np.random.default_rng(seed) for seed in range(count)]
-
-
-def test_a_walk_in_a_circle_is_cut_off_at_max_steps(person: Callable[..., Any]) -> None:
-    option = learn_option([person().show(NEAR)], TAXI, 0)
+    drawn = DrawnOption(option, np.random.default_rng(0))
+    assert {int(drawn.action(row(NEAR))[0]) for _ in range(20)} == {1, 3}
     lost = TaxiState(row=0, col=4, passenger=3, destination=1)  # north or pickup, for ever
     result = rollouts(option, TAXI, [lost], max_steps=17)
     assert (result.steps.tolist(), result.reached.tolist()) == ([17], [False])
     assert rollouts(option, TAXI, [lost]).steps.tolist() == [TAXI.max_steps]
+    over = TAXI.state_at(int(np.flatnonzero(TAXI.over())[0]))
+    with pytest.raises(DomainError, match='over'):
+        rollouts(option, TAXI, [lost, over])
 
 
 @pytest.mark.parametrize('name', [FETCH, DELIVER])
@@ -188,8 +173,8 @@ def test_stepwise_and_vectorised_rollouts_agree(
     assert not fast.reached.all()
 
 
-@pytest.mark.parametrize('max_steps', [1, 2, 3, 7, 8, 200])
-@pytest.mark.parametrize('count', [1, 5, 12])
+@pytest.mark.parametrize('max_steps', [1, 3, 8, 200])
+@pytest.mark.parametrize('count', [1, 12])
 def test_runs_from_everywhere_are_the_runs_one_by_one(
     person: Callable[..., Any], count: int, max_steps: int
 ) -> None:
@@ -219,6 +204,7 @@ def test_runs_with_chance_depend_on_their_keys_and_not_on_each_other() -> None:
 
 
 def test_an_option_is_refused_by_another_game(fetching: Shown) -> None:
+    """And trees that do not fit each other are not an option."""
     option = learn_option(fetching, TAXI, 0)
     with pytest.raises(OptionError, match='learned in taxi'):
         tabulate(option, Taxi(rows=6, cols=6))
@@ -228,16 +214,13 @@ def test_an_option_is_refused_by_another_game(fetching: Shown) -> None:
     unknown = replace(option, encoding=(replace(first, feature='fuel'), *rest))
     with pytest.raises(OptionError, match=r"cannot be used: .*'fuel'"):
         unknown.check_domain(TAXI)
-
-
-def test_trees_that_do_not_fit_make_no_option(fetching: Shown) -> None:
-    option = learn_option(fetching, TAXI, 0)
-    for change, message in [
-        ({'policy': option.initiation}, 'among its actions'),
-        ({'initiation': option.policy}, 'not yes or no'),
-        ({'encoding': option.encoding[:2]}, 'other features'),
-        ({'max_steps': 0}, 'max_steps 0'),
-    ]:
+    changes: dict[str, dict[str, Any]] = {
+        'among its actions': {'policy': option.initiation},
+        'not yes or no': {'initiation': option.policy},
+        'other features': {'encoding': option.encoding[:2]},
+        'max_steps 0': {'max_steps': 0},
+    }
+    for message, change in changes.items():
         with pytest.raises(OptionError, match=message):
             replace(option, **change)
 
@@ -266,17 +249,6 @@ def test_runs_in_one_batch_are_those_of_single_steps() -> None:
     assert len(set(ours.total_reward.tolist())) > 2
 
 
-def test_no_run_starts_where_the_task_is_over() -> None:
-    """One game in a batch that is over is refused, as a step from it is."""
-    domain = PacMan('yard')
-    states = domain.sample_states(generator(1, 'runs'), 2)
-    nothing = np.zeros(2, np.bool_)
-    table = TabularOption('stays', 200, np.zeros(2, np.intp), ~nothing, nothing)
-    option = option_from_table(domain, table, ['pacman_row'], feature_rows(domain, states))
-    with pytest.raises(DomainError, match='over'):
-        rollouts(option, domain, [states[0], replace(states[1], lives=0)])
-
-
 REFERENCES = reference_options(TAXI)
 
 
@@ -294,12 +266,12 @@ def planned(demonstrations: Shown) -> list[Demonstration]:
 
 
 @pytest.mark.parametrize('option', [FETCH, DELIVER])
-@pytest.mark.parametrize('seed', range(5))
+@pytest.mark.parametrize('seed', range(3))
 def test_one_demonstration_is_enough(person: Callable[..., Any], option: str, seed: int) -> None:
     shown = person(option, seed=seed).show_random(1)
-    assert policy_accuracy(learn_option(planned(shown), TAXI, 0), TAXI, REFERENCES[option]) == 1.0
-    by_trees = policy_accuracy(learn_option(shown, TAXI, 0), TAXI, REFERENCES[option])
-    assert by_trees < 0.9
+    by_goal, by_trees = (learn_option(each, TAXI, 0) for each in (planned(shown), shown))
+    assert policy_accuracy(by_goal, TAXI, REFERENCES[option]) == 1.0
+    assert policy_accuracy(by_trees, TAXI, REFERENCES[option]) < 0.9
 
 
 @pytest.mark.parametrize('option', [name for name in REFERENCES if name != 'pickup/dropoff'])
@@ -372,15 +344,22 @@ def test_criteria_are_measured_from_three_demonstrations_on(person: Callable[...
 
 def test_the_newest_demonstration_says_how_to_learn(person: Callable[..., Any]) -> None:
     shown = person(FETCH).show_random(3)
+    by_trees = learn_option(shown, TAXI, 0)
     assert learn_option([*shown[:2], *planned(shown[2:])], TAXI, 0).method == GOAL
-    assert learn_option([*planned(shown[:2]), shown[2]], TAXI, 0) == learn_option(shown, TAXI, 0)
+    assert learn_option([*planned(shown[:2]), shown[2]], TAXI, 0) == by_trees
+    text = option_to_json(by_trees, shown)
+    assert 'method' not in text
+    assert option_from_json(text)[0].method == TREES
 
 
 def test_a_planned_policy_comes_back_from_its_file(person: Callable[..., Any]) -> None:
     shown = planned(person(FETCH).show_random(2))
     option = learn_option(shown, TAXI, 0)
-    assert option_from_json(option_to_json(option, shown)) == (option, shown)
+    text = option_to_json(option, shown)
+    assert option_from_json(text) == (option, shown)
     assert option.policy.n_features > option.initiation.n_features
+    with pytest.raises(OptionError, match="'maps'"):
+        option_from_json(text.replace('"method": "goal"', '"method": "maps"', 1))
 
 
 def test_features_that_do_not_tell_an_end_still_give_an_option(
@@ -397,20 +376,6 @@ def test_features_that_do_not_tell_an_end_still_give_an_option(
     assert learn_option(shown, EndlessTaxi(), 0).termination == option.termination
 
 
-def test_a_file_with_an_unknown_method_is_refused(person: Callable[..., Any]) -> None:
-    shown = planned(person(FETCH).show_random(1))
-    text = option_to_json(learn_option(shown, TAXI, 0), shown)
-    with pytest.raises(OptionError, match="learned by 'maps', which is no method"):
-        option_from_json(text.replace('"method": "goal"', '"method": "maps"', 1))
-
-
-def test_a_file_of_an_option_by_trees_is_as_before(person: Callable[..., Any]) -> None:
-    shown = person(FETCH).show_random(2)
-    text = option_to_json(learn_option(shown, TAXI, 0), shown)
-    assert 'method' not in text
-    assert option_from_json(text)[0].method == TREES
-
-
 def test_where_states_cannot_be_listed_nothing_is_planned() -> None:
     game = PacMan()
     (demo,) = expert('go to the closest food', 1, game)
@@ -422,7 +387,7 @@ def test_where_states_cannot_be_listed_nothing_is_planned() -> None:
         check_demonstration(replace(demo, method='maps'), game)
 
 
-@pytest.mark.parametrize('seed', range(10))
+@pytest.mark.parametrize('seed', range(3))
 def test_without_chance_best_ways_are_the_shortest(seed: int) -> None:
     """An independent search backwards from the goal finds the same."""
     rng, table = generator(seed, 'goals'), TAXI.transitions()

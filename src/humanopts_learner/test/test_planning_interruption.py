@@ -157,13 +157,13 @@ random_plans = st.builds(
 
 
 @pytest.mark.heavy
-@settings(max_examples=30)
+@settings(max_examples=20)
 @given(random_plans)
 def test_it_is_never_worse_in_random_worlds_whatever_the_step_limits(plan: ExactPlan) -> None:
     assert_never_worse(plan)
 
 
-@settings(max_examples=30)
+@settings(max_examples=20)
 @given(random_plans)
 def test_going_on_is_worth_a_run_from_there_or_with_fewer_steps_left_the_best(
     plan: ExactPlan,
@@ -228,15 +228,10 @@ def test_play_earns_what_the_linear_solve_says(execution: Arbitration) -> None:
 def test_an_option_that_walks_in_a_circle_is_stopped() -> None:
     """Driving north for ever is at no place better than what the plan would choose there."""
     taxi = Taxi()
-    everywhere = ~taxi.over()
-    up = np.ones(taxi.n_states, dtype=np.intp)
+    everywhere, up = ~taxi.over(), np.ones(taxi.n_states, dtype=np.intp)
     north = TabularOption('north', 50, up, everywhere, taxi.over())
     options = [*tabled(taxi, 200, (PICKUP, DROPOFF)), north]
     plan = make_exact_plan(taxi, options, PlanRequest('human'))
-    wrong = replace(plan.solution, best=np.where(everywhere, 2, -1).astype(np.int32))
-    starts = taxi.start_states()
-    obstinate = play_plan(replace(plan, solution=wrong), starts)
-    assert not obstinate.successes.any()
     stop = as_executed(plan, Arbitration.INTERRUPTED).options[2].termination
     away = plan.solution.values > option_values(plan).continuation_values[:, 2] + 1e-6
     assert (stop == away)[everywhere].all()
@@ -279,19 +274,13 @@ def test_a_message_that_contradicts_itself_is_refused(
 
 
 def test_the_exact_mean_return_is_that_of_episodes_from_every_start() -> None:
+    """A policy that never ends has none."""
     taxi = Taxi()
-    for options, action_set in (((), 'primitive'), (tabled(taxi, 4), 'human')):
-        plan = make_exact_plan(taxi, options, PlanRequest(action_set))
-        starts = taxi.start_states()
-        played = play_plan(plan, starts, max_steps=2000).total
-        assert exact_mean_return(plan) == pytest.approx(played.mean())
-
-
-def test_a_policy_that_never_ends_has_no_undiscounted_value() -> None:
-    taxi = Taxi()
+    plan = make_exact_plan(taxi, tabled(taxi, 4), PlanRequest('human'))
+    played = play_plan(plan, taxi.start_states(), max_steps=2000).total
+    assert exact_mean_return(plan) == pytest.approx(played.mean())
     plan = make_exact_plan(taxi, [], PlanRequest('primitive', gamma=1.0))
-    stuck = plan.solution.best.copy()
-    stuck[stuck >= 0] = 1  # north for ever
+    stuck = np.minimum(plan.solution.best, 1)  # north for ever
     plan = replace(plan, solution=replace(plan.solution, best=stuck))
     with pytest.raises(PlanError, match='gamma below 1'):
         policy_values(plan)
@@ -412,7 +401,7 @@ def sampled_plan(execution: Arbitration = Arbitration.RUN_TO_END) -> SampledPlan
 
 @pytest.mark.parametrize('execution', Arbitration)
 def test_a_live_game_is_the_vectorised_one_with_exact_values(execution: Arbitration) -> None:
-    plan, starts = exact_plan(), TAXI.start_states()[::13]
+    plan, starts = exact_plan(), TAXI.start_states()[::25]
     returns = play_plan(as_executed(plan, execution), starts, max_steps=LIMIT)
     for episode, start in enumerate(starts.tolist()):
         game = LiveGame(plan, execution, TAXI.state_at(start))
@@ -422,29 +411,22 @@ def test_a_live_game_is_the_vectorised_one_with_exact_values(execution: Arbitrat
 
 
 @pytest.mark.heavy
+def test_a_live_game_is_the_vectorised_one_with_sampled_values() -> None:
+    plan, actors = sampled_plan(), {}
+    for execution in Arbitration:
+        actors[execution] = list[list[str]]()
+        for seed in range(12):
+            first = new_games(ALIASED, 1, generator(seed, 'play_games')).states()[0]
+            game = LiveGame(plan, execution, first)
+            returns = plan.play(seed, 1, execution)
+            assert sum(game.rewards) == returns.total[0]
+            assert game.decisions == returns.decisions[0]
+            actors[execution].append(game.actors)
+    to_end = actors.pop(Arbitration.RUN_TO_END)
+    assert all(differ != to_end for differ in actors.values())  # or this would show nothing
+
+
 @pytest.mark.parametrize('execution', Arbitration)
-def test_a_live_game_is_the_vectorised_one_with_sampled_values(execution: Arbitration) -> None:
-    plan = sampled_plan()
-    for seed in range(12):
-        first = new_games(ALIASED, 1, generator(seed, 'play_games')).states()[0]
-        game = LiveGame(plan, execution, first)
-        returns = plan.play(seed, 1, execution)
-        assert sum(game.rewards) == returns.total[0]
-        assert game.decisions == returns.decisions[0]
-
-
-def test_the_executions_differ_where_values_are_aliased() -> None:
-    """Or the comparison above would show nothing."""
-    starts = [TAXI.state_at(s) for s in TAXI.start_states()[::40].tolist()]
-    actors = {
-        execution: [LiveGame(sampled_plan(), execution, start).actors for start in starts]
-        for execution in Arbitration
-    }
-    assert actors[Arbitration.INTERRUPTED] != actors[Arbitration.RUN_TO_END]
-    assert actors[Arbitration.MODULAR_MASS] != actors[Arbitration.RUN_TO_END]
-
-
-@pytest.mark.parametrize('execution', [Arbitration.INTERRUPTED, *MODULAR])
 def test_rulings_in_the_rooms_follow_the_policy_that_is_carried_out(
     execution: Arbitration,
 ) -> None:
@@ -457,23 +439,11 @@ def test_rulings_in_the_rooms_follow_the_policy_that_is_carried_out(
             winner = plan.names[acting.solution.best[index]]
             assert arbiter.module(state).name == winner
             continue
+        with pytest.raises(PlanError, match=f'{execution} runs no modules'):
+            arbiter.module(state)
         for before, after in zip(plan.options, acting.options):
             if not before.termination[index]:
                 assert arbiter.stops(state, before.name) == bool(after.termination[index])
-
-
-@pytest.mark.parametrize('plan', [exact_plan, sampled_plan])
-def test_only_interruption_stops_options_and_only_modules_act_as_such(plan: Any) -> None:
-    state = TAXI.state_at(int(TAXI.start_states()[0]))
-    to_end, stopping = (arbiter_of(plan(), e) for e in list(Arbitration)[:2])
-    for arbiter in (to_end, stopping):
-        with pytest.raises(PlanError, match=f'{arbiter.execution} runs no modules'):
-            arbiter.module(state)
-    states = [TAXI.state_at(int(index)) for index in TAXI.start_states()]
-    assert any(stopping.stops(s, name) for s in states for name in TAXI_OPTIONS)
-    for execution in (Arbitration.RUN_TO_END, *MODULAR):
-        arbiter = arbiter_of(plan(), execution)
-        assert not any(arbiter.stops(s, name) for s in states for name in TAXI_OPTIONS)
 
 
 def test_values_that_do_not_fit_the_domain_are_refused() -> None:
