@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 from typing import Any
 
 from humanopts_env.domains.base import Domain, DomainError, Transitions
@@ -76,12 +77,6 @@ def test_visits_of_runs_through_a_bottleneck_are_subtracted() -> None:
     assert names == [('go to cell 0,2', 3), ('go to cell 0,4', 2)]
 
 
-def test_runs_that_failed_are_no_bottlenecks() -> None:
-    """Of run 1 there is nothing, since it did not come to its goal."""
-    visits = Visits(search_space(PacMan(maze=CORRIDOR)), np.array([0, 0, 2]), np.array([0, 1, 1]))
-    assert [b.visits for b in find_bottlenecks(visits, 9)] == [2]
-
-
 def test_an_option_starts_where_more_than_the_mean_of_runs_come_by() -> None:
     """On the way to cell 6: 5 four times, 4 three times, 3 once; the mean of seven is 1.1."""
     runs = [[3, 4, 5, 6], [4, 5, 6], [4, 5, 6], [5, 6], [6]]
@@ -126,16 +121,11 @@ def test_events_in_a_cell_give_an_option_each_that_starts_before_them() -> None:
 @pytest.mark.parametrize('seed', [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_taxi_has_the_nine_options_of_the_paper(seed: int) -> None:
     """Section 7.3: four pickups, four dropoffs, and one to reach the centre; nobody said nine."""
-    names = [option.name for option in found('taxi', seed).options]
-    assert names[0] in ('go to cell 2,1', 'go to cell 2,2')
-    assert set(names[1:]) == PAPERS_NINE
-    assert len(names) == 9
-
-
-@pytest.mark.heavy
-def test_taxi_options_pick_up_and_drop_off_whatever_the_destination() -> None:
-    taxi = Taxi()
-    for option in found('taxi').options[1:]:
+    taxi, (centre, *others) = Taxi(), found('taxi', seed).options
+    assert centre.name in ('go to cell 2,1', 'go to cell 2,2')
+    assert len(others) == 8
+    assert {option.name for option in others} == PAPERS_NINE
+    for option in others:
         passengers = {taxi.state_at(s).passenger for s in np.flatnonzero(option.initiation)}
         waits = 'RGYB'.index(option.name[-1])
         assert passengers == ({waits} if option.target.event == 'pickup' else {ABOARD})
@@ -149,15 +139,6 @@ def test_options_end_at_their_target_and_outside_their_initiation_set(name: str)
         assert option.initiation.any()
         assert option.termination[option.target.target].all()
         assert (option.termination == ~option.initiation).all()
-
-
-@pytest.mark.heavy
-def test_the_doorways_of_rooms_lie_on_most_runs() -> None:
-    """At least two of the first four targets are doorways or next to one, of 104 cells."""
-    rooms, space = Rooms(), found('rooms').space
-    doorway = rooms.feature_table()[:, 3] != 0
-    near = doorway | doorway[space.transitions.successor[:, :, 0]].any(axis=1)
-    assert sum(near[option.target.cell] for option in found('rooms').options[:4]) >= 2
 
 
 def test_pacman_options_run_to_their_cells_in_the_real_game() -> None:
@@ -180,36 +161,27 @@ def test_pacman_options_run_to_their_cells_in_the_real_game() -> None:
 
 
 @pytest.mark.heavy
-def test_the_same_seed_finds_the_same_options() -> None:
-    few = replace(QUICK, tasks=20, option_episodes=20)
-    first, again, other = (find_options(domain_of('pacman'), seed, few) for seed in (3, 3, 4))
-    assert [o.name for o in first.options] == [o.name for o in again.options]
-    assert (first.visits == again.visits).all()
-    assert (first.visits != other.visits).any()
-
-
-@pytest.mark.heavy
-def test_the_cost_is_counted_and_told() -> None:
+def test_the_cost_is_counted_and_the_same_seed_finds_the_same_options() -> None:
     told: list[tuple[str, float, int]] = []
-    ticks = iter([10.0, 12.5])
-    extracted = find_options(
-        PacMan(maze='yard'), 0, QUICK, lambda *told_now: told.append(told_now), lambda: next(ticks)
-    )
+    ticks, domain = iter([10.0, 12.5]), PacMan(maze='yard')
+    extracted = find_options(domain, 3, QUICK, lambda *now: told.append(now), lambda: next(ticks))
     assert extracted.seconds == 2.5
     assert extracted.episodes == 60 * 60 + 100 * len(extracted.options)
     assert extracted.game_steps >= extracted.episodes
     assert [stage for stage, done, _ in told if done == 1.0] == ['tasks', 'policies']
     assert [steps for _, _, steps in told] == sorted(steps for _, _, steps in told)
+    again, other = (search('pacman', seed) for seed in (3, 4))
+    assert [o.name for o in extracted.options] == [o.name for o in again.options]
+    assert (extracted.visits == again.visits).all()
+    assert (extracted.visits != other.visits).any()
+    for stage in ('tasks', 'policies'):
 
+        def cancel(now: str, done: float, steps: int, stage: str = stage) -> None:
+            if now == stage:
+                raise PlanCanceled
 
-@pytest.mark.parametrize('stage', ['tasks', 'policies'])
-def test_progress_can_cancel_every_stage(stage: str) -> None:
-    def cancel(now: str, done: float, steps: int) -> None:
-        if now == stage:
-            raise PlanCanceled
-
-    with pytest.raises(PlanCanceled):
-        find_options(PacMan(maze='yard'), 0, QUICK, cancel)
+        with pytest.raises(PlanCanceled):
+            find_options(domain, 0, QUICK, cancel)
 
 
 def test_goals_can_be_reached_from_their_starts_and_left_again() -> None:
@@ -229,38 +201,39 @@ def test_a_one_way_world_has_no_tasks() -> None:
         draw_tasks(replace(space, transitions=rules), 3, generator(0, 'test'))
 
 
-def test_tasks_that_were_hardly_trained_are_refused_with_what_to_do() -> None:
+def test_what_cannot_be_found_is_refused_with_what_to_do() -> None:
     hardly = replace(QUICK, tasks=1, train_episodes=1, max_steps=3)
     with pytest.raises(PlanError, match=r'not one of 1 tasks .* in 1 episodes each: give more'):
         find_options(Taxi(), 0, hardly)
-
-
-def test_parameters_out_of_range_are_refused() -> None:
-    with pytest.raises(PlanError, match='tasks is 0'):
-        Extraction(tasks=0)
-    with pytest.raises(PlanError, match='explore is 2'):
-        Extraction(explore=2.0)
-
-
-def test_a_domain_that_cannot_be_listed_is_refused() -> None:
-    class Endless:
-        name = 'endless'
-
     with pytest.raises(PlanError, match='endless cannot all be listed'):
-        find_options(Endless(), 0)  # type: ignore[arg-type]
+        find_options(SimpleNamespace(name='endless'), 0)  # type: ignore[arg-type]
+    for wrong in ({'tasks': 0}, {'explore': 2.0}):
+        with pytest.raises(PlanError, match=f'{next(iter(wrong))} is'):
+            Extraction(**wrong)  # type: ignore[arg-type]
+    seen = found('rooms')
+    with pytest.raises(PlanError, match="must begin with 'automatic:', not 'automatic-1'"):
+        to_learned_options(Rooms(), seen, 'automatic-1')
+    dark = replace(seen, space=replace(seen.space, rows=np.zeros_like(seen.space.rows)))
+    with pytest.raises(DomainError, match='of rooms do not tell what'):
+        to_learned_options(Rooms(), dark)
 
 
 @pytest.mark.heavy
 @pytest.mark.parametrize('name', ['taxi', 'rooms', 'gymnasium:CliffWalking-v1'])
 def test_trees_say_what_the_tables_say_wherever_an_episode_goes_on(name: str) -> None:
+    """With no feature that they can do without, and in a file without demonstrations."""
     domain, space = domain_of(name), found(name).space
     going = space.reached & ~space.over
     for option, learned in zip(found(name).options, options(name), strict=True):
-        said = tabulate(learned, domain)  # type: ignore[arg-type]
+        said = tabulate(learned, domain)
         assert (said.initiation == option.initiation)[going].all()
         assert (said.termination == option.termination)[going].all()
         assert (said.action == option.action)[option.initiation].all()
         assert learned.max_steps == option.max_steps
+        assert option_from_json(option_to_json(learned)) == (learned, [])
+        assert learned.participant == 'automatic:1'
+        assert 'blocked_moves' not in learned.features
+        assert name != 'rooms' or learned.features == ('row', 'col')
 
 
 @pytest.mark.heavy
@@ -277,37 +250,6 @@ def test_options_of_pacman_see_his_place_and_do_the_same_in_every_game() -> None
         assert (learned.can_start(rows) == can).all()
         assert (learned.action(rows) == option.action[cells])[can].all()
         assert (learned.ends(rows) == option.termination[cells]).all()
-
-
-@pytest.mark.heavy
-def test_an_option_depends_on_no_feature_that_it_can_do_without() -> None:
-    for option in options('taxi'):
-        assert 'blocked_moves' not in option.features
-        assert 'taxi_row' in option.features
-    assert {option.features for option in options('rooms')} == {('row', 'col')}
-
-
-@pytest.mark.heavy
-def test_what_the_features_do_not_tell_apart_is_refused() -> None:
-    seen = found('rooms')
-    dark = replace(seen, space=replace(seen.space, rows=np.zeros_like(seen.space.rows)))
-    with pytest.raises(DomainError, match='of rooms do not tell what'):
-        to_learned_options(Rooms(), dark)
-
-
-@pytest.mark.heavy
-def test_a_file_keeps_an_automatic_option_without_demonstrations() -> None:
-    option = options('taxi')[0]
-    again, demonstrations = option_from_json(option_to_json(option))
-    assert again == option
-    assert not demonstrations
-    assert (again.participant, again.n_demonstrations) == ('automatic:1', 0)
-
-
-@pytest.mark.heavy
-def test_people_are_not_taken_for_machines() -> None:
-    with pytest.raises(PlanError, match="must begin with 'automatic:', not 'automatic-1'"):
-        to_learned_options(Rooms(), found('rooms'), 'automatic-1')
 
 
 @pytest.mark.heavy

@@ -4,8 +4,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 import itertools
 import math
-import random
-import time
 from typing import Any
 
 from graph_support.scripted import show
@@ -17,7 +15,6 @@ from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.options.conflicts import find_conflicts
 from humanopts_learner.options.files import option_to_json
 from humanopts_learner.options.judge import (
-    balanced_error,
     FEWEST,
     fit_leave_fold_out,
     fold_of,
@@ -26,20 +23,17 @@ from humanopts_learner.options.judge import (
     Thresholds,
 )
 from humanopts_learner.options.learn import (
-    Examples,
     learn_option,
     make_dataset,
     NotLearnableError,
 )
-from humanopts_learner.options.learned_option import MEMBER
 from humanopts_learner.options.rollout import rollouts
 from humanopts_learner.summary import Criterion, INITIATION, RETURN, TERMINATION
-from hypothesis import given, settings
-from hypothesis import strategies as st
 import numpy as np
 import pytest
 
 TAXI = Taxi()
+FETCH = 'go to passenger and pickup'
 ABOARD = TaxiState(row=1, col=0, passenger=4, destination=1)
 Shown = Sequence[Demonstration]
 
@@ -49,20 +43,18 @@ def values(shown: Shown) -> dict[str, float | None]:
     return {c.name: c.value for c in judge(shown, TAXI, Thresholds(), 0).criteria}
 
 
-@pytest.mark.parametrize('count', [1, FEWEST - 1])
 def test_too_few_demonstrations_are_not_measurable_and_not_met(
-    fetching: Shown, count: int
+    fetching: Shown, person: Callable[..., Any]
 ) -> None:
-    judgement = judge(fetching[:count], TAXI, Thresholds(), 0)
+    judgement = judge(fetching[: FEWEST - 1], TAXI, Thresholds(), 0)
     assert [c.value for c in judgement.criteria] == [None] * 3
     assert not any(c.measurable or c.met for c in judgement.criteria)
-    assert not judgement.criteria_met
-    assert judgement.more_needed == -1
-
-
-def test_without_a_trajectory_nothing_is_judged(person: Callable[..., Any]) -> None:
+    assert (judgement.criteria_met, judgement.more_needed) == (False, -1)
+    ann = person()
+    refused = [ann.show(ABOARD) for _ in range(12)]
+    assert None not in values([*refused, *ann.show_random(FEWEST)]).values()
     with pytest.raises(NotLearnableError):
-        judge([person().show(ABOARD)], TAXI, Thresholds(), 0)
+        judge(refused, TAXI, Thresholds(), 0)
 
 
 def test_an_option_that_starts_wherever_it_ends_has_no_error_of_i(fetching: Shown) -> None:
@@ -70,16 +62,6 @@ def test_an_option_that_starts_wherever_it_ends_has_no_error_of_i(fetching: Show
     assert values(always)[INITIATION] == 0.0
     assert values(always[: FEWEST - 1])[INITIATION] is None
     assert values([*always[1:], fetching[0]])[INITIATION] not in (None, 0.0)
-
-
-def test_in_sample_return_equals_a_consistent_persons_and_held_out_return_does_not(
-    fetching: Shown,
-) -> None:
-    judgement = judge(fetching, TAXI, Thresholds(), 0)
-    assert judgement.mean_return_policy == judgement.mean_return_demonstrations
-    shortfall = judgement.criteria[0].value
-    assert shortfall is not None
-    assert shortfall > 0
 
 
 def test_the_same_trajectory_shown_often_leaves_no_shortfall(fetching: Shown) -> None:
@@ -130,16 +112,11 @@ def test_what_is_known_of_every_start_takes_the_place_of_the_held_out_return(
     from_everywhere: Shown,
 ) -> None:
     """The longer way is worth two less; with a threshold below that, it is not good enough."""
-    option = learn_option(from_everywhere, TAXI, 0)
-    starts = [
-        s for s in map(TAXI.state_at, range(500)) if not (TAXI.is_over(s) or s.passenger == 4)
-    ]
-    assert option.can_start(np.array([TAXI.feature_values(s) for s in starts])).all()
-    runs = rollouts(option, TAXI, starts)
+    option, reference = learn_option(from_everywhere, TAXI, 0), reference_options(TAXI)[FETCH]
+    starts = np.flatnonzero(reference.initiation & ~TAXI.over())
+    runs = rollouts(option, TAXI, [TAXI.state_at(int(start)) for start in starts])
     assert runs.reached.all()
-    reference = reference_options(TAXI)[option.name]
-    shortest = np.array([_steps_to_pickup(reference, start) for start in starts])
-    worst = (-(shortest - 1) - runs.total_reward).max()  # the pickup costs nothing
+    worst = (1 - reference.distance[starts] - runs.total_reward).max()  # the pickup costs nothing
     assert worst == 2
     found, strict = (
         judge(from_everywhere, TAXI, Thresholds(return_delta=delta), 0, option)
@@ -150,32 +127,15 @@ def test_what_is_known_of_every_start_takes_the_place_of_the_held_out_return(
     assert (found.more_needed, strict.criteria[1:]) == (0, found.criteria[1:])
 
 
-def _steps_to_pickup(reference: Any, state: TaxiState) -> int:
-    steps = 0
-    while not reference.ends(state):
-        state = TAXI.step(state, reference.optimal_actions(state)[0], generator(0)).state
-        steps += 1
-    return steps
-
-
 def test_a_start_from_which_it_does_not_end_is_no_known_return(from_everywhere: Shown) -> None:
     """Without what was shown in one corner, it walks into the wall there."""
-    corner = TAXI.encode(TaxiState(4, 4, 0, 1))
-    known = judge(from_everywhere, TAXI, Thresholds(), 0).criteria[0]
     shown = [demo for demo in from_everywhere if 'taxi 4,4' not in ' '.join(demo.states)]
-    option = learn_option(shown, TAXI, 0)
-    assert corner not in ' '.join(demo.states[0] for demo in shown)
-    stuck = ~rollouts(option, TAXI, [TAXI.state_at(i) for i in _fetching_starts()]).reached
-    assert stuck.any()
+    starts = np.flatnonzero(reference_options(TAXI)[FETCH].initiation & ~TAXI.over())
+    states = [TAXI.state_at(int(start)) for start in starts]
+    assert not rollouts(learn_option(shown, TAXI, 0), TAXI, states).reached.all()
     judged = judge(shown, TAXI, Thresholds(return_delta=0.0), 0)
-    assert judged.criteria[0].value != known.value
     assert not judged.criteria[0].met
     assert judged.more_needed == -1  # no law says when it will be known
-
-
-def _fetching_starts() -> list[int]:
-    states = map(TAXI.state_at, range(500))
-    return [n for n, s in enumerate(states) if not (TAXI.is_over(s) or s.passenger == 4)]
 
 
 def test_the_limit_is_that_of_differences_paired_by_demonstration(
@@ -222,26 +182,6 @@ def test_a_run_has_the_luck_of_its_demonstration_as_long_as_it_does_the_same() -
     assert abs(value) <= alone / 40 < 0.2  # a run differs only after a cell that no other shows
 
 
-def test_order_of_arrival_does_not_matter(fetching: Shown) -> None:
-    shuffled = random.Random(4).sample(list(fetching), len(fetching))
-    assert judge(shuffled, TAXI, Thresholds(), 1) == judge(fetching, TAXI, Thresholds(), 1)
-
-
-def test_one_demonstration_less_changes_the_numbers(fetching: Shown) -> None:
-    assert values(fetching[1:])[RETURN] != values(fetching)[RETURN]
-
-
-@settings(max_examples=15)
-@given(count=st.integers(3, 30), seed=st.integers(0, 2**31))
-def test_folds_are_even_and_never_split_a_demonstration(
-    fetching: Shown, count: int, seed: int
-) -> None:
-    folds = fold_of(make_dataset(fetching[:count], TAXI), seed)
-    sizes = np.bincount(folds)
-    assert len(sizes) == min(10, count)
-    assert sizes.max() - sizes.min() <= 1
-
-
 @pytest.mark.parametrize('picked', [('taxi_row', 'taxi_col'), ('passenger_in_taxi',)])
 def test_what_is_held_out_has_no_part_in_what_is_learned(
     fetching: Shown, picked: tuple[str, ...]
@@ -259,21 +199,16 @@ def test_what_is_held_out_has_no_part_in_what_is_learned(
         assert option_to_json(found, []) == option_to_json(learn_option(others, TAXI, 0), [])
 
 
-def test_not_here_answers_leave_every_fold_something_to_learn_from(
-    person: Callable[..., Any],
-) -> None:
-    ann = person()
-    refused = [ann.show(ABOARD) for _ in range(12)]
-    assert values([*refused, *ann.show_random(FEWEST)])[INITIATION] is not None
-
-
-def test_thresholds_decide_what_is_met(fetching: Shown) -> None:
+def test_thresholds_decide_what_is_met_and_order_does_not_matter(fetching: Shown) -> None:
     lax = judge(fetching, TAXI, Thresholds(1e6, 1.0, 1.0), 0)
-    assert lax.criteria_met
-    assert lax.more_needed == 0
+    assert (lax.criteria_met, lax.more_needed) == (True, 0)
+    assert lax.mean_return_policy == lax.mean_return_demonstrations  # in-sample
+    assert judge(fetching[::-1], TAXI, Thresholds(1e6, 1.0, 1.0), 0) == lax
     strict = judge(fetching, TAXI, Thresholds(0.0, 0.0, 0.0), 0)
-    assert not strict.criteria_met
-    assert strict.more_needed == -1  # nothing falls to zero at 1 / n
+    assert (strict.criteria_met, strict.more_needed) == (False, -1)  # 1 / n is never zero
+    shortfall = strict.criteria[0].value
+    assert shortfall is not None
+    assert shortfall > 0
 
 
 @pytest.mark.parametrize(
@@ -282,26 +217,6 @@ def test_thresholds_decide_what_is_met(fetching: Shown) -> None:
 def test_senseless_thresholds_are_refused(wrong: dict[str, float]) -> None:
     with pytest.raises(ValueError, match='thresholds are'):
         Thresholds(**wrong)
-
-
-@pytest.mark.parametrize(
-    ('value', 'expected'), [(1.0, 0), (2.0, 10), (1.01, 1), (None, -1), (5.0, 40)]
-)
-def test_twice_the_threshold_needs_about_as_many_again(value: float | None, expected: int) -> None:
-    criteria = [Criterion.of(RETURN, value, 1.0), Criterion.of(INITIATION, 0.0, 0.1)]
-    assert more_needed(criteria, 10) == expected
-
-
-def test_no_number_of_demonstrations_takes_a_value_below_a_threshold_of_nothing() -> None:
-    assert more_needed([Criterion.of(RETURN, 0.1, 0.0)], 10) == -1
-
-
-def test_examples_of_one_class_have_no_balanced_error() -> None:
-    alike = Examples(np.zeros((4, 1), dtype=np.float64), np.full(4, MEMBER), np.arange(4))
-    always = [lambda rows: np.ones(len(rows), dtype=np.bool_)] * 2
-    folds = np.array([0, 1, 0, 1])
-    assert balanced_error(alike, always, folds) is None
-    assert balanced_error(alike, always, folds, members_only=True) == 0.0
 
 
 @pytest.mark.parametrize(('value', 'high'), [(0.5, 3.0), (-2.0, 9.0), (0.0, 1.5), (2.5, 4.0)])
@@ -313,33 +228,22 @@ def test_a_criterion_is_met_when_its_limit_is_low_enough(value: float, high: flo
     share = 10 / (10 + more_needed([criterion], 10) - np.arange(2))  # with so many, with one less
     limit = np.maximum(value, 0.0) * share + min(value, 0.0) + (high - value) * np.sqrt(share)
     assert limit[0] <= 1.0 < limit[1]
+    other = Criterion.of(INITIATION, 0.0, 0.1)
+    for exact, needed in ((1.0, 0), (2.0, 10), (1.01, 1), (5.0, 40), (None, -1)):
+        assert more_needed([Criterion.of(RETURN, exact, 1.0), other], 10) == needed
 
 
-def test_judging_thirty_demonstrations_is_quick(fetching: Shown) -> None:
-    option = learn_option(fetching, TAXI, 0)
-    judge(fetching, TAXI, Thresholds(), 0, option)
-    start = time.process_time()
-    judge(fetching, TAXI, Thresholds(), 0, option)
-    assert time.process_time() - start < 0.2  # 25 ms on a free core
-
-
-def test_a_missing_feature_is_found_and_suggested(person: Callable[..., Any]) -> None:
+@pytest.mark.parametrize('missing', ['passenger_in_taxi', 'passenger_col'])
+def test_a_missing_feature_is_found_and_suggested(
+    person: Callable[..., Any], fetching: Shown, missing: str
+) -> None:
     ann = person()
-    ann.features = ('taxi_row', 'taxi_col', 'passenger_row', 'passenger_col')
-    found = find_conflicts(make_dataset(ann.show_random(12), TAXI), TAXI)
-    assert found.suggested_feature == 'passenger_in_taxi'
-    assert any('not the end' in text and 'taxi row' in text for text in found.texts)
-
-
-def test_missing_coordinates_are_suggested(person: Callable[..., Any]) -> None:
-    ann = person()
-    ann.features = ('taxi_row', 'taxi_col', 'passenger_row', 'passenger_in_taxi')
+    every = 'taxi_row', 'taxi_col', 'passenger_row', 'passenger_col', 'passenger_in_taxi'
+    ann.features = tuple(name for name in every if name != missing)
     found = find_conflicts(make_dataset(ann.show_random(40), TAXI), TAXI)
-    assert found.suggested_feature == 'passenger_col'
-
-
-def test_a_consistent_person_with_the_right_features_has_no_conflicts(fetching: Shown) -> None:
-    found = find_conflicts(make_dataset(fetching, TAXI), TAXI)
+    assert found.suggested_feature == missing
+    assert 'taxi row' in found.texts[0]
+    found = find_conflicts(make_dataset(fetching, TAXI), TAXI)  # with the right features
     assert (found.texts, found.suggested_feature) == ((), None)
 
 

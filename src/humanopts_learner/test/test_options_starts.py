@@ -45,11 +45,6 @@ def teach(
     return option
 
 
-def test_an_unknown_strategy_is_answered_with_what_there_is() -> None:
-    with pytest.raises(UnknownStrategyError, match='random, coverage, failures'):
-        choose_start_state('clever', TAXI, None, [], np.random.default_rng(0))
-
-
 @pytest.mark.parametrize('strategy', STRATEGIES)
 def test_a_state_is_chosen_whatever_was_shown_and_an_open_one(
     person: Callable[..., Any], strategy: str
@@ -65,6 +60,8 @@ def test_a_state_is_chosen_whatever_was_shown_and_an_open_one(
     ann = person()
     choose(None, [ann.show(replace(NEAR, passenger=4))])
     choose(learn_option([ann.show(NEAR)], TAXI, 0), [])
+    with pytest.raises(UnknownStrategyError, match='random, coverage, failures'):
+        choose_start_state('clever', TAXI, None, [], np.random.default_rng(0))
 
 
 def test_coverage_asks_for_what_is_unlike_anything_shown(person: Callable[..., Any]) -> None:
@@ -76,28 +73,21 @@ def test_coverage_asks_for_what_is_unlike_anything_shown(person: Callable[..., A
     assert state.passenger in (3, 4)  # at 4,3 or aboard
 
 
-def test_failures_asks_for_a_state_that_fails(person: Callable[..., Any]) -> None:
-    ann = person()
-    shown = ann.show_random(8)
+def test_failures_asks_for_a_state_from_which_no_end_is_reached(
+    person: Callable[..., Any],
+) -> None:
+    shown = person().show_random(8)
     option = learn_option(shown, TAXI, 0)
     found = find_failures(option, TAXI, shown)
-    assert found.failing.any()
+    candidates = np.flatnonzero(found.candidate).tolist()
+    runs = rollouts(option, TAXI, [TAXI.state_at(index) for index in candidates])
+    assert found.stuck[candidates].tolist() == (~runs.reached).tolist()
+    assert 0 < found.stuck.sum() < len(candidates)
     assert not nothing_fails(option, TAXI, shown, np.random.default_rng(0))
     for seed in range(5):
         state = choose_start_state('failures', TAXI, option, shown, np.random.default_rng(seed))
         assert found.stuck[TAXI.index(state)]
         assert found.times_shown[TAXI.index(state)] == 0
-
-
-def test_stuck_states_are_those_from_which_no_end_is_reached(person: Callable[..., Any]) -> None:
-    shown = person().show_random(20)
-    option = learn_option(shown, TAXI, 0)
-    found = find_failures(option, TAXI, shown)
-    members = option.can_start(TAXI.feature_table())
-    candidates = np.flatnonzero(found.candidate & members).tolist()
-    runs = rollouts(option, TAXI, [TAXI.state_at(index) for index in candidates])
-    assert found.stuck[candidates].tolist() == (~runs.reached).tolist()
-    assert 0 < found.stuck[candidates].sum() < len(candidates)
 
 
 def test_letting_out_at_the_wrong_place_is_no_end_that_was_shown(
@@ -180,6 +170,7 @@ def test_failures_teaches_every_state_within_thirty_demonstrations(
 def test_once_nothing_fails_and_the_criteria_hold_every_start_is_driven_in_spite_of_slips(
     person: Callable[..., Any], name: str
 ) -> None:
+    """Then what was shown least is asked for."""
     someone = person(name, seed=1, error_rate=0.02)
 
     def good_enough(option: LearnedOption, number: int) -> bool:
@@ -194,20 +185,11 @@ def test_once_nothing_fails_and_the_criteria_hold_every_start_is_driven_in_spite
     assert runs.reached.all()
     assert runs.steps.tolist() == reference.distance[indices].tolist()
     assert option.n_demonstrations <= 50
-
-
-@pytest.mark.heavy
-def test_when_nothing_fails_what_was_shown_least_is_asked_for(person: Callable[..., Any]) -> None:
-    someone = person()
-
-    def no_failure(option: LearnedOption, number: int) -> bool:
-        return nothing_fails(option, TAXI, someone.shown, np.random.default_rng(0))
-
-    option = teach(someone, 'failures', no_failure)
     found = find_failures(option, TAXI, someone.shown)
-    state = choose_start_state('failures', TAXI, option, someone.shown, np.random.default_rng(0))
-    assert found.candidate[TAXI.index(state)]
-    assert found.times_shown[TAXI.index(state)] <= np.median(found.times_shown[found.candidate])
+    rng = np.random.default_rng(0)
+    state = TAXI.index(choose_start_state('failures', TAXI, option, someone.shown, rng))
+    assert found.candidate[state]
+    assert found.times_shown[state] <= np.median(found.times_shown[found.candidate])
 
 
 @pytest.mark.heavy
@@ -235,23 +217,15 @@ def test_what_one_demonstration_alone_shows_is_unsettled_until_others_show_it(
 ) -> None:
     ann = person()
     there = TaxiState(4, 0, 2, 1)  # at the passenger
-    row = TAXI.feature_values(there)[None]
+    row, rows = TAXI.feature_values(there)[None], TAXI.feature_table()
     once = [*(ann.show(NEAR) for _ in range(12)), ann.show(there)]
     often = [*once, *(ann.show(there) for _ in range(11))]
     for demos, expected in ((once, True), (often, False)):
         option = learn_option(demos, plain_taxi, 0)
         assert committee_disagrees(option, plain_taxi, demos, row, 0)[0] == expected
-
-
-def test_from_one_trajectory_nothing_in_i_is_settled(
-    person: Callable[..., Any], plain_taxi: Any
-) -> None:
-    ann = person()
-    shown = [ann.show(NEAR), ann.show(replace(NEAR, passenger=4))]
-    option = learn_option(shown, plain_taxi, 0)
-    rows = TAXI.feature_table()
-    found = committee_disagrees(option, plain_taxi, shown, rows, 0)
-    assert found.tolist() == option.can_start(rows).tolist()
+    option = learn_option(once[:1], plain_taxi, 0)
+    alone = committee_disagrees(option, plain_taxi, once[:1], rows, 0)
+    assert alone.tolist() == option.can_start(rows).tolist()
 
 
 @pytest.mark.heavy
