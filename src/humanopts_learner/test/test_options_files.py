@@ -106,9 +106,7 @@ def numbers_in(value: Any, place: tuple[Any, ...] = ()) -> Iterator[tuple[Any, .
         yield place
 
 
-@pytest.mark.parametrize(
-    'wrong', [2**31, 2**32, 2**63, 2**64 - 1, -1, 1e300, 0.5, True, '1', None]
-)
+@pytest.mark.parametrize('wrong', [2**31, 2**64 - 1, -1, 0.5, True, '1'])
 def test_a_file_with_any_number_replaced_is_refused_or_can_be_used(
     option: LearnedOption, fetching: Shown, wrong: object
 ) -> None:
@@ -136,12 +134,6 @@ def test_a_file_with_any_number_replaced_is_refused_or_can_be_used(
         assert {at for at in loaded if 'domain_parameters' not in at} == (
             free if wrong != '1' else set()
         )
-
-
-@pytest.mark.parametrize('text', ['', 'null', '[]', '{"format": NaN}', '[' * 100_000, '\x00'])
-def test_text_that_is_no_option_is_refused(text: str) -> None:
-    with pytest.raises(OptionFileError):
-        option_from_json(text)
 
 
 @pytest.mark.heavy
@@ -204,11 +196,12 @@ def test_links_and_deep_files_are_left_out_and_named(
         save_option(folder, option, fetching)
 
 
-def test_a_damaged_file_stops_no_other_and_stays_as_it_is(
+def test_a_damaged_file_stops_no_other_and_is_moved_aside_when_its_option_is_saved(
     option: LearnedOption, fetching: Shown, tmp_path: Path
 ) -> None:
     save_option(tmp_path, option, fetching)
-    bad = save_option(tmp_path, replace(option, name='other'), fetching)
+    other = replace(option, name='other')
+    bad = save_option(tmp_path, other, fetching)
     bad.write_text('{"format": "humanopts-option"')
     (bad.parent / 'binary.json').write_bytes(b'\xff\xfe\x00')
     options, problems = load_options(tmp_path)
@@ -216,18 +209,11 @@ def test_a_damaged_file_stops_no_other_and_stays_as_it_is(
     assert [str(bad) in str(problem) for problem in problems] == [False, True]
     assert 'not JSON' in str(problems[1])
     assert bad.read_text() == '{"format": "humanopts-option"'
-
-
-def test_saving_moves_a_damaged_file_aside(
-    option: LearnedOption, fetching: Shown, tmp_path: Path
-) -> None:
-    path = option_path(tmp_path, option.participant, option.name)
     for number, content in [(1, 'half a fi'), (2, 'another')]:
-        path.parent.mkdir(exist_ok=True)
-        path.write_text(content)
-        save_option(tmp_path, option, fetching)
-        assert path.with_name(f'{path.name}.damaged-{number}').read_text() == content
-    assert load_options(tmp_path) == ([option], [])
+        bad.write_text(content)
+        save_option(tmp_path, other, fetching)
+        assert bad.with_name(f'{bad.name}.damaged-{number}').read_text() == content
+    assert load_options(tmp_path)[0] == [option, other]
 
 
 def test_a_write_that_fails_leaves_what_was_there(

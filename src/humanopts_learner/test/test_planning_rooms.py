@@ -17,10 +17,8 @@ from humanopts_learner.planning.plan import make_plan
 from humanopts_learner.planning.request import PlanRequest
 from humanopts_learner.planning.solve import value_history
 import numpy as np
-from numpy.typing import NDArray
 import pytest
 
-RUNS = 40_000
 ROOMS = Rooms()
 
 
@@ -44,24 +42,6 @@ def model(action_set: str, goal: str = 'G1') -> MultiTimeModel:
     found = build_model(domain, action_set, tabled, domain.gamma)
     assert isinstance(found, MultiTimeModel)
     return found
-
-
-def check(expected: float, samples: NDArray[np.float64]) -> None:
-    """Compare a mean with its expectation."""
-    error = max(float(samples.std()), 1e-3) / np.sqrt(len(samples))
-    assert abs(samples.mean() - expected) < 5 * error
-
-
-@pytest.mark.parametrize('goal', ['G1', 'G2'])
-def test_the_ready_options_are_the_reference_options(goal: str) -> None:
-    domain = Rooms(goal)
-    for ready, reference in zip(hallway_options(domain), reference_options(domain).values()):
-        tables = tabulate(ready, domain)
-        starts, judged = reference.initiation, reference.judged
-        assert ready.name == reference.name
-        assert reference.optimal[starts, tables.action[starts]].all()
-        assert (tables.initiation == starts)[judged & ~domain.over()].all()
-        assert (tables.termination == reference.termination)[judged].all()
 
 
 @pytest.mark.parametrize('goal', [(6, 8), (8, 8)])
@@ -144,12 +124,12 @@ SETS = ('human', 'human+primitive', 'primitive')
 
 @pytest.mark.parametrize('action_set', SETS)
 def test_played_returns_agree_with_the_planned_values(action_set: str) -> None:
-    """20,000 episodes from one corner, within five standard errors."""
-    found = plan(action_set)
-    start = ROOMS.index(RoomsState(0, 0))
-    returns = play_plan(found, np.full(20_000, start), seed=1)
+    """10,000 episodes from one corner, within five standard errors."""
+    found, start = plan(action_set), ROOMS.index(RoomsState(0, 0))
+    returns = play_plan(found, np.full(10_000, start), seed=1)
     assert returns.successes.all()
-    check(float(found.solution.values[start]), returns.discounted)
+    error = returns.discounted.std() / np.sqrt(len(returns.discounted))
+    assert returns.discounted.mean() == pytest.approx(found.solution.values[start], abs=5 * error)
 
 
 def test_play_is_keyed_by_the_seed_and_the_number_of_the_episode() -> None:
@@ -158,9 +138,3 @@ def test_play_is_keyed_by_the_seed_and_the_number_of_the_episode() -> None:
     assert (some.steps == all_of_them.steps[:20]).all()
     assert (some.discounted == all_of_them.discounted[:20]).all()
     assert (play_plan(found, starts, seed=6).steps != all_of_them.steps).any()
-
-
-def test_play_stops_at_the_step_limit() -> None:
-    returns = play_plan(plan('primitive'), episode_starts(ROOMS, 0, 200), max_steps=5)
-    assert returns.steps.max() == 5
-    assert 0 < returns.successes.mean() < 0.5

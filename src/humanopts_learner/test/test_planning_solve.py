@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 from functools import cache
-import sys
 
 from humanopts_env.arrays import Flags, Floats
 from humanopts_learner.planning import solve
@@ -12,7 +11,7 @@ from humanopts_learner.planning.models import (
     MultiTimeModel,
     primitive_model,
 )
-from humanopts_learner.planning.request import PlanCanceled, PlanError
+from humanopts_learner.planning.request import PlanError
 from humanopts_learner.planning.solve import (
     compiled_sweep,
     solve_smdp,
@@ -99,36 +98,15 @@ def test_values_are_those_of_policy_iteration(
 
 
 def test_options_that_cannot_be_chosen_change_no_value() -> None:
+    """Of equal choices the lowest index is best."""
     for outcomes in (1, 3):
         model = random_model(1, 30, 5, outcomes=outcomes)
         fewer = replace(model, available=model.available & (np.arange(5) < 2))
         found, expected = solve_smdp(model, n_choices=2), solve_smdp(fewer)
         assert found.values == pytest.approx(expected.values)
         assert (found.best == expected.best).all()
-
-
-def test_the_walk_down_a_corridor_has_its_known_optimum() -> None:
-    length, gamma = 30, 0.9
-    here = np.arange(length)
-    move = np.concatenate([np.maximum(here - 1, 0), np.minimum(here + 1, length - 1)])
-    goal = (here[:, None] == length - 2) & np.array([False, True])
-    discount = np.where(goal.T.ravel(), 0.0, gamma)
-    model = MultiTimeModel(
-        ('left', 'right'),
-        np.where(goal, 1.0, 0.0),
-        np.broadcast_to(here[:, None] < length - 1, (length, 2)),
-        csr_array((discount, move, np.arange(2 * length + 1)), shape=(2 * length, length)),
-    )
-    solution = solve_smdp(model)
-    assert solution.values[:-1] == pytest.approx(gamma ** (length - 2.0 - here[:-1]))
-    assert (solution.best[:-1] == 1).all()
-    assert solution.sweeps == length  # one for each step back from the goal, one to see the end
-
-
-def test_of_equal_choices_the_lowest_index_is_best() -> None:
-    model = random_model(1, 10, 2, closed=0.0)
-    twice = concatenate([model, replace(model, names=('again0', 'again1'))])
-    assert (solve_smdp(twice).best < 2).all()
+        twice = concatenate([model, replace(model, names=tuple('fghij'))])
+        assert (solve_smdp(twice).best < 5).all()
 
 
 def test_a_callback_sees_every_sweep_and_can_stop_the_work() -> None:
@@ -143,12 +121,8 @@ def test_a_callback_sees_every_sweep_and_can_stop_the_work() -> None:
         assert [sweeps for sweeps, _ in seen] == [1, 2, 3]
         assert (solution.sweeps, solution.residual) == seen[-1]
         assert not solution.converged
-
-    def cancel(sweeps: int, residual: float) -> None:
-        raise PlanCanceled
-
-    with pytest.raises(PlanCanceled):
-        solve_smdp(model, on_sweep=cancel)
+    with pytest.raises(PlanError, match='tol'):
+        solve_smdp(model, -1.0)
 
 
 @settings(max_examples=60)
@@ -172,11 +146,6 @@ def test_compiled_sweeps_have_the_bits_of_those_of_numpy(
     assert compiled.best.tolist() == by_numpy.best.tolist()
 
 
-def test_without_numba_nothing_is_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, 'numba', None)  # so that its import fails
-    assert compiled_sweep.__wrapped__() is None
-
-
 def rows_of(*rows: list[float]) -> csr_array:
     """Return successors of the two states and one option of the model below."""
     return csr_array(np.array(rows))
@@ -186,13 +155,10 @@ def rows_of(*rows: list[float]) -> csr_array:
     ('change', 'text'),
     [
         ({'reward': np.array([[np.nan], [0.0]])}, 'reward'),
-        ({'reward': np.array([[np.inf], [0.0]])}, 'reward'),
         ({'available': np.ones((2, 2), dtype=np.bool_)}, 'available'),
-        ({'names': ('one', 'two')}, 'names'),
         ({'rows': csr_array(([0.5], [2], [0, 1, 1]), shape=(2, 2))}, 'successor'),
         ({'rows': rows_of([0.5, 0.6], [0, 0])}, 'sums of rows'),
         ({'rows': rows_of([-0.1, 0.6], [0, 0])}, 'a row'),
-        ({'rows': rows_of([np.nan, 0.6], [0, 0])}, 'a row'),
         ({'rows': rows_of([0.5, 0.4])}, 'rows are'),
     ],
 )
@@ -202,12 +168,6 @@ def test_a_model_that_contradicts_itself_is_refused(change: dict[str, object], t
     )
     with pytest.raises(PlanError, match=text):
         replace(model, **change)  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize(('tol', 'max_sweeps'), [(-1.0, 10), (float('nan'), 10), (1e-8, 0)])
-def test_limits_that_make_no_sense_are_refused(tol: float, max_sweeps: int) -> None:
-    with pytest.raises(PlanError, match='tol'):
-        solve_smdp(random_model(5, 3, 2), tol, max_sweeps)
 
 
 @settings(max_examples=60)

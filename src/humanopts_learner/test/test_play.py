@@ -5,8 +5,8 @@ from typing import Any
 
 from humanopts_env.arrays import Flags, Ints, Rows
 from humanopts_env.domains.registry import make_domain
-from humanopts_env.games import games_at, new_games, StateGames
-from humanopts_learner.execution import Choice, Execution, NONE, play, RowOptions, Seen
+from humanopts_env.games import games_at
+from humanopts_learner.execution import Choice, play, RowOptions, Seen
 from humanopts_learner.option import PrimitiveOption
 from humanopts_learner.planning.plan import make_plan
 from humanopts_learner.planning.request import PlanRequest, Sampling
@@ -122,41 +122,6 @@ def test_a_game_that_is_over_is_not_played() -> None:
     played = play(games, options, InTurn(1, 2, 0), np.random.default_rng(0), 3)
     assert played.over.tolist() == [True, False]
     assert played.runs.game.tolist() == [1, 1, 1]
-
-
-def test_progress_is_told_in_every_step_and_can_end_the_play() -> None:
-    taxi: Any = make_domain('taxi')
-    rng, steps = np.random.default_rng(0), []
-
-    def stop(step: int, execution: Execution[Any], seen: Any) -> None:
-        steps.append(step)
-        assert (execution.option != NONE).all()
-        if step == 2:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        play(
-            new_games(taxi, 4, rng),
-            RowOptions([PrimitiveOption('north', 1, 6)]),
-            InTurn(1, 4, 0),
-            rng,
-            9,
-            on_step=stop,
-        )
-    assert steps == [0, 1, 2]
-
-
-def test_any_domain_is_played_state_by_state() -> None:
-    """As it is by its tables."""
-    lake: Any = make_domain('gymnasium:FrozenLake-v1', {})
-    rows, found = RowOptions([HashOption('a', 7, 4, 9)]), []
-    for games in (games_at(lake, lake.sample_states(np.random.default_rng(1), 5)), None):
-        states = lake.sample_states(np.random.default_rng(1), 5)
-        chance = [np.random.default_rng(game) for game in range(5)]
-        each = games or StateGames(lake, states)
-        found.append(play(each, rows, InTurn(1, 5, 0), chance, 20).runs)
-    assert np.array_equal(found[0].total, found[1].total)
-    assert np.array_equal(found[0].steps, found[1].steps)
 
 
 class GoUp:
