@@ -49,7 +49,6 @@ CASES = [  # domain, parameters, state, features that are shown; None: all
     ('gymnasium:FrozenLake-v1', {}, 'row 0, col 0', None),
     ('gymnasium:FrozenLake-v1', {}, 'row 0, col 0', ('row',)),
     ('gymnasium:CliffWalking-v1', {}, 'row 0, col 0', None),
-    ('gymnasium:Taxi-v4', {}, '', ('passenger', 'destination')),
 ]
 SNAPSHOT = Path(__file__).with_name('boards.txt')
 

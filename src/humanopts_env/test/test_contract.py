@@ -126,7 +126,6 @@ TELLTALE = broken(board=lambda self, state, shown=None: Taxi.board(self, state))
 BLIND = broken(board=lambda self, state, shown=None: Taxi.board(self, state, ()))
 SILENT = broken(board=lambda self, state, shown=None: Board())
 OUTSIDE = broken(board=lambda self, state, shown=None: replace(Taxi.board(self, state), rows=1))
-OPEN = broken(board=lambda self, state, shown=None: replace(Taxi.board(self, state), walls=()))
 MUTABLE = broken(over=lambda self: Taxi.over(self).copy())
 SUDDEN = broken(step=step_with(lambda outcome: replace(outcome, terminated=True)))
 RAISING = broken(feature_values=lambda self, state: 1 / 0)
@@ -156,7 +155,6 @@ WORTHLESS = broken(step=step_with(lambda outcome: replace(outcome, reward=float(
         (TELLTALE, testing.a_board_shows_the_features_that_it_may_and_nothing_else, 'shows more'),
         (BLIND, testing.a_board_shows_the_features_that_it_may_and_nothing_else, 'cannot be seen'),
         (OUTSIDE, check.a_state_has_a_text_features_and_a_board, 'is drawn outside the board'),
-        (OPEN, testing.layouts_are_those_of_the_board, 'a wall or a step too many'),
         (SILENT, check.a_state_has_a_text_features_and_a_board, 'is drawn as nothing'),
         (MUTABLE, testing.tables_agree_with_states_and_steps, 'over can be written to'),
         (TORN, testing.tables_agree_with_states_and_steps, 'feature_table differs'),

@@ -19,6 +19,7 @@ from gymnasium.envs.registration import load_env_creator
 from gymnasium.envs.toy_text.cliffwalking import CliffWalkingEnv
 from gymnasium.envs.toy_text.frozen_lake import FrozenLakeEnv
 from gymnasium.envs.toy_text.taxi import TaxiEnv
+from humanopts_env.arrays import Rows
 from humanopts_env.board import BLOCK, Board, DOT, HATCHED_BOX, Mark, PERSON
 from humanopts_env.colours import GREEN, GREY, ORANGE, RED, TEAL
 from humanopts_env.domains import taxi
@@ -28,7 +29,6 @@ from humanopts_env.domains.base import (
     DomainError,
     Feature,
     shown_values,
-    StateError,
 )
 from humanopts_env.domains.capabilities import in_words, move_effect, plain_effect, StepEffect
 from humanopts_env.domains.parameters import check_parameters
@@ -55,8 +55,6 @@ WAYS = {
 }
 DIRECTIONS = {(0, -1): 'left', (1, 0): 'down', (0, 1): 'right', (-1, 0): 'up'}
 ENTERED = {'H': 'fell into a hole', GOAL: 'reached the goal'}
-IN_TAXI = 'in the taxi'
-PASSENGER = (*taxi.LANDMARKS, IN_TAXI)
 TAXI = taxi.Taxi()  # the same grid, whose states have the same numbers
 
 
@@ -64,12 +62,13 @@ TAXI = taxi.Taxi()  # the same grid, whose states have the same numbers
 class View:
     """How one environment is presented."""
 
-    features: tuple[Feature, ...]
-    values: Sequence[tuple[int, ...]]  # of the features, by state; all distinct
+    features: Sequence[Feature]
+    values: Sequence[Sequence[float]] | Rows  # of the features, by state; all distinct
     actions: tuple[Action, ...]
     board: Callable[[int, Mapping[str, str]], Board]  # state, texts of the features that are shown
     slices: list[BoardSlice] = field(default_factory=list)
     effect: Callable[[int, int, int], StepEffect] | None = None  # state, action, successor
+    text: Callable[[int], str] | None = None  # of a state; None: the texts of its features
 
 
 def view_of(env: Any, name: str, table: Sequence[Any], starts: set[int], ends: set[int]) -> View:
@@ -81,13 +80,20 @@ def view_of(env: Any, name: str, table: Sequence[Any], starts: set[int], ends: s
     count = len(table)
     actions = _actions(env, name, len(table[0]))
     if isinstance(env, TaxiEnv):
-        return _taxi_view(env, actions)
+        return View(
+            TAXI.features,
+            TAXI.feature_table(),
+            actions,
+            lambda state, seen: TAXI.board(TAXI.state_at(state), seen),
+            TAXI.board_slices(),
+            lambda at, action, to: TAXI.step_effect(TAXI.state_at(at), action, TAXI.state_at(to)),
+            lambda state: TAXI.encode(TAXI.state_at(state)),
+        )
     desc = getattr(env, 'desc', None)
     shape: tuple[int, ...] = getattr(desc, 'shape', getattr(env, 'shape', ()))
     if len(shape) == 2 and np.prod(shape) == count:
         tiles = _tiles(table, starts, ends) if desc is None else np.array(desc).astype(str).ravel()
-        size, has_cliff = (int(shape[0]), int(shape[1])), isinstance(env, CliffWalkingEnv)
-        return _grid_view(actions, size, tiles.tolist(), table, has_cliff)
+        return _grid_view(actions, (int(shape[0]), int(shape[1])), tiles.tolist())
     state = Feature.nominal('state', 'which state it is', map(str, range(count)))
     return View((state,), [(number,) for number in range(count)], actions, _picture(env))
 
@@ -107,18 +113,8 @@ def _actions(env: Any, name: str, count: int) -> tuple[Action, ...]:
 # Grids.
 
 
-def _grid_view(
-    actions: tuple[Action, ...],
-    shape: tuple[int, int],
-    tiles: list[str],
-    table: Sequence[Any],
-    has_cliff: bool,
-) -> View:
-    """
-    Return the view of a grid.
-
-    :param has_cliff: a step into a cell that is never entered is a fall that leads to the start.
-    """
+def _grid_view(actions: tuple[Action, ...], shape: tuple[int, int], tiles: list[str]) -> View:
+    """Return the view of a grid; in one with cells that are never entered, these are a cliff."""
     rows, cols = shape
     ways = {name: step for step, name in DIRECTIONS.items()}
     fixed = [
@@ -135,17 +131,13 @@ def _grid_view(
 
     def effect(state: int, action: int, successor: int) -> StepEffect:
         (row, col), (to_row, to_col) = divmod(state, cols), divmod(successor, cols)
-        gains = {gain for share, to, gain, _ in table[state][action] if share and to == successor}
-        if has_cliff and state == successor and len(gains) > 1:
-            return StepEffect('wall or cliff: still at the start', changed=False)
-        went = DIRECTIONS.get((to_row - row, to_col - col), '')
-        asked = actions[action].name
+        went, asked = DIRECTIONS.get((to_row - row, to_col - col), ''), actions[action].name
+        if not went and tiles[successor] == START and NEVER in tiles:
+            if state == successor:
+                return StepEffect('wall or cliff: still at the start', changed=False)
+            return StepEffect('fell off the cliff: back at the start')
         down, right = ways.get(asked, (0, 0))
         free = asked in ways and 0 <= row + down < rows and 0 <= col + right < cols
-        off = free and tiles[(row + down) * cols + col + right] == NEVER
-        if not went and tiles[successor] == START and (state != successor or off):
-            fall = 'fell off the cliff: ' if has_cliff else ''
-            return StepEffect(f'{fall}back at the start', changed=state != successor)
         moved = move_effect(asked if asked in ways else went, went, free=free)
         entered = ENTERED.get(tiles[successor], '') if moved.changed else ''
         return replace(moved, text=f'{moved.text} and {entered}') if entered else moved
@@ -168,38 +160,6 @@ def _tiles(table: Sequence[Any], starts: set[int], ends: set[int]) -> NDArray[np
             for s in range(len(table))
         ]
     )
-
-
-# Taxi.
-
-
-def _taxi_view(env: Any, actions: tuple[Action, ...]) -> View:
-    features = (
-        Feature.number('taxi_row', 'which row the taxi is in', 5),
-        Feature.number('taxi_col', 'which column the taxi is in', 5),
-        Feature.nominal('passenger', 'where the passenger is', PASSENGER),
-        Feature.nominal('destination', 'where the destination is', taxi.LANDMARKS),
-    )
-    values = [tuple(map(int, env.decode(state))) for state in range(500)]
-    states = np.arange(500, dtype=np.int32).reshape(5, 5, 5, 4)
-    slices = [
-        BoardSlice(f'passenger {PASSENGER[place]}, destination B', states[:, :, place, 3])
-        for place in (0, taxi.ABOARD)
-    ]
-
-    def effect(state: int, action: int, successor: int) -> StepEffect:
-        return TAXI.step_effect(TAXI.state_at(state), action, TAXI.state_at(successor))
-
-    return View(features, values, actions, _taxi_board, slices, effect)
-
-
-def _taxi_board(state: int, seen: Mapping[str, str]) -> Board:
-    """Return the board of the domain ``taxi``, the same grid, with the features that are shown."""
-    shown = {*seen, *(['passenger_in_taxi'] if 'passenger' in seen else [])}
-    for thing in seen.keys() & {'passenger', 'destination'}:
-        if seen[thing] != IN_TAXI:
-            shown |= {f'{thing}_row', f'{thing}_col'}
-    return TAXI.board(TAXI.state_at(state), shown)
 
 
 # Numbered states.
@@ -282,17 +242,18 @@ class GymnasiumDomain(TableDomain[int]):
         states, shares = list(self._starts), np.array(list(self._starts.values()))
         return int(rng.choice(states, p=shares / shares.sum()))
 
-    def values_of(self, state: int) -> Sequence[int]:
-        return self._view.values[state]
+    def values_of(self, state: int) -> Sequence[float]:
+        return tuple(self._view.values[state])
 
     def encode(self, state: int) -> str:
         """Return the state as one line, such as ``row 2, col 3``."""
         self.index(state)
+        if self._view.text is not None:
+            return self._view.text(state)
         return ', '.join(f'{name} {text}' for name, text in shown_values(self, state).items())
 
     def board(self, state: int, shown: Collection[str] | None = None) -> Board:
-        if not 0 <= state < self.n_states:
-            raise StateError(f'{state} is not a state of {self.name}')
+        self.index(state)
         return self._view.board(state, shown_values(self, state, shown))
 
     def step_effect(self, state: int, action: int, successor: int) -> StepEffect:
