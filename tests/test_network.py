@@ -3,7 +3,7 @@ A graph on one machine can be reached from no other; one over several waits for 
 memory of messages is given back.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from importlib.resources import files
 from itertools import chain, repeat
 import os
@@ -15,7 +15,14 @@ from types import SimpleNamespace
 
 from graph_support.live import GAME, Graph, LEARNER
 from humanopts_ros import workarounds
-from humanopts_ros.middleware import address_towards, PEERS, PROFILES, RANGE
+from humanopts_ros.middleware import (
+    address_towards,
+    check_settings,
+    MiddlewareError,
+    PEERS,
+    PROFILES,
+    RANGE,
+)
 from humanopts_ros.workarounds import prepare_discovery, READ_PROFILES
 import psutil
 import pytest
@@ -77,33 +84,24 @@ def test_a_burst_of_large_messages_leaves_no_memory_in_use(live: Graph, where: s
 LOOPBACK = str(files('humanopts_ros') / 'loopback_discovery.xml')
 
 
+QUICK, BOUND = 'quick_discovery.xml', ('loopback_discovery.xml', 'SYSTEM_DEFAULT')
+LOCAL = {RANGE: 'LOCALHOST'}
+
+
 @pytest.mark.parametrize(
     ('given', 'profile', 'kept'),
     [
-        ({RANGE: 'LOCALHOST'}, 'loopback_discovery.xml', 'SYSTEM_DEFAULT'),
-        ({RANGE: 'LOCALHOST', PEERS: '10.0.0.2'}, 'quick_discovery.xml', 'LOCALHOST'),
-        ({RANGE: 'SUBNET'}, 'quick_discovery.xml', 'SUBNET'),
-        ({}, 'quick_discovery.xml', None),
-        ({RANGE: 'LOCALHOST', PROFILES[1]: 'own.xml'}, None, 'LOCALHOST'),
-        ({RANGE: 'LOCALHOST', 'ROS_DISTRO': 'kilted'}, 'quick_discovery.xml', 'LOCALHOST'),
-        ({RANGE: 'LOCALHOST', 'ROS_DISTRO': ''}, 'quick_discovery.xml', 'LOCALHOST'),
-        (
-            {RANGE: 'LOCALHOST', 'RMW_IMPLEMENTATION': 'rmw_cyclonedds_cpp'},
-            'quick_discovery.xml',
-            'LOCALHOST',
-        ),
-        (
-            {RANGE: 'LOCALHOST', 'RMW_IMPLEMENTATION': 'rmw_fastrtps_cpp'},
-            'loopback_discovery.xml',
-            'SYSTEM_DEFAULT',
-        ),
-        ({RANGE: 'SUBNET', 'ROS_LOCALHOST_ONLY': '1'}, 'loopback_discovery.xml', 'SYSTEM_DEFAULT'),
-        ({RANGE: 'LOCALHOST', PROFILES[0]: LOOPBACK}, 'loopback_discovery.xml', 'SYSTEM_DEFAULT'),
-        (
-            {RANGE: 'SYSTEM_DEFAULT', PROFILES[0]: LOOPBACK},
-            'loopback_discovery.xml',
-            'SYSTEM_DEFAULT',
-        ),
+        (LOCAL, *BOUND),
+        ({**LOCAL, PEERS: '10.0.0.2'}, QUICK, 'LOCALHOST'),
+        ({RANGE: 'SUBNET'}, QUICK, 'SUBNET'),
+        ({}, QUICK, None),
+        ({**LOCAL, PROFILES[1]: 'own.xml'}, None, 'LOCALHOST'),
+        ({**LOCAL, 'ROS_DISTRO': 'kilted'}, QUICK, 'LOCALHOST'),
+        ({**LOCAL, 'ROS_DISTRO': ''}, QUICK, 'LOCALHOST'),
+        ({**LOCAL, 'RMW_IMPLEMENTATION': 'rmw_cyclonedds_cpp'}, QUICK, 'LOCALHOST'),
+        ({**LOCAL, 'RMW_IMPLEMENTATION': 'rmw_fastrtps_cpp'}, *BOUND),
+        ({RANGE: 'SUBNET', 'ROS_LOCALHOST_ONLY': '1'}, *BOUND),
+        ({RANGE: 'SYSTEM_DEFAULT', PROFILES[0]: LOOPBACK}, *BOUND),
     ],
 )
 def test_the_profile_follows_from_the_range(
@@ -169,23 +167,21 @@ def test_it_waits_for_the_carrier_of_the_cable_to_the_other_machine(cable: list[
     assert cable == [False, False, False, True]
 
 
+@pytest.mark.parametrize(
+    ('settings', 'whom'), [(AWAY, OTHER), ({RANGE: 'SUBNET'}, 'other machines')]
+)
 def test_where_no_network_comes_up_it_says_so_and_goes_on(
-    cable: list[bool], monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+    cable: list[bool],
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+    settings: dict[str, str],
+    whom: str,
 ) -> None:
-    monkeypatch.setattr(workarounds, '_NETWORK_WAIT', 0.0)
-    os.environ.update(AWAY)
+    monkeypatch.setattr(workarounds, '_NETWORK_WAIT', 0.3 if settings is not AWAY else 0.0)
+    os.environ.update(settings)
     prepare_discovery()
-    assert f'no network is up towards {OTHER}:' in capfd.readouterr().err
+    assert f'no network is up towards {whom}:' in capfd.readouterr().err
     assert PROFILES[0] in os.environ
-
-
-def test_a_loopback_address_is_no_network_of_others(
-    cable: list[bool], monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(workarounds, '_NETWORK_WAIT', 0.3)
-    os.environ[RANGE] = 'SUBNET'
-    prepare_discovery()
-    assert 'no network is up towards other machines:' in capfd.readouterr().err
 
 
 def test_a_graph_on_one_machine_needs_no_network(cable: list[bool]) -> None:
@@ -194,28 +190,26 @@ def test_a_graph_on_one_machine_needs_no_network(cable: list[bool]) -> None:
     assert not cable
 
 
-FAULTS = {
-    'RMW_IMPLEMENTATION': [('rmw_cyclonedds_cpp', 'which is not installed; unset it, or choose')],
-    RANGE: [('OFF', 'no node finds another'), ('localhost', 'choose from LOCALHOST, SUBNET')],
-    PEERS: [
-        ('10.0.0.1 10.0.0.2', 'not a known machine'),
-        ('10.0.0.1;fe80::1', 'not an IPv4 address'),
-    ],
-    PROFILES[0]: [
-        ('/nowhere.xml', 'which is not a file'),
-        ('text.xml', 'which is not XML'),
-        ('typo.xml', 'which Fast DDS cannot use'),
-    ],
-    PROFILES[1]: [('page.xml', 'which holds <html>')],
-    'ROS_DOMAIN_ID': [('233', 'must be from 0 to 232')],
-    'ROS_LOG_DIR': [('/proc/none', 'ROS cannot start')],
-}
-WRONG = [(name, value, words) for name, given in FAULTS.items() for value, words in given]
-COMMANDS = (('status',), ('up', 'rooms'), ('demo',), ('study', 'plan.yaml', '--simulate', '1'))
+FAULTS = [
+    (RANGE, 'OFF', 'no node finds another'),
+    (RANGE, 'localhost', 'choose from LOCALHOST, SUBNET'),
+    (PEERS, '10.0.0.1 10.0.0.2', 'not a known machine'),
+    (PEERS, '10.0.0.1;fe80::1', 'not an IPv4 address'),
+    (PROFILES[0], '/nowhere.xml', 'which is not a file'),
+    (PROFILES[0], 'text.xml', 'which is not XML'),
+    (PROFILES[0], 'typo.xml', 'which Fast DDS cannot use'),
+    (PROFILES[1], 'page.xml', 'which holds <html>'),
+    ('ROS_DOMAIN_ID', '233', 'must be from 0 to 232'),
+]
+COMMANDS = (
+    *(['humanopts_teach', *words] for words in (['status'], ['up', 'rooms'], ['demo'])),
+    ['humanopts_teach', 'study', 'plan.yaml', '--simulate', '1'],
+    ['humanopts_env.ros.game_node'],
+)
 
 
 @pytest.fixture
-def shell(tmp_path: Path) -> dict[str, str]:
+def shell(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A shell with none of these variables, in a folder with the files that they name."""
     (tmp_path / 'text.xml').write_text('profiles')
     (tmp_path / 'page.xml').write_text('<html/>')
@@ -223,67 +217,60 @@ def shell(tmp_path: Path) -> dict[str, str]:
     (tmp_path / 'typo.xml').write_text(typo)
     plan = 'study: s\nseed: 1\nall: {domain: rooms, teach: 1}\nconditions: [{name: a}]\n'
     (tmp_path / 'plan.yaml').write_text(plan)
-    mine = {*FAULTS, READ_PROFILES}
-    return {name: text for name, text in os.environ.items() if name not in mine}
+    monkeypatch.chdir(tmp_path)
+    for name in {name for name, *_ in FAULTS} | {READ_PROFILES, 'RMW_IMPLEMENTATION'}:
+        monkeypatch.delenv(name, raising=False)
+    return tmp_path
 
 
-def refused(shell: dict[str, str], folder: Path, *command: str) -> str:
+def refused(*command: str, before: Sequence[str] = ()) -> str:
     """Run what cannot start; return the one line that says why."""
-    done = subprocess.run(
-        [sys.executable, '-m', *command],
-        cwd=folder,
-        env=shell,
-        capture_output=True,
-        text=True,
-        timeout=30,
-        check=False,
-    )
+    words = [*before, sys.executable, '-m', *command]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=30, check=False)
     assert (done.returncode, done.stdout, done.stderr.count('\n')) == (2, '', 1), done.stderr
     return done.stderr
 
 
-@pytest.mark.parametrize(('name', 'value', 'words'), WRONG)
-def test_a_setting_with_which_ros_cannot_start_is_named_in_one_line(
-    tmp_path: Path, shell: dict[str, str], name: str, value: str, words: str
+@pytest.mark.parametrize(('name', 'value', 'words'), FAULTS)
+def test_a_setting_with_which_ros_cannot_start_is_named(
+    shell: Path, monkeypatch: pytest.MonkeyPatch, name: str, value: str, words: str
 ) -> None:
-    shell[name] = value
-    said = refused(shell, tmp_path, 'humanopts_teach', 'status')
-    assert said.startswith('humanopts status: ')
-    assert words in said
-    if name != PROFILES[0]:
-        said = refused(shell, tmp_path, 'humanopts_env.ros.game_node')
-        assert words in said
+    monkeypatch.setenv(name, value)
+    with pytest.raises(MiddlewareError, match=f'^{name} .*{words}'):
+        check_settings(thorough=True)
 
 
 @pytest.mark.parametrize('command', COMMANDS, ids=' '.join)
-def test_every_command_that_needs_ros_refuses_it_before_anything_is_there(
-    tmp_path: Path, shell: dict[str, str], command: tuple[str, ...]
+def test_what_needs_ros_refuses_it_in_one_line_before_anything_is_there(
+    shell: Path, monkeypatch: pytest.MonkeyPatch, command: list[str]
 ) -> None:
-    before = sorted(tmp_path.iterdir())
-    shell['RMW_IMPLEMENTATION'] = 'rmw_cyclonedds_cpp'
-    assert 'rmw_cyclonedds_cpp' in refused(shell, tmp_path, 'humanopts_teach', *command)
-    assert sorted(tmp_path.iterdir()) == before
+    before = sorted(shell.iterdir())
+    monkeypatch.setenv('RMW_IMPLEMENTATION', 'rmw_cyclonedds_cpp')
+    assert "'rmw_cyclonedds_cpp', which is not installed; unset it, or" in refused(*command)
+    assert sorted(shell.iterdir()) == before
 
 
-def test_commands_that_need_no_ros_do_not_mind(tmp_path: Path, shell: dict[str, str]) -> None:
-    shell['RMW_IMPLEMENTATION'] = 'rmw_cyclonedds_cpp'
+def test_a_log_folder_that_cannot_be_made_is_refused_in_one_line(
+    shell: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv('ROS_LOG_DIR', '/proc/none')
+    assert 'ROS cannot start' in refused('humanopts_teach', 'status')
+
+
+def test_commands_that_need_no_ros_do_not_mind(
+    shell: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv('RMW_IMPLEMENTATION', 'rmw_cyclonedds_cpp')
     command = [sys.executable, '-m', 'humanopts_teach', 'study', 'status', 'plan.yaml']
-    assert subprocess.run(command, cwd=tmp_path, env=shell, check=False).returncode == 0
+    assert subprocess.run(command, check=False).returncode == 0
 
 
 def test_a_machine_without_a_loopback_interface_is_told_so(
-    tmp_path: Path, shell: dict[str, str]
+    shell: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     apart = ['unshare', '--map-root-user', '--net']
     if subprocess.run([*apart, 'true'], capture_output=True, check=False).returncode:
         pytest.skip('network namespaces cannot be made here')
-    done = subprocess.run(
-        [*apart, sys.executable, '-m', 'humanopts_teach', 'status'],
-        env={**shell, RANGE: 'LOCALHOST'},
-        capture_output=True,
-        text=True,
-        timeout=30,
-        check=False,
-    )
-    assert (done.returncode, done.stdout, done.stderr.count('\n')) == (2, '', 1), done.stderr
-    assert 'the loopback interface of this machine is down' in done.stderr
+    monkeypatch.setenv(RANGE, 'LOCALHOST')
+    said = refused('humanopts_teach', 'status', before=apart)
+    assert 'the loopback interface of this machine is down' in said
