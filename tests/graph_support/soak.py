@@ -6,13 +6,10 @@ of their machine is set, its disk is slow for a while, their files get lines tha
 parameters are set to what they cannot be, and garbage is sent on every topic, service and action.
 After each fault the lesson must go on. At the end nothing that was shown may be lost and no action
 applied twice. A table says what was done and what came of it.
-
-``make soak SECONDS=3600 ARGS='--faults 0'`` does nothing to it: each minute a person teaches, and
-the machine plans and plays. It says what each node costs.
 """
 
 import argparse
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
@@ -21,7 +18,6 @@ import os
 from pathlib import Path
 import random
 import signal
-from statistics import median
 import sys
 import tempfile
 import time
@@ -31,7 +27,6 @@ from unittest.mock import patch
 from humanopts_env.domains.registry import make_domain
 from humanopts_interfaces.msg import NodeStatus
 from humanopts_learner.demonstrations import check_demonstration, Demonstration
-from humanopts_learner.planning.request import PRIMITIVE
 from humanopts_ros.workarounds import prepare_discovery
 from humanopts_teach.bags.check import check_bag
 from humanopts_teach.bags.reader import open_bag
@@ -40,6 +35,7 @@ from humanopts_teach.launching import LaunchError, MODULES, OccupiedError
 from humanopts_teach.launching.processes import Setup
 from humanopts_teach.launching.restarts import RestartPolicy
 from humanopts_teach.lesson.store import entry_from_line
+import pandas as pd
 import psutil
 from rcl_interfaces.srv import ListParameters, SetParameters
 from rclpy.parameter import Parameter
@@ -51,9 +47,6 @@ from graph_support.terminal import CTRL_C, ENTER, Terminal
 
 OPTIONS = ('go to passenger and pickup', 'go to destination and dropoff')
 SETTLE = 30.0  # s for the lesson to take its usual memory, and to give back what it took more
-TURN = 60.0  # s for each person, where there are no faults
-EPISODES = 20  # that the machine plays then
-WARM = 1 / 6  # share of the turns until memory is compared
 RECOVERY = 60.0  # s until all nodes are ready and another demonstration is kept
 SETTINGS = (-3600.0, -10.0, -0.3, 0.3, 10.0, 3600.0)  # s by which the time of day is set
 ANSWER = 40.0  # s for a call of garbage to be answered; a node may wait 15 s for others
@@ -66,17 +59,11 @@ IMPOSSIBLE = (math.nan, -math.inf, [1, 2], 'x' * 20_000)  # values of no paramet
 class Outcome:
     """What came of all faults."""
 
-    seconds: defaultdict[str, list[float]] = field(default_factory=lambda: defaultdict(list))
+    recoveries: list[tuple[str, float]] = field(default_factory=list)  # fault, s until it was over
     violations: list[str] = field(default_factory=list)
     remarks: Counter[str] = field(default_factory=Counter)
-    messages: int = 0
+    messages: int = 0  # of garbage
     calls: int = 0
-    refused: int = 0  # messages that nodes said they refused
-
-    @property
-    def faults(self) -> int:
-        """How many faults there were, garbage apart."""
-        return sum(len(v) for name, v in self.seconds.items() if not name.startswith('garbage'))
 
 
 class Soak:
@@ -90,7 +77,6 @@ class Soak:
         self._rng, self._outcome = rng, outcome
         self.stranger = Stranger(random.Random(rng.random()))
         self.names = [name.rpartition('/')[2] for name in self._launcher.node_names]
-        self.told: list[str] = []
         self.verbose = False  # a line is printed for each fault
         self._participants, self._replaced = 1, set[int]()  # processes of those who are done
         self._last = ''  # what garbage was sent last
@@ -153,7 +139,7 @@ class Soak:
     def _send(self, node: str, how: signal.Signals) -> int:
         """Send a signal to a node, and return its process; it may have ended just now."""
         while True:
-            pid = self._pid(node)
+            pid = self.pid(node)
             with suppress(ProcessLookupError):
                 os.kill(pid, how)
                 return pid
@@ -274,7 +260,7 @@ class Soak:
             try:
                 self._graph.wait_ready(list(self._launcher.node_names), 15.0)
                 self._graph.wait(lambda: self._grown(before), 15.0, 'another demonstration')
-                self._outcome.seconds[name].append(time.monotonic() - began)
+                self._outcome.recoveries.append((name, time.monotonic() - began))
                 if self.verbose:
                     print(f'{time.monotonic() - began:7.2f} s  {name}{detail}', flush=True)
                 return
@@ -302,26 +288,26 @@ class Soak:
         for running in self._launcher._running:
             if running.spec is spec:  # it has not died, so that the pause before it does not grow
                 running.policy = RestartPolicy(10**9)
-        pid = self._pid('simulated_teacher')
+        pid = self.pid('simulated_teacher')
         self._replaced.add(pid)
         os.kill(pid, signal.SIGTERM)
 
     def _help_teacher(self) -> None:
         """Start the simulated teacher again where it gave up and said why, as a person would."""
-        status = self._graph.statuses.get('/simulated_teacher')
+        status = self._graph.peers.statuses.get('simulated_teacher')
         if status is not None and status.state == NodeStatus.STATE_PAUSED:
             self._outcome.remarks[
                 f'the teacher is started again, it said: {status.text[:200]}'
             ] += 1
             with suppress(ProcessLookupError):  # it has just ended
-                os.kill(self._pid('simulated_teacher'), signal.SIGTERM)
+                os.kill(self.pid('simulated_teacher'), signal.SIGTERM)
 
     def _runs(self, node: str) -> bool:
         """Return whether a node runs; it may have ended just now for another reason."""
-        status = self._graph.statuses.get(f'/{node}')
-        return status is not None and psutil.pid_exists(self._pid(node))
+        return node in self._graph.peers.statuses and psutil.pid_exists(self.pid(node))
 
-    def _pid(self, node: str) -> int:
+    def pid(self, node: str) -> int:
+        """Return the process of a node."""
         return self._launcher.pid(node)
 
     def _until(self, done: Callable[[], bool], what: str, seconds: float = 30.0) -> None:
@@ -348,26 +334,9 @@ class Soak:
             self._grown(0)
             self.serve(0.5)
 
-    def turn(self, seconds: float) -> float:
-        """
-        Let a person teach everything, plan, play, and let the next person come after a while.
-
-        :param seconds: of all this.
-        :return: s that a step of the machine took.
-        """
-        end = time.monotonic() + seconds
-        self._until(self._taught, 'a person to have taught', TURN)
-        self._graph.plan(PRIMITIVE, EPISODES, self._participants)
-        before, began = len(self.stranger.applied), time.monotonic()
-        self._graph.play(PRIMITIVE, EPISODES, self._participants)
-        played = time.monotonic() - began
-        self.serve(max(1.0, end - time.monotonic()))
-        self._next_participant()
-        return played / (len(self.stranger.applied) - before)
-
     def _taught(self) -> bool:
         return (
-            self._graph.teacher_finished() and self._pid('simulated_teacher') not in self._replaced
+            self._graph.teacher_finished() and self.pid('simulated_teacher') not in self._replaced
         )
 
     def watch(self, seconds: float) -> None:
@@ -422,23 +391,19 @@ def on_disk(folder: Path) -> list[Demonstration]:
     return [demo for demo in found.values() if not demo.withdrawn]
 
 
-def usage(pids: dict[str, int]) -> dict[str, tuple[float, int, int]]:
-    """Return memory (MB), threads and descriptors of processes by name."""
+def usage(soak: Soak) -> pd.DataFrame:
+    """Return memory (MB), threads and descriptors of each node."""
     found = {}
-    for name, pid in pids.items():
-        try:
-            process = psutil.Process(pid)
-            memory = process.memory_info().rss / 1e6
+    for name in soak.names:
+        with suppress(psutil.Error):  # it has ended just now
+            process = psutil.Process(soak.pid(name))
+            memory = round(process.memory_info().rss / 1e6)
             found[name] = memory, process.num_threads(), process.num_fds()
-        except psutil.Error:  # it has ended just now
-            found[name] = 0.0, 0, 0
-    return found
+    return pd.DataFrame.from_dict(found, 'index', columns=['MB', 'threads', 'descriptors'])
 
 
 @contextmanager
-def lesson(
-    folder: Path, outcome: Outcome, rng: random.Random, step_period: float
-) -> Iterator[Soak]:
+def lesson(folder: Path, outcome: Outcome, rng: random.Random) -> Iterator[Soak]:
     """Launch a lesson that has no end by itself."""
     setup = Setup(
         'taxi',
@@ -447,7 +412,7 @@ def lesson(
         taught=OPTIONS,
         teacher_error_rate=0.05,
         budget=25,
-        step_period=step_period,
+        step_period=0.005,
     )
     said: list[str] = []
     machine = Machine(folder)
@@ -456,7 +421,6 @@ def lesson(
         session(setup, report=said.append, restarts=10**9) as running,
     ):
         soak = Soak(running, machine, rng, outcome)
-        soak.told = said
         try:
             yield soak
         finally:
@@ -486,7 +450,7 @@ def run(
     calls: int = 20,
     settle: float = 1.0,
     verbose: bool = False,
-) -> tuple[Outcome, list[str]]:
+) -> tuple[Outcome, str]:
     """
     Soak a launch.
 
@@ -494,98 +458,31 @@ def run(
     :param messages: of garbage in one fault.
     :param calls: of garbage in one fault.
     :param settle: seconds before the first fault and after the last one, before memory is read.
-    :return: what came of it, and lines for a person.
+    :return: what came of it, and a report.
     """
-    outcome, rng = Outcome(), random.Random(seed)
+    outcome, rng, count = Outcome(), random.Random(seed), 0
     began = time.monotonic()
-    with lesson(folder, outcome, rng, 0.005) as soak:
+    with lesson(folder, outcome, rng) as soak:
         soak.teach(settle)
         soak.verbose = verbose
-        pids = {name: soak._pid(name) for name in soak.names}
-        before = usage(pids)
-        count = 0
-        while count < most and time.monotonic() - began < seconds:
+        before = usage(soak)
+        while count < most and time.monotonic() - began < seconds and len(outcome.violations) < 10:
             soak.fault(kinds, messages, calls)
             count += 1
-            if len(outcome.violations) > 10:
-                break
         soak.serve(1.0)
         soak.finish()
         soak.stranger.close()  # readers keep some of what it sent for as long as it is there
         soak.watch(settle)
-        after = usage({name: soak._pid(name) for name in soak.names})
-        restarts = Counter(end.node for end in soak._launcher.ends)
-    return outcome, table(outcome, before, after, restarts, time.monotonic() - began, seed)
-
-
-def endure(
-    folder: Path, seconds: float, seed: int, turn: float = TURN
-) -> tuple[Outcome, list[str]]:
-    """
-    Let people teach, one after the other, and the machine plan and play, with no fault.
-
-    A line is printed after each turn: memory of each node, and how long a step of the machine
-    took.
-
-    :param turn: s of each.
-    :return: what came of it, and lines for a person: what grew since the first sixth of the turns.
-    """
-    outcome, began = Outcome(), time.monotonic()
-    used: list[dict[str, tuple[float, int, int]]] = []
-    steps: list[float] = []
-    with lesson(folder, outcome, random.Random(seed), 0.0) as soak:
-        while (now := time.monotonic() - began) < seconds:
-            steps.append(1000 * soak.turn(turn))
-            used.append(usage({name: soak._pid(name) for name in soak.names}))
-            memory = '  '.join(f'{name} {each[0]:.1f}' for name, each in used[-1].items())
-            print(f'{now:6.0f} s  a step {steps[-1]:.2f} ms  MB: {memory}', flush=True)
-        soak.finish()
-    first, last = used[int(WARM * len(used))], used[-1]
-    lines = [f'seed {seed}: {len(used)} turns in {time.monotonic() - began:.0f} s']
-    lines.append(f'{"node":20} {"MB":>17} {"growth":>8}  {"threads":>9}  {"descriptors":>11}')
-    for name, (memory, threads, files) in first.items():
-        now_used = last[name]
-        lines.append(
-            f'{name:20} {memory:7.1f} > {now_used[0]:7.1f} {now_used[0] / memory - 1:8.1%}  '
-            f'{threads:3} > {now_used[1]:3}  {files:4} > {now_used[2]:4}'
-        )
-    half = len(steps) // 2
-    lines.append(
-        f'a step: median {median(steps[:half]):.2f} ms in the first half, '
-        f'{median(steps[half:]):.2f} ms in the second, {max(steps):.2f} ms at most'
+        nodes = before.join(usage(soak), rsuffix=' after')
+    faults = pd.DataFrame(outcome.recoveries, columns=['fault', 's']).groupby('fault')['s']
+    summary = (
+        f'seed {seed}: {count} faults, {outcome.messages} bad messages and '
+        f'{outcome.calls} bad calls in {time.monotonic() - began:.0f} s'
     )
-    return outcome, lines + ending(outcome)
-
-
-def table(
-    outcome: Outcome,
-    before: dict[str, tuple[float, int, int]],
-    after: dict[str, tuple[float, int, int]],
-    restarts: Counter[str],
-    seconds: float,
-    seed: int,
-) -> list[str]:
-    """Return the report as lines."""
-    lines = [f'seed {seed}: {outcome.faults} faults, {outcome.messages} bad messages and ']
-    lines[0] += f'{outcome.calls} bad calls in {seconds:.0f} s'
-    lines.append(f'{"fault":28} {"count":>6} {"median s":>9} {"most s":>7}')
-    for name, times in sorted(outcome.seconds.items()):
-        lines.append(f'{name:28} {len(times):6} {median(times):9.2f} {max(times):7.2f}')
-    lines.append(f'{"node":20} {"restarts":>8}  {"MB":>13}  {"threads":>9}  {"descriptors":>11}')
-    for name, (memory, threads, files) in before.items():
-        last = after[name]
-        lines.append(
-            f'{name:20} {restarts[name]:8}  {memory:5.0f} > {last[0]:5.0f}  '
-            f'{threads:3} > {last[1]:3}  {files:4} > {last[2]:4}'
-        )
-    return lines + ending(outcome)
-
-
-def ending(outcome: Outcome) -> list[str]:
-    """Return the last lines of a report: what was noticed, and what must not be."""
-    lines = [f'{count:4} x {text}' for text, count in outcome.remarks.most_common()]
-    lines.append(f'{len(outcome.violations)} violations')
-    return [*lines, *(f'VIOLATION: {text}' for text in outcome.violations)]
+    remarks = (f'{count} x {text}' for text, count in outcome.remarks.most_common())
+    violations = (f'VIOLATION: {text}' for text in outcome.violations)
+    table = faults.agg(['count', 'median', 'max']).round(2).to_string()
+    return outcome, '\n'.join([summary, table, nodes.to_string(), *remarks, *violations])
 
 
 KINDS = ('kill', 'kill', 'term', 'stop', 'terminal', 'clock', 'disk', 'files', 'settings')
@@ -597,9 +494,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--seconds', type=float, default=600.0)
     parser.add_argument('--seed', type=int, default=1)
-    parser.add_argument(
-        '--faults', type=int, default=10**9, help='at most; 0: an undisturbed lesson'
-    )
+    parser.add_argument('--faults', type=int, default=10**9, help='at most')
     kinds = [*KINDS, *GARBAGE]
     parser.add_argument('--kinds', nargs='+', choices=sorted({*kinds}), default=kinds)
     parser.add_argument('--out', type=Path, help='keep logs, demonstrations and bags there')
@@ -608,15 +503,12 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as folder, free_domain_id() as number:
         os.environ['ROS_DOMAIN_ID'] = str(number)
         place = given.out or Path(folder)
-        if given.faults:
-            outcome, lines = run(
-                *(place, given.seconds, given.seed, given.kinds, given.faults),
-                settle=SETTLE,
-                verbose=True,
-            )
-        else:
-            outcome, lines = endure(place, given.seconds, given.seed)
-    print('\n'.join(lines))
+        outcome, report = run(
+            *(place, given.seconds, given.seed, given.kinds, given.faults),
+            settle=SETTLE,
+            verbose=True,
+        )
+    print(report)
     return 1 if outcome.violations else 0
 
 

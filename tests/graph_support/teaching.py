@@ -130,10 +130,10 @@ class Person:
                 )
             )
 
-    def end(self, episode: int, step: int) -> Any:
+    def end(self, episode: int, step: int, **fields: Any) -> Any:
         """Say done, and return the answer."""
         done = EndDemonstration.Request.VERDICT_DONE
-        return self.ask(EndDemonstration, verdict=done, episode=episode, step=step)
+        return self.ask(EndDemonstration, verdict=done, episode=episode, step=step, **fields)
 
     def demonstrate(self) -> str:
         """Give a demonstration, and return its uuid."""
