@@ -17,7 +17,6 @@ from humanopts_interfaces.msg import (
 )
 from humanopts_interfaces.srv import ResetGame
 from humanopts_ros.qos import CURRENT, LATCHED, STREAM
-from humanopts_teach.launching.processes import processes, Setup
 from humanopts_teach.ros.diagnostics import of_nodes, of_recording
 from nav_msgs.msg import OccupancyGrid
 import numpy as np
@@ -103,12 +102,6 @@ def test_the_page_has_the_topics_of_the_node(live: Graph) -> None:
     for name in shown:
         (info,) = live.node_called('/views').get_publishers_info_by_topic(name)
         assert info.qos_profile.durability == LATCHED.durability
-
-
-def test_it_runs_only_where_it_is_wanted() -> None:
-    setup = Setup('taxi', Path('out'))
-    assert 'views' not in [spec.name for spec in processes(setup)]
-    assert 'views' in [spec.name for spec in processes(Setup('taxi', Path('out'), views=True))]
 
 
 def test_rviz_is_set_up_for_what_is_published() -> None:

@@ -473,7 +473,7 @@ def run(
         soak.finish()
         soak.stranger.close()  # readers keep some of what it sent for as long as it is there
         soak.watch(settle)
-        nodes = before.join(usage(soak), rsuffix=' after')
+        nodes = before.join(usage(soak).add_suffix(' after'))
     faults = pd.DataFrame(outcome.recoveries, columns=['fault', 's']).groupby('fault')['s']
     summary = (
         f'seed {seed}: {count} faults, {outcome.messages} bad messages and '
