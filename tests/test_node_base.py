@@ -30,14 +30,13 @@ from humanopts_teach.bags.reader import open_bag
 import psutil
 import pytest
 from rcl_interfaces.msg import Log
-import rclpy
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
 from rclpy.timer import Timer
 from std_msgs.msg import Empty
 from std_srvs.srv import Trigger
 
+STARTING, READY, STOPPING = (
+    NodeStatus.STATE_STARTING, NodeStatus.STATE_READY, NodeStatus.STATE_STOPPING,
+)  # fmt: skip
 ALL = (GAME, LEARNER, LESSON, OPTION_SERVER, PLANNER, RECORDER, TEACHER)
 BLOCK = 65536  # bytes
 WRONG: list[tuple[str, dict[str, Any], str]] = [
@@ -160,7 +159,7 @@ def test_a_node_that_the_middleware_holds_up_ends_all_the_same(shared: Graph) ->
     shared.ready('/held')
     assert held.kill(signal.SIGTERM) == 0
     assert held.process.returncode == -signal.SIGALRM
-    shared.until(lambda: shared.state('/held') == NodeStatus.STATE_STOPPING, 'its last status')
+    shared.until(lambda: shared.state('/held') == STOPPING, 'its last status')
 
 
 @pytest.mark.parametrize(('longest', 'status'), [(0.0, 1), (60.0, 0)])
@@ -182,25 +181,22 @@ def test_a_node_that_was_stopped_for_too_long_ends_and_says_so(
         assert node.kill(signal.SIGTERM) == status
 
 
-def test_a_node_tells_its_life_and_ends_cleanly(shared: Graph) -> None:
-    signals = (signal.SIGINT, signal.SIGHUP)  # SIGTERM ends the nodes of every launch
-    names = [how.name.lower() for how in signals]
+def test_a_node_publishes_its_life_and_ends_cleanly(shared: Graph) -> None:
     shared.watch('/')
-    processes = [shared.run(['-c', PLAIN, name], name) for name in names]
-    shared.ready(*(f'/{name}' for name in names))
-    for how, process in zip(signals, processes):
+    # SIGTERM ends the nodes of every launch
+    processes = {
+        how: shared.run(['-c', PLAIN, how.name.lower()], how.name)
+        for how in (signal.SIGINT, signal.SIGHUP)
+    }
+    for how, process in processes.items():
+        node = f'/{how.name.lower()}'
+        shared.ready(node)
         assert (process.kill(how), process.said()) == (0, '')
-    for name in names:
-        node = f'/{name}'
-        shared.until(lambda n=node: shared.state(n) == NodeStatus.STATE_STOPPING, 'its last word')
-        life = [(s.sequence, s.state) for s in shared.statuses[node]]
-        whole = [
-            (1, NodeStatus.STATE_STARTING),
-            (2, NodeStatus.STATE_READY),
-            (3, NodeStatus.STATE_STOPPING),
-        ]
-        assert life == whole[-len(life) :]  # what was replaced before it was found is left out
+        shared.until(lambda n=node: shared.state(n) == STOPPING, 'its last status')
         life = shared.statuses[node]
+        whole = [(1, STARTING), (2, READY), (3, STOPPING)]
+        # What was replaced before it was found is left out.
+        assert [(s.sequence, s.state) for s in life] == whole[-len(life) :]
         (publisher_id,) = {s.publisher_id for s in life}
         assert publisher_id.startswith(f'{node}#')
 
@@ -208,7 +204,7 @@ def test_a_node_tells_its_life_and_ends_cleanly(shared: Graph) -> None:
 def test_a_node_that_waits_for_the_game_says_that_it_is_starting(shared: Graph) -> None:
     shared.start(PLANNER, '/lonely')
     shared.until(lambda: '/lonely/planner' in shared.statuses, 'its status')
-    assert shared.state('/lonely/planner') == NodeStatus.STATE_STARTING
+    assert shared.state('/lonely/planner') == STARTING
     with shared.hurried():
         shared.until(lambda: shared.statuses['/lonely/planner'][-1].text, 'what it waits for')
     assert shared.statuses['/lonely/planner'][-1].text == 'waits for domain_info'
@@ -219,7 +215,7 @@ def test_nothing_happens_before_the_recorder_is_there_and_then_all_of_it_is_in_t
 ) -> None:
     states = live.listen(GameState, 'current_state', CURRENT)
     game = live.start(GAME, expect_recorder=True)
-    live.until(lambda: live.state('/game') == NodeStatus.STATE_STARTING, 'the game to start')
+    live.until(lambda: live.state('/game') == STARTING, 'the game to start')
     assert states == []
     recorder = live.start(RECORDER, path=tmp_path / 'bag')
     live.ready('/game', '/recorder')
@@ -269,34 +265,27 @@ def test_an_unexpected_error_closes_the_node_and_shows_the_traceback(domain_id: 
     assert ended.stderr.splitlines()[-1] == 'ZeroDivisionError: nobody expected this'
 
 
-def test_a_server_that_is_found_after_the_call_still_answers(shared: Graph) -> None:
-    rclpy.init(domain_id=shared.domain_id, signal_handler_options=SignalHandlerOptions.NO)
-    asker, server, executor = NodeBase('asker'), Node('late_server'), SingleThreadedExecutor()
+def test_a_server_that_is_found_after_the_call_still_answers(live: Graph) -> None:
+    asker = live.start(LISTENER)
+
+    def ask(name: str, seconds: float) -> Any:
+        client = asker.create_client(Trigger, name)
+        return asker.executor.create_task(asker.answer(client, Trigger.Request(), seconds))
 
     def answer(request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         response.message = 'here'
         return response
 
-    try:
-        executor.add_node(asker)
-        client = asker.create_client(Trigger, 'late')
-        task = executor.create_task(asker.answer(client, Trigger.Request(), 20.0))
-        for _ in range(3):
-            executor.spin_once(0.05)
-        assert not task.done()
-        server.create_service(Trigger, 'late', answer)
-        executor.add_node(server)
-        executor.spin_until_future_complete(task, 20.0)
-        assert task.result().message == 'here'
-        nobody = asker.create_client(Trigger, 'nobody')
-        task = executor.create_task(asker.answer(nobody, Trigger.Request(), 0.2))
-        executor.spin_until_future_complete(task, 20.0)
-        assert task.result() is None
-    finally:
-        executor.shutdown()
-        asker.destroy_node()
-        server.destroy_node()
-        rclpy.shutdown()
+    late = ask('late', 20.0)
+    for _ in range(3):
+        live.spin()
+    assert not late.done()
+    live.node.create_service(Trigger, 'late', answer)
+    live.until(late.done, 'the answer')
+    assert late.result().message == 'here'
+    nobody = ask('nobody', 0.2)
+    live.until(nobody.done, 'the end of its wait')
+    assert nobody.result() is None
 
 
 def test_a_burst_of_calls_loses_no_request_and_no_answer(live: Graph) -> None:
@@ -323,11 +312,6 @@ def test_a_condition_that_held_for_a_moment_is_waited_for_again(live: Graph) -> 
     task = node.executor.create_task(node.waiting.until, lambda: False, 0.1)
     live.until(task.done, 'its end')
     assert task.result() is False
-
-
-STARTING, READY, STOPPING = (
-    NodeStatus.STATE_STARTING, NodeStatus.STATE_READY, NodeStatus.STATE_STOPPING,
-)  # fmt: skip
 
 
 def test_a_restart_is_seen_when_the_node_begins_and_when_it_is_ready_unless_it_is_forged(

@@ -7,7 +7,6 @@ from functools import partial
 import json
 import os
 from pathlib import Path
-import resource
 import signal
 import subprocess
 import sys
@@ -93,10 +92,6 @@ class Command:
     def send(self, how: signal.Signals) -> None:
         """Send a signal to its process group, as a terminal does."""
         os.killpg(self._process.pid, how)
-
-    def limit_files(self, size: int) -> None:
-        """Let no file that it or a process below it writes grow beyond a size, in bytes."""
-        resource.prlimit(self._process.pid, resource.RLIMIT_FSIZE, (size, size))
 
     def running(self) -> dict[int, str]:
         """Return the processes below it, by number: their command lines."""

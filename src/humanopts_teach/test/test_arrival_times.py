@@ -67,24 +67,17 @@ def test_a_pause_while_clocks_are_read_is_not_taken_for_a_setting(setting: int) 
     assert [*looks, times.look(), times.look()] == [0, 0, setting, 0]
 
 
-def test_what_was_left_from_an_earlier_look_keeps_its_time() -> None:
+@pytest.mark.parametrize('setting', [0, 3600 * S])
+def test_what_was_left_from_an_earlier_look_keeps_its_time_or_gets_that_of_the_last_look(
+    setting: int,
+) -> None:
     clocks = Clocks()
     times = ArrivalTimes(TimeOfDay(clocks.time_of_day, clocks.steady))
     received = clocks.time_of_day()
-    for _ in range(3):
-        clocks.elapsed += S
-        times.look()
-    assert times.of('/a', received) == received
-
-
-def test_what_was_left_from_before_a_setting_is_put_at_the_last_look() -> None:
-    clocks = Clocks()
-    times = ArrivalTimes(TimeOfDay(clocks.time_of_day, clocks.steady))
-    received = clocks.time_of_day()
-    clocks.day += 3600 * S
-    looks = []
+    clocks.day += setting
+    looks = [received]
     for _ in range(2):
         clocks.elapsed += S
         times.look()
         looks.append(times.now)
-    assert times.of('/a', received) == looks[0]
+    assert times.of('/a', received) == looks[1 if setting else 0]
