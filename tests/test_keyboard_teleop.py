@@ -1,11 +1,8 @@
 """A person at the terminal: real key presses through a pseudo-terminal, on the real graph."""
 
 from collections.abc import Callable, Iterator
-from contextlib import suppress
 from io import StringIO
-from pathlib import Path
 import re
-import resource
 import signal
 import sys
 from typing import Any
@@ -33,12 +30,12 @@ from humanopts_interfaces.msg import (
 )
 from humanopts_learner.demonstrations import GOAL, TREES
 from humanopts_ros.qos import CURRENT, STREAM
-from humanopts_teach.bags.reader import open_bag
 from humanopts_teach.ros import keyboard_teleop
 import pytest
 
 PICKUP = 'go to passenger and pickup'
 TAXI = make_domain('taxi')
+OPTION = reference_options(TAXI)[PICKUP]
 
 
 def open_terminal(graph: Graph, *arguments: str) -> Terminal:
@@ -108,86 +105,70 @@ def terminals(live: Graph) -> Iterator[Terminals]:
         terminal.close()
 
 
-class Person:
-    """Teaches one option as the yardstick means it, knowing only what is on the screen."""
+def name_and_answer(terminal: Terminal) -> None:
+    """Name the option and answer every question, up to the first start."""
+    terminal.see('1 Teach a new option')
+    terminal.press('1', *PICKUP, ENTER)
+    for feature in TAXI.features:
+        terminal.see(f"Does the '{PICKUP}' option depend on {feature.question}?")
+        terminal.press('y' if feature.name in OPTION.features else 'n')
+    terminal.see('Enter shows start 1.')
+    terminal.press(ENTER)
 
-    def __init__(self, terminal: Terminal) -> None:
-        self.terminal = terminal
-        self.option = reference_options(TAXI)[PICKUP]
-        self.shown = 0
 
-    def name_and_answer(self) -> None:
-        """Name the option and answer every question."""
-        self.terminal.see('1 Teach a new option')
-        self.terminal.press('1', *PICKUP, ENTER)
-        for feature in TAXI.features:
-            self.terminal.see(f"Does the '{PICKUP}' option depend on {feature.question}?")
-            self.terminal.press('y' if feature.name in self.option.features else 'n')
-        self.terminal.see('Enter shows start 1.')
-        self.terminal.press(ENTER)
-
-    def show(self, most: int) -> bool:
-        """Demonstrate; return whether the lesson is finished, within so many demonstrations."""
-        for _ in range(most):
-            following = f'next: start {self.shown + 1} '
-            self.terminal.until(
-                lambda text=following: text in self.terminal.words() or self._finished(),
-                following,
-            )
-            if self._finished():
-                return True
-            self.terminal.press(*self._answer(self._state()))
-            self.shown += 1
-        return False
-
-    def _finished(self) -> bool:
-        return 'This lesson is finished.' in self.terminal.words()
-
-    def _state(self) -> TaxiState:
-        """Read the state from the features beside the board."""
-        words = self.terminal.words()
-        found = re.search(
-            r'taxi row (\d), taxi col (\d), passenger row (\d), passenger col (\d), '
-            r'passenger in taxi (yes|no)',
-            words,
+def show(terminal: Terminal, *numbers: int) -> None:
+    """Demonstrate as the yardstick means it, from what is on the screen, until it is learned."""
+    for number in numbers:
+        terminal.until(
+            lambda n=number: f'next: start {n} ' in terminal.words() or finished(terminal),
+            f'start {number}',
         )
-        assert found is not None, words
-        row, col, *cell = (int(part) for part in found.groups()[:4])
-        cells = list(landmark_cells(5, 5).values())
-        place = 4 if found.group(5) == 'yes' else cells.index((cell[0], cell[1]))
-        return TaxiState(row, col, place, destination=0 if place else 1)  # it is not shown
-
-    def _answer(self, state: TaxiState) -> list[str]:
-        """Return all keys of one demonstration, typed without looking up."""
-        if not self.option.can_start(state):
-            return ['n']
+        if finished(terminal):
+            return
+        state = state_shown(terminal.words())
         keys = []
-        while not self.option.ends(state):
-            action = self.option.optimal_actions(state)[0]
+        while OPTION.can_start(state) and not OPTION.ends(state):
+            action = OPTION.optimal_actions(state)[0]
             keys.append(TAXI.actions[action].key)
             state = TAXI.step(state, action, generator(0)).state
-        return [*keys, ENTER]
+        terminal.press(*([*keys, ENTER] if keys else ['n']))  # without looking up
+
+
+def finished(terminal: Terminal) -> bool:
+    return 'This lesson is finished.' in terminal.words()
+
+
+def state_shown(words: str) -> TaxiState:
+    """Read the state from the features beside the board."""
+    found = re.search(
+        r'taxi row (\d), taxi col (\d), passenger row (\d), passenger col (\d), '
+        r'passenger in taxi (yes|no)',
+        words,
+    )
+    assert found is not None, words
+    row, col, *cell = (int(part) for part in found.groups()[:4])
+    cells = list(landmark_cells(5, 5).values())
+    place = 4 if found.group(5) == 'yes' else cells.index((cell[0], cell[1]))
+    return TaxiState(row, col, place, destination=0 if place else 1)  # it is not shown
 
 
 def test_an_option_is_taught_by_key_presses_left_resumed_and_run(terminals: Terminals) -> None:
     terminals.start_all(learn=GOAL)
     terminal = terminals.sit_down()
-    person = Person(terminal)
-    person.name_and_answer()
-    assert not person.show(1)
+    name_and_answer(terminal)
+    show(terminal, 1)
     terminal.see('next: start 2 ')
     terminal.press('q')
     assert terminal.ended() == 0
     assert terminal.restored()
 
     again = terminals.sit_down()
-    person.terminal = again
     again.press('2')
     again.see(f'> 1 {PICKUP}')
     again.press('1')
     again.see('Enter shows start 2.')
     again.press(ENTER)
-    assert person.show(10)
+    show(again, *range(2, 12))
     again.see('All criteria are met.')  # the lesson's end and the criteria come as two messages
     again.see('initiation')
 
@@ -210,9 +191,8 @@ def test_a_key_takes_the_wheel_from_the_machine_and_a_cut_connection_ends_the_te
 ) -> None:
     terminals.start_all(step_period=0.3)
     terminal = terminals.sit_down()
-    person = Person(terminal)
-    person.name_and_answer()
-    person.show(2)
+    name_and_answer(terminal)
+    show(terminal, 1, 2)
     terminal.see('next: start 3 ')
     terminal.press(ESCAPE)
     terminal.see('What next?')
@@ -326,41 +306,6 @@ def test_a_key_changes_how_the_machine_plays_within_the_episode_and_a_signal_end
     terminal.process.send_signal(signal.SIGTERM)
     assert terminal.ended() == 0
     assert terminal.restored()
-
-
-def recorder_below(folder: Path) -> int:
-    """Return the process of the recorder that a command below a folder has started."""
-    for entry in Path('/proc').glob('[0-9]*'):
-        with suppress(OSError):
-            if f'{folder}/log/recorder.yaml'.encode() in (entry / 'cmdline').read_bytes():
-                return int(entry.name)
-    raise AssertionError('no recorder')
-
-
-@pytest.mark.slow
-def test_a_full_disk_is_seen_in_the_terminal_and_told_when_the_person_quits(
-    live: Graph, tmp_path: Path
-) -> None:
-    words = ['-m', 'humanopts_teach', 'teach', 'taxi', '--out', str(tmp_path)]
-    terminal = open_terminal(live, *words)
-    try:
-        terminal.see('Who teaches? > p1')
-        terminal.press(ENTER)
-        terminal.see('What next?')
-        resource.prlimit(recorder_below(tmp_path), resource.RLIMIT_FSIZE, (1000, 1000))
-        terminal.see('PAUSED: recording stopped: cannot write to')
-        terminal.press('1', *PICKUP, ENTER)
-        terminal.see('Not now: the lesson is paused')
-        terminal.press(CTRL_C)
-        assert terminal.ended() == 1
-        assert terminal.restored()
-        told = terminal.errors()
-        assert told.startswith('humanopts teach: recording stopped: cannot write to')
-        (bag,) = (tmp_path / 'bags').iterdir()
-        assert told.endswith(f'The bag can be read: humanopts bag info {bag}\n')
-        assert open_bag(bag).n_messages > 0
-    finally:
-        terminal.close()
 
 
 def test_an_exception_restores_the_terminal(live: Graph) -> None:

@@ -53,26 +53,6 @@ def bag_of(folder: Path) -> Bag:
     return open_bag(folder / 'out' / 'bag')
 
 
-def check_survives(command: Command, folder: Path, ends: dict[str, str]) -> dict[str, Any]:
-    """
-    The demo does all its work, says which nodes were started again, and ends with status 1.
-
-    :param ends: how each of them ended, in order.
-    """
-    assert command.ended(3 * PATIENCE) == 1, command.errors
-    for node, how in ends.items():
-        said = f'the node {node} ended ({how}), and is started again; its '
-        assert f'humanopts: {said}' in command.errors
-        summed = f'humanopts demo: the node {node} ended once ({how}) and was started again\n'
-        assert summed in command.errors
-        assert said.split(';')[0] in (folder / f'out/log/{node}.log').read_text('utf-8')
-    assert 'Traceback' not in command.errors
-    command.gone(2.0)
-    found: dict[str, Any] = json.loads((folder / 'out' / 'summary.json').read_text('utf-8'))
-    assert [(end['node'], end['how']) for end in found['ended_nodes']] == [*ends.items()]
-    return found
-
-
 KILLED = 'by signal SIGKILL'
 slow = pytest.mark.slow
 
@@ -83,30 +63,6 @@ def in_first_bag(folder: Path) -> list[Demonstration]:
         return shown_in_bag(bag_of(folder))
     except BagError:  # nothing is written yet
         return []
-
-
-def check_bags(command: Command, folder: Path, before: list[Demonstration], damage: str) -> None:
-    """
-    The first bag holds what was shown first, and the second one everything.
-
-    :param before: that the first bag holds at least.
-    :param damage: of the first bag.
-    """
-    first, second = bag_of(folder), open_bag(folder / 'out' / 'bag-2')
-    assert f'the recording is in several bags, and has gaps between them: {first.path}' in (
-        command.errors
-    )
-    assert re.search(damage, first.damage)
-    assert second.damage == ''
-    assert second.facts['continues'] == 'bag'
-    shown = shown_on_disk(folder / 'out')
-    assert len({demo.uuid for demo in shown}) == len(shown)
-    in_first = shown_in_bag(first)
-    assert in_first[: len(before)] == before
-    assert in_first == shown[: len(in_first)]
-    assert {demo.uuid: demo for demo in shown_in_bag(second)} == {d.uuid: d for d in shown}
-    pauses = [r.message.paused for r in second.messages(['/lesson_state'])]
-    assert pauses[-1] == ''
 
 
 def test_a_demo_survives_the_deaths_of_nodes_while_it_teaches_and_while_it_plays(
@@ -121,19 +77,42 @@ def test_a_demo_survives_the_deaths_of_nodes_while_it_teaches_and_while_it_plays
     command.kill('game', SIGKILL)
     command.until(lambda: 'playing' in command.output, 'the first episode', 3 * PATIENCE)
     command.kill('planner', SIGKILL)
-    ends = {'recorder': KILLED, 'game': KILLED, 'planner': KILLED}
-    found = check_survives(command, tmp_path, ends)
+    assert command.ended(3 * PATIENCE) == 1, command.errors
+    assert 'Traceback' not in command.errors
+    command.gone(2.0)
+    first, second = bag_of(tmp_path), open_bag(tmp_path / 'out' / 'bag-2')
+    conductor = [
+        r.message.text for r in second.messages(['/node_status']) if r.message.node == '/conductor'
+    ]
+    ended = ('recorder', 'game', 'planner')
+    for node in ended:
+        said = f'the node {node} ended ({KILLED}), and is started again'
+        assert f'humanopts: {said}; its ' in command.errors
+        assert said in conductor
+        assert said in (tmp_path / f'out/log/{node}.log').read_text('utf-8')
+        summed = f'the node {node} ended once ({KILLED}) and was started again\n'
+        assert f'humanopts demo: {summed}' in command.errors
+    found = json.loads((tmp_path / 'out' / 'summary.json').read_text('utf-8'))
+    assert [(e['node'], e['how']) for e in found['ended_nodes']] == [(n, KILLED) for n in ended]
     assert (found['execution']['episodes'], found['bag']['path']) == (EPISODES, 'bag-2')
     assert found['offline']['options'] == found['options']
     for option in found['options']:
         assert (option['method'], option['policy_accuracy']) == (GOAL, 1.0)
         assert option['n_demonstrations'] <= 6
-    check_bags(command, tmp_path, before, 'not closed|cut short')
-    bag = open_bag(tmp_path / 'out' / 'bag-2')
-    conductor = [
-        r.message.text for r in bag.messages(['/node_status']) if r.message.node == '/conductor'
-    ]
-    assert f'the node planner ended ({KILLED}), and is started again' in conductor
+
+    # The first bag holds what was shown first, and the second one everything.
+    gaps = f'the recording is in several bags, and has gaps between them: {first.path}'
+    assert gaps in command.errors
+    assert re.search('not closed|cut short', first.damage)
+    assert (second.damage, second.facts['continues']) == ('', 'bag')
+    shown = shown_on_disk(tmp_path / 'out')
+    assert len({demo.uuid for demo in shown}) == len(shown)
+    in_first = shown_in_bag(first)
+    assert in_first[: len(before)] == before
+    assert in_first == shown[: len(in_first)]
+    assert {demo.uuid: demo for demo in shown_in_bag(second)} == {d.uuid: d for d in shown}
+    *_, last = second.messages(['/lesson_state'])
+    assert last.message.paused == ''
 
 
 @slow
