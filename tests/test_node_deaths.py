@@ -88,7 +88,7 @@ def test_a_demo_survives_the_deaths_of_nodes_while_it_teaches_and_while_it_plays
     for node in ended:
         said = f'the node {node} ended ({KILLED}), and is started again'
         assert f'humanopts: {said}; its ' in command.errors
-        assert said in conductor
+        assert said in conductor or node == 'recorder'  # which was away
         assert said in (tmp_path / f'out/log/{node}.log').read_text('utf-8')
         summed = f'the node {node} ended once ({KILLED}) and was started again\n'
         assert f'humanopts demo: {summed}' in command.errors
@@ -158,7 +158,7 @@ def test_a_demo_whose_status_is_asked_for_and_that_is_interrupted_stops_everythi
 
     monkeypatch.setenv('ROS_DOMAIN_ID', str(domain_id))
     assert look()[0] == 2
-    command = start('--step-period', 0.1, '--budget', 8)  # it soon plays, at a pace
+    command = start('--step-period', 0.1, '--budget', 8, '--episodes', 100)
     teach(command, tmp_path)
     found = look_until(0, 0)
     nodes = {node['name']: node for node in found['nodes']}
@@ -170,13 +170,14 @@ def test_a_demo_whose_status_is_asked_for_and_that_is_interrupted_stops_everythi
 
     command.kill('planner', SIGKILL)
     command.until(lambda: 'is started again' in command.errors, 'its restart')
-    command.kill('learner', SIGSTOP)
+    command.kill('simulated_teacher', SIGSTOP)  # which a planner can do without
     found = look_until(1, 1)
     nodes = {node['name']: node for node in found['nodes']}
-    stopped = f'learner is stopped; kill -CONT {nodes["learner"]["pid"]} lets it go on'
+    pid = nodes['simulated_teacher']['pid']
+    stopped = f'simulated_teacher is stopped; kill -CONT {pid} lets it go on'
     assert stopped in found['faults']
     command.until(lambda: f'the node {stopped}' in command.errors, 'its name')
-    command.kill('learner', SIGCONT)
+    command.kill('simulated_teacher', SIGCONT)
 
     command.send(how)
     command.send(how)  # an impatient second one changes nothing

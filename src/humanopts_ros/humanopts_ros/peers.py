@@ -33,11 +33,12 @@ def stated_ids(node: Node, *roles: Role) -> list[str]:
 
     :param roles: of those nodes; none: any.
     """
+    namespace = node.get_namespace()
     return sorted(
         publisher_id
         for topic, _ in node.get_topic_names_and_types()
         for role in roles or ('node', 'game')
-        if (publisher_id := stated_id(topic, node.get_namespace(), role))
+        if (publisher_id := stated_id(topic, namespace, role))
         and node.count_publishers(topic)  # a mere subscriber states nothing
     )
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Collection
 from dataclasses import dataclass
+from enum import Enum
 from functools import partial
 from importlib import import_module
 from operator import attrgetter
@@ -20,6 +21,10 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
+_QOS = (
+    *('history', 'depth', 'reliability', 'durability', 'deadline', 'lifespan', 'liveliness'),
+    *('liveliness_lease_duration', 'avoid_ros_namespace_conventions'),
+)
 _AT_ONCE = 2000  # messages taken from one topic before the next has its turn
 
 
@@ -188,22 +193,14 @@ def load_type(name: str) -> Any:
 
 def qos_to_plain(profile: QoSProfile) -> dict[str, Any]:
     """Return a QoS profile as rosbag2's metadata has it."""
-    return {
-        'history': profile.history.name.lower(),
-        'depth': profile.depth,
-        'reliability': profile.reliability.name.lower(),
-        'durability': profile.durability.name.lower(),
-        'deadline': _plain_duration(profile.deadline),
-        'lifespan': _plain_duration(profile.lifespan),
-        'liveliness': profile.liveliness.name.lower(),
-        'liveliness_lease_duration': _plain_duration(profile.liveliness_lease_duration),
-        'avoid_ros_namespace_conventions': profile.avoid_ros_namespace_conventions,
-    }
+    return {name: _plain(getattr(profile, name)) for name in _QOS}
 
 
-def _plain_duration(duration: Duration) -> dict[str, int]:
-    seconds, nanoseconds = divmod(duration.nanoseconds, 10**9)
-    return {'sec': seconds, 'nsec': nanoseconds}
+def _plain(value: Any) -> Any:
+    if isinstance(value, Duration):
+        seconds, nanoseconds = divmod(value.nanoseconds, 10**9)
+        return {'sec': seconds, 'nsec': nanoseconds}
+    return value.name.lower() if isinstance(value, Enum) else value
 
 
 def _common(profiles: Collection[QoSProfile]) -> QoSProfile:

@@ -45,9 +45,10 @@ from rclpy.serialization import deserialize_message
 
 _NS = 10**9
 _MAX_ATTACHED = 2**31  # bytes of a file that is kept in the bag
-_PERIOD = 0.02  # s between takes
+_PERIOD, _IDLE_PERIOD = 0.02, 0.1  # s between takes while many messages come, and otherwise
+_MANY = 10  # messages in a take
 _DISCOVERY_PERIOD = 0.05  # s between looks at the graph while it is not all matched
-_SKIPPED_LOOKS = 4  # looks that are left out while it is
+_MATCHED_PERIOD = 0.25  # s between these while it is
 _FLUSH_PERIOD = 0.25  # s; what a killed recorder loses at most
 _STATUS_PERIOD = 1.0  # s between statuses that differ only in their counts
 _QUIET = 0.1  # s without a message that end a recording
@@ -56,9 +57,8 @@ LONGEST_WAIT = 0.5  # s; a recorder that lets a message wait longer does not kee
 _MOST_MISSING = 2**64 - 1  # that a status can say
 _MOST_LOSSES = 100  # streams in a status
 _MOST_TEXT = 2000  # characters in a status
-_HELD = 2.0  # s that a log line waits for its node to be found
+_HELD = 0.5  # s that a log line waits for its node to be found
 _MAX_SHARED = 10_000  # log lines and the like that wait so
-_MAX_FOREIGN = 10_000  # nodes of other software that are remembered
 _RECOVERY = 1.0  # s without such a message after which it keeps up again
 _BEHIND = (
     f'the recorder does not keep up: messages wait for it longer than {LONGEST_WAIT} s; '
@@ -122,23 +122,20 @@ class Recorder(NodeBase):
         self._lag = Lag()
         self._numbered: dict[str, bool] = {}  # recorded topics: whether messages carry numbers
         self._latched: set[str] = set()  # recorded topics of current values
-        self._shared: deque[tuple[float, Taken, str]] = deque()  # since when, and sender; waiting
-        self._foreign: set[str] = set()  # senders outside the graph
+        self._shared: deque[tuple[float, Taken]] = deque()  # that wait, and since when, s
         self._games: list[str] = []  # publisher ids of the game, one after each start of it
         self._complete = False  # every publisher was matched at the last two looks
         self._stopped = ''  # why nothing is written any more; empty: it is
         self._text = self.selection.unevaluable
         if self._text:
             self.get_logger().warning(self._text)
-        self._skipped = 0  # looks at the graph, of those that are left out
+        self._discover_at = self._flush_at = 0.0  # when each is due, s
         self._unflushed = False  # whether a topic came of which nothing may be on disk yet
         self._behind = False
         self._published: tuple[object, ...] = ()  # what matters of the last status
         self._published_at = 0.0
         self._publisher = self.stamped_publisher(RecorderStatus, 'recorder_status', LATCHED)
-        self.create_timer(_PERIOD, self._take)
-        self.create_timer(_DISCOVERY_PERIOD, self._discover)
-        self.create_timer(_FLUSH_PERIOD, lambda: self._attempt(self._bag.flush))
+        self._timer = self.create_timer(_PERIOD, self._on_timer)
 
     def waits_for(self) -> str | None:
         """Wait until every publisher is matched."""
@@ -157,10 +154,11 @@ class Recorder(NodeBase):
         end = time.monotonic() + _LINGER
         quiet = time.monotonic() + _QUIET
         while time.monotonic() < min(quiet, end):
-            if self._record(self._subscriber.take()):
+            if batch := self._subscriber.take():
                 quiet = time.monotonic() + _QUIET
+            self._record(batch)
             time.sleep(_PERIOD)
-        self._record_shared()
+        self._record([], held=0.0)
         self._attempt(self._attach)
         self._attempt(self._bag.close)
         self.failed = self._stopped != before  # the status reaches no reader any more
@@ -209,17 +207,34 @@ class Recorder(NodeBase):
             kind = guess_type(name)[0] or 'application/octet-stream'
             self._bag.attach(name, data, kind, (changed, self._subscriber.times.now))
 
+    def _on_timer(self) -> None:
+        """Record what has arrived, and look at the graph and flush the bag where it is time to."""
+        batch, now = self._subscriber.take(), time.monotonic()
+        waited = (self._subscriber.times.now - batch[0].received) / _NS if batch else 0.0
+        self._lag.add(now, waited)
+        self._record(batch)
+        if now >= self._discover_at:
+            self._discover()
+            self._discover_at = now + (_MATCHED_PERIOD if self._complete else _DISCOVERY_PERIOD)
+        # A topic that is new is flushed with its first messages, so that the bag opens, however
+        # soon the recorder is killed.
+        if now >= self._flush_at or (batch and self._unflushed):
+            self._flush_at, self._unflushed = now + _FLUSH_PERIOD, False
+            self._attempt(self._bag.flush)
+        idle = _IDLE_PERIOD if self._complete else _DISCOVERY_PERIOD
+        period = int((_PERIOD if len(batch) > _MANY else idle) * _NS)
+        if period != self._timer.timer_period_ns:
+            self._timer.timer_period_ns = period
+
     def _discover(self) -> None:
-        """Subscribe to what is new on the graph; look less often while nothing changes."""
-        self._skipped = (self._skipped + 1) % _SKIPPED_LOOKS if self._complete else 0
-        if self._skipped == 0:
-            before = self._subscriber.complete
-            added = self._subscriber.discover()
-            self._complete = before and self._subscriber.complete  # the other side matched, too
-            self._unflushed = self._unflushed or bool(added)
-            for subscription in added:
-                self._attempt(partial(self._add_topic, subscription))
-            self._find_game()
+        """Subscribe to what is new on the graph."""
+        before = self._subscriber.complete
+        added = self._subscriber.discover()
+        self._complete = before and self._subscriber.complete  # the other side matched, too
+        self._unflushed |= bool(added)
+        for subscription in added:
+            self._attempt(partial(self._add_topic, subscription))
+        self._find_game()
         self._publish_status()
 
     def _find_game(self) -> None:
@@ -243,52 +258,29 @@ class Recorder(NodeBase):
             if added.latched:
                 self._latched.add(added.topic)
 
-    def _take(self) -> None:
-        """Record what has arrived."""
-        batch = self._subscriber.take()
-        waited = (self._subscriber.times.now - batch[0].received) / _NS if batch else 0.0
-        self._lag.add(time.monotonic(), waited)
-        busy = self._record(batch)
-        if busy and self._unflushed:  # so that the bag opens, however soon the recorder is killed
-            self._unflushed = False
-            self._attempt(self._bag.flush)
+    def _record(self, batch: list[Taken], held: float = _HELD) -> None:
+        """
+        Record messages, and of those on topics that all nodes share what the own nodes have said.
 
-    def _record(self, batch: list[Taken]) -> int:
-        """Record messages; return how many there were."""
+        :param held: s that the latter wait, in which their node is found.
+        """
         due, now = list[Taken](), time.monotonic()
         for taken in batch:
-            if taken.topic not in self._numbered:
-                continue
             if taken.topic not in SHARED or self.selection.adds(taken.topic):
                 due.append(taken)
             elif len(self._shared) < _MAX_SHARED:
-                self._shared.append((now, taken, _sender(taken)))
-        self._write(due)
-        self._record_shared()
-        return len(batch)
-
-    def _record_shared(self) -> None:
-        """
-        Record what the nodes of the graph have said on topics that all nodes share.
-
-        What comes from a node that is not known yet waits a while, and what came after it, too.
-        """
-        own, now, due = self._subscriber.own_nodes, time.monotonic(), list[Taken]()
-        while self._shared:
-            since, taken, sender = self._shared[0]
-            if sender not in own and sender not in self._foreign:
-                if now - since < _HELD:
-                    break
-                if len(self._foreign) < _MAX_FOREIGN:
-                    self._foreign.add(sender)
-            self._shared.popleft()
-            if sender in own:
+                self._shared.append((now, taken))
+        while self._shared and now - self._shared[0][0] >= held:
+            _, taken = self._shared.popleft()
+            if _sender(taken) in self._subscriber.own_nodes:
                 due.append(taken)
         self._write(due)
 
     def _write(self, batch: list[Taken]) -> None:
         """Write messages, and count what is missing."""
         for taken in batch:
+            if taken.topic not in self._numbered:  # its type is not installed here
+                continue
             stamp = read_stamp(taken.data) if self._numbered[taken.topic] else None
             if stamp is not None:
                 own = bool(own_name(taken.topic, self.selection.namespace))
