@@ -1,6 +1,5 @@
 """The node option_server on the real graph: options run to their end, and it says which."""
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -112,15 +111,7 @@ def runs(shared: Graph, folder: Path) -> Runs:
     return Runs(shared)
 
 
-@pytest.fixture
-def alone(live: Graph) -> Iterator[Graph]:
-    """A game, and nothing else yet."""
-    live.start(GAME)
-    live.ready('/game')
-    return live
-
-
-def test_a_learned_option_runs_to_its_end(runs: Runs) -> None:
+def test_a_learned_option_runs_to_its_end_and_all_of_it_is_on_the_graph(runs: Runs) -> None:
     result = runs.run(FETCH)
     assert result.status == OptionResult.STATUS_REACHED
     assert result.detail == 'its termination condition holds'
@@ -134,15 +125,6 @@ def test_a_learned_option_runs_to_its_end(runs: Runs) -> None:
         sum(0.99**k * reward for k, reward in enumerate(rewards))
     )
     assert {s.action_source for s in steps} == {MACHINE}
-
-
-def test_an_option_that_ends_the_episode_says_so(runs: Runs) -> None:
-    result = runs.run(DELIVER, ABOARD)
-    assert (result.status, result.terminated) == (OptionResult.STATUS_REACHED, True)
-
-
-def test_goals_and_results_of_runs_are_on_the_graph(runs: Runs) -> None:
-    result = runs.run(FETCH)
     runs.graph.until(lambda: runs.results and runs.results[-1].run_id == result.run_id, 'result')
     goal = next(goal for goal in runs.goals if goal.run_id == result.run_id)
     assert (goal.via, goal.option_name, goal.max_steps) == ('run_option', FETCH, 200)
@@ -194,34 +176,12 @@ def test_a_cancel_before_the_first_state_keeps_every_action_from_the_game(runs: 
     assert [s.step for s in runs.player.states if s.episode == coming] == [0]
 
 
-def test_a_second_request_is_answered_busy_at_once(runs: Runs) -> None:
-    goal = runs.begin(CIRCLE)
-    known = runs.player.state.step
-    for answer in (
-        runs.graph.ask(RunOption, 'run_option', option_name=FETCH).result,
-        runs.graph.act(ExecuteOption, 'execute_option', option_name=FETCH).result()[1],
-    ):
-        assert answer.status == OptionResult.STATUS_BUSY
-        assert CIRCLE in answer.detail
-        assert answer.run_id == ''
-    assert runs.player.state.step < known + 50
-    goal.cancel()
-    assert goal.result()[1].status == OptionResult.STATUS_CANCELED
-
-
-def test_an_unknown_option_is_refused_with_what_there_is(runs: Runs) -> None:
+def test_what_cannot_run_is_refused_in_words(runs: Runs) -> None:
     result = runs.run('fly')
     assert result.status == OptionResult.STATUS_UNKNOWN_OPTION
-    for name in (FETCH, DELIVER, 'action:dropoff'):
-        assert name in result.detail
-    whose = runs.run(FETCH, participant='p2')
-    assert whose.status == OptionResult.STATUS_UNKNOWN_OPTION
-    assert "participant 'p2'" in whose.detail
-
-
-def test_without_an_episode_under_way_nothing_runs(runs: Runs) -> None:
+    assert FETCH in result.detail
     over = runs.run(DELIVER, 'taxi 0,4 passenger aboard destination G')
-    assert over.terminated
+    assert (over.status, over.terminated) == (OptionResult.STATUS_REACHED, True)
     refused = runs.graph.ask(RunOption, 'run_option', option_name=FETCH).result
     assert refused.status == OptionResult.STATUS_NO_EPISODE
     assert 'the episode has ended' in refused.detail
@@ -258,16 +218,6 @@ def test_a_person_takes_over_a_running_option(live: Graph, folder: Path) -> None
     assert driven.status == OptionResult.STATUS_REACHED
 
 
-def test_control_taken_without_a_move_interrupts_too(runs: Runs) -> None:
-    goal = runs.begin(CIRCLE)
-    runs.player.hold(True)
-    _, result = goal.result()
-    assert result.status == OptionResult.STATUS_INTERRUPTED
-    assert 'control is held by the person' in result.detail
-    runs.steps(result)
-    assert runs.player.do('north', PERSON).step == result.step_count + 1
-
-
 def test_a_run_waits_for_a_person_takes_single_steps_and_goes_on_when_the_person_is_gone(
     live: Graph, folder: Path
 ) -> None:
@@ -275,26 +225,30 @@ def test_a_run_waits_for_a_person_takes_single_steps_and_goes_on_when_the_person
     live.start(OPTION_SERVER, options_directory=folder, no_progress_seconds=0.3)
     live.ready('/game', '/option_server')
     runs = Runs(live)
-    bad = live.ask(SetPace, 'set_pace', step_period=61.0, paused=True, holder_id='/person#2')
-    nobody = live.ask(SetPace, 'set_pace', paused=True, holder_id='/nobody#1')
-    assert (bad.status, nobody.status) == (bad.STATUS_BAD_PERIOD, bad.STATUS_NOT_HOLDER)
-    paused = live.ask(SetPace, 'set_pace', paused=True, steps=2, holder_id='/person#2')
-    assert paused.status == paused.STATUS_OK
+    for status, fields in (
+        (SetPace.Response.STATUS_BAD_PERIOD, {'step_period': 61.0, 'holder_id': '/person#2'}),
+        (SetPace.Response.STATUS_NOT_HOLDER, {'holder_id': '/nobody#1'}),
+        (SetPace.Response.STATUS_OK, {'steps': 2, 'holder_id': '/person#2'}),
+    ):
+        assert live.ask(SetPace, 'set_pace', paused=True, **fields).status == status
     goal = runs.begin(FETCH)
     live.until(lambda: runs.player.state.step == 2, 'the two steps')
     ended = live.node.get_clock().now()
     live.until(lambda: not runs.player.controls[-1].paused_by, 'the end of the pause')
     waited = live.node.get_clock().now() - ended  # the terminal is silent for that long
     assert waited.nanoseconds > 0.3e9
-    third = next(s for s in runs.steps(goal.result()[1]) if s.step == 3)
+    result = goal.result()[1]
+    third = next(s for s in runs.steps(result) if s.step == 3)
     stamp = runs.player.controls[-1].header.stamp
     assert (third.header.stamp.sec, third.header.stamp.nanosec) >= (stamp.sec, stamp.nanosec)
-    assert goal.result()[1].status == OptionResult.STATUS_REACHED
+    assert result.status == OptionResult.STATUS_REACHED
 
     live.ask(SetPace, 'set_pace', paused=True, steps=1, holder_id='/person#2')
     goal = runs.begin(FETCH)
     runs.player.hold(True)  # also while it waits
-    assert goal.result()[1].status == OptionResult.STATUS_INTERRUPTED
+    result = goal.result()[1]
+    assert result.status == OptionResult.STATUS_INTERRUPTED
+    assert 'control is held by the person' in result.detail
     assert runs.player.state.step == 1
 
 
@@ -307,41 +261,35 @@ def test_a_reset_interrupts_a_run(runs: Runs) -> None:
     assert runs.run(FETCH).status == OptionResult.STATUS_REACHED
 
 
-@pytest.mark.parametrize('seconds', [7.0, PATIENCE])  # the last one is that of the other tests
-def test_a_game_that_says_nothing_ends_the_run_and_later_ones_work(
-    runs: Runs, seconds: float
-) -> None:
+def test_a_game_that_says_nothing_ends_the_run_and_later_ones_work(runs: Runs) -> None:
     server = runs.graph.node_called('/option_server')
-    server.set_parameters([Parameter('no_progress_seconds', value=seconds)])
+    server.set_parameters([Parameter('no_progress_seconds', value=7.0)])
     goal = runs.begin(CIRCLE)
     with runs.graph.silent('/game'), runs.graph.hurried():
         _, result = goal.result()
+    server.set_parameters([Parameter('no_progress_seconds', value=PATIENCE)])
     assert result.status == OptionResult.STATUS_NO_PROGRESS
-    assert f'deadline: {seconds:g} s' in result.detail
+    assert 'deadline: 7 s' in result.detail
     assert runs.run(FETCH).status == OptionResult.STATUS_REACHED
 
 
-@pytest.mark.parametrize('name', [FETCH, WANDER])
-@pytest.mark.parametrize('text', [START, ABOARD, 'taxi 0,0 passenger R destination G'])
-def test_a_query_answers_with_the_numbers_of_the_option(runs: Runs, name: str, text: str) -> None:
-    answer = runs.graph.ask(QueryOption, 'query_option', option_name=name, state=text)
-    option, row = OPTIONS[name], TAXI.feature_values(TAXI.decode(text))[None]
-    assert answer.status == QueryOption.Response.STATUS_OK
-    assert answer.can_start == option.can_start(row)[0]
-    assert answer.initiation == option.initiation_probability(row)[0]
-    assert answer.termination == option.termination_probability(row)[0]
-    assert answer.actions == [action.name for action in TAXI.actions]
-    assert answer.action_probabilities.tolist() == option.action_probabilities(row)[0].tolist()
-    assert answer.action == TAXI.actions[option.action(row)[0]].name
-
-
-def test_a_query_that_makes_no_sense_is_refused_in_words(runs: Runs) -> None:
-    unknown = runs.graph.ask(QueryOption, 'query_option', option_name='fly', state=START)
-    assert unknown.status == QueryOption.Response.STATUS_UNKNOWN_OPTION
-    assert FETCH in unknown.detail
-    nowhere = runs.graph.ask(QueryOption, 'query_option', option_name=FETCH, state='nowhere')
-    assert nowhere.status == QueryOption.Response.STATUS_BAD_STATE
-    assert "'nowhere'" in nowhere.detail
+def test_a_query_answers_with_the_numbers_of_the_option(runs: Runs) -> None:
+    for name, text in ((FETCH, START), (WANDER, ABOARD)):
+        answer = runs.graph.ask(QueryOption, 'query_option', option_name=name, state=text)
+        option, row = OPTIONS[name], TAXI.feature_values(TAXI.decode(text))[None]
+        assert answer.status == QueryOption.Response.STATUS_OK
+        assert answer.can_start == option.can_start(row)[0]
+        assert answer.initiation == option.initiation_probability(row)[0]
+        assert answer.termination == option.termination_probability(row)[0]
+        assert answer.actions == [action.name for action in TAXI.actions]
+        assert answer.action_probabilities.tolist() == option.action_probabilities(row)[0].tolist()
+        assert answer.action == TAXI.actions[option.action(row)[0]].name
+    for name, text, status, says in (
+        ('fly', START, QueryOption.Response.STATUS_UNKNOWN_OPTION, FETCH),
+        (FETCH, 'nowhere', QueryOption.Response.STATUS_BAD_STATE, "'nowhere'"),
+    ):
+        answer = runs.graph.ask(QueryOption, 'query_option', option_name=name, state=text)
+        assert (answer.status, says in answer.detail) == (status, True)
 
 
 def test_the_list_is_what_can_be_run(runs: Runs) -> None:
@@ -358,74 +306,70 @@ def test_the_list_is_what_can_be_run(runs: Runs) -> None:
     assert "'p2' taught no option" in unknown.detail
 
 
-def test_a_file_that_cannot_be_used_is_reported_and_left_alone(
-    alone: Graph, folder: Path, capfd: pytest.CaptureFixture[str]
+def sampling(live: Graph, folder: Path) -> Any:
+    """Start a game, and an option server that draws what it does; return this."""
+    live.start(GAME)
+    server = live.start(OPTION_SERVER, options_directory=folder, mode='sampled', seed=5)
+    live.ready('/game', '/option_server')
+    return server
+
+
+def test_files_are_served_until_the_learner_publishes_and_what_cannot_be_is_named(
+    live: Graph, folder: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    alone.start(OPTION_SERVER, options_directory=folder)
-    alone.ready('/option_server')
+    sampling(live, folder)
     said = capfd.readouterr().err
     (damaged,) = folder.glob('*/damaged.json')
     assert f'{damaged} cannot be used: it is not JSON' in said
     assert "not served: 'go to passenger' was learned in taxi" in said
     assert len(damaged.read_text()) == 200
 
+    def names() -> list[str]:
+        return list(live.ask(ListOptions, 'list_options').option_names)
 
-@pytest.mark.parametrize('begun', [True, False])
-def test_an_option_server_that_is_ended_answers_who_waits(
-    alone: Graph, folder: Path, begun: bool
-) -> None:
-    """For the end of a run, or for the state that it is to begin in."""
-    server = alone.start(OPTION_SERVER, options_directory=folder)
-    alone.ready('/option_server')
-    if begun:
-        goal = Runs(alone).begin(CIRCLE)
-    else:
-        goal = alone.act(ExecuteOption, 'execute_option', option_name='action:south', episode=99)
-        second = alone.ask(RunOption, 'run_option', option_name='action:south').result
-        assert second.status == OptionResult.STATUS_BUSY
-    alone.stop(server)
-    status, result = goal.result()
-    assert status == GoalStatus.STATUS_ABORTED
-    assert (result.status, result.detail) == (
-        OptionResult.STATUS_FAILED,
-        'it failed: option_server stops',
-    )
-
-
-def test_options_that_the_learner_publishes_are_served(
-    alone: Graph, capfd: pytest.CaptureFixture[str]
-) -> None:
-    publisher = alone.node.create_publisher(OptionMessage, 'learned_options', STREAM)
-    alone.start(OPTION_SERVER)
-    alone.ready('/option_server')
-    alone.until(lambda: publisher.get_subscription_count() > 0, 'its reader')
+    assert names() == sorted(OPTIONS)
+    publisher = live.node.create_publisher(OptionMessage, 'learned_options', STREAM)
+    live.until(lambda: publisher.get_subscription_count() > 0, 'its reader')
     for name, model in ((FETCH, option_to_json(OPTIONS[FETCH])), ('spoilt', '{}')):
         message = OptionMessage(name=name, participant='p1', model=model, n_options=2)
         message.publisher_id = '/learner#1'
         publisher.publish(message)
-
-    def names() -> list[str]:
-        return list(alone.ask(ListOptions, 'list_options').option_names)
-
-    alone.until(lambda: names() == [FETCH], 'the option to be served')
+    live.until(lambda: names() == [FETCH], 'the option to be served')
     assert "learned_options from /learner#1: 'spoilt': " in capfd.readouterr().err
 
 
-def test_the_sampled_mode_is_a_function_of_the_seed_and_the_moment(
-    alone: Graph, folder: Path
+@pytest.mark.parametrize('begun', [True, False])
+def test_an_option_server_that_is_ended_answers_who_waits(
+    live: Graph, folder: Path, begun: bool
 ) -> None:
-    alone.start(OPTION_SERVER, options_directory=folder, mode='sampled', seed=5)
-    alone.ready('/option_server')
-    runs = Runs(alone)
-    taken = []
+    """For the end of a run, or for the state that it is to begin in."""
+    server = sampling(live, folder)
+    if begun:
+        goal = Runs(live).begin(CIRCLE)
+    else:
+        goal = live.act(ExecuteOption, 'execute_option', option_name='action:south', episode=99)
+        second = live.ask(RunOption, 'run_option', option_name='action:south').result
+        assert second.status == OptionResult.STATUS_BUSY
+    live.stop(server)
+    status, result = goal.result()
+    assert status == GoalStatus.STATUS_ABORTED
+    assert result.status == OptionResult.STATUS_FAILED
+    assert result.detail == 'it failed: option_server stops'
+
+
+def test_the_sampled_mode_is_a_function_of_the_seed_and_the_moment(
+    live: Graph, folder: Path
+) -> None:
+    sampling(live, folder)
+    runs, taken = Runs(live), []
     for fields in ({}, {'episode': 0}):
-        result = runs.run(WANDER, **fields)
-        steps = runs.steps(result)
+        steps = runs.steps(runs.run(WANDER, **fields))
         expected = sampled(5, steps[0].episode)
-        assert [s.previous_action for s in steps] == expected
+        assert [s.previous_action for s in steps] == expected != sampled(6, steps[0].episode)
         taken.append(expected)
-        assert expected != sampled(6, steps[0].episode)
     assert taken[0] != taken[1]
+    text = live.refused(OPTION_SERVER, mode='lazy')
+    assert text == "parameter mode: 'lazy' is none of greedy, sampled"
 
 
 def sampled(seed: int, episode: int) -> list[str]:
@@ -442,8 +386,3 @@ def sampled(seed: int, episode: int) -> list[str]:
         truncated = not outcome.terminated and len(actions) == TAXI.max_steps
         end = run.observe(state, outcome.reward, outcome.terminated, truncated)
     return actions
-
-
-def test_a_mode_that_there_is_not_is_refused(live: Graph) -> None:
-    text = live.refused(OPTION_SERVER, mode='lazy')
-    assert text == "parameter mode: 'lazy' is none of greedy, sampled"
