@@ -115,30 +115,24 @@ def test_it_says_not_here_where_the_option_cannot_start_and_else_shows_a_shortes
     assert show(teacher(), ABOARD) == not_here
     assert show(teacher(TeacherSettings((DROPOFF,))), WAITING, DROPOFF) == not_here
     actions, end = show(teacher(), WAITING)
-    assert sorted(actions) == ['north'] * 4 + ['pickup'] + ['west'] * 4
-    assert (actions[-1], end) == ('pickup', EndDemonstration(Verdict.DONE, 1, 9))
+    assert (len(actions), end) == (9, EndDemonstration(Verdict.DONE, 1, 9))
     go = 'go to passenger'
     _, end = show(teacher(TeacherSettings((go,))), WAITING, go)
     there = TAXI.decode('taxi 0,0 passenger R destination G')
     assert end.can_start_at_end == REFERENCES[go].can_start(there)
 
 
-@pytest.mark.heavy
 def test_it_prefers_the_same_among_equally_good_actions_or_has_habits_of_its_own() -> None:
-    def first_act(state: str, settings: TeacherSettings = TEACHER) -> str:
-        view = replace(showing(state), participant=settings.participant)
-        act = teacher(settings).next_act(view, at(state))
-        assert isinstance(act, Drive)
-        return act.action
-
-    reference = REFERENCES[PICKUP]
-    states = TAXI.sample_states(np.random.default_rng(0), 30)
-    for state in filter(reference.can_start, states):
-        assert first_act(TAXI.encode(state)) == NAMES[min(reference.optimal_actions(state))]
+    actions, _ = show(teacher(), WAITING)
+    assert actions[:2] == ['north', 'north']  # the domain's order; west is as good
     people = [TeacherSettings((PICKUP,), f'p{n}', own_habits=True) for n in range(12)]
-    first = [first_act(WAITING, each) for each in people]
-    assert first == [first_act(WAITING, each) for each in people]
-    assert set(first) == {'north', 'west'}
+
+    def first_acts() -> list[object]:
+        views = [replace(showing(WAITING), participant=each.participant) for each in people]
+        return [teacher(each).next_act(view, at(WAITING)) for each, view in zip(people, views)]
+
+    assert first_acts() == first_acts()
+    assert set(first_acts()) == {Drive('north', 1, 0), Drive('west', 1, 0)}
 
 
 def test_needless_features_are_named_at_their_rate() -> None:
@@ -168,9 +162,8 @@ def test_after_an_error_it_goes_on_from_where_that_led_and_a_seed_shows_the_same
         return [show(by, WAITING, given=n) for n in range(30)]
 
     one = shown(1)
-    lengths = [len(actions) for actions, _ in one]
-    assert min(lengths) >= 9
-    assert max(lengths) > 9
+    assert {len(actions) >= 9 for actions, _ in one} == {True}
+    assert len({len(actions) for actions, _ in one}) > 1
     assert {end.verdict for _, end in one} == {Verdict.DONE}
     assert one == shown(1) != shown(2)
 
@@ -214,28 +207,22 @@ def test_a_teacher_that_cannot_teach_says_why(settings: TeacherSettings, says: s
         teacher(settings)
 
 
-OPTION = 'go to passenger and pickup'
-
-
 @pytest.mark.heavy
 def test_it_teaches_until_the_criteria_hold_and_nothing_fails(taxi: Any) -> None:
-    taught = teach(taxi, TeacherSettings((OPTION,), error_rate=0.02))
-    assert [option.name for option in taught.options] == [OPTION]
+    taught = teach(taxi, TeacherSettings((PICKUP,), error_rate=0.02))
+    assert [option.name for option in taught.options] == [PICKUP]
     assert taught.options[0].uuids == tuple(d.uuid for d in taught.demonstrations)
     assert 10 <= len(taught.demonstrations) < LessonRules().budget
     assert (taught.cut_short, taught.seconds > 60) == ('', True)
 
 
-def test_it_ends_where_the_caller_has_enough_or_the_budget_is_spent(taxi: Any) -> None:
+def test_it_ends_where_the_caller_has_enough_the_budget_is_spent_or_nothing_can_be_shown(
+    taxi: Any,
+) -> None:
     rules = LessonRules('random', 7, until_no_failures=False)
-    enough = teach(taxi, TeacherSettings((OPTION,)), rules, lambda shown, option: len(shown) > 4)
-    spent = teach(taxi, TeacherSettings((OPTION,)), rules, lambda shown, option: False)
+    enough = teach(taxi, TeacherSettings((PICKUP,)), rules, lambda shown, option: len(shown) > 4)
+    spent = teach(taxi, TeacherSettings((PICKUP,)), rules, lambda shown, option: False)
     assert (len(enough.demonstrations), len(spent.demonstrations)) == (5, 7)
     assert enough.demonstrations == spent.demonstrations[:5]  # by the same seeds
-
-
-def test_a_teacher_that_cannot_show_the_option_cuts_the_lesson_short(taxi: Any) -> None:
-    with pytest.raises(TeacherError, match="no reference option 'fly'"):
-        teach(taxi, TeacherSettings(('fly',)))
-    taught = teach(taxi, TeacherSettings((OPTION,), step_limit=1))
+    taught = teach(taxi, TeacherSettings((PICKUP,), step_limit=1))
     assert 'did not come to the end' in taught.cut_short
