@@ -145,7 +145,7 @@ class Attempt:
                 session=session,
                 option_name=option.name,
                 number=option.number,
-                chosen_features=option.questions.chosen,
+                chosen_features=option.chosen,
                 feature_names=feature_names,
                 features=tuple(transition.features for transition in shown),
                 states=tuple(transition.state for transition in shown),

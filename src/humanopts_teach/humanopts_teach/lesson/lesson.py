@@ -27,7 +27,6 @@ from humanopts_learner.summary import OptionSummary
 from humanopts_ros.limits import composed
 from humanopts_teach.lesson.attempt import Attempt, with_uuid
 from humanopts_teach.lesson.history import History, OptionHistory
-from humanopts_teach.lesson.learning import Learning
 from humanopts_teach.lesson.requests import (
     Answer,
     AnswerQuestion,
@@ -47,15 +46,11 @@ from humanopts_teach.lesson.requests import (
 )
 from humanopts_teach.lesson.seeded_starts import SeededStarts
 from humanopts_teach.lesson.store import (
-    AnswerTakenBack,
     CODE,
     CODE_RULE,
     DemonstrationStore,
     Entry,
-    FeatureAnswered,
-    OptionDefined,
-    OptionDeleted,
-    SessionOpened,
+    LessonEvent,
     similar_code,
     StoreError,
 )
@@ -102,15 +97,14 @@ class Lesson:
         :param clock: seconds, never going back.
         :param today: the date as YYYYMMDD, for session codes.
         """
-        self._domain = domain
-        self._store = store
-        self._starts = starts
-        self._clock = clock
-        self._today = today
+        self._domain, self._store, self._starts = domain, store, starts
+        self._clock, self._today = clock, today
         self._session = ''
         self._history = History(domain, '')
         self._option: OptionHistory | None = None
-        self._learning = Learning(starts)
+        self._summaries: dict[tuple[str, str], OptionSummary] = {}  # by participant and option
+        self._awaited: Demonstration | None = None  # that the learner has not counted in, or out
+        self._done = False  # the criteria are met, and the strategy has nothing left to ask
         self._attempt: Attempt | None = None  # from the request for an episode on
         self._episode = 0  # of the newest demonstration that was begun
         self._again = ''  # start state of a demonstration that was discarded or abandoned
@@ -122,32 +116,28 @@ class Lesson:
     @property
     def phase(self) -> Phase:
         """What the lesson waits for."""
-        if not self._history.participant:
-            return Phase.NO_SESSION
-        if self._option is None:
-            return Phase.NO_OPTION
-        if self._under_way is not None:
-            return Phase.DEMONSTRATING
-        if self._option.questions.open is not None:
-            return Phase.ASKING
-        if self._learning.awaited is not None:
-            return Phase.LEARNING
-        return Phase.FINISHED if self._learning.done or self._spent else Phase.READY
-
-    @property
-    def _under_way(self) -> Attempt | None:
-        """The demonstration under way; None: no episode of one has begun."""
-        return self._attempt if self._attempt is not None and self._attempt.episode else None
+        option = self._option
+        for phase, holds in (
+            (Phase.NO_SESSION, not self._history.participant),
+            (Phase.NO_OPTION, option is None),
+            (Phase.DEMONSTRATING, self._under_way is not None),
+            (Phase.ASKING, option is not None and option.open_feature is not None),
+            (Phase.LEARNING, self._awaited is not None),
+            (Phase.FINISHED, self._done or self._spent),
+        ):
+            if holds:
+                return phase
+        return Phase.READY
 
     @property
     def awaited(self) -> str:
         """The uuid of the demonstration that the learner works on; empty: none."""
-        return self._learning.awaited.uuid if self._learning.awaited is not None else ''
+        return self._awaited.uuid if self._awaited is not None else ''
 
     @property
     def criteria_met(self) -> bool:
         """Whether the learner reports so, for the features and the method in force."""
-        summary = self._learning.settled(self._option)
+        summary = self._settled
         return summary is not None and summary.criteria_met
 
     @property
@@ -166,23 +156,29 @@ class Lesson:
         option, attempt = self._option, self._under_way
         if option is None:
             return view
-        questions = option.questions
+        if (feature := option.open_feature) is not None:
+            # As the paper words it (section 5).
+            question = f"Does the '{option.name}' option depend on {feature.question}?"
+            view = replace(
+                view,
+                question_id=self._question_id,
+                question=question,
+                question_feature=feature.name,
+                earlier_features=option.earlier,
+            )
+        if attempt is not None:
+            start, steps = attempt.start_state, attempt.machine_steps
+            view = replace(view, start_state=start, machine_steps=steps)
         return replace(
             view,
             option_name=option.name,
-            question_id=self._question_id,
-            question=questions.text,
-            question_feature=questions.open.name if questions.open is not None else '',
             questions_total=len(self._domain.features),
-            chosen_features=questions.chosen,
-            earlier_features=questions.earlier if questions.open is not None else (),
-            method=self._learning.method(option),
+            chosen_features=option.chosen,
+            method=self._method(option),
             n_demonstrations=option.n_trajectories,
             n_not_here=len(option.demonstrations) - option.n_trajectories,
             last_uuid=option.newest.uuid if option.newest is not None else '',
-            start_state=attempt.start_state if attempt is not None else '',
             episode=self._episode,
-            machine_steps=attempt.machine_steps if attempt is not None else 0,
             criteria_met=self.criteria_met,
         )
 
@@ -215,9 +211,16 @@ class Lesson:
             ListDemonstrations: self._list,
             ChangeOption: self._change_option,
         }
+        during = isinstance(request, AnswerQuestion | EndDemonstration | ListDemonstrations)
         try:
             if self._paused and not isinstance(request, EndDemonstration | ListDemonstrations):
                 raise RefusalError(RequestStatus.PAUSED, f'the lesson is paused: {self._paused}')
+            if self._attempt is not None and not during:
+                who = self._history.participant
+                raise _wrong_phase(f'{who} has a demonstration under way; end it first')
+            taken_back = isinstance(request, WithdrawDemonstration | ChangeOption)
+            if self._awaited is not None and taken_back:
+                raise _wrong_phase('the learner is still working on a demonstration; wait for it')
             return carry_out[type(request)](request)
         except RefusalError as refusal:
             return refusal.answer
@@ -239,8 +242,7 @@ class Lesson:
         self._episode = episode
         for transition in list(attempt.transitions):  # came before game's answer
             self._watch(transition)
-        detail = f'episode {episode} begins'
-        return Answer(RequestStatus.OK, detail, episode=episode, state=state)
+        return _ok(f'episode {episode} begins', episode=episode, state=state)
 
     def not_begun(self, status: RequestStatus, cause: str) -> Answer:
         """Abandon the demonstration: there is no episode, or its first state did not come."""
@@ -288,7 +290,7 @@ class Lesson:
         answer = self.carry_out(OpenSession(participant, session))
         if answer.ok:
             self._notice = 'The lesson was restarted; a demonstration under way was abandoned.'
-            self._learning.awaited = self._option.newest if self._option is not None else None
+            self._awaited = self._option.newest if self._option is not None else None
         return answer
 
     def reached(self, episode: int, step: int) -> bool:
@@ -300,8 +302,8 @@ class Lesson:
 
     def update_summaries(self, summaries: Sequence[OptionSummary]) -> None:
         """Keep what the learner knows of every option."""
-        self._learning.update(summaries)
-        self._learning.go_on(self._option)
+        self._summaries = {(each.participant, each.option_name): each for each in summaries}
+        self._go_on()
 
     def update_option(self, participant: str, option_name: str, text: str) -> None:
         """
@@ -310,7 +312,7 @@ class Lesson:
         :raises OptionError: it is not an option, or one of another domain.
         """
         if self._starts.learned(participant, option_name, text):
-            self._learning.go_on(self._option)
+            self._go_on()
 
     def learner_refused(self, uuid: str, detail: str) -> None:
         """Go on without a demonstration that the learner did not take; it stays in the store."""
@@ -322,11 +324,17 @@ class Lesson:
         self._wait_no_more(_SILENT)
 
     def _wait_no_more(self, notices: dict[bool, str], detail: str = '') -> None:
-        if (demo := self._learning.awaited) is not None:
-            self._notice = notices[demo.withdrawn].format(detail=detail)
-            self._learning.await_none(self._option)
+        if self._awaited is not None:
+            self._notice = notices[self._awaited.withdrawn].format(detail=detail)
+            self._awaited = None
+            self._check_done()
 
-    # How requests are carried out; each raises RefusalError where it is refused.
+    # Where the lesson stands.
+
+    @property
+    def _under_way(self) -> Attempt | None:
+        """The demonstration under way; None: no episode of one has begun."""
+        return self._attempt if self._attempt is not None and self._attempt.episode else None
 
     @property
     def _spent(self) -> bool:
@@ -336,42 +344,64 @@ class Lesson:
     @property
     def _question_id(self) -> int:
         """Of the open question: counted on over all options, so that none is used twice; or 0."""
-        if self._option is None or self._option.questions.open is None:
+        if self._option is None or self._option.open_feature is None:
             return 0
         return self._history.n_answers + 1
 
     @property
-    def _who(self) -> tuple[str, str, str, str]:
-        """What every entry begins with: domain, its parameters, participant and session."""
-        return (*self._history.key, self._history.participant, self._session)
+    def _settled(self) -> OptionSummary | None:
+        """The learner's report that all criteria that can be measured are met, as taught now."""
+        option = self._option
+        summary = option and self._summaries.get((option.participant, option.name))
+        if not option or not summary or not summary.settled or not _is_current(summary, option):
+            return None
+        same = summary.method == self._method(option)
+        return summary if same and set(summary.features) == set(option.chosen) else None
+
+    def _method(self, option: OptionHistory) -> str:
+        """Return the method by which an option is learned from its next demonstration on."""
+        return option.method or self._starts.rules.method
+
+    def _go_on(self) -> None:
+        """Wait no more where both learner and start states have counted what was awaited."""
+        option, demo = self._option, self._awaited
+        if option is not None and demo is not None:
+            summary = self._summaries.get((demo.participant, demo.option_name))
+            if demo.withdrawn:
+                counted = summary is None or _is_current(summary, option)
+            else:
+                counted = summary is not None and summary.last_uuid == demo.uuid
+            if not counted or not self._starts.counts(option, demo):
+                return
+        self._awaited = None
+        self._check_done()
+
+    def _check_done(self) -> None:
+        """Find out whether the option is learned."""
+        settled, option = self._settled is not None, self._option
+        self._done = settled and option is not None and self._starts.exhausted(option)
 
     def _advice(self, phase: Phase) -> str:
         """Return what to do next, in words, and why where that is not obvious."""
-        option, summary = self._option, self._learning.settled(self._option)
-        hint = _HINTS[phase]
+        summary, hint = self._settled, _HINTS[phase]
         if self._paused and phase not in (Phase.DEMONSTRATING, Phase.LEARNING):
             hint = 'The lesson is paused.'
-        if phase is Phase.FINISHED and option is not None:
+        if phase is Phase.FINISHED:
             budget = self._starts.rules.budget
             spent = f'The budget of {budget} is used up. ' if self._spent else ''
             met = 'Not all criteria are met.' if summary is None else summary.result
             return f'{spent}{met} {_HINTS[phase]}'
-        ready = phase in (Phase.READY, Phase.DEMONSTRATING) and not self._learning.done
+        ready = phase in (Phase.READY, Phase.DEMONSTRATING) and not self._done
         if ready and summary is not None:
             return f'{summary.result[:-1]}, but from some starts it still fails. {hint}'
         return hint
 
-    def _check_free(self, *, learned: bool = False) -> None:
-        """
-        Check that no demonstration is under way.
+    # How requests are carried out; each raises RefusalError where it is refused.
 
-        :param learned: the learner must not be working on one either.
-        """
-        if self._attempt is not None:
-            who = self._history.participant
-            raise _wrong_phase(f'{who} has a demonstration under way; end it first')
-        if learned and self._learning.awaited is not None:
-            raise _wrong_phase('the learner is still working on a demonstration; wait for it')
+    def _event(self, entry: Any, option_name: str, **more: Any) -> LessonEvent:
+        """Return an entry about an option in the open session."""
+        who = (*self._history.key, self._history.participant, self._session)
+        return LessonEvent(entry, *who, option_name, **more)
 
     def _entries(self, participant: str) -> tuple[Entry, ...]:
         try:
@@ -398,7 +428,6 @@ class Lesson:
 
     def _open_session(self, request: OpenSession) -> Answer:
         """Begin a session, or go on with it where it was left."""
-        self._check_free()
         participant, session = request.participant, request.session
         for what, code in (('participant', participant), ('session', session or 'new')):
             if not CODE.fullmatch(code):
@@ -413,11 +442,11 @@ class Lesson:
         history = History(self._domain, participant, self._entries(participant))
         codes = (f'{self._today()}-{number}' for number in count(1))
         session = session or next(code for code in codes if code not in history.sessions)
-        self._write(SessionOpened(*history.key, participant, session), history=history)
+        opened = LessonEvent('session', *history.key, participant, session)
+        self._write(opened, history=history)
         self._history, self._session = history, session
         self._turn_to(history.options.get(history.sessions[session]))
-        return Answer(
-            RequestStatus.OK,
+        return _ok(
             f'session {session} of {participant} is open',
             session=session,
             known_options=tuple(history.options),
@@ -425,63 +454,63 @@ class Lesson:
 
     def _define_option(self, request: DefineOption) -> Answer:
         """Name an option to teach, or take it up again."""
-        self._check_free()
         if not self._history.participant:
             raise _wrong_phase('open a session first')
         name = composed(request.name.strip())
         if fault := option_name_fault(name):
             raise RefusalError(RequestStatus.BAD_NAME, fault)
-        resumed = name in self._history.options
-        method = request.method or (resumed and self._history.options[name].method)
+        known = self._history.options.get(name)
+        method = request.method or (known.method if known is not None else '')
         try:
             check_method(method or self._starts.rules.method, self._domain)
         except DemonstrationError as error:
             raise RefusalError(RequestStatus.BAD_METHOD, str(error)) from error
-        self._write(OptionDefined(*self._who, name, request.ask_again, request.method))
+        again = request.ask_again
+        self._write(self._event('option', name, ask_again=again, method=request.method))
         self._turn_to(self._history.options[name])
-        text = f'{"going on with" if resumed else "begun"}: {name}'
-        return Answer(RequestStatus.OK, text, resumed=resumed)
+        text = f'{"begun" if known is None else "going on with"}: {name}'
+        return _ok(text, resumed=known is not None)
 
     def _turn_to(self, option: OptionHistory | None) -> None:
         if option is not self._option:
-            self._learning.awaited, self._again = None, ''
+            self._awaited, self._again = None, ''
         self._option, self._notice = option, ''
-        self._learning.check_done(option)
+        self._check_done()
 
     def _answer_question(self, request: AnswerQuestion) -> Answer:
         """Answer the open question, or take back the last answer, so that its question is open."""
         option = self._option
-        feature = option.questions.open if option is not None else None
-        asked = self._attempt is None and request.question_id == self._question_id
+        feature = option.open_feature if option is not None else None
+        fault = ''
         if option is None or (feature is None and not request.back) or self._attempt is not None:
-            raise RefusalError(RequestStatus.NOT_ASKED, 'no question is open')
-        if request.back:
-            if not asked or not option.questions.answers:
-                detail = 'there is no question before this one to go back to'
-                raise RefusalError(RequestStatus.NOT_ASKED, detail)
-            self._write(AnswerTakenBack(*self._who, option.name))
-            answer = Answer(RequestStatus.OK, 'the question before is open again')
-        else:
+            fault = 'no question is open'
+        elif request.back:
+            if request.question_id != self._question_id or not option.answers:
+                fault = 'there is no question before this one to go back to'
+        elif request.question_id != self._question_id:
             assert feature is not None
-            if not asked:
-                raise RefusalError(
-                    RequestStatus.NOT_ASKED,
-                    f'question {request.question_id} is not open; question {self._question_id} '
-                    f'is, about {feature.name}',
-                )
-            self._write(FeatureAnswered(*self._who, option.name, feature.name, request.yes))
-            answer = Answer(RequestStatus.OK, f'{feature.name}: {"yes" if request.yes else "no"}')
-            if not option.questions.answers:
+            fault = (
+                f'question {request.question_id} is not open; question {self._question_id} '
+                f'is, about {feature.name}'
+            )
+        if fault:
+            raise RefusalError(RequestStatus.NOT_ASKED, fault)
+        assert option is not None
+        if feature is None or request.back:
+            self._write(self._event('answer taken back', option.name))
+            answer = _ok('the question before is open again')
+        else:
+            yes = request.yes
+            self._write(self._event('answer', option.name, feature=feature.name, yes=yes))
+            answer = _ok(f'{feature.name}: {"yes" if yes else "no"}')
+            if not option.answers:
                 answer = Answer(RequestStatus.NO_FEATURE, _ALL_NO)
         self._notice = '' if answer.ok else answer.detail
-        self._learning.check_done(option)
+        self._check_done()
         return answer
 
     def _prepare(self, request: BeginDemonstration) -> Answer:
-        option = self._option
-        if self._attempt is not None:
-            raise _wrong_phase('a demonstration is under way; end it first')
-        phase = self.phase
+        option, phase = self._option, self.phase
         if option is None or phase not in (Phase.READY, Phase.FINISHED) or self._spent:
             spent = self._spent and phase is Phase.FINISHED
             status = RequestStatus.BUDGET_SPENT if spent else RequestStatus.WRONG_PHASE
@@ -501,8 +530,9 @@ class Lesson:
             state = self._again or next(reversed(option.start_states), '')
             state = state or self._starts.draw(option)
         self._attempt = Attempt(state, request.watch)
-        seed = self._starts.episode_seed(option)
-        return Answer(RequestStatus.OK, 'the start state is chosen', state=state, seed=seed)
+        return _ok(
+            'the start state is chosen', state=state, seed=self._starts.episode_seed(option)
+        )
 
     def _watch(self, transition: Transition) -> bool:
         """Look at one state of the stream; return whether the view has changed."""
@@ -521,8 +551,7 @@ class Lesson:
     def _abandon(self, notice: str) -> None:
         if self._under_way is not None and not self._under_way.watch:
             self._again = self._under_way.start_state
-        self._attempt = None
-        self._notice = notice
+        self._attempt, self._notice = None, notice
 
     def _end_demonstration(self, request: EndDemonstration) -> Answer:
         attempt, option = self._under_way, self._option
@@ -531,15 +560,14 @@ class Lesson:
         attempt.check(request)
         if request.verdict is Verdict.DISCARD:
             self._abandon('')
-            detail = 'discarded; the same start state can be tried again'
-            return Answer(RequestStatus.OK, detail)
+            return _ok('discarded; the same start state can be tried again')
         demo = attempt.demonstration(
-            self._who,
+            (*self._history.key, option.participant, self._session),
             option,
             tuple(feature.name for feature in self._domain.features),
             request,
             seconds=round(self._clock() - attempt.began, 3),
-            method=self._learning.method(option),
+            method=self._method(option),
         )
         try:
             check_demonstration(demo, self._domain)
@@ -549,12 +577,12 @@ class Lesson:
         found = contradiction(demo, option.demonstrations, self._domain)
         self._write(demo)
         self._attempt, self._again, self._notice = None, '', ''
-        self._learning.awaited = demo
+        self._awaited = demo
         text = f'demonstration {demo.number} of {demo.option_name} is kept'
         if self._paused:
             self._notice = f'The demonstration is {_UNRECORDED}.'
             text = f'{text} {_UNRECORDED}'
-        answer = Answer(RequestStatus.OK, text, uuid=demo.uuid, unsent=(demo,))
+        answer = _ok(text, uuid=demo.uuid, unsent=(demo,))
         if found is None:
             return answer
         return replace(
@@ -566,26 +594,25 @@ class Lesson:
 
     def _withdraw(self, request: WithdrawDemonstration) -> Answer:
         """Withdraw a demonstration of the option."""
-        self._check_free(learned=True)
         if self._option is None:
             raise _wrong_phase('name the option first')
-        name, demonstrations = self._option.name, self._option.demonstrations
-        if not demonstrations:
+        name, newest = self._option.name, self._option.newest
+        if newest is None:
             detail = f'{name} has no demonstration to withdraw'
             raise RefusalError(RequestStatus.NO_DEMONSTRATION, detail)
-        wanted = request.uuid or demonstrations[-1].uuid
-        demo = next((demo for demo in demonstrations if demo.uuid == wanted), None)
+        wanted = request.uuid or newest.uuid
+        demo = next((demo for demo in self._option.demonstrations if demo.uuid == wanted), None)
         if demo is None:
             detail = f'{name} has no demonstration {wanted}, or it is withdrawn already'
             raise RefusalError(RequestStatus.NO_DEMONSTRATION, detail)
         withdrawn = replace(demo, withdrawn=True)
         self._write(withdrawn)
+        self._awaited = withdrawn
         self._again = self._notice = ''  # the option's history has the start state
-        self._learning.awaited = withdrawn
         steps = len(demo.actions)
         what = f'the demonstration of {steps} step{"s"[: steps != 1]}' if steps else '"not here"'
         text = f'{what} is withdrawn; its start comes again'
-        return Answer(RequestStatus.OK, text, uuid=withdrawn.uuid, unsent=(withdrawn,))
+        return _ok(text, uuid=wanted, unsent=(withdrawn,))
 
     def _list(self, request: ListDemonstrations) -> Answer:
         """List the demonstrations of an option, also those that were withdrawn."""
@@ -594,7 +621,7 @@ class Lesson:
             raise RefusalError(RequestStatus.NO_OPTION, 'no option is being taught: name one')
         everything = self._demonstrations(self._history.participant)
         found = tuple(demo for demo in everything if demo.option_name == option.name)
-        return Answer(RequestStatus.OK, f'{len(found)} of {option.name}', demonstrations=found)
+        return _ok(f'{len(found)} of {option.name}', demonstrations=found)
 
     def _known(self, option_name: str) -> OptionHistory:
         option = self._history.options.get(composed(option_name))
@@ -605,7 +632,6 @@ class Lesson:
 
     def _change_option(self, request: ChangeOption) -> Answer:
         """Delete an option; or rename it: begin it anew with its answers and demonstrations."""
-        self._check_free(learned=True)
         option, new = self._known(request.name), composed(request.new_name.strip())
         begun: list[Entry] = []
         moved: list[Demonstration] = []
@@ -615,25 +641,37 @@ class Lesson:
             if new in self._history.options:
                 detail = f'an option is called {new!r} already'
                 raise RefusalError(RequestStatus.NAME_TAKEN, detail)
-            begun.append(OptionDefined(*self._who, new, ask_again=False, method=option.method))
-            answers = option.questions.answers.items()
-            begun += [FeatureAnswered(*self._who, new, *answer) for answer in answers]
+            begun.append(self._event('option', new, method=option.method))
+            begun += [
+                self._event('answer', new, feature=feature, yes=yes)
+                for feature, yes in option.answers.items()
+            ]
             moved = [
                 with_uuid(replace(demo, option_name=new, number=number))
                 for number, demo in enumerate(option.demonstrations, self._history.number(new))
             ]
         withdrawn = [replace(demo, withdrawn=True) for demo in option.demonstrations]
-        self._write(*begun, *moved, *withdrawn, OptionDeleted(*self._who, option.name))
+        deleted = self._event('option deleted', option.name)
+        self._write(*begun, *moved, *withdrawn, deleted)
         if new or option is self._option:
             self._turn_to(self._history.options.get(new))
         if moved:
-            self._learning.awaited = moved[-1]
-        return Answer(
-            RequestStatus.OK,
+            self._awaited = moved[-1]
+        return _ok(
             f'{option.name} is now called {new}' if new else f'{option.name} is deleted',
             known_options=tuple(self._history.options),
             unsent=(*moved, *withdrawn),
         )
+
+
+def _is_current(summary: OptionSummary, option: OptionHistory) -> bool:
+    """Return whether nothing counts in a summary that was withdrawn."""
+    counted = summary.n_demonstrations + summary.n_not_here
+    return summary.last_uuid not in option.withdrawn and counted <= len(option.demonstrations)
+
+
+def _ok(detail: str, **found: Any) -> Answer:
+    return Answer(RequestStatus.OK, detail, **found)
 
 
 def _wrong_phase(detail: str) -> RefusalError:

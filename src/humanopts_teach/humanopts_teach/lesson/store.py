@@ -4,17 +4,17 @@ The entries of a lesson on disk: for each participant one file of answers and de
 A line of JSON is one entry. It is durable (fsync) before the lesson goes on.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from contextlib import AbstractContextManager, suppress
 from dataclasses import asdict, dataclass
 import errno
 import fcntl
-from functools import cache, partial
+from functools import partial
 import json
 import os
 from pathlib import Path
 import re
-from typing import Annotated, TextIO
+from typing import Annotated, Literal, TextIO
 
 from humanopts_learner.append_only_log import AppendOnlyLog, link_remark
 from humanopts_learner.demonstrations import Demonstration, DemonstrationError
@@ -42,76 +42,32 @@ class EntryError(ValueError):
 
 
 @dataclass(frozen=True, slots=True)
-class _SessionEntry:
-    """The fields of every entry that is no demonstration."""
+class LessonEvent:
+    """What happened in a lesson; an option is named in all but the first kind."""
 
+    entry: Literal['session', 'option', 'answer', 'answer taken back', 'option deleted']
     domain: str
     domain_parameters: str  # JSON object
     participant: str
     session: str
+    option_name: Annotated[str, AfterValidator(composed)] = ''
+    feature: str = ''  # that was answered
+    yes: bool = False  # the answer
+    ask_again: bool = False  # with "option": the answers given before count no longer
+    method: str = ''  # with "option": of learning, that was asked for; empty: none
 
 
-@dataclass(frozen=True, slots=True)
-class SessionOpened(_SessionEntry):
-    """A participant began a session, or went on with it."""
-
-
-@dataclass(frozen=True, slots=True)
-class OptionDefined(_SessionEntry):
-    """An option was named, or taken up again."""
-
-    option_name: Annotated[str, AfterValidator(composed)]
-    ask_again: bool  # the answers given before count no longer
-    method: str = ''  # of learning, that was asked for; empty: none, as in earlier versions
-
-
-@dataclass(frozen=True, slots=True)
-class FeatureAnswered(_SessionEntry):
-    """One feature question was answered."""
-
-    option_name: Annotated[str, AfterValidator(composed)]
-    feature: str
-    yes: bool
-
-
-@dataclass(frozen=True, slots=True)
-class AnswerTakenBack(_SessionEntry):
-    """The last answer about an option was taken back."""
-
-    option_name: Annotated[str, AfterValidator(composed)]
-
-
-@dataclass(frozen=True, slots=True)
-class OptionDeleted(_SessionEntry):
-    """An option was deleted or renamed; its demonstrations were taken back before."""
-
-    option_name: Annotated[str, AfterValidator(composed)]
-
-
-Entry = (
-    SessionOpened
-    | OptionDefined
-    | FeatureAnswered
-    | AnswerTakenBack
-    | OptionDeleted
-    | Demonstration
-)
-_KINDS: Mapping[str, type[Entry]] = {
-    'session': SessionOpened,
-    'option': OptionDefined,
-    'answer': FeatureAnswered,
-    'answer taken back': AnswerTakenBack,
-    'option deleted': OptionDeleted,
-    'demonstration': Demonstration,
-}
-_NAMES = {kind: name for name, kind in _KINDS.items()}
+Entry = LessonEvent | Demonstration
+_EVENT = TypeAdapter(LessonEvent)
 
 
 def entry_to_line(entry: Entry) -> str:
     """Return the entry as one line of JSON, without the line's end."""
-    values = json.loads(entry.to_json()) if isinstance(entry, Demonstration) else asdict(entry)
-    named = {'version': VERSION, 'entry': _NAMES[type(entry)], **values}
-    return json.dumps(named, sort_keys=True)
+    if isinstance(entry, Demonstration):
+        values = {'entry': 'demonstration', **json.loads(entry.to_json())}
+    else:
+        values = {name: value for name, value in asdict(entry).items() if value not in ('', False)}
+    return json.dumps({'version': VERSION, **values}, sort_keys=True)
 
 
 def entry_from_line(line: str) -> Entry:
@@ -122,26 +78,17 @@ def entry_from_line(line: str) -> Entry:
     """
     try:
         values = parse_json(line)
+        if not isinstance(values, dict) or values.get('version') != VERSION:
+            raise EntryError(f'it is not an entry of version {VERSION}')
+        if values.get('entry') == 'demonstration':
+            return Demonstration.from_fields(values)
+        return _EVENT.validate_json(line, strict=True)
     except JsonError as error:
         raise EntryError(f'it is not JSON: {error}') from None
-    if not isinstance(values, dict) or values.get('version') != VERSION:
-        raise EntryError(f'it is not an entry of version {VERSION}')
-    name = str(values.get('entry'))
-    if name not in _KINDS:
-        raise EntryError(f'it has an unknown kind of entry, {name!r}')
-    try:
-        if name == _NAMES[Demonstration]:
-            return Demonstration.from_fields(values)
-        return _adapter(name).validate_json(line, strict=True)
     except DemonstrationError as error:
         raise EntryError(str(error)) from None
     except ValidationError as error:
         raise EntryError(fault_in(error)) from None
-
-
-@cache
-def _adapter(name: str) -> TypeAdapter[Entry]:
-    return TypeAdapter(_KINDS[name])
 
 
 class StoreError(OSError):
