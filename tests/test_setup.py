@@ -5,8 +5,10 @@ import os
 from pathlib import Path
 import re
 import shutil
+import signal
 import subprocess
 import sys
+from typing import Any
 
 import pytest
 
@@ -84,12 +86,11 @@ def test_machine_with_everything_passes_in_silence(machine: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ('name', 'package'), [('g++', 'g++'), ('git', 'git'), ('python3', 'python3-venv')]
+    ('name', 'package'), [('g++', 'g++'), ('git', 'git'), ('python3', 'python3')]
 )
 def test_missing_program_is_named_with_its_package(machine: Path, name: str, package: str) -> None:
     (machine / name).unlink()
-    check_missing(machine, f'there is no {name};', f'apt-get install {package.split("-")[0]}')
-    check_missing(machine, package)
+    check_missing(machine, f'there is no {name};', f'apt-get install {package}')
 
 
 def test_python_that_is_too_old_is_named(machine: Path) -> None:
@@ -155,23 +156,14 @@ def test_one_version_of_each_package_builds_runs_and_is_tested(name: str) -> Non
     assert found <= versions('requirements.lock')
 
 
-def test_a_step_of_the_set_up_says_that_it_begins_and_how_long_it_took() -> None:
-    done = subprocess.run(
-        [ROOT / 'tools/step.sh', 'Counting', 'true'], capture_output=True, text=True, check=True
-    )
+def test_a_step_of_the_set_up_reports_its_time_or_all_output_if_it_fails() -> None:
+    step, how = [ROOT / 'tools/step.sh', 'Counting'], {'capture_output': True, 'text': True}
+    done = subprocess.run([*step, 'true'], check=True, **how)
     assert re.fullmatch(r'Counting \.\.\.\nCounting: \d+\.\d s\n', done.stdout)
     assert done.stderr == ''
-
-
-def test_a_step_that_fails_shows_all_that_it_said_and_stops_make() -> None:
-    done = subprocess.run(
-        [ROOT / 'tools/step.sh', 'Counting', 'bash', '-c', 'echo one; echo two >&2; exit 3'],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 3
-    assert done.stderr == 'Counting: failed:\none\ntwo\n'
+    fails = ('bash', '-c', 'echo one; echo two >&2; exit 3')
+    done = subprocess.run([*step, *fails], check=False, **how)
+    assert (done.returncode, done.stderr) == (3, 'Counting: failed:\none\ntwo\n')
 
 
 def make(*arguments: str) -> 'subprocess.CompletedProcess[str]':
@@ -182,16 +174,11 @@ def make(*arguments: str) -> 'subprocess.CompletedProcess[str]':
     )
 
 
-@pytest.mark.parametrize('target', TARGETS)
-def test_target_is_there(target: str) -> None:
-    done = make('--dry-run', target)
+def test_every_target_is_there_and_named_by_help() -> None:
+    done = make('--dry-run', *TARGETS)
     assert (done.returncode, done.stderr) == (0, '')
-    assert done.stdout
-
-
-def test_help_names_every_target() -> None:
-    done = make('help')
-    assert [t for t in TARGETS if t != 'help' and f'make {t}' not in done.stdout] == []
+    text = make('help').stdout
+    assert [t for t in TARGETS if t != 'help' and f'make {t}' not in text] == []
 
 
 @pytest.mark.parametrize('failing', ['', 'checked', 'docs', 'lint', 'test-floor', 'test'])
@@ -268,22 +255,25 @@ def other_ros(tmp_path: Path) -> dict[str, str]:
 def test_commands_work_in_a_shell_that_has_sourced_another_ros(
     tmp_path: Path, other_ros: dict[str, str], domain_id: int
 ) -> None:
+    options: dict[str, Any] = {
+        'cwd': tmp_path / 'opt/ros/humble/here',
+        'env': {**other_ros, 'ROS_DOMAIN_ID': str(domain_id)},
+        'stdout': subprocess.PIPE,
+        'stderr': subprocess.PIPE,
+        'text': True,
+    }
+
     def run(*command: str | Path) -> 'subprocess.CompletedProcess[str]':
-        return subprocess.run(
-            command,
-            cwd=tmp_path / 'opt/ros/humble/here',
-            env={**other_ros, 'ROS_DOMAIN_ID': str(domain_id)},
-            capture_output=True,
-            text=True,
-            check=False,
-        )
+        return subprocess.run(command, check=False, **options)
 
     status = run(ROOT / 'humanopts', 'status')
     assert (status.returncode, status.stderr) == (2, '')
     assert status.stdout.startswith('no node of humanopts is in')
-    out = tmp_path / 'out'
-    played = run(ROOT / 'humanopts', 'demo', '--episodes', '1', '--out', out)
-    assert (played.returncode, played.stderr) == (0, '')
+    words = ('up', 'rooms', '--only', 'game', '--no-record', '--out', tmp_path / 'out')
+    with subprocess.Popen([ROOT / 'humanopts', *words], **options) as launch:
+        assert launch.stdout.readline() == 'ready: /game\n'
+        launch.send_signal(signal.SIGINT)
+        assert (launch.communicate()[1], launch.returncode) == ('', 0)
     # What a person's own programs and make start.
     told = run('bash', '-c', f'root={ROOT}; . $root/tools/environment.sh; env')
     made = run('make', '--silent', '-C', ROOT, '--eval', 'told: ; @env', 'told')
