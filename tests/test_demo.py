@@ -3,7 +3,6 @@
 from collections import Counter, defaultdict
 from collections.abc import Iterator
 from contextlib import ExitStack
-from html.parser import HTMLParser
 import json
 from pathlib import Path
 import re
@@ -13,7 +12,7 @@ from graph_support.command import Command, DemoRun, EPISODES, run_demo, shown_in
 from humanopts_env.domains.base import action_index
 from humanopts_env.domains.taxi import Taxi
 from humanopts_env.seeding import generator
-from humanopts_learner.demonstrations import GOAL, Kind, METHODS
+from humanopts_learner.demonstrations import Kind
 from humanopts_learner.options.files import option_from_json
 from humanopts_teach.bags.check import check_bag
 from humanopts_teach.bags.contents import Episode, read_episodes
@@ -71,25 +70,21 @@ def episodes(bag: Bag) -> list[Episode]:
     return list(read_episodes(bag))
 
 
-def test_demo_keeps_its_promises_and_says_so(demo: DemoRun) -> None:
+def test_demo_keeps_its_promises_and_says_so_stage_by_stage(demo: DemoRun) -> None:
     assert (demo.status, demo.errors) == (0, '')
-    assert f'{PICKUP}: ' in demo.output
-    assert f'{EPISODES} of {EPISODES} episodes done by running options, 0 fallbacks' in demo.output
-    assert demo.output.count(', over all starts -10.07\n') == 2  # of every plan that is optimal
-    assert demo.output.endswith(f'report: {demo.folder / "report.html"}\n')
-
-
-def test_progress_is_printed_where_there_is_no_terminal(demo: DemoRun) -> None:
     played = f'playing {EPISODES} episodes'
     stages = ['teaching', 'planning', played, 'evaluating the bag', 'writing']
     places = [demo.output.index(f'\n{stage}') for stage in stages]
     assert places == sorted(places)
-    assert re.search(rf'^{PICKUP}: \d+ shown, .* criteria met$', demo.output, re.M)
-    assert '\x1b' not in demo.output
-
-
-def test_the_first_state_is_shown_long_before_the_demo_ends(demo: DemoRun) -> None:
     assert 0 < demo.first_state_after < demo.seconds / 2
+    assert re.search(rf'^{PICKUP}: \d+ shown, .* criteria met$', demo.output, re.M)
+    assert f'{EPISODES} of {EPISODES} episodes done by running options, 0 fallbacks' in demo.output
+    assert demo.output.count(', over all starts -10.07\n') == 2  # of every plan that is optimal
+    assert demo.output.endswith(f'report: {demo.folder / "report.html"}\n')
+    assert '\x1b' not in demo.output
+    report = (demo.folder / 'report.html').read_text('utf-8')
+    frames = len(list(read_episodes(open_bag(demo.bag)))[-1].transitions)
+    assert report.partition('<h2 id="episode">')[2].count('<li class=') == frames
 
 
 def test_summary_has_exactly_its_schema(demo: DemoRun) -> None:
@@ -118,24 +113,19 @@ def _deviations(value: Any, schema: Any, place: str = 'summary') -> Iterator[str
         yield f'{place} is {value!r}'
 
 
-def test_criteria_of_both_options_are_met(demo: DemoRun) -> None:
+def test_criteria_are_met_and_every_episode_is_delivered_without_a_fallback(
+    demo: DemoRun, bag: Bag
+) -> None:
     limits = demo.summary['teaching']['thresholds']
     for option in demo.summary['options']:
         assert option['criteria_met']
         assert option['initiation'] <= limits['initiation_error']
         assert option['termination'] <= limits['termination_error']
-
-
-def test_every_episode_is_delivered_without_a_fallback(demo: DemoRun, bag: Bag) -> None:
     played = demo.summary['execution']
-    assert (played['episodes'], played['successes'], played['fallbacks']) == (
-        EPISODES,
-        EPISODES,
-        0,
-    )
-    runs = [r.message.option_name for r in bag.messages(['/option_results'])]
-    assert len(runs) == 2 * EPISODES
-    assert set(runs) == {PICKUP, DROPOFF}
+    counts = (played['episodes'], played['successes'], played['fallbacks'])
+    assert counts == (EPISODES, EPISODES, 0)
+    runs = Counter(each.option_name for each in messages(bag, '/option_results'))
+    assert runs == {PICKUP: EPISODES, DROPOFF: EPISODES}
 
 
 def test_mean_return_is_that_of_the_episodes_and_near_the_optimum(
@@ -177,19 +167,19 @@ def test_game_states_replay_exactly_in_the_rules(episodes: list[Episode]) -> Non
     assert steps > 300
 
 
+def messages(bag: Bag, topic: str) -> list[Any]:
+    return [recorded.message for recorded in bag.messages([topic])]
+
+
 def test_every_step_answers_one_recorded_command(bag: Bag) -> None:
-    sent = {(m.publisher_id, m.sequence): m for m in _all(bag, '/action')}
-    led = [m for m in _all(bag, '/game_state') if m.previous_action]
+    sent = {(m.publisher_id, m.sequence): m for m in messages(bag, '/action')}
+    led = [m for m in messages(bag, '/game_state') if m.previous_action]
     answered = [(m.action_publisher_id, m.action_sequence) for m in led]
     assert len(set(answered)) == len(answered) == len(sent)
     for state, key in zip(led, answered):
         command = sent[key]
         assert (command.action, command.source) == (state.previous_action, state.action_source)
         assert (command.episode, command.step + 1) == (state.episode, state.step)
-
-
-def _all(bag: Bag, topic: str) -> list[Any]:
-    return [recorded.message for recorded in bag.messages([topic])]
 
 
 def test_no_message_is_lost_and_the_summary_counts_them(demo: DemoRun, bag: Bag) -> None:
@@ -255,20 +245,6 @@ def test_without_demonstrations_of_an_option_the_bag_gives_other_numbers_of_it_a
     assert {'n_demonstrations', 'mean_return_demonstrations'} <= changed
 
 
-@pytest.mark.slow
-def test_same_seed_teaches_the_same_again(
-    demo: DemoRun, bag: Bag, tmp_path: Path, domain_id: int
-) -> None:
-    """The quick form, with the lesson in one process, is in test_reproduce.py."""
-    again = run_demo(tmp_path, domain_id, '--seed', 1, '--episodes', 1)
-    assert (again.status, again.errors) == (0, '')
-    assert again.summary['options'] == demo.summary['options']
-    first, second = shown_in_bag(bag), shown_in_bag(open_bag(again.bag))
-    assert [(d.uuid, d.states, d.actions) for d in first] == [
-        (d.uuid, d.states, d.actions) for d in second
-    ]
-
-
 @pytest.mark.slow  # a whole demo of its own
 def test_demo_that_was_too_short_to_teach_says_what_is_missing(
     tmp_path: Path, domain_id: int
@@ -281,85 +257,6 @@ def test_demo_that_was_too_short_to_teach_says_what_is_missing(
     assert f'humanopts demo: {DROPOFF!r} was not learned' in problems
     assert short.summary['execution']['successes'] < 3
     assert (short.folder / 'report.html').stat().st_size > 10_000
-
-
-class Page(HTMLParser):
-    """The text of the table rows of a page."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.rows: list[list[str]] = []
-        self.feed(text)
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        """Begin a row or a cell."""
-        if tag == 'tr':
-            self.rows.append([])
-        elif tag in ('td', 'th') and self.rows:
-            self.rows[-1].append('')
-
-    def handle_data(self, data: str) -> None:
-        """Keep the text of table cells."""
-        if self.rows and self.rows[-1] and self.lasttag in ('td', 'th', 'code'):
-            self.rows[-1][-1] += data.strip()
-
-
-@pytest.fixture(scope='module')
-def report(demo: DemoRun) -> str:
-    """The text of report.html."""
-    return (demo.folder / 'report.html').read_text('utf-8')
-
-
-def test_report_holds_all_its_figures(demo: DemoRun, report: str) -> None:
-    learning, boards, planning, episode = (
-        report.index(f'<h2 id="{part}">') for part in ('learning', 'boards', 'planning', 'episode')
-    )
-    assert report[learning:boards].count('<svg') >= 4  # two options
-    assert report[boards:planning].count('<svg') >= 4  # two plans, two layouts
-    assert report[planning:episode].count('<svg') >= 2  # time and return
-    frames = report[episode:].count('<li class=')
-    assert frames == len(list(read_episodes(open_bag(demo.bag)))[-1].transitions)
-
-
-def test_numbers_of_the_report_are_those_of_the_summary(demo: DemoRun, report: str) -> None:
-    rows = Page(report).rows
-    for option in demo.summary['options']:
-        for key, words in (
-            ('n_demonstrations', 'demonstrations'),
-            ('mean_return_demonstrations', 'mean return of the demonstrations'),
-            ('mean_return_policy', 'mean return of the policy, same starts'),
-            ('initiation', 'initiation: held-out balanced error'),
-            ('termination', 'termination: held-out balanced error'),
-        ):
-            shown = _written(option[key])
-            assert [words, shown, shown, 'equal'] in rows
-    for plan in demo.summary['planning']:
-        (row,) = [row for row in rows if row[:1] == [plan['action_set']]]
-        expected = [plan['sweeps'], plan['mean_return'], plan['mean_discounted_return']]
-        assert [row[5], row[8], row[9]] == [_written(value) for value in expected]
-    topics = {row[0]: row for row in rows if row and row[0].startswith('/')}
-    assert len(topics) == demo.summary['bag']['topics']
-    total = sum(int(row[2].replace(',', '')) for row in topics.values())
-    assert total == demo.summary['bag']['messages']
-    assert {row[4] for row in topics.values()} <= {'0', '\N{EN DASH}'}
-
-
-def _written(number: float) -> str:
-    return f'{number:.4g}'.replace('-', '\N{MINUS SIGN}')
-
-
-@pytest.mark.slow  # the quick form, whose nodes die, is in test_node_deaths.py
-def test_few_demonstrations_are_enough_and_the_bag_gives_the_same(
-    tmp_path: Path, domain_id: int
-) -> None:
-    demo = run_demo(tmp_path, domain_id, '--learn', 'goal', '--seed', 1, '--episodes', 10)
-    assert (demo.status, demo.errors) == (0, '')
-    for option in demo.summary['options']:
-        assert (option['method'], option['policy_accuracy']) == (GOAL, 1.0)
-        assert option['n_demonstrations'] <= 6
-    assert demo.summary['offline']['options'] == demo.summary['options']
-    assert {shown.method for shown in shown_in_bag(open_bag(demo.bag))} == {GOAL}
-    assert METHODS[GOAL] in (demo.folder / 'report.html').read_text('utf-8')
 
 
 def test_where_states_cannot_be_listed_the_demo_is_refused(

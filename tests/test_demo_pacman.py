@@ -1,12 +1,9 @@
 """The demo of Pac-Man: options taught, planned from samples, played, and judged in games."""
 
-import json
-import os
 from typing import Any
 
 from graph_support.command import DemoRun, run_demo
 from graph_support.live import free_domain_id
-from humanopts_teach.cli import main
 import pytest
 
 TAUGHT = [
@@ -16,7 +13,8 @@ TAUGHT = [
     'eat the ghost',
 ]
 pytestmark = [pytest.mark.whole, pytest.mark.timeout(300)]
-STEPS = 60_000  # of games, that each plan is sampled from
+STEPS = 20_000  # of games, that each plan is sampled from
+PARTS = ('episode', 'planning', 'boards', 'games')  # of a report
 SECONDS = {'table_seconds', 'model_seconds', 'sweep_seconds'}
 
 
@@ -34,16 +32,13 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> DemoRun:
         )
 
 
-def test_demo_teaches_four_options_and_keeps_its_promises(demo: DemoRun) -> None:
+def test_demo_teaches_four_options_and_judges_sampled_plans(demo: DemoRun) -> None:
     assert (demo.status, demo.errors) == (0, '')
     assert [option['option_name'] for option in demo.summary['options']] == TAUGHT
     assert all(option['criteria_met'] for option in demo.summary['options'])
     played = demo.summary['execution']
     assert played['episodes'] == 2
     assert played['mean_return'] > 500
-
-
-def test_plans_are_sampled_and_judged_in_many_games(demo: DemoRun) -> None:
     human, primitive = demo.summary['planning']
     assert (human['action_set'], primitive['action_set']) == ('human', 'primitive')
     assert human['mean_return_low'] > primitive['mean_return_high']
@@ -60,23 +55,9 @@ def test_the_bag_alone_gives_the_same_options_and_plans(demo: DemoRun) -> None:
         assert {key for key in live if live[key] != again[key]} <= SECONDS
 
 
-def test_bag_eval_plans_too_and_says_nothing_against_it(
-    demo: DemoRun, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(os, 'sched_getaffinity', lambda _: {0})  # in this process, which has few
-    assert main(['bag', 'eval', '--json', str(demo.bag)]) == 0
-    found = json.loads(capsys.readouterr().out)
-    assert (found['warnings'], found['games']) == ([], {})
-    for live, again in zip(demo.summary['planning'], found['planning'], strict=True):
-        assert {key for key in live if live[key] != again[key]} <= SECONDS
-
-
-def test_the_report_shows_an_episode_by_its_runs_and_no_board_of_values(demo: DemoRun) -> None:
+def test_the_report_shows_an_episode_and_no_board_of_values(demo: DemoRun) -> None:
     report = (demo.folder / 'report.html').read_text('utf-8')
-    assert 'id="episode"' in report
-    assert 'id="planning"' in report
-    assert 'id="boards"' not in report
-    assert 'id="games"' not in report
+    assert [part for part in PARTS if f'id="{part}"' in report] == ['episode', 'planning']
     assert demo.summary['games'] is None
 
 

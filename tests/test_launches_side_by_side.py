@@ -21,6 +21,7 @@ from teach_support.page_client import PageClient
 
 pytestmark = [pytest.mark.whole, pytest.mark.timeout(400)]  # on a busy machine
 TAUGHT = {'/': 'go to passenger and pickup', '/b': 'north-west room to north doorway'}
+PART = ('--only', 'recorder,game,lesson,learner')  # what a lesson needs
 QUESTIONS = len(make_domain('taxi').features)
 ROBOT = """
 import rclpy
@@ -39,8 +40,8 @@ def commands(tmp_path: Path, domain_id: int) -> Iterator[dict[str, Command]]:
     """Two launches and a browser server, each with its output in a folder of its own."""
     started: dict[str, Command] = {}
     for name, arguments in (
-        ('taxi', ('up', 'taxi')),
-        ('rooms', ('up', 'rooms', '--namespace', '/b', '--record', '/scan')),
+        ('taxi', ('up', 'taxi', *PART)),
+        ('rooms', ('up', 'rooms', *PART, '--namespace', '/b', '--record', '/scan')),
         ('pages', ('teach', 'taxi', '--browser', '--port', 0, '--learn', 'goal')),
     ):
         folder = tmp_path / name
