@@ -5,8 +5,7 @@ The token is the first part of every path: of pages, of what they load, and of t
 stranger gets a short text, and no state is kept for one.
 """
 
-from collections.abc import Callable, Collection
-from contextlib import AbstractContextManager
+from collections.abc import Collection
 import ipaddress
 from secrets import compare_digest
 import socket
@@ -20,53 +19,33 @@ _NO_NAME = (
     'the game runs, or start it there with --allow-host and the name.\n'
 )
 _FOREIGN = 'A page of another site has asked for this one. Open its address in a window.\n'
-_PREFIX = b'x-forwarded-prefix'  # what NiceGUI puts before each path that it writes into a page
 
 
 class Guard:
-    """An ASGI application before another one, for which it acts as a reverse proxy."""
+    """An ASGI application that forwards only requests that may see the pages."""
 
-    def __init__(
-        self,
-        app: ASGIApp,
-        token: str,
-        hosts: Collection[str],
-        admitted: Callable[[Scope], AbstractContextManager[None]],
-    ) -> None:
+    def __init__(self, app: ASGIApp, token: str, hosts: Collection[str]) -> None:
         """
         Guard an application.
 
         :param token: first part of each path; safe in a URL.
         :param hosts: names by which browsers may call the machine, besides its own. They may use
             any address: no name server can make a browser send another one than it connects to.
-        :param admitted: held while a request is answered that has the token.
         """
-        self._app, self._token, self._admitted = app, token.encode(), admitted
+        self._app, self._token = app, token.encode()
         self._given = {host.lower() for host in hosts}
         here = socket.gethostname().lower()
         self._hosts = {*self._given, 'localhost', here, f'{here.partition(".")[0]}.local'}
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer a stranger, or hand the request on without the token."""
-        if scope['type'] == 'lifespan':
-            await self._app(scope, receive, send)
-            return
-        if reason := self._refusal(scope):
-            await _refuse(scope, send, reason)
-            return
-        headers, length = scope['headers'], 1 + len(self._token)
-        before = b''.join(value for name, value in headers if name == _PREFIX)
-        inner = {
-            **scope,
-            'path': scope['path'][length:] or '/',
-            'raw_path': scope['raw_path'][length:] or b'/',
-            'headers': [
-                *(header for header in headers if header[0] != _PREFIX),
-                (_PREFIX, before + b'/' + self._token),
-            ],
-        }
-        with self._admitted(scope):
-            await self._app(inner, receive, send)
+        """Refuse a request, or forward it."""
+        if scope['type'] != 'lifespan':
+            if reason := self._refusal(scope):
+                await _refuse(scope, send, reason)
+                return
+            if scope['path'].count('/') == 1:  # else Starlette redirects, past any proxy's prefix
+                scope = {**scope, 'path': f'{scope["path"]}/'}
+        await self._app(scope, receive, send)
 
     def _refusal(self, scope: Scope) -> str:
         """Return why a request is refused; empty: it is not."""

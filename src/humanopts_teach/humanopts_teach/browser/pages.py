@@ -3,13 +3,14 @@
 import asyncio
 from collections.abc import Callable, Collection
 from contextlib import suppress
+from functools import partial
 from html import escape
 import socket
 from typing import Any
 
 from fastapi import FastAPI
 from fastapi.responses import HTMLResponse
-from humanopts_teach.browser.connections import Gate, Idle, Server
+from humanopts_teach.browser.connections import Server
 from humanopts_teach.browser.guard import Guard
 from humanopts_teach.browser.markup import head_html, PARTS, parts
 from humanopts_teach.browser.seats import message, Press, prompt, Seats, Window
@@ -23,7 +24,6 @@ from nicegui import Client, core, ui
 
 _RECONNECTING = 10.0  # s for which a page without a connection is kept
 _ANSWER = 1.0  # s in which a page confirms the last frame
-_LOOK = 0.1  # s between checks whether to stop the server
 
 
 class PageWindow(Window):
@@ -150,25 +150,13 @@ async def serve(
         title='humanopts',
         dark=None,
         tailwind=False,
+        mount_path=f'/{token}',
         reconnect_timeout=_RECONNECTING,
         show_welcome_message=False,
         viewport='width=device-width, initial-scale=1, viewport-fit=cover',
     )
     core.sio.on('log', lambda *_: None)  # pages must not write to the terminal
-    idle = Idle()
-    server = Server(Guard(web, token, hosts, idle.admitted), idle)
+    farewell = 'The game was stopped where it runs. Everything taught is saved.'
+    server = Server(Guard(web, token, hosts), token, stop, partial(seats.close, farewell))
     with limited_log():
-        serving = asyncio.create_task(server.serve(sockets=[]))
-        while not (server.started or serving.done()):
-            await asyncio.sleep(_LOOK / 10)
-        gate = Gate(listening, token, server)
-        try:
-            while not (stop() or serving.done()):
-                gate.end_old()
-                idle.end_old()
-                await asyncio.sleep(_LOOK)
-            await seats.close('The game was stopped where it runs. Everything taught is saved.')
-        finally:
-            gate.close()
-            server.should_exit = True
-            await serving
+        await server.serve(sockets=[listening])
