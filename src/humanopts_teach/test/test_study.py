@@ -17,7 +17,6 @@ from humanopts_teach.cli import main
 from humanopts_teach.commands.study_session import simulated_part
 from humanopts_teach.dialogue.study import StudyApp
 from humanopts_teach.lesson.requests import Answer, LessonView, Phase, RequestStatus, World
-from humanopts_teach.study.events import ParticipantEnded
 from humanopts_teach.study.plan import (
     balanced_latin_square,
     Part,
@@ -215,7 +214,7 @@ def test_a_code_is_used_once_and_goes_on_until_its_end(plan: StudyPlan, tmp_path
         with pytest.raises(StudyError) as raised:
             folder.enter(two, code, simulated=simulated)
         said.append(str(raised.value))
-    OpenRecord(anna.path).note(ParticipantEnded)
+    OpenRecord(anna.path).note('ended')
     with pytest.raises(StudyError) as raised:
         folder.enter(two, 'anna')
     snapshot.check('code_refusals.txt', '\n'.join([*said, str(raised.value)]))
@@ -353,7 +352,9 @@ class Guest:
 
     def events(self, what: str) -> list[tuple[Any, ...]]:
         """Return the events of a kind, without time and condition."""
-        dumped = (event.model_dump(mode='json') for event in self.record.events)
+        dumped = (
+            event.model_dump(mode='json', exclude_unset=True) for event in self.record.events
+        )
         left = ('time', 'event', 'condition')
         return [
             tuple(value for key, value in sorted(values.items()) if key not in left)
@@ -481,7 +482,7 @@ def test_a_simulated_study_makes_tables_that_the_codebook_explains(
         record = OpenRecord(who.path)
         for part in plan.parts_of(who.number):
             simulated_part(part, record, plan.seed, who.number, lambda: [option])
-        record.note(ParticipantEnded)
+        record.note('ended')
     folder.enter(plan, 'late')
     records, problems = folder.records()
     assert problems == []

@@ -27,22 +27,10 @@ from humanopts_teach.commands.session import (
 from humanopts_teach.launching.processes import Setup
 from humanopts_teach.lesson.store import similar_code
 from humanopts_teach.ros.teleop import published_record
-from humanopts_teach.study.events import (
-    Answered,
-    ButtonSuggested,
-    Event,
-    FINISHED,
-    OptionsLearned,
-    PartBegan,
-    PartEnded,
-    ParticipantEnded,
-    REFUSED,
-    TIME,
-)
+from humanopts_teach.study.events import EventKind, FINISHED, learned, REFUSED, TIME
 from humanopts_teach.study.plan import Condition, Part, PartKind, PARTS, StudyPlan
 from humanopts_teach.study.record import (
     ChangedPlanError,
-    learned_rows,
     OpenRecord,
     Record,
     SimilarCodeError,
@@ -176,8 +164,7 @@ class Study:
         for part in record.left_of([part for _, parts in turns for part in parts]):
             spent = record.seconds_in(part.key)
             if part.minutes and spent > max(0.0, 60 * part.minutes - _LEAST_SECONDS):
-                where = {'part': part.key, 'condition': part.condition}
-                self._note(participant, PartEnded, kind=part.kind, why=TIME, **where)
+                self._note(participant, 'part ended', part, why=TIME)
         record = self._record(participant)
         for condition, parts in turns:
             if left := record.left_of(parts):
@@ -193,7 +180,7 @@ class Study:
         """
         record = self._record(participant)
         if record.refused:
-            self._note(participant, ParticipantEnded, why=REFUSED)
+            self._note(participant, 'ended', why=REFUSED)
             return f'{participant.code} does not take part; nothing more is asked'
         if record.left_of(turn.left):
             return f'{participant.code} has not finished; the same code goes on'
@@ -205,16 +192,18 @@ class Study:
 
         :raises CommandError: the record cannot be written.
         """
-        self._note(participant, ParticipantEnded)
+        self._note(participant, 'ended')
         return f'{participant.code} has finished; everything is in {self.folder.path}'
 
     def _record(self, participant: Record) -> Record:
         with refusing(StudyError), refusing(OSError, what=f'cannot read {participant.path}: '):
             return participant.read()
 
-    def _note(self, participant: Record, kind: type[Event], /, **values: Any) -> None:
+    def _note(
+        self, participant: Record, kind: EventKind, part: Part | None = None, **values: Any
+    ) -> None:
         with refusing(StudyError), refusing(OSError, what=f'cannot write {participant.path}: '):
-            OpenRecord(participant.path).note(kind, **values)
+            OpenRecord(participant.path).note(kind, part, **values)
 
     def _setup(
         self,
@@ -275,18 +264,17 @@ def simulated_part(
     from humanopts_teach.evaluation.table1 import TABLE_1  # slow to import
 
     rng = generator(seed, 'simulated participant', number, part.key)
-    where = {'part': part.key, 'condition': part.condition}
-    record.note(PartBegan, kind=part.kind, **where)
+    record.note('part began', part)
     if part.kind is PartKind.TEACH:
-        record.note(OptionsLearned, options=learned_rows(teach()), **where)
+        record.note('learned', part, options=learned(teach()))
     elif part.kind is PartKind.BUTTONS:
         shares = TABLE_1.get(part.domain, {})
         named = [name for name, share in shares.items() if rng.random() < share]
         for rank, text in enumerate(named[: part.most], start=1):
-            record.note(ButtonSuggested, domain=part.domain, rank=rank, text=text, **where)
+            record.note('button', part, domain=part.domain, rank=rank, text=text)
     elif part.questions is not None:
         points = part.questions.points
         for question in part.questions.items:
             value = int(rng.integers(1, points + 1))
-            record.note(Answered, item=question.name, value=value, points=points, **where)
-    record.note(PartEnded, kind=part.kind, why=FINISHED, **where)
+            record.note('answer', part, item=question.name, value=value, points=points)
+    record.note('part ended', part, why=FINISHED)

@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 import math
-from typing import Any
 
 from humanopts_teach.dialogue.app import App, Screen
 from humanopts_teach.dialogue.driving import PlayScreen
@@ -15,20 +14,15 @@ from humanopts_teach.dialogue.menu import opening
 from humanopts_teach.dialogue.panel import GAP, Line, Page, Panel, Tone
 from humanopts_teach.lesson.requests import CancelRun, Phase, Request, SetControl, World
 from humanopts_teach.study.events import (
-    Answered,
-    ButtonSuggested,
+    EventKind,
     FINISHED,
-    OptionsLearned,
-    PartBegan,
-    PartEnded,
-    PartEvent,
-    PartLeft,
+    learned,
+    LearnedOption,
     REFUSED,
-    SignOfLife,
     TIME,
 )
 from humanopts_teach.study.plan import Part, PartKind, Questionnaire
-from humanopts_teach.study.record import learned_rows, OpenRecord
+from humanopts_teach.study.record import OpenRecord
 
 SIGN_SECONDS = 5.0  # between signs of life: what a crash can take of the time at a part
 _LAST = 'The time for this part is over: this demonstration is the last.'
@@ -58,7 +52,7 @@ class StudyApp(App):
         self._part: Part | None = None
         self._ends = math.inf  # s, when the time of the part is over
         self._signed = 0.0  # s, when the last sign of life was noted
-        self._taught: list[dict[str, Any]] = []  # what was noted last of what was learned
+        self._taught: tuple[LearnedOption, ...] = ()  # as recorded last
         self._announced = False  # that its time is over
 
     def advance(self, now: float) -> Request | None:
@@ -70,7 +64,7 @@ class StudyApp(App):
                 self._signed = now
                 with suppress(OSError):  # no more than the time since the last one is lost
                     self._note_taught()
-                    self.note(SignOfLife)
+                    self.note('still there')
             if now >= self._ends:
                 if self.world.lesson.phase is Phase.DEMONSTRATING:
                     if not self._announced:
@@ -84,7 +78,7 @@ class StudyApp(App):
         """Note that a part is left in its middle, too."""
         if self._part is not None:
             self._note_taught()
-            self.note(PartLeft)
+            self.note('part left')
             self._part = None
         return super().last_requests()
 
@@ -96,8 +90,8 @@ class StudyApp(App):
         part = self._part = self._parts.pop(0)
         left = 60 * part.minutes - self._record.seconds_in(part.key)
         self._ends = now + left if part.minutes else math.inf
-        self._signed, self._announced, self._taught = now, False, []
-        self.note(PartBegan, kind=part.kind)
+        self._signed, self._announced, self._taught = now, False, ()
+        self.note('part began')
         self.show(_first_screen(self._part, self._code))
 
     def end(self, why: str = FINISHED) -> None:
@@ -113,7 +107,7 @@ class StudyApp(App):
         if self.world.i_drive:
             self.ask(SetControl(hold=False))
         self._note_taught()
-        self.note(PartEnded, kind=self._part.kind, why=why)
+        self.note('part ended', why=why)
         self._part = None
         self._keys.clear()  # typed for what was shown
         self._outbox = deque(each for each in self._outbox if not self._is_anothers(each[0]))
@@ -123,16 +117,15 @@ class StudyApp(App):
         """Note what was taught so far, if there is anything new."""
         mine = [each for each in self.world.summaries if each.participant == self._code]
         if self._part is not None and self._part.kind is PartKind.TEACH:
-            rows = learned_rows(mine)
-            if rows != self._taught:  # none are known yet right after a return
-                self._taught = rows
-                self.note(OptionsLearned, options=rows)
+            options = learned(mine)
+            if options != self._taught:  # none are known yet right after a return
+                self._taught = options
+                self.note('learned', options=options)
 
-    def note(self, kind: type[PartEvent], /, **values: object) -> None:
-        """Note an event of the part."""
-        assert self._part is not None, 'something was noted between two parts'
-        where = {'part': self._part.key, 'condition': self._part.condition}
-        self._record.note(kind, **where, **values)
+    def note(self, kind: EventKind, **values: object) -> None:
+        """Record an event of the part."""
+        assert self._part is not None, 'an event between two parts'
+        self._record.note(kind, self._part, **values)
 
 
 @dataclass
@@ -171,7 +164,7 @@ class QuestionScreen(Screen):
         assert self.value is not None
         items = self.questionnaire.items
         app.note(
-            Answered,
+            'answer',
             item=items[self.index].name,
             value=self.value,
             points=self.questionnaire.points,
@@ -218,7 +211,7 @@ def _button(rank: int, most: int) -> TextScreen:
 
     def submit(text: str, app: App) -> None:
         assert isinstance(app, StudyApp)
-        app.note(ButtonSuggested, domain=app.domain.name, rank=rank, text=text)
+        app.note('button', domain=app.domain.name, rank=rank, text=text)
         if rank < most:
             app.show(_button(rank + 1, most))
         else:

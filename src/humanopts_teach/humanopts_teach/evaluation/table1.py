@@ -21,7 +21,7 @@ from humanopts_teach.bags import BagError
 from humanopts_teach.bags.contents import domains_played, read_demonstrations
 from humanopts_teach.bags.reader import Bag, DEMONSTRATION, LESSON_STATE
 from humanopts_teach.evaluation.tables import records, rows_of, table
-from humanopts_teach.study.events import ButtonSuggested, Event, event_of, last_attempts
+from humanopts_teach.study.events import Event, event_of, last_attempts
 import numpy as np
 
 if TYPE_CHECKING:
@@ -134,7 +134,7 @@ def named_options(bags: Sequence[Bag]) -> 'pd.DataFrame':
             found[of] = found.get(of, False) or taught
     for (domain, _, participant), events in suggested.items():
         for event in last_attempts(sorted(events, key=lambda event: event.time)):
-            if isinstance(event, ButtonSuggested):
+            if event.event == 'button':
                 found.setdefault((domain, participant, event.text), False)
     rows = [dict(zip(NAMED, (*key, taught))) for key, taught in found.items()]
     return table(NAMED, rows)

@@ -1,13 +1,15 @@
 """
-What happens in a study, as lines of JSON: one schema for each kind of event.
+What happens in a study, as lines of JSON with one schema.
 
 Every line that comes from a file or a bag is validated here; what does not fit is never counted.
 """
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+import math
 from typing import Annotated, Any, ClassVar, Literal, Self
 
+from humanopts_learner.summary import OptionSummary
 from humanopts_ros.limits import composed, parse_json
 from humanopts_ros.text_files import fault_in
 from humanopts_teach.lesson.store import CODE
@@ -18,10 +20,31 @@ from pydantic import (
     ConfigDict,
     Field,
     model_validator,
-    TypeAdapter,
     ValidationError,
 )
 
+EventKind = Literal[
+    'began',  # the participant came for the first time
+    'part began',  # or began again: its earlier answers and buttons no longer count
+    'still there',  # a sign of life: after a crash, the time until then counts
+    'part left',  # in the middle of it
+    'part ended',
+    'answer',
+    'button',  # was suggested
+    'learned',  # all options of the participant in this condition so far
+    'ended',  # the participant reached the end of the study
+]
+_REQUIRED: dict[EventKind, tuple[str, ...]] = {
+    'began': ('participant', 'number', 'study', 'order', 'simulated'),
+    'part began': ('part', 'kind'),
+    'still there': ('part',),
+    'part left': ('part',),
+    'part ended': ('part', 'kind', 'why'),
+    'answer': ('part', 'item', 'value', 'points'),
+    'button': ('part', 'domain', 'rank', 'text'),
+    'learned': ('part', 'options'),
+    'ended': (),
+}
 FINISHED, TIME, REFUSED = 'finished', 'time is over', 'not agreed'  # why a part ended
 MAX_LINE = 1_000_000  # characters of an event
 
@@ -33,7 +56,6 @@ def _text(text: str) -> str:
 
 
 Text = Annotated[str, Field(max_length=1000), AfterValidator(_text)]
-Word = Annotated[Text, Field(min_length=1)]
 Count = Annotated[int, Field(ge=0, lt=2**31)]
 Rank = Annotated[int, Field(ge=1, lt=2**31)]
 Return = Annotated[float, Field(allow_inf_nan=False)]  # reward units
@@ -45,82 +67,10 @@ class _Values(BaseModel):
     model_config: ClassVar[ConfigDict] = ConfigDict(strict=True, frozen=True)
 
 
-class _Event(_Values):
-    time: Annotated[float, Field(ge=0, lt=1e11)]  # s since 1970
-
-
-class _OfPart(_Event):
-    part: Word  # its key
-    condition: Text  # empty: of none
-
-
-class ParticipantBegan(_Event):
-    """The participant came for the first time."""
-
-    event: Literal['began'] = 'began'
-    participant: Annotated[str, Field(pattern=f'^{CODE.pattern}$')]
-    number: Count  # in the order of arrival, from 0
-    study: Text
-    order: tuple[Text, ...] = Field(strict=False)  # names of the conditions
-    simulated: bool
-    protocol: Text = ''  # digest of what the participant follows; empty: it was not kept
-
-
-class PartBegan(_OfPart):
-    """A part began, or began again: its earlier answers and buttons count no longer."""
-
-    event: Literal['part began'] = 'part began'
-    kind: PartKind = Field(strict=False)
-
-
-class SignOfLife(_OfPart):
-    """The participant is still at a part; after a crash, the time until then counts."""
-
-    event: Literal['still there'] = 'still there'
-
-
-class PartLeft(_OfPart):
-    """The participant left in the middle of a part."""
-
-    event: Literal['part left'] = 'part left'
-
-
-class PartEnded(_OfPart):
-    """A part ended."""
-
-    event: Literal['part ended'] = 'part ended'
-    kind: PartKind = Field(strict=False)
-    why: Literal['finished', 'time is over', 'not agreed']
-
-
-class Answered(_OfPart):
-    """A question was answered."""
-
-    event: Literal['answer'] = 'answer'
-    item: Word
-    value: Rank
-    points: Annotated[int, Field(ge=2, le=MAX_POINTS)]  # of the scale
-
-    @model_validator(mode='after')
-    def _on_the_scale(self) -> Self:
-        if self.value > self.points:
-            raise ValueError(f'{self.value} is not on a scale of {self.points}')
-        return self
-
-
-class ButtonSuggested(_OfPart):
-    """A button was suggested."""
-
-    event: Literal['button'] = 'button'
-    domain: Text
-    rank: Rank
-    text: Word
-
-
 class LearnedOption(_Values):
     """One option as it was learned so far."""
 
-    option: Word
+    option: Annotated[Text, Field(min_length=1)]
     method: Text
     demonstrations: Count
     not_here: Count
@@ -129,26 +79,38 @@ class LearnedOption(_Values):
     return_learned: Return | None
 
 
-class OptionsLearned(_OfPart):
-    """All options of the participant in this condition, as they were learned so far."""
+class Event(_Values):
+    """One event; the fields that its kind does not need are empty."""
 
-    event: Literal['learned'] = 'learned'
-    options: tuple[LearnedOption, ...] = Field(strict=False)
+    event: EventKind
+    time: Annotated[float, Field(ge=0, lt=1e11)]  # s since 1970
+    part: Text = ''  # its key; empty: the event concerns no part
+    condition: Text = ''  # empty: none
+    kind: Annotated[PartKind | None, Field(strict=False)] = None  # of the part
+    why: Literal['', 'finished', 'time is over', 'not agreed'] = ''
+    item: Text = ''  # name of the question
+    value: Rank = 0
+    points: Annotated[int, Field(ge=2, le=MAX_POINTS)] = 0  # of the scale
+    domain: Text = ''
+    rank: Rank = 0
+    text: Text = ''
+    options: tuple[LearnedOption, ...] = Field((), strict=False)
+    participant: Annotated[str, Field(pattern=f'^{CODE.pattern}$')] = ''
+    number: Count = 0  # of the participant in the order of arrival
+    study: Text = ''
+    order: tuple[Text, ...] = Field((), strict=False)  # names of the conditions
+    simulated: bool = False
+    protocol: Text = ''  # digest of the plan that the participant follows; empty: not kept
 
-
-class ParticipantEnded(_Event):
-    """The participant came to the end of the study."""
-
-    event: Literal['ended'] = 'ended'
-    why: Literal['', 'not agreed'] = ''
-
-
-PartEvent = (
-    PartBegan | SignOfLife | PartLeft | PartEnded | Answered | ButtonSuggested | OptionsLearned
-)
-Event = ParticipantBegan | PartEvent | ParticipantEnded
-WHOLE = ParticipantBegan | ParticipantEnded  # of no part
-_EVENT: TypeAdapter[Event] = TypeAdapter(Annotated[Event, Field(discriminator='event')])
+    @model_validator(mode='after')
+    def _fits(self) -> Self:
+        needed = _REQUIRED[self.event]
+        given = [n for n in needed if n in self.model_fields_set and getattr(self, n) != '']
+        if missing := ', '.join(name for name in needed if name not in given):
+            raise ValueError(f'{self.event!r} needs {missing}')
+        if self.event == 'answer' and self.value > self.points:
+            raise ValueError(f'{self.value} is not on a scale of {self.points}')
+        return self
 
 
 def event_of(line: str) -> Event:
@@ -157,33 +119,51 @@ def event_of(line: str) -> Event:
 
     :raises ValueError: it is not an event; the text is one line.
     """
+    values = parse_json(line, MAX_LINE)
+    if not isinstance(values, dict):
+        raise ValueError('it is not an event of a study')
     try:
-        return _EVENT.validate_python(parse_json(line, MAX_LINE))
+        return Event.model_validate(values)
     except ValidationError as error:
-        if not error.errors()[0]['loc']:
-            raise ValueError('it is not an event of a study') from None
         raise ValueError(fault_in(error)) from None
+
+
+def learned(options: Iterable[OptionSummary]) -> tuple[LearnedOption, ...]:
+    """Return what was learned, in the form of an event."""
+    return tuple(
+        LearnedOption(
+            option=option.option_name,
+            method=option.method,
+            demonstrations=option.n_demonstrations,
+            not_here=option.n_not_here,
+            criteria_met=option.criteria_met,
+            return_shown=_finite(option.mean_return_demonstrations),
+            return_learned=_finite(option.mean_return_policy),
+        )
+        for option in options
+    )
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
 
 
 def last_attempts(events: Iterable[Event]) -> list[Event]:
     """
     Return the events that count: one for each fact, and of the last attempt at each part.
 
-    A part that was left is begun again, which supersedes what was answered and suggested in it.
-    What was taught goes on, so the last list of options counts. A fact that is noted twice in one
-    attempt, such as the answer to a question, counts as it was noted last; a participant begins
-    once, with the first event that says so.
+    Restarting a part discards the answers and buttons of the earlier attempt, but not what was
+    taught. Of a fact that is recorded twice in one attempt, such as an answer, the last record
+    counts; a participant begins once, with the first event that says so.
 
     :param events: of one participant, in the order in which they happened.
     """
     parts: dict[str, dict[tuple[Any, ...], tuple[int, Event]]] = {}
     for place, event in enumerate(events):
-        part = '' if isinstance(event, WHOLE) else event.part
-        fact = event.event, getattr(event, 'item', ''), getattr(event, 'rank', 0)
-        facts = parts.setdefault(part, {})
-        if isinstance(event, PartBegan):
-            parts[part] = facts = {k: v for k, v in facts.items() if k[0] == 'learned'}
-        if not (isinstance(event, ParticipantBegan) and fact in facts):
+        fact, facts = (event.event, event.item, event.rank), parts.setdefault(event.part, {})
+        if event.event == 'part began':
+            parts[event.part] = facts = {k: v for k, v in facts.items() if k[0] == 'learned'}
+        if event.event != 'began' or fact not in facts:
             facts[fact] = place, event
     counting = [each for facts in parts.values() for each in facts.values()]
     return [event for _, event in sorted(counting, key=lambda each: each[0])]
@@ -207,22 +187,23 @@ def times_in(events: Iterable[Event]) -> dict[str, TimeIn]:
     """
     Return the time that a participant was at each part, by its key.
 
-    A sitting lasts from where the part begins until it is left or ends; where neither is recorded,
-    since a process or the power failed, until the last sign of life. Where its begin is not
+    A sitting lasts from the beginning of the part until it is left or ended; if neither is noted
+    because a process or the power failed, until the last sign of life. If its beginning is not
     recorded, it lasts from the first event that is.
     """
     parts: dict[str, TimeIn] = {}
     for event in events:
-        if isinstance(event, WHOLE):
+        if not event.part:
             continue
         found, now = parts.setdefault(event.part, TimeIn()), event.time
-        if isinstance(event, PartBegan):
-            found.began = now if found.began is None else found.began
-        if isinstance(event, PartBegan) or not found.sittings:
+        begins = event.event == 'part began'
+        if begins and found.began is None:
+            found.began = now
+        if begins or not found.sittings:
             found.sittings.append((now, now))
             found.open = True
         elif found.open:
             begin, end = found.sittings[-1]
             found.sittings[-1] = begin, max(end, now)
-        found.open = found.open and not isinstance(event, PartLeft | PartEnded)
+        found.open = found.open and event.event not in ('part left', 'part ended')
     return parts

@@ -10,23 +10,19 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 import fcntl
-import math
 import os
 from pathlib import Path
 import re
 import time
-from typing import Any, TypeVar
+from typing import Any
 
 from humanopts_learner.append_only_log import AppendOnlyLog, read_lines
-from humanopts_learner.summary import OptionSummary
 from humanopts_teach.lesson.store import CODE, CODE_RULE, similar_code
 from humanopts_teach.study.events import (
     Event,
     event_of,
+    EventKind,
     last_attempts,
-    PartEnded,
-    ParticipantBegan,
-    ParticipantEnded,
     REFUSED,
     TimeIn,
     times_in,
@@ -38,7 +34,6 @@ TOPIC = 'study_events'  # StudyEvent, each an event as JSON
 MAX_BYTES = 64 * 2**20  # of a record
 MAX_NUMBER = 999_999  # of a participant
 _NAME = re.compile(rf'([0-9]{{3,6}})-({CODE.pattern})\.jsonl')  # of a record
-E = TypeVar('E', bound=Event)
 
 
 class StudyError(ValueError):
@@ -89,29 +84,29 @@ class Record:
         events, problems = read_lines(self.path, event_of, MAX_BYTES)
         return replace(self, events=events, problems=problems)
 
-    def of(self, kind: type[E]) -> list[E]:
+    def of(self, kind: EventKind) -> list[Event]:
         """Return the events of one kind."""
-        return [event for event in self.events if isinstance(event, kind)]
+        return [event for event in self.events if event.event == kind]
 
     @property
-    def began(self) -> ParticipantBegan | None:
+    def began(self) -> Event | None:
         """How the participant began; None: the line is damaged."""
-        return next(iter(self.of(ParticipantBegan)), None)
+        return next(iter(self.of('began')), None)
 
     @property
     def done(self) -> set[str]:
         """Keys of the parts that are over."""
-        return {e.part for e in last_attempts(self.events) if isinstance(e, PartEnded)}
+        return {e.part for e in last_attempts(self.events) if e.event == 'part ended'}
 
     @property
     def refused(self) -> bool:
         """Whether the participant did not agree to take part."""
-        return any(event.why == REFUSED for event in self.of(PartEnded))
+        return any(event.why == REFUSED for event in self.of('part ended'))
 
     @property
     def over(self) -> bool:
         """Whether the participant has ended the study."""
-        return bool(self.of(ParticipantEnded))
+        return bool(self.of('ended'))
 
     @property
     def minutes(self) -> float:
@@ -151,15 +146,20 @@ class OpenRecord(Record):
         self._log, self._publish = AppendOnlyLog(path), publish
         super().__init__(path, events=self._log.read(event_of), problems=self._log.problems)
 
-    def note(self, kind: type[Event], /, **values: Any) -> None:
+    def note(self, kind: EventKind, part: Part | None = None, /, **values: Any) -> None:
         """
         Add an event.
 
-        :param values: all of its fields but the time.
+        :param part: that it concerns; None: none.
+        :param values: its other fields, but the time.
         :raises OSError: it could not be written.
         """
-        event = kind(time=round(self._clock(), 3), **values)
-        line = event.model_dump_json()
+        if part is not None:
+            values |= {'part': part.key, 'condition': part.condition}
+            if kind in ('part began', 'part ended'):
+                values['kind'] = part.kind
+        event = Event(event=kind, time=round(self._clock(), 3), **values)
+        line = event.model_dump_json(exclude_unset=True)
         self._log.append(line)
         self.events.append(event)
         self._publish(line)
@@ -178,33 +178,19 @@ class StudyFolder:
         :return: also what is left out, in words: files that are not the record of a participant,
             and lines that are not events.
         """
-        named, problems = self._named()
         found: dict[str, Record] = {}
+        named, problems = self._named()
         for each in named:
             try:
                 record = each.read()
             except OSError as error:
                 problems.append(f'{each.path} is left out: {error.strerror}')
                 continue
-            began, same = record.began, found.get(each.code)
-            alike = [r for r in found.values() if r.number == each.number]
-            why = ''
-            if not record.events:
-                why = 'it holds no event'
-            elif began and (began.number, began.participant) != (each.number, each.code):
-                name = _file_name(began.number, began.participant)
-                why = f'it is the record of {began.participant!r}, whose file is {name}'
-            elif same is not None:
-                why = f'{same.path.name} is a record of {each.code!r} too'
-            elif began is None:
-                of = [r.path.name for r in alike if each.code.startswith(f'{r.code}-')]
-                why = f'it seems to be a copy of {of[0]}' if of else ''
-            if why:
+            problems += record.problems
+            if why := _fault(record, found.values()):
                 problems.append(f'{each.path} is left out: {why}')
             else:
                 found[each.code] = record
-            if not why or not record.events:
-                problems += record.problems
         return list(found.values()), problems
 
     def codes(self) -> list[str]:
@@ -213,13 +199,13 @@ class StudyFolder:
 
     def enter(self, plan: StudyPlan, code: str, *, simulated: bool = False) -> Record:
         """
-        Return the record of a participant: a new one, or one who has not finished and goes on.
+        Return the record of a participant: a new one, or one who has not finished and continues.
 
         :param simulated: a simulated teacher takes part.
-        :raises SimilarCodeError: a known code differs in case only.
+        :raises SimilarCodeError: a known code differs only in case.
         :raises ChangedPlanError: the plan is not the one that is kept.
-        :raises StudyError: the code cannot be used, its participant has finished, or the plan is
-            another one, or has no room.
+        :raises StudyError: the code cannot be used, its participant has finished or follows
+            another plan, or the plan has no room.
         :raises OSError: the folder cannot be written.
         """
         if not CODE.fullmatch(code):
@@ -231,18 +217,18 @@ class StudyFolder:
             record = next((each for each in records if each.code == code), None)
             if record is None:
                 record = self._new(plan, code, [each.code for each in records], problems)
-            elif record.began is not None:
-                self._check_goes_on(plan, record, simulated=simulated)
-                return record
-            elif record.over:
+            if record.over:
                 raise StudyError(f'{code!r} has ended this study already; give another code')
+            if record.began is not None:
+                self._check_continues(plan, record, record.began, simulated=simulated)
+                return record
             Protocol(self.path).keep(plan)
             OpenRecord(record.path).note(
-                ParticipantBegan,
+                'began',
                 participant=code,
                 number=record.number,
                 study=plan.study,
-                order=[condition.name for condition in plan.order_of(record.number)],
+                order=tuple(condition.name for condition in plan.order_of(record.number)),
                 simulated=simulated,
                 protocol=digest_of(plan),
             )
@@ -264,7 +250,7 @@ class StudyFolder:
 
     def accept(self, plan: StudyPlan) -> None:
         """
-        Keep a changed plan: who begins from now on follows it.
+        Keep a changed plan, for participants who begin from now on.
 
         :raises StudyError: what is kept is damaged.
         :raises OSError: the folder cannot be read or written.
@@ -274,7 +260,7 @@ class StudyFolder:
 
     def plan_of(self, plan: StudyPlan, record: Record) -> StudyPlan:
         """
-        Return the plan that a participant follows: the one of when the participant began.
+        Return the plan that a participant follows: the one with which the participant began.
 
         :param plan: of today, for participants of whom no version is kept.
         :raises OSError: the record, or what is kept, cannot be read.
@@ -284,10 +270,10 @@ class StudyFolder:
 
     def missing_plan(self, protocol: Protocol) -> str:
         """Return which plan that a record names is not kept, in words; empty: all are."""
-        kept = {version.digest for version in protocol.versions}
+        kept = {'', *(version.digest for version in protocol.versions)}
         for record in self.records()[0]:
             digest = record.began.protocol if record.began is not None else ''
-            if digest and digest not in kept:
+            if digest not in kept:
                 return (
                     f'{protocol.path} does not hold the plan {digest[:SHOWN_DIGEST]}, '
                     f'which {record.code!r} follows'
@@ -301,22 +287,20 @@ class StudyFolder:
             raise StudyError(f'{protocol.problems[0]}; put the file back from a copy')
         return protocol
 
-    def _check_goes_on(self, plan: StudyPlan, record: Record, *, simulated: bool) -> None:
-        began, code = record.began, record.code
-        assert began is not None, 'a participant without a beginning begins anew'
-        if record.over:
-            raise StudyError(f'{code!r} has ended this study already; give another code')
+    def _check_continues(
+        self, plan: StudyPlan, record: Record, began: Event, *, simulated: bool
+    ) -> None:
         followed = self.plan_of(plan, record).order_of(record.number)
         if list(began.order) != [condition.name for condition in followed]:
             raise StudyError(
-                f'{code!r} began with another plan, whose conditions were '
+                f'{record.code!r} began with another plan, whose conditions were '
                 f'{", ".join(began.order)}; put that plan back'
             )
         if began.simulated != simulated:
             who = 'a simulated participant' if began.simulated else 'a person'
             raise StudyError(
-                f'{code!r} is {who} of this study: give another code, or another folder with '
-                '--study'
+                f'{record.code!r} is {who} of this study: give another code, or another folder '
+                'with --study'
             )
 
     def _new(
@@ -327,35 +311,31 @@ class StudyFolder:
             raise SimilarCodeError(code, similar)
         if plan.participants and len(known) >= plan.participants:
             raise StudyError(
-                f'all {plan.participants} participants of the plan are there; {code!r} is new'
+                f'all {plan.participants} participants of the plan have begun; {code!r} is new'
             )
-        named = self._named()[0]
-        for each in named:
-            if each.code != code:
-                continue
-            if each.path.is_file() and not each.path.stat().st_size:
-                return each
-            # It would get a second record.
-            why = next((text for text in problems if text.startswith(f'{each.path} ')), each.path)
-            raise StudyError(
-                f'{code!r} has a record that cannot be used: {why}; repair it, or move it away'
-            )
+        named, _ = self._named()
         number = max((each.number for each in named), default=-1) + 1
+        for each in named:
+            if each.code == code:
+                if each.path.is_file() and not each.path.stat().st_size:
+                    return each
+                # Otherwise the participant would get a second record.
+                why = next(text for text in problems if text.startswith(f'{each.path} '))
+                raise StudyError(
+                    f'{code!r} has a record that cannot be used: {why}; repair it, or move it away'
+                )
         if number > MAX_NUMBER:
             raise StudyError(f'{named[-1].path} has the last number; give it a smaller one')
         return Record(self.path / _file_name(number, code), code, number)
 
     def _named(self) -> tuple[list[Record], list[str]]:
-        """Return the files that are named as records, by number, and which others there are."""
+        """Return the files named as records, by number, and which others there are."""
         found, problems = [], []
-        names = sorted(os.listdir(self.path)) if self.path.exists() else []
-        for path in (self.path / name for name in names):
+        for path in sorted(self.path.glob('*.jsonl')) if self.path.is_dir() else []:
             match = _NAME.fullmatch(path.name)
-            if path.name == FILE or path.suffix != '.jsonl':
-                continue
             if match is not None and _file_name(int(match[1]), match[2]) == path.name:
                 found.append(Record(path, match[2], int(match[1])))
-            else:
+            elif path.name != FILE:
                 problems.append(
                     f'{path} is left out: its name is not that of a record, such as '
                     f'{_file_name(0, "p1")}; it may be a copy that another program made'
@@ -378,21 +358,21 @@ def _file_name(number: int, code: str) -> str:
     return f'{number:03d}-{code}.jsonl'
 
 
-def learned_rows(options: Iterable[OptionSummary]) -> list[dict[str, Any]]:
-    """Return what was learned, as JSON data: a row for each option."""
-    return [
-        {
-            'option': option.option_name,
-            'method': option.method,
-            'demonstrations': option.n_demonstrations,
-            'not_here': option.n_not_here,
-            'criteria_met': option.criteria_met,
-            'return_shown': _finite(option.mean_return_demonstrations),
-            'return_learned': _finite(option.mean_return_policy),
-        }
-        for option in options
-    ]
+def _fault(record: Record, others: Iterable[Record]) -> str:
+    """
+    Return why a file is not a participant's record; empty: it is.
 
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
+    :param others: records whose files come before it.
+    """
+    began = record.began
+    if not record.events:
+        return 'it holds no event'
+    if began and (began.number, began.participant) != (record.number, record.code):
+        name = _file_name(began.number, began.participant)
+        return f'it is the record of {began.participant!r}, whose file is {name}'
+    for other in others:
+        if other.code == record.code:
+            return f'{other.path.name} is a record of {record.code!r} too'
+        if began is None and other.number == record.number:
+            return f'it seems to be a copy of {other.path.name}'
+    return ''

@@ -4,17 +4,12 @@ from collections.abc import Sequence
 from typing import Any
 
 from humanopts_teach.study.events import (
-    Answered,
-    ButtonSuggested,
+    EventKind,
     FINISHED,
     last_attempts,
-    OptionsLearned,
-    PartBegan,
-    PartEnded,
     REFUSED,
     TIME,
     times_in,
-    WHOLE,
 )
 from humanopts_teach.study.plan import PartKind
 from humanopts_teach.study.protocol import Protocol, SHOWN_DIGEST
@@ -104,22 +99,29 @@ def tables(records: Sequence[Record]) -> dict[str, pd.DataFrame]:
 
     Of a part that was left and begun again, what was answered and suggested last counts.
     """
-    rows: dict[str, list[dict[str, Any]]] = {name: [] for name in CODEBOOK}
-    for record in records:
-        who, counting = {'participant': record.code}, last_attempts(record.events)
-        rows['participants.csv'].append(_person(record) | who)
-        rows['parts.csv'] += [row | who for row in _parts(record)]
-        for event in counting:
-            if isinstance(event, Answered):
-                rows['answers.csv'].append(event.model_dump() | who)
-            elif isinstance(event, ButtonSuggested):
-                rows['buttons.csv'].append(event.model_dump() | who)
-            elif isinstance(event, OptionsLearned):
-                taught = {option.option: option.model_dump() for option in event.options}
-                where = {'condition': event.condition}
-                rows['options.csv'] += [row | where | who for row in taught.values()]
+
+    def rows(kind: EventKind) -> list[dict[str, Any]]:
+        return [
+            event.model_dump() | {'participant': record.code}
+            for record in records
+            for event in last_attempts(record.events)
+            if event.event == kind
+        ]
+
+    found = {
+        'participants.csv': [_person(record) for record in records],
+        'parts.csv': [row for record in records for row in _parts(record)],
+        'answers.csv': rows('answer'),
+        'buttons.csv': rows('button'),
+        'options.csv': [
+            row | option
+            for row in rows('learned')
+            for option in {each['option']: each for each in row['options']}.values()
+        ],
+    }
     frames = {
-        name: pd.DataFrame(rows[name], columns=list(columns)) for name, columns in CODEBOOK.items()
+        name: pd.DataFrame(found[name], columns=list(columns))
+        for name, columns in CODEBOOK.items()
     }
     book = [
         (name, *described) for name, columns in CODEBOOK.items() for described in columns.items()
@@ -130,10 +132,11 @@ def tables(records: Sequence[Record]) -> dict[str, pd.DataFrame]:
 def _person(record: Record) -> dict[str, Any]:
     """Return the row of a participant."""
     began, agreed = record.began, ''
-    for event in record.of(PartEnded):
+    for event in record.of('part ended'):
         if event.kind is PartKind.CONSENT:
             agreed = 'no' if event.why == REFUSED else 'yes'
     row = {
+        'participant': record.code,
         'number': record.number,
         'agreed': agreed,
         'ended': 'yes' if record.over else 'no',
@@ -151,11 +154,12 @@ def _person(record: Record) -> dict[str, Any]:
 def _parts(record: Record) -> list[dict[str, Any]]:
     """Return a row for each part that was begun, in the order in which they began."""
     order = record.began.order if record.began is not None else ()
-    kinds = {e.part: e.kind.value for e in record.events if isinstance(e, PartBegan | PartEnded)}
-    conditions = {e.part: e.condition for e in record.events if not isinstance(e, WHOLE)}
-    why = {e.part: e.why for e in last_attempts(record.events) if isinstance(e, PartEnded)}
+    kinds = {event.part: event.kind.value for event in record.events if event.kind}
+    conditions = {event.part: event.condition for event in record.events}
+    why = {e.part: e.why for e in last_attempts(record.events) if e.event == 'part ended'}
     return [
         {
+            'participant': record.code,
             'condition': (condition := conditions[part]),
             'part': kinds.get(part, ''),
             'place': order.index(condition) + 1 if condition in order else '',
