@@ -49,20 +49,12 @@ class Options(Protocol[S_out]):
         """Look at games."""
 
 
-@dataclass(frozen=True, slots=True)
-class Choice:
-    """The next options in N games."""
-
-    option: Ints  # (N,) indices
-    unknown: Flags | bool = False  # (N,) no option was sampled enough to choose by its value
-
-
 class Policy(Protocol[S_in]):
     """Chooses the options to run."""
 
-    def choose(self, seen: S_in, games: Ints) -> Choice:
+    def choose(self, seen: S_in, games: Ints) -> Ints:
         """
-        Return the next option in some games.
+        Return (N,): the next option in some games.
 
         :param games: (N,) their numbers.
         """
@@ -84,8 +76,8 @@ class Fixed(Policy[Seen]):
 
     option: Ints  # (N,) of each game
 
-    def choose(self, seen: Seen, games: Ints) -> Choice:
-        return Choice(self.option.take(games))
+    def choose(self, seen: Seen, games: Ints) -> Ints:
+        return self.option.take(games)
 
 
 @dataclass(frozen=True)
@@ -101,7 +93,6 @@ class Runs:
     reached: Flags  # (R,) the termination condition holds
     over: Flags  # (R,) the task is over
     stopped: Flags  # (R,) the policy stopped it
-    unknown: Flags  # (R,) as ``Choice.unknown``
 
 
 class Execution(Generic[S]):
@@ -139,15 +130,13 @@ class Execution(Generic[S]):
         self.option = np.full(count, NONE, dtype=np.intp)
         self._ran, self._age = np.zeros((2, count), dtype=np.intp)
         self.total, self.discounted = np.zeros((2, count))
-        self._unknown = np.zeros(count, dtype=np.bool_)
 
     def act(self, seen: S) -> Ints:
         """Return the primitive actions (N,), after a choice wherever one is due."""
         self.decided = due = np.flatnonzero(self.option == NONE)
         if due.size:
             among = seen if len(due) == len(self.option) else seen.take(due)
-            choice = self.policy.choose(among, self.games.take(due))
-            self.option[due], self._unknown[due] = choice.option, choice.unknown
+            self.option[due] = self.policy.choose(among, self.games.take(due))
             self._ran[due], self.total[due], self.discounted[due] = 0, 0.0, 0.0
         return seen.action(self.option)
 
@@ -178,7 +167,6 @@ class Execution(Generic[S]):
             reached.take(at),
             steps.over.take(at),
             stopped.take(at),
-            self._unknown.take(at),
         )
         self.option[at] = NONE
         return runs
@@ -189,7 +177,6 @@ class Execution(Generic[S]):
         self._ran, self._age = self._ran.take(chosen), self._age.take(chosen)
         self.total = self.total.take(chosen)
         self.discounted = self.discounted.take(chosen)
-        self._unknown = self._unknown.take(chosen)
         if self._of_game is not None:
             self._of_game = self._of_game.take(chosen)
 
@@ -266,7 +253,7 @@ def joined(parts: Sequence[Runs]) -> Runs:
     """Return the runs that ended in several steps as one."""
     if not parts:
         ints, floats, flags = np.zeros(0, dtype=np.intp), np.zeros(0), np.zeros(0, dtype=np.bool_)
-        return Runs(ints, ints, ints, ints, floats, floats, flags, flags, flags, flags)
+        return Runs(ints, ints, ints, ints, floats, floats, flags, flags, flags)
     values: list[Any] = [
         np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Runs)
     ]

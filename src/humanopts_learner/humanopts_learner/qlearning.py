@@ -24,7 +24,7 @@ from humanopts_env.arrays import Flags, Floats, Ints
 from humanopts_env.domains.base import EnumerableDomain
 from humanopts_env.games import Steps, TableGames
 from humanopts_env.seeding import generator
-from humanopts_learner.execution import Choice, draw_among, Execution, Policy, Runs
+from humanopts_learner.execution import draw_among, Execution, Policy, Runs
 from humanopts_learner.options.learned_option import OptionTable, SeenStates
 from humanopts_learner.planning.request import PlanError
 import numpy as np
@@ -116,13 +116,14 @@ class _Values(Policy[SeenStates]):
         self.values = np.zeros((len(rates), n_states, shape[2]))
         self.began = np.zeros(len(rates), dtype=np.intp)
 
-    def choose(self, seen: SeenStates, games: Ints) -> Choice:
+    def choose(self, seen: SeenStates, games: Ints) -> Ints:
         known = self._known(games, seen.states)
         among = known == known.max(axis=1, keepdims=True)
         among |= (self._rng.random(len(games)) < self._explore.take(games))[:, None]
         among &= known > -np.inf
         self.began[games] = seen.states
-        return Choice(self.first.take(games) + draw_among(among, self._rng))
+        option: Ints = self.first.take(games) + draw_among(among, self._rng)
+        return option
 
     def learn_of_runs(self, runs: Runs, there: Ints, gamma: float) -> None:
         """

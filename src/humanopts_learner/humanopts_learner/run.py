@@ -155,7 +155,7 @@ class Arbiter:
             raise PlanError(f'{self.execution} runs no modules')
         if self._values.sampled:
             seen = self._policy.actions.observe_state(state)
-            return self.modules[int(self._policy.choose(seen, _ONE).option[0])]
+            return self.modules[int(self._policy.choose(seen, _ONE)[0])]
         row = self._domain.feature_values(state)[None]
         action = np.stack([module.action(row) for module in self.modules], axis=1)
         return self.modules[int(arbitrate(self.execution, *self._values_at(state), action)[0])]

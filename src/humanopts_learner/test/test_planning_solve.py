@@ -157,7 +157,7 @@ def rows_of(*rows: list[float]) -> csr_array:
         ({'reward': np.array([[np.nan], [0.0]])}, 'reward'),
         ({'available': np.ones((2, 2), dtype=np.bool_)}, 'available'),
         ({'rows': csr_array(([0.5], [2], [0, 1, 1]), shape=(2, 2))}, 'successor'),
-        ({'rows': rows_of([0.5, 0.6], [0, 0])}, 'sums of rows'),
+        ({'rows': rows_of([0.5, 0.6], [0, 0])}, 'sum of a row'),
         ({'rows': rows_of([-0.1, 0.6], [0, 0])}, 'a row'),
         ({'rows': rows_of([0.5, 0.4])}, 'rows are'),
     ],

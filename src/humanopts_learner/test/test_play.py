@@ -6,7 +6,7 @@ from typing import Any
 from humanopts_env.arrays import Flags, Ints, Rows
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.games import games_at
-from humanopts_learner.execution import Choice, play, RowOptions, Seen
+from humanopts_learner.execution import play, RowOptions, Seen
 from humanopts_learner.option import PrimitiveOption
 from humanopts_learner.planning.plan import make_plan
 from humanopts_learner.planning.request import PlanRequest, Sampling
@@ -45,10 +45,10 @@ class InTurn:
     def __init__(self, count: int, games: int, stopping: int) -> None:
         self.count, self.next, self.stopping = count, np.arange(games), stopping
 
-    def choose(self, seen: Seen, games: Ints) -> Choice:
+    def choose(self, seen: Seen, games: Ints) -> Ints:
         option = self.next[games] % self.count
         self.next[games] += 1
-        return Choice(option)
+        return option
 
     def stops(self, seen: Any, option: Ints) -> Flags | None:
         if not self.stopping:

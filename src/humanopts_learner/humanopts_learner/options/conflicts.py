@@ -6,7 +6,7 @@ policy, initiation set or termination condition over these features can learn.
 """
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from math import factorial, prod
@@ -68,8 +68,8 @@ def find_conflicts(data: Dataset, domain: ActableDomain) -> Conflicts:
     chosen = data.chosen
     found = [
         conflict
-        for examples, word, may_slip in _parts(data, domain)
-        for conflict in _conflicts(examples, chosen, domain, word, may_slip)
+        for examples, words, may_slip in _parts(data)
+        for conflict in _conflicts(examples, chosen, domain, words, may_slip)
     ]
     found.sort(key=lambda conflict: -len(conflict.labels))
     structural = [conflict for conflict in found if conflict.structural]
@@ -110,9 +110,9 @@ def contradiction(
         return None
     data = make_dataset([*earlier, newest], domain)
     chosen, last = data.chosen, len(earlier)
-    ends, *others = _parts(data, domain)
+    ends, *others = _parts(data)
     starts_first = newest.kind is Kind.NOT_HERE
-    for examples, word, is_action in [others[0], ends] if starts_first else [ends, *others]:
+    for examples, words, is_action in [others[0], ends] if starts_first else [ends, *others]:
         if is_action and data.method != TREES:
             continue
         keys = list(map(tuple, examples.rows[:, chosen].astype(np.float32).tolist()))
@@ -129,28 +129,25 @@ def contradiction(
             row = examples.rows[at]
             demo = data.demonstrations[number]
             text = (
-                f'{_situation(row, chosen, domain)}: now {word(label)}, '
-                f'in demonstration {demo.number} {word(other)}'
+                f'{_situation(row, chosen, domain)}: now {words[label]}, '
+                f'in demonstration {demo.number} {words[other]}'
             )
             return Contradiction(text, demo, newest.features.index(tuple(row.tolist())))
     return None
 
 
-def _parts(
-    data: Dataset, domain: ActableDomain
-) -> Iterator[tuple[Examples, Callable[[int], str], bool]]:
+def _parts(data: Dataset) -> Iterator[tuple[Examples, Sequence[str], bool]]:
     """Yield the examples of beta, I and policy, the words of their labels, and if it may slip."""
-    actions = [action.name for action in domain.actions]
-    yield data.termination, lambda label: ('not the end', 'the end')[label], False
-    yield data.initiation, lambda label: (NO_START, 'can start here')[label], False
-    yield data.policy, lambda label: actions[label], True
+    yield data.termination, ('not the end', 'the end'), False
+    yield data.initiation, (NO_START, 'can start here'), False
+    yield data.policy, data.actions, True
 
 
 def _conflicts(
     examples: Examples,
     chosen: Sequence[int],
     domain: ActableDomain,
-    word: Callable[[int], str],
+    words: Sequence[str],
     may_slip: bool,
 ) -> list[_Conflict]:
     seen = examples.rows[:, chosen].astype(np.float32)  # as trees see them
@@ -161,7 +158,7 @@ def _conflicts(
         alike = group.ravel() == number
         rows, labels = examples.rows[alike], examples.labels[alike]
         counts = Counter(labels.tolist()).most_common()
-        answers = ', '.join(f'{word(label)} ({count}x)' for label, count in counts)
+        answers = ', '.join(f'{words[label]} ({count}x)' for label, count in counts)
         text = f'{_situation(rows[0], chosen, domain)}: {answers}'
         found.append(_Conflict(rows, labels, text, not may_slip or counts[1][1] > SLIP))
     return found

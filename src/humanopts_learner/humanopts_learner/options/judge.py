@@ -30,11 +30,12 @@ from humanopts_env.domains.described import can_simulate
 from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import Demonstration, GOAL, Kind
 from humanopts_learner.intervals import Interval
+from humanopts_learner.option import RandomActions
 from humanopts_learner.options.conflicts import find_conflicts
 from humanopts_learner.options.failures import find_failures
 from humanopts_learner.options.learn import Dataset, Examples, fit_option, make_dataset
 from humanopts_learner.options.learned_option import LearnedOption, MEMBER
-from humanopts_learner.options.rollout import is_deterministic, random_rollouts, rollouts
+from humanopts_learner.options.rollout import is_deterministic, rollouts, run_once
 from humanopts_learner.summary import (
     Criterion,
     INITIATION,
@@ -337,12 +338,13 @@ def return_range(data: Dataset, domain: Domain, option: LearnedOption, seed: int
     runs = max(FEWEST_RANDOM_RUNS, math.ceil(RANDOM_RUNS / len(demos)))
     key = (option.name, *(demo.uuid for demo in demos))
     limit = np.tile(held_out_limits(data, option), runs)
-    played = random_rollouts(
-        option,
+    rng = generator(seed, 'random actions', *key)
+    played = run_once(
         domain,
         [domain.decode(demo.states[0]) for demo in demos] * runs,
+        [RandomActions(option, len(domain.actions), rng)],
+        np.zeros_like(limit),
         limit,
-        generator(seed, 'random actions', *key),
         generator(seed, 'chance of random actions', *key),
     )
     left = limit - played.steps

@@ -15,7 +15,7 @@ from humanopts_env.domains.base import (
 from humanopts_env.games import Chance, games_at
 from humanopts_env.seeding import generator
 from humanopts_learner.execution import Fixed, play, Played, RowOptions
-from humanopts_learner.option import Option, RandomActions
+from humanopts_learner.option import Option
 from humanopts_learner.options.learned_option import (
     LearnedOption,
     OptionTable,
@@ -75,61 +75,43 @@ def rollouts(
     which = np.array([number[id(option)] for option in each], dtype=np.intp)
     for option in several.values():
         option.check_domain(domain)
-    own_limits = np.array([option.max_steps for option in each], dtype=np.intp)
-    limits = own_limits if max_steps is None else np.broadcast_to(max_steps, count)
+    limits = np.array([option.max_steps for option in each], dtype=np.intp)
+    if max_steps is not None:
+        limits = np.broadcast_to(max_steps, count).astype(np.intp)
     chance: Chance = np.random.default_rng(0)  # nothing is drawn from it
     if not is_deterministic(domain):
         names = keys or [str(index) for index in range(count)]
         chance = [
             generator(seed, 'rollout', o.name, key) for o, key in zip(each, names, strict=True)
         ]
-    return _run(domain, starts, list(several.values()), which, limits, chance)
+    return run_once(domain, starts, list(several.values()), which, limits, chance)
 
 
-def random_rollouts(
-    option: LearnedOption,
-    domain: Domain,
-    starts: Sequence[Any],
-    limits: NDArray[np.integer],
-    actions: np.random.Generator,
-    chance: np.random.Generator,
-) -> Rollouts:
-    """
-    Take random actions from every start state until an option would end.
-
-    :param starts: (N,) states, not over.
-    :param limits: (N,) steps after which a run is cut off, 1 or more.
-    :param actions: draws the actions.
-    :param chance: draws their outcomes.
-    """
-    wandering = RandomActions(option, len(domain.actions), actions)
-    return _run(domain, starts, [wandering], np.zeros(len(starts), np.intp), limits, chance)
-
-
-def _run(
+def run_once(
     domain: Domain,
     starts: Sequence[Any],
     options: Sequence[Option],
     which: Ints,
-    limits: NDArray[np.integer],
+    limits: Ints,
     chance: Chance,
 ) -> Rollouts:
     """
-    Run an option from each start state; ``which`` (N,) has its index.
+    Run an option from each start state.
 
+    :param which: (N,) index of the option of each run.
+    :param limits: (N,) steps after which a run is cut off, 1 or more.
     :raises DomainError: the task is over in a start state.
     """
     games = games_at(domain, starts)
     if games.over().any():
         raise DomainError('the task is over in a start state, so no step can be taken')
-    policy, cut_off = Fixed(which), limits.astype(np.intp)
-    longest = int(cut_off.max(initial=0))
+    policy, longest = Fixed(which), int(limits.max(initial=0))
     learned = [option for option in options if isinstance(option, LearnedOption)]
     if is_deterministic(domain) and len(learned) == len(options):
         table = OptionTable([tabulate(option, domain) for option in learned])
-        return Rollouts.of(play(games, table, policy, chance, longest, limits=cut_off, once=True))
+        return Rollouts.of(play(games, table, policy, chance, longest, limits=limits, once=True))
     rows = RowOptions(options)
-    return Rollouts.of(play(games, rows, policy, chance, longest, limits=cut_off, once=True))
+    return Rollouts.of(play(games, rows, policy, chance, longest, limits=limits, once=True))
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from humanopts_env.domains.base import Domain
 from humanopts_env.domains.capabilities import HasPrimitiveColumns
 from humanopts_env.games import Games, games_at
 from humanopts_learner.demonstrations import PRIMITIVE_PREFIX
-from humanopts_learner.execution import Choice, draw_among, Policy
+from humanopts_learner.execution import draw_among, Policy
 from humanopts_learner.option import Option, StochasticOption
 from humanopts_learner.options.learned_option import SeenStates
 from humanopts_learner.planning.abstraction import Abstraction, Codes
@@ -77,8 +77,8 @@ class AnyOption(Policy[Observation | SeenStates]):
 
     rng: np.random.Generator
 
-    def choose(self, seen: Observation | SeenStates, games: Ints) -> Choice:
-        return Choice(seen.at_random(self.rng))
+    def choose(self, seen: Observation | SeenStates, games: Ints) -> Ints:
+        return seen.at_random(self.rng)
 
 
 class ActionSet:

@@ -14,7 +14,7 @@ from humanopts_env.arrays import Flags, Floats, Ints
 from humanopts_env.domains.base import Domain, EnumerableDomain, S
 from humanopts_env.games import Chance, TableGames
 from humanopts_env.seeding import generator
-from humanopts_learner.execution import Choice, Execution, play, Played, Policy
+from humanopts_learner.execution import Execution, play, Played, Policy
 from humanopts_learner.options.learned_option import SeenStates
 from humanopts_learner.planning.exact_plan import ExactPlan, option_table
 from humanopts_learner.planning.models import look_ahead, primitive_model
@@ -36,7 +36,6 @@ class Returns:
     successes: Flags  # (E,) the task was done, not cut off
     decisions: Ints  # (E,) options begun
     fallbacks: Ints  # (E,) decisions for a primitive action because no option could start
-    unknown: Ints  # (E,) decisions by preference because no option was sampled enough; exact: 0
     outcomes: Mapping[str, NDArray[Any]] = field(default_factory=dict)
     """(E,) each: other results that the domain reports of its games; exact: none."""
 
@@ -45,9 +44,9 @@ class Returns:
         """Return the results of episodes; ``first_fallback`` as of ``PolicyPlan``."""
         runs, by_game = played.runs, played.by_game
         ones = np.ones(len(runs.game))
-        steps, decisions, fallbacks, unknown = (
+        steps, decisions, fallbacks = (
             by_game(values).astype(np.intp)
-            for values in (runs.steps, ones, runs.option >= first_fallback, runs.unknown)
+            for values in (runs.steps, ones, runs.option >= first_fallback)
         )
         return cls(
             total=by_game(runs.total),
@@ -56,7 +55,6 @@ class Returns:
             successes=played.over,
             decisions=decisions,
             fallbacks=fallbacks,
-            unknown=unknown,
             outcomes=played.outcomes,
         )
 
@@ -82,8 +80,8 @@ class PlannedOptions(Policy[SeenStates]):
 
     best: NDArray[np.integer]  # (S,) index of the option that is begun
 
-    def choose(self, seen: SeenStates, games: Ints) -> Choice:
-        return Choice(self.best.take(seen.states).astype(np.intp))
+    def choose(self, seen: SeenStates, games: Ints) -> Ints:
+        return self.best.take(seen.states).astype(np.intp)
 
 
 def play_plan(

@@ -27,7 +27,7 @@ from humanopts_learner.planning.request import (
     PRIMITIVE,
     Progress,
 )
-from humanopts_learner.planning.solve import Solution, solve_smdp
+from humanopts_learner.planning.solve import OnSweep, Solution, solve_smdp
 import numpy as np
 from scipy.sparse import csr_array
 
@@ -125,7 +125,7 @@ def make_exact_plan(
     model = build_model(domain, asked.action_set, tabled, asked.gamma, progress)
     modelled = clock()
     told = progress is not ignore_progress  # small plans would take half as long again
-    on_sweep = SweepProgress(progress, asked.tol, asked.max_sweeps) if told else None
+    on_sweep = sweep_progress(progress, asked.tol, asked.max_sweeps) if told else None
     solution = solve_smdp(model, asked.tol, asked.max_sweeps, on_sweep)
     return ExactPlan(
         domain=domain,
@@ -141,23 +141,24 @@ def make_exact_plan(
     )
 
 
-class SweepProgress:
-    """Reports the residual as a share of the sweeps: its logarithm falls about linearly."""
+def sweep_progress(report: Progress, tol: float, max_sweeps: int) -> OnSweep:
+    """
+    Return what reports the residual as a share of the sweeps.
 
-    def __init__(self, report: Progress, tol: float, max_sweeps: int) -> None:
-        self._report, self._tol, self._max_sweeps = report, tol, max_sweeps
-        self._first, self._fraction = 0.0, 0.0
+    Its logarithm falls about linearly.
+    """
+    first = fraction = 0.0
 
-    def __call__(self, sweeps: int, residual: float) -> None:
-        self._first = max(self._first, residual)
-        fraction = sweeps / self._max_sweeps
-        if residual <= self._tol:
+    def on_sweep(sweeps: int, residual: float) -> None:
+        nonlocal first, fraction
+        first, fraction = max(first, residual), max(fraction, sweeps / max_sweeps)
+        if residual <= tol:
             fraction = 1.0
-        elif self._tol > 0.0:
-            fallen = math.log(self._first / residual) / math.log(self._first / self._tol)
-            fraction = max(fraction, fallen)
-        self._fraction = max(self._fraction, fraction)
-        self._report('sweeps', self._fraction, sweeps, residual)
+        elif tol > 0.0:
+            fraction = max(fraction, math.log(first / residual) / math.log(first / tol))
+        report('sweeps', fraction, sweeps, residual)
+
+    return on_sweep
 
 
 def build_model(

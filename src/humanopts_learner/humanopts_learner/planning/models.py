@@ -58,22 +58,23 @@ class MultiTimeModel:
     rows: SparseRows  # (O*S, S), row o*S + s: expected gamma**k of each successor; 0: task over
 
     def __post_init__(self) -> None:
-        reward, shape = self.reward, self.reward.shape
+        reward, rows, shape = self.reward, self.rows, self.reward.shape
         if reward.ndim != 2 or 0 in shape or shape[1] != len(self.names):
             raise PlanError(f'{len(self.names)} names do not fit arrays of shape {shape}')
-        if self.available.shape != shape:
-            raise PlanError(f'available is {self.available.shape}, and reward is {shape}')
-        if self.rows.shape != (reward.size, shape[0]):
-            raise PlanError(f'rows are {self.rows.shape}, and reward is {shape}')
+        if self.available.shape != shape or rows.shape != (reward.size, shape[0]):
+            raise PlanError(
+                f'available is {self.available.shape}, rows are {rows.shape}, and reward {shape}'
+            )
         largest = float(np.finfo(np.float64).max)
-        ranges = [('reward', reward, -largest, largest)]
-        if self.rows.nnz:
-            ranges.append(('a successor', self.rows.indices, 0, shape[0] - 1))
-            ranges.append(('a row', self.rows.data, 0, 1 + ROUNDING))
-        for name, array, low, high in ranges:
-            _check_range(name, array, low, high)
-        if not self.single:
-            _check_range('the sums of rows', self.rows.sum(axis=1), 0, 1 + ROUNDING)
+        sums = np.empty(0) if self.single else rows.sum(axis=1)
+        for name, array, low, high in (
+            ('reward', reward, -largest, largest),
+            ('a successor', rows.indices, 0, shape[0] - 1),
+            ('a row', rows.data, 0, 1 + ROUNDING),
+            ('the sum of a row', sums, 0, 1 + ROUNDING),
+        ):
+            if array.size and not (array.min() >= low and array.max() <= high):  # also for NaN
+                raise PlanError(f'{name} has an entry that is not within {low}..{high}')
 
     @property
     def n_states(self) -> int:
@@ -130,11 +131,6 @@ def primitive_model(
         rows.eliminate_zeros()
     available = np.broadcast_to(~over, reward.T.shape).T
     return MultiTimeModel(tuple(names), reward, available, rows)
-
-
-def _check_range(name: str, array: NDArray[Any], low: float, high: float) -> None:
-    if not (array.min() >= low and array.max() <= high):  # false for NaN
-        raise PlanError(f'{name} holds an entry that is not within {low}..{high}')
 
 
 @dataclass(frozen=True)

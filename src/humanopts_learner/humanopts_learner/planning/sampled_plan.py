@@ -15,12 +15,12 @@ from humanopts_env.arrays import Flags, Floats, Ints
 from humanopts_env.domains.base import Domain
 from humanopts_env.games import new_games
 from humanopts_env.seeding import generator
-from humanopts_learner.execution import Choice, play, Policy
+from humanopts_learner.execution import play, Policy
 from humanopts_learner.option import Option
 from humanopts_learner.planning.abstraction import Codes
 from humanopts_learner.planning.action_set import ActionSet, AnyOption, Observation
 from humanopts_learner.planning.evaluate import Returns
-from humanopts_learner.planning.exact_plan import PolicyPlan, SweepProgress
+from humanopts_learner.planning.exact_plan import PolicyPlan, sweep_progress
 from humanopts_learner.planning.interruption import arbitrate, interruptions, OptionValues
 from humanopts_learner.planning.models import look_ahead, MultiTimeModel
 from humanopts_learner.planning.request import (
@@ -33,7 +33,7 @@ from humanopts_learner.planning.request import (
     Progress,
 )
 from humanopts_learner.planning.sampling import SampleCounts, Sampler
-from humanopts_learner.planning.solve import Solution, solve_smdp
+from humanopts_learner.planning.solve import OnSweep, Solution, solve_smdp
 import numpy as np
 from numpy.typing import NDArray
 
@@ -61,25 +61,23 @@ class GreedyPolicy(Policy[Observation]):
         best = values[np.isfinite(values).any(axis=1)].argmax(axis=1)
         return np.bincount(best, minlength=self.actions.first_fallback)
 
-    def choose(self, seen: Observation, games: Ints) -> Choice:
+    def choose(self, seen: Observation, games: Ints) -> Ints:
         """Return the next option in each game; of modules the one that acts for a step."""
         row = self._row(seen)
         option_values = self._option_values(seen, row)
-        choice = self._best(seen, option_values)
+        option = self._best(seen, option_values)
         if self.execution not in MODULAR:
-            return choice
+            return option
         going_on = self._continuation_values.take(row, axis=0)
         continuation_values = np.where(seen.startable, option_values, going_on)
         strongest = self.execution is Arbitration.MODULAR_STRONGEST
-        competing = continuation_values if strongest else option_values
-        known = np.isfinite(competing).any(axis=1)
+        known = np.isfinite(continuation_values if strongest else option_values).any(axis=1)
         winner = arbitrate(self.execution, option_values, continuation_values, seen.wanted)
-        unknown: Flags = np.logical_and(choice.unknown, ~known)
-        return Choice(np.where(known, winner, choice.option), unknown)
+        return np.where(known, winner, option)
 
     def best(self, seen: Observation) -> Ints:
         """Return (N,): the option of the greatest value, whatever the execution."""
-        return self._best(seen, self._option_values(seen, self._row(seen))).option
+        return self._best(seen, self._option_values(seen, self._row(seen)))
 
     def stops(self, seen: Observation, option: Ints) -> Flags | None:
         """Return (N,): whether each game's option is stopped; modules run for one step."""
@@ -98,19 +96,15 @@ class GreedyPolicy(Policy[Observation]):
         stopped[running] = interruptions(best, worth[:, None], margin)[:, 0]
         return stopped
 
-    def _best(self, seen: Observation, values: Floats) -> Choice:
+    def _best(self, seen: Observation, values: Floats) -> Ints:
         """Return the best option by its values (N, O), among those that can start there."""
-        option = values.argmax(axis=1)
-        unknown = np.zeros(len(option), dtype=np.bool_)
-        greatest = values.ravel().take(option + np.arange(0, values.size, values.shape[1]))
-        others = np.flatnonzero(greatest == -np.inf)
+        option: Ints = values.argmax(axis=1)
+        others = np.flatnonzero(values.max(axis=1) == -np.inf)
         if others.size:
             can = seen.startable.take(others, axis=0)
             option[others] = np.where(can, self.preference, -1).argmax(axis=1)
-            fallback = seen.fallback.take(others)
-            unknown[others] = fallback < 0
-            option[others] = np.where(fallback < 0, option[others], fallback)
-        return Choice(option, unknown)
+            np.copyto(option, seen.fallback, where=seen.fallback >= 0)
+        return option
 
     @cached_property
     def _codes(self) -> Codes:
@@ -148,11 +142,9 @@ class ExploringPolicy(Policy[Observation]):
     share: float  # of decisions that explore
     rng: np.random.Generator
 
-    def choose(self, seen: Observation, games: Ints) -> Choice:
-        best = self.greedy.choose(seen, games)
-        option = seen.at_random(self.rng)
-        explore = self.rng.random(len(option)) < self.share
-        return replace(best, option=np.where(explore, option, best.option))
+    def choose(self, seen: Observation, games: Ints) -> Ints:
+        best, option = self.greedy.choose(seen, games), seen.at_random(self.rng)
+        return np.where(self.rng.random(len(best)) < self.share, option, best)
 
     def stops(self, seen: Observation, option: Ints) -> Flags | None:
         stopped = self.greedy.stops(seen, option)
@@ -258,7 +250,7 @@ def make_sampled_plan(
         game_steps += sampler.play(policy, part, on_steps)
         model = counts.model(config.min_samples)
         modelled = clock()
-        on_sweep = SweepProgress(progress, asked.tol, asked.max_sweeps)
+        on_sweep = sweep_progress(progress, asked.tol, asked.max_sweeps)
         solution, greedy = _solve(model, actions, counts, asked, on_sweep)
         model_seconds += modelled - began
         sweep_seconds += clock() - modelled
@@ -285,7 +277,7 @@ def _solve(
     actions: ActionSet,
     counts: SampleCounts,
     asked: PlanRequest,
-    on_sweep: SweepProgress,
+    on_sweep: OnSweep,
 ) -> tuple[Solution, GreedyPolicy]:
     """Return the solution of the model of all samples so far, and the policy of its values."""
     n_choices = actions.first_fallback
