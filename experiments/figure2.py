@@ -22,7 +22,7 @@ from humanopts_env.domains.base import Domain
 from humanopts_env.domains.registry import domain_from_json, reference_options
 from humanopts_learner.demonstrations import Demonstration, Kind
 from humanopts_learner.intervals import all_hold, any_holds, Interval
-from humanopts_learner.options.accuracy import average_returns, LONGEST
+from humanopts_learner.options.accuracy import average_returns, MAX_RUN_STEPS
 from humanopts_learner.options.learn import learn_option
 from humanopts_learner.options.learned_option import LearnedOption
 from humanopts_learner.options.starts import STRATEGIES
@@ -275,7 +275,7 @@ def present(points: pd.DataFrame) -> report.Section:
     ]
     said = [*_compare_cases(points, people), *_compare_minutes(people)]
     shown = {f'{game.domain}, {game.features}': game.shown for game in GAMES}
-    facts = {'shown': shown, 'pace': PACE, 'longest': LONGEST}
+    facts = {'shown': shown, 'pace': PACE, 'longest': MAX_RUN_STEPS}
     return report.Section(NAME, TITLE, said, _pictures(curves), tables, facts)
 
 

@@ -9,9 +9,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
-from humanopts_env.arrays import Flags
+from humanopts_env.arrays import Flags, Ints
 from humanopts_env.domains.base import EnumerableDomain
-from humanopts_env.games import Games
+from humanopts_env.games import Games, TableGames
 import numpy as np
 from numpy.typing import NDArray
 
@@ -115,5 +115,13 @@ class TabularReferenceOption:
 
     def judge_states(self, states: Sequence[Any]) -> Judgement:
         """Judge N states at once."""
-        at = [self.domain.index(state) for state in states]
-        return Judgement(self.initiation[at], self.termination[at], self.optimal[at])
+        return self._at(np.array([self.domain.index(state) for state in states], dtype=np.intp))
+
+    def judge_games(self, games: Games) -> Judgement:
+        """Judge the states of N games."""
+        if isinstance(games, TableGames):
+            return self._at(games.state)
+        return self.judge_states(games.states())
+
+    def _at(self, states: Ints) -> Judgement:
+        return Judgement(self.initiation[states], self.termination[states], self.optimal[states])

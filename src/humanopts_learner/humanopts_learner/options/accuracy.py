@@ -1,21 +1,21 @@
 """
-Accuracy: a learned option beside its reference option (section 7.1).
+Accuracy: a learned option compared with its reference option (section 7.1).
 
-A policy has two measures: how often it takes a best action, and, as in the paper, the average
-return of its runs. Classification accuracy is that of I and beta.
+A policy has two measures: the share of states in which it takes an optimal action and, as in the
+paper, the average return of its runs. Classification accuracy measures I and beta.
 
-Over all states where they can be listed, else over a fixed sample of them. Each part is judged
-where it is asked:
+Accuracy is measured over all states where they can be listed, and otherwise over a fixed sample.
+Each part is measured where it is used:
 
-- pi in the open states of the reference's initiation set;
-- I in all open states that can be come to;
+- pi in the states of the reference's initiation set where the task is not over;
+- I in all reachable states where the task is not over;
 - beta where the option can be after a step: in its initiation set, and in the states outside it
-  that one of its own optimal actions leads to from there. What it says of a room that it never
-  enters is no error.
+  that one of its optimal actions leads to. What beta is in a room that the option never enters
+  does not matter.
 """
 
-from collections.abc import Callable, Hashable, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any, Generic, TypeVar
 
@@ -32,21 +32,21 @@ from humanopts_env.domains.registry import parameters_json
 from humanopts_env.games import Chance, feature_rows, Games, games_at
 from humanopts_env.seeding import generator
 from humanopts_learner.execution import Fixed, play
-from humanopts_learner.options.learned_option import LearnedOption, OptionTable, TabularOption
+from humanopts_learner.options.learned_option import LearnedOption
 from humanopts_learner.options.rollout import is_deterministic
 import numpy as np
 
 T = TypeVar('T')
 SAMPLE = 2000  # states, where they cannot be listed
-RUNS = 400  # whose returns are averaged, at most
-LONGEST = 100  # steps of such a run
+RUNS = 400  # maximum number of runs in an average return
+MAX_RUN_STEPS = 100
 
 
 @dataclass(frozen=True)
 class _Answers:
-    """The right answers, beside the features (., F) of the states in which each part is judged."""
+    """The reference's values, and the features (., F) of the states where they are compared."""
 
-    starts: list[Any]  # (at most RUNS) of those in which the option acts
+    starts: list[Any]  # at most RUNS states in which the option acts
     acting: Rows  # (N, F)
     optimal: Flags  # (N, A)
     starting: Rows  # (M, F)
@@ -57,28 +57,16 @@ class _Answers:
 
 def policy_accuracy(option: LearnedOption, domain: Domain, reference: ReferenceOption) -> float:
     """
-    Return the share of states in which the likeliest action is among all optimal ones.
+    Return the share of states in which the most likely action is an optimal one.
 
     :return: 0..1; NaN where the reference can start nowhere.
     :raises OptionError: the option was not learned in this domain.
     """
     option.check_domain(domain)
-    return action_accuracy(option.action, domain, reference)
-
-
-def action_accuracy(
-    choose: Callable[[Rows], Ints], domain: Domain, reference: ReferenceOption
-) -> float:
-    """
-    Return the share of states in which a policy takes one of the optimal actions.
-
-    :param choose: returns the actions (N,) in states with features (N, F).
-    :return: 0..1; NaN where the reference can start nowhere.
-    """
     right = _answers(domain, reference)
     if not len(right.acting):
         return float('nan')
-    action = choose(right.acting)
+    action = option.action(right.acting)
     return float(right.optimal[np.arange(len(action)), action].mean())
 
 
@@ -86,41 +74,32 @@ def average_returns(
     options: Sequence[LearnedOption | None], domain: Domain, reference: ReferenceOption
 ) -> list[float]:
     """
-    Return the average undiscounted return of each of some policies, in reward units.
+    Return the average undiscounted return of each policy, in reward units.
 
-    Runs begin where the reference option can start, from the same states and with the same chance
+    Runs start where the reference option can start, in the same states and with the same chance
     for every option. They end where the reference option ends, where the task is over, or after
-    ``LONGEST`` steps: the learned beta is judged by itself, and one that ends a run too early
-    would spare it the costs of steps.
+    ``MAX_RUN_STEPS``: the learned beta is measured separately, and one that ends runs too early
+    would save the cost of steps.
 
-    :param options: None: the reference option itself, by the first of its optimal actions.
+    :param options: None: the reference option itself, with the first of its optimal actions.
     :return: NaN where the reference can start nowhere.
     :raises OptionError: an option was not learned in this domain.
     """
     for option in options:
         if option is not None:
             option.check_domain(domain)
-    starts = _answers(domain, reference).starts
-    if not starts or not options:
-        return [float('nan')] * len(options)
-    count = len(starts)
-    games = games_at(domain, list(starts) * len(options))
-    which = np.repeat(np.arange(len(options)), count)
-    chance: Chance = np.random.default_rng(0)  # nothing is drawn from it
+    starts, count = _answers(domain, reference).starts, len(options)
+    if not starts:
+        return [float('nan')] * count
+    chance: Chance = np.random.default_rng(0)  # unused without chance
     if not is_deterministic(domain):
-        keys = [('accuracy', 'return', domain.name, run) for run in range(count)]
-        chance = [generator(0, *key) for key in keys * len(options)]
-    policy = Fixed(which)
-    if is_enumerable(domain) and isinstance(reference, TabularReferenceOption):
-        best = TabularOption.of_reference(reference, LONGEST)
-        rows = domain.feature_table()
-        table = OptionTable([replace(best, action=o.action(rows)) if o else best for o in options])
-        played = play(games, table, policy, chance, LONGEST, once=True)
-    else:
-        judged = _UntilReference(options, reference)
-        played = play(games, judged, policy, chance, LONGEST, once=True)
-    returns = played.by_game(played.runs.total)
-    return [float(each.mean()) for each in returns.reshape(len(options), -1)]
+        keys = [('accuracy', 'return', domain.name, run) for run in range(len(starts))]
+        chance = [generator(0, *key) for key in keys * count]
+    games, until = games_at(domain, starts * count), _UntilReference(options, reference)
+    policy = Fixed(np.repeat(np.arange(count), len(starts)))
+    played = play(games, until, policy, chance, MAX_RUN_STEPS, once=True)
+    returns = played.by_game(played.runs.total).reshape(count, -1)
+    return [float(each.mean()) for each in returns]
 
 
 class _UntilReference:
@@ -130,7 +109,7 @@ class _UntilReference:
         self, options: Sequence[LearnedOption | None], reference: ReferenceOption
     ) -> None:
         self.options, self.reference = options, reference
-        self.limits = np.full(len(options), LONGEST)
+        self.limits = np.full(len(options), MAX_RUN_STEPS)
 
     def see(self, games: Games) -> '_Seen':
         return _Seen(self, games, games.features(), judge_games(self.reference, games))
@@ -162,7 +141,7 @@ def classification_accuracy(
     option: LearnedOption, domain: Domain, reference: ReferenceOption
 ) -> tuple[float, float]:
     """
-    Return the shares of states that I and beta classify as the reference does.
+    Return the shares of states in which I and beta agree with the reference.
 
     :return: 0..1; NaN for beta where the reference can start nowhere.
     :raises OptionError: the option was not learned in this domain.
@@ -204,15 +183,15 @@ def _of_all_states(domain: EnumerableDomain, reference: TabularReferenceOption) 
 
 @dataclass(frozen=True)
 class _Keyed(Generic[T]):
-    """A value as an argument of a cached function: equal where its key is."""
+    """An argument of a cached function, compared by its key."""
 
     key: Hashable
-    value: T = field(compare=False)  # kept with its key, so an id() as key stays its own
+    value: T = field(compare=False)  # kept, so that an id() in the key stays unique
 
 
 @lru_cache(maxsize=4)
 def _sample(game: _Keyed[Domain]) -> tuple[list[Any], Rows]:
-    """Return ``SAMPLE`` states from all parts of the game, never over, and their features."""
+    """Return ``SAMPLE`` states from all parts of the game, none of them over, and features."""
     states = game.value.sample_states(generator(0, 'accuracy', 'states', game.value.name), SAMPLE)
     return states, feature_rows(game.value, states)
 
