@@ -206,7 +206,7 @@ def test_a_continuous_feature_is_suggested_only_on_more_evidence_than_chance() -
     """Any two values differ; that one threshold parts four starts from four ends is evidence."""
     for count, suggested in ((1, None), (4, 'y')):
         demos = [replace(at(5.0, 1.0 + 0.1 * n), number=n + 1) for n in range(count)]
-        assert find_conflicts(make_dataset(demos, LAKE), LAKE).suggested_feature == suggested
+        assert find_conflicts(make_dataset(demos, LAKE), LAKE)[1] == (suggested or '')
 
 
 def test_values_are_worded_with_their_unit() -> None:

@@ -15,10 +15,10 @@ from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.options.conflicts import find_conflicts
 from humanopts_learner.options.files import option_to_json
 from humanopts_learner.options.judge import (
-    FEWEST,
     fit_leave_fold_out,
     fold_of,
     judge,
+    MIN_TRAJECTORIES,
     more_needed,
     Thresholds,
 )
@@ -46,13 +46,13 @@ def values(shown: Shown) -> dict[str, float | None]:
 def test_too_few_demonstrations_are_not_measurable_and_not_met(
     fetching: Shown, person: Callable[..., Any]
 ) -> None:
-    judgement = judge(fetching[: FEWEST - 1], TAXI, Thresholds(), 0)
+    judgement = judge(fetching[: MIN_TRAJECTORIES - 1], TAXI, Thresholds(), 0)
     assert [c.value for c in judgement.criteria] == [None] * 3
     assert not any(c.measurable or c.met for c in judgement.criteria)
     assert (judgement.criteria_met, judgement.more_needed) == (False, -1)
     ann = person()
     refused = [ann.show(ABOARD) for _ in range(12)]
-    assert None not in values([*refused, *ann.show_random(FEWEST)]).values()
+    assert None not in values([*refused, *ann.show_random(MIN_TRAJECTORIES)]).values()
     with pytest.raises(NotLearnableError):
         judge(refused, TAXI, Thresholds(), 0)
 
@@ -60,7 +60,7 @@ def test_too_few_demonstrations_are_not_measurable_and_not_met(
 def test_an_option_that_starts_wherever_it_ends_has_no_error_of_i(fetching: Shown) -> None:
     always = [replace(demo, can_start_at_end=True) for demo in fetching]
     assert values(always)[INITIATION] == 0.0
-    assert values(always[: FEWEST - 1])[INITIATION] is None
+    assert values(always[: MIN_TRAJECTORIES - 1])[INITIATION] is None
     assert values([*always[1:], fetching[0]])[INITIATION] not in (None, 0.0)
 
 
@@ -241,10 +241,10 @@ def test_a_missing_feature_is_found_and_suggested(
     every = 'taxi_row', 'taxi_col', 'passenger_row', 'passenger_col', 'passenger_in_taxi'
     ann.features = tuple(name for name in every if name != missing)
     found = find_conflicts(make_dataset(ann.show_random(40), TAXI), TAXI)
-    assert found.suggested_feature == missing
-    assert 'taxi row' in found.texts[0]
+    assert found[1] == missing
+    assert 'taxi row' in found[0][0]
     found = find_conflicts(make_dataset(fetching, TAXI), TAXI)  # with the right features
-    assert (found.texts, found.suggested_feature) == ((), None)
+    assert found == ((), '')
 
 
 def test_a_slip_is_reported_but_suggests_no_feature(person: Callable[..., Any]) -> None:
@@ -259,6 +259,6 @@ def test_a_slip_is_reported_but_suggests_no_feature(person: Callable[..., Any]) 
         rewards=(-1.0, *right[0].rewards),
     )
     found = find_conflicts(make_dataset([*right[1:], slip], TAXI), TAXI)
-    assert found.suggested_feature is None
-    assert len(found.texts) == 1
-    assert 'north (3x), west (1x)' in found.texts[0]
+    assert found[1] == ''
+    assert len(found[0]) == 1
+    assert 'north (3x), west (1x)' in found[0][0]

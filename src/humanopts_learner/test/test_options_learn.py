@@ -32,7 +32,7 @@ from humanopts_learner.demonstrations import (
 from humanopts_learner.option import DrawnOption
 from humanopts_learner.options.accuracy import policy_accuracy
 from humanopts_learner.options.files import option_from_json, option_to_json
-from humanopts_learner.options.judge import FEWEST_TO_A_GOAL, judge, Thresholds
+from humanopts_learner.options.judge import judge, MIN_TO_A_GOAL, Thresholds
 from humanopts_learner.options.learn import learn_option, NotLearnableError
 from humanopts_learner.options.learned_option import (
     option_from_table,
@@ -336,7 +336,7 @@ def test_with_chance_the_way_is_the_one_that_best_arrives() -> None:
 
 
 def test_criteria_are_measured_from_three_demonstrations_on(person: Callable[..., Any]) -> None:
-    shown = planned(person(FETCH).show_random(FEWEST_TO_A_GOAL))
+    shown = planned(person(FETCH).show_random(MIN_TO_A_GOAL))
     before = judge(shown[:-1], TAXI, Thresholds(), 0)
     assert [criterion.value for criterion in before.criteria] == [None] * 3
     assert judge(shown, TAXI, Thresholds(), 0).criteria_met

@@ -9,7 +9,7 @@ from typing import Any
 from humanopts_env.domains.base import Domain
 from humanopts_env.domains.registry import make_domain
 from humanopts_learner.demonstrations import GOAL
-from humanopts_learner.options.judge import FEWEST
+from humanopts_learner.options.judge import MIN_TRAJECTORIES
 from humanopts_learner.summary import Criterion, NO_RANGE, OptionSummary
 from humanopts_teach.dialogue.app import App, REPLY_SECONDS, SETTLE_SECONDS
 from humanopts_teach.dialogue.entry import Item, ListScreen
@@ -162,7 +162,7 @@ def test_a_plan_names_its_options_whose_criteria_are_not_met(
     assert (f'The criteria of {NAME} are not met yet.' in desk.see()) is named
 
 
-FEW = OptionSummary(NAME, 'p1', tuple(CHOSEN), n_demonstrations=FEWEST, more_needed=6)
+FEW = OptionSummary(NAME, 'p1', tuple(CHOSEN), n_demonstrations=MIN_TRAJECTORIES, more_needed=6)
 VALUES = (Criterion.of('return', 0.25, 1.0), Criterion.of('initiation', 0.125, 0.05))
 CLASH = 'taxi row 4: cannot start here (2x), can start here (1x)'
 PROGRESS: dict[str, dict[str, Any]] = {

@@ -9,7 +9,7 @@ from typing import Any
 from humanopts_env import colours
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.seeding import generator
-from humanopts_learner.options.judge import FEWEST
+from humanopts_learner.options.judge import MIN_TRAJECTORIES
 from humanopts_learner.summary import Criterion, OptionSummary
 from humanopts_teach.dialogue.keys import Command, command_of, key_table, SUSPEND
 from humanopts_teach.lesson.requests import LessonView, Phase
@@ -52,7 +52,13 @@ def learned(features: tuple[str, ...], *values: float | None, **more: Any) -> Op
     names, thresholds = ('return', 'initiation', 'termination'), (10.0, 0.05, 0.05)
     criteria = tuple(map(Criterion.of, names, values, thresholds))
     return OptionSummary(
-        NAME, 'p1', features, n_demonstrations=FEWEST, criteria=criteria, more_needed=6, **more
+        NAME,
+        'p1',
+        features,
+        n_demonstrations=MIN_TRAJECTORIES,
+        criteria=criteria,
+        more_needed=6,
+        **more,
     )
 
 

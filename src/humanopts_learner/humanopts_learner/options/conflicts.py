@@ -18,18 +18,10 @@ from humanopts_learner.options.learn import Dataset, Examples, make_dataset
 import numpy as np
 from numpy.typing import NDArray
 
-MOST_TEXTS = 10
+MAX_TEXTS = 10
 NO_START = 'cannot start here'  # in the words of a situation
 CHANCE = 0.05  # probability with which a continuous feature may separate examples by chance
-SLIP = 1  # so many different actions in a situation may be a slip of the hand
-
-
-@dataclass(frozen=True)
-class Conflicts:
-    """The situations with different labels, and a feature that would separate them."""
-
-    texts: tuple[str, ...]  # in words, the most frequent first
-    suggested_feature: str | None  # not chosen; separates most of the situations
+SLIP = 1  # number of different actions in a situation that may be a slip of the hand
 
 
 @dataclass(frozen=True)
@@ -59,30 +51,28 @@ class _Conflict:
         return len(pairs) == len({value for value, _ in pairs})
 
 
-def find_conflicts(data: Dataset, domain: ActableDomain) -> Conflicts:
+def find_conflicts(data: Dataset, domain: ActableDomain) -> tuple[tuple[str, ...], str]:
     """
-    Find the situations of one option that carry different labels.
+    Find the situations of one option that have different labels.
 
-    A feature is suggested when it separates more than half of the situations, without slips.
+    :return: the situations in words, the most frequent first; and the feature that separates more
+        than half of them, apart from slips. Empty: there is none.
     """
-    chosen = data.chosen
     found = [
         conflict
         for examples, words, may_slip in _parts(data)
-        for conflict in _conflicts(examples, chosen, domain, words, may_slip)
+        for conflict in _conflicts(examples, data.chosen, domain, words, may_slip)
     ]
     found.sort(key=lambda conflict: -len(conflict.labels))
     structural = [conflict for conflict in found if conflict.structural]
-    others = [index for index in range(len(domain.features)) if index not in chosen]
     separated = {
-        index: sum(conflict.separated_by(index, domain.features[index]) for conflict in structural)
-        for index in others
+        feature.name: sum(conflict.separated_by(index, feature) for conflict in structural)
+        for index, feature in enumerate(domain.features)
+        if index not in data.chosen
     }
-    best = max(separated, key=lambda index: separated[index], default=None)
-    suggested = None
-    if best is not None and 2 * separated[best] > len(structural):
-        suggested = domain.features[best].name
-    return Conflicts(tuple(conflict.text for conflict in found[:MOST_TEXTS]), suggested)
+    best = max(separated, key=lambda name: separated[name], default='')
+    suggested = best if 2 * separated.get(best, 0) > len(structural) else ''
+    return tuple(conflict.text for conflict in found[:MAX_TEXTS]), suggested
 
 
 @dataclass(frozen=True)

@@ -87,6 +87,20 @@ def find_failures(
     )
 
 
+def largest_shortfall(
+    option: LearnedOption,
+    domain: EnumerableDomain,
+    demonstrations: Sequence[Demonstration],
+) -> float:
+    """
+    Return the largest shortfall from the states where an option can start, in reward units.
+
+    :return: infinite where it reaches no demonstrated end, or can start nowhere.
+    """
+    found = find_failures(option, domain, demonstrations)
+    return float(found.shortfall[found.candidate].max()) if found.candidate.any() else np.inf
+
+
 def _best_return(domain: EnumerableDomain, distance: NDArray[np.int32], nearer: Flags) -> Floats:
     """Return (S,): the largest return of the shortest ways; -infinity where there is none."""
     table = domain.transitions()

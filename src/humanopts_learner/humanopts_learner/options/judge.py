@@ -1,28 +1,29 @@
 """
-When an option is taught well enough: three criteria, by ten-fold cross-validation.
+Three criteria say when an option is taught well enough, by ten-fold cross-validation.
 
 The paper (section 6) compares the return of the learned policy with that of the demonstrations,
-and takes the cross-validation error of I and beta. Here the folds are grouped by demonstration,
-because rows of one trajectory on both sides would make the errors look like nothing, and the
-return is held out as well: each option runs from the start of the demonstrations that it did not
-see. Where chance plays a part, returns differ by luck: the criterion is met when the upper
-confidence limit of the shortfall is small enough, so few or noisy demonstrations do not meet it.
+and uses the cross-validation error of I and beta. Here folds are grouped by demonstration, because
+rows of one trajectory on both sides would hide the errors, and the return is held out as well:
+each option runs from the start of the demonstrations that it has not seen. With chance, returns
+differ by luck: the criterion is met when the upper confidence limit of the shortfall is small
+enough, so few or noisy demonstrations do not meet it.
 
-How small is small enough depends on the game: a shortfall of two is much where all returns are
-between 0 and 1. Unless a number is asked for, the threshold is a tenth of the range between the
-demonstrated return and that of random actions, which run from the same starts as the held-out
-option does, with the same ends and as many steps. Where random actions return as much as was
-shown, there is no range: the criterion cannot be measured, and is not met.
+What is small enough depends on the game: a shortfall of two is large where all returns are between
+0 and 1. By default the threshold is a tenth of the range between the demonstrated return and that
+of random actions, which run from the same starts as the held-out option, with the same ends and
+the same maximum number of steps. Where random actions return as much as the demonstrations, there
+is no range: the criterion cannot be measured, and is not met.
 
 Start states that were chosen because the option fails there make the held-out return worse than it
-is. Where all states can be listed and there is no chance, it is known in the end: the return
-criterion is met, too, if from every state where the option can start it comes to an end that was
-shown, and nowhere falls shorter of the best way there than the threshold (``failures.py``).
+is. Where all states can be listed and there is no chance, the return from every start is known:
+the return criterion is also met if the option reaches a demonstrated end from every state where it
+can start, and never falls short of the best path by more than the threshold (``failures.py``).
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 import math
+from typing import Any
 
 from humanopts_env.arrays import Flags, Floats, Ints, Rows
 from humanopts_env.domains.base import ActableDomain, action_index, Domain
@@ -32,7 +33,7 @@ from humanopts_learner.demonstrations import Demonstration, GOAL, Kind
 from humanopts_learner.intervals import Interval
 from humanopts_learner.option import RandomActions
 from humanopts_learner.options.conflicts import find_conflicts
-from humanopts_learner.options.failures import find_failures
+from humanopts_learner.options.failures import largest_shortfall
 from humanopts_learner.options.learn import Dataset, Examples, fit_option, make_dataset
 from humanopts_learner.options.learned_option import LearnedOption, MEMBER
 from humanopts_learner.options.rollout import is_deterministic, rollouts, run_once
@@ -51,13 +52,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 FOLDS = 10
-FEWEST = FOLDS  # trajectories without which nothing is measurable
-FEWEST_TO_A_GOAL = 3  # where the policy is planned, and only I, beta and the goal are learned
+MIN_TRAJECTORIES = FOLDS  # without which nothing is measurable
+MIN_TO_A_GOAL = 3  # where the policy is planned, and only I, beta and the goal are learned
 LEVEL = 0.9  # two-sided: the shortfall is above the upper limit in 5 of 100 cases
-CUT_OFF = 2  # a held-out run may take so many times the steps of its demonstration
-SHARE = 0.1  # of the range of returns: how much the return may fall short
-RANDOM_RUNS = 200  # at least, from all starts together
-FEWEST_RANDOM_RUNS = 10  # from each start
+CUT_OFF = 2  # maximum length of a held-out run, in lengths of its demonstration
+SHARE = 0.1  # of the range of returns: the default threshold of the shortfall
+RANDOM_RUNS = 200  # minimum, from all starts together
+RANDOM_RUNS_EACH = 10  # minimum, from each start
 ONE_SIDED = 1.645  # standard errors below the range with 5 % confidence
 ROUNDING = 1e-9  # reward units
 
@@ -103,85 +104,72 @@ def judge(
     data = make_dataset(demonstrations, domain)
     option = option or fit_option(data, domain, seed)
     shown = np.array([demo.total_reward for demo in data.trajectories])
-    known, returns = None, np.array([math.nan])
+    known, gain, mean_return = None, UNKNOWN, math.nan
     if can_simulate(domain):
-        starts = [domain.decode(demo.states[0]) for demo in data.trajectories]
         keys = [f'in-sample {demo.uuid}' for demo in data.trajectories]
-        returns = rollouts(option, domain, starts, seed, keys).total_reward
-        known = _known_shortfall(option, domain, demonstrations)
+        returns = rollouts(option, domain, _starts(data, domain), seed, keys).total_reward
+        gain, mean_return = Interval.of_difference(returns, shown), float(returns.mean())
+        if option.method != GOAL and is_deterministic(domain):
+            known = largest_shortfall(option, domain, demonstrations)
     criteria = _criteria(data, domain, thresholds, seed, option, known)
-    waits = known is not None and not criteria[0].met  # that it becomes known follows no law
-    conflicts = find_conflicts(data, domain)
+    waits = known is not None and not criteria[0].met  # no law says when it will be known
+    conflicts, suggested = find_conflicts(data, domain)
     return replace(
         unmeasured(data.demonstrations),
         features=data.features,
         criteria=criteria,
         mean_return_demonstrations=float(shown.mean()),
-        mean_return_policy=float(returns.mean()),
+        mean_return_policy=mean_return,
         more_needed=-1 if waits else more_needed(criteria, len(shown)),
-        conflicts=conflicts.texts,
-        suggested_feature=conflicts.suggested_feature or '',
-        gain=Interval.of_difference(returns, shown) if can_simulate(domain) else UNKNOWN,
+        conflicts=conflicts,
+        suggested_feature=suggested,
+        gain=gain,
     )
 
 
-def _known_shortfall(
-    option: LearnedOption, domain: Domain, demonstrations: Sequence[Demonstration]
-) -> float | None:
-    """
-    Return the largest shortfall from the states where an option can start, in reward units.
-
-    :return: infinite where it comes to no end that was shown, or can start nowhere; None: it
-        cannot be known, because of chance, or since the policy is planned: any end of its counts.
-    """
-    if option.method == GOAL or not is_deterministic(domain):
-        return None
-    found = find_failures(option, domain, demonstrations)
-    return float(found.shortfall[found.candidate].max()) if found.candidate.any() else math.inf
+def _starts(data: Dataset, domain: Domain) -> list[Any]:
+    return [domain.decode(demo.states[0]) for demo in data.trajectories]
 
 
 def more_needed(criteria: Sequence[Criterion], n_demonstrations: int) -> int:
     """
-    Estimate how many more demonstrations it takes to meet all criteria.
+    Estimate the number of further demonstrations needed to meet all criteria.
 
-    What is wrong in held-out demonstrations is what they hold that no other one showed, and its
-    share falls about as 1 / n: a value that is twice its threshold needs about n more. The
-    distance from the value to its upper limit falls as 1 / sqrt(n).
+    Held-out errors come from what only one demonstration shows, and its share falls about as
+    1 / n: a value of twice its threshold needs about n more. The distance from the value to its
+    upper limit falls as 1 / sqrt(n).
 
-    :return: 0: none; -1: unknown, because a criterion is not measurable or its
-        threshold is not above what the value comes to.
+    :return: 0: none; -1: unknown, because a criterion is not measurable or its threshold is not
+        above the limit of the value.
     """
-    times = [_times_needed(criterion) for criterion in criteria if not criterion.met]
-    if math.inf in times:
-        return -1
-    return max([0, *(math.ceil(round(n_demonstrations * (each - 1), 6)) for each in times)])
+    times = 1.0
+    for criterion in criteria:
+        if criterion.met:
+            continue
+        if criterion.value is None or criterion.threshold is None:
+            return -1
+        high = criterion.value if criterion.high is None else criterion.high
+        width, falling = high - criterion.value, max(criterion.value, 0.0)
+        room = criterion.threshold - min(criterion.value, 0.0)
+        if room <= 0:
+            return -1
+        # With x = 1 / sqrt(times), falling * x**2 + width * x = room.
+        root = math.sqrt(width**2 + 4 * falling * room)
+        times = max(times, ((width + root) / (2 * room)) ** 2)
+    return math.ceil(round(n_demonstrations * (times - 1), 6))
 
 
 def likely_range(more: int) -> tuple[int, int]:
     """
-    Return the range that further demonstrations are likely in, for an estimate of ``more_needed``.
+    Return a likely range for an estimate of ``more_needed``.
 
-    The estimate goes by the worst criterion, which changes from one demonstration to the next. In
-    20 simulated lessons in Pac-Man (its five options, strategy ``failures``, two seeds, without
-    and with 2 % of wrong steps), 75 of 87 ranges held the true number.
+    The estimate is that of the worst criterion, which changes from one demonstration to the next.
+    In 20 simulated lessons in Pac-Man (its five options, strategy ``failures``, two seeds, without
+    and with 2 % of wrong steps), 75 of 87 ranges contained the true number.
 
     :param more: above 0.
     """
     return max(1, more // 4), 3 * more
-
-
-def _times_needed(criterion: Criterion) -> float:
-    """Return how many times as many demonstrations a criterion takes; infinity: unknown."""
-    if criterion.value is None:
-        return math.inf
-    assert criterion.threshold is not None  # where there is a value
-    width = (criterion.value if criterion.high is None else criterion.high) - criterion.value
-    falling, staying = max(criterion.value, 0.0), min(criterion.value, 0.0)
-    room = criterion.threshold - staying
-    if room <= 0:
-        return math.inf
-    # With x = 1 / sqrt(times), falling * x**2 + width * x = room.
-    return ((width + math.sqrt(width**2 + 4 * falling * room)) / (2 * room)) ** 2
 
 
 def _criteria(
@@ -227,8 +215,8 @@ def _criteria(
 
 
 def fewest(method: str) -> int:
-    """Return how many trajectories it takes before the criteria are measurable."""
-    return FEWEST_TO_A_GOAL if method == GOAL else FEWEST
+    """Return the number of trajectories from which on the criteria are measurable."""
+    return MIN_TO_A_GOAL if method == GOAL else MIN_TRAJECTORIES
 
 
 def fold_of(data: Dataset, seed: int) -> Ints:
@@ -335,13 +323,13 @@ def return_range(data: Dataset, domain: Domain, option: LearnedOption, seed: int
     :return: None: random actions return as much, as far as these runs tell.
     """
     demos = data.trajectories
-    runs = max(FEWEST_RANDOM_RUNS, math.ceil(RANDOM_RUNS / len(demos)))
+    runs = max(RANDOM_RUNS_EACH, math.ceil(RANDOM_RUNS / len(demos)))
     key = (option.name, *(demo.uuid for demo in demos))
     limit = np.tile(held_out_limits(data, option), runs)
     rng = generator(seed, 'random actions', *key)
     played = run_once(
         domain,
-        [domain.decode(demo.states[0]) for demo in demos] * runs,
+        _starts(data, domain) * runs,
         [RandomActions(option, len(domain.actions), rng)],
         np.zeros_like(limit),
         limit,
