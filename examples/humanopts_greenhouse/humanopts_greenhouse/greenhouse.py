@@ -14,9 +14,8 @@ from humanopts_env.colours import BLUE, GREEN, ORANGE, RED
 from humanopts_env.domains.base import (
     Action,
     BoardSlice,
-    DomainError,
+    check_whole,
     Feature,
-    FeatureKind,
     shown_values,
 )
 from humanopts_env.domains.capabilities import (
@@ -75,8 +74,7 @@ class Greenhouse(TableDomain[GreenhouseState]):
 
         :raises DomainError: size is not a whole number from 3 to 9.
         """
-        if type(size) is not int or not SMALLEST <= size <= LARGEST:
-            raise DomainError(f'size is {size!r}, and must be a whole number from 3 to 9')
+        check_whole('size', size, SMALLEST, LARGEST)
         self.size = size
         self.name = 'greenhouse'
         self.parameters = {'size': size}
@@ -197,14 +195,9 @@ class Greenhouse(TableDomain[GreenhouseState]):
 
 
 def _features(size: int) -> tuple[Feature, ...]:
-    places = tuple(map(str, range(size)))
     answers = ('no', 'yes')
     return (
-        Feature('row', 'which row the gardener is in', FeatureKind.ORDINAL, places),
-        Feature('col', 'which column the gardener is in', FeatureKind.ORDINAL, places),
-        Feature('can_full', 'whether the can is full', FeatureKind.NOMINAL, answers),
-        *[
-            Feature(f'{bed}_dry', f'whether the {bed} are dry', FeatureKind.NOMINAL, answers)
-            for bed in BEDS
-        ],
+        *Feature.place('', 'the gardener', size, size),
+        Feature.nominal('can_full', 'whether the can is full', answers),
+        *[Feature.nominal(f'{bed}_dry', f'whether the {bed} are dry', answers) for bed in BEDS],
     )

@@ -54,6 +54,23 @@ class Feature:
         return cls(name, question, FeatureKind.ORDINAL, (*map(str, range(count)), *more))
 
     @classmethod
+    def place(
+        cls, name: str, words: str, rows: int, cols: int, *more: str
+    ) -> tuple['Feature', 'Feature']:
+        """
+        Return the row and the column of a thing.
+
+        :param name: begins the names of both; empty: they are row and col.
+        :param words: what the thing is: the taxi.
+        :param more: other values of both, such as none.
+        """
+        row, col = (f'{name}_{axis}'.strip('_') for axis in ('row', 'col'))
+        return (
+            cls.number(row, f'which row {words} is in', rows, *more),
+            cls.number(col, f'which column {words} is in', cols, *more),
+        )
+
+    @classmethod
     def nominal(cls, name: str, question: str, values: Iterable[str]) -> 'Feature':
         """Return a feature whose values have no order."""
         return cls(name, question, FeatureKind.NOMINAL, tuple(values))
@@ -83,6 +100,28 @@ class Feature:
         if self.kind is FeatureKind.CONTINUOUS:
             return self.high - self.low
         return max(len(self.values) - 1, 1)
+
+
+def check_whole(name: str, value: object, least: int, most: int) -> None:
+    """
+    Check a parameter of a domain.
+
+    :raises DomainError: it is not a whole number from ``least`` to ``most``.
+    """
+    if type(value) is not int or not least <= value <= most:
+        raise DomainError(
+            f'{name} is {value!r}, and must be a whole number from {least} to {most}'
+        )
+
+
+def check_choice(name: str, value: object, known: Iterable[str]) -> None:
+    """
+    Check a parameter of a domain.
+
+    :raises DomainError: it is not one of the known texts.
+    """
+    if value not in (choices := tuple(known)):
+        raise DomainError(f'{name} is {value!r}, and must be {" or ".join(choices)}')
 
 
 def subset_names(names: Sequence[str], joint: str = ', ', none: str = 'none') -> list[str]:

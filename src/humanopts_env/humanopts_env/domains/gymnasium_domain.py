@@ -142,10 +142,7 @@ def _grid_view(actions: tuple[Action, ...], shape: tuple[int, int], tiles: list[
         entered = ENTERED.get(tiles[successor], '') if moved.changed else ''
         return replace(moved, text=f'{moved.text} and {entered}') if entered else moved
 
-    features = (
-        Feature.number('row', 'which row the agent is in', rows),
-        Feature.number('col', 'which column the agent is in', cols),
-    )
+    features = Feature.place('', 'the agent', rows, cols)
     values = [divmod(state, cols) for state in range(rows * cols)]
     layout = BoardSlice('board', np.arange(rows * cols, dtype=np.int32).reshape(rows, cols))
     return View(features, values, actions, board, [layout], effect)

@@ -13,7 +13,7 @@ from humanopts_env.colours import GREY, ORANGE, TEAL
 from humanopts_env.domains.base import (
     Action,
     BoardSlice,
-    DomainError,
+    check_choice,
     Feature,
     shown_values,
     subset_names,
@@ -91,8 +91,7 @@ class Rooms(TableDomain[RoomsState]):
         :param goal: G1, the east doorway, or G2, a cell of the south-east room, as in the paper.
         :raises DomainError: there is no such goal.
         """
-        if goal not in GOALS:
-            raise DomainError(f'goal is {goal!r}, and must be {" or ".join(GOALS)}')
+        check_choice('goal', goal, GOALS)
         super().__init__([RoomsState(*place) for place in PLACES])
         self.goal = RoomsState(*GOALS[goal])
         self.name = 'rooms'
@@ -168,8 +167,7 @@ def neighbour(place: Place, action: int) -> Place:
 def _features() -> tuple[Feature, ...]:
     blocked = subset_names([action.name for action in ACTIONS])
     return (
-        Feature.number('row', 'which row the agent is in', len(LAYOUT)),
-        Feature.number('col', 'which column the agent is in', len(LAYOUT[0])),
+        *Feature.place('', 'the agent', len(LAYOUT), len(LAYOUT[0])),
         Feature.nominal('room', 'which room the agent is in', ROOM_VALUES),
         Feature.nominal('doorway', 'which doorway the agent is in', NOWHERE),
         Feature.nominal('blocked_moves', 'which moves a wall blocks', blocked),

@@ -17,7 +17,7 @@ from humanopts_env.colours import BLUE, GREEN, MAGENTA, ORANGE, RED, TEAL
 from humanopts_env.domains.base import (
     Action,
     BoardSlice,
-    DomainError,
+    check_whole,
     Feature,
     Parameter,
     shown_values,
@@ -78,12 +78,9 @@ def taxi_features(rows: int, cols: int) -> tuple[Feature, ...]:
     blocked = subset_names([action.name for action in ACTIONS[:4]])
     yes_no = ('no', 'yes')
     return (
-        Feature.number('taxi_row', 'which row the taxi is in', rows),
-        Feature.number('taxi_col', 'which column the taxi is in', cols),
-        Feature.number('passenger_row', 'which row the passenger is in', rows),
-        Feature.number('passenger_col', 'which column the passenger is in', cols),
-        Feature.number('destination_row', 'which row the destination is in', rows),
-        Feature.number('destination_col', 'which column the destination is in', cols),
+        *Feature.place('taxi', 'the taxi', rows, cols),
+        *Feature.place('passenger', 'the passenger', rows, cols),
+        *Feature.place('destination', 'the destination', rows, cols),
         Feature.nominal('passenger_in_taxi', 'whether the passenger is in the taxi', yes_no),
         Feature.nominal('taxi_at_passenger', 'whether the taxi is where the passenger is', yes_no),
         Feature.nominal('taxi_at_destination', 'whether the taxi is at the destination', yes_no),
@@ -115,7 +112,7 @@ NEEDS = {  # what must be on the board for other features than rows and columns 
 }
 
 
-SMALLEST, LARGEST = 4, 1000  # rows and columns
+MIN_SIDE, MAX_SIDE = 4, 1000  # rows and columns
 # What the participants of Subramanian, Isbell and Thomaz (2011) were asked to teach (section 7).
 DEMO_OPTIONS = ('go to passenger and pickup', 'go to destination and dropoff')
 STATE_TEXT = re.compile(
@@ -151,12 +148,8 @@ class Taxi(SharedTables[TaxiState]):
 
         :raises DomainError: rows or cols is not a whole number from 4 to 1000.
         """
-        for name, value in (('rows', rows), ('cols', cols)):
-            whole = isinstance(value, int) and not isinstance(value, bool)
-            if not whole or not SMALLEST <= value <= LARGEST:
-                raise DomainError(
-                    f'{name} is {value!r}, and must be a whole number from {SMALLEST} to {LARGEST}'
-                )
+        check_whole('rows', rows, MIN_SIDE, MAX_SIDE)
+        check_whole('cols', cols, MIN_SIDE, MAX_SIDE)
         self.rows, self.cols = rows, cols
         self.name = 'taxi'
         self.parameters: Mapping[str, Parameter] = {'rows': rows, 'cols': cols}

@@ -12,6 +12,8 @@ from humanopts_env.board import Board
 from humanopts_env.domains.base import (
     Action,
     BoardSlice,
+    check_choice,
+    check_whole,
     Domain,
     DomainError,
     Feature,
@@ -55,7 +57,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 KEYS = ('up', 'left', 'right', 'down')  # in the order of MOVES
-MOST_LIVES, MOST_STEPS = 9, 1_000_000
+MAX_LIVES, MAX_STEPS = 9, 1_000_000
 # The options that the participants of the paper taught (section 7), and one more.
 DEMO_OPTIONS = (CLOSEST_FOOD, AVOID_GHOST, NEAREST_PILL, EAT_GHOST)
 DEMO_OPTIONS_WITH_FRUIT = (*DEMO_OPTIONS, TO_FRUIT)
@@ -97,24 +99,12 @@ class PacMan(Domain[PacManState]):
         :raises MazeError: there is no such maze, or it cannot be played.
         :raises DomainError: another parameter is out of range.
         """
-        for name, text in (('maze', maze), ('ghosts', ghosts), ('features', features)):
-            if not isinstance(text, str):
-                raise DomainError(f'{name} is {text!r}, and must be a text')
-        for name, text, known in (
-            ('ghosts', ghosts, GHOST_RULES),
-            ('features', features, FEATURE_LISTS),
-        ):
-            if text not in known:
-                raise DomainError(f'{name} is {text!r}, and must be {" or ".join(known)}')
-        for name, value, most in (
-            ('lives', lives, MOST_LIVES),
-            ('max_steps', max_steps, MOST_STEPS),
-        ):
-            whole = isinstance(value, int) and not isinstance(value, bool)
-            if not whole or not 1 <= value <= most:
-                raise DomainError(
-                    f'{name} is {value!r}, and must be a whole number from 1 to {most}'
-                )
+        if not isinstance(maze, str):
+            raise DomainError(f'maze is {maze!r}, and must be a text')
+        check_choice('ghosts', ghosts, GHOST_RULES)
+        check_choice('features', features, FEATURE_LISTS)
+        check_whole('lives', lives, 1, MAX_LIVES)
+        check_whole('max_steps', max_steps, 1, MAX_STEPS)
         self.rules = Rules(load_maze(maze), ghosts, lives)
         self.read_all_features = FeatureReader(self.rules)
         self.name = 'pacman'

@@ -46,10 +46,11 @@ def in_paper(name: str) -> bool:
 
 def pacman_features(rules: Rules) -> tuple[Feature, ...]:
     """Return all features, in the order of ``FeatureReader``."""
-    features = _place(rules, 'pacman', 'Pac-Man', can_miss=False)
+    rows, cols = rules.maze.rows, rules.maze.cols
+    features = [*Feature.place('pacman', 'Pac-Man', rows, cols)]
     for number in range(1, len(rules.maze.homes) + 1):
         name, words = f'ghost_{number}', f'ghost {number}'
-        features += _place(rules, name, words, can_miss=False)
+        features += Feature.place(name, words, rows, cols)
         features += _way(rules, name, words)
         features.append(
             Feature(
@@ -60,7 +61,7 @@ def pacman_features(rules: Rules) -> tuple[Feature, ...]:
             )
         )
     for name in ('food', 'pill', 'fruit'):
-        features += _place(rules, name, THINGS[name], can_miss=True)
+        features += Feature.place(name, THINGS[name], rows, cols, 'none')
         features += _way(rules, name, THINGS[name])
     for name in ('danger', 'prey'):
         features += _way(rules, name, THINGS[name])
@@ -88,14 +89,6 @@ def pacman_groups(features: Sequence[Feature]) -> tuple[FeatureGroup, ...]:
         for words, beginnings in GROUPS.items()
     )
     return tuple(group for group in groups if len(group.features) > 1)
-
-
-def _place(rules: Rules, name: str, words: str, *, can_miss: bool) -> list[Feature]:
-    none = ['none'] * can_miss
-    return [
-        Feature.number(f'{name}_row', f'which row {words} is in', rules.maze.rows, *none),
-        Feature.number(f'{name}_col', f'which column {words} is in', rules.maze.cols, *none),
-    ]
 
 
 def _way(rules: Rules, name: str, words: str) -> list[Feature]:

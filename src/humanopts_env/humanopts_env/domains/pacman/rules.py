@@ -106,7 +106,7 @@ class Tables:
         self.all_taken = np.full(food + pills + 2, np.iinfo(kind).max, dtype=kind)
         self.nothing = self.all_taken[0] >> self.low_bits << self.low_bits  # above all keys
         self.all_taken[[food, -1]] = self.nothing | food, self.nothing | pills
-        self.homes = np.array(maze.homes, dtype=np.intp).reshape(-1, 1)  # (G, 1)
+        self.homes = np.array(maze.homes, dtype=np.intp)  # (G,)
         for table in vars(self).values():
             if isinstance(table, np.ndarray):
                 table.setflags(write=False)
@@ -325,18 +325,10 @@ class PacManBatch:
         """Return the games from number ``first`` on, which change with these."""
         return PacManBatch(self.rules, self.numbers[:, first:], self.taken[first:])
 
-    def put(self, games: NDArray[Any], source: 'PacManBatch') -> None:
-        """
-        Set chosen games, by their indices (M,), each once, to those of another batch.
-
-        :param source: M games, or one for all.
-        """
-        self.numbers[:, games] = source.numbers
-        self.taken[games] = source.taken
-
     def restart(self, games: NDArray[Any]) -> None:
         """Begin chosen games again, by their indices (M,)."""
-        self.put(games, self.rules.first_game)
+        self.numbers[:, games] = self.rules.first_game.numbers
+        self.taken[games] = self.rules.first_game.taken
 
     def draws(self, rng: np.random.Generator) -> Ints:
         """Return the random draws of one step, (G, N)."""
@@ -375,23 +367,21 @@ class PacManBatch:
         eaten = prey.sum(axis=0)
         self.score[games] += GHOST_POINTS * eaten
         self.ate[games] |= np.where(eaten, ATE_GHOST, 0)
-        self._send_home(games, prey | caught)
+        ghost, at = (prey | caught).nonzero()
+        home = ghost, games[at]
+        self.ghosts[home], self.headings[home] = self.tables.homes[ghost], STAY
+        self.scared[home] = 0
         lost = games[caught]
         self.pacman[lost] = self.rules.maze.start
         self.lives[lost] -= 1
-
-    def _send_home(self, games: Ints, which: Flags) -> None:
-        """Move ghosts (G, M) of some games (M,) to their first cells."""
-        ghost, at = which.nonzero()
-        self.ghosts[ghost, games[at]] = self.tables.homes[ghost, 0]
-        self.headings[ghost, games[at]] = STAY
-        self.scared[ghost, games[at]] = 0
 
     def _eat(self, live: Flags) -> None:
         """Eat the food, pill or fruit in Pac-Man's cell."""
         at_fruit = ((self.pacman == self.fruit_at) & (self.fruit > 0) & live).nonzero()[0]
         if at_fruit.size:
-            self._eat_fruit(at_fruit)
+            self.fruit[at_fruit] = 0
+            self.score[at_fruit] += FRUIT_POINTS
+            self.ate[at_fruit] |= ATE_FRUIT
         item = self.tables.item_at.take(self.pacman)
         item += np.arange(0, self.taken.size, self.taken.shape[1])
         taken = self.taken.reshape(-1)
@@ -400,33 +390,23 @@ class PacManBatch:
             taken[item[games]] = np.iinfo(taken.dtype).max
             food = self.tables.is_food.take(self.pacman.take(games))
             self._eat_food(games[food])
-            self._eat_pill(games[~food])
+            pill = games[~food]
+            self.score[pill] += PILL_POINTS
+            self.ate[pill] |= ATE_PILL
+            self.scared[:, pill] = SCARED_STEPS + 1
+            self.headings[:, pill] = STAY
 
     def _eat_food(self, games: Ints) -> None:
+        """Eat food; when few enough is left, lay fruit on that nearest to the middle."""
+        tables = self.tables
         self.food_left[games] -= 1
         self.score[games] += FOOD_POINTS
         self.ate[games] |= ATE_FOOD
-        reached = games[self.tables.lays_fruit[self.food_left[games]]]
+        reached = games[tables.lays_fruit[self.food_left[games]]]
         if reached.size:
-            self._lay_fruit(reached)
-
-    def _lay_fruit(self, games: Ints) -> None:
-        """Lay fruit on the food that is left nearest to the middle."""
-        tables = self.tables
-        there = self.taken.take(games, axis=0).take(tables.from_middle, axis=1) == 0
-        self.fruit_at[games] = tables.middle_cells.take(there.argmax(axis=1))
-        self.fruit[games] = FRUIT_STEPS + 1  # one is counted down in this step
-
-    def _eat_fruit(self, games: Ints) -> None:
-        self.fruit[games] = 0
-        self.score[games] += FRUIT_POINTS
-        self.ate[games] |= ATE_FRUIT
-
-    def _eat_pill(self, games: Ints) -> None:
-        self.score[games] += PILL_POINTS
-        self.ate[games] |= ATE_PILL
-        self.scared[:, games] = SCARED_STEPS + 1
-        self.headings[:, games] = STAY
+            there = self.taken.take(reached, axis=0).take(tables.from_middle, axis=1) == 0
+            self.fruit_at[reached] = tables.middle_cells.take(there.argmax(axis=1))
+            self.fruit[reached] = FRUIT_STEPS + 1  # one is counted down in this step
 
     def move_ghosts(self, pacman: Ints, live: Flags, draws: NDArray[np.integer]) -> None:
         """Move the ghosts in reaction to Pac-Man's cell before the step."""
