@@ -94,7 +94,7 @@ def _received(folder: Path) -> tuple[int, float]:
     bag, topics = open_bag(folder / 'bag'), [f'{NAMESPACE}/{name}' for name in KINDS]
     statuses = bag.messages([f'{NAMESPACE}/recorder_status'])
     waited = max(recorded.message.lag for recorded in statuses)
-    return sum(s.received for s in summarise(bag).streams if s.topic in topics), waited
+    return sum(s.recorded for s in summarise(bag).streams if s.topic in topics), waited
 
 
 class Sender(Client):

@@ -363,7 +363,7 @@ def test_bags_below_a_folder_that_is_none_are_named_the_newest_first(
         bag.mkdir(parents=True)
         (bag / 'metadata.yaml').touch()
         os.utime(bag, (1e9 - age, 1e9 - age))
-    words = f'; bags below it: {bags[0]}, {bags[1]}, {bags[2]} and 1 more'
+    words = f'; the newest bags below it: {bags[0]}, {bags[1]}, {bags[2]}'
     for folder in (tmp_path, tmp_path / 'bags'):
         check_refused(capsys, run('bag', 'info', folder), f'{folder} is not a bag', words)
 

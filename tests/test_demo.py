@@ -184,7 +184,7 @@ def test_every_step_answers_one_recorded_command(bag: Bag) -> None:
 
 def test_no_message_is_lost_and_the_summary_counts_them(demo: DemoRun, bag: Bag) -> None:
     streams = summarise(bag).streams
-    assert [stream for stream in streams if stream.missing or stream.duplicates] == []
+    assert [stream for stream in streams if stream.missing or stream.repeated] == []
     assert len(streams) > 20
     assert bag.damage == ''
     counted = (demo.summary['bag']['messages'], demo.summary['bag']['topics'])

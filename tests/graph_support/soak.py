@@ -435,7 +435,7 @@ def lesson(folder: Path, outcome: Outcome, rng: random.Random) -> Iterator[Soak]
         ]
         late = [s for s in real if s.late]
         outcome.violations += [f'{bag.name}: {s.late} on {s.topic} out of order' for s in late]
-        if any(s.duplicates and s.topic == '/game_state' for s in real):
+        if any(s.repeated and s.topic == '/game_state' for s in real):
             outcome.remarks[f'{bag.name}: repeated states, mutated copies of real ones'] += 1
     outcome.remarks[f'{len(running.bags)} bags can be read'] += 1
 

@@ -63,12 +63,26 @@ def steps(path: Path) -> list[int]:
 
 
 def write_messages(
-    path: Path, entries: Iterable[tuple[str, Any]], facts: Mapping[str, str] | None = None
+    path: Path,
+    entries: Iterable[tuple[str, Any]],
+    facts: Mapping[str, str] | None = None,
+    *,
+    start: int = 0,
+    period: int = 10**9,
+    flush: int = 20,
+    limits: Limits = NO_LIMITS,
+    attached: Mapping[str, bytes] | None = None,
 ) -> Bag:
-    """Write (topic, message) pairs, signed and numbered per topic, and open the bag."""
+    """
+    Write (topic, message) pairs, signed and numbered per topic unless they are, and open the bag.
+
+    :param start: time before the first message, ns.
+    :param period: between messages, ns.
+    :param flush: messages in a chunk.
+    """
     numbers: dict[str, int] = {}
-    with BagWriter(path, facts) as writer:
-        for time, (topic, message) in enumerate(entries, start=1):
+    with BagWriter(path, facts, limits) as writer:
+        for count, (topic, message) in enumerate(entries, start=1):
             package, kind = type(message).__module__.split('.')[:2]
             writer.add_topic(topic, f'{package}/{kind}/{type(message).__name__}')
             if hasattr(message, 'publisher_id') and not message.sequence:
@@ -76,9 +90,12 @@ def write_messages(
                 sender = SENDERS.get(topic.rpartition('/')[2], 'game')
                 message.publisher_id = f'{topic.rpartition("/")[0]}/{sender}#1'
                 message.sequence = numbers[topic]
-            writer.write(topic, serialize_message(message), time * 10**9)
-            if time % 20 == 0:
+            time = start + count * period
+            writer.write(topic, serialize_message(message), time, time - 5)
+            if count % flush == 0:
                 writer.flush()
+        for name, content in (attached or {}).items():
+            writer.attach(name, content, times=(5, 6))
     return open_bag(path)
 
 
@@ -157,7 +174,7 @@ def without(bag: Path, copy: Path, type_name: str, leave_out: Callable[[Any], bo
                 channels[channel.id] = writer.register_channel(
                     channel.topic, channel.message_encoding, kind, channel.metadata
                 )
-            if schema.name == type_name and leave_out(opened.decode(channel.topic, message.data)):
+            if schema.name == type_name and leave_out(opened.decoder(channel.topic)(message.data)):
                 continue
             writer.add_message(
                 channels[channel.id], message.log_time, message.data, message.publish_time

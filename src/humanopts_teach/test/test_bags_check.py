@@ -1,6 +1,6 @@
 """``bag check``: damage has a name, what is missing a number, and a repair saves the rest."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 import fcntl
 from itertools import pairwise
 import json
@@ -11,48 +11,40 @@ import struct
 import time
 from typing import Any
 
-from humanopts_env.domains.registry import make_domain
 from humanopts_interfaces.msg import DomainInfo, GameState, LessonState
-from humanopts_teach.bags import BagError, BagWriteError
+from humanopts_teach.bags import BagError
 from humanopts_teach.bags.check import check_bag, RECORDER, REPAIR, repair
 from humanopts_teach.bags.reader import open_bag
-from humanopts_teach.bags.writer import BagWriter, Limits, NO_LIMITS
+from humanopts_teach.bags.writer import Limits, NO_LIMITS
 from humanopts_teach.cli import main
 from hypothesis import given, HealthCheck, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 import pytest
-from rclpy.serialization import serialize_message
 from rosbags.rosbag2 import Reader
 from std_msgs.msg import String
-from teach_support.bags import START, state, write_states
+from teach_support.bags import START, state, write_messages, write_states
 import yaml
 
-GAME = 'humanopts_interfaces/msg/GameState'
-TEXT = 'std_msgs/msg/String'
 
-
-def write(path: Path, sequences: Iterable[int], limits: Limits = NO_LIMITS) -> None:
+def write(path: Path, sequences: Iterable[int], limits: Limits = NO_LIMITS) -> Path:
     """Write game states with these numbers, and a text for each, ten of both in a chunk."""
-    with BagWriter(path, {'seed': '7'}, limits=limits) as writer:
-        writer.add_topic('/game_state', GAME)
-        writer.add_topic('/chatter', TEXT)
+
+    def entries() -> Iterator[tuple[str, Any]]:
         for place, sequence in enumerate(sequences):
-            time = START + 2 * place * 10**6
-            state = os.urandom(20).hex()  # does not compress
-            message = GameState(publisher_id='/game#1', sequence=sequence, state=state)
-            writer.write('/game_state', serialize_message(message), time, time - 5)
-            writer.write('/chatter', serialize_message(String(data=str(place))), time + 1)
-            if place % 10 == 9:
-                writer.flush()
-        writer.attach('options.json', b'{"a": 1}', times=(5, 6))
+            filler = os.urandom(20).hex()  # does not compress
+            yield '/game_state', GameState(publisher_id='/game#1', sequence=sequence, state=filler)
+            yield '/chatter', String(data=str(place))
+
+    attached = {'options.json': b'{"a": 1}'}
+    how: Any = {'start': START, 'period': 10**6, 'limits': limits, 'attached': attached}
+    return write_messages(path, entries(), {'seed': '7'}, **how).path
 
 
 @pytest.fixture
 def bag(tmp_path: Path) -> Path:
     """A whole bag of 100 game states and 100 texts in 10 chunks."""
-    write(tmp_path / 'bag', range(1, 101))
-    return tmp_path / 'bag'
+    return write(tmp_path / 'bag', range(1, 101))
 
 
 def chunk_at(bag: Path, number: int) -> tuple[int, int]:
@@ -73,23 +65,25 @@ def contents(bag: Path) -> list[tuple[str, int, int, bytes]]:
 def numbers(bag: Path) -> dict[str, tuple[int, int, int, int, int]]:
     """Return sent, recorded, missing, repeated and late by publisher."""
     streams = check_bag(open_bag(bag)).streams
-    return {s.publisher: (s.last, s.received, s.missing, s.duplicates, s.late) for s in streams}
+    return {s.publisher: (s.sent, s.recorded, s.missing, s.repeated, s.late) for s in streams}
 
 
-def test_a_whole_bag_is_said_to_be_whole(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(['bag', 'check', str(bag)]) == 0
-    assert 'is whole: 200 messages' in capsys.readouterr().out
-    assert numbers(bag) == {'/game#1': (100, 100, 0, 0, 0), RECORDER: (100, 100, 0, 0, 0)}
+def in_json(bag: Path, capsys: pytest.CaptureFixture[str]) -> tuple[int, Any]:
+    """Return the status of ``bag check``, and its JSON."""
+    status = main(['bag', 'check', str(bag), '--json'])
+    return status, json.loads(capsys.readouterr().out)
 
 
-def test_what_is_missing_repeated_and_late_is_counted_for_its_publisher(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_missing_repeated_and_late_messages_are_counted_by_publisher(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    write(tmp_path / 'bag', [2, 3, 7, 6, 6, 8])
-    assert numbers(tmp_path / 'bag')['/game#1'] == (8, 5, 3, 1, 1)
-    assert main(['bag', 'check', str(tmp_path / 'bag'), '--json']) == 1
-    found = json.loads(capsys.readouterr().out)
-    assert found['damage'] == []
+    assert numbers(bag) == {'/game#1': (100, 100, 0, 0, 0), RECORDER: (100, 100, 0, 0, 0)}
+    status, found = in_json(bag, capsys)
+    assert (status, found['whole'], found['messages']) == (0, True, 200)
+    lossy = write(tmp_path / 'lossy', [2, 3, 7, 6, 6, 8])
+    assert numbers(lossy)['/game#1'] == (8, 5, 3, 1, 1)
+    status, found = in_json(lossy, capsys)
+    assert (status, found['damage']) == (1, [])
     assert found['findings'] == [
         '3 messages were sent and are missing (in 1 streams)',
         '1 messages are there more than once (in 1 streams)',
@@ -97,26 +91,19 @@ def test_what_is_missing_repeated_and_late_is_counted_for_its_publisher(
     ]
 
 
-def in_json(bag: Path, command: str, capsys: pytest.CaptureFixture[str]) -> tuple[int, Any]:
-    """Return the status of a bag command, and what it says as JSON."""
-    status = main(['bag', command, str(bag), '--json'])
-    return status, json.loads(capsys.readouterr().out)
-
-
-def test_a_recording_that_still_runs_is_no_damage_and_what_is_missing_in_it_is(
+def test_a_running_recording_is_not_damaged_but_its_losses_count(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     bag = tmp_path / 'bag'
     with write_states(bag, 57, limits=Limits(seconds=0.03)) as writer:
         recorded = open_bag(bag).n_messages  # the rest is in a chunk that is not yet written
         assert 0 < recorded < 57
-        assert main(['bag', 'check', str(bag)]) == 0
-        verdict = f'{bag} is being recorded: {recorded} messages so far, none missing\n\n'
-        assert capsys.readouterr().out.startswith(verdict)
+        status, found = in_json(bag, capsys)
+        assert (status, found['recording'], found['findings']) == (0, True, [])
         assert main(['bag', 'info', str(bag)]) == 0
-        shown = capsys.readouterr().out
-        assert 'DAMAGED' not in shown
-        assert 'the bag is being recorded: this is what it holds so far' in shown
+        text = capsys.readouterr().out
+        assert 'DAMAGED' not in text
+        assert 'the bag is being recorded: this is what it holds so far' in text
         with (bag / 'half.mcap').open('wb') as half:  # as while a chunk is being written
             half.write((bag / 'bag_0.mcap').read_bytes()[:-30])
             half.flush()
@@ -125,86 +112,72 @@ def test_a_recording_that_still_runs_is_no_damage_and_what_is_missing_in_it_is(
         (bag / 'half.mcap').unlink()
         writer.write('/game_state', state(99), START + 10**9)
         writer.flush()
-        status, found = in_json(bag, 'check', capsys)
+        status, found = in_json(bag, capsys)
         assert (status, found['recording'], found['damage']) == (1, True, [])
         assert found['findings'] == ['42 messages were sent and are missing (in 1 streams)']
-    status, found = in_json(bag, 'check', capsys)
+    status, found = in_json(bag, capsys)
     assert (status, found['recording'], found['damage']) == (1, False, [])
 
 
-def damage(bag: Path, *kinds: str) -> None:
-    """Damage a bag in some ways, one after the other."""
-    file = bag / f'{bag.name}_0.mcap'
+def damage(bag: Path, kind: str) -> None:
+    """Damage a bag."""
+    file, metadata = bag / f'{bag.name}_0.mcap', bag / 'metadata.yaml'
     data = bytearray(file.read_bytes())
     (first, second), (start, end), (last, _) = (chunk_at(bag, at) for at in (0, 4, 9))
-    for kind in kinds:
-        match kind:
-            case 'byte of a chunk':
-                data[(start + end) // 2] ^= 0xFF
-            case 'byte of the chunk that describes the topics':
-                data[(first + second) // 2] ^= 1
-            case 'byte of the index':
-                data[-60] ^= 0xFF
-            case 'byte of the attached file':
-                data[data.index(b'{"a": 1}') + 6] = ord('2')
-            case 'end within a chunk':
-                del data[last + 100 :]
-            case 'no index':
-                del data[-100:]
-            case 'chunk left out':
-                del data[start:end]
-            case 'chunks exchanged':
-                data[first:end] = data[start:end] + data[second:start] + data[first:second]
-            case 'length of a chunk':
-                data[start + 1 : start + 9] = bytes([255] * 8)
-            case 'huge chunk':
-                struct.pack_into('<Q', data, start + 9 + 16, 2**40)
-            case 'huge index':
-                struct.pack_into('<Q', data, len(data) - 8 - 20, 100)  # where it begins
-            case 'what the recorder was told':
-                data[data.index(b'seed\1\0\0\0') + 8] = ord('8')
-            case 'no metadata.yaml':
-                (bag / 'metadata.yaml').unlink()
-            case 'counts of metadata.yaml':
-                text = (bag / 'metadata.yaml').read_text()
-                text = text.replace('message_count: 100', 'message_count: 99')
-                (bag / 'metadata.yaml').write_text(text)
+    match kind:
+        case 'byte of a chunk':
+            data[(start + end) // 2] ^= 0xFF
+        case 'byte of the attached file':
+            data[data.index(b'{"a": 1}') + 6] = ord('2')
+        case 'end within a chunk':
+            del data[last + 100 :]
+        case 'byte of the index':
+            data[-60] ^= 0xFF
+        case 'index and the chunk that describes the topics':
+            data[-60] ^= 0xFF
+            data[(first + second) // 2] ^= 1
+        case 'chunks exchanged':
+            data[first:end] = data[start:end] + data[second:start] + data[first:second]
+        case 'huge chunk':
+            struct.pack_into('<Q', data, start + 9 + 16, 2**40)
+        case 'huge index':
+            struct.pack_into('<Q', data, len(data) - 8 - 20, 100)  # where it begins
+        case 'a fact':
+            data[data.index(b'seed\1\0\0\0') + 8] = ord('8')
+        case 'no metadata':
+            metadata.unlink()
+        case 'counts of metadata':
+            text = metadata.read_text()
+            metadata.write_text(text.replace('message_count: 100', 'message_count: 99'))
     file.write_bytes(data)
 
 
-TOPICS = 'byte of the chunk that describes the topics'
-
-
 @pytest.mark.parametrize(
-    ('kinds', 'words', 'left'),
+    ('kind', 'words', 'left'),
     [
-        (['byte of a chunk'], 'is damaged and left out', 180),
-        (['byte of the attached file'], 'checksum', 200),
-        (['byte of the attached file', 'no index'], 'attachment options.json', 200),
-        (['end within a chunk'], 'cut short', 180),
-        (['byte of the index'], 'index is damaged', 200),
-        (['byte of the index', TOPICS], 'the record of their topic is damaged', 0),
-        (['chunk left out'], 'index is damaged', 180),
-        (['chunks exchanged'], 'another record', 100),
-        (['length of a chunk'], 'damaged and left out', 180),
-        (['huge chunk'], 'crc validation failed', 200),
-        (['huge index'], 'index is damaged', 200),
-        (['what the recorder was told'], 'differ: one of them is damaged', 200),
-        (['no metadata.yaml'], 'metadata.yaml: No such file', 200),
-        (['counts of metadata.yaml'], 'metadata.yaml lists 99 messages; 100 were read', 200),
+        ('byte of a chunk', 'is damaged and left out', 180),
+        ('byte of the attached file', 'checksum', 200),
+        ('end within a chunk', 'cut short', 180),
+        ('byte of the index', 'index is damaged', 200),
+        ('index and the chunk that describes the topics', 'record of their topic is damaged', 0),
+        ('chunks exchanged', 'another record', 100),
+        ('huge chunk', 'crc validation failed', 200),
+        ('huge index', 'index is damaged', 200),
+        ('a fact', 'metadata.yaml and the record humanopts differ', 200),
+        ('no metadata', 'metadata.yaml: No such file', 200),
+        ('counts of metadata', 'metadata.yaml lists 99 messages; 100 were read', 200),
     ],
-    ids=str,
 )
 def test_damage_is_named_and_the_rest_is_saved(
     bag: Path,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
-    kinds: list[str],
+    kind: str,
     words: str,
     left: int,
 ) -> None:
     sent = contents(bag)
-    damage(bag, *kinds)
+    damage(bag, kind)
     before = {file: file.read_bytes() for file in bag.iterdir()}
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     assert main(['bag', 'check', str(bag), '--repair', str(tmp_path / 'out')]) == 1
@@ -214,10 +187,10 @@ def test_damage_is_named_and_the_rest_is_saved(
     saved = contents(tmp_path / 'out')
     assert len(saved) == left
     assert [message for message in sent if message in set(saved)] == saved
-    assert check_bag(open_bag(tmp_path / 'out')).damage == ()
+    assert check_bag(open_bag(tmp_path / 'out')).damage == []
 
 
-def test_a_repaired_bag_is_whole_for_other_tools_and_counts_what_it_lacks(
+def test_a_repaired_bag_is_whole_for_other_tools_and_its_losses_count(
     bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     damage(bag, 'byte of a chunk')
@@ -225,16 +198,11 @@ def test_a_repaired_bag_is_whole_for_other_tools_and_counts_what_it_lacks(
     missing = {'/game#1': (100, 90, 10, 0, 0), RECORDER: (100, 90, 10, 0, 0)}
     assert numbers(bag) == missing
     assert repair(open_bag(bag), tmp_path / 'out') == 180
-    assert numbers(tmp_path / 'out') == missing
     with Reader(tmp_path / 'out') as reader:
-        assert reader.message_count == 180
-        assert sum(1 for _ in reader.messages()) == 180
+        assert reader.message_count == sum(1 for _ in reader.messages()) == 180
     with (tmp_path / 'out' / 'out_0.mcap').open('rb') as stream:
         other = make_reader(stream, validate_crcs=True)
-        summary = other.get_summary()
-        assert summary is not None
-        assert summary.statistics is not None
-        assert summary.statistics.message_count == 180
+        assert sum(1 for _ in other.iter_messages()) == 180
         assert other.get_header().profile == 'ros2'
         (file,) = other.iter_attachments()
         assert (file.name, file.data, file.create_time) == ('options.json', b'{"a": 1}', 5)
@@ -243,7 +211,7 @@ def test_a_repaired_bag_is_whole_for_other_tools_and_counts_what_it_lacks(
     assert out.metadata['humanopts'] == {'seed': '7'}
     assert 'damaged and left out' in out.metadata[REPAIR]['damage']
     repair(out, tmp_path / 'again')
-    assert numbers(tmp_path / 'again') == missing
+    assert numbers(tmp_path / 'out') == numbers(tmp_path / 'again') == missing
 
 
 def test_a_repair_writes_only_where_nothing_is(
@@ -253,8 +221,6 @@ def test_a_repair_writes_only_where_nothing_is(
     assert main(['bag', 'check', str(bag), '--repair', str(tmp_path / 'out')]) == 2
     assert 'exists already' in capsys.readouterr().err
     assert list((tmp_path / 'out').iterdir()) == []
-    with pytest.raises(BagWriteError, match='exists already'):
-        repair(open_bag(bag), tmp_path / 'out')
     with pytest.raises(BagError, match='is inside'):
         repair(open_bag(bag), bag / 'out')
     assert not (bag / 'out').exists()
@@ -263,9 +229,9 @@ def test_a_repair_writes_only_where_nothing_is(
 @pytest.fixture
 def split(tmp_path: Path) -> Path:
     """The same 200 messages in 12 files, the attached file in the last."""
-    write(tmp_path / 'split', range(1, 101), limits=Limits(seconds=0.018))
-    assert len(list((tmp_path / 'split').glob('*.mcap'))) == 12
-    return tmp_path / 'split'
+    path = write(tmp_path / 'split', range(1, 101), limits=Limits(seconds=0.018))
+    assert len(list(path.glob('*.mcap'))) == 12
+    return path
 
 
 def test_a_missing_file_is_named_and_counted_as_loss(
@@ -279,25 +245,19 @@ def test_a_missing_file_is_named_and_counted_as_loss(
     assert f'{lost} messages were sent and are missing (in 2 streams)' in text
 
 
-@pytest.mark.parametrize('place', [0, 4, 11])
-@pytest.mark.parametrize('whole_file', [True, False])
-def test_a_damaged_file_costs_only_what_is_damaged(
+@pytest.mark.parametrize(('place', 'whole_file'), [(0, True), (4, False), (11, True)])
+def test_a_damaged_file_costs_only_its_damaged_part(
     split: Path, tmp_path: Path, place: int, whole_file: bool
 ) -> None:
     sent, file = contents(split), split / f'split_{place}.mcap'
-    lost = contents(file)
-    data = file.read_bytes()
-    if whole_file:
-        file.write_bytes(b'nothing of a bag')
-    else:  # its end, so that it has no index
-        file.write_bytes(data[:-100])
-        lost = []
+    lost = contents(file) if whole_file else []
+    # Without its end, it has no index.
+    file.write_bytes(b'nothing of a bag' if whole_file else file.read_bytes()[:-100])
     assert any(file.name in text for text in check_bag(open_bag(split)).damage)
     repair(open_bag(split), tmp_path / 'out')
     assert contents(tmp_path / 'out') == [message for message in sent if message not in lost]
-    assert [file.name for file in (tmp_path / 'out').glob('*.mcap')] == ['out_0.mcap']
-    kept = open_bag(tmp_path / 'out').attachments
-    assert list(kept) == ([] if whole_file and place == 11 else ['options.json'])
+    kept = [each.name for each in open_bag(tmp_path / 'out').attachments]
+    assert kept == ([] if place == 11 else ['options.json'])
 
 
 def test_a_file_that_metadata_does_not_list_is_read_and_named(bag: Path) -> None:
@@ -305,24 +265,20 @@ def test_a_file_that_metadata_does_not_list_is_read_and_named(bag: Path) -> None
     (bag / 'metadata.yaml').write_text(text.replace('bag_0.mcap', 'gone.mcap'))
     opened = open_bag(bag)
     assert opened.n_messages == 200
-    assert 'gone.mcap is in metadata.yaml but is not there' in opened.damage
+    assert 'gone.mcap is in metadata.yaml but does not exist' in opened.damage
     assert 'bag_0.mcap is not in metadata.yaml' in opened.damage
 
 
-@pytest.mark.parametrize('end', ['\n', '\r', '\u2028', '\x1b[1A', '\u202e'])
+@pytest.mark.parametrize('end', ['\n', '\u2028', '\x1b[1A'])
 def test_no_text_in_a_bag_ends_its_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], end: str
 ) -> None:
     fake = f'x{end}FAKE'
-    domain = make_domain('rooms')
     info = DomainInfo(domain=fake, features=[], actions=[])
     lesson = LessonState(participant=fake, option_name=fake, paused=fake)
-    messages = [('/domain_info', info), ('/lesson_state', lesson), ('/game_state', GameState())]
-    with BagWriter(tmp_path / 'bag', {fake: fake, 'domain': domain.name}) as writer:
-        for number, (topic, message) in enumerate([*messages, *messages], start=1):
-            message.publisher_id, message.sequence = f'/{fake}#1', 5 * number
-            writer.add_topic(topic, f'humanopts_interfaces/msg/{type(message).__name__}')
-            writer.write(topic, serialize_message(message), number * 10**9)
+    state = GameState(publisher_id=f'/{fake}#1', sequence=5)
+    messages = [('/domain_info', info), ('/lesson_state', lesson), ('/game_state', state)]
+    write_messages(tmp_path / 'bag', [*messages, *messages], {fake: fake, 'domain': 'rooms'})
     for command in ('info', 'check', 'eval', 'play', 'table1'):
         main(['bag', command, str(tmp_path / 'bag')])
         text = ''.join(capsys.readouterr())

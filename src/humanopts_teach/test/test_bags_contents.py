@@ -136,8 +136,8 @@ def test_a_stream_counts_like_a_set(numbers: list[int]) -> None:
     for number in numbers:
         stream.add(number)
     distinct, last = set(numbers), max(numbers)
-    assert (stream.first, stream.last, stream.received) == (min(distinct), last, len(distinct))
-    assert stream.duplicates == len(numbers) - len(distinct)
+    assert (stream.first, stream.sent, stream.recorded) == (min(distinct), last, len(distinct))
+    assert stream.repeated == len(numbers) - len(distinct)
     assert stream.missing == last - len(distinct)
 
 
@@ -232,7 +232,9 @@ def test_an_episode_of_which_nothing_can_be_read_has_no_place(
     bag = write_messages(tmp_path / 'bag', entries)
     assert [episode.number for episode in read_episodes(bag)] == [1, 3, 1]
     episodes, found = list(read_episodes(bag)), find_episodes(bag)
-    assert [found[place]() for place in (2, 0, 1)] == [episodes[place] for place in (2, 0, 1)]
+    assert [found[place].transitions for place in (2, 0, 1)] == [
+        episodes[place].transitions for place in (2, 0, 1)
+    ]
     assert '77 is not a valid Source' in bag.damage
 
 
@@ -259,7 +261,7 @@ def forged(taxi: Domain[Any], publisher: str) -> list[tuple[str, Any]]:
 @pytest.mark.parametrize(
     ('publisher', 'told'),
     [
-        ('/stranger#1', 'from /stranger, not from /game'),
+        ('/stranger#1', 'from /stranger#1, not from /game'),
         ('stranger', 'from stranger, not from /game'),
         ('', 'from no node, not from /game'),
         ('/game#2', 'from /game#2, which was not the game'),

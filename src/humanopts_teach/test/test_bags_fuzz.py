@@ -17,15 +17,14 @@ from humanopts_teach.bags.check import check_bag, repair
 from humanopts_teach.bags.contents import read_demonstrations, read_domain, read_episodes
 from humanopts_teach.bags.info import summarise
 from humanopts_teach.bags.reader import Bag, open_bag
-from humanopts_teach.bags.writer import BagWriter, Limits, NO_LIMITS
+from humanopts_teach.bags.writer import Limits, NO_LIMITS
 import numpy as np
 import pytest
-from rclpy.serialization import serialize_message
 from std_msgs.msg import String
+from teach_support.bags import write_messages
 
 pytestmark = pytest.mark.heavy
 
-SECOND = 10**9
 ATTACHED = b'{"a": 1}'
 BATCH = 25  # mutated bags in one test
 
@@ -58,26 +57,15 @@ def write(
     limits: Limits = NO_LIMITS,
 ) -> Path:
     """Write a bag of a lesson, with episodes and an attached file."""
-    messages = [('/domain_info', domain_to_info(taxi))]
+    messages: list[tuple[str, Any]] = [('/domain_info', domain_to_info(taxi))]
     for number, demo in enumerate(taxi_lesson, start=1):
         messages.append(('/demonstrations', demonstration_to_message(demo)))
         messages.append(('/chatter', String(data=f'demonstration {number}')))
         for step in range(4):
-            state = demo.states[0]
-            messages.append(('/game_state', GameState(episode=number, step=step, state=state)))
-    numbers: dict[str, int] = {}
-    with BagWriter(path, {'seed': '7', 'participant': 'p1'}, limits=limits) as writer:
-        for time, (topic, message) in enumerate(messages):
-            package, kind = type(message).__module__.split('.')[:2]
-            writer.add_topic(topic, f'{package}/{kind}/{type(message).__name__}')
-            numbers[topic] = numbers.get(topic, 0) + 1
-            if hasattr(message, 'sequence'):
-                message.publisher_id, message.sequence = '/n#1', numbers[topic]
-            writer.write(topic, serialize_message(message), (100 + time) * SECOND)
-            if time % 8 == 7:
-                writer.flush()
-        writer.attach('options.json', ATTACHED)
-    return path
+            state = GameState(episode=number, step=step, state=demo.states[0])
+            messages.append(('/game_state', state))
+    facts, attached = {'seed': '7', 'participant': 'p1'}, {'options.json': ATTACHED}
+    return write_messages(path, messages, facts, flush=8, limits=limits, attached=attached).path
 
 
 def records(data: bytes) -> list[bytes]:
@@ -141,7 +129,7 @@ def numbers_of_info(bag: Bag) -> tuple[dict[str, Any], bool]:
     info = summarise(bag)
     info.to_text()
     told = info.to_dict()
-    warned = bool(info.damage) or any(s.missing or s.duplicates for s in info.streams)
+    warned = bool(info.damage) or any(s.missing or s.repeated for s in info.streams)
     return {k: v for k, v in told.items() if k not in ('path', 'files', 'bytes', 'damage')}, warned
 
 
@@ -152,7 +140,7 @@ def numbers_of_eval(bag: Bag) -> tuple[Any, bool]:
         dict(bag.metadata['humanopts']) if 'humanopts' in bag.metadata else None,
         (domain.name, dict(domain.parameters)),
         read_demonstrations(bag),
-        list(read_episodes(bag)),
+        [(e.key, e.times, e.transitions) for e in read_episodes(bag)],
     )
     return found, bool(bag.damage)
 

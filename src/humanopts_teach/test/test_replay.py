@@ -23,7 +23,7 @@ def episode(domain: Domain[Any], actions: list[str], number: int = 1) -> Episode
     for at, action in enumerate(actions):
         game.command(Command('/o#1', at + 1, Source.MACHINE, 1, at, action))
         moments.append(game.transition)
-    return Episode('/game_state', '/game#1', number, tuple(moments), (0, 0))
+    return Episode('/game_state', '/game#1', number, (0, 0), lambda: moments)
 
 
 @pytest.fixture
@@ -31,7 +31,7 @@ def replay(taxi: Domain[Any]) -> Replay:
     """Two episodes, of three steps and one."""
     episodes = [episode(taxi, ['pickup', 'south', 'east']), episode(taxi, ['east'], 2)]
     actors: Actors = {(sender, number): name for sender, number, name in COMMANDS}
-    return Replay(taxi, [lambda e=e: e for e in episodes], lambda _: actors)
+    return Replay(taxi, episodes, lambda _: actors)
 
 
 def words(replay: Replay) -> str:

@@ -1,46 +1,88 @@
 """Find what is damaged or missing in a bag, and write a new bag of the rest."""
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from humanopts_ros.limits import one_line
+from humanopts_ros.recording import own_name
 from humanopts_teach.bags import BagError
 from humanopts_teach.bags.reader import Bag
+from humanopts_teach.bags.recording import Recorded
 from humanopts_teach.bags.rosbag2 import Extent, FILE, profiles
-from humanopts_teach.bags.sequence_numbers import MessageCounter, Stamp, Stream
-from humanopts_teach.bags.writer import BagWriter, RECORD, SELF
+from humanopts_teach.bags.sequence_numbers import (
+    is_stamped,
+    LossCounter,
+    read_stamp,
+    Stamp,
+    Stream,
+)
+from humanopts_teach.bags.writer import BagWriter, NAMESPACE, RECORD, SELF
 from humanopts_teach.text_table import table
 
-RECORDER = '(recorder)'  # shown as publisher where only the recorder numbers messages
-UNNUMBERED = '(nobody)'  # shown where messages have no numbers, so loss cannot be counted
+RECORDER = '(recorder)'  # shown as publisher if only the recorder numbers messages
+UNNUMBERED = '(none)'  # shown if messages have no numbers, so loss cannot be counted
+
+
+class MessageCounter:
+    """Counts the messages of a bag: by topic, by time, and by their publishers' numbers."""
+
+    def __init__(self, bag: Bag) -> None:
+        self.counts: Counter[str] = Counter()  # by topic
+        self.extent = Extent()
+        self.losses = LossCounter()
+        self.stamped = {t.name for t in bag.topics.values() if is_stamped(t.schema)}
+        self._latched = {t.name for t in bag.topics.values() if t.latched}
+        namespace = bag.facts.get(NAMESPACE)  # None: it is of another program
+        self._own = {t for t in bag.topics if namespace is None or own_name(t, namespace)}
+        self._bag = bag
+
+    def add(self, recorded: Recorded) -> bool:
+        """Count a message; return whether it counts: it decodes, and its node may publish it."""
+        topic, stamp = recorded.topic, None
+        self.counts[topic] += 1
+        self.extent.add(recorded.log_time)
+        if topic in self.stamped:
+            stamp = read_stamp(recorded.data)
+            if stamp is None:
+                self._bag.note(f'a message on {topic} does not decode')
+                return False
+            if self._bag.is_foreign(recorded):  # its numbers may be forged
+                return False
+        elif self._bag.numbered:
+            stamp = Stamp(RECORDER, recorded.sequence)
+        if stamp:
+            latched = topic in self._latched and topic in self.stamped
+            self.losses.add(topic, stamp, latched=latched, own=topic in self._own)
+        return True
 
 
 @dataclass(frozen=True)
 class Check:
-    """What is wrong with a bag."""
+    """The result of a check."""
 
     path: str
     messages: int  # that can be read
     recording: bool  # it is being recorded, and was read as far as it was on the disk
-    damage: tuple[str, ...]  # of the files, in words
-    streams: tuple[Stream, ...]
-    strangers: tuple[str, ...] = ()  # messages of nodes that may not publish there, in words
+    damage: Sequence[str]  # of the files, in words
+    streams: Sequence[Stream]
+    left_out: Sequence[str] = ()  # messages of nodes that may not publish there, in words
 
     @property
-    def findings(self) -> tuple[str, ...]:
+    def findings(self) -> list[str]:
         """Everything that is wrong, in words; empty: the bag is whole, or whole so far."""
         found = list(self.damage)
         for name, text in (
             ('missing', 'messages were sent and are missing'),
-            ('duplicates', 'messages are there more than once'),
+            ('repeated', 'messages are there more than once'),
             ('late', 'messages are after one that was sent later'),
         ):
             counts = [getattr(stream, name) for stream in self.streams]
             if total := sum(counts):
                 found.append(f'{total} {text} (in {sum(map(bool, counts))} streams)')
-        return tuple(found)
+        return found
 
     @property
     def whole(self) -> bool:
@@ -50,85 +92,61 @@ class Check:
     def to_dict(self) -> dict[str, Any]:
         """Return the check as JSON data."""
         return {
-            'path': self.path,
-            'messages': self.messages,
-            'damage': list(self.damage),
+            **vars(self),
             'streams': [stream.to_dict() for stream in self.streams],
-            'recording': self.recording,
             'whole': self.whole,
-            'findings': list(self.findings),
-            'strangers': list(self.strangers),
+            'findings': self.findings,
         }
 
     def to_text(self) -> str:
         """Return the check as text for a person."""
+        verdict = 'damaged or incomplete' if self.findings else 'whole: nothing is missing'
         if self.recording:
-            wrong = 'something is wrong' if self.findings else 'none missing'
-            verdict = f'{self.path} is being recorded: {self.messages} messages so far, {wrong}'
-        elif self.whole:
-            verdict = f'{self.path} is whole: {self.messages} messages, none missing'
-        else:
-            verdict = f'{self.path} is damaged or incomplete: {self.messages} messages were read'
-        lines = *self.findings, *(f'not counted: {text}' for text in self.strangers)
+            verdict = f'being recorded, and so far {verdict}'
+        head = f'{self.path} is {verdict} ({self.messages} messages)'
+        lines = *self.findings, *(f'left out: {text}' for text in self.left_out)
         numbers = table([stream.to_dict() for stream in self.streams])
-        return '\n'.join([one_line(verdict), *(f'- {one_line(e)}' for e in lines), '', numbers])
+        return '\n'.join([one_line(head), *(f'- {one_line(e)}' for e in lines), '', numbers])
 
 
 def check_bag(bag: Bag) -> Check:
     """
     Read a bag once and compare it with its checksums, numbers and metadata.yaml.
 
-    While it is being recorded, counts and times in metadata.yaml are older, and not compared.
-
-    Messages without a publisher's number are counted by those of our recorder. It needs memory for
-    a few chunks, the index and one attached file.
+    While it is being recorded, metadata.yaml is older than the messages, and not compared.
+    Messages without a publisher's number are counted by those of our recorder. The check holds a
+    few chunks, the index and one attached file in memory.
     """
     bag.compare_bytes()
     counter = MessageCounter(bag)
     for recorded in bag.messages():
         counter.add(recorded)
-        if bag.numbered and recorded.topic not in counter.stamped:
-            counter.losses.add(recorded.topic, Stamp(RECORDER, recorded.sequence))
     for _ in bag.attached():
-        pass  # what is damaged is noted
-    _compare(bag, counter.counts, counter.extent)
-    streams = list(counter.losses)
-    for topic in set(counter.counts) - {stream.topic for stream in streams}:
-        count = counter.counts[topic]
-        streams.append(Stream(topic, UNNUMBERED, last=count, received=count))
-    return Check(
-        str(bag.path),
-        counter.extent.messages,
-        bag.recording,
-        tuple(bag.damage.splitlines()),
-        tuple(sorted(streams, key=lambda stream: (stream.topic, stream.publisher))),
-        tuple(bag.strangers),
-    )
-
-
-def _compare(bag: Bag, counts: Counter[str], extent: Extent) -> None:
-    """Note where metadata.yaml or an index disagrees with the messages that were read."""
-    indexed = {topic.name: topic.messages for topic in bag.topics.values()}
-    for name, count in indexed.items():
-        if count != counts[name]:
-            bag.note(f'{name}: {counts[name]} of {count} messages were read')
-    said = bag.information
-    if bag.recording or said is None:
-        return
-    if said.message_count != extent.messages:
+        pass  # damage is noted
+    counts, extent = counter.counts, counter.extent
+    for topic in bag.topics.values():
+        if topic.messages != counts[topic.name]:
+            bag.note(f'{topic.name}: {counts[topic.name]} of {topic.messages} messages were read')
+    said = None if bag.growing else bag.information
+    if said is not None and said.message_count != extent.messages:
         bag.note(f'{FILE} lists {said.message_count} messages; {extent.messages} were read')
-        return  # so that the rest differs too, as in a recording that was not closed
-    listed = {
-        each.topic_metadata.name: each.message_count for each in said.topics_with_message_count
-    }
-    for name in sorted(listed.keys() | counts.keys()):
-        if listed.get(name, 0) not in (counts[name], indexed.get(name)):
-            bag.note(
-                f'{name}: {FILE} lists {listed.get(name, 0)} messages; {counts[name]} were read'
-            )
-    times = said.starting_time.nanoseconds_since_epoch, said.duration.nanoseconds
-    if times != (extent.first, extent.duration):
-        bag.note(f'{FILE} states another start or duration than that of the messages')
+    elif said is not None:  # else the rest differs too, as in a recording that was not closed
+        listed = {t.topic_metadata.name: t.message_count for t in said.topics_with_message_count}
+        for name in sorted(listed.keys() | counts.keys()):
+            if listed.get(name, 0) != counts[name]:
+                times = f'{listed.get(name, 0)} messages; {counts[name]} were read'
+                bag.note(f'{name}: {FILE} lists {times}')
+        if {'duration': said.duration, 'starting_time': said.starting_time} != extent.times:
+            bag.note(f'{FILE} states another start or duration than that of the messages')
+    streams = list(counter.losses)
+    streams += (
+        Stream(topic, UNNUMBERED, sent=count, recorded=count)
+        for topic, count in counts.items()
+        if topic not in {stream.topic for stream in streams}
+    )
+    streams.sort(key=lambda stream: (stream.topic, stream.publisher))
+    damage = bag.damage.splitlines()
+    return Check(str(bag.path), extent.messages, bag.growing, damage, streams, bag.strangers)
 
 
 REPAIR = 'humanopts_repair'  # name of the MCAP metadata record that describes a repair

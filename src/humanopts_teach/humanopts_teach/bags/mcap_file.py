@@ -1,16 +1,16 @@
 """
 One MCAP file: its topics, chunks, attachments and metadata, as the ``mcap`` package reads them.
 
-A file with an index is read by it. One without, as a killed recorder leaves it, is scanned up to
-the first record that the package cannot read. A chunk that does not fit its checksum is left out.
+A file is read by its index. One without, as a killed recorder leaves it, is scanned up to the
+first record that the package cannot read. A chunk that does not match its checksum is left out.
 """
 
+from bisect import bisect_right
 from collections import Counter
-from collections.abc import Callable, Container, Iterator
-from contextlib import ExitStack
+from collections.abc import Callable, Container, Iterator, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from io import BytesIO
+from operator import attrgetter
 from os import SEEK_END
 from pathlib import Path
 import struct
@@ -18,7 +18,7 @@ from typing import BinaryIO
 import zlib
 
 from humanopts_teach.bags import BagError
-from humanopts_teach.bags.rosbag2 import convert, unpack
+from humanopts_teach.bags.rosbag2 import COMPRESSED, convert, decompress
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile, McapError, RecordLengthLimitExceeded
 from mcap.reader import FOOTER_SIZE, SeekingReader
@@ -40,16 +40,9 @@ from mcap.writer import MCAP0_MAGIC
 import zstandard
 
 ReadCallback = Callable[[int, int], object]  # takes how much is read, and of how much
-ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'
-_PACKED_MAGIC = {
-    '.zst': ZSTD_MAGIC,
-    '.gz': b'\x1f\x8b',
-    '.bz2': b'BZh',
-    '.xz': b'\xfd7zXZ\0',
-    '.lz4': b'\x04\x22\x4d\x18',
-}
 _SQLITE, _ROS_1 = b'SQLite format 3\0', b'#ROSBAG V'
 _HEAD = 9  # bytes of a record before its content: opcode and length
+ALWAYS = (0, 2**64)  # first and last log time
 # What damaged bytes make the ``mcap`` package raise.
 DAMAGE = (
     McapError,
@@ -66,13 +59,13 @@ DAMAGE = (
 @dataclass
 class McapFile:
     """
-    What one MCAP file holds, and where.
+    The contents of one MCAP file.
 
+    :ivar growing: it is being written, so a missing end is not damage.
     :ivar summary: schemas, channels, and the places of chunks and attachments.
     :ivar counts: messages by channel id.
     :ivar loose: messages outside chunks, which some programs write.
     :ivar damage: what is wrong with the file, in words.
-    :ivar growing: it is being written, so a missing end is not damage.
     """
 
     path: Path
@@ -92,27 +85,51 @@ class McapFile:
         channel = self.summary.channels.get(channel_id)
         return channel is not None and channel.schema_id in {0, *self.summary.schemas}
 
-    def batches(
-        self, stack: ExitStack, channels: Container[int], between: tuple[int, int]
-    ) -> Iterator[tuple[int, int, Callable[[], list[Message]]]]:
+    def chunks(self, channels: Container[int], between: tuple[int, int]) -> list[ChunkIndex]:
         """
-        Yield the start, ns, and the offset of each chunk, and what reads its messages.
+        Return the chunks that may hold messages of some channels, in order of time.
 
-        What reads them raises one of ``DAMAGE`` where the chunk is damaged.
-
-        :param stack: closes the file.
-        :param channels: ids; chunks without a message of these are left out.
-        :param between: first and last log time, ns; other chunks are left out.
+        :param channels: ids.
+        :param between: first and last log time, ns.
         """
-        stream = stack.enter_context(self.path.open('rb'))
-        if self.loose:
-            yield 0, 0, self.loose.copy
-        for chunk in self.summary.chunk_indexes:
-            times = chunk.message_start_time, chunk.message_end_time
-            there = chunk.message_index_offsets or self.summary.channels
-            overlaps = times[0] <= between[1] and times[1] >= between[0]
-            if overlaps and any(each in channels for each in there):
-                yield times[0], chunk.chunk_start_offset, partial(_read_chunk, stream, chunk)
+        found = (
+            chunk
+            for chunk in self.summary.chunk_indexes
+            if chunk.message_start_time <= between[1]
+            and chunk.message_end_time >= between[0]
+            and any(
+                each in channels for each in chunk.message_index_offsets or self.summary.channels
+            )
+        )
+        return sorted(found, key=attrgetter('message_start_time', 'chunk_start_offset'))
+
+    def messages(
+        self,
+        chunks: Sequence[ChunkIndex],
+        on_chunk: Callable[[], object],
+        note: Callable[[str], object],
+    ) -> Iterator[Message]:
+        """
+        Yield the messages of chunks, and those outside chunks, in order of log time.
+
+        Where chunks overlap in time, the messages of several are held.
+
+        :param note: is called with what is wrong with a chunk, which is then left out.
+        """
+        held = sorted(self.loose, key=attrgetter('log_time'))
+        with self.path.open('rb') as stream:
+            for chunk in chunks:
+                due = bisect_right(held, chunk.message_start_time, key=attrgetter('log_time'))
+                yield from held[:due]
+                del held[:due]
+                on_chunk()
+                try:
+                    held += _read_chunk(stream, chunk)
+                except DAMAGE as error:
+                    where = f'{self.path.name}: the chunk at byte {chunk.chunk_start_offset}'
+                    note(f'{where} is damaged and left out: {error}')
+                held.sort(key=attrgetter('log_time'))
+        yield from held
 
 
 def ignore_progress(*_: object) -> None:
@@ -123,7 +140,7 @@ def open_file(
     path: Path, on_read: ReadCallback = ignore_progress, *, growing: bool = False
 ) -> McapFile:
     """
-    Find out what a file holds.
+    Read what a file holds.
 
     :param on_read: is called while a file without an index is scanned.
     :param growing: the file is being written.
@@ -132,10 +149,8 @@ def open_file(
     try:
         with path.open('rb') as stream:
             head = stream.read(len(_SQLITE))
-            if not head:
-                raise BagError(f'{path} is empty')
             if not head.startswith(MCAP0_MAGIC):
-                raise BagError(f'{path} is not an MCAP file: {_what(path, head)}')
+                raise BagError(f'{path} is {_format_of(path, head)}')
             file, problem = McapFile(path, growing), ''
             try:
                 indexed = not growing and _read_summary(file, stream)
@@ -150,16 +165,18 @@ def open_file(
         raise BagError(f'cannot read {path}: {error.strerror}') from error
 
 
-def _what(path: Path, head: bytes) -> str:
+def _format_of(path: Path, head: bytes) -> str:
     """Say what a file is, by its first bytes, and how to make an MCAP file of it."""
-    for suffix, magic in _PACKED_MAGIC.items():
+    if not head:
+        return 'empty'
+    for suffix, (_, magic) in COMPRESSED.items():
         if head.startswith(magic):
-            return unpack(path, suffix)
+            return f'not an MCAP file: {decompress(path, suffix)}'
     if head.startswith(_SQLITE):
-        return f'it was written by another program, as sqlite3; {convert(path.parent)}'
+        return f'a bag in sqlite3 format; {convert(path.parent)}'
     if head.startswith(_ROS_1):
-        return f'it is a bag of ROS 1; {convert(path)}'
-    return 'it was written by another program'
+        return f'a bag of ROS 1; {convert(path)}'
+    return 'not an MCAP file: it was written by another program'
 
 
 def _read_summary(file: McapFile, stream: BinaryIO) -> bool:
@@ -174,7 +191,7 @@ def _read_summary(file: McapFile, stream: BinaryIO) -> bool:
         stream.seek(footer.summary_start)
         content = stream.read()[: -4 - MAGIC_SIZE]
         if footer.summary_crc and zlib.crc32(content) != footer.summary_crc:
-            raise ValueError('it does not fit its checksum')
+            raise ValueError('it does not match its checksum')
     stream.seek(0)
     reader = SeekingReader(stream)
     summary = reader.get_summary()
@@ -199,11 +216,7 @@ def _scan(file: McapFile, stream: BinaryIO, on_read: ReadCallback) -> bool:
             _add(file, record, at, stream.tell())
             at = stream.tell()
             on_read(at, size)
-    except (
-        EndOfFile,
-        RecordLengthLimitExceeded,
-        struct.error,
-    ):  # it has fewer bytes than it says
+    except (EndOfFile, RecordLengthLimitExceeded, struct.error):  # fewer bytes than it says
         if not file.growing:
             cut = f'is cut short in the record at byte {at} of {size}'
             file.note(f'it {cut if at < size else "was not closed: it ends without an index"}')
@@ -258,20 +271,18 @@ def _add(file: McapFile, record: object, start: int, end: int) -> None:
 
 def _read_chunk(stream: BinaryIO, index: ChunkIndex) -> list[Message]:
     """Return the messages of a chunk."""
-    at = index.chunk_start_offset
-    stream.seek(at)
+    stream.seek(index.chunk_start_offset)
     limit = index.chunk_length
-    chunk = next(
-        StreamReader(stream, skip_magic=True, emit_chunks=True, record_size_limit=limit).records
-    )
+    reader = StreamReader(stream, skip_magic=True, emit_chunks=True, record_size_limit=limit)
+    chunk = next(reader.records)
     times = index.message_start_time, index.message_end_time
     if not isinstance(chunk, Chunk) or (chunk.message_start_time, chunk.message_end_time) != times:
-        raise ValueError(f'there is another record at byte {at} than the index says')
+        raise ValueError('there is another record than the index says')
     return [each for each in breakup_chunk(chunk, validate_crc=True) if isinstance(each, Message)]
 
 
 def check_bytes(path: Path, on_read: ReadCallback = ignore_progress) -> str:
-    """Compare all bytes of a closed file with the checksum over them; return what is wrong."""
+    """Compare all bytes of a closed file with its checksum; return what is wrong."""
     size = path.stat().st_size
     with path.open('rb') as stream:
         try:
@@ -293,7 +304,7 @@ def read_attachment(path: Path, index: AttachmentIndex) -> Attachment:
             stream.seek(index.offset + _HEAD)
             content = stream.read(index.length - _HEAD)
             if zlib.crc32(content[:-4]) != int.from_bytes(content[-4:], 'little'):
-                raise ValueError('it does not fit its checksum')  # the package does not compare
+                raise ValueError('it does not match its checksum')  # mcap does not compare
             found: Attachment = Attachment.read(ReadDataStream(BytesIO(content)))
             return found
         except DAMAGE as error:

@@ -13,16 +13,14 @@ from humanopts_learner.append_only_log import append_whole
 from humanopts_teach.bags import BagWriteError
 from humanopts_teach.bags.rosbag2 import (
     bag_information,
-    document,
     dump,
     Extent,
     FILE,
+    ROOT,
     Topic,
     whole_extent,
 )
 from humanopts_teach.bags.schemas import find_schema
-from mcap.data_stream import RecordBuilder
-from mcap.records import ChunkIndex
 from mcap.writer import CompressionType, Writer
 
 CHUNK_BYTES = 256 * 1024
@@ -33,27 +31,6 @@ GAME = 'humanopts_game'  # name of the record with the publisher ids of the game
 GAME_IDS = 'publisher_ids'  # ... as a JSON list under this key
 SELF = 'rosbag2'  # name of the record with a copy of metadata.yaml ...
 SELF_TEXT = 'serialized_metadata'  # ... under this key
-
-
-class _PackedChunkIndexes:
-    """
-    A list of chunk indexes as their bytes, for the ``mcap`` package.
-
-    A recording of an hour has 14,000. As objects they would take five times as much memory.
-    """
-
-    def __init__(self) -> None:
-        self._records: Any = RecordBuilder()
-
-    def append(self, index: ChunkIndex) -> None:
-        index.write(self._records)
-
-    def __iter__(self) -> Iterator['_PackedChunkIndexes']:
-        yield self
-
-    def write(self, builder: RecordBuilder) -> None:
-        """Write all records; only once."""
-        builder.write(self._records.end())
 
 
 class _File:
@@ -89,8 +66,6 @@ class _File:
             compression=CompressionType.ZSTD,
             enable_data_crcs=True,
         )
-        # The package has no public way.
-        vars(self.writer)['_Writer__chunk_indices'] = _PackedChunkIndexes()
         try:
             self.writer.start(profile='ros2', library=LIBRARY)
             self.writer.add_metadata(RECORD, dict(facts))
@@ -124,11 +99,11 @@ class _File:
     def flush(self) -> None:
         """Do nothing: the operating system has everything that was written."""
 
-    def finish(self, information: str) -> None:
+    def finish(self, information: Any) -> None:
         """
         Write the index and statistics, and close the file; only once.
 
-        :param information: the contents of metadata.yaml.
+        :param information: the values of metadata.yaml.
         :raises BagWriteError: the disk is full or the file cannot be written.
         """
         if self._finished:
@@ -136,7 +111,7 @@ class _File:
         self._finished = True
         try:
             self.writer.flush()
-            self.writer.add_metadata(SELF, {SELF_TEXT: information})
+            self.writer.add_metadata(SELF, {SELF_TEXT: dump(information)})
             self.writer.finish()
             self.writer = None  # its index takes memory
         finally:
@@ -380,16 +355,16 @@ class BagWriter(AbstractContextManager['BagWriter']):
         except OSError as error:
             raise BagWriteError(f'cannot write in {self.path}: {error.strerror}') from error
 
-    def _information(self) -> str:
-        """Return the contents of metadata.yaml."""
+    def _information(self) -> Any:
+        """Return the values of metadata.yaml."""
         extents = {file.name: file.extent for file in self._files}
         return bag_information(extents, self.topics.values(), self._facts)
 
-    def _describe(self, information: str) -> None:
+    def _describe(self, information: Any) -> None:
         """Replace metadata.yaml atomically."""
         new = self.path / f'{FILE}.new'
         try:
-            new.write_text(document(information), 'utf-8')
+            new.write_text(dump({ROOT: information}), 'utf-8')
             os.replace(new, self.path / FILE)
         except OSError as error:
             with suppress(OSError):

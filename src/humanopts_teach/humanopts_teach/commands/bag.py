@@ -204,7 +204,7 @@ def play(
 ) -> int:
     """Play an episode again in this terminal; as plain text where this is no terminal."""
     from humanopts_env.domains.base import StateError
-    from humanopts_teach.bags.contents import actors_in, find_episodes, read_domain
+    from humanopts_teach.bags.contents import find_episodes, read_actors, read_domain
     from humanopts_teach.bags.mcap_file import ignore_progress
     from humanopts_teach.bags.reader import open_bag
     from humanopts_teach.terminal.device import Device, why_not
@@ -217,7 +217,7 @@ def play(
     if episode > len(episodes):
         there = f'1 to {len(episodes)}' if episodes else 'none'
         raise CommandError(f'there is no episode {episode} in {opened.path}: {there}')
-    replay = Replay(domain, episodes, partial(actors_in, opened), episode - 1, speed)
+    replay = Replay(domain, episodes, partial(read_actors, opened), episode - 1, speed)
     try:
         if why_not():
             for text in replay.plain():

@@ -1,15 +1,23 @@
-"""A bag as files: tables of steps, demonstrations, options and plans, and attached files."""
+"""
+A bag as files: tables of steps, demonstrations, options and plans, and attached files.
 
-from collections.abc import Iterator, Mapping
-from dataclasses import asdict, fields
+Rows are written while the bag is read, so that a long one takes little memory.
+"""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+import csv
+from dataclasses import dataclass, fields
+from functools import cache, partial
+from importlib.util import find_spec
+from itertools import chain, islice
 import json
-import math
 from pathlib import Path, PurePosixPath
-from typing import Any, TYPE_CHECKING
+from typing import Any, get_type_hints
 
-from humanopts_env.domains.base import ActableDomain, FeatureKind
+from humanopts_env.domains.base import ActableDomain, Feature, FeatureKind
 from humanopts_learner.demonstrations import Demonstration, each_once
-from humanopts_learner.spreadsheet import csv_of, EXCEL
+from humanopts_learner.spreadsheet import EXCEL, to_cell
+from humanopts_learner.summary import PlanSummary
 from humanopts_teach.bags.contents import (
     actor_of,
     read_actors,
@@ -22,113 +30,106 @@ from humanopts_teach.bags.info import option_rows, OptionRow, PLAN_RESULT
 from humanopts_teach.bags.reader import Bag, DEMONSTRATION
 from humanopts_teach.bags.schemas import constants
 
-if TYPE_CHECKING:
-    import pandas as pd
-
-FEATURE_PREFIX = 'feature:'  # before the name of a feature, in the head of a column
-_PLAN = (  # of PlanResult
-    *('plan_id', 'status', 'action_set', 'option_names', 'gamma', 'n_states', 'game_steps'),
-    *('table_seconds', 'model_seconds', 'sweep_seconds', 'sweeps', 'residual', 'converged'),
-    *('evaluation_episodes', 'mean_return', 'mean_return_low', 'mean_return_high'),
-    *('mean_discounted_return', 'fallbacks'),
-    *('outcome_names', 'outcome_means', 'outcome_low', 'outcome_high'),
-)
+BATCH = 20_000  # rows of a Parquet file that are held in memory
+FEATURE_PREFIX = 'feature:'  # before the name of a feature, in the name of a column
+# The columns before and after the features of a step, and those of the outcomes of a plan.
+_STEP = {'episode': int, 'game': str, 'game_episode': int, 'step': int, 'state': str}
+_MOVE = {'action': str, 'reward': float, 'terminated': bool, 'truncated': bool}
+_ACTOR = dict.fromkeys(('source', 'option'), str)
+_OUTCOMES = dict.fromkeys(('outcome_names', 'outcome_means', 'outcome_low', 'outcome_high'), str)
+Columns = Mapping[str, type]  # int, float, bool or str, of which lists are JSON
 
 
 class ExportError(ValueError):
     """A bag cannot be exported as asked; the text says why."""
 
 
-def bag_tables(bag: Bag) -> 'dict[str, pd.DataFrame]':
+@dataclass(frozen=True)
+class Table:
     """
-    Return the tables steps, demonstrations, options and plans; a list is JSON text.
+    A table, of which a row is read when it is written.
+
+    :ivar columns: types by name.
+    :ivar rows: plain values in the order of the columns; None: unknown.
+    """
+
+    columns: Columns
+    rows: Iterator[Sequence[Any]]
+
+
+def bag_tables(bag: Bag) -> dict[str, Table]:
+    """
+    Return the tables steps, demonstrations, options and plans.
 
     :raises BagError: the bag does not say which domain was played.
     """
-    import pandas as pd  # slow to import
-
     domain = read_description(bag)
+    features: Columns = {
+        FEATURE_PREFIX + each.name: float if each.kind is FeatureKind.CONTINUOUS else str
+        for each in domain.features
+    }
     demonstrations = each_once(read_demonstrations(bag)) if bag.of_type(DEMONSTRATION) else []
-    counted = [*(field.name for field in fields(Demonstration)), 'steps', 'total_reward']
+    shown = {**_columns(Demonstration), 'steps': int, 'total_reward': float}
+    plan = {'plan_id': str, 'status': str, **_columns(PlanSummary), **_OUTCOMES}
+    del plan['outcomes']
     return {
-        'steps': _steps(bag, domain),
-        'demonstrations': pd.DataFrame(map(_demonstration, demonstrations), columns=counted),
-        'options': pd.DataFrame(
-            (_plain(asdict(row)) for row in option_rows(bag)),
-            columns=[field.name for field in fields(OptionRow)],
+        'steps': Table({**_STEP, **features, **_MOVE, **_ACTOR}, _steps(bag, domain)),
+        'demonstrations': Table(shown, map(_demonstration, demonstrations)),
+        'options': Table(
+            _columns(OptionRow), (_plain(vars(row).values()) for row in option_rows(bag))
         ),
-        'plans': pd.DataFrame(_plans(bag), columns=_PLAN),
+        'plans': Table(plan, _plans(bag, plan)),
     }
 
 
-def _steps(bag: Bag, domain: ActableDomain) -> 'pd.DataFrame':
-    """Return a row for each recorded state and the step that led to it, features in words."""
-    import pandas as pd
-
-    actors, names = read_actors(bag), [FEATURE_PREFIX + each.name for each in domain.features]
-    rows = (
-        (
-            *(number, episode.publisher_id, episode.number, at.step, at.state),
-            *(at.features if len(at.features) == len(names) else [math.nan] * len(names)),
-            *(at.previous_action, at.reward, at.terminated, at.truncated),
-            *(source_of(at), actor_of(at, actors)),
-        )
-        for number, episode in enumerate(read_episodes(bag), start=1)
-        for at in episode.transitions
-    )
-    table = pd.DataFrame(
-        rows,
-        columns=[
-            *('episode', 'game', 'game_episode', 'step', 'state', *names),
-            *('action', 'reward', 'terminated', 'truncated', 'source', 'option'),
-        ],
-    )
-    for name, feature in zip(names, domain.features):
-        continuous = feature.kind is FeatureKind.CONTINUOUS
-        words = {
-            value: value if continuous else feature.text(value)
-            for value in table[name].unique()
-            if feature.has(value)
-        }
-        table[name] = table[name].map(words)
-    if table[names].isna().any(axis=None):
-        bag.note('values that features do not have are left out of the table of steps')
-    return table
+def _columns(kind: type) -> dict[str, type]:
+    """Return the columns of a dataclass: its fields, of which all but plain ones are text."""
+    hints = get_type_hints(kind)
+    return {
+        f.name: hints[f.name] if hints[f.name] in (int, float, bool) else str for f in fields(kind)
+    }
 
 
-def _demonstration(demo: Demonstration) -> dict[str, Any]:
-    counted = {'steps': len(demo.actions), 'total_reward': demo.total_reward}
-    plain = {'kind': demo.kind.value, 'features': demo.plain_features}
-    return _plain({**asdict(demo), **plain, **counted})
+def _steps(bag: Bag, domain: ActableDomain) -> Iterator[Sequence[Any]]:
+    """Yield a row for each recorded state and the step that led to it, features in words."""
+    actors, words = read_actors(bag), [cache(partial(_word, each)) for each in domain.features]
+    for number, episode in enumerate(read_episodes(bag), start=1):
+        for at in episode.transitions:
+            values = [word(value) for word, value in zip(words, at.features)]
+            if len(at.features) != len(words):
+                values = [None] * len(words)
+            if None in values:
+                bag.note('values that features do not have are left out of the table of steps')
+            yield (
+                *(number, episode.publisher_id, episode.number, at.step, at.state, *values),
+                *(at.previous_action, at.reward, at.terminated, at.truncated),
+                *(source_of(at), actor_of(at, actors)),
+            )
 
 
-def _plans(bag: Bag) -> Iterator[dict[str, Any]]:
+def _word(feature: Feature, value: float) -> float | str | None:
+    if not feature.has(value):
+        return None
+    return value if feature.kind is FeatureKind.CONTINUOUS else feature.text(value)
+
+
+def _demonstration(demo: Demonstration) -> list[Any]:
+    values = {**vars(demo), 'kind': demo.kind.value, 'features': demo.plain_features}
+    plain = _plain(values[field.name] for field in fields(demo))
+    return [*plain, len(demo.actions), demo.total_reward]
+
+
+def _plans(bag: Bag, columns: Iterable[str]) -> Iterator[Sequence[Any]]:
     """Yield the results of plans."""
     for recorded in bag.genuine(PLAN_RESULT):
         names = constants(bag.topics[recorded.topic].schema, 'STATUS_')
         if (result := recorded.message) is not None:
-            status = names.get(result.status, str(result.status)).lower()
-            yield {**_plain({name: getattr(result, name) for name in _PLAN}), 'status': status}
-
-
-def _plain(row: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a row with lists as JSON, and null in place of NaN in them."""
-    return {
-        name: json.dumps(_without_nan(value), ensure_ascii=False)
-        if isinstance(value, list | tuple)
-        else value
-        for name, value in row.items()
-    }
-
-
-def _without_nan(value: Any) -> Any:
-    if isinstance(value, list | tuple):
-        return [_without_nan(part) for part in value]
-    return None if value != value else value
+            result.status = names.get(result.status, str(result.status)).lower()
+            yield _plain(getattr(result, name) for name in columns)
 
 
 def write_tables(
-    tables: 'Mapping[str, pd.DataFrame]', out: Path, kind: str, *, excel: bool = False
+    tables: Mapping[str, Table], out: Path, kind: str, *, excel: bool = False
 ) -> list[Path]:
     """
     Write a file for each table; unknown values are empty.
@@ -138,21 +139,41 @@ def write_tables(
     :raises ExportError: pyarrow is not installed, and Parquet needs it.
     :raises OSError: the folder cannot be written to.
     """
-    if kind == 'parquet':
-        try:
-            import pyarrow  # noqa: F401, what pandas writes with
-        except ImportError as error:
-            raise ExportError(
-                'Parquet needs pyarrow, which is not installed: pip install pyarrow'
-            ) from error
+    if kind == 'parquet' and find_spec('pyarrow') is None:
+        raise ExportError('Parquet needs pyarrow, which is not installed: pip install pyarrow')
     out.mkdir(parents=True, exist_ok=True)
-    paths = [out / f'{name}.{kind}' for name in tables]
-    for path, table in zip(paths, tables.values()):
+    paths = {out / f'{name}.{kind}': table for name, table in tables.items()}
+    for path, table in paths.items():
         if kind == 'parquet':
-            table.to_parquet(path, index=False)
+            _write_parquet(table, path)
         else:
-            path.write_bytes(csv_of(table).encode(EXCEL if excel else 'utf-8'))
-    return paths
+            with path.open('w', encoding=EXCEL if excel else 'utf-8', newline='') as file:
+                rows = chain([table.columns], table.rows)
+                csv.writer(file).writerows(map(to_cell, row) for row in rows)
+    return list(paths)
+
+
+def _write_parquet(table: Table, path: Path) -> None:
+    import pyarrow
+    from pyarrow.parquet import ParquetWriter
+
+    types = {int: 'int64', float: 'float64', bool: 'bool', str: 'string'}
+    schema = pyarrow.schema([(name, types[kind]) for name, kind in table.columns.items()])
+    with ParquetWriter(path, schema) as writer:
+        while columns := list(zip(*islice(table.rows, BATCH))):
+            writer.write_table(pyarrow.table(columns, schema))
+
+
+def _plain(values: Iterable[Any]) -> list[Any]:
+    """Return lists as JSON, and None in place of NaN, in lists too."""
+    known = map(_known, values)
+    return [json.dumps(v, ensure_ascii=False) if isinstance(v, list) else v for v in known]
+
+
+def _known(value: Any) -> Any:
+    if isinstance(value, list | tuple):
+        return [*map(_known, value)]
+    return None if value != value else value
 
 
 def write_attached(bag: Bag, out: Path) -> list[Path]:

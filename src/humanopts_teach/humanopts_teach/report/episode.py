@@ -11,8 +11,8 @@ from humanopts_learner.demonstrations import PRIMITIVE_PREFIX
 from humanopts_teach.bags.contents import (
     actor_of,
     Actors,
-    actors_in,
     Episode,
+    read_actors,
     read_episodes,
 )
 from humanopts_teach.bags.reader import Bag
@@ -51,12 +51,11 @@ def read_last_episode(bag: Bag) -> list[Frame]:
         results.append(message)
         if message.terminated and not message.option_name.startswith(PRIMITIVE_PREFIX):
             number, runs = under_way, results
-    found = read_episodes(bag, chosen=lambda group: group.number == number)
-    played = [episode for episode in found if episode.complete]
+    played = [each for each in read_episodes(bag) if each.number == number and each.complete]
     if not played:
         return []
     modules = any(not run.option_name for run in runs)
-    return _frames(played[-1], runs, actors_in(bag, played[-1]) if modules else Actors())
+    return _frames(played[-1], runs, read_actors(bag, played[-1]) if modules else Actors())
 
 
 def _frames(episode: Episode, runs: Sequence[Any], actors: Actors) -> list[Frame]:

@@ -350,7 +350,7 @@ class Recorder(NodeBase):
                 StreamLoss(
                     topic=stream.topic,
                     sender=shown(stream.publisher),
-                    sent=stream.last,
+                    sent=stream.sent,
                     missing=stream.missing,
                 )
                 for stream in islice((s for s in self._losses if s.missing), _MOST_LOSSES)

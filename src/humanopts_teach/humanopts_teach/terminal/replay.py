@@ -34,7 +34,7 @@ class Replay:
     def __init__(
         self,
         domain: Domain[Any],
-        episodes: Sequence[Callable[[], Episode]],
+        episodes: Sequence[Episode],
         actors_of: Callable[[Episode], Actors],
         index: int = 0,
         speed: float = 1.0,
@@ -42,7 +42,7 @@ class Replay:
         """
         Start at the first step of an episode.
 
-        :param episodes: functions that each read one episode; at least one.
+        :param episodes: at least one; each is read when it is shown.
         :param actors_of: returns who sent the commands of an episode.
         :param index: of the episode, from 0.
         :param speed: 2 is twice as fast.
@@ -106,7 +106,7 @@ class Replay:
     def _begin(self, index: int) -> None:
         """Start at the first step of an episode."""
         self._index, self._step = index, 0
-        self._episode = self._episodes[index]()
+        self._episode = self._episodes[index]
         self._actors = self._actors_of(self._episode)
 
     def _turn(self, by: int) -> None:
