@@ -109,7 +109,9 @@ def test_what_cannot_be_planned_is_refused_in_words(planning: Planning) -> None:
         assert (result.status, result.plan_id) == (status, '')
         assert says in result.detail
 
-    refused(bad, "no action set 'robot'; there is human, primitive, human+primitive", 'robot')
+    refused(
+        bad, "unknown action set 'robot'; choose from human, primitive, human+primitive", 'robot'
+    )
     refused(bad, 'gamma is nan', gamma=math.nan)
     refused(bad, f"no option 'fly'; there is {FETCH!r}", options=[FETCH, 'fly'])
     refused(bad, 'learned_options 10000 did not come', options_sequence=10_000)

@@ -21,7 +21,7 @@ LEVEL = 0.95  # confidence, two-sided
 
 @dataclass(frozen=True)
 class Interval:
-    """An estimate, such as a mean, and its confidence interval; NaN: the data give no limits."""
+    """An estimate, such as a mean, and its confidence interval; NaN: too few data for limits."""
 
     mean: float
     low: float
@@ -34,7 +34,7 @@ class Interval:
 
         Flags are a share, with the interval of ``of_share``.
 
-        :param values: (N,) without NaN; of one value there are no limits, and of none no mean.
+        :param values: (N,) without NaN; one value has no limits, and none has no mean.
         :param level: two-sided; ``low`` at 0.9 is the one-sided limit at 0.95.
         """
         found = np.asarray(values)
@@ -52,7 +52,7 @@ class Interval:
 
         It has a width even where all flags are alike.
 
-        :param flags: (N,); of none there is no share.
+        :param flags: (N,); an empty array has no share.
         """
         from scipy.special import ndtri  # slow to import
 
@@ -129,10 +129,6 @@ class Interval:
     def holds(self, value: float) -> bool | None:
         """Return whether a value lies within the limits; None: there are none."""
         return None if math.isnan(self.low) else self.low <= value <= self.high
-
-    def at_least(self, value: float = 0.0) -> bool | None:
-        """Return whether all of it lies at or above a value, or all below; None: neither."""
-        return True if self.low >= value else self.above(value)
 
     def at_most(self, value: float) -> bool | None:
         """Return whether all of it lies at or below a value, or all above; None: neither."""

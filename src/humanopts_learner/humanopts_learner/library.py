@@ -1,4 +1,4 @@
-"""What can be run in a domain: options that were taught, and its primitive actions."""
+"""Everything that can be run in a domain: learned options and primitive actions."""
 
 from collections.abc import Iterable
 
@@ -19,11 +19,11 @@ class AmbiguousOptionError(UnknownOptionError):
 
 def taught_nothing(participant: str, others: Iterable[str]) -> str:
     """
-    Return the words for a participant without options, with the participants that have some.
+    Say that a participant has no options, and list the participants that have some.
 
     :param others: the participants of all options that there are.
     """
-    known = ', '.join(sorted(set(others))) or 'nobody'
+    known = ', '.join(sorted(set(others))) or 'none'
     return f'{participant!r} taught no option; those who did: {known}'
 
 
@@ -51,7 +51,7 @@ class OptionLibrary:
         return list(self._primitives)
 
     def options(self, participant: str = '') -> list[LearnedOption]:
-        """Return the learned options by name; those of everybody where no participant is given."""
+        """Return the learned options of a participant, or of all participants, by name."""
         found = [o for o in self._options.values() if participant in ('', o.participant)]
         return sorted(found, key=lambda option: (option.name, option.participant))
 

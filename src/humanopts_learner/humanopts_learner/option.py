@@ -19,7 +19,7 @@ class Option(Protocol):
     """
     An option, evaluated on rows (N, F) of all features of its domain.
 
-    Learned options, primitive actions, reference options and automatic options all answer so.
+    Learned options, primitive actions, reference options and automatic options implement it.
     """
 
     @property
@@ -42,7 +42,7 @@ class Option(Protocol):
 
 @runtime_checkable
 class StochasticOption(Option, Protocol):
-    """An option that has probabilities, not decisions alone."""
+    """An option that also has probabilities."""
 
     def action_probabilities(self, rows: Rows) -> Floats:
         """Return (N, A): pi of every action in each state."""

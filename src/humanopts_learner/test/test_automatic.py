@@ -214,7 +214,7 @@ def test_what_cannot_be_found_is_refused_with_what_to_do() -> None:
     with pytest.raises(PlanError, match="must begin with 'automatic:', not 'automatic-1'"):
         to_learned_options(Rooms(), seen, 'automatic-1')
     dark = replace(seen, space=replace(seen.space, rows=np.zeros_like(seen.space.rows)))
-    with pytest.raises(DomainError, match='of rooms do not tell what'):
+    with pytest.raises(DomainError, match='of rooms do not determine'):
         to_learned_options(Rooms(), dark)
 
 

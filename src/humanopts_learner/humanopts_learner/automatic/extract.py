@@ -76,7 +76,7 @@ def find_options(
     clock: Callable[[], float] = time.perf_counter,
 ) -> AutomaticOptions:
     """
-    Find options by the algorithm of Stolle and Precup (2002), changed as the package says.
+    Find options by the algorithm of Stolle and Precup (2002), with the changes in the package.
 
     :param domain: an enumerable domain, or one with a search space of its own.
     :param progress: called with the stages ``tasks`` and ``policies``.
@@ -193,6 +193,5 @@ def check_participant(code: str) -> None:
     """
     if not code.startswith(MACHINE):
         raise PlanError(
-            f'the participant of options that nobody taught must begin with {MACHINE!r}, '
-            f'not {code!r}'
+            f'the participant of automatic options must begin with {MACHINE!r}, not {code!r}'
         )

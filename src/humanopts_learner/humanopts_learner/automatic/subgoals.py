@@ -91,7 +91,7 @@ def draw_tasks(space: SearchSpace, count: int, rng: np.random.Generator) -> Subg
     other; or the domain's own goal, where episodes begin with random goals. A task also ends,
     without reward, where the domain's own task is over.
 
-    :raises PlanError: no two states can be reached from each other, so there are no goals.
+    :raises PlanError: no two states can be reached from each other, so there are no tasks.
     """
     if space.goals is not None:
         start = rng.choice(space.starts, count)
@@ -197,7 +197,7 @@ def greedy_runs(
         and target included, run by run in the order of their steps; and all steps taken.
     """
     live, state = np.arange(len(learner)), start.copy()
-    came = np.zeros(len(learner), dtype=np.bool_)
+    arrived = np.zeros(len(learner), dtype=np.bool_)
     visits, game_steps = [np.stack([live, state])], 0
     for _ in range(max_steps):
         if not live.size:
@@ -207,12 +207,12 @@ def greedy_runs(
         there, _, over = simulator.step(here, action, simulator.draw(rng, len(live)))
         state[live] = there
         visits.append(np.stack([live, there]))
-        came[live] = subgoals.target[who, there]
+        arrived[live] = subgoals.target[who, there]
         game_steps += live.size
-        live = live[~(came[live] | subgoals.forbidden[who, there] | over)]
+        live = live[~(arrived[live] | subgoals.forbidden[who, there] | over)]
     run, visited = np.concatenate(visits, axis=1)
     order = np.argsort(run, kind='stable')
-    order = order[came[run[order]]]
+    order = order[arrived[run[order]]]
     return run[order], visited[order], game_steps
 
 

@@ -1,8 +1,8 @@
 """
 Situations that the chosen features cannot separate, and the feature that could.
 
-Examples that are alike in the chosen features but carry different labels put a bound on what any
-policy, initiation set or termination condition over these features can learn.
+Examples with equal chosen features but different labels limit what any policy, initiation set or
+termination condition over these features can learn.
 """
 
 from collections import Counter
@@ -35,10 +35,10 @@ class _Conflict:
 
     def separated_by(self, index: int, feature: Feature) -> bool:
         """
-        Return whether examples that are alike in one more feature have equal labels.
+        Return whether examples with equal values of one more feature have equal labels.
 
-        Few examples are alike in a continuous feature. It must put those of each label side by
-        side, in more examples than chance would.
+        Few examples have equal values of a continuous feature. It must separate the labels by
+        ranges, in more examples than it would by chance.
         """
         if feature.kind is FeatureKind.CONTINUOUS:
             classes, counts = np.unique(self.labels, return_counts=True)
@@ -77,7 +77,7 @@ def find_conflicts(data: Dataset, domain: ActableDomain) -> tuple[tuple[str, ...
 
 @dataclass(frozen=True)
 class Contradiction:
-    """Where a demonstration differs from all that were given before it."""
+    """Where a demonstration differs from all before it."""
 
     text: str
     earlier: Demonstration  # the last one that showed otherwise
@@ -88,13 +88,13 @@ def contradiction(
     newest: Demonstration, earlier: Sequence[Demonstration], domain: ActableDomain
 ) -> Contradiction | None:
     """
-    Return the first situation in which a demonstration shows what none before it has shown there.
+    Return the first situation where a demonstration shows what none before it has shown there.
 
-    Ends are looked at before starts, but of a "not here", and starts before actions; by the method
-    ``goal`` actions are not looked at, because nothing is learned from them.
+    Ends are compared before starts (except in a "not here" answer), and starts before actions;
+    with the method ``goal`` actions are not compared, because nothing is learned from them.
 
-    :param earlier: demonstrations of the same option that count, by number.
-    :return: None: it agrees with one demonstration in every situation that was shown before.
+    :param earlier: valid demonstrations of the same option, by number.
+    :return: None: in every known situation it agrees with an earlier demonstration.
     """
     if not any(demo.kind is Kind.TRAJECTORY for demo in (newest, *earlier)):
         return None
@@ -127,7 +127,7 @@ def contradiction(
 
 
 def _parts(data: Dataset) -> Iterator[tuple[Examples, Sequence[str], bool]]:
-    """Yield the examples of beta, I and policy, the words of their labels, and if it may slip."""
+    """Yield the examples of beta, I and policy, words for their labels, and if slips occur."""
     yield data.termination, ('not the end', 'the end'), False
     yield data.initiation, (NO_START, 'can start here'), False
     yield data.policy, data.actions, True

@@ -1,4 +1,4 @@
-"""The states from which a learned option fails to do what its demonstrations show."""
+"""The states from which a learned option does not do what its demonstrations show."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,9 +13,8 @@ from humanopts_learner.options.rollout import rollouts_from_everywhere
 import numpy as np
 from numpy.typing import NDArray
 
-# A longer way than needed that was shown once or twice may be a slip; two of three outvote one.
-MEANT = 3
-REFUSALS = 3  # "not here" answers after which a leaf outside I is believed
+MEANT = 3  # demonstrations of a detour; fewer may be slips
+REFUSALS = 3  # "not here" answers that are evidence for a leaf outside I
 
 
 @dataclass(frozen=True)
@@ -23,13 +22,13 @@ class Failures:
     """The outcome of running an option from each of the S states of an enumerable domain."""
 
     candidate: Flags  # (S,) open, reachable, and in the learned I
-    stuck: Flags  # (S,) candidates from which it reaches no end that was shown
-    detour: Flags  # (S,) candidates with a longer way than needed, shown less than MEANT times
+    stuck: Flags  # (S,) candidates from which it reaches no demonstrated end
+    detour: Flags  # (S,) candidates with a detour, demonstrated less than MEANT times
     doubt: Flags  # (S,) open, reachable, and outside I without evidence (``in_doubt``)
-    times_shown: NDArray[np.int64]  # (S,) demonstrations with a state alike in the features
-    distance: NDArray[np.int32]  # (S,) fewest steps to an end that was shown; -1: no way known
-    nearer: Flags  # (S, A) the actions of shortest ways
-    shortfall: Floats  # (S,) return of the best of these ways - that of the run; stuck: infinite
+    times_shown: NDArray[np.int64]  # (S,) demonstrations with a state of equal features
+    distance: NDArray[np.int32]  # (S,) fewest steps to a demonstrated end; -1: no known path
+    nearer: Flags  # (S, A) the actions of shortest paths
+    shortfall: Floats  # (S,) return of the best such path - that of the run; stuck: infinite
 
     @property
     def failing(self) -> Flags:
@@ -45,13 +44,13 @@ def find_failures(
     """
     Run the option from every state of a deterministic domain.
 
-    An end counts as shown when a demonstration ended in a state alike in the features: a taxi
-    that lets its passenger out at the wrong place has reached an end, but none that was shown.
-    If most demonstrations ended with the task over and this one did not, or the other way round,
-    it may be a slip, and counts from the second time on. A policy that was planned (``goal.py``)
-    goes to the end that looks most like the shown ones, by the best way: every end of its counts.
+    An end counts as demonstrated if a demonstration ended in a state of equal features: a taxi
+    that lets its passenger out at the wrong place has reached an end, but not a demonstrated one.
+    If most demonstrations ended with the task over and this one did not, or vice versa, it may be
+    a slip, and counts from the second time on. A planned policy (``goal.py``) takes the best path
+    to the end that looks most like the demonstrated ones, so each of its ends counts.
 
-    :param demonstrations: those that the option was learned from.
+    :param demonstrations: the option was learned from these.
     :raises OptionError: the option was not learned in this domain.
     """
     transitions, over = domain.transitions(), domain.over()
@@ -102,7 +101,7 @@ def largest_shortfall(
 
 
 def _best_return(domain: EnumerableDomain, distance: NDArray[np.int32], nearer: Flags) -> Floats:
-    """Return (S,): the largest return of the shortest ways; -infinity where there is none."""
+    """Return (S,): the largest return of a shortest path; -infinity where there is none."""
     table = domain.transitions()
     reward, successor = table.reward[:, :, 0], table.successor[:, :, 0]
     best = np.full(len(distance), -np.inf)
@@ -115,10 +114,10 @@ def _best_return(domain: EnumerableDomain, distance: NDArray[np.int32], nearer: 
 
 def in_doubt(option: LearnedOption, rows: Rows, demonstrations: Sequence[Demonstration]) -> Flags:
     """
-    Return (N,): which rows (N, F) are outside I without evidence.
+    Return (N,): whether rows (N, F) are outside I without evidence.
 
-    They were not shown, and fewer than ``REFUSALS`` different "not here" answers fell into their
-    leaf of the tree: it is negative for little more than ends of the option.
+    They were not demonstrated, and fewer than ``REFUSALS`` different "not here" answers fell into
+    their leaf of the tree: it is negative because of little more than ends of the option.
     """
     seen = np.unique(_encoded(option, [demo.feature_rows for demo in demonstrations]), axis=0)
     refusals = [demo.feature_rows for demo in demonstrations if demo.kind is Kind.NOT_HERE]
@@ -139,7 +138,7 @@ def _shown(
     domain: EnumerableDomain,
     demonstrations: Sequence[Demonstration],
 ) -> tuple[NDArray[np.int64], Flags]:
-    """Return how many demonstrations show each state, and which states are ends shown, (S,)."""
+    """Return the number of demonstrations of each state, and the demonstrated ends, (S,)."""
     chosen = sorted({encoded.index for encoded in option.encoding})
     table = domain.feature_table()[:, chosen]
     rows = np.concatenate([demo.feature_rows[:, chosen] for demo in demonstrations])

@@ -235,7 +235,7 @@ def load_options(directory: Path) -> tuple[list[LearnedOption], list[OptionFileE
     Symbolic links in the folder are not followed.
 
     :return: the options, and what is wrong with files that cannot be used; these are left alone.
-        That the folder itself is a symbolic link is said among them.
+        One of them says if the folder itself is a symbolic link.
     """
     options: list[LearnedOption] = []
     problems: list[OptionFileError] = []
@@ -266,7 +266,7 @@ def _pretty(data: Mapping[str, Any]) -> str:
 
 
 def _slug(name: str) -> str:
-    """Return a file name that no other name has, readable as far as it goes."""
+    """Return a unique file name, as readable as possible."""
     readable = re.sub(r'[^a-z0-9]+', '-', name.lower()).strip('-')[:SLUG_LENGTH]
     if readable == name and not re.search(r'-[0-9a-f]{8}$', name):
         return name

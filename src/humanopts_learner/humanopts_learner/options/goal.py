@@ -1,15 +1,15 @@
 """
-The policy of an option by its goal: best ways to an end that looks like the shown ones.
+The policy of an option by its goal: optimal paths to an end like the demonstrated ones.
 
-The paper learns the policy from the actions that were shown. Where the transitions of a domain are
-known, a demonstration says more by where it ends than by how it gets there: I and beta are learned
-from the demonstrations (``learn.py``), and the policy is planned, not learned. From every state it
-takes a best way (``tabular.best_ways``) to an outcome in which beta holds or the task is over.
+The paper learns the policy from the demonstrated actions. Where the transitions of a domain are
+known, the end of a demonstration says more than its path: I and beta are learned from the
+demonstrations (``learn.py``), and the policy is planned, not learned. From every state it takes an
+optimal path (``tabular.best_ways``) to an outcome where beta holds or the task is over.
 
-Beta of few demonstrations holds in too many states, so an end must look like the shown ones, too.
-First the task must be over there, or go on, as in most of them. If then demonstrations have passed
-by nearer ends, the person means more: the ways lead to the end, among those that can be reached,
-which has most of the values that the chosen features share in most of the shown ends.
+Beta of few demonstrations holds in too many states, so an end must also look like the demonstrated
+ones. First, the task must be over there, or continue, as in most of them. If demonstrations then
+pass by nearer ends, the person means more: the paths lead to the reachable end that has most of
+the values that the chosen features share in most demonstrated ends.
 """
 
 from collections.abc import Sequence
@@ -21,16 +21,16 @@ from humanopts_env.domains.tabular import best_ways, TIE
 from humanopts_learner.demonstrations import Demonstration
 import numpy as np
 
-MOST = 0.8  # of the demonstrations; so a slip in one of several hides nothing
-MOST_GAMMA = 0.999  # at most: a longer way must be worth less
+MOST = 0.8  # share of the demonstrations, so that a slip in one of several hides nothing
+MAX_GAMMA = 0.999  # a longer path must be worth less
 
 
 @dataclass(frozen=True)
 class Ways:
-    """Best ways to ends, from S states by A actions."""
+    """Optimal paths to ends, from S states by A actions."""
 
-    value: Floats  # (S,) expected gamma**k of an end by the k-th action; 0: there is no way
-    optimal: Flags  # (S, A) the first actions of best ways
+    value: Floats  # (S,) expected gamma**k of an end by the k-th action; 0: there is no path
+    optimal: Flags  # (S, A) the first actions of optimal paths
 
 
 def ways_to_goal(
@@ -40,22 +40,22 @@ def ways_to_goal(
     termination: Flags,
 ) -> Ways:
     """
-    Plan the ways of an option.
+    Plan the paths of an option.
 
-    :param trajectories: that show the option, one or more.
-    :param chosen: indices of the features that the option depends on.
+    :param trajectories: demonstrations of the option, one or more.
+    :param chosen: indices of the chosen features.
     :param termination: (S,) where beta holds.
     """
     table, stops = domain.transitions(), termination | domain.over()
-    gamma = min(domain.gamma, MOST_GAMMA)
+    gamma = min(domain.gamma, MAX_GAMMA)
 
     def ways(ends: Flags) -> Ways:
-        """Return the ways to some of the states (S,) in which the option stops."""
+        """Return the paths to some of the states (S,) where the option stops."""
         goal = (stops & ends)[table.successor] & (table.probability > 0)
         return Ways(*best_ways(table, goal, ~stops, gamma))
 
     def ways_to_best(rank: Ints) -> Ways:
-        """Return the ways to those of highest rank (S,) among the stops that can be reached."""
+        """Return the paths to the reachable stops of the highest rank (S,)."""
         value, optimal = np.zeros(len(stops)), np.zeros(table.successor.shape[:2], dtype=np.bool_)
         for best in np.unique(rank[stops])[::-1]:
             found = ways(rank == best)
@@ -87,9 +87,9 @@ def preferred_actions(
     ways: Ways,
 ) -> Ints:
     """
-    Return (S,): of several best actions the one that was shown most often, then the first.
+    Return (S,): among optimal actions the one demonstrated most often, then the first.
 
-    What was shown in a state counts in all that are the same in the chosen features.
+    A demonstrated action counts in all states with equal chosen features.
     """
     shown = np.concatenate([demo.feature_rows[:-1, chosen] for demo in trajectories])
     names = [name for demo in trajectories for name in demo.actions]
@@ -104,7 +104,7 @@ def preferred_actions(
 
 
 def _as_most(values: Ints, shown: Ints) -> Flags:
-    """Return (S,): which values are that of most shown ends; none, if they differ."""
+    """Return (S,): which values equal that of most demonstrated ends; none if these differ."""
     found, counts = np.unique(shown, return_counts=True)
     same: Flags = (values == found[counts.argmax()]) & (counts.max() >= MOST * len(shown))
     return same

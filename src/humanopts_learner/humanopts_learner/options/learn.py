@@ -39,7 +39,7 @@ MAX_STEPS = 200  # of an option, where episodes of its domain have no limit
 
 
 class NotLearnableError(ValueError):
-    """There is not enough to learn from; the text says what is missing."""
+    """There are too few demonstrations to learn from; the text says what is missing."""
 
 
 @dataclass(frozen=True)
@@ -203,16 +203,16 @@ def _with_planned_policy(
     option: LearnedOption, data: Dataset, domain: ActableDomain
 ) -> LearnedOption:
     """
-    Return the option with a policy that goes to an end like the shown ones.
+    Return the option with a policy that leads to an end like the demonstrated ones.
 
-    Its tree looks at all features: nothing is learned by it, it only holds what is planned.
+    Its tree looks at all features: it is not learned, but stores what is planned.
     """
     assert is_enumerable(domain)  # ``check_method``
     rows, chosen = domain.feature_table(), data.chosen
     ways = ways_to_goal(domain, data.trajectories, chosen, option.ends(rows))
     actions = preferred_actions(domain, data.trajectories, chosen, ways)
     known = ways.value > 0
-    if not known.any():  # the chosen features do not tell the shown ends from other states
+    if not known.any():  # the chosen features do not separate the demonstrated ends
         known = ~known
     encoding = feature_encoding(domain, [feature.name for feature in domain.features])
     X = encode_rows(encoding, rows[known])

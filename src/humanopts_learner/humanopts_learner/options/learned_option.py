@@ -32,7 +32,7 @@ REFERENCE_MAX_STEPS = 200
 
 
 class OptionError(ValueError):
-    """An option cannot be used as asked; the text says why."""
+    """An option cannot be used; the text says why."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class LearnedOption:
         if not self.policy_encoding:
             object.__setattr__(self, 'policy_encoding', self.encoding)
         if self.method not in METHODS:
-            raise OptionError(f'{self.name!r} was learned by {self.method!r}, which is no method')
+            raise OptionError(f'{self.name!r} was learned by the unknown method {self.method!r}')
         if self.policy.classes != tuple(range(len(self.actions))):
             raise OptionError(f'the policy of {self.name!r} does not choose among its actions')
         trees = {'policy': self.policy, 'I': self.initiation, 'beta': self.termination}
@@ -236,7 +236,7 @@ def options_from_references(
     domain: EnumerableDomain, references: Iterable[ReferenceOption]
 ) -> list[LearnedOption]:
     """
-    Return reference options in the form of learned ones: options without a teacher.
+    Return reference options as learned options, without a teacher.
 
     Where several actions are optimal, the first is taken. Learning from people never uses these.
 
@@ -263,7 +263,7 @@ def option_from_table(
     participant: str = REFERENCE,
 ) -> LearnedOption:
     """
-    Return an option whose trees have in every state the values of the arrays.
+    Return an option with trees that agree with the arrays in every state.
 
     :param features: those that the trees look at.
     :param rows: (S, F) all features of the S states of the arrays.
@@ -279,9 +279,7 @@ def option_from_table(
         seen, labels = X[states], values[states].astype(np.intp)
         fitted = fit_tree(seen, labels, classes, 0)
         if (fitted.likeliest(seen) != labels).any():
-            raise DomainError(
-                f'the features of {domain.name} do not tell what {table.name!r} does'
-            )
+            raise DomainError(f'the features of {domain.name} do not determine {table.name!r}')
         return fitted
 
     return LearnedOption(

@@ -57,9 +57,9 @@ def rollouts(
     max_steps: int | NDArray[np.integer] | None = None,
 ) -> Rollouts:
     """
-    Run an option from every start state, all in step.
+    Run an option from every start state, side by side.
 
-    Each run has a random generator of its own, so its outcome does not depend on the others.
+    Each run has its own random generator, so its outcome does not depend on the others.
 
     :param options: the option of each run (N,), or one for all.
     :param starts: (N,) states, not over.
@@ -78,7 +78,7 @@ def rollouts(
     limits = np.array([option.max_steps for option in each], dtype=np.intp)
     if max_steps is not None:
         limits = np.broadcast_to(max_steps, count).astype(np.intp)
-    chance: Chance = np.random.default_rng(0)  # nothing is drawn from it
+    chance: Chance = np.random.default_rng(0)  # unused without chance
     if not is_deterministic(domain):
         names = keys or [str(index) for index in range(count)]
         chance = [
@@ -125,9 +125,9 @@ def rollouts_from_everywhere(domain: EnumerableDomain, option: TabularOption) ->
     """
     Run an option from each of the S states of a deterministic domain.
 
-    All runs are doubled in length again and again, so that states that go round in a circle cost
-    no more than others. What is returned means nothing where the task is over at the start; return
-    and steps of a run that comes to no end are not those at which it would be cut off.
+    The length of all runs is doubled repeatedly, so runs in a circle cost no more than others.
+    Results are meaningless where the task is over at the start; the return and steps of a run
+    without an end are not those at which it would be cut off.
     """
     transitions, over = domain.transitions(), domain.over()
     states = np.arange(domain.n_states)

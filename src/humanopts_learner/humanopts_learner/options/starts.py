@@ -1,12 +1,12 @@
 """
-The choice of the next start state to demonstrate from, by the rules and the learned trees alone.
+The choice of the next start state, by the rules and the learned trees alone.
 
-``random`` is the paper's way (section 5). ``failures`` shows states from which the learned option
-does not do what was shown: of these, the one whose shortest ways to an end go through the most
-situations that fail and were not shown yet, so that one demonstration teaches the most. Once
-none is stuck, it asks about states that are outside I without evidence, and then about those from
-which the option takes a longer way than needed. Where states cannot all be run, it draws one of a
-sample: stuck, without evidence, or decided by a tenth of what was shown.
+``random`` is the paper's strategy (section 5). ``failures`` chooses states from which the learned
+option does not do what was demonstrated: of these, the one whose shortest paths to an end go
+through the most failing situations that were not demonstrated yet, so that one demonstration
+teaches the most. Once none is stuck, it asks about states that are outside I without evidence, and
+then about those from which the option takes a detour. Where states cannot all be run, it draws one
+from a sample: stuck, without evidence, or decided by a tenth of the demonstrations.
 """
 
 from collections.abc import Sequence
@@ -31,14 +31,14 @@ from humanopts_learner.options.rollout import is_deterministic, rollouts
 import numpy as np
 
 STRATEGIES = ('random', 'coverage', 'failures')
-ALREADY_SHOWN = 0.1  # weight of a failing situation that was shown; of others 1
-SAMPLE = 500  # states that stand for all, where they cannot all be run
-RUNS = 50  # of these, from which the option is run
-TOLERATED = 0.1  # share of failing ones with which a lesson may end
+SHOWN_WEIGHT = 0.1  # of a failing situation that was demonstrated; of others 1
+SAMPLE = 500  # states, where they cannot all be run
+RUNS = 50  # runs from states of the sample
+TOLERATED = 0.1  # share of failing states with which a lesson may end
 
 
 class UnknownStrategyError(ValueError):
-    """There is no such strategy; the text lists them."""
+    """The strategy is unknown; the text lists the strategies."""
 
 
 def choose_start_state(
@@ -53,17 +53,17 @@ def choose_start_state(
     Choose the state from which to ask for the next demonstration.
 
     :param strategy: one of ``STRATEGIES``.
-    :param option: what was learned from the demonstrations; None: nothing yet.
-    :param demonstrations: of this participant and option, "not here" answers too.
+    :param option: learned from the demonstrations; None: nothing yet.
+    :param demonstrations: of this participant and option, including "not here" answers.
     :param drawn: what ``draw_sample`` has drawn with the same ``rng``; None: it was not called.
-    :raises UnknownStrategyError: there is no such strategy.
+    :raises UnknownStrategyError: the strategy is unknown.
     """
     if strategy not in STRATEGIES:
         raise UnknownStrategyError(
-            f'no start-state strategy {strategy!r}; there is {", ".join(STRATEGIES)}'
+            f'unknown start-state strategy {strategy!r}; choose from {", ".join(STRATEGIES)}'
         )
     if not any(demo.kind is Kind.TRAJECTORY for demo in demonstrations):
-        option = None  # learned from others that are not here, such as an old option file
+        option = None  # learned from others, such as those of an old option file
     if strategy == 'failures' and option is not None:
         state = _failing_state(domain, option, demonstrations, rng, drawn)
         if state is not None:
@@ -71,7 +71,15 @@ def choose_start_state(
         drawn = None  # another sample
     if strategy == 'random' or not demonstrations:
         return domain.sample_states(rng, 1)[0]
-    return _uncovered_state(domain, option, demonstrations, rng, drawn)
+    if is_enumerable(domain):
+        states = _states(domain, reachable(domain) & ~domain.over(), rng)
+    else:
+        states = domain.sample_states(rng, SAMPLE) if drawn is None else list(drawn)
+    if option is not None:
+        rows = feature_rows(domain, states)
+        kept = option.can_start(rows) | in_doubt(option, rows, demonstrations)
+        states = [state for state, keep in zip(states, kept) if keep] or states
+    return _farthest(domain, states, demonstrations, rng)
 
 
 def draw_sample(
@@ -88,29 +96,6 @@ def draw_sample(
     if strategy == 'random' or is_enumerable(domain) or not demonstrations:
         return None
     return domain.sample_states(rng, SAMPLE)
-
-
-def _uncovered_state(
-    domain: Domain,
-    option: LearnedOption | None,
-    demonstrations: Sequence[Demonstration],
-    rng: np.random.Generator,
-    drawn: Sequence[Any] | None,
-) -> Any:
-    """
-    Return the state that is farthest, in the chosen features, from every state shown.
-
-    Once there is an option, only states in its initiation set, or outside I without evidence.
-    """
-    if is_enumerable(domain):
-        states = _states(domain, reachable(domain) & ~domain.over(), rng)
-    else:
-        states = domain.sample_states(rng, SAMPLE) if drawn is None else list(drawn)
-    if option is not None:
-        rows = feature_rows(domain, states)
-        kept = option.can_start(rows) | in_doubt(option, rows, demonstrations)
-        states = [state for state, keep in zip(states, kept) if keep] or states
-    return _farthest(domain, states, demonstrations, rng)
 
 
 def _failing_state(
@@ -141,32 +126,24 @@ def _instructive_state(domain: EnumerableDomain, found: Failures, rng: np.random
     """
     Return the state from which a demonstration teaches the most.
 
-    While states are stuck, those; then those on a detour; when nothing fails, the state whose
-    ways go through what was shown least often, so that no lesson rests on one demonstration.
+    Stuck states come first, then detours; when nothing fails, the state with paths through what
+    was demonstrated least often, so that no lesson rests on one demonstration.
     """
     lost = found.stuck & (found.distance < 0) & (found.times_shown == 0)
-    if lost.any():  # no way to an end that was shown
+    if lost.any():  # no path to a demonstrated end
         return int(rng.choice(np.flatnonzero(lost)))
-    failing = found.stuck if found.stuck.any() else found.detour
-    if failing.any():
-        among = failing
-        weight = np.where(found.times_shown == 0, 1.0, ALREADY_SHOWN) * failing
-    else:
-        among = found.candidate
-        weight = among / (1.0 + found.times_shown) ** 2
-    states = np.flatnonzero(among)
-    return int(states[_best(_weight_on_the_way(domain, found, weight)[states], rng)])
-
-
-def _weight_on_the_way(domain: EnumerableDomain, found: Failures, weight: Floats) -> Floats:
-    """Return (S,): the summed weight of the states on shortest ways, their mean where several."""
+    among = found.stuck if found.stuck.any() else found.detour
+    weight = np.where(found.times_shown == 0, 1.0, SHOWN_WEIGHT) * among
+    if not among.any():
+        among, weight = found.candidate, found.candidate / (1.0 + found.times_shown) ** 2
+    # Sum the weights along shortest paths, and average where there are several.
     successor = domain.transitions().successor[:, :, 0]
-    total = weight.astype(np.float64)
     for steps in range(2, int(found.distance.max()) + 1):
         at = np.flatnonzero(found.distance == steps)
         nearer = found.nearer[at]
-        total[at] += (total[successor[at]] * nearer).sum(axis=1) / nearer.sum(axis=1)
-    return total
+        weight[at] += (weight[successor[at]] * nearer).sum(axis=1) / nearer.sum(axis=1)
+    states = np.flatnonzero(among)
+    return int(states[_best(weight[states], rng)])
 
 
 def _farthest(
@@ -176,10 +153,10 @@ def _farthest(
     rng: np.random.Generator,
 ) -> Any:
     """
-    Return the state whose nearest shown state is farthest in the chosen features.
+    Return the state that differs most, in the chosen features, from every demonstrated state.
 
-    An ordinal or continuous feature differs by 0..1, a nominal one by 0 or 1, a half in each of
-    two encoded features.
+    An ordinal or continuous feature differs by 0..1, a nominal one by 0 or 1, half of it in each
+    of two encoded features.
     """
     encoding = feature_encoding(domain, demonstrations[-1].chosen_features)
     features = [domain.features[encoded.index] for encoded in encoding]
@@ -195,13 +172,13 @@ def _farthest(
 
 
 def _states(domain: EnumerableDomain, chosen: Flags, rng: np.random.Generator) -> list[Any]:
-    """Return at most ``SAMPLE`` of the chosen states (S,)."""
+    """Return a sample of at most ``SAMPLE`` of the chosen states (S,)."""
     some = rng.permutation(np.flatnonzero(chosen))[:SAMPLE]
     return [domain.state_at(int(index)) for index in some]
 
 
 def _best(score: Floats, rng: np.random.Generator) -> int:
-    """Return an index of the highest score, any of those that are equal."""
+    """Return the index of the highest score, drawn among equal ones."""
     return int(rng.choice(np.flatnonzero(score >= score.max() - 1e-9)))
 
 
@@ -251,11 +228,11 @@ def committee_disagrees(
     seed: int,
 ) -> Flags:
     """
-    Return (N,): in which rows (N, F) a tenth of the demonstrations decides what the option does.
+    Return (N,): whether a tenth of the demonstrations decides what the option does in rows (N, F).
 
     Query by committee (Seung, Opper and Sompolinsky 1992): the option is learned again without
-    each of ten folds. Where one of these differs in I, or in the action inside I, too little was
-    shown, or a slip counts too much. One trajectory has no committee: it disagrees all over I.
+    each of ten folds. Where one of them differs in I, or in the action inside I, there are too few
+    demonstrations, or a slip counts too much. With one trajectory, it disagrees everywhere in I.
     """
     inside, action = option.can_start(rows), option.action(rows)
     data = make_dataset(demonstrations, domain)

@@ -1,8 +1,7 @@
 """
-Playing a plan in the rules of its domain, all episodes at once, and what the returns show.
+Play a plan by the rules of its domain, all episodes at once, and find what it does not cover.
 
-So it shows what the options of a plan do not cover: where a person can teach more (paper,
-section 8).
+Coverage shows where a person can teach more (paper, section 8).
 """
 
 from collections.abc import Callable, Mapping
@@ -106,7 +105,7 @@ def play_plan(
     limit = max_steps or plan.domain.max_steps
     if limit < 1:
         raise PlanError(f'{plan.domain.name} never cuts an episode off: give max_steps')
-    chance: Chance = np.random.default_rng(0)  # nothing is drawn from it
+    chance: Chance = np.random.default_rng(0)  # unused without chance
     if not plan.domain.transitions().deterministic:
         chance = [generator(seed, 'play', episode) for episode in range(len(starts))]
 
@@ -133,19 +132,18 @@ def _played(
 
 @dataclass(frozen=True)
 class Coverage:
-    """States in which the plan comes to a decision that its options do not serve well."""
+    """States where a plan decides and its options do not serve well."""
 
-    fallback: Ints  # (N,) no option can start there; those that most starts lead to come first
-    single_step: Ints  # (M,) a primitive action first is worth more; the greatest gain comes first
+    fallback: Ints  # (N,) no option can start there; the most visited first
+    single_step: Ints  # (M,) a primitive action is worth more; the greatest gain first
     gain: Floats  # (M,) of each, in units of discounted return
 
 
 def find_coverage(plan: ExactPlan, most: int = 20) -> Coverage:
     """
-    Play one episode from each start of the task, and look at the states of its decisions.
+    Play one episode from each start state, and look at the states where decisions were made.
 
-    What a primitive action is worth, with the plan from the next state on, follows from the values
-    of the plan.
+    The value of a primitive action followed by the plan is that of one step of look-ahead.
 
     :param plan: with options only.
     :param most: states of each kind.

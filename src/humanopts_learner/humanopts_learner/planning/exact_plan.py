@@ -34,7 +34,7 @@ from scipy.sparse import csr_array
 
 @dataclass(frozen=True)
 class Decision:
-    """What a policy over options runs next."""
+    """The next option of a policy over options."""
 
     name: str  # an option, or action:NAME
     fallback: bool  # a primitive action because no option is available
@@ -112,7 +112,7 @@ def make_exact_plan(
     """
     asked = request.in_force(domain, options, sampled=False)
     used = () if asked.action_set == PRIMITIVE else tuple(options)
-    # What is built once for all plans is no part of the time of this one.
+    # Built once for all plans, so it is not counted in the time of this one.
     domain.transitions(), domain.over()
     if not all(isinstance(option, TabularOption) for option in used):
         domain.feature_table()
@@ -124,8 +124,9 @@ def make_exact_plan(
     evaluated = clock()
     model = build_model(domain, asked.action_set, tabled, asked.gamma, progress)
     modelled = clock()
-    told = progress is not ignore_progress  # small plans would take half as long again
-    on_sweep = sweep_progress(progress, asked.tol, asked.max_sweeps) if told else None
+    on_sweep = None
+    if progress is not ignore_progress:  # small plans would take half as long again
+        on_sweep = sweep_progress(progress, asked.tol, asked.max_sweeps)
     solution = solve_smdp(model, asked.tol, asked.max_sweeps, on_sweep)
     return ExactPlan(
         domain=domain,

@@ -61,7 +61,7 @@ class OptionValues:
             raise PlanError('the states do not ascend')
         for values in (self.option_values, self.continuation_values):
             if np.isnan(values).any() or (values == np.inf).any():
-                raise PlanError('a value is no number, or infinite')
+                raise PlanError('a value is NaN or infinite')
         if not 0.0 <= self.interruption_margin < np.inf:
             raise PlanError(
                 f'interruption_margin is {self.interruption_margin}, and must be 0 or greater'

@@ -1,4 +1,4 @@
-"""What can be asked of planning: action sets, settings, and the options to plan with."""
+"""Requests for a plan: action sets, settings, and the options to plan with."""
 
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -16,7 +16,7 @@ HUMAN, PRIMITIVE, HUMAN_AND_PRIMITIVE = 'human', 'primitive', 'human+primitive'
 AUTOMATIC, AUTOMATIC_AND_PRIMITIVE = 'automatic', 'automatic+primitive'
 ACTION_SETS = (HUMAN, PRIMITIVE, HUMAN_AND_PRIMITIVE, AUTOMATIC, AUTOMATIC_AND_PRIMITIVE)
 OPTIONS_ONLY = (HUMAN, AUTOMATIC)  # primitive actions only where no option can start
-OF_MACHINES = (AUTOMATIC, AUTOMATIC_AND_PRIMITIVE)  # sets of options that nobody taught
+OF_MACHINES = (AUTOMATIC, AUTOMATIC_AND_PRIMITIVE)  # sets of automatic options
 
 TOLERANCE, SAMPLED_TOLERANCE = 1e-8, 1e-3  # reward units
 MAX_SWEEPS, GAME_STEPS = 10_000, 800_000
@@ -29,7 +29,7 @@ class PlanError(ValueError):
 
 
 class NoOptionsError(PlanError):
-    """The action set names options and there are none."""
+    """The action set needs options and there are none."""
 
 
 class PlanCanceled(Exception):  # noqa: N818 - no error: raised by a progress callback to stop
@@ -138,7 +138,7 @@ class PlanRequest:
     def __post_init__(self) -> None:
         if self.action_set not in ACTION_SETS:
             raise PlanError(
-                f'no action set {self.action_set!r}; there is {", ".join(ACTION_SETS)}'
+                f'unknown action set {self.action_set!r}; choose from {", ".join(ACTION_SETS)}'
             )
         if self.gamma and not 0.0 < self.gamma <= 1.0:
             raise PlanError(f'gamma is {self.gamma}, and must be above 0 and at most 1')
