@@ -1,17 +1,18 @@
 """The lesson: any order of requests against a model, and what it answers, as a transcript."""
 
 from collections import Counter
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, fields, replace
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
 from itertools import count
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from humanopts_env.domains.pacman.domain import PacMan
+from humanopts_env.domains.registry import make_domain
 from humanopts_env.game import Source, Transition
 from humanopts_learner.demonstrations import check_demonstration, GOAL, Kind, TREES
 from humanopts_learner.summary import Criterion, OptionSummary
+from humanopts_teach.lesson import requests
 from humanopts_teach.lesson.requests import (
     Answer,
     AnswerQuestion,
@@ -20,7 +21,6 @@ from humanopts_teach.lesson.requests import (
     DefineOption,
     EndDemonstration,
     LessonRequest,
-    ListDemonstrations,
     OpenSession,
     Phase,
     RequestStatus,
@@ -451,209 +451,82 @@ TestLesson = LessonMachine.TestCase
 
 
 class Transcript(Table):
-    """A lesson that writes down what is asked, what is answered, and what is then shown."""
+    """A lesson that writes down what is answered."""
 
     lines: list[str]
 
     def ask(self, request: LessonRequest) -> Answer:
         answer = super().ask(request)
-        given = (
-            f'{each.name}={getattr(request, each.name)!r}'
-            for each in fields(request)
-            if getattr(request, each.name) != each.default
-        )
-        self.lines.append(f'{type(request).__name__} {", ".join(given)}'.rstrip())
         self.lines.append(f'    {answer.status.name}: {answer.detail}')
         if answer.contradiction:
-            self.lines.append(f'    in {answer.situation}: {answer.contradiction}')
+            newest = (*self.lesson.demonstrations(), *answer.unsent)
+            told = [demo.number for demo in newest if demo.uuid == answer.contradicts]
+            where = f'{answer.situation}, number {told[0]}'
+            self.lines.append(f'    in {where}: {answer.contradiction}')
         return answer
 
-    def news(self, *what: str) -> 'Transcript':
-        """Write down what has happened, and what the lesson then shows."""
-        self.lines += [f'... {each}' for each in what]
-        self.lines.append(f'    [{self.lesson.phase.value}] {self.lesson.view.text}')
-        return self
 
+class Script:
+    """The commands of ``lesson.txt``; each lesson has a folder of its own."""
 
-Begin = Callable[..., Transcript]
+    def __init__(self, folder: Path) -> None:
+        self.folder, self.lines, self.stores = folder, list[str](), ExitStack()
 
+    def start(self, phase: str, domain: str = 'taxi', **options: Any) -> None:
+        """Begin a lesson in a phase; nothing before is written down."""
+        number = len(list(self.folder.iterdir()))
+        store = self.stores.enter_context(DemonstrationStore(self.folder / str(number)))
+        self.table = Transcript(store, domain=make_domain(domain), **options)
+        self.table.lines = []
+        if phase == 'driven':
+            self.table.ready().began(START).drive('west')
+        else:
+            TO_PHASE[Phase(phase)](self.table)
+        self.table.lines = self.lines
 
-@pytest.fixture
-def script(tmp_path: Path) -> Iterator[list[Transcript]]:
-    """The transcripts of a test, in order."""
-    told: list[Transcript] = []
-    yield told
-    for each in told:
-        each.store.close()
+    def taught(self, method: str) -> None:
+        self.start('asking')
+        self.table.lines = []
+        self.table.answer_all((*CHOSEN, 'passenger_in_taxi'))
+        self.table.ask(DefineOption(OPTION, method=method))
+        self.table.lines = self.lines
 
+    def ask(self, *requests: LessonRequest) -> None:
+        for request in requests:
+            self.table.ask(request)
 
-@pytest.fixture
-def begin(tmp_path: Path, script: list[Transcript]) -> Begin:
-    """Begin a transcript in a phase, in a folder of its own; nothing before is written down."""
+    def show(self, *actions: str) -> None:
+        self.table.began(START).drive(*actions).end(Verdict.DONE if actions else Verdict.NOT_HERE)
+        self.table.learned()
 
-    def begin(title: str, phase: Phase = Phase.READY, **options: Any) -> Transcript:
-        table = Transcript(DemonstrationStore(tmp_path / str(len(script))), **options)
-        table.lines = []
-        TO_PHASE[phase](table)
-        table.lines = [f'# {title}']
-        script.append(table)
-        return table
-
-    return begin
-
-
-def test_what_is_asked_is_answered_in_words(begin: Begin, script: list[Transcript]) -> None:
-    table = begin('Codes and names', Phase.NO_SESSION)
-    for code in ('', 'a b', '../x', '..', 'x' * 61, 'Zo\u00eb'):
-        table.ask(OpenSession(code))
-    table.ask(OpenSession('p1', 's/1'))
-    assert [path.name for path in table.store.directory.iterdir()] == ['.lock']
-    for code in ('p1', 'p1', 'p2', 'P1'):
-        table.ask(OpenSession(code))
-    for name in ('', '   ', 'x' * 61, 'two\nlines', 'bell\a', 'action:north', '\u200b'):
-        table.ask(DefineOption(name))
-    table.ask(DefineOption('go', method='maps'))
-    table.ask(DefineOption('abhängen'))
-    table.ask(DefineOption('abha\u0308ngen'))  # the same letters
-    for new in ('x' * 61, '  ', 'action:north', 'abhängen', 'ho\u0308her'):
-        table.ask(ChangeOption('abhängen', new))
-    table.ask(ListDemonstrations('höher'))
-    table.ask(ListDemonstrations('unknown'))
-    begin('No plan where states cannot be listed', Phase.NO_SESSION, domain=PacMan()).opened().ask(
-        DefineOption('go', method=GOAL)
-    )
-    table = begin('Every answer is no', Phase.ASKING).news()
-    table.answer_all(())
-    table.news().answer_all()
-    table.ask(AnswerQuestion(0, back=True))
-    table.ask(AnswerQuestion(7, yes=True))
-    table = begin('Starts and verdicts')
-    for start in ('nowhere', 'taxi 9,9 passenger R destination G',
-                  'taxi 0,0 passenger R destination R'):  # fmt: skip
-        table.ask(BeginDemonstration(start))
-    table.began(START).news()
-    table.end()
-    table.end(None)
-    table.drive('west').end(Verdict.NOT_HERE)
-    table.ask(EndDemonstration(Verdict.DONE, 1, 0))
-    table.ask(DefineOption('another'))
-    table.end()
-    table.news().ask(WithdrawDemonstration())
-    table.learned()
-    table.ask(WithdrawDemonstration('unknown'))
-    table.ask(WithdrawDemonstration())
-    table.learned()
-    table.lesson.update_summaries([])
-    table.news('counted out').ask(WithdrawDemonstration())
-    table.ask(ChangeOption(OPTION))
-    table.news().ask(BeginDemonstration())
-    table = begin('The task is over').began('taxi 0,4 passenger aboard destination G')
-    assert table.drive('dropoff').news().end().demonstration.terminated
-    table = begin('A run that is watched to its end').began(START, watch=True)
-    table.drive('west', source=MACHINE).end()
-    table.end(machine=True)
-    table = begin('The budget', budget=1).shown().news()
-    table.ask(BeginDemonstration())
-    begin('All criteria are met', Phase.FINISHED).news()
-    table = begin('All are met, and some starts fail')
-    table.starts.more = True
-    table.began().drive('west').end()
-    table.learned(met=True)
-    table.news().began().news()
-    snapshot.check('lesson_answers.txt', '\n\n'.join('\n'.join(t.lines) for t in script))
-
-
-def test_news_of_game_learner_and_recorder_are_told_in_words(
-    begin: Begin, script: list[Transcript]
-) -> None:
-    def moved(table: Transcript, **changes: Any) -> Transcript:
+    def moved(self, **changes: Any) -> None:
         """Have another state come than the one after the last."""
-        assert table.here is not None
-        table.lesson.add_transition(replace(table.here, **changes))
-        return table
+        assert self.table.here is not None
+        self.table.here = replace(self.table.here, **changes)
+        self.table.lesson.add_transition(self.table.here)
 
-    def driven(title: str) -> Transcript:
-        table = begin(title).began(START)
-        table.lines = [f'# {title}']
-        return table.drive('west')
+    def resume(self) -> None:
+        """Begin a lesson in the folder of the last one."""
+        self.table = Transcript(self.table.store)
+        self.table.lines = self.lines
+        self.table.lesson.resume('p1', 's1')
 
-    table = driven('The game')
-    table.episode += 1
-    table.arrives(START)
-    table.news('it is reset').ask(EndDemonstration(Verdict.DONE, 1, 1))
-    driven('').drive('west', source=MACHINE).news('a machine moves')
-    moved(driven(''), step=3).news('a state is lost')
-    table = driven('')
-    table.lesson.game_restarted()
-    table.news('it is restarted')
-    table = begin('')
-    table.lesson.began(1, table.ask(BeginDemonstration(START)).state)
-    table.episode = 1
-    table.arrives('taxi 4,4 passenger B destination R')
-    table.news('it begins elsewhere')
-    elsewhere = 'taxi 4,4 passenger R destination G'
-    row = tuple(TAXI.feature_values(TAXI.decode(elsewhere)).tolist())
-    for changes in (
-        {'step': 2, 'previous_action': 'north', 'state': elsewhere, 'features': row},
-        {'step': 2, 'reward': float('nan')},
-    ):
-        table = moved(driven(''), **changes)
-        table.here = replace(table.here, **changes)
-        table.end()
-        table.news('it breaks the rules')
-    table = begin('')
-    table.ask(BeginDemonstration(START))
-    table.lesson.not_begun(RequestStatus.NO_GAME, 'Game does not answer.')
-    table.news('it is silent').began()
-    table = begin('The learner', Phase.LEARNING)
-    table.lesson.learner_refused('another', 'not this one')
-    table.lesson.learner_refused(table.lesson.awaited, 'it has no steps')
-    table.news('it refuses').ask(WithdrawDemonstration())
-    table.lesson.learner_refused(table.lesson.awaited, 'cannot write')
-    table.news('it refuses again').began().drive('west').end()
-    table.lesson.learner_silent()
-    table.news('it is silent').ask(WithdrawDemonstration())
-    table.lesson.learner_silent()
-    table.news('it is still silent')
-    table = driven('The recorder')
-    table.lesson.pause('The disk is full.')
-    table.drive('west').news('it has stopped').end(Verdict.NOT_HERE)
-    table.end()
-    table.news()
-    table.learned()
-    table.news().ask(BeginDemonstration())
-    again = Transcript(table.store)
-    again.lines = table.lines
-    again.lesson.resume('p1', 's1')
-    again.news('The lesson is restarted')
-    snapshot.check('lesson_news.txt', '\n'.join('\n'.join(t.lines) for t in script))
+    def news(self) -> None:
+        """Write down what the lesson shows."""
+        self.lines.append(f'    [{self.table.lesson.phase.value}] {self.table.lesson.view.text}')
 
 
-def test_contradictions_are_told_with_the_demonstration_that_showed_it(
-    begin: Begin, script: list[Transcript]
-) -> None:
-    west, around = ('west', 'pickup'), ('south', 'west', 'north', 'pickup')
-    for title, method, *ways in (
-        ('Another way', TREES, west, around),
-        ('An end that was passed by is told before a way', TREES, west, ('west',)),
-        ('Shown in two ways already', TREES, west, around, west),
-        ('By goal, ways contradict nothing', GOAL, west, around),
-        ('By goal, ends do', GOAL, west, ('west',)),
-        ('Not here', TREES, west, ()),
-    ):
-        table = begin(title, Phase.ASKING)
-        table.answer_all((*CHOSEN, 'passenger_in_taxi'))
-        table.ask(DefineOption(OPTION, method=method))
-        table.lines, kept = [f'# {title}'], []
-        for way in ways:
-            table.began(START).drive(*way)
-            kept.append(table.end(Verdict.DONE if way else Verdict.NOT_HERE))
-            table.learned()
-        assert kept[-1].contradicts == (kept[0].uuid if kept[-1].contradiction else '')
-    assert table.ask(WithdrawDemonstration()).ok
-    table.lesson.update_summaries([])
-    assert not table.began(START).drive('west', 'pickup').end().contradiction
-    snapshot.check('lesson_contradictions.txt', '\n'.join('\n'.join(t.lines) for t in script))
+def test_what_is_asked_and_what_happens_is_answered_in_words(tmp_path: Path) -> None:
+    """Lines that begin with ">" are done; the others are what comes of them."""
+    script = Script(tmp_path)
+    commands = {name: getattr(script, name) for name in vars(Script) if name[0] != '_'}
+    with script.stores:
+        for line in (snapshot.FOLDER / 'lesson.txt').read_text('utf-8').splitlines():
+            if not line.startswith('    '):
+                script.lines.append(line)
+            if line.startswith('> '):
+                exec(line[2:], {**vars(requests), **globals(), **commands, **vars(script)})
+        snapshot.check('lesson.txt', '\n'.join(script.lines))
 
 
 def test_a_demonstration_holds_what_was_shown(table: Table) -> None:
