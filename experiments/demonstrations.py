@@ -143,11 +143,11 @@ def present(rows: pd.DataFrame) -> report.Section:
     pictures = [
         report.Picture(
             f'demonstrations-{domain}',
-            f'Demonstrations until the criteria hold for each option of {domain}',
+            f'{domain}: demonstrations until the criteria hold, starts by failures; the dots '
+            'are people, careful or with slips, the bars medians. Lessons in which the criteria '
+            'never held are missing.',
             (7.6, 5.2),
             partial(_draw, mine),
-            f'{domain}: until the criteria hold, with the strategy failures; the dots are people, '
-            'careful or with slips, the bars medians. Lessons that did not get there are missing.',
         )
         for (domain,), mine in report.grouped(failures, ['domain'])
     ]

@@ -285,7 +285,7 @@ def _compare_cases(points: pd.DataFrame, people: pd.DataFrame) -> Iterator[repor
     ):
         domain, features, option, group, strategy = key
         case = f'{_game(domain, features)}, “{option}”, start states by {strategy}'
-        if _as_in_paper(group, strategy) and paper.FIGURE_2_OPTIONS.get(domain) == option:
+        if _like_paper(members).all() and paper.FIGURE_2_OPTIONS.get(domain) == option:
             yield from _compare_accuracies(case, mine)
         if group == CAREFUL and domain == 'taxi':
             yield from _compare_needed(f'{case}, without errors', strategy, members)
@@ -349,23 +349,22 @@ def _game(domain: str, features: str) -> str:
 
 
 def _compare_minutes(people: pd.DataFrame) -> Iterator[report.Comparison]:
-    """Yield the time that people took for all that they showed."""
-    for (domain, features), members in report.grouped(people, CASE[:2]):
-        like = [_as_in_paper(*key) for key in members[CASE[3:]].itertuples(index=False)]
-        mine = members[like]
-        if domain in paper.MINUTES and len(mine):
+    """Yield the time that people took for all their demonstrations."""
+    for (domain, features), mine in report.grouped(people[_like_paper(people)], CASE[:2]):
+        if domain in paper.MINUTES:
             lessons = mine.groupby(['person', 'start states by'])['minutes'].sum()
             taken = Interval.of(lessons.groupby('person').mean())
             real = bool((mine['people'] == PEOPLE).all())
-            pace = 'minutes by the clock' if real else 'minutes at an assumed pace'
+            pace = f'minutes {"by the clock" if real else "at an assumed pace"}'
             verdict = taken.at_most(paper.MINUTES[domain]) if real else report.Mark.NOT_COMPARABLE
             said, case = paper.SAID[f'minutes_in_{domain}'], _game(domain, features)
             yield report.compare(said, verdict, case, {pace: taken}, '.1f')
 
 
-def _as_in_paper(group: str, strategy: str) -> bool:
-    """Return whether real people taught, or varied simulated ones from random start states."""
-    return group == PEOPLE or (group, strategy) == (VARIED, 'random')
+def _like_paper(rows: pd.DataFrame) -> 'pd.Series[bool]':
+    """Return where real people taught, or varied simulated ones from random start states."""
+    group = rows['people']
+    return (group == PEOPLE) | (group == VARIED) & (rows['start states by'] == 'random')
 
 
 def _pictures(curves: pd.DataFrame) -> list[report.Picture]:
@@ -374,12 +373,11 @@ def _pictures(curves: pd.DataFrame) -> list[report.Picture]:
     return [
         report.Picture(
             re.sub(r'[^a-z0-9]+', '-', f'fig2-{domain}-{known}{option}-{group}'.lower()),
-            f'Accuracy of {option} in {_game(domain, features)} by demonstrations, {group} people',
-            (13.0, 2.9),
-            partial(_draw, shown),
-            f'{_game(domain, features)}: “{option}”, {GROUP_NAMES[group]}'
+            f'{_game(domain, features)}: “{option}” by demonstrations, {GROUP_NAMES[group]}'
             + (' (figure 2)' if paper.FIGURE_2_OPTIONS.get(domain) == option else '')
             + f'. {notes.get((domain, features), "")}'.rstrip(),
+            (13.0, 2.9),
+            partial(_draw, shown),
         )
         for (domain, features, option, group), shown in report.grouped(curves, CASE[:4])
         for known in ['positions-' if features == POSITIONS else '']

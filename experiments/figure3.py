@@ -23,7 +23,7 @@ import pandas as pd
 
 from experiments import paper
 from experiments.people import extraction, Study
-from experiments.report import compare, Comparison, grouped, Picture, Section, Table, written
+from experiments.report import compare, Comparison, grouped, Picture, Section, Table
 from experiments.trials import Rows, Trial
 
 NAME = 'fig3'
@@ -31,7 +31,6 @@ TITLE = 'Figure 3: automatic options'
 DOMAINS = {'taxi': 'Taxi', 'pacman': 'Pac-Man'}
 COST = 7.0  # of a trial, about processor seconds
 CENTRE = 'go to cell 2,2'  # of the 5 x 5 grid
-MIDDLE = 12  # index of that cell
 LARGEST_SIDE = 5.0  # of a picture's board, inches
 PAPERS = (*(f'{event} at {name}' for event in ('pickup', 'dropoff') for name in 'RGYB'), CENTRE)
 KINDS = {'pickups': 'pickup', 'dropoffs': 'dropoff', 'cells': ''}  # of options, by last event
@@ -115,34 +114,22 @@ def _seen(found: Iterable[Sequence[str]]) -> Counter[str]:
 
 def _comparisons(taxi: pd.DataFrame) -> list[Comparison]:
     """Compare extractions in Taxi with the paper's."""
-    seen, domain, options = _seen(taxi['option']), Taxi(), taxi['options']
-    rarest, n_actions = min(seen[name] for name in PAPERS[:-1]), len(domain.actions)
-    middle = np.mean([visits[MIDDLE] / max(visits) for visits in taxi['visits']])
-    centre = [CENTRE in names for names in taxi['option']]
-    mostly: list[tuple[str, Any, dict[str, Any]]] = [
-        (
-            'kinds',
-            (taxi[[*KINDS]] == [*paper.AUTOMATIC]).all(axis=1),
-            {'rarest option in': rarest},
-        ),
-        ('centre', centre, {'visits, relative to the most visited cell,': f'{middle:.1%}'}),
-        (
-            'more',
-            options - n_actions == 3,
-            {'options': options.mean(), 'primitive actions': n_actions},
-        ),
-    ]
+    domain = Taxi()
+    shares = {  # flags by extraction
+        'kinds': (taxi[[*KINDS]] == [*paper.AUTOMATIC]).all(axis=1),
+        'centre': taxi['option'].map(lambda names: CENTRE in names),
+        'more': taxi['options'] - len(domain.actions) == 3,
+    }
     found = []
-    for said, flags, more in mostly:
-        share = Interval.of_share(np.array(flags))
-        count = f'{sum(flags)} of {len(flags)} extractions,'
-        values = {count: written(share, '.0%'), **more}
-        found.append(compare(paper.SAID[said], share.above(0.5), 'found in', values))
+    for said, flags in shares.items():
+        share = Interval.of_share(flags.to_numpy())
+        count = {f'{sum(flags)} of {len(flags)} extractions,': share}
+        found.append(compare(paper.SAID[said], share.above(0.5), 'found in', count, '.0%'))
     reached = search_space(domain).reached & ~domain.over()
     meant = [reference_options(domain)[name].initiation[reached] for name in paper.TAUGHT['taxi']]
     human = float(np.mean([starts.mean() for starts in meant]))
     automatic = Interval.of(taxi['can start'].map(np.mean))
-    values = {'automatic': automatic, 'human, as an expert means it': human}
+    values: dict[str, Any] = {'automatic': automatic, 'human, as an expert means it': human}
     case = 'share of states where an option can start'
     general = compare(paper.SAID['general'], automatic.below(human), case, values, '.0%')
     return [*found, general]
@@ -158,10 +145,9 @@ def _picture(first: 'pd.Series[Any]') -> Picture:
     rows, cols = cells.shape
     draw = partial(_draw, first, cells, geometry(domain, space.board))
     side = LARGEST_SIDE / max(rows, cols)
-    label = f'Visits of greedy runs in {name}, with the targets of automatic options'
     numbered = '; '.join(f'{n}: {option}' for n, option in enumerate(first['option'], start=1))
     size = side * cols + 1.2, side * rows + 0.8
-    return Picture(f'fig3-{domain.name}', label, size, draw, f'{name}. {numbered}')
+    return Picture(f'fig3-{domain.name}', f'{name}. {numbered}', size, draw)
 
 
 def _draw(first: 'pd.Series[Any]', cells: Any, board: Any, work: Drawing) -> None:

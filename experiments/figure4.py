@@ -175,10 +175,9 @@ def _pictures(curves: pd.DataFrame) -> list[report.Picture]:
     return [
         report.Picture(
             f'fig4-{method}{suffix}',
-            f'Steps per episode of {called} in Taxi by action set, {axis}',
+            f'Taxi, steps per episode of {called}, {axis}',
             (6.4, 3.8),
             partial(_draw, curves[curves['method'] == called], called, bool(suffix)),
-            f'Taxi, {called}, {axis}',
         )
         for method, called in METHODS.items()
         if called in set(curves['method'])

@@ -108,15 +108,14 @@ class Picture:
     """One figure; it is drawn for the page and for files."""
 
     name: str  # of the files, without suffix
-    label: str  # description for people who do not see the figure
+    caption: str  # describes the figure to people who do not see it, too
     size: tuple[float, float]  # inches
     draw: Callable[[Drawing], None]  # series have the colours C0, C1, ...
-    caption: str = ''
 
     @property
     def svg(self) -> Markup:
         """The figure as an ``<svg>`` element in the colours of the page."""
-        with drawing(self.name, self.label, *self.size) as work:
+        with drawing(self.name, self.caption, *self.size) as work:
             self.draw(work)
         return Markup(work.svg)
 

@@ -9,6 +9,7 @@ from dataclasses import asdict
 from functools import partial
 import math
 import re
+from typing import Any
 
 from humanopts_learner.intervals import all_hold, Interval
 from humanopts_teach.report.figures import Drawing
@@ -86,14 +87,13 @@ def present(rows: pd.DataFrame) -> report.Section:
         found += [*_claims(results), *_numbers(results)]
         name = f'table2-{re.sub(r"[^a-z]+", "-", game.name.lower())}'
         tables.append(report.Table(name, game.name, summary.loc[game.name].reset_index()))
-        label = f'Mean return in {game.name} by planning seconds and action set'
         unit = 'sweeps' if game.exact else 'game steps'
         caption = (
             f'{game.name}: mean return against planning time, {unit} doubled from point to '
             'point. Shaded: 95 % interval.'
         )
         draw = partial(_draw, game, curves[curves['game'] == game.name])
-        pictures.append(report.Picture(name, label, (8.2, 4.2), draw, caption))
+        pictures.append(report.Picture(name, caption, (8.2, 4.2), draw))
     drawn = 'The curves; budgets are sweeps in Taxi, game steps in Pac-Man'
     tables += [
         report.Table(
@@ -165,74 +165,66 @@ class Results:
             for of in (table.reset_index() for table in tables)
         )
 
-    def has(self, *names: str) -> bool:
-        """Return whether there are results of all these variants."""
-        return set(names) <= set(self.members)
-
-    def returned(self, name: str) -> 'pd.Series[float]':
-        """Return the mean return of each member by trial."""
-        returns: pd.Series[float] = self.members[name].set_index('trial')[RETURN]
-        return returns
-
-    def more(self, first: str, second: str) -> Values:
+    def returns(self, first: str, second: str) -> tuple[str, Interval]:
         """Return how much more the first variant returns; with the same owners, within each."""
-        one, other = self.returned(first), self.returned(second)
+        one, other = (self.members[name].set_index('trial')[RETURN] for name in (first, second))
         paired = one.index.equals(other.index)
         more = Interval.of_difference(one, other, paired=paired)
-        return {f'return, {first} less {second}': more}
+        return f'return, {first} less {second}', more
 
-    def race(self, first: str, second: str) -> Values:
+    def times(self, first: str, second: str) -> tuple[str, Interval]:
         """
         Return the time of one variant as a part of another's until both reach the same return.
 
-        Plans with exact models end by themselves. Sampled ones take as long as they may, so
-        they are compared by the time of the first plans whose whole interval lies at or above a
+        Plans with exact models end by themselves. Sampled ones take as long as they may, so they
+        are compared by the time of the first plans of which the whole interval lies at or above a
         return: the highest that both reach so. Of one member there is none, and all is NaN.
         """
-        if self.game.exact:
-            one, other = (self.members[name][SECONDS] for name in (first, second))
-            return {f'time, {first} / {second}': Interval.of_ratio(one, other, paired=False)}
-        curves = [self._curves[name] for name in (first, second)]
-        level = min(float(curve['low'].max()) for curve in curves)
-        if math.isnan(level):
-            return {f'time, {first} / {second}': Interval(math.nan, math.nan, math.nan)}
-        budgets = [curve.loc[curve['low'] >= level, 'budget'].iloc[0] for curve in curves]
-        points = [self._points[name] for name in (first, second)]
-        one, other = (p.loc[p['budget'] == b, SECONDS] for p, b in zip(points, budgets))
-        ratio = Interval.of_ratio(one, other, paired=False)
-        return {f'time until {level:,.0f} points, {first} / {second}': ratio}
+        pair, level = (first, second), ''
+        samples = [self.members[name][SECONDS] for name in pair]
+        if not self.game.exact:
+            reached = min(float(self._curves[name]['low'].max()) for name in pair)
+            level, samples = f' until {reached:,.0f} points', []
+            for points, curve in ((self._points[name], self._curves[name]) for name in pair):
+                enough = curve.loc[curve['low'] >= reached, 'budget']
+                samples.append(points.loc[points['budget'].isin(enough[:1]), SECONDS])
+        one, other = samples
+        return f'time{level}, {first} / {second}', Interval.of_ratio(one, other, paired=False)
 
 
-def one_of(values: Values) -> Interval:
-    """Return the only interval."""
-    (found,) = values.values()
-    return found
+# What is claimed of the returns and times of two variants: that the first returns more, or takes
+# less time. A claim with several tests holds where all do.
+CLAIMS: tuple[tuple[Statement | str, tuple[tuple[Any, str, str], ...]], ...] = (
+    (paper.SAID['human_faster'], ((Results.times, 'human', 'primitive'),)),
+    (paper.SAID['automatic_faster'], ((Results.times, 'automatic', 'primitive'),)),
+    (
+        paper.SAID['never_as_good'],
+        ((Results.returns, 'primitive', 'human'), (Results.returns, 'primitive', 'automatic')),
+    ),
+    (
+        paper.SAID['efficient'],
+        ((Results.times, 'human', 'automatic'), (Results.returns, 'human', 'automatic')),
+    ),
+    (
+        'Planning with human options returns more than random choice among them.',
+        ((Results.returns, 'human', BY_CHANCE),),
+    ),
+    (paper.SAID['interrupted'], ((Results.returns, INTERRUPTED, 'human'),)),
+)
 
 
 def _claims(results: Results) -> Iterator[report.Comparison]:
-    """Yield what the paper says of times and returns, and that planning gains over chance."""
-    compare, game = report.compare, results.game.name
-    said, options = paper.SAID, [*filter(results.has, ('human', 'automatic'))]
-    if results.has('primitive') and options:
-        for each in options:
-            time = results.race(each, 'primitive')
-            yield compare(said[f'{each}_faster'], one_of(time).below(1.0), game, time)
-        losses = {k: v for each in options for k, v in results.more('primitive', each).items()}
-        worse = all_hold(loss.above(ROUNDING) for loss in losses.values())
-        yield compare(said['never_as_good'], worse, game, losses)
-    if len(options) > 1:
-        time, more = results.race(*options), results.more(*options)
-        efficient = all_hold([one_of(time).below(1.0), one_of(more).above(ROUNDING)])
-        yield compare(said['efficient'], efficient, game, {**time, **more})
-    if results.has('human', BY_CHANCE):
-        more = results.more('human', BY_CHANCE)
-        planned, by_chance = (results.returned(name).mean() for name in ('human', BY_CHANCE))
-        share = f'random choice has {by_chance / planned:.0%}' if planned > 0 else ''
-        claim = 'Planning with human options returns more than random choice among them.'
-        yield compare(claim, one_of(more).above(ROUNDING), game, more, why=share)
-    if results.has('human', INTERRUPTED) and not results.game.exact:
-        more = results.more(INTERRUPTED, 'human')
-        yield compare(said['interrupted'], one_of(more).above(), game, more)
+    """Yield the claims of which there are results."""
+    for claim, tests in CLAIMS:
+        values, verdicts = Values(), []
+        for test, first, second in tests:
+            if {first, second} <= set(results.members):
+                name, value = test(results, first, second)
+                values[name] = value
+                less = test is Results.times
+                verdicts.append(value.below(1.0) if less else value.above(ROUNDING))
+        if values and not (results.game.exact and claim == paper.SAID['interrupted']):
+            yield report.compare(claim, all_hold(verdicts), results.game.name, values)
 
 
 def _numbers(results: Results) -> Iterator[report.Comparison]:
@@ -242,31 +234,31 @@ def _numbers(results: Results) -> Iterator[report.Comparison]:
     Seconds are compared as parts of those of primitive actions: they agree where the interval
     holds the paper's part.
     """
-    compare, game = report.compare, results.game
-    known, title = paper.TABLE_2[game.domain], game.name.partition(',')[0]
-    human = AS_IN_PAPER if results.has(AS_IN_PAPER) else 'human'
-    ours = {'primitive': 'primitive', 'human': human, 'automatic': 'automatic'}
-    ours = {name: own for name, own in ours.items() if results.has(own)}
-    if 'primitive' not in ours or game == CHASE:
+    game, members, unknown = results.game, results.members, report.Mark.NOT_COMPARABLE
+    title, known = game.name.partition(',')[0], paper.TABLE_2[game.domain]
+    if 'primitive' not in members or game == CHASE:
         return
-    unknown, why = report.Mark.NOT_COMPARABLE, paper.WHY_NO_RETURN[game.domain]
-    for name, own in ours.items():
-        seconds, reward = known[name]
-        said = f'{title}, {name}: {seconds:g} s'
-        if name == 'primitive':
-            claim = Statement(f'{said}.', 'table 2')
-            values = {'seconds': Interval.of(results.members[own][SECONDS])}
-            yield compare(claim, unknown, game.name, values, why=paper.WHY_NO_SECONDS)
-        else:
-            part, time = seconds / known['primitive'][0], results.race(own, 'primitive')
-            claim = Statement(f'{said}, {part:.3g} of the time of primitive actions.', 'table 2')
-            yield compare(claim, one_of(time).holds(part), game.name, time)
+    for name, (seconds, reward) in known.items():
+        own = AS_IN_PAPER if name == 'human' and AS_IN_PAPER in members else name
+        if own not in members:
+            continue
+        said, why = f'{title}, {name}: {seconds:g} s', paper.WHY_NO_SECONDS
+        values = {'seconds': Interval.of(members[own][SECONDS])}
+        verdict: bool | report.Mark | None = unknown
+        if name != 'primitive':
+            part, why = seconds / known['primitive'][0], ''
+            said += f', {part:.3g} of the time of primitive actions'
+            values = dict([results.times(own, 'primitive')])
+            verdict = all_hold(time.holds(part) for time in values.values())
+        claim = Statement(f'{said}.', 'table 2')
+        yield report.compare(claim, verdict, game.name, values, why=why)
         claim = Statement(f'{title}, {name}: average reward {reward:,g}.', 'table 2')
-        values = {f'return, {own}': Interval.of(results.returned(own))}
-        yield compare(claim, unknown, game.name, values, why=why)
+        values = {f'return, {own}': Interval.of(members[own][RETURN])}
+        why = paper.WHY_NO_RETURN[game.domain]
+        yield report.compare(claim, unknown, game.name, values, why=why)
     if not game.exact:
         none = report.Mark.NO_COUNTERPART
-        yield compare(paper.SAID['incomplete'], none, game.name, why=paper.NO_BEST_KNOWN)
+        yield report.compare(paper.SAID['incomplete'], none, game.name, why=paper.NO_BEST_KNOWN)
 
 
 def _draw(game: ComparedGame, curves: pd.DataFrame, work: Drawing) -> None:

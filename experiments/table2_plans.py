@@ -6,15 +6,14 @@ in the usual game, and every variant of that kind of owner plans with them. Plan
 are played from every start state; those with sampled models in new games.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 import math
 from typing import Any
 
-from humanopts_env.arrays import Flags
 from humanopts_env.domains.base import Domain, EnumerableDomain, is_enumerable
 from humanopts_env.domains.registry import make_domain
-from humanopts_env.games import TableGames
+from humanopts_env.games import new_games, TableGames
 from humanopts_env.seeding import generator
 from humanopts_learner.execution import play
 from humanopts_learner.options.learned_option import LearnedOption, TabularOption, tabulate
@@ -32,7 +31,7 @@ from humanopts_learner.planning.request import (
     PlanRequest,
     PRIMITIVE,
 )
-from humanopts_learner.planning.sampled_plan import make_sampled_plan, play_games
+from humanopts_learner.planning.sampled_plan import make_sampled_plan
 from humanopts_learner.summary import PlanSummary
 from humanopts_teach.evaluation.games import carried_over
 from humanopts_teach.evaluation.tables import finite
@@ -155,7 +154,9 @@ def plan_all_games(parameters: Mapping[str, Any]) -> Rows:
                 for option in owner.options
             ]
             if variant.by_chance:
-                found = choose_by_chance(domain, options, plans, effort, seed)
+                draws = (generator(seed, 'table 2', 'chance', number) for number in range(plans))
+                played = (play_by_chance(domain, options, effort.games, rng) for rng in draws)
+                found: Iterable[Any] = (_row(PLAN, 0, returns) for returns in played)
             elif is_enumerable(domain):
                 found = plan_exactly(domain, variant, options)
             else:
@@ -182,14 +183,11 @@ def _options_by_variant(
     ]
 
 
-def _row(
-    kind: str, budget: int, returns: Returns, done: Flags, plan: AnyPlan | None = None
-) -> dict[str, Any]:
+def _row(kind: str, budget: int, returns: Returns, plan: AnyPlan | None = None) -> dict[str, Any]:
     """
     Return seconds, sizes and means of a plan and the games that it was judged in, as JSON data.
 
     :param budget: sweeps at most, or game steps.
-    :param done: (E,) whether each game ended with the task done.
     :param plan: None: nothing was planned.
     """
     known = PlanSummary('') if plan is None else summarise_plan(plan)
@@ -201,50 +199,33 @@ def _row(
         SECONDS: sum(row[part] for part in PARTS),
         RETURN: float(returns.total.mean()),
         'discounted': finite(returns.discounted.mean()),
-        'done': float(done.mean()),
+        'done': float(returns.outcomes.get('cleared', returns.successes).mean()),
         'fallbacks in a game': float(returns.fallbacks.mean()),
     }
 
 
-def choose_by_chance(
+def play_by_chance(
     domain: Domain[Any],
-    options: Sequence[LearnedOption],
-    plans: int,
-    effort: Effort,
-    seed: int,
-) -> Iterator[dict[str, Any]]:
+    options: Sequence[Any],
+    games: int,
+    rng: np.random.Generator,
+) -> Returns:
     """
     Play as plans do, with random choice among the same options: what a plan has to beat.
 
     Wherever a choice is due, any option that can start is chosen, each with the same probability,
     and runs to its end. Where none can start, a primitive action is taken.
 
-    :param plans: repetitions, with chance of its own each time.
-    :return: rows as those of plans.
+    :param options: learned or, where states can be listed, tables.
+    :param games: of a domain in which models are sampled; else one is played from every start.
     """
-    for number in range(plans):
-        rng = generator(seed, 'table 2', 'chance', number)
-        if is_enumerable(domain):
-            returns = play_states_by_chance(domain, options, rng)
-            done = returns.successes
-        else:
-            actions, games = ActionSet(domain, HUMAN, options), _seed_for(seed, 'games', number)
-            policy = AnyOption(rng)
-            returns = play_games(actions, policy, domain.gamma, games, effort.games)
-            done = returns.outcomes['cleared'].astype(bool)
-        yield _row(PLAN, 0, returns, done)
-
-
-def play_states_by_chance(
-    domain: EnumerableDomain[Any],
-    options: Sequence[LearnedOption | TabularOption],
-    rng: np.random.Generator,
-) -> Returns:
-    """Play an episode from every start state of a domain in which every action has one outcome."""
     action_set = HUMAN if options else PRIMITIVE
-    table = option_table(domain, action_set, [tabulate(option, domain) for option in options])
-    games = TableGames(domain, domain.start_states().astype(np.intp))
-    played = play(games, table, AnyOption(rng), rng, domain.max_steps, gamma=domain.gamma)
+    if is_enumerable(domain):
+        table: Any = option_table(domain, action_set, [tabulate(each, domain) for each in options])
+        begun: Any = TableGames(domain, domain.start_states().astype(np.intp))
+    else:
+        table, begun = ActionSet(domain, action_set, options), new_games(domain, games, rng)
+    played = play(begun, table, AnyOption(rng), rng, domain.max_steps, gamma=domain.gamma)
     return Returns.of(played, domain.gamma, len(options))
 
 
@@ -279,7 +260,7 @@ def plan_exactly(
         returns = play_plan(executed, domain.start_states())
         last = plan.solution.converged or 2 * sweeps > MAX_SWEEPS
         kinds = [CURVE] + [PLAN] * last
-        yield from (_row(kind, sweeps, returns, returns.successes, plan) for kind in kinds)
+        yield from (_row(kind, sweeps, returns, plan) for kind in kinds)
         sweeps *= 2
 
 
@@ -311,6 +292,5 @@ def plan_from_samples(
         )
         plan = make_sampled_plan(domain, options, request, clock=people.CLOCK)
         returns = plan.play(_seed_for(seed, 'games', number), effort.games)
-        done = returns.outcomes['cleared'].astype(bool)
         kinds = [CURVE] * (number == 0) + [PLAN] * (budget == largest)
-        yield from (_row(kind, budget, returns, done, plan) for kind in kinds)
+        yield from (_row(kind, budget, returns, plan) for kind in kinds)

@@ -107,10 +107,9 @@ def present(rows: pd.DataFrame) -> report.Section:
     pictures = [
         report.Picture(
             f'transfer-{game.rpartition("=")[2]}',
-            f'Scores by maze of every way to play Pac-Man, {game}',
+            f'Pac-Man, {game}: the dots are mazes, the bars means over them with 95 % intervals.',
             (7.6, 3.8),
             partial(_draw, mine),
-            f'{game}: the dots are mazes, the bars means over the mazes with 95 % intervals.',
         )
         for (game,), mine in report.grouped(scores, KEYS[:1])
     ]

@@ -6,16 +6,13 @@ The charts of a report: learning curves, planning and its sweeps, and games.
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from typing import Any, Literal
 
-from humanopts_env.arrays import Floats
 from humanopts_learner.planning.exact_plan import build_model, ExactPlan
 from humanopts_learner.planning.solve import value_history
 from humanopts_teach.evaluation.bag_evaluation import OptionEvaluation
 from humanopts_teach.evaluation.tables import SECONDS
 from humanopts_teach.report.figures import Drawing, drawing, MUTED, SERIES
-from humanopts_teach.report.pages import number
 from matplotlib.axes import Axes
 from matplotlib.ticker import (
     LogLocator,
@@ -52,8 +49,6 @@ MARKERS = 'osD^'
 WIDTH, ROW_HEIGHT = 5.6, 0.33  # inches
 CLEARED = 'cleared'
 MAX_VALUES = 20_000_000  # states by sweeps, up to which plans are made again for their sweeps
-ALL_ROWS, LATER_ROWS = 30, 30  # of the table of sweeps: each of the first, some of the later ones
-NEAR = 1e-3  # a value so close to its end, in reward units, is settled
 
 
 @contextmanager
@@ -234,54 +229,21 @@ def _style(index: int) -> dict[str, Any]:
     return {'color': SERIES[index % len(SERIES)], 'marker': MARKERS[index % len(MARKERS)]}
 
 
-@dataclass(frozen=True)
-class SweepReport:
-    """The effect of each sweep of value iteration, plan beside plan."""
-
-    names: list[str]
-    near: float
-    figure: str  # SVG
-    rows: list[tuple[int, list[str]]]  # sweep; residual and share settled of each plan
-
-
-def sweep_report(plans: Mapping[str, ExactPlan], name: str) -> SweepReport | None:
+def sweep_figure(plans: Mapping[str, ExactPlan], name: str) -> str:
     """
-    Make the plans again, sweep by sweep; None where that would take long, or there are none.
+    Return the residual of each sweep; empty where it would take long, or there are no plans.
 
-    :param plans: with exact models, by name.
+    :param plans: with exact models, by name; they are made again, sweep by sweep.
     """
     sizes = [plan.domain.n_states * plan.solution.sweeps for plan in plans.values()]
     if max(sizes, default=MAX_VALUES + 1) > MAX_VALUES:
-        return None
-    values = {}  # (sweeps + 1, S) of each plan
-    for called, plan in plans.items():
-        model = build_model(plan.domain, plan.action_set, plan.options, plan.gamma)
-        values[called] = value_history(model, max_sweeps=plan.solution.sweeps)
-    last = [len(history) - 1 for history in values.values()]
-    later = np.geomspace(ALL_ROWS, max(ALL_ROWS, *last), LATER_ROWS).astype(int).tolist()
-    shown = {*range(ALL_ROWS), *later, *last}
-    rows = [
-        (sweep, [text for history in values.values() for text in _cells(history, sweep)])
-        for sweep in sorted(shown)
-        if sweep <= max(last)
-    ]
-    return SweepReport(list(values), NEAR, _residuals(values, f'{name}-residual'), rows)
-
-
-def _cells(history: Floats, sweep: int) -> tuple[str, str]:
-    if sweep >= len(history):
-        return '', ''
-    settled = (np.abs(history[sweep] - history[-1]) <= NEAR).mean()
-    residual = np.abs(history[sweep] - history[sweep - 1]).max()
-    return number(residual, 3) if sweep else '', f'{settled:.1%}'
-
-
-def _residuals(values: Mapping[str, Floats], name: str) -> str:
+        return ''
     title, unit = 'Residual of each sweep', 'reward units'
-    label = 'Residual by sweep'
-    with _chart(name, label, title=title, xlabel='sweep', ylabel=unit, yscale='log') as work:
+    with _chart(name, title, title=title, xlabel='sweep', ylabel=unit, yscale='log') as work:
         axes = work.axes
-        for index, (called, history) in enumerate(values.items()):
+        for index, (called, plan) in enumerate(plans.items()):
+            model = build_model(plan.domain, plan.action_set, plan.options, plan.gamma)
+            history = value_history(model, max_sweeps=plan.solution.sweeps)  # (sweeps + 1, S)
             residual = np.abs(np.diff(history, axis=0)).max(axis=1)
             changed = np.flatnonzero(residual)  # the last sweep may change nothing
             text = f'{called}: {len(residual)} sweeps'

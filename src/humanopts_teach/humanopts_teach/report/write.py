@@ -19,7 +19,7 @@ from humanopts_teach.report.charts import (
     games_figures,
     learning_curves,
     planning_figures,
-    sweep_report,
+    sweep_figure,
 )
 from humanopts_teach.report.episode import episode_strip, Frame, read_last_episode
 from humanopts_teach.report.findings import findings, plans_by_name, plans_shown
@@ -95,7 +95,7 @@ def render_report(data: ReportData) -> str:
             (person, games, games_figures(games, f'games-{index}'))
             for index, (person, games) in enumerate(evaluation.games.items())
         ],
-        'sweeps': sweep_report(exact, 'sweeps'),
+        'sweeps': sweep_figure(exact, 'sweeps'),
         'sampled': bool(plans['game_steps'].any()),
         'options': [
             (
