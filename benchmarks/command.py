@@ -13,7 +13,7 @@ import typer
 
 COLUMNS = 'min,median,iqr,ops,rounds'
 LARGEST, QUICK = 100, 10  # sides of the largest grid
-PROCESS_BYTES, STATE_BYTES = 2**30, 600  # taken by this process, and beside it for each state
+PROCESS_BYTES, STATE_BYTES = 2**30, 600  # of this process, and in addition for each state
 INTERRUPTED, STOPPED = 130, 2  # exit statuses of this command, and of pytest
 app = typer.Typer(**PLAIN)
 

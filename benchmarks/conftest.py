@@ -1,4 +1,4 @@
-"""The sizes of benchmarks, and what they measured beside times."""
+"""The sizes of benchmarks, and their counts."""
 
 from typing import Any
 
@@ -27,7 +27,7 @@ def quick(request: pytest.FixtureRequest) -> bool:
 
 
 def pytest_terminal_summary(terminalreporter: Any, config: Any) -> None:
-    """Show what was counted beside the times, such as sweeps and lost messages."""
+    """Show the counts, such as sweeps and lost messages."""
     for bench in config._benchmarksession.benchmarks:
         if bench.extra_info:
             counted = ', '.join(f'{name} {value:,}' for name, value in bench.extra_info.items())

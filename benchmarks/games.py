@@ -1,4 +1,4 @@
-"""How long games take for a step, many side by side and one alone."""
+"""Times of a step of games, of many at once and of a single one."""
 
 from collections.abc import Callable
 from typing import Any

@@ -1,5 +1,5 @@
 """
-How long the graph takes for a step and for an option, beside bare rclpy.
+Times of a step and of an option on the graph, compared with bare rclpy.
 
 Game and option_server are measured from this process, as a bare peer is that answers at once.
 """
@@ -30,7 +30,7 @@ ROUNDS = 200
 
 @pytest.fixture(scope='module')
 def game(request: pytest.FixtureRequest) -> Iterator['Game']:
-    """Launch some nodes beside the bare peer; no other node reads the states."""
+    """Launch some nodes and the bare peer; no other node reads the states."""
     with own_place() as folder:
         setup = Setup('taxi', folder, teach=False, record=False)
         shown = demonstrations(Taxi())

@@ -30,9 +30,9 @@ NAMESPACE = f'/bench_{os.getpid()}'
 @contextmanager
 def own_place() -> Iterator[Path]:
     """
-    Have a folder that is removed afterwards, and an unused ROS_DOMAIN_ID for new processes.
+    Provide a temporary folder, and an unused ROS_DOMAIN_ID for new processes.
 
-    Messages are not checked field by field meanwhile, as they are only where programs are tested.
+    Fields of messages are not checked meanwhile: only tests do that.
 
     :raises LaunchError: every domain is in use.
     """
@@ -59,7 +59,7 @@ def _is_free(domain_id: int) -> bool:
 
 
 def own_spec(name: str, **parameters: Value) -> ProcessSpec:
-    """Return the process of a node that is only there to measure."""
+    """Return the process of a node for measuring only."""
     return ProcessSpec(name, f'benchmarks.{name}', parameters)
 
 
@@ -81,7 +81,7 @@ def launched(specs: Sequence[ProcessSpec], folder: Path) -> Iterator[Launcher]:
 
 
 def stop(launcher: Launcher) -> None:
-    """End all processes, and say what did not end cleanly."""
+    """End all processes, and print which did not end cleanly."""
     for problem in launcher.stop():
         print(f'humanopts bench: {problem}', file=sys.stderr)
 
@@ -90,7 +90,7 @@ class Client:
     """
     A node of this process that does one thing, and waits for the answer.
 
-    It has an executor of its own, so that nothing else is looked after while a clock runs.
+    It has its own executor, so that nothing else runs while the time is taken.
     """
 
     def __init__(self, launcher: Launcher, name: str) -> None:
@@ -101,9 +101,9 @@ class Client:
 
     def until(self, done: Callable[[], Any], what: str, seconds: float = _PATIENCE) -> None:
         """
-        Carry out callbacks until something holds.
+        Run callbacks until a condition holds.
 
-        :raises LaunchError: a process died, or it does not come in time.
+        :raises LaunchError: a process died, or the time is over.
         """
         began = time.monotonic()
         while not done():

@@ -1,5 +1,5 @@
 """
-How many messages a second the recorder takes, what that costs, and what is lost.
+Messages per second that the recorder accepts, with cost and losses.
 
 This process sends the same messages to the recorder, and to a reader that writes nothing.
 """
@@ -26,7 +26,7 @@ from rclpy.serialization import serialize_message
 from benchmarks.bench_reader import KINDS
 from benchmarks.processes import Client, launched, NAMESPACE, own_place, own_spec, stop
 
-_PATIENCE = 10.0  # s that a reader has to receive what was sent
+_PATIENCE = 10.0  # s for a reader to receive all messages
 _PERIOD = 0.002  # s between looks at the clock
 _AT_ONCE = 500  # messages that are sent between looks at the clock, as fast as can be
 
@@ -117,7 +117,7 @@ class Sender(Client):
         self.until(lambda: all(to.get_subscription_count() for to in self._to), reader)
 
     def send(self, load: Load) -> None:
-        """Send everything, or what the reader lets through in time; wait until it has arrived."""
+        """Send everything, or as much as the reader accepts in time; wait until it has arrived."""
         to = self._to if load.rate else self._to[:1]
         wanted = range(load.messages)
         ready = [] if load.rate else [self._message(number, 1) for number in wanted]
@@ -150,7 +150,7 @@ class Sender(Client):
         return all(to.wait_for_all_acked(Duration(seconds=seconds)) for to in self._to)
 
     def _message(self, number: int, topics: int) -> bytes:
-        """Return a message for the topic whose turn it is, with its number on that topic."""
+        """Return a message for the next topic, with its number on that topic."""
         turn, place = divmod(number, topics)
         sender = f'{NAMESPACE}/bench_sender#00000000'
         message: Any = [*KINDS.values()][place](

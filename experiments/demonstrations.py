@@ -6,7 +6,7 @@ teaches every reference option of a domain in one way, from start states of one 
 goes on until the criteria hold and the policy is right, and then for ``LONGER`` demonstrations, to
 see whether it stays right; or for ``BUDGET`` start states. Right means: in every state of the
 reference option's initiation set the action is one of the best. In domains without chance, it is
-then as good as what was shown from every start.
+then as good as the demonstrations from every start.
 """
 
 from collections.abc import Mapping, Sequence
@@ -118,7 +118,7 @@ def summary_table(counts: pd.DataFrame) -> pd.DataFrame:
     Return a row for each option, method, strategy and group of people: medians and maxima.
 
     :return: ``KEYS``, count (of people), for both of ``UNTIL`` the median, the maximum and the
-        number of people who did not get there within the budget, and the most by which the
+        number of people for whom the budget was too small, and the most by which the
         criteria came later.
     """
     groups = counts.assign(excess=counts[UNTIL[0]] - counts[UNTIL[1]]).groupby(KEYS, sort=False)
@@ -160,7 +160,7 @@ def _comparisons(taxi: pd.DataFrame) -> list[report.Comparison]:
     """Compare the mean demonstrations of each option of Taxi with the goal of its method."""
     found = []
     for (method, people), rows in report.grouped(taxi, ['method', 'people']):
-        # Where a lesson did not get there, it took more demonstrations than it had.
+        # A lesson in which they never held would have taken more demonstrations than it had.
         means = {
             option: Interval.of(mine[UNTIL[0]].fillna(BUDGET))
             for (option,), mine in report.grouped(rows, ['option'])

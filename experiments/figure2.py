@@ -6,8 +6,8 @@ option's initiation set. *Policy accuracy* is the share of these states in which
 takes one of the best actions. *Classification accuracy* of I and beta is the share of states that
 are classified as the reference option does.
 
-Pac-Man is taught with both lists of its features: directions hand the policy over, and positions
-are what the paper names.
+Pac-Man is taught with both lists of its features: directions, which give the policy away, and
+positions, as in the paper.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -56,7 +56,7 @@ PEOPLE = 'people'  # the group of people in bags
 
 @dataclass(frozen=True)
 class TaughtGame:
-    """What is taught of one game, with one list of features."""
+    """A game that is taught, with one list of features."""
 
     domain: str
     features: str  # name of the list
@@ -74,7 +74,7 @@ class TaughtGame:
 
 
 DIRECTIONS, POSITIONS = 'directions', 'positions (features=paper)'  # names of lists of features
-HANDED_OVER = 'These features are first moves of shortest paths: they hand the policy over.'
+HANDED_OVER = 'These features are first moves of shortest paths: they give the policy away.'
 AS_LISTED = 'These features are positions only, as in the list of the paper.'
 GAMES = (
     TaughtGame('taxi', 'all', None, 60, (CAREFUL, VARIED), cost=2.0),
@@ -170,8 +170,8 @@ def point_rows(
     """
     Measure an option after each of its demonstrations.
 
-    :param lesson: the option after each answer; of those after as many demonstrations the last
-        counts.
+    :param lesson: the option after each answer; the last one counts for each number of
+        demonstrations.
     :param who: group, strategy of start states, and code of the person.
     :param seconds: of the whole lesson.
     :param cut_short: why the lesson ended early; empty: it did not.
@@ -238,7 +238,7 @@ def needed_table(people: pd.DataFrame) -> pd.DataFrame:
     """
     Return the demonstrations after which ``LEVELS`` of policy accuracy held for good.
 
-    Where a person did not get there, the mean is at least that with all demonstrations shown.
+    Where a level was not reached, the mean assumes all demonstrations shown, and is too low.
     """
     rows = []
     for key, members in report.grouped(people, CASE):
@@ -321,7 +321,7 @@ def _compare_needed(
     case: str, strategy: str, members: pd.DataFrame
 ) -> Iterator[report.Comparison]:
     """
-    Yield the demonstrations that careful people needed beside the paper's and our goals.
+    Compare the demonstrations that careful people needed with the paper's and our goals.
 
     A person who did not reach a level counts with all demonstrations shown. Their number can only
     be too low then: it may refute that few are needed, and never shows it.

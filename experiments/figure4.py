@@ -1,9 +1,9 @@
 """
 Figure 4: steps per episode of Q-learning in Taxi, by action set (section 7.3).
 
-A member is one person's options, or those of one extraction, or none, learned with by several
-learners; the members of a trial learn side by side. Every action set has the same budget: as many
-rates are tried, in as many runs, and the best of them learn anew with other random draws.
+A member is one person's options, or those of one extraction, or none, with several learners. The
+members of a trial learn side by side. Every action set has the same budget: the same number of
+rates is tried in the same number of runs, and the best rates learn again with other random draws.
 """
 
 from collections.abc import Mapping

@@ -1,8 +1,8 @@
 """
-What the paper reports, the only numbers of a reproduction that it does not compute itself.
+The paper's statements and numbers, the only ones that a reproduction does not compute.
 
-Subramanian, Isbell and Thomaz (2011): Learning Options through Human Interaction. Figures are
-drawings without tables of numbers: of them there is only what the text says.
+Subramanian, Isbell and Thomaz (2011): Learning Options through Human Interaction. The
+figures come without tables of numbers, so only statements in the text are listed.
 """
 
 from dataclasses import dataclass
@@ -36,8 +36,8 @@ SAID = {
     **_said(
         'section 7.1, figure 2',
         rises='Accuracy increases with training data in both domains.',
-        forty='Accuracy comes to acceptable levels with over 40 trajectories in both domains.',
-        imperfect='Classification accuracy does not come to 100 % in either domain: errors of the '
+        forty='Accuracy reaches acceptable levels with over 40 trajectories in both domains.',
+        imperfect='Classification accuracy does not reach 100 % in either domain: errors of the '
         'trees, demonstrations that were not optimal, and options that were incomplete.',
     ),
     **_said(
@@ -65,7 +65,7 @@ SAID = {
         'section 7.3, table 2',
         efficient='Human options are more efficient than automatic ones, in time and return.',
         human_faster='Planning with human options is faster than with primitive actions.',
-        never_as_good='What options come to is never as good as what primitive actions do.',
+        never_as_good='Options never do as well as primitive actions.',
     ),
     **_said(
         'section 7.3, in words; table 2 has the opposite in Taxi',

@@ -1,5 +1,5 @@
 """
-The owners of options: people in bags, simulated people, extractions, or nobody.
+The owners of options: people in bags, simulated people, extractions, or none.
 
 There are two groups of simulated participants, since the paper's claims are of two kinds.
 *Careful* people make no error; they differ only in which of several equally good actions they
@@ -95,7 +95,7 @@ class BagLesson:
 
 @dataclass(frozen=True)
 class Study:
-    """The size of a reproduction, and the people whose lessons it uses."""
+    """The size of a reproduction, and its people."""
 
     participants: int = 6  # simulated, in each group
     seeds: int = 10  # runs of each method that depends on chance
@@ -139,7 +139,7 @@ def taught_in(bag: Bag, domain: Domain[Any]) -> dict[tuple[str, str], list[Demon
 
 @dataclass(frozen=True)
 class OwnedOptions:
-    """Options, and what it cost to get them; None: it is not of that kind."""
+    """Options, and the cost of getting them; None: a cost of another kind of owner."""
 
     options: tuple[Any, ...] = ()  # learned, or as an extraction has them for the domain's planner
     minutes: float | None = None  # of teaching: by the clock, or of simulated people as assumed
@@ -149,7 +149,7 @@ class OwnedOptions:
 
     @property
     def demonstrations(self) -> int | None:
-        """How many trajectories were shown; None: nobody showed any."""
+        """Number of trajectories shown; None: there are none."""
         count = sum(demo.kind is Kind.TRAJECTORY for demo in self.shown)  # no "not here" answers
         return count if self.shown else None
 
@@ -161,11 +161,11 @@ class OwnedOptions:
 
 def owners(study: Study, domain: str) -> dict[str, list[dict[str, Any]]]:
     """
-    Return the owners of the options of an experiment: as many repetitions without options, and as
-    many extractions, as people.
+    Return the owners of the options of an experiment: the same number of people, extractions, and
+    repetitions without options.
 
     :return: parameters of ``options_of`` by kind of owner, JSON data. People are those in bags,
-        else the varied simulated ones; there are none where those in bags taught something else.
+        else the varied simulated ones; none if people in bags taught in another domain.
     """
     if study.bags:
         digests: dict[tuple[str, str, int], list[str]] = {}
@@ -201,7 +201,7 @@ def options_of(
     Return the options of one owner; those of people are from lessons until the criteria hold.
 
     :param owner: one of ``owners``.
-    :param names: what a simulated person teaches; empty: what the paper's participants did.
+    :param names: options that a simulated person teaches; empty: those of the paper.
     """
     if 'extraction' in owner:
         found = extraction(domain.name, parameters_json(domain), owner['extraction'])
@@ -226,7 +226,7 @@ def extraction(domain: str, parameters: str, seed: int) -> AutomaticOptions:
 def _from_lesson(
     person: Participant, domain: str, parameters: str, names: tuple[str, ...]
 ) -> OwnedOptions:
-    """Return what a simulated person taught; each process has each lesson once."""
+    """Return the options of a simulated person; each process has each lesson once."""
     rules = LessonRules(seed=person.seed)
     taught = teach(domain_from_json(domain, parameters), person.teaching(*names), rules)
     return OwnedOptions(taught.options, taught.seconds / 60, shown=tuple(taught.demonstrations))

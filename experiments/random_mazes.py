@@ -1,5 +1,5 @@
 """
-Mazes drawn at random, to play in mazes that nobody has tuned anything on.
+Mazes drawn at random: nothing was tuned on them.
 
 Junctions lie on every second row and column of the left half. A random spanning tree joins them
 (depth-first, with the last junction first), then every dead end is opened, and the right half is

@@ -1,8 +1,8 @@
 """
 Table 1: the buttons that people asked for (section 4).
 
-Nothing is computed: simulated people have no wishes. The section says so, and where what people
-named in the paper is taught here. ``humanopts bag table1`` counts what people named in lessons.
+Nothing is computed: simulated people have no wishes. The section says so, and where the paper's
+buttons are taught here. ``humanopts bag table1`` counts the options that people named in lessons.
 """
 
 from humanopts_env.domains.registry import make_domain, reference_options
@@ -14,10 +14,9 @@ from experiments.report import compare, Mark, Section, Table
 
 NAME = 'table1'
 TITLE = 'Table 1: the options that people name'
-WHY = {  # by statement, why nothing here can be compared with it
-    'buttons': 'simulated people name nothing; the options that people named there are taught',
-    'options': 'it is what people said and did in a study; a study of your own is recorded and '
-    'read by the same programs',
+WHY = {  # by statement: why it cannot be compared
+    'buttons': 'simulated people name nothing; the options that people named are taught here',
+    'options': 'this needs a study with people; the same programs record and read yours',
     'taught': 'people are simulated where none are given with --bags',
 }
 

@@ -1,5 +1,5 @@
 """
-Table 2: what planning with each action set takes and achieves (sections 7.3 and 8).
+Table 2: time and return of planning with each action set (sections 7.3 and 8).
 
 The trials of the plans in ``table2_plans``, and their section of the report.
 """
@@ -143,7 +143,7 @@ def cost_table(costs: pd.DataFrame) -> pd.DataFrame:
 
 
 def paper_table(summary: pd.DataFrame) -> pd.DataFrame:
-    """Return the paper's numbers beside ours; in Pac-Man, of the game with random ghosts."""
+    """Return the paper's numbers and ours; for Pac-Man, those of the game with random ghosts."""
     rows, ours = [], [SECONDS, RETURN, 'low', 'high']
     for game in (TAXI, UNIFORM):
         known = paper.TABLE_2[game.domain]
@@ -192,8 +192,8 @@ class Results:
         return f'time{level}, {first} / {second}', Interval.of_ratio(one, other, paired=False)
 
 
-# What is claimed of the returns and times of two variants: that the first returns more, or takes
-# less time. A claim with several tests holds where all do.
+# Claims that one variant returns more than another, or takes less time. A claim with several tests
+# holds if all do.
 CLAIMS: tuple[tuple[Statement | str, tuple[tuple[Any, str, str], ...]], ...] = (
     (paper.SAID['human_faster'], ((Results.times, 'human', 'primitive'),)),
     (paper.SAID['automatic_faster'], ((Results.times, 'automatic', 'primitive'),)),
@@ -229,7 +229,7 @@ def _claims(results: Results) -> Iterator[report.Comparison]:
 
 def _numbers(results: Results) -> Iterator[report.Comparison]:
     """
-    Yield the numbers of table 2 beside ours.
+    Compare the numbers of table 2 with ours.
 
     Seconds are compared as parts of those of primitive actions: they agree where the interval
     holds the paper's part.

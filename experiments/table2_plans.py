@@ -1,7 +1,7 @@
 """
 The plans of table 2: action sets and executions, in every game (sections 7.3 and 8).
 
-One trial has one owner of options: a person, an extraction, or nobody. The options are made once,
+One trial has one owner of options: a person, an extraction, or none. The options are made once,
 in the usual game, and every variant of that kind of owner plans with them. Plans with exact models
 are played from every start state; those with sampled models in new games.
 """
@@ -211,7 +211,7 @@ def play_by_chance(
     rng: np.random.Generator,
 ) -> Returns:
     """
-    Play as plans do, with random choice among the same options: what a plan has to beat.
+    Play by random choice among the options: the baseline of a plan.
 
     Wherever a choice is due, any option that can start is chosen, each with the same probability,
     and runs to its end. Where none can start, a primitive action is taken.

@@ -1,9 +1,9 @@
 """
-Transfer: options that were taught in one maze, in mazes that nobody has tuned anything on.
+Transfer: options taught in one maze are used in mazes on which nothing was tuned.
 
 The mazes are drawn by seed, or are a user's own. One trial is one maze: the options of one person,
-taught in the usual maze, plan and play there in every variant of the game, beside every baseline
-of ``humanopts demo``. The settings of the plans are those that were found in the usual maze. Mazes
+taught in the usual maze, plan and play there in every variant of the game, with every baseline
+of ``humanopts demo``. The settings of the plans were found in the usual maze. Mazes
 are the independent units, so differences are paired by maze.
 """
 

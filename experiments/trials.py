@@ -3,7 +3,7 @@ Trials: the computations that an experiment consists of, and how they are run.
 
 A finished trial is one JSON file, named by what its result depends on: the experiment, its
 parameters, the code and the numeric libraries. So a run that was interrupted goes on where it
-stopped, and what was computed by other code is computed anew.
+stopped, and results of other code are computed again.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -53,7 +53,7 @@ def code_version() -> str:
 
 
 def versions() -> dict[str, Any]:
-    """Return what numbers depend on beside parameters: the code and the numeric libraries."""
+    """Return the versions that numbers depend on: of the code and the numeric libraries."""
     return {'code': code_version(), 'libraries': {name: version(name) for name in LIBRARIES}}
 
 
@@ -105,7 +105,7 @@ def run_trials(
     trials: Sequence[Trial], folder: Path, progress: ProgressCallback, jobs: int, dask: str = ''
 ) -> Outcome:
     """
-    Compute what is not done yet; each result is on disk as soon as it is there.
+    Compute the missing trials; each result is written as soon as it is computed.
 
     A trial that fails is named in the outcome, and the others go on.
 
@@ -185,12 +185,12 @@ def _executor(jobs: int, dask: str) -> Iterator[Executor | None]:
 
 def _check_cluster(client: Any, dask: str) -> None:
     """
-    Check that a Dask cluster computes what this process would.
+    Check that a Dask cluster has the code and libraries of this process.
 
-    The scheduler reads the calls that it passes on, so it has to have their code too.
+    The scheduler reads the calls that it passes on, so it needs their code too.
 
-    :raises ClusterError: there is no worker, or one, or the scheduler, has no humanopts or another
-        version of it.
+    :raises ClusterError: there is no worker; or a worker or the scheduler lacks humanopts, or has
+        another version.
     """
     from distributed import TimeoutError as NoWorker
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import re
 from typing import Any
 
-from humanopts_env.domains.registry import domain_from_json, make_domain, reference_options
+from humanopts_env.domains.registry import make_domain, reference_options
 from humanopts_env.domains.taxi import Taxi
 from humanopts_learner.automatic.extract import find_options
 from humanopts_learner.automatic.subgoals import Extraction
@@ -55,14 +55,12 @@ def draw(picture: Picture) -> Drawing:
 # All experiments.
 
 
-def test_interval_is_that_of_students_t() -> None:
+def test_means_have_intervals_by_group_within_the_limits() -> None:
     frame = pd.DataFrame({'of': ['a', 'a', 'b', 'b'], 'x': [1.0, 3.0, 4.0, np.nan]})
-    found = mean_intervals(frame, ['of'], 'x')
-    assert found['count'].tolist() == [2, 1]
-    assert found['mean'].tolist() == [2.0, 4.0]
-    assert found['high'][0] - 2.0 == pytest.approx(12.706204736)  # t(0.975, 1) * 1
-    assert np.isnan(found['low'][1])
-    assert mean_intervals(frame, ['of'], 'x', 0.0, 5.0)[['low', 'high']].iloc[0].tolist() == [0, 5]
+    found = mean_intervals(frame, ['of'], 'x', 0.0, 5.0).set_index('of')
+    assert found.loc['a'].tolist() == [2, 2.0, 0.0, 5.0]
+    assert found.loc['b', ['count', 'mean']].tolist() == [1, 4.0]
+    assert np.isnan(found.loc['b', 'low'])
 
 
 @pytest.mark.parametrize(
@@ -278,32 +276,13 @@ def test_csv_json_and_figure_hold_the_same_numbers(section: Section, written: Pa
             assert [float(r['mean']) for r in mine] == np.asarray(y).tolist()
 
 
-def test_page_needs_nothing_from_outside_and_is_escaped(written: Path) -> None:
+def test_page_is_escaped_and_names_what_failed(written: Path) -> None:
     page = (written / 'report.html').read_text('utf-8')
-    assert not re.search(r'(?:src|href|action)\s*=\s*["\']?\s*(?!#)(?:https?:|//|[a-z])', page)
-    assert not re.search(r'url\((?!#)', page)
-    assert '@import' not in page
+    assert not re.search(r'(?:src|href)="(?!#)|url\((?!#)|@import', page)
     assert '&lt;p&amp;1&gt;' in page
-    assert 'simulated' in page
     assert 'Not computed: fig2 (x): why' in page
     assert page.count('<svg') == 1
     assert page.count('var(--c1)') >= 4  # colours of the page, in every plot
-
-
-def test_figure_2_of_pacman_is_there_with_both_lists_of_features(section: Section) -> None:
-    """Each caption says what the features do; the return has the reference option's beside it."""
-    captions = [p.caption for p in section.pictures if 'go to the closest food' in p.caption]
-    assert len(captions) == 2
-    assert 'they hand the policy over' in captions[0]
-    assert 'positions only' in captions[1]
-    _, *games = figure2.GAMES
-    assert [len(domain_from_json('pacman', g.parameters).features) for g in games] == [30, 15]
-    last = {row['features']: row for row in section.tables[1].rows if row['domain'] == 'pacman'}
-    assert {row['best return'] for row in last.values()} == {-10.0}
-    assert set(last) == {figure2.DIRECTIONS, figure2.POSITIONS}
-    axes = draw(section.pictures[-1]).figure.axes[0]
-    lines = {line.get_label(): line for line in axes.get_lines()}
-    assert set(np.asarray(lines['reference'].get_ydata())) == {-10.0}
 
 
 # Figure 3.
@@ -431,21 +410,13 @@ def test_human_options_that_learn_faster_agree(
     assert words in section.comparisons[0].found
 
 
-def test_curves_of_figure_4_in_csv_are_those_that_are_drawn() -> None:
-    """The paper's axis ends where it ends in the paper, and has no mixtures."""
+def test_the_papers_axis_ends_where_it_ends_in_the_paper_and_has_no_mixtures() -> None:
     section = figure_4({'human': 10.0, 'primitive': 900.0, 'human + primitive': 5.0})
-    drawn = {picture.name: draw(picture).axes for picture in section.pictures}
-    for line in drawn['fig4-smdp'].get_lines():
-        mine = [
-            row['mean']
-            for row in section.tables[1].rows
-            if (row['method'], row['action set']) == ('SMDP Q-learning', line.get_label())
-        ]
-        assert np.asarray(line.get_ydata()).tolist() == mine
-        assert len(mine) == 120
-    assert drawn['fig4-smdp-paper'].get_ylim() == (0, 300)
-    labels = [line.get_label() for line in drawn['fig4-smdp-paper'].get_lines()]
-    assert labels == ['human', 'primitive']
+    axes = draw(section.pictures[0]).axes
+    assert axes.get_ylim() == (0, 300)
+    lines = {str(line.get_label()): line.get_ydata() for line in axes.get_lines()}
+    assert [*lines] == ['human', 'primitive']
+    assert np.asarray(lines['human']).tolist() == [10.0] * 120
 
 
 # Demonstrations.

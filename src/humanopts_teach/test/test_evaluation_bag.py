@@ -365,9 +365,9 @@ def test_a_difference_names_what_differs_and_both_values(
     fewer = replace(live, options=changed[:1], plans=plans[:1].assign(sweeps=0))
     assert differences(fewer, offline) == [
         f"mean_return_policy of the option {first!r} 'p1' was -1.25 live and is {was!r} offline",
-        f"the option {second!r} 'p1' is not in what was live",
+        f"the option {second!r} 'p1' is not in the live numbers",
         f"sweeps of the plan 'human' was 0 live and is {plans['sweeps'].iloc[0]} offline",
-        "the plan 'primitive' is not in what was live",
+        "the plan 'primitive' is not in the live numbers",
     ]
 
 

@@ -52,7 +52,7 @@ from humanopts_teach.evaluation.tables import option_row, OPTIONS, plan_row, PLA
 if TYPE_CHECKING:
     import pandas as pd  # slow to import
 
-EPISODES = 100  # that plans are judged by, where models are exact
+EPISODES = 100  # in which plans are judged, where models are exact
 SOFTWARE = ('humanopts_version', 'numpy', 'scikit-learn')  # that learning depends on
 Key = tuple[str, str]  # participant and name of an option
 
@@ -95,13 +95,13 @@ class PlanEvaluation:
 @dataclass(frozen=True)
 class BagEvaluation:
     """
-    The options and plans that come out of a bag alone.
+    The options and plans that follow from a bag alone.
 
     :ivar options: in order of first demonstration.
     :ivar plans: by action set and, where several people taught, person.
-    :ivar warnings: sentences on what was assumed or left out.
+    :ivar warnings: sentences on assumptions and omissions.
     :ivar games: of ``evaluate_games`` by participant, if asked for.
-    :ivar demonstrations: all that were given, also those that were taken back or left out.
+    :ivar demonstrations: all of them, including withdrawn and omitted ones.
     """
 
     domain: Domain[Any]
@@ -179,10 +179,10 @@ def evaluate_bag(
     """
     Evaluate a bag with the settings that it carries.
 
-    :param progress: called as the work goes on.
-    :param episodes: that plans are judged by; 0: as many as is usual in the domain.
-    :param jobs: processes that do the work; 0: one for each core, but this one where plans are
-        exact, as they take less time than processes to start.
+    :param progress: called after each part of the work.
+    :param episodes: number in which plans are judged; 0: the default of the domain.
+    :param jobs: number of processes; 0: one for each core, but only this process where plans are
+        exact, as starting processes would take longer.
     :raises BagError: it is not a readable bag.
     :raises EvaluationError: it holds no demonstration to learn from.
     """
@@ -214,8 +214,8 @@ def evaluate(
     """
     Learn every option of every participant, and plan with them.
 
-    :param episodes: that plans are judged by; 0: as many as is usual in the domain.
-    :param jobs: processes that do the work; 0: one for each core; 1: this one.
+    :param episodes: number in which plans are judged; 0: the default of the domain.
+    :param jobs: number of processes; 0: one for each core; 1: this process.
     :raises EvaluationError: there is no demonstration to learn from.
     """
     groups, notes = usable_demonstrations(demonstrations, domain)
@@ -288,7 +288,7 @@ def _evaluate_plan(
     episodes: int,
 ) -> tuple[AnyPlan, Performance] | PlanError:
     """
-    Plan with what is learned from the demonstrations of each option, and judge the plan.
+    Learn each option from its demonstrations, plan with them, and judge the plan.
 
     :return: the error where no plan can be made.
     """
@@ -375,7 +375,7 @@ def with_games(
     Compare plans with each participant's options with other policies in many games.
 
     :param games: in which each policy is judged, two or more.
-    :param progress: called as the work goes on.
+    :param progress: called after each part of the work.
     :raises EvaluationError: plans of the domain are exact, or it cannot play many games.
     """
     domain, people, settings = evaluation.domain, evaluation.people, evaluation.settings

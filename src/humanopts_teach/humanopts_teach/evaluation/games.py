@@ -1,9 +1,9 @@
 """
-Policies compared in many games, in a domain whose plans are made from samples.
+Policies compared in many games, in a domain where models are sampled.
 
-The paper's plans, with the options that its participants taught and with primitive actions, and
-plans with all options play beside random choice among the options and, where the domain has one,
-a rule written by hand. Each plays as many games under the same rules, in each variant of the game.
+The policies are the paper's plans (with the options that its participants taught, and with
+primitive actions), plans with all options, random choice among the options and, if the domain has
+one, a hand-written rule. All play the same number of games in each variant of the game.
 """
 
 from collections.abc import Callable, Sequence
@@ -167,7 +167,7 @@ def play_baseline(
 
 @dataclass(frozen=True)
 class Moves:
-    """What a rule written by hand does in each game, as one option that ends after every step."""
+    """The actions of a hand-written rule, as one option that ends after every step."""
 
     rule: Callable[[Games], Ints]
     actions: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.intp))  # (N,)
@@ -193,7 +193,7 @@ def every_baseline(
     Return the policies that are compared in one variant of the game.
 
     :param options: learned in ``domain`` or in a variant of it.
-    :param steps: game steps that a plan is made from.
+    :param steps: game steps for a plan.
     :raises PlanError: the options are of another game.
     """
     usual = baselines_of(domain)
@@ -227,9 +227,9 @@ def evaluate_games(
 
     :param options: of one participant, learned in ``domain`` or in a variant of it.
     :param games: in which each policy is judged, two or more.
-    :param game_steps: that plans are made from; 0: the planner's default.
-    :param progress: called as the work goes on; what it raises passes through.
-    :param jobs: processes that do the work; 0: one for each core; 1: this one.
+    :param game_steps: for a plan; 0: the planner's default.
+    :param progress: called after each policy; its exceptions pass through.
+    :param jobs: number of processes; 0: one for each core; 1: this process.
     :param known: the plan with all options in ``domain``, made and judged with the same seed.
     :return: a row for each policy in each variant: columns ``GAMES``, and scores, those of the
         games (E,).

@@ -1,4 +1,4 @@
-"""What learning and judging depend on beside the demonstrations."""
+"""Settings of learning and judging."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
@@ -10,7 +10,7 @@ from humanopts_teach.lesson import BUDGET, STRATEGY
 
 @dataclass(frozen=True)
 class Settings:
-    """What learning and judging depend on beside the demonstrations."""
+    """Settings of learning and judging."""
 
     seed: int = 0
     strategy: str = STRATEGY  # of start states
@@ -38,7 +38,7 @@ def settings_from_facts(facts: Mapping[str, str]) -> tuple[Settings, list[str]]:
     """
     Read the settings, with a default for each that is missing or unreadable.
 
-    :return: the settings, and a sentence on each that had to be assumed.
+    :return: the settings, and a sentence on each default.
     """
     settings, assumed = Settings(), []
     limits = [each.name for each in fields(Thresholds)]

@@ -1,4 +1,4 @@
-"""Work done side by side by processes of this machine, which end with the one that began them."""
+"""Parallel work in processes of this machine, which end with the process that started them."""
 
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import as_completed, Executor, ProcessPoolExecutor
@@ -18,7 +18,7 @@ Result = TypeVar('Result')
 @contextmanager
 def processes(jobs: int = 0) -> Iterator[Executor | None]:
     """
-    Return what ``as_they_end`` has calls made by; they end with the context.
+    Start the executor for ``as_they_end``; its processes end with the context.
 
     :param jobs: number of processes; 1: this one alone, None. 0: one for each core.
     """
@@ -43,10 +43,10 @@ def as_they_end(
     calls: Sequence[Callable[[], Result]], costs: Sequence[float], executor: Executor | None
 ) -> Iterator[tuple[int, Result]]:
     """
-    Yield the number of each call and its result as it ends; the costliest are begun first.
+    Yield the number of each call and its result as it ends; the costliest start first.
 
-    :param calls: partial calls of functions of modules, so that another process can make them.
-        What one raises passes through.
+    :param calls: partial calls of module-level functions, which another process can make. Their
+        exceptions pass through.
     :param executor: makes the calls; None: they are made here, one after the other.
     """
     order = sorted(range(len(calls)), key=lambda number: -costs[number])
@@ -69,7 +69,7 @@ def all_of(
     """
     Return the result of each call, in order; parameters as of ``as_they_end`` and ``processes``.
 
-    :param report: called with how many have ended, of how many, and the name of the last one.
+    :param report: called with the number of finished calls, of all calls, and the last name.
     """
     results: dict[int, Result] = {}
     with processes(jobs) as executor:
@@ -80,7 +80,7 @@ def all_of(
 
 
 def _watch_parent() -> None:
-    """End this process with the one that began it."""
+    """End this process with the one that started it."""
     parent = multiprocessing.parent_process()
     assert parent is not None
 
@@ -93,7 +93,7 @@ def _watch_parent() -> None:
 
 @contextmanager
 def _starting() -> Iterator[None]:
-    """Have processes that are started meanwhile ignore Ctrl-C, and compute with one thread."""
+    """Let processes that start meanwhile ignore Ctrl-C, and compute with one thread."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, _ENDING)  # which they inherit
     threads = {name: os.environ.get(name) for name in _ONE_THREAD}
     os.environ.update(_ONE_THREAD)

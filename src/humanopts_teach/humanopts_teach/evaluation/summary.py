@@ -1,4 +1,4 @@
-"""What a demo writes about its lesson: ``summary.json``, and how live and offline differ."""
+"""The summary of a demo, ``summary.json``, and the differences of live and offline numbers."""
 
 from collections.abc import Mapping
 from contextlib import suppress
@@ -34,7 +34,7 @@ class PlayedEpisodes:
 @dataclass(frozen=True)
 class Live:
     """
-    What was seen while the graph ran.
+    Numbers from the running graph.
 
     :ivar options: columns ``OPTIONS``; NaN in others than ``LIVE_OPTIONS``.
     :ivar plans: columns ``PLANS``; NaN in others than ``LIVE_PLANS`` and ``SECONDS``.
@@ -47,7 +47,7 @@ class Live:
 
 def summary(live: Live, offline: BagEvaluation, bag: Mapping[str, Any]) -> dict[str, Any]:
     """
-    Return what goes into summary.json, without NaN.
+    Return the content of summary.json, without NaN.
 
     :param offline: learned, planned and played again from the bag alone, which one person taught.
     :param bag: the facts about the recording.
@@ -90,7 +90,7 @@ def differences(live: Live, offline: BagEvaluation) -> list[str]:
             called = f'the {what} {" ".join(map(repr, key[::-1]))}'
             if key not in there or key not in here:
                 found.append(
-                    f'{called} is not in {"the bag" if key in there else "what was live"}'
+                    f'{called} is not in {"the bag" if key in there else "the live numbers"}'
                 )
                 continue
             found += [

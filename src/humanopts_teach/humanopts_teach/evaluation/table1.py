@@ -1,8 +1,8 @@
 """
 Table 1 of the paper: the options that people name, tallied from bags.
 
-Section 4: people were asked for buttons that make winning easier and faster, and what they named
-was counted. In a study, people are asked so too; in a lesson, they name what they teach.
+Section 4: people were asked for buttons that make winning easier and faster, and their answers
+were counted. A study asks people the same; in a lesson, they name the options that they teach.
 """
 
 from collections.abc import Mapping, Sequence
@@ -107,10 +107,9 @@ def read_merge(path: Path) -> dict[str, str]:
 
 def named_options(bags: Sequence[Bag]) -> 'pd.DataFrame':
     """
-    Return what people named in bags, and who was there; columns ``NAMED``.
+    Return the options that people named in bags, and the participants; columns ``NAMED``.
 
-    Of a part of a study that was left and begun again, which may be in another bag, the buttons of
-    the last attempt count.
+    If a part of a study was repeated, perhaps in another bag, the last attempt counts.
 
     :raises BagError: a bag does not say which domain was played, or has several.
     """
@@ -161,7 +160,7 @@ class ButtonTable:
     rows: 'pd.DataFrame'  # the paper's in its order, then the others, most named first
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the table as JSON data; null: the paper has no such row, or nobody was there."""
+        """Return the table as JSON data; null: no such row in the paper, or no participant."""
         return {'domain': self.domain, 'people': self.people, 'rows': records(self.rows)}
 
 
@@ -207,7 +206,7 @@ def table_text(tables: Sequence[ButtonTable]) -> str:
     """Return the tables as text for a person."""
     parts = []
     for found in tables:
-        who = ', '.join(found.people) or 'nobody'
+        who = ', '.join(found.people) or 'no participants'
         rows = [
             {
                 'option': row.option,

@@ -80,7 +80,7 @@ GAMES = {  # a row for each policy in each variant of a game
     'score_high': 'float64',  # 95 % interval
     'outcomes': 'object',  # mean, low and high of each outcome of the domain, by name
     'decisions': 'float64',  # options and actions begun in a game, mean
-    'fallbacks': 'float64',  # of these, because no option could start, mean
+    'fallbacks': 'float64',  # decisions for an action because no option could start, mean
     'game_steps': 'int64',  # that planning sampled
     'seconds': 'float64',  # of the processor, of planning
 }

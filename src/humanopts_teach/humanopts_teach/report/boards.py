@@ -15,11 +15,10 @@ from matplotlib.patches import Rectangle
 import numpy as np
 from numpy.typing import NDArray
 
-ARROWS = {'up': (0, -1), 'down': (0, 1), 'left': (-1, 0), 'right': (1, 0)}  # by key: column, row
-MOST_MARKED = 24  # rows or columns up to which every cell shows what is chosen there
+ARROWS = {'up': '↑', 'down': '↓', 'left': '←', 'right': '→'}  # by key
+MOST_MARKED = 24  # rows or columns up to which every cell shows its choice
 MOST_VECTOR_CELLS = 900  # boards of more cells are drawn as a bitmap
 COLORS = 'cividis'
-ARROW: dict[str, Any] = {'angles': 'xy', 'scale_units': 'xy', 'scale': 1, 'pivot': 'mid'}
 LETTERS = string.ascii_uppercase + string.ascii_lowercase
 
 
@@ -112,30 +111,23 @@ def _draw_walls(work: Drawing, board: Board) -> None:
 def _draw_choices(
     work: Drawing, layout: BoardSlice, plan: ExactPlan, scale: Normalize
 ) -> list[int]:
-    """Mark every cell with its option's letter and the primitive action; return what is used."""
-    size = min(8.0, 55.0 / max(layout.states.shape))
-    used, arrows = set(), list[tuple[Any, ...]]()
+    """Mark every cell with its option's letter and the primitive action; return the options."""
+    size, used = min(8.0, 55.0 / max(layout.states.shape)), set()
     for row, col in np.argwhere(layout.states >= 0):
         state = layout.states[row, col]
         chosen = int(plan.solution.best[state])
         if chosen < 0:
             continue
         used.add(chosen)
+        dark = scale(plan.solution.values[state]) < 0.55
+        style: dict[str, Any] = {'color': '#ffffff' if dark else '#101418', 'va': 'center'}
         action = chosen - len(plan.options)
-        ink = '#ffffff' if scale(plan.solution.values[state]) < 0.55 else '#101418'
-        style: dict[str, Any] = {'color': ink, 'size': size}
         if chosen < len(plan.options):
             action = int(plan.options[chosen].action[state])
-            at = (col - 0.44, row - 0.44)
-            work.axes.text(*at, _letter(chosen), ha='left', va='top', **style)
+            at = col - 0.44, row - 0.3
+            work.axes.text(*at, _letter(chosen), size=size, ha='left', **style)
         primitive = plan.domain.actions[action]
-        if primitive.key in ARROWS:
-            arrow = 0.56 * np.array(ARROWS[primitive.key])
-            arrows.append((col, row, *arrow, ink))
-        else:
-            at = col, row + 0.08
-            work.axes.text(*at, primitive.name, ha='center', va='center', weight='bold', **style)
-    if arrows:
-        *ends, inks = zip(*arrows)
-        work.axes.quiver(*ends, color=inks, **ARROW)
+        arrow = ARROWS.get(primitive.key)
+        large = {'size': 2 * size} if arrow else {'size': size, 'weight': 'bold'}
+        work.axes.text(col, row + 0.08, arrow or primitive.name, ha='center', **large, **style)
     return sorted(used)

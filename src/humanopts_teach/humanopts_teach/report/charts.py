@@ -62,7 +62,7 @@ def _chart(
     """
     Draw a figure of one plot.
 
-    :param label: what it shows, for people who do not see it.
+    :param label: description for people who do not see it.
     :param grid: axis that has lines.
     :param axes: title and names of the axes.
     """
@@ -76,8 +76,7 @@ def learning_curves(option: OptionEvaluation, name: str) -> list[str]:
     """
     Return one SVG for each criterion, one of the accuracies and one of the gain where known.
 
-    Of several rows after as many trajectories (between them came "not here" answers) the last is
-    drawn.
+    After "not here" answers, several rows have the same number of trajectories: the last is drawn.
     """
     points = option.learning[option.learning['n_demonstrations'] > 0]
     points = points.drop_duplicates('n_demonstrations', keep='last').set_index('n_demonstrations')
@@ -196,7 +195,7 @@ def _intervals(
     rows: pd.DataFrame, name: str, title: str, unit: str, row_height: float = ROW_HEIGHT
 ) -> str:
     """
-    Draw means and their intervals, if there are any, by name; series beside one another.
+    Draw means and their intervals, if there are any, by name and series.
 
     :param rows: columns mean, low, high, series; by name.
     """
@@ -231,7 +230,7 @@ def _style(index: int) -> dict[str, Any]:
 
 def sweep_figure(plans: Mapping[str, ExactPlan], name: str) -> str:
     """
-    Return the residual of each sweep; empty where it would take long, or there are no plans.
+    Return the residual of each sweep; empty if that would take long, or without plans.
 
     :param plans: with exact models, by name; they are made again, sweep by sweep.
     """

@@ -60,7 +60,7 @@ def read_last_episode(bag: Bag) -> list[Frame]:
 
 def _frames(episode: Episode, runs: Sequence[Any], actors: Actors) -> list[Frame]:
     """
-    Return what is seen, step by step.
+    Return the frames, step by step.
 
     :param runs: messages OptionResult; one without an option's name is of modules.
     :param actors: the modules that sent the commands.

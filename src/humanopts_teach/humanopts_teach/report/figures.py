@@ -14,7 +14,7 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.rcsetup import cycler
 
-# Colours that stand for the page's own; the SVG refers to them by CSS variable.
+# Placeholders for the colours of the page, which the SVG names by CSS variable.
 INK, MUTED, GRID, PAPER = '#010101', '#020202', '#030303', '#040404'
 SERIES = ('#0101a1', '#0101a2', '#0101a3', '#0101a4', '#0101a5', '#0101a6')
 VARIABLES = {
@@ -55,7 +55,7 @@ SETTINGS: dict[Any, Any] = {
 
 @cache
 def light_colours() -> dict[str, str]:
-    """Return what stands for each of ``VARIABLES`` on a light page."""
+    """Return the value of each of ``VARIABLES`` on a light page."""
     first = page_style().split('@media')[0]
     values = dict(re.findall(r'(--[a-z0-9]+): (#[0-9a-f]{6})', first))
     return {colour: values[variable] for colour, variable in VARIABLES.items()}
@@ -92,7 +92,7 @@ def drawing(name: str, label: str, width: float, height: float) -> Iterator[Draw
     Draw a figure.
 
     :param name: makes the identifiers inside the SVG differ from those of other figures.
-    :param label: what it shows, for people who do not see it.
+    :param label: description for people who do not see it.
     :param width: inches, as is ``height``; the page scales it.
     """
     with matplotlib.rc_context({**SETTINGS, 'svg.hashsalt': name}):

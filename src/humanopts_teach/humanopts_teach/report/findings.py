@@ -27,8 +27,8 @@ def findings(
     """
     Return the findings of a report, the most important first.
 
-    :param live: what was seen while teaching; None: it is not known.
-    :param topics: of the bag; none: they are not known.
+    :param live: numbers from the running graph; None: unknown.
+    :param topics: of the bag; none: unknown.
     """
     different = [] if live is None else differences(live, evaluation)
     plans = plans_by_name(plans_shown(evaluation, live))
@@ -56,7 +56,7 @@ def plans_by_name(plans: 'pd.DataFrame') -> dict[str, Any]:
 
 @cache
 def _words() -> Any:
-    """Return the macros of the template, with what they calculate by."""
+    """Return the macros of the template, with the functions that they call."""
     known: dict[str, Any] = {
         'counted': counted,
         'mark': MARKS.get,
@@ -76,7 +76,7 @@ def _words() -> Any:
 
 
 def _lost(loss: Interval) -> str:
-    """Return what is lost within each episode in words."""
+    """Return a loss within each episode in words."""
     if loss.low == loss.high == 0.0:
         return 'lose nothing'
     words = {True: 'lose', False: 'gain', None: 'are not distinguishable: they lose'}

@@ -1,4 +1,4 @@
-"""What all pages share: style sheet, templates, findings, and how numbers are written."""
+"""Shared parts of all pages: style sheet, templates, findings, and numbers as text."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -25,8 +25,8 @@ def render(package: str, name: str, values: dict[str, Any]) -> str:
     """
     Return a page from a template of a package, which may extend ``base.html`` of this one.
 
-    Templates know the functions of this module that write numbers, and ``markup`` for what is
-    HTML or SVG already; everything else that is filled in is escaped.
+    Templates have the functions of this module that write numbers, and ``markup`` for HTML or SVG;
+    all other values are escaped.
     """
     return templates(package).get_template(name).render(values)
 

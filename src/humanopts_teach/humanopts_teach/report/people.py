@@ -1,4 +1,4 @@
-"""What people showed."""
+"""The demonstrations that people gave."""
 
 from humanopts_learner.demonstrations import Demonstration, each_once, Kind
 from humanopts_learner.intervals import Interval
@@ -7,7 +7,7 @@ from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, OptionEvalu
 
 def shown_demonstrations(evaluation: BagEvaluation) -> list[tuple[Demonstration, str]]:
     """
-    Return all demonstrations, each once, and what became of each in words.
+    Return all demonstrations, each once, with a word on the use of each.
 
     They are sorted by person and option as these came, and by number.
     """
@@ -41,7 +41,7 @@ def teachers(evaluation: BagEvaluation) -> list[tuple[OptionEvaluation, int, Int
     """
     Return each option of each person, those of a name together; none where one person taught.
 
-    Beside it are how many of its demonstrations were taken back, and the return of those shown.
+    :return: the option, the number of its withdrawn demonstrations, and the return shown.
     """
     if len(evaluation.people) < 2:
         return []

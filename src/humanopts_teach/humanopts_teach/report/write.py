@@ -45,7 +45,7 @@ class ReportData:
 
     title: str
     evaluation: BagEvaluation
-    live: Live | None = None  # what was seen while teaching
+    live: Live | None = None  # numbers from the running graph
     frames: Sequence[Frame] = ()  # one episode
     topics: Sequence[TopicRow] = ()
     provenance: Mapping[str, str] = field(default_factory=dict)  # name -> text, such as versions
@@ -57,9 +57,9 @@ def write_evaluation_report(
     """
     Write a report that needs no other file and no network.
 
-    :param bag: its recording and last episode are shown; None: they are not known.
-    :param live: what was seen while teaching; None: it is not known.
-    :return: what the report shows.
+    :param bag: for its recording and last episode; None: unknown.
+    :param live: numbers from the running graph; None: unknown.
+    :return: the content of the report.
     :raises SummaryError: the file cannot be written.
     :raises StateError: a recorded state is not of the domain.
     """
@@ -131,7 +131,7 @@ def render_report(data: ReportData) -> str:
 
 
 def _versions() -> list[str]:
-    """Return the software that the numbers come from, as far as it is known."""
+    """Return the versions of the software, as far as they are known."""
     now, names = software(), ('Python', 'NumPy', 'scikit-learn')
     versions = {**{name: now[name.lower()] for name in names}, 'humanopts': now[OWN_VERSION]}
     return [f'{name} {version}' for name, version in versions.items() if version != UNKNOWN]
