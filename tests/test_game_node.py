@@ -188,7 +188,7 @@ def test_control_that_nobody_renews_ends_within_two_seconds(player: Player, shar
     player.do('south', PERSON, publisher_id='pub')  # as ros2 topic pub does, once
     assert player.controls[-1].holder_id == 'pub'
     shared.until(lambda: not player.controls[-1].holder, 'control to be free')
-    assert player.controls[-1].reason == 'pub is silent, and has not renewed its control'
+    assert player.controls[-1].reason == 'pub is silent and has not renewed its control'
     assert 1.0 < seconds_between(*player.controls[-2:]) < 2.5
     assert taken(player.do('south'))[0] == 2
 

@@ -338,7 +338,7 @@ class Game:
 
     def _ending(self) -> str:
         if self.transition.episode == 0:
-            return 'no episode was begun; call reset_game'
+            return 'no episode has begun; call reset_game'
         why = 'the task is over' if self.transition.terminated else 'it was cut off at max_steps'
         return f'episode {self.transition.episode} has ended: {why}; call reset_game'
 
@@ -350,14 +350,14 @@ def _no_such_source(source: int) -> str:
 Result = Accepted | Refused
 
 
-LONGEST_PERIOD = 60.0  # s between steps of the machine
+MAX_PERIOD = 60.0  # s between steps of the machine
 
 
 class Pacing:
     """
     Delays one command of a machine at a time; commands of a person are never delayed.
 
-    A person who watches can change the pace, have the machine wait, and let single steps through.
+    A person who watches can change the pace, pause the machine and single-step it.
 
     A step belongs to the first command that answers it, as without pacing: while that one waits,
     others for the same step are refused as stale. A command that would be refused anyway does not
@@ -365,7 +365,7 @@ class Pacing:
 
     :ivar waiting: the delayed command; None: there is none.
     :ivar period: least time between steps of the machine, s.
-    :ivar paused_by: publisher id of the terminal that has the machine wait; empty: none.
+    :ivar paused_by: publisher id of the terminal that paused the machine; empty: none.
     """
 
     def __init__(self, game: Game, period: float = 0.0) -> None:
@@ -373,16 +373,16 @@ class Pacing:
         self.waiting: Command | None = None
         self.period = period
         self.paused_by = ''
-        self._steps = 0  # that are let through while it waits
+        self._steps = 0  # allowed while it is paused
 
     def set_pace(self, period: float, paused_by: str, steps: int = 0) -> list[Result]:
         """
         Change the pace.
 
-        :param period: 0 to LONGEST_PERIOD, s.
-        :param paused_by: publisher id of the terminal that has the machine wait; empty: none.
-        :param steps: that are let through first, where it waits.
-        :return: the result of a delayed command that need not wait any more.
+        :param period: 0 to MAX_PERIOD, s.
+        :param paused_by: publisher id of the terminal that pauses the machine; empty: none.
+        :param steps: single steps that are allowed while it is paused.
+        :return: the result of a delayed command that is carried out now.
         """
         self.period, self.paused_by = period, paused_by
         self._steps = steps if paused_by else 0
@@ -410,7 +410,7 @@ class Pacing:
         return results if self.period and not self._steps else results + self.due()
 
     def due(self) -> list[Result]:
-        """Carry out the delayed command, if there is one and the person lets it through."""
+        """Carry out the delayed command, if there is one and it is not held by a pause."""
         command = self.waiting
         if command is None:
             return []

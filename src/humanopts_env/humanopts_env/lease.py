@@ -1,23 +1,23 @@
-"""Control of the game is a lease: it ends when its holder does not renew it."""
+"""Control of the game is a lease: it ends unless its holder renews it."""
 
 from collections import OrderedDict
 
-CHECKS = 7  # checks without a sign of the holder, after which its control ends
-MOST_KNOWN = 1000  # publishers that are remembered
+CHECKS = 7  # checks without a message of the holder, after which its control ends
+MAX_KNOWN = 1000  # publishers that are remembered
 
 
 class Lease:
     """
-    The lease of control, whose holder renews it by whatever it publishes.
+    The lease of control; any message of its holder renews it.
 
-    Silence is counted in looks and not in seconds, so that a game that was stopped itself does not
-    take its own delay for that of the holder. A publisher is a node and a random part that changes
+    Silence is counted in checks, not in seconds, so that a game that was stopped itself does not
+    blame the holder for its own delay. A publisher is a node and a random part that changes
     when the node is started again: ``/keyboard_teleop#1f0c33aa``.
     """
 
     def __init__(self) -> None:
         self._holder = ''
-        self._silent = 0  # checks since the last sign of the holder
+        self._silent = 0  # checks since the last message of the holder
         self._known: OrderedDict[str, None] = OrderedDict()  # publishers of statuses
 
     def begin(self, holder_id: str) -> None:
@@ -29,7 +29,7 @@ class Lease:
         return publisher_id in self._known
 
     def renew(self, publisher_id: str) -> None:
-        """Count a sign of a publisher; it matters where it is the holder."""
+        """Note a message of a publisher; if it is the holder, the lease goes on."""
         if publisher_id == self._holder:
             self._silent = 0
 
@@ -38,14 +38,14 @@ class Lease:
         Count a status of a publisher.
 
         :param ended: it is the last one.
-        :return: why the holder's control ends now; empty: it does not.
+        :return: why the lease ends now; empty: it does not.
         """
         self.renew(publisher_id)
         new = publisher_id not in self._known
         self._known[publisher_id] = None
         if ended:
             del self._known[publisher_id]
-        elif len(self._known) > MOST_KNOWN:
+        elif len(self._known) > MAX_KNOWN:
             self._known.popitem(last=False)
         if not self._holder:
             return ''
@@ -55,11 +55,11 @@ class Lease:
         return f'{_node(publisher_id)} was started again' if again else ''
 
     def check(self) -> str:
-        """Count a check; return why the holder's control ends now, or nothing."""
+        """Count a check; return why the lease ends now, or an empty text."""
         self._silent += 1
         if not self._holder or self._silent < CHECKS:
             return ''
-        return f'{self._holder} is silent, and has not renewed its control'
+        return f'{self._holder} is silent and has not renewed its control'
 
 
 def _node(publisher_id: str) -> str:

@@ -112,7 +112,7 @@ def marks_are_in_open_cells_and_what_cannot_move_is_always_the_same(seen: Eviden
     assert len(fixed) == 1, 'size, blocks, walls or colour of the board change'
 
 
-def a_board_shows_the_features_that_it_may_and_nothing_else(seen: Evidence) -> None:
+def a_board_shows_the_chosen_features_and_nothing_else(seen: Evidence) -> None:
     domain, states = seen.domain, seen.states
     rows = np.array([domain.feature_values(state) for state in states]).tolist()
     single = [{feature.name} for feature in domain.features]
@@ -259,7 +259,7 @@ def a_search_space_is_whole(seen: Evidence) -> None:
     assert not space.events or space.status.max() < len(space.events), 'an event has no name'
 
 
-def the_effect_of_a_step_is_told_in_a_few_words(seen: Evidence) -> None:
+def an_effect_is_described_in_a_few_words(seen: Evidence) -> None:
     domain = seen.domain
     for state, action, outcome in seen.steps if isinstance(domain, HasStepEffects) else ():
         effect = step_effect(domain, state, action, outcome.state)
@@ -272,7 +272,7 @@ def the_effect_of_a_step_is_told_in_a_few_words(seen: Evidence) -> None:
         assert step_effect(domain, again[0], action, again[1]) == effect, f'{where} changes'
 
 
-def what_is_said_to_people_is_short_and_said_once(seen: Evidence) -> None:
+def texts_are_short_and_unique(seen: Evidence) -> None:
     """Options to teach, groups of features, and the explanation of the game."""
     domain = seen.domain
     if isinstance(domain, HasTeachingDefaults):
@@ -312,14 +312,14 @@ DOMAIN_CLAIMS = (
     sampled_states_are_never_over_and_depend_on_the_generator_alone,
     not_every_state_can_follow,
     marks_are_in_open_cells_and_what_cannot_move_is_always_the_same,
-    a_board_shows_the_features_that_it_may_and_nothing_else,
+    a_board_shows_the_chosen_features_and_nothing_else,
     tables_agree_with_states_and_steps,
     layouts_are_as_large_as_the_board_and_leave_out_its_blocks,
     many_games_are_single_games,
     games_with_one_chance_play_by_the_rules_and_stay_over,
     a_search_space_is_whole,
-    the_effect_of_a_step_is_told_in_a_few_words,
-    what_is_said_to_people_is_short_and_said_once,
+    an_effect_is_described_in_a_few_words,
+    texts_are_short_and_unique,
     baselines_play_the_same_game,
 )
 
@@ -357,7 +357,7 @@ def each_has_a_name_a_definition_and_features_in_order(seen: OptionEvidence) -> 
     for name, option in seen.options.items():
         good = option.name == name == name.strip().lower() != ''
         assert good, f'{name!r} is not the lower-case name {option.name!r}'
-        assert option.definition.endswith('.'), f'the definition of {name} is no sentence'
+        assert option.definition.endswith('.'), f'the definition of {name} is not a sentence'
         chosen = [names[column] for column in feature_columns(seen.domain, option.features)]
         assert list(option.features) == chosen != [], f'the features of {name} are out of order'
     if isinstance(seen.domain, HasTeachingDefaults):
@@ -367,14 +367,14 @@ def each_has_a_name_a_definition_and_features_in_order(seen: OptionEvidence) -> 
 
 def each_acts_where_it_can_start_and_has_ended_elsewhere(seen: OptionEvidence) -> None:
     for name, said in seen.judged.items():
-        assert said.initiation.any(), f'{name} can start nowhere'
+        assert said.initiation.any(), f'{name} cannot start anywhere'
         acts = np.array_equal(said.optimal.any(axis=1), said.initiation)
         assert acts, f'{name} has no optimal action where it can start, or one elsewhere'
         ended = (said.initiation | said.termination).all()
         assert ended, f'{name} can neither start nor has it ended'
 
 
-def its_features_tell_where_each_starts_and_ends(seen: OptionEvidence) -> None:
+def its_features_determine_where_each_starts_and_ends(seen: OptionEvidence) -> None:
     rows = np.array([seen.domain.feature_values(state) for state in seen.states])
     for name, option in seen.options.items():
         columns = feature_columns(seen.domain, option.features)
@@ -425,7 +425,7 @@ def one_state_is_judged_as_many_are(seen: OptionEvidence) -> None:
 OPTION_CLAIMS = (
     each_has_a_name_a_definition_and_features_in_order,
     each_acts_where_it_can_start_and_has_ended_elsewhere,
-    its_features_tell_where_each_starts_and_ends,
+    its_features_determine_where_each_starts_and_ends,
     every_run_comes_to_its_end,
     one_state_is_judged_as_many_are,
 )

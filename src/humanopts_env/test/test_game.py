@@ -18,7 +18,7 @@ from humanopts_env.game import (
     Source,
     Transition,
 )
-from humanopts_env.lease import CHECKS, Lease, MOST_KNOWN
+from humanopts_env.lease import CHECKS, Lease, MAX_KNOWN
 from humanopts_interfaces.msg import ActionRefusal, ControlState, GameState
 from humanopts_interfaces.srv import ResetGame, SetControl
 import pytest
@@ -280,7 +280,7 @@ def looks(lease: Lease, count: int) -> list[str]:
 def test_it_ends_after_so_many_looks_without_a_sign() -> None:
     *before, last = looks(leased(HOLDER), CHECKS)
     assert not any(before)
-    assert last == '/anna#1 is silent, and has not renewed its control'
+    assert last == '/anna#1 is silent and has not renewed its control'
 
 
 def test_whatever_the_holder_publishes_renews_it_and_nobody_else() -> None:
@@ -307,7 +307,7 @@ def test_who_told_its_life_is_known_until_it_ends_and_not_more_than_memory_allow
     assert (lease.knows(HOLDER), lease.knows(OTHER)) == (True, False)
     lease.note_status(HOLDER, ended=True)
     assert not lease.knows(HOLDER)
-    for number in range(MOST_KNOWN + 1):
+    for number in range(MAX_KNOWN + 1):
         lease.note_status(f'/many#{number}')
     assert not lease.knows('/many#0')
     assert lease.knows('/many#1')

@@ -36,7 +36,7 @@ GAME = (
             'taxi 2,2 passenger R destination B',
             'pickup',
             '',
-            'no effect: nobody here to pick up',
+            'no effect: no passenger here',
         ),
         (
             TAXI,
@@ -71,7 +71,7 @@ GAME = (
             'taxi 0,0 passenger R destination B',
             'dropoff',
             '',
-            'no effect: nobody aboard to let out',
+            'no effect: no passenger aboard',
         ),
         (TAXI, 'taxi 0,0 passenger R destination B', 'west', '', 'no effect: wall: nothing moved'),
         (TAXI, 'taxi 0,1 passenger R destination B', 'east', '', 'no effect: wall: nothing moved'),

@@ -1,16 +1,16 @@
 """
-Capabilities that a domain may have beside its rules; the learner and the teaching tools use them.
+Optional capabilities of domains, used by the learner and the teaching tools.
 
 A domain has a capability by having the method or attribute; nothing is registered.
 
-- ``HasBoard``: it says what is where on its board, so that it can be drawn.
+- ``HasBoard``: it has a board that can be drawn.
 - ``HasPlanningFeatures``: its games have features for planning alone.
 - ``HasPrimitiveColumns``: it names what plans with primitive actions see of its features.
 - ``HasSearchSpace``: it defines where subgoals of automatic options are searched for.
 - ``HasTeachingDefaults``: it names the options to teach.
 - ``HasBaselines``: it names the baselines of plans, and the variants of the game to compare in.
-- ``HasActionMask``: it tells which actions can change something, where states cannot be listed.
-- ``HasStepEffects``: it tells in words what a step did.
+- ``HasActionMask``: it says which actions can change something, if states cannot be listed.
+- ``HasStepEffects``: it describes the effect of a step.
 - ``HasExplanation``: it explains the game and the signs on the board.
 - ``HasFeatureGroups``: it groups its features, so that a person is asked about a group first.
 
@@ -125,7 +125,7 @@ class HasBaselines(Protocol):
 
 @runtime_checkable
 class HasActionMask(Protocol):
-    """A domain that tells which actions can change something."""
+    """A domain that says which actions can change something."""
 
     def action_mask(self, state: Any) -> NDArray[np.int8]:
         """Return (A,): 1 for those that can."""
@@ -141,14 +141,14 @@ class StepEffect:
 
 @runtime_checkable
 class HasStepEffects(Protocol):
-    """A domain that tells in words what a step did."""
+    """A domain that describes the effect of a step."""
 
     def step_effect(self, state: Any, action: int, successor: Any) -> StepEffect:
         """Return what a step from ``state`` did that led to ``successor``."""
 
 
 def step_effect(domain: ActableDomain, state: Any, action: int, successor: Any) -> StepEffect:
-    """Return what a step did; the name of its action where the domain has no words for it."""
+    """Return the effect of a step; by default the name of its action."""
     if isinstance(domain, HasStepEffects):
         return domain.step_effect(state, action, successor)
     return plain_effect(domain, state, action, successor)
@@ -185,7 +185,7 @@ class FeatureGroup:
 
 @runtime_checkable
 class HasFeatureGroups(Protocol):
-    """A domain with so many features that a person is asked about groups of them first."""
+    """A domain with many features: people are asked about groups of them first."""
 
     feature_groups: Sequence[FeatureGroup]  # a feature is in one group at most
 

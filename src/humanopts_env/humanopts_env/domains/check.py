@@ -235,8 +235,8 @@ def _check_description(domain: ActableDomain) -> None:
     json.dumps(dict(domain.parameters))
     expect(0 < domain.gamma <= 1, f'gamma is {domain.gamma}, not above 0 and at most 1')
     expect(domain.max_steps >= 0, f'max_steps is {domain.max_steps}')
-    expect(all(isinstance(f, Feature) for f in domain.features), 'a feature is no Feature')
-    expect(all(isinstance(a, Action) for a in domain.actions), 'an action is no Action')
+    expect(all(isinstance(f, Feature) for f in domain.features), 'a feature is not a Feature')
+    expect(all(isinstance(a, Action) for a in domain.actions), 'an action is not an Action')
     for kind, names in (
         ('feature', [feature.name for feature in domain.features]),
         ('action', [action.name for action in domain.actions]),
@@ -257,7 +257,7 @@ def _check_description(domain: ActableDomain) -> None:
     keys = [action.key for action in domain.actions]
     _expect_distinct(keys, 'two actions have one key')
     for key in keys:
-        expect(len(key) == 1 or key in NAMED_KEYS, f'{key!r} is no key')
+        expect(len(key) == 1 or key in NAMED_KEYS, f'{key!r} is not a key')
 
 
 def _expect_distinct(texts: Iterable[str], breach: str) -> None:

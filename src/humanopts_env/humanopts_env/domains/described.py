@@ -1,8 +1,8 @@
 """
-Domains that are known only from what they publish, such as a robot or a simulator on the graph.
+Domains that are known only by what they publish, such as a robot or a simulator on the graph.
 
-They can be acted in. What needs their rules, such as planning, asks ``simulated`` for them, which
-says so where there are none.
+They can be acted in. Code that needs rules, such as planning, calls ``simulated``, which raises an
+error for such a domain.
 """
 
 from collections.abc import Mapping, Sequence

@@ -137,7 +137,7 @@ class Rooms(TableDomain[RoomsState]):
         marks = [Mark((self.goal.row, self.goal.col), FLAG, 'goal', TEAL)]
         if seen := {'row', 'col'} <= values.keys():
             marks.insert(0, Mark((state.row, state.col), PERSON, 'agent', ORANGE))
-        notes = () if seen else in_words(values)  # the agent's cell tells all
+        notes = () if seen else in_words(values)  # the cell determines the other features
         return Board(len(LAYOUT), len(LAYOUT[0]), WALLS, (), tuple(marks), notes, GREY)
 
     def step_effect(self, state: RoomsState, action: int, successor: RoomsState) -> StepEffect:

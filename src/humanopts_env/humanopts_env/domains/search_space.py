@@ -1,5 +1,5 @@
 """
-The search space of subgoals: the states of the random tasks, and how their visits are counted.
+The search space of subgoals: the states of the random tasks, and how visits are counted.
 
 S states, K cells, M situations. In every domain, visits are counted by the agent's cell. A step
 that changes a status (Taxi: whether the passenger is aboard) is an event. Initiation sets consist

@@ -89,7 +89,7 @@ def best_ways(
         way from each state, allowed or not; optimal (S, A), the first actions of best ways.
     """
     n_states, chance = len(allowed), not transitions.deterministic
-    goal_place, nowhere = n_states, n_states + 1  # behind the states, in what each is worth
+    goal_place, nowhere = n_states, n_states + 1  # after the states in ``worth``
     leads_to = np.where(allowed[transitions.successor], transitions.successor, nowhere)
     leads_to[goal] = goal_place
     leads_to = np.ascontiguousarray(leads_to.transpose(2, 1, 0), dtype=np.intp)  # (B, A, S): quick

@@ -135,8 +135,8 @@ class Taxi(SharedTables[TaxiState]):
     Taxi on a grid of any size, an ``EnumerableDomain``.
 
     The landmarks are R and G in the north-west and north-east corners, Y in the south-west corner
-    and B one column west of the south-east corner. Walls stand on the east side of three columns:
-    of column 2C//5 - 1 in the first 2R//5 rows, and of columns C//5 - 1 and 3C//5 - 1 in the last
+    and B one column west of the south-east corner. Three columns have walls on their east side:
+    column 2C//5 - 1 in the first 2R//5 rows, and columns C//5 - 1 and 3C//5 - 1 in the last
     2R//5 rows (R rows, C columns; a column -1 has no wall). With 5 x 5 this is Dietterich's grid.
 
     States are numbered ((row * C + col) * 5 + passenger) * 4 + destination.
@@ -209,7 +209,7 @@ class Taxi(SharedTables[TaxiState]):
         marks += [
             Mark(cell, letter, 'landmarks', LANDMARK_COLOURS[letter])
             for letter, cell in landmark_cells(self.rows, self.cols).items()
-            if list(cells.values()).count(cell) < 3  # there is no room for more
+            if list(cells.values()).count(cell) < 3  # a cell shows three marks
         ]
         notes = in_words(values, seen)
         return Board(self.rows, self.cols, (), self._walls, tuple(marks), notes)
@@ -238,11 +238,11 @@ class Taxi(SharedTables[TaxiState]):
             if state.passenger == ABOARD:
                 return StepEffect('the passenger is aboard already', changed=False)
             if successor.passenger != ABOARD:
-                return StepEffect('nobody here to pick up', changed=False)
+                return StepEffect('no passenger here', changed=False)
             return StepEffect('picked the passenger up')
         if action == DROPOFF:
             if state.passenger != ABOARD:
-                return StepEffect('nobody aboard to let out', changed=False)
+                return StepEffect('no passenger aboard', changed=False)
             if successor.passenger == ABOARD:
                 where = f'{", ".join(LANDMARKS[:-1])} and {LANDMARKS[-1]}'
                 return StepEffect(f'passengers get out only at {where}', changed=False)

@@ -13,7 +13,7 @@ from humanopts_env.game import (
     Control,
     Game,
     Holder,
-    LONGEST_PERIOD,
+    MAX_PERIOD,
     Pacing,
     Result,
     Source,
@@ -44,13 +44,13 @@ from humanopts_ros.qos import CURRENT, LATCHED, STREAM
 from humanopts_ros.senders import Role
 from rclpy.parameter import Parameter
 
-_SAY_AGAIN = 1.0  # s between looks whether a message is to be published again
-_LEASE_PERIOD = 0.25  # s between looks whether the holder of control has renewed it
+_RETRY_PERIOD = 1.0  # s between attempts to publish again
+_LEASE_PERIOD = 0.25  # s between checks of the leases
 _SHOW_PERIOD = 0.02  # s, least time between current states while the machine plays
 
 
 class GameNode(NodeBase):
-    """Publishes the states of the game, and refuses other commands with the reason."""
+    """Publishes the states of the game, and answers every command with a state or a refusal."""
 
     role: ClassVar[Role] = 'game'
 
@@ -62,7 +62,7 @@ class GameNode(NodeBase):
             'step_period',
             0.0,
             'least time between steps of the machine, s, for people who watch',
-            (0.0, LONGEST_PERIOD),
+            (0.0, MAX_PERIOD),
             on_change=self._on_step_period,
         )
         self._info = self.stamped_publisher(DomainInfo, 'domain_info', LATCHED)
@@ -78,7 +78,7 @@ class GameNode(NodeBase):
         self._unsent: dict[StampedPublisher[Any], deque[Any]] = {t: deque() for t in topics}
         self._pacing = Pacing(self._game, period)
         self._pace = self.create_timer(period or 1.0, self._on_pace, autostart=False)
-        self.create_timer(_SAY_AGAIN, self._say_again)
+        self.create_timer(_RETRY_PERIOD, self._publish_again)
         self._lease, self._pause_lease = Lease(), Lease()
         self._lease_timer = self.create_timer(_LEASE_PERIOD, self._check_lease, autostart=False)
         self._show_timer = self.create_timer(_SHOW_PERIOD, self._show, autostart=False)
@@ -154,9 +154,9 @@ class GameNode(NodeBase):
     def _on_set_pace(
         self, request: SetPace.Request, response: SetPace.Response
     ) -> SetPace.Response:
-        if not 0.0 <= request.step_period <= LONGEST_PERIOD:
+        if not 0.0 <= request.step_period <= MAX_PERIOD:
             response.status = response.STATUS_BAD_PERIOD
-            response.detail = f'step_period is {request.step_period}, not 0 to {LONGEST_PERIOD} s'
+            response.detail = f'step_period is {request.step_period}, not 0 to {MAX_PERIOD} s'
         elif request.paused and not self._is_there(request.holder_id):
             response.status = response.STATUS_NOT_HOLDER
             response.detail = f'no node {shown(request.holder_id)!r} is there to have it wait'
@@ -180,12 +180,12 @@ class GameNode(NodeBase):
         self._send_results(results)
 
     def _is_there(self, publisher_id: str) -> bool:
-        """Return whether a node has told its life under this id, or is listed by its name."""
+        """Return whether a node has published a status under this id, or is on the graph."""
         known = self._lease.knows(publisher_id)
         return known or publisher_id.partition('#')[0] in self.nodes_there()
 
     def _on_status(self, status: NodeStatus) -> None:
-        """Renew what a node holds that tells its life, or free what one held that ended."""
+        """Renew the leases of a live node; end those of a stopped one."""
         ended = status.state == NodeStatus.STATE_STOPPING
         leases = self._lease, self._pause_lease
         self._release(*(lease.note_status(status.publisher_id, ended=ended) for lease in leases))
@@ -225,11 +225,11 @@ class GameNode(NodeBase):
             self._send(self._current, self._unshown)
             self._unshown = None
 
-    def _say_again(self) -> None:
+    def _publish_again(self) -> None:
         """
         Publish what could not be published.
 
-        What is current is published again while somebody else publishes in its place.
+        Current values are published again while another node publishes on their topics.
         """
         if any(self._unsent.values()):
             self._retry()

@@ -1,4 +1,4 @@
-"""What a node reads of the game: one game in a namespace, and only what the game itself sends."""
+"""A node's view of the game in its namespace: only messages of the game itself are accepted."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from humanopts_env.domains.described import can_simulate
 from humanopts_env.domains.registry import parameters_json
 from humanopts_env.game import (
     check_transition,
-    LONGEST_PERIOD,
+    MAX_PERIOD,
     Transition,
     transition_from_message,
 )
@@ -26,8 +26,8 @@ from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
 
 _LOOK_PERIOD = 0.1  # s between looks at the graph while messages wait for it to list their game
-_LATE = 5.0  # s after which a publisher is named that the graph does not list as a game
-_MAX_EARLY = 100  # messages that wait, and publishers that are named
+_LATE = 5.0  # s after which a publisher that is not listed as a game is reported
+_MAX_EARLY = 100  # waiting messages, and reported publishers
 _UNLISTED = 'no game on the graph has this publisher_id'
 T = TypeVar('T')
 V = TypeVar('V')
@@ -65,8 +65,8 @@ class GameSubscriber:
         self.domain: ActableDomain | None = None
         self.publisher_id = ''
         self._node, self._on_domain = node, on_domain
-        # Messages that came too early, each with what is called with it: the newest by topic and
-        # publisher. Before the rules are known, states are of no use.
+        # The newest early message of each topic and publisher, and the function that reads it
+        # again once the game and its rules are known.
         self._early: dict[tuple[str, str], tuple[Any, Callable[[Any], object]]] = {}
         # Since when publishers wait to be listed as a game, s; -inf: they were named as strangers.
         self._unlisted: dict[str, float] = {}
@@ -141,7 +141,7 @@ class GameSubscriber:
         """Subscribe to who holds control, and to the pace of the machine."""
 
         def read(message: ControlState) -> ControlState:
-            if not 0.0 <= message.step_period <= LONGEST_PERIOD:
+            if not 0.0 <= message.step_period <= MAX_PERIOD:
                 raise ValueError(f'its step_period is {message.step_period}')
             return message
 
@@ -193,7 +193,7 @@ class GameSubscriber:
             self._look_timer.reset()
 
     def _look(self) -> None:
-        """Use what came early and is listed as the game's by now; name what is not for long."""
+        """Read early messages again; report publishers that stay unlisted."""
         early, self._early = self._early, {}
         self._look_timer.cancel()
         now = self._node.monotonic()

@@ -12,8 +12,8 @@ PACMAN, FRUIT, LIFE, LOST = 'C', '♣', '♥', '♡'
 GHOSTS, SCARED = 'ΩΨΦΔ', 'ωψφδ'
 GHOST_COLOURS = (RED, MAGENTA, TEAL, GREEN)
 EXPLANATION = (
-    ('', 'Eat all the food. A ghost that meets you takes a life.'),
-    (PACMAN, 'Pac-Man, whom you drive'),
+    ('', 'Eat all the food. A ghost that touches you costs a life.'),
+    (PACMAN, 'Pac-Man: you'),
     (DOT, 'food: 10 points'),
     (BALL, 'a power pill: 50 points; it scares the ghosts for a while'),
     (FRUIT, 'fruit, which is there for a short time: 100 points'),

@@ -10,7 +10,7 @@ There are two lists. Directions hand a policy over: the first move of a shortest
 "go to the closest food" does, and a few demonstrations are enough to copy it; they mean the same
 in every maze. ``PAPER`` has what Subramanian, Isbell and Thomaz (2011, section 3) name: positions
 and how long ghosts are scared. A policy over positions has to be shown cell by cell, and belongs
-to one maze. What the last step ate is in both: nothing else tells that food was eaten.
+to one maze. What the last step ate is in both lists: no other feature shows that food was eaten.
 """
 
 from collections.abc import Sequence
@@ -36,7 +36,7 @@ THINGS = {  # prefix of feature names: what it is to a person
     'prey': 'the nearest scared ghost',
 }
 STEPS, NUMBER, FIRST = 16, 3, 7  # bits of a key: from where on steps and a number are; the first
-FEW = 9  # things; their least key is found one thing after the other
+FEW = 9  # things, whose keys are compared one by one
 
 
 def in_paper(name: str) -> bool:
@@ -107,7 +107,7 @@ class FeatureReader:
         self.rules = rules
         maze, paths, groups = rules.maze, rules.paths, len(rules.maze.homes)
         count, none = len(maze.cells), paths.longest + 1  # the value of a distance to nothing
-        # One more cell, C, stands for nothing at all.
+        # Cell C is that of a thing that is absent.
         self._place = np.array([*maze.cells, (maze.rows, maze.cols)], dtype=np.int32).T.copy()
         first = np.pad(FIRST_MOVE[paths.shortest], ((0, 0), (0, 1)), constant_values=NOWHERE)
         steps = np.pad(paths.distance.astype(np.int32), ((0, 0), (0, 1)), constant_values=none)

@@ -1,12 +1,11 @@
 """
-Many games of Pac-Man at once for planning from samples: play, state abstractions, sampled games.
+Many games of Pac-Man at once: play, planning features, sampled states.
 
-The abstraction for options has buckets of the distances, times and numbers that decide which
-option is worth starting. "Arrival" at a cell is the fewest steps in which a dangerous ghost can
-reach it. Dangerous ghosts do not turn round unless they must, so a ghost that has just passed
-arrives later than its distance says. The risk of an option is the arrival at the cell of its first
-step, where 1 may cost a life at once. The finer abstraction for primitive actions has the walls
-around Pac-Man, and the direction of each thing that is near enough to matter.
+Planning features are buckets of the distances, times and numbers that decide which option is worth
+starting. The "arrival" at a cell is the fewest steps in which a dangerous ghost can reach it. Such
+ghosts do not turn round unless they must, so one that has just passed arrives later than its
+distance suggests. The risk of an option is the arrival at the cell of its first step, where 1 may
+cost a life at once.
 """
 
 from collections.abc import Mapping
@@ -26,8 +25,8 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     from humanopts_env.domains.pacman.domain import PacMan
 
-AFAR = 1000  # stands for the distance of what is not there, or farther away
-LONGEST = 300  # steps that are played before a state is drawn
+AFAR = 1000  # distance of a thing that is absent or farther away
+MAX_PLAYED = 300  # steps before a sampled state
 CHANGES = 0.1  # probability of a new aim at a step
 AIMS = ('food', 'pill', 'prey', 'fruit')  # what Pac-Man may go to
 WANTS = ('food', 'food', 'pill', 'prey', None)  # aims, each equally likely; None: random moves
@@ -163,17 +162,17 @@ def sample_games(rules: Rules, rng: np.random.Generator, count: int) -> PacManBa
     """
     Draw states that games pass through, none of them over.
 
-    Each game is played for a number of steps drawn uniformly below LONGEST, and begins again where
-    it ends. Pac-Man has an aim for a while: he goes towards the nearest food, pill or scared
+    Each game is played for a number of steps drawn uniformly below MAX_PLAYED, and begins again
+    where it ends. Pac-Man has an aim for a while: he goes towards the nearest food, pill or scared
     ghost, or moves at random, which he also does where his aim is not in the maze.
 
     :param count: number of games.
     """
-    length, want = rng.integers(LONGEST, size=count), rng.integers(len(WANTS), size=count)
+    length, want = rng.integers(MAX_PLAYED, size=count), rng.integers(len(WANTS), size=count)
     read, games = FeatureReader(rules), PacManBatch.begin(rules, count)
     directions = [read.names.index(f'{want}_direction') if want else -1 for want in WANTS]
     order = np.argsort(length, kind='stable')  # games that are drawn first go first
-    drawn = np.searchsorted(length[order], np.arange(LONGEST), side='right').tolist()
+    drawn = np.searchsorted(length[order], np.arange(MAX_PLAYED), side='right').tolist()
     for step in range(length.max(initial=-1) + 1):
         change = rng.random(count)
         want = np.where(change < CHANGES, rng.integers(len(WANTS), size=count), want)

@@ -16,7 +16,7 @@ from humanopts_ros.text_files import FileError, read_text
 
 WALL, FOOD, PILL, PACMAN, GHOST, BLANK = '%.oPG '
 NUMBERED = '1234'  # ghosts, in this order; G counts as 1
-LARGEST_SIDE, MOST_CELLS, MOST_GHOSTS = 66, 1500, 4
+MAX_SIDE, MAX_CELLS, MAX_GHOSTS = 66, 1500, 4
 Cell = tuple[int, int]  # row, 0 = north; column, 0 = west; both inside the border
 
 
@@ -30,7 +30,7 @@ class Maze:
     A maze that can be played.
 
     Cells are those that Pac-Man can reach, row by row; positions are indices into ``cells``. Floor
-    that Pac-Man cannot reach is no cell.
+    that Pac-Man cannot reach is not a cell.
     """
 
     text: str  # lines of one length, no space around them; alone decides equality
@@ -141,10 +141,10 @@ def _check_shape(lines: list[str]) -> None:
                 f'line {row} of the maze has {len(line)} characters, and line 1 has '
                 f'{len(lines[0])}: all must be of one length'
             )
-    if max(len(lines), len(lines[0])) > LARGEST_SIDE:
+    if max(len(lines), len(lines[0])) > MAX_SIDE:
         raise MazeError(
             f'the maze has {len(lines)} x {len(lines[0])} characters, and may have at most '
-            f'{LARGEST_SIDE} x {LARGEST_SIDE}'
+            f'{MAX_SIDE} x {MAX_SIDE}'
         )
     for row, line in enumerate(lines, start=1):
         edge = line if row in (1, len(lines)) else line[0] + line[-1]
@@ -167,11 +167,11 @@ def _check_contents(found: dict[Cell, str], reached: set[Cell]) -> None:
     if FOOD not in found.values():
         raise MazeError('the maze has no food (.), so there is nothing to clear')
     ghosts = sum(character in GHOST + NUMBERED for character in found.values())
-    if ghosts > MOST_GHOSTS:
-        raise MazeError(f'the maze has {ghosts} ghosts, and may have at most {MOST_GHOSTS}')
-    if len(reached) > MOST_CELLS:
+    if ghosts > MAX_GHOSTS:
+        raise MazeError(f'the maze has {ghosts} ghosts, and may have at most {MAX_GHOSTS}')
+    if len(reached) > MAX_CELLS:
         raise MazeError(
-            f'the maze has {len(reached)} open cells, and may have at most {MOST_CELLS}'
+            f'the maze has {len(reached)} open cells, and may have at most {MAX_CELLS}'
         )
 
 

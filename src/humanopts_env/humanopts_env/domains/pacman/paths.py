@@ -31,7 +31,7 @@ class Paths:
     Moves, distances and shortest paths of a maze, as shared and read-only arrays.
 
     :ivar longest: number of steps between the two cells that are farthest apart.
-    :ivar far: the largest number of the type of ``distance``, which stands for no distance.
+    :ivar far: the largest number of the type of ``distance``, for cells without a path.
     """
 
     def __init__(self, maze: Maze) -> None:

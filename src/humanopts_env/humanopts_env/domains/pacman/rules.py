@@ -181,7 +181,7 @@ class Rules:
         return after
 
     def game_at(self, state: PacManState) -> 'PacManBatch':
-        """Return a batch of one game that stands at a state, which must not be changed."""
+        """Return one game in a state, which must not be changed."""
         for after, game in self._latest:
             if after is state:
                 return game
@@ -213,9 +213,9 @@ class PacManBatch:
     N games of the same rules.
 
     Food and pills that are taken are marked with the largest number, others with 0, so that a
-    bitwise or with the keys of ``Tables`` keeps those of what is left. Both have one more entry
-    for cells with nothing to take, whose mark is below that of all that is taken, above the keys
-    of all that is left, and ends with the entry's own number.
+    bitwise or with the keys of ``Tables`` keeps only the keys of what is left. Both have one more
+    entry, for cells without an item: its mark is between the keys and the largest number, and its
+    lowest bits are the entry's own number.
 
     All arrays are rows and columns of two, ``numbers`` and ``taken``, and change in place.
 
@@ -263,7 +263,7 @@ class PacManBatch:
 
     @classmethod
     def from_states(cls, rules: Rules, states: Sequence[PacManState]) -> 'PacManBatch':
-        """Return games that stand at given states."""
+        """Return games in given states."""
         count, food = len(states), len(rules.maze.food)
         rows = [
             (

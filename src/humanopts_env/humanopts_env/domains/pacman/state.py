@@ -12,7 +12,7 @@ FRUIT_STEPS = 60
 EATEN = ('food', 'power pill', 'fruit', 'ghost')  # bits of ``PacManState.ate``
 HEADINGS = (*MOVES, 'none')
 NO_CELL = -1
-MOST_POINTS = 10**9  # of a state text that is decoded
+MAX_SCORE = 10**9  # of a state text that is decoded
 _GHOST = re.compile(rf'ghost (\d+),(\d+) heading ({"|".join(HEADINGS)}) scared (\d+)')
 _STATE = re.compile(
     r'pacman (\d+),(\d+)((?: ghost \S+ heading \S+ scared \d+)*) food ([0-9a-f]+) '
@@ -120,13 +120,13 @@ def _check(maze: Maze, lives: int, state: PacManState) -> None:
         if any(mask >> k & 1 and cell == state.pacman for k, cell in enumerate(items)):
             raise StateError(f'Pac-Man is where {name} is, and would have eaten it')
     limits = (('fruit', state.fruit, FRUIT_STEPS), ('lives', state.lives, lives))
-    for name, value, most in (*limits, ('score', state.score, MOST_POINTS)):
+    for name, value, most in (*limits, ('score', state.score, MAX_SCORE)):
         if value > most:
             raise StateError(f'{name} is {value}, and may be at most {most}')
 
 
 def _cell(maze: Maze, row: str, col: str) -> int:
-    # A longer number is no row or column, and int() refuses very long ones.
+    # Rows and columns are shorter, and int() refuses very long numbers.
     place = (int(row[:4]), int(col[:4]))
     if place not in maze.cells:
         raise StateError(f'{row[:9]},{col[:9]} is not an open cell of the maze')
