@@ -3,7 +3,6 @@
 from collections.abc import Collection, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from humanopts_env.domains.base import Domain
 from humanopts_env.game import Accepted, Command, Game, Source
@@ -28,9 +27,12 @@ from humanopts_teach.lesson.requests import (
     AnswerQuestion,
     BeginDemonstration,
     CancelRun,
+    DefineOption,
     Drive,
+    EndDemonstration,
     ListOptions,
     NewEpisode,
+    OpenSession,
     Phase,
     PlanOptions,
     PlayEpisodes,
@@ -41,6 +43,7 @@ from humanopts_teach.lesson.requests import (
     SetControl,
     SetExecution,
     SetPace,
+    Verdict,
 )
 from humanopts_teach.lesson.seeded_starts import LessonRules, SeededStarts
 from humanopts_teach.lesson.store import DemonstrationStore
@@ -60,8 +63,10 @@ class Desk:
     :ivar reports: what it measures of an option, by name; else it measures nothing.
     """
 
-    def __init__(self, domain: Domain[Any], folder: Path, *, budget: int = 100) -> None:
-        self.app = App(opening('p1'))
+    def __init__(
+        self, domain: Domain, folder: Path, *, budget: int = 100, app: App | None = None
+    ) -> None:
+        self.app = app or App(opening('p1'))
         self.world = self.app.world
         self.world.domain, self.world.me = domain, ME
         self.store = DemonstrationStore(folder)
@@ -100,6 +105,17 @@ class Desk:
         self.app.next_start = start
         return self.press('enter')
 
+    def shows(self, who: str) -> None:
+        """Let a person, at another terminal, begin a demonstration."""
+        self.lesson.carry_out(EndDemonstration(Verdict.DISCARD, 0, 0))
+        self.lesson.carry_out(OpenSession(who))
+        self.lesson.carry_out(DefineOption('hers'))
+        for _ in self.app.domain.features:
+            number = self.lesson.view.question_id
+            self.lesson.carry_out(AnswerQuestion(number, yes=True))
+        self.carry_out(BeginDemonstration('taxi 0,1 passenger R destination G'))
+        self.publish()
+
     def type(self, text: str) -> 'Desk':
         """Type a text and Enter."""
         return self.press(*text, 'enter')
@@ -111,7 +127,7 @@ class Desk:
             self.asked.append(request)
             if server(request) in self.silent:
                 break
-            answer = self._carry_out(request)
+            answer = self.carry_out(request)
             self.publish()
             self.app.replied(request, answer, self.now)
         return self
@@ -158,7 +174,8 @@ class Desk:
         keys = '  '.join(f'[{label}] {words}' for _, label, words in shown.keys if label)
         return '\n'.join(line for line in (*lines, *said, keys) if line)
 
-    def _carry_out(self, request: Request) -> Answer:
+    def carry_out(self, request: Request) -> Answer:
+        """Answer as the graph would."""
         match request:
             case Drive(action):
                 here = self.game.transition

@@ -11,12 +11,11 @@ from typing import Any
 
 from humanopts_env.domains.base import Domain
 from humanopts_env.domains.pacman.maze import load_maze
-from humanopts_env.game import Transition
 from humanopts_learner.summary import OptionSummary
 from humanopts_teach.cli import main
 from humanopts_teach.commands.study_session import simulated_part
 from humanopts_teach.dialogue.study import StudyApp
-from humanopts_teach.lesson.requests import Answer, LessonView, Phase, RequestStatus, World
+from humanopts_teach.lesson.requests import SetControl, World
 from humanopts_teach.study.plan import (
     balanced_latin_square,
     Part,
@@ -31,14 +30,13 @@ from humanopts_teach.study.plan import (
 from humanopts_teach.study.protocol import Protocol
 from humanopts_teach.study.record import OpenRecord, StudyError, StudyFolder
 from humanopts_teach.study.tables import CODEBOOK, status_table, tables
-from humanopts_teach.terminal.drawing import frame
 from hypothesis import given, HealthCheck, settings
 from hypothesis import strategies as st
 import pytest
 from teach_support import snapshot
+from teach_support.desk import Desk
 import yaml
 
-START = 'taxi 2,3 passenger R destination B'
 PLAN = """
 study: trees-or-goal
 consent: consent.md
@@ -303,173 +301,98 @@ def test_a_maze_in_a_file_is_part_of_the_plan(
 
 
 LIKED = Question(name='liked', text='Did you like it?', low='not at all', high='very much')
-CONSENT = Part(kind=PartKind.CONSENT, key='consent', text='# Taking part\nYou can *stop*.')
+AGAIN = LIKED.model_copy(update={'name': 'again'})
 PAGE = Part(kind=PartKind.PAGE, key='page', text='Read this.')
-IN = {'condition': 'a', 'domain': 'taxi'}
-PLAY = Part(kind=PartKind.PLAY, key='a/play', minutes=2.0, **IN)  # type: ignore[arg-type]
-BUTTONS = Part(kind=PartKind.BUTTONS, key='a/buttons', most=2, **IN)  # type: ignore[arg-type]
-TEACH = Part(kind=PartKind.TEACH, key='a/teach', minutes=10.0, **IN)  # type: ignore[arg-type]
-QUESTIONS = Part(
-    kind=PartKind.QUESTIONS,
-    key='a/questions',
-    questions=Questionnaire(items=(LIKED, LIKED.model_copy(update={'name': 'again'})), points=5),
-)
 
 
-class Guest:
-    """Takes part: presses keys, and answers requests as a graph would."""
+def part(kind: PartKind, **fields: Any) -> Part:
+    return Part(kind=kind, key=f'a/{kind.value}', condition='a', domain='taxi', **fields)
 
-    def __init__(self, parts: list[Part], record: Path, domain: Domain[Any], now: float = 0.0):
-        self.published: list[str] = []
-        self.now, self.record = now, OpenRecord(record, self.published.append, lambda: self.now)
-        self.world = World(domain=domain, me='me')
-        self.world.game = Transition(episode=1, step=0, state=START)
-        self.world.lesson = LessonView(Phase.NO_SESSION, budget=100)
-        self.app = StudyApp(parts, self.record, 'anna', self.world, seed=1)
-        self.look()
 
-    def look(self, now: float | None = None) -> None:
-        """Let two turns pass."""
-        self.now = self.now if now is None else now
-        self.app.advance(self.now), self.app.advance(self.now)
+PARTS_OF = {
+    'consent': Part(kind=PartKind.CONSENT, key='consent', text='# Taking part'),
+    'play': part(PartKind.PLAY, minutes=2.0),
+    'buttons': part(PartKind.BUTTONS, most=2),
+    'teach': part(PartKind.TEACH, minutes=10.0),
+    'questions': part(PartKind.QUESTIONS, questions=Questionnaire(items=(LIKED, AGAIN), points=5)),
+}
+BEGIN = '1 f e t c h enter y o enter left'  # a demonstration
+SITTINGS = [  # first part, before the page; keys, and seconds after a plus
+    ('consent', ['enter | y | ctrl-c', 'enter']),  # the second time, only the page is left
+    ('consent', ['n']),
+    ('play', ['escape']),
+    ('play', ['+119.9 | +0.1']),
+    ('buttons', ['f e t c h enter | g o enter']),
+    ('buttons', ['escape']),
+    ('questions', [f'enter | {"right " * 9} enter | left left 9 enter']),
+    ('teach', ['5']),
+    ('teach', [f'{BEGIN} | +600 | p | enter enter']),
+    ('teach', ['+250 | ctrl-c', '+345 | +10']),
+]
 
-    def press(self, *typed: str) -> None:
-        """Look, and press keys one after the other."""
-        for key in typed:
-            self.app.drawn()
-            self.app.type([key])
-            self.look()
 
-    def lesson(self, phase: Phase, participant: str = 'anna', **fields: Any) -> None:
-        """Have the lesson announce where it is; answer the request that waits for it."""
-        self.world.lesson = LessonView(phase, participant, 's', budget=100, **fields)
-        if (asked := self.app.waits_for) is not None:
-            self.app.replied(asked, Answer(RequestStatus.OK, ''), self.now)
-        self.look()
-
-    def sees(self, text: str) -> bool:
-        return text in '\n'.join(frame(self.app, 100, 30))
-
-    def events(self, what: str) -> list[tuple[Any, ...]]:
-        """Return the events of a kind, without time and condition."""
-        dumped = (
-            event.model_dump(mode='json', exclude_unset=True) for event in self.record.events
-        )
-        left = ('time', 'event', 'condition')
-        return [
-            tuple(value for key, value in sorted(values.items()) if key not in left)
-            for values in dumped
-            if values['event'] == what
+def test_each_part_is_shown_and_recorded(tmp_path: Path, taxi: Domain[Any]) -> None:
+    """Time is looked at each second; a part that was left continues where it was."""
+    lines = []
+    for number, (first, sittings) in enumerate(SITTINGS):
+        path, now = tmp_path / f'{number}.jsonl', 1000.0
+        for script in sittings:
+            record = OpenRecord(path, clock=lambda: desk.now)  # noqa: B023
+            left = record.left_of([PARTS_OF[first], PAGE])
+            app = StudyApp(left, record, 'p1', World(), seed=1)
+            desk = Desk(taxi, tmp_path / f'{number}', app=app)
+            desk.now = now
+            lines.append(f'\n== {", ".join(each.key for each in left)}')
+            for step in ['', *script.split(' | ')]:
+                lines.append(f'> {" ".join(step.split())}')
+                if step.startswith('+'):
+                    end = desk.now + float(step)
+                    while desk.now < end:
+                        desk.go_on(min(1.0, end - desk.now))
+                desk.press(*(() if step.startswith('+') else step.split())).go_on().go_on()
+                lines += ['(ended)'] if app.ended else desk.see().split('\n')[1:-1]
+            app.last_requests()
+            now = desk.now + 1000.0
+            desk.store.close()
+        events = [event.model_dump(mode='json', exclude_unset=True) for event in record.events]
+        lines += [
+            ' '.join(str(value) for key, value in event.items() if key != 'condition')
+            for event in events
+            if event['event'] != 'still there'
         ]
+    snapshot.check('study_parts.txt', '\n'.join(lines))
 
 
-def test_who_agrees_goes_on_and_who_does_not_is_asked_nothing_more(
+def test_a_crash_takes_no_more_of_the_time_at_a_part_than_five_seconds(
     tmp_path: Path, taxi: Domain[Any]
 ) -> None:
-    agreeing = Guest([CONSENT, PAGE], tmp_path / 'a.jsonl', taxi)
-    assert agreeing.sees('You can stop.')
-    agreeing.press('enter')
-    assert agreeing.events('part ended') == []
-    agreeing.press('y', 'ctrl-c')
-    assert agreeing.app.ended
-    left = OpenRecord(tmp_path / 'a.jsonl').left_of([CONSENT, PAGE])
-    again = Guest(left, tmp_path / 'a.jsonl', taxi)
-    assert again.sees('Read this.')
-    again.press('enter')
-    assert again.app.ended
-    ended = [('consent', 'consent', 'finished'), ('page', 'page', 'finished')]
-    assert again.events('part ended') == ended
-    kept = (tmp_path / 'a.jsonl').read_text().splitlines()
-    assert agreeing.published + again.published == kept  # as they are kept
-    refusing = Guest([CONSENT, PAGE], tmp_path / 'b.jsonl', taxi)
-    refusing.press('n')
-    assert refusing.app.ended
-    assert refusing.record.refused
-    assert refusing.events('part began') == [('consent', 'consent')]
+    path, now = tmp_path / 'a.jsonl', 0.0
+    app = StudyApp(
+        [PARTS_OF['teach'], PAGE], OpenRecord(path, clock=lambda: now), 'p1', World(), seed=1
+    )
+    app.world.domain = taxi
+    while now < 209.0:
+        app.world.summaries = [OptionSummary('fetch', 'p1', n_demonstrations=1)]
+        app.advance(now)
+        now += 1.0
+    record = OpenRecord(path)
+    assert record.seconds_in('a/teach') == 205.0
+    assert [len(event.options) for event in record.of('learned')] == [1]
 
 
-def test_free_play_ends_by_the_person_or_by_its_time(tmp_path: Path, taxi: Domain[Any]) -> None:
-    guest, slow = (Guest([PLAY, PAGE], tmp_path / f'{n}.jsonl', taxi) for n in range(2))
-    guest.press('escape')
-    assert guest.sees('Read this.')
-    slow.look(119.9)
-    assert slow.sees('Get to know the game')
-    slow.look(120.0)
-    assert slow.sees('Read this.')
-    assert slow.events('part ended') == [('play', 'a/play', 'time is over')]
-
-
-def taught_for(
-    path: Path, taxi: Domain[Any], start: float, seconds: float, *, crash: bool = False
-) -> Guest:
-    """Teach in one sitting, looking each second, and leave; a crash leaves no word."""
-    guest = Guest([TEACH, PAGE], path, taxi, start)
-    while guest.now < start + seconds and not guest.sees('Read this.'):
-        guest.now += 1.0
-        guest.world.summaries = [OptionSummary('fetch', 'anna', n_demonstrations=1)]
-        guest.app.advance(guest.now)
-    if not crash:
-        guest.app.last_requests()
-    return guest
-
-
-def test_the_time_of_teaching_goes_on_where_it_was_left(tmp_path: Path, taxi: Domain[Any]) -> None:
-    path = tmp_path / 'a.jsonl'
-    taught_for(path, taxi, 1000.0, 250.0)
-    crashed = taught_for(path, taxi, 2000.0, 209.0, crash=True)  # its last sign is of second 205
-    assert crashed.events('part ended') == []
-    last = taught_for(path, taxi, 3000.0, 600.0)
-    assert last.events('part ended') == [('teach', 'a/teach', 'time is over')]
-    assert OpenRecord(path).seconds_in('a/teach') == pytest.approx(600.0, abs=1.0)
-    assert last.now == pytest.approx(3000.0 + 600.0 - 250.0 - 205.0, abs=2.0)
-    assert len(last.events('learned')) == 3  # one for each sitting
-
-
-def test_buttons_and_answers_are_kept_as_they_are_given(tmp_path: Path, taxi: Domain[Any]) -> None:
-    guest = Guest([BUTTONS, QUESTIONS, PAGE], tmp_path / 'a.jsonl', taxi)
-    guest.press(*'fetch', 'enter')
-    assert guest.sees('Button 2 of at most 2')
-    guest.press(*'go', 'enter')
-    guest.press('enter')  # nothing is chosen yet
-    guest.press(*['right'] * 9, 'enter')
-    assert guest.sees('question 2 of 2')
-    guest.press('left', 'left', '9', 'enter')  # 9 is not on a scale of 5
-    assert guest.sees('Read this.')
-    buttons = [('taxi', 'a/buttons', 1, 'fetch'), ('taxi', 'a/buttons', 2, 'go')]
-    assert guest.events('button') == buttons
-    answers = [('liked', 'a/questions', 5, 5), ('again', 'a/questions', 5, 2)]
-    assert guest.events('answer') == answers
-    fewer = Guest([BUTTONS, PAGE], tmp_path / 'b.jsonl', taxi)
-    fewer.press('escape')
-    assert fewer.sees('Read this.')
-
-
-def test_teaching_ends_from_the_menu_and_never_in_a_demonstration(
+def test_teaching_that_another_person_has_taken_over_ends_without_a_request_to_their_lesson(
     tmp_path: Path, taxi: Domain[Any]
 ) -> None:
-    guest = Guest([TEACH, PAGE], tmp_path / 'a.jsonl', taxi)
-    guest.lesson(Phase.NO_OPTION)
-    assert guest.sees('Finish teaching  continue with the study')
-    guest.lesson(Phase.DEMONSTRATING)
-    guest.look(601.0)
-    assert guest.sees('this demonstration is the last')
-    guest.lesson(Phase.LEARNING)
-    assert guest.sees('Read this.')
-    assert guest.events('part ended') == [('teach', 'a/teach', 'time is over')]
-
-
-def test_teaching_that_somebody_else_has_taken_over_ends_without_a_word_to_their_lesson(
-    tmp_path: Path, taxi: Domain[Any]
-) -> None:
-    guest = Guest([TEACH, PAGE], tmp_path / 'a.jsonl', taxi)
-    guest.lesson(Phase.NO_OPTION)
-    guest.press('1', *'fetch', 'enter')
-    guest.lesson(Phase.DEMONSTRATING, option_name='fetch', episode=1)
-    guest.lesson(Phase.DEMONSTRATING, 'bob', option_name='go', episode=2)
-    guest.press('q')
-    assert guest.app.waits_for is None
-    assert guest.sees('Read this.')
-    assert not guest.sees('bob')
+    app = StudyApp(
+        [PARTS_OF['teach'], PAGE], OpenRecord(tmp_path / 'a.jsonl'), 'p1', World(), seed=1
+    )
+    desk = Desk(taxi, tmp_path, app=app).go_on().go_on().press(*BEGIN.split())
+    desk.shows('bob')
+    desk.asked.clear()
+    assert 'Read this.' in desk.press('q').see()
+    assert desk.asked == [SetControl(hold=False)]
+    assert 'bob' not in desk.see()
+    desk.store.close()
 
 
 def test_a_simulated_study_makes_tables_that_the_codebook_explains(
