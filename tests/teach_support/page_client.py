@@ -1,6 +1,7 @@
 """A client of the pages' own protocol, without a browser."""
 
 import ast
+from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
 from html import unescape
@@ -87,7 +88,11 @@ class PageClient:
 
     def until(self, part: str, words: str) -> None:
         """Wait until a part shows something."""
+        self.wait(lambda: words in self.shows(part), f'{words} in {part}')
+
+    def wait(self, condition: Callable[[], bool], what: str) -> None:
+        """Wait for a condition."""
         deadline = time.monotonic() + PATIENCE
-        while words not in self.shows(part):
-            assert time.monotonic() < deadline, f'{words} is not in {self.shows(part)}'
+        while not condition():
+            assert time.monotonic() < deadline, f'no {what}: {self.shows("panel")}'
             time.sleep(0.005)

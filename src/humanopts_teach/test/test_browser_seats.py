@@ -1,12 +1,12 @@
 """Seats of participants: a game each, which outlives its page for a while and no longer."""
 
 import asyncio
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections import defaultdict
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 
 from humanopts_teach.browser.seats import (
     another_fits,
-    FAREWELL,
     GameError,
     message,
     Press,
@@ -57,6 +57,9 @@ class Games:
         self.opened = 0
         self.fault = ''
 
+    def __str__(self) -> str:
+        return ', '.join(f'{who} {number}' for who, number in self.open)
+
     @asynccontextmanager
     async def __call__(self, seat: Seat) -> AsyncIterator[Press]:
         """Keep one."""
@@ -72,30 +75,13 @@ class Games:
         def press(keys: list[str], frame: int) -> None:
             if keys == ['q']:
                 seat.end()
-            seat.show(message((), f'{keys} on {frame}'), frame + 1)
+            seat.show(message((), f'{keys[0]} on {frame}'), frame + 1)
 
         try:
             yield press
         finally:
             await asyncio.sleep(0)
             self.open.remove(place)
-
-
-def run(
-    story: Callable[[Seats, Games], Awaitable[None]],
-    linger: float = PATIENCE,
-    most: int = 9,
-) -> None:
-    """Tell a story with seats."""
-
-    async def told() -> None:
-        games = Games()
-        seats = Seats('taxi', games, linger, lambda count: count < most)
-        await story(seats, games)
-        await seats.close('stopped')
-        assert games.open == []
-
-    asyncio.run(told())
 
 
 async def until(condition: Callable[[], bool]) -> None:
@@ -105,92 +91,131 @@ async def until(condition: Callable[[], bool]) -> None:
             await asyncio.sleep(0.001)
 
 
-def test_a_page_that_stays_closed_ends_its_game_and_frees_its_place() -> None:
-    async def story(seats: Seats, games: Games) -> None:
-        anna, again, ben = Page(), Page(), Page()
-        seats.enter('anna', anna)
-        await until(lambda: bool(games.open))
-        seats.leave('anna', anna)
-        await until(lambda: not games.open)
-        seats.enter('ben', ben)
-        seats.enter('anna', again)
-        await until(lambda: len(games.open) == 2)
-        assert games.open == [('ben', 1), ('anna', 2)]
-
-    run(story, LINGER)
-
-
-def test_a_second_page_asks_before_it_takes_the_seat() -> None:
-    async def story(seats: Seats, games: Games) -> None:
-        first, second = Page(), Page()
-        seats.enter('anna', first)
-        await until(lambda: bool(games.open))
-        seats.enter('anna', second)
-        assert second.shown[0].startswith('anna teaches in another window just now.')
-        second.press(['x'], 0)
-        first.press(['a'], 1)
-        assert first.shown == ("['a'] on 1", 2)
-        second.press(['enter'], 0)
-        assert first.shown[0] == 'The lesson goes on in another window.'
-        assert second.shown == ("['a'] on 1", 2)
-        first.press(['b'], 2)
-        assert second.shown == ("['a'] on 1", 2)  # the first is heard no more
-        first.press(['enter'], 0)
-        assert first.reloaded == 1
-        seats.leave('anna', first)
-        second.press(['c'], 2)
-        assert second.shown == ("['c'] on 2", 3)
-        assert games.opened == 1
-
-    run(story)
+async def tell(script: str, linger: float, most: int) -> None:
+    """Carry out one line after the other: who (a page), what it does, and a text."""
+    games, pages, people = Games(), defaultdict[str, Page](Page), dict[str, str]()
+    seats = Seats('taxi', games, linger, lambda count: count < most)
+    for line in script.strip().splitlines():
+        who, does, text = f'{line.strip()} '.split(' ', 2)
+        page, text = pages[who], text.strip()
+        match does:
+            case 'enters':
+                people[who] = text
+                seats.enter(text, page)
+            case 'leaves':
+                seats.leave(people[who], page)
+            case 'presses':
+                page.press([text], page.shown[1])
+            case 'shows':
+                await until(lambda page=page, text=text: text in page.shown[0])
+            case 'reloaded':
+                assert page.reloaded == 1
+            case 'fail':
+                games.fault = text
+            case 'are':
+                await until(lambda text=text: str(games) == text)
+            case 'begun':
+                assert games.opened == int(text)
+    await seats.close('stopped')
+    assert games.open == []
 
 
-def test_a_second_page_gets_the_seat_when_the_first_is_closed() -> None:
-    async def story(seats: Seats, games: Games) -> None:
-        first, second, third = Page(), Page(), Page()
-        seats.enter('anna', first)
-        await until(lambda: bool(games.open))
-        seats.enter('anna', second)
-        seats.enter('anna', third)
-        seats.leave('anna', second)
-        seats.leave('anna', first)
-        assert third.shown == ('begun', 1)
+STORIES = {
+    'a page that stays closed ends its game and frees its place': """
+        A enters anna
+        A shows begun
+        A leaves
+        games are
+        B enters ben
+        C enters anna
+        games are ben 1, anna 2""",
+    'a second page asks before it takes the seat': """
+        A enters anna
+        A shows begun
+        B enters anna
+        B shows anna teaches in another window just now.
+        B presses x
+        A presses a
+        A shows a on 1
+        B presses enter
+        A shows The lesson goes on in another window.
+        B shows a on 1
+        A presses b
+        B shows a on 1
+        A presses enter
+        A reloaded
+        A leaves
+        B presses c
+        B shows c on 2
+        games begun 1""",
+    'a second page gets the seat when the first is closed': """
+        A enters anna
+        A shows begun
+        B enters anna
+        C enters anna
+        B leaves
+        A leaves
+        C shows begun""",
+    'who quits reads that everything is saved and can come back': """
+        A enters anna
+        A shows begun
+        A presses q
+        B enters anna
+        A shows Everything taught is saved.
+        A presses enter
+        A reloaded
+        B shows begun""",
+    'a game that cannot be started says why': """
+        games fail The disk is full.
+        A enters anna
+        A shows The disk is full. Everything taught is saved.
+        games fail
+        A enters anna
+        A shows begun""",
+    'who finds no seat is shown the position and comes in when one is free': """
+        A enters anna
+        A shows begun
+        B enters ben
+        B shows begun
+        C enters cleo
+        C shows You are number 1 in line
+        D enters dora
+        D shows You are number 2 in line
+        games are anna 1, ben 2
+        A presses q
+        C shows begun
+        D shows You are number 1 in line
+        games are ben 2, cleo 1""",
+    'a place in line outlives its page for a while and lets others pass': """
+        A enters anna
+        A shows begun
+        E enters emil
+        E shows begun
+        B enters ben
+        B shows You are number 1 in line
+        C enters cleo
+        C shows You are number 2 in line
+        B leaves
+        C shows You are number 1 in line
+        D enters ben
+        C shows You are number 2 in line
+        D shows You are number 1 in line
+        D leaves
+        A presses q
+        games are emil 2, cleo 1
+        games begun 3""",
+}
 
-    run(story)
 
-
-def test_who_quits_reads_that_everything_is_saved_and_can_come_back() -> None:
-    async def story(seats: Seats, games: Games) -> None:
-        page, again = Page(), Page()
-        seats.enter('anna', page)
-        await until(lambda: bool(games.open))
-        page.press(['q'], 1)
-        seats.enter('anna', again)  # before the first game is closed
-        await until(lambda: games.opened == 2)
-        await until(lambda: page.shown[0] == FAREWELL)
-        page.press(['enter'], 0)
-        assert page.reloaded == 1
-        await until(lambda: again.shown == ('begun', 1))
-
-    run(story)
-
-
-def test_a_game_that_cannot_be_started_says_why() -> None:
-    async def story(seats: Seats, games: Games) -> None:
-        games.fault = 'The disk is full.'
-        page = Page()
-        seats.enter('anna', page)
-        await until(lambda: page.shown[0] == f'The disk is full. {FAREWELL}')
-        games.fault = ''
-        seats.enter('anna', page)
-        await until(lambda: page.shown == ('begun', 1))
-
-    run(story)
+@pytest.mark.parametrize('story', STORIES)
+def test_seats_as_told(story: str) -> None:
+    asyncio.run(tell(STORIES[story], LINGER if 'stays closed' in story else PATIENCE, 2))
 
 
 def test_all_games_end_with_the_server_once_each_page_has_its_farewell() -> None:
-    async def story(seats: Seats, games: Games) -> None:
-        page = Page()
+    async def story() -> None:
+        games, page = Games(), Page()
+        seats = Seats('taxi', games, LINGER)
         seats.enter('anna', page)
         await until(lambda: bool(games.open))
         page.prompt.clear()
@@ -202,44 +227,7 @@ def test_all_games_end_with_the_server_once_each_page_has_its_farewell() -> None
         page.prompt.set()
         await closing
 
-    run(story)
-
-
-def test_who_finds_no_seat_is_told_the_position_and_comes_in_when_one_is_free() -> None:
-    async def story(seats: Seats, games: Games) -> None:
-        pages = {name: Page() for name in ('anna', 'ben', 'cleo', 'dora')}
-        for name, page in pages.items():
-            seats.enter(name, page)
-            await until(lambda shown=page: shown.shown[0] == 'begun' or 'line' in shown.shown[0])
-        for number, name in enumerate(('cleo', 'dora'), start=1):
-            assert f'You are number {number} in line' in pages[name].shown[0]
-        assert [who for who, _ in games.open] == ['anna', 'ben']
-        pages['anna'].press(['q'], 1)
-        await until(lambda: pages['cleo'].shown[0] == 'begun')
-        await until(lambda: 'You are number 1 in line' in pages['dora'].shown[0])
-        assert ('cleo', 1) in games.open
-
-    run(story, most=2)
-
-
-def test_a_place_in_line_outlives_its_page_for_a_while_and_lets_others_pass() -> None:
-    async def story(seats: Seats, games: Games) -> None:
-        pages = {name: Page() for name in ('anna', 'ben', 'cleo')}
-        for name, page in pages.items():
-            seats.enter(name, page)
-            await until(lambda shown=page: shown.shown[0] == 'begun' or 'line' in shown.shown[0])
-        seats.leave('ben', pages['ben'])
-        await until(lambda: 'You are number 1 in line' in pages['cleo'].shown[0])
-        again = Page()
-        seats.enter('ben', again)  # loaded again
-        await until(lambda: 'You are number 2 in line' in pages['cleo'].shown[0])
-        assert 'You are number 1 in line' in again.shown[0]
-        seats.leave('ben', again)
-        pages['anna'].press(['q'], 1)
-        await until(lambda: ('cleo', 1) in games.open)
-        assert games.opened == 2
-
-    run(story, most=1)
+    asyncio.run(story())
 
 
 GB = 10**9

@@ -23,7 +23,7 @@ from starlette.types import ASGIApp
 import uvicorn
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-_MAX_SECONDS = 10.0  # without a whole request
+MAX_SECONDS = 10.0  # without a whole request
 _MAX_STRANGERS = 512  # at once; fewer where few files may be open
 _MAX_FILES = 4096  # that this process asks for
 _MAX_LINE = 8192  # bytes
@@ -81,7 +81,7 @@ class _Connection(H11Protocol):
     def end_late(self) -> None:
         """End it if it has had its time for a request; a slow network may still take an answer."""
         idle = self.cycle is None or self.cycle.response_complete
-        late = time.monotonic() - self._since > _MAX_SECONDS
+        late = time.monotonic() - self._since > MAX_SECONDS
         if idle and late and not self.transport.get_write_buffer_size():
             self._abort()
 
