@@ -15,8 +15,6 @@ import sys
 from typing import Annotated, Any, TYPE_CHECKING
 
 from humanopts_ros.limits import accept_any_text, one_line, printable
-from humanopts_ros.middleware import MiddlewareError
-from humanopts_teach.bags import BagError
 from humanopts_teach.command_line import (
     CommandGroup,
     LaunchOptions,
@@ -329,19 +327,18 @@ def main(argv: Sequence[str] | None = None) -> int:
         path = usage.command_path if usage else NAME
         text = ' '.join(error.format_message().split()).rstrip('.')
         return _complain(path, f'{text[:1].lower()}{text[1:]}; see {path} --help', 2)
-    except (BagError, MiddlewareError, OccupiedError) as error:
-        return _complain(_named(context), one_line(str(error)), 2)
-    except CommandError as error:  # some show what differs, in several lines
-        return _complain(_named(context), str(error), 2)
-    except LaunchError as error:
-        return _complain(_named(context), str(error), 1)
     except KeyboardInterrupt:
         return _complain(_named(context), 'interrupted; everything is stopped', 130)
-    except BrokenPipeError:  # nobody reads on, as in "humanopts bag info BAG | head"
+    except BrokenPipeError:  # the reader has stopped, as in "humanopts bag info BAG | head"
         silence(sys.stdout)
         return 1
-    except OSError as error:
-        if error.errno not in _UNWRITABLE or error.filename is not None:
+    except Exception as error:
+        if type(error).__module__.startswith('humanopts_'):  # its text says what is wrong
+            failed = isinstance(error, LaunchError) and not isinstance(error, OccupiedError)
+            several = isinstance(error, LaunchError | CommandError)  # lines
+            text = str(error) if several else one_line(str(error))
+            return _complain(_named(context), text, 1 if failed else 2)
+        if not isinstance(error, OSError) or error.errno not in _UNWRITABLE or error.filename:
             raise
         silence(sys.stdout)
         return _complain(_named(context), f'cannot write its output: {error.strerror}', 1)
@@ -349,7 +346,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _named(context: Any) -> str:
-    """Return what the command line is called in messages: humanopts and its first word."""
+    """Return the name of the command in messages: humanopts and the first word."""
     called = context.invoked_subcommand if context is not None else None
     return f'{NAME} {called}' if called else NAME
 
@@ -357,6 +354,6 @@ def _named(context: Any) -> str:
 def _complain(path: str, text: str, status: int) -> int:
     try:
         print(printable(f'{path}: {text}'), file=sys.stderr, flush=True)
-    except OSError:  # nobody reads it, or the disk is full; the status says it
+    except OSError:  # no reader, or a full disk; the status remains
         silence(sys.stderr)
     return status

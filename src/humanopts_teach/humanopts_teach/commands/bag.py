@@ -1,7 +1,7 @@
 """
-``humanopts bag``: what a recorded bag holds, what was taught in it, and its data for other tools.
+``humanopts bag``: the contents of a recorded bag, what was taught, and its data for other tools.
 
-What a command needs is imported when it runs, so that help and completion are quick.
+Commands import what they need when they run, so that help and completion are quick.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -12,10 +12,9 @@ import os
 from pathlib import Path
 import sys
 import time
-from typing import Annotated, Any, Literal, TextIO, TYPE_CHECKING
+from typing import Annotated, Any, Literal, TYPE_CHECKING
 
 from humanopts_ros.limits import one_line, printable
-from humanopts_ros.text_files import FileError
 from humanopts_teach.command_line import (
     CommandGroup,
     ExcelOption,
@@ -24,7 +23,7 @@ from humanopts_teach.command_line import (
     several_games,
     whole,
 )
-from humanopts_teach.commands import CommandError
+from humanopts_teach.commands import CommandError, refusing
 import typer
 
 if TYPE_CHECKING:
@@ -32,22 +31,20 @@ if TYPE_CHECKING:
     from humanopts_teach.terminal.device import Device
     from humanopts_teach.terminal.replay import Replay
 
-_LONGEST_WAIT = 0.2  # s, until a window of another size is seen
+_LONGEST_WAIT = 0.2  # s until a resize of the window is noticed
 
 app = typer.Typer(**PLAIN, cls=CommandGroup, subcommand_metavar='COMMAND ...')
 BagArgument = Annotated[Path, typer.Argument(metavar='BAG', help='a rosbag2 folder or .mcap file')]
 BagArguments = Annotated[
     list[Path],
-    typer.Argument(
-        metavar='BAG', help='rosbag2 folders or .mcap files; each of several by itself'
-    ),
+    typer.Argument(metavar='BAG', help='rosbag2 folders or .mcap files, each treated by itself'),
 ]
 Namespace = Annotated[
     str,
     typer.Option(
         metavar='NAME',
         show_default=False,
-        help='of the graph to read, where the bag holds several; default: the one recorded',
+        help='namespace of the graph to read, if the bag holds several; default: the recorded one',
     ),
 ]
 Json = Annotated[bool, typer.Option('--json', help='print JSON')]
@@ -57,16 +54,16 @@ speed_factor = number('from 1/16 to 64', lambda value: 1 / 16 <= value <= 64)
 @contextmanager
 def progress_bar() -> Iterator[Callable[..., None]]:
     """
-    Show a bar on standard error where it is a terminal.
+    Show a progress bar on standard error, if that is a terminal.
 
-    What is yielded takes how much is done, of how much and, where it is known, what is under way.
+    Yields the function to call with the progress: done, total and, optionally, the current task.
     """
     from rich.console import Console
     from rich.progress import Progress
 
     console = Console(stderr=True)
     progress = Progress(console=console, transient=True, disable=not console.is_terminal)
-    # Where Rich before version 14 shows no bar, it still ends it with an empty line.
+    # Without a terminal, Rich before version 14 would still print an empty line.
     with progress if console.is_terminal else nullcontext():
         task = progress.add_task('reading', total=None)
 
@@ -78,7 +75,7 @@ def progress_bar() -> Iterator[Callable[..., None]]:
 
 @app.callback()
 def bag() -> None:
-    """Look into a recorded bag, no ROS needed."""
+    """Inspect and evaluate recorded bags; needs no ROS."""
 
 
 @app.command()
@@ -90,8 +87,7 @@ def info(bags: BagArguments, namespace: Namespace = '', json: Json = False) -> i
     with progress_bar() as show:
         found = [summarise(open_bag(path, show, namespace)) for path in bags]
     if json:
-        listed = [each.to_dict() for each in found]
-        _print(_json(listed if len(bags) > 1 else listed[0]))
+        _print_json(*(each.to_dict() for each in found))
     else:
         _print('\n\n\n'.join(each.to_text() for each in found))
     return 0
@@ -102,30 +98,30 @@ def check(
     bag: BagArgument,
     repair: Annotated[
         Path | None,
-        typer.Option(metavar='OUT', help='write all that can be saved to this new folder'),
+        typer.Option(metavar='OUT', help='write everything that can be saved to this new folder'),
     ] = None,
     json: Json = False,
 ) -> int:
-    """Show what is damaged or missing in a bag; status 1: something is."""
+    """Show what is damaged or missing in a bag; then the status is 1."""
     from humanopts_teach.bags import BagWriteError
     from humanopts_teach.bags.check import check_bag
     from humanopts_teach.bags.check import repair as write_repaired
     from humanopts_teach.bags.reader import open_bag
 
     if repair is not None and repair.exists():
-        raise CommandError(f'{repair} exists already; name a folder that does not')
+        raise CommandError(f'{repair} exists already; choose a new folder')
     with progress_bar() as show:
         opened = open_bag(bag, partial(show, text='checking'))
         found = check_bag(opened)
     if repair is not None:
-        try:
-            with progress_bar() as show:
-                opened.on_read = partial(show, text='writing')
-                count = write_repaired(opened, repair)
-        except BagWriteError as error:
-            raise CommandError(one_line(str(error))) from error
+        with refusing(BagWriteError), progress_bar() as show:
+            opened.on_read = partial(show, text='writing')
+            count = write_repaired(opened, repair)
         print(f'{repair}: {count} messages, all that could be saved', file=sys.stderr)
-    _print(_json(found.to_dict()) if json else found.to_text())
+    if json:
+        _print_json(found.to_dict())
+    else:
+        _print(found.to_text())
     return 0 if found.whole else 1
 
 
@@ -142,19 +138,17 @@ def evaluate(
             metavar='N',
             callback=several_games,
             show_default=False,
-            help='also compare plans with random play and a hand-written rule in N games '
-            'each, where plans are made from samples; takes minutes; default: not',
+            help='for sampled plans: compare them with random play and a hand-written rule in N '
+            'games each; takes minutes; default: no comparison',
         ),
     ] = 0,
     namespace: Namespace = '',
     json: Json = False,
 ) -> int:
     """Learn every option again from the bag alone, and plan with it."""
-    from humanopts_env.domains.base import StateError
     from humanopts_teach.bags.contents import read_domain
     from humanopts_teach.bags.reader import open_bag
     from humanopts_teach.evaluation.bag_evaluation import check_games, evaluate_bag, with_games
-    from humanopts_teach.evaluation.summary import SummaryError
     from humanopts_teach.evaluation.text import evaluation_text
     from humanopts_teach.report.write import write_evaluation_report
 
@@ -168,10 +162,14 @@ def evaluate(
         for each in opened:
             evaluation = evaluate_bag(each, show)
             found.append(with_games(evaluation, games, show) if games else evaluation)
-    if json and len(bags) > 1:
-        print(_json([{'bag': str(b.path), **e.to_dict()} for b, e in zip(opened, found)]))
-    elif json:
-        print(_json(found[0].to_dict()))
+    if json:
+        one = len(bags) == 1
+        _print_json(
+            *(
+                {**({} if one else {'bag': str(b.path)}), **e.to_dict()}
+                for b, e in zip(opened, found)
+            )
+        )
     else:
         heads = [f'bag {each.path}\n' if len(bags) > 1 else '' for each in opened]
         _print('\n\n'.join(head + evaluation_text(each) for head, each in zip(heads, found)))
@@ -180,10 +178,7 @@ def evaluate(
     if html:
         with progress_bar() as show:
             opened[0].on_read = partial(show, text='reading for the report')
-            try:
-                write_evaluation_report(html, found[0], opened[0])
-            except (StateError, SummaryError) as error:
-                raise CommandError(one_line(f'no report: {error}')) from error
+            write_evaluation_report(html, found[0], opened[0])
         print(f'report: {html}', file=sys.stderr)
     return 0
 
@@ -197,13 +192,12 @@ def play(
     speed: Annotated[
         float,
         typer.Option(
-            parser=speed_factor, metavar='X', help='1 is two steps a second, 2 is twice as fast'
+            parser=speed_factor, metavar='X', help='1: two steps per second; 2: twice as fast'
         ),
     ] = 1.0,
     namespace: Namespace = '',
 ) -> int:
-    """Play an episode again in this terminal; as plain text where this is no terminal."""
-    from humanopts_env.domains.base import StateError
+    """Replay an episode in this terminal, or as plain text without one."""
     from humanopts_teach.bags.contents import find_episodes, read_actors, read_domain
     from humanopts_teach.bags.mcap_file import ignore_progress
     from humanopts_teach.bags.reader import open_bag
@@ -213,20 +207,17 @@ def play(
     with progress_bar() as show:
         opened = open_bag(bag, show, namespace)
         domain, episodes = read_domain(opened), find_episodes(opened)
-        opened.on_read = ignore_progress  # the rest is read quickly, while the screen is drawn
+        opened.on_read = ignore_progress  # later reads are short, and the screen is in use
     if episode > len(episodes):
         there = f'1 to {len(episodes)}' if episodes else 'none'
         raise CommandError(f'there is no episode {episode} in {opened.path}: {there}')
     replay = Replay(domain, episodes, partial(read_actors, opened), episode - 1, speed)
-    try:
-        if why_not():
-            for text in replay.plain():
-                _print(text)
-        else:
-            with Device() as device:
-                _play(replay, device)
-    except StateError as error:
-        raise CommandError(one_line(f'{opened.path}: {error}')) from error
+    if why_not():
+        for text in replay.plain():
+            _print(text)
+    else:
+        with Device() as device:
+            _play(replay, device)
     return 0
 
 
@@ -237,13 +228,13 @@ def table1(
         Path | None,
         typer.Option(
             metavar='FILE',
-            help='YAML: each name with the list of its wordings, which are one option',
+            help='YAML file with each option name and the list of its other wordings',
         ),
     ] = None,
     namespace: Namespace = '',
     json: Json = False,
 ) -> int:
-    """Count the options that people named, beside Table 1 of the paper."""
+    """Count the options that people named, next to Table 1 of the paper."""
     from humanopts_teach.bags.reader import open_bag
     from humanopts_teach.evaluation.table1 import (
         count_named,
@@ -253,12 +244,8 @@ def table1(
         table_text,
     )
 
-    try:
+    with refusing(MergeError, what=f'{merge}: '):
         canonical = read_merge(merge) if merge is not None else {}
-    except FileError as error:
-        raise CommandError(str(error)) from error
-    except MergeError as error:
-        raise CommandError(f'{merge}: {error}') from error
     with progress_bar() as show:
         opened = [open_bag(path, show, namespace) for path in bags]
         named = named_options(opened)
@@ -267,7 +254,9 @@ def table1(
     for each in opened:
         _warn('table1', each if len(bags) > 1 else None, each.notes)
         if each.graph_facts.get('teacher_error_rate', 'None') != 'None':
-            _warn('table1', each, ['a simulated person taught: nobody had a wish'])
+            _warn(
+                'table1', each, ['a simulated person taught it, who named no options of their own']
+            )
     return 0
 
 
@@ -277,8 +266,8 @@ def export(
     to: Annotated[
         Literal['csv', 'parquet', 'minari', 'files'],
         typer.Option(
-            help='parquet needs pyarrow; minari needs minari[arrow]; files are those attached to '
-            'the bag, such as option files'
+            help='parquet needs pyarrow; minari needs minari[arrow]; files: those attached to the '
+            'bag, such as option files'
         ),
     ],
     out: Annotated[Path, typer.Option(metavar='DIR', help='folder for the files')],
@@ -286,53 +275,53 @@ def export(
     excel: ExcelOption = False,
 ) -> int:
     """Write tables or a dataset for other tools."""
-    from humanopts_env.domains.base import StateError
     from humanopts_teach.bags.reader import open_bag
     from humanopts_teach.export import minari_dataset, tables
 
     if excel and to != 'csv':
         raise CommandError('--excel is for --to csv')
-    try:
-        with progress_bar() as show:
-            opened = open_bag(bag, show, namespace)
-            if to == 'minari':
-                dataset_id, count = minari_dataset.write_dataset(opened, out)
-                written = [
-                    f'{count} episodes; with {minari_dataset.FOLDER}={out} in the environment:\n'
-                    f'minari.load_dataset({dataset_id!r})'
-                ]
-            elif to == 'files':
-                written = [one_line(str(path)) for path in tables.write_attached(opened, out)]
-            else:
-                found = tables.bag_tables(opened)
-                written = list(map(str, tables.write_tables(found, out, to, excel=excel)))
-    except (tables.ExportError, StateError) as error:
-        raise CommandError(one_line(str(error))) from error
-    except OSError as error:
-        raise CommandError(f'cannot write in {out}: {error.strerror or error}') from error
+    with refusing(OSError, what=f'cannot write in {out}: '), progress_bar() as show:
+        opened = open_bag(bag, show, namespace)
+        if to == 'minari':
+            dataset_id, count = minari_dataset.write_dataset(opened, out)
+            written = [
+                f'{count} episodes; with {minari_dataset.FOLDER}={out} in the environment:\n'
+                f'minari.load_dataset({dataset_id!r})'
+            ]
+        elif to == 'files':
+            written = [one_line(str(path)) for path in tables.write_attached(opened, out)]
+        else:
+            found = tables.bag_tables(opened)
+            written = list(map(str, tables.write_tables(found, out, to, excel=excel)))
     _print('\n'.join(written))
     _warn('export', None, opened.notes)
     return 0
 
 
-def _print(text: str, file: TextIO | None = None) -> None:
-    """Print what a bag holds: no escape sequence in a name reaches the terminal."""
-    print(printable(text), file=file)
+def _print(text: str) -> None:
+    """Print without escape sequences that names in a bag may contain."""
+    print(printable(text))
 
 
 def _json(values: Any) -> str:
     return json_text.dumps(values, indent=2)
 
 
+def _print_json(*values: Any) -> None:
+    """Print the data of one bag, or a list."""
+    _print(_json(values[0] if len(values) == 1 else values))
+
+
 def _warn(command: str, bag: 'Bag | None', warnings: Sequence[str]) -> None:
-    """Print what was assumed or left out; of one of several bags, with its path."""
+    """Print what was assumed or left out; with the path of one of several bags."""
     prefix = f'{bag.path}: ' if bag is not None else ''
     for warning in warnings:
-        _print(one_line(f'humanopts bag {command}: {prefix}{warning}'), sys.stderr)
+        line = one_line(f'humanopts bag {command}: {prefix}{warning}')
+        print(printable(line), file=sys.stderr)
 
 
 def _check_report(path: Path, bags: int) -> None:
-    """Refuse a report before the work for it."""
+    """Refuse a report before the work for it is done."""
     if bags > 1:
         raise CommandError('--html reports on one bag: give one')
     if path.is_dir():
@@ -344,7 +333,7 @@ def _check_report(path: Path, bags: int) -> None:
 
 
 def _play(replay: 'Replay', device: 'Device') -> None:
-    """Draw until the person quits or the terminal is gone."""
+    """Show a replay until the person quits or the terminal closes."""
     from humanopts_teach.dialogue.keys import SUSPEND
 
     shown = time.monotonic()

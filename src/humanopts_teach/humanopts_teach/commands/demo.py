@@ -8,12 +8,11 @@ import sys
 import threading
 from typing import Any
 
-from humanopts_env.domains.base import Domain, DomainError, is_enumerable
+from humanopts_env.domains.base import Domain, is_enumerable
 from humanopts_env.domains.registry import make_domain
 from humanopts_learner.options.learned_option import LearnedOption
 from humanopts_learner.planning.request import (
     HUMAN,
-    PlanError,
     PlanRequest,
     PRIMITIVE,
 )
@@ -22,7 +21,6 @@ from humanopts_teach.bags import BagError
 from humanopts_teach.bags.info import TopicRow
 from humanopts_teach.bags.reader import open_bag
 from humanopts_teach.command_line import LaunchOptions
-from humanopts_teach.commands import refusing
 from humanopts_teach.commands.progress import DemoProgress
 from humanopts_teach.commands.session import (
     new_name,
@@ -44,7 +42,6 @@ from humanopts_teach.evaluation.summary import (
     Live,
     PlayedEpisodes,
     summary,
-    SummaryError,
     write_json,
 )
 from humanopts_teach.evaluation.tables import (
@@ -80,7 +77,8 @@ def run_demo(
     :param error_rate: share of the simulated teacher's steps that are wrong.
     :return: exit status, 1 if a check failed.
     """
-    domain = _demo_domain(name, launch, game_steps)
+    domain = make_domain(name, dict(launch.parameter))
+    PlanRequest(PRIMITIVE, game_steps=game_steps).in_force(domain, ())  # it can be planned in
     setup = setup_from(
         name,
         launch,
@@ -97,7 +95,9 @@ def run_demo(
     compares = games > 0 and not exact
     with DemoProgress() as progress:
         with session(setup, progress, new=True) as running:
-            taught = _teach(running, progress)
+            progress.stage('teaching')
+            wait_until_taught(running)
+            taught = running.graph.learned()
             live = _plan_and_play(running, domain, taught, played, judged, exact, progress)
         progress.stage('evaluating the bag')
         try:
@@ -117,11 +117,10 @@ def run_demo(
         from humanopts_teach.report.write import write_evaluation_report
 
         page = setup.directory / 'report.html'
-        with refusing(SummaryError):
-            restarts = [asdict(end) for end in running.launcher.ends]
-            found = {**summary(live, evaluation, holds), 'ended_nodes': restarts}
-            write_json(setup.directory / 'summary.json', found)
-            topics = write_evaluation_report(page, evaluation, bag, live).topics
+        restarts = [asdict(end) for end in running.launcher.ends]
+        found = {**summary(live, evaluation, holds), 'ended_nodes': restarts}
+        write_json(setup.directory / 'summary.json', found)
+        topics = write_evaluation_report(page, evaluation, bag, live).topics
     _print_results(live, evaluation)
     print(f'the bag holds {bag.n_messages} messages on {len(bag.topics)} topics')
     print(f'report: {page}')
@@ -129,22 +128,6 @@ def run_demo(
     for problem in problems:
         print(one_line(f'humanopts demo: {problem}'), file=sys.stderr)
     return 1 if problems or running.unclean else 0
-
-
-def _demo_domain(name: str, launch: LaunchOptions, game_steps: int) -> Domain[Any]:
-    """Return the domain; refuse it if the demo cannot plan in it."""
-    with refusing(DomainError):
-        domain = make_domain(name, dict(launch.parameter))
-    with refusing(PlanError):
-        PlanRequest(PRIMITIVE, game_steps=game_steps).in_force(domain, ())
-    return domain
-
-
-def _teach(running: Session, progress: DemoProgress) -> list[tuple[LearnedOption, Any]]:
-    """Return each option and the message of its status, once everything is taught."""
-    progress.stage('teaching')
-    wait_until_taught(running)
-    return running.graph.learned()
 
 
 def _plan_and_play(

@@ -12,7 +12,7 @@ import tempfile
 import time
 from typing import Any
 
-from humanopts_env.domains.base import Domain, DomainError
+from humanopts_env.domains.base import Domain
 from humanopts_env.domains.capabilities import HasTeachingDefaults
 from humanopts_env.domains.names import is_registered
 from humanopts_env.domains.registry import make_domain, reference_options
@@ -188,8 +188,7 @@ class Session:
 
 def taught_options(domain: Domain[Any]) -> tuple[str, ...]:
     """Return the options to teach: those that the domain suggests, or all that are known."""
-    with refusing(DomainError):
-        known = tuple(reference_options(domain))
+    known = tuple(reference_options(domain))
     if not known:
         raise CommandError(
             f'{domain.name} has no reference options, which the simulated teacher needs; '
