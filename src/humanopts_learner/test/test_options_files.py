@@ -106,6 +106,7 @@ def numbers_in(value: Any, place: tuple[Any, ...] = ()) -> Iterator[tuple[Any, .
         yield place
 
 
+@pytest.mark.heavy
 @pytest.mark.parametrize('wrong', [2**31, 2**64 - 1, -1, 0.5, True, '1'])
 def test_a_file_with_any_number_replaced_is_refused_or_can_be_used(
     option: LearnedOption, fetching: Shown, wrong: object

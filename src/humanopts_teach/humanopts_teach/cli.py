@@ -10,7 +10,6 @@ import importlib
 from importlib.metadata import version
 from importlib.util import find_spec
 import os
-from pathlib import Path
 import sys
 from typing import Annotated, Any, TYPE_CHECKING
 
@@ -26,7 +25,7 @@ from humanopts_teach.command_line import (
     whole,
     with_options,
 )
-from humanopts_teach.commands import agreed, CommandError, interruptible
+from humanopts_teach.commands import CommandError, interruptible
 from humanopts_teach.commands.bag import app as bag_app
 from humanopts_teach.commands.output import open_streams, silence
 from humanopts_teach.commands.study import app as study_app
@@ -238,6 +237,7 @@ def teach(
     from humanopts_teach.commands.session import (
         check_folder,
         default_folder,
+        known_code,
         new_name,
         run_in_terminal,
         Session,
@@ -246,7 +246,8 @@ def teach(
     )
 
     if participant and not pages.browser:
-        participant = _settled(participant, launch.out or default_folder(domain))
+        folder = (launch.out or default_folder(domain)) / 'demonstrations'
+        participant = known_code(participant, [each.stem for each in folder.glob('*.jsonl')])
     setup = setup_from(
         domain,
         launch,
@@ -289,24 +290,6 @@ def status(
     return report.status
 
 
-def _settled(participant: str, folder: Path) -> str:
-    """
-    Return the code of a person, who is asked where a known one differs only in case.
-
-    :raises CommandError: the person is another one, and needs another code.
-    """
-    from humanopts_teach.lesson.store import similar_code
-
-    known = [each.stem for each in (folder / 'demonstrations').glob('*.jsonl')]
-    similar = similar_code(participant, known)
-    if similar and not agreed(f'{similar} has taught here. Go on as {similar}?'):
-        raise CommandError(
-            f'--participant {participant!r} differs only in case from {similar!r}, who has taught '
-            f'here: give {similar!r} to go on, or another code'
-        )
-    return similar or participant
-
-
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command; return its exit status: 0, 1 for a failure, 2 for bad input."""
     open_streams()
@@ -338,7 +321,10 @@ def main(argv: Sequence[str] | None = None) -> int:
             several = isinstance(error, LaunchError | CommandError)  # lines
             text = str(error) if several else one_line(str(error))
             return _complain(_named(context), text, 1 if failed else 2)
-        if not isinstance(error, OSError) or error.errno not in _UNWRITABLE or error.filename:
+        if isinstance(error, OSError) and error.filename:
+            text = one_line(f'cannot use {error.filename}: {error.strerror}')
+            return _complain(_named(context), text, 2)
+        if not isinstance(error, OSError) or error.errno not in _UNWRITABLE:
             raise
         silence(sys.stdout)
         return _complain(_named(context), f'cannot write its output: {error.strerror}', 1)

@@ -148,6 +148,7 @@ _TEXT = st.text(max_size=12) | st.sampled_from(['fetch', 'No', '&a x', '*a', '<<
 _MERGE = st.dictionaries(_TEXT, st.lists(_TEXT | st.none() | st.booleans() | st.floats()) | _TEXT)
 
 
+@pytest.mark.heavy
 @given(
     st.dictionaries(_TEXT, st.lists(_TEXT, max_size=4)).map(yaml.safe_dump)
     | _MERGE.map(yaml.safe_dump)

@@ -25,12 +25,13 @@ from humanopts_teach.browser.seats import (
 from humanopts_teach.command_line import PageOptions
 from humanopts_teach.commands import CommandError, noticed_interrupts
 from humanopts_teach.commands.session import new_name
-from humanopts_teach.commands.study_session import Study
+from humanopts_teach.commands.study_session import Study, Turn
 from humanopts_teach.dialogue.panel import ScreenView
 from humanopts_teach.launching.place import only_launch
 from humanopts_teach.launching.processes import processes, Setup
 from humanopts_teach.launching.usage import memory_left, memory_of_children
 from humanopts_teach.ros.browser_teleop import BrowserTeleopNode, TeleopThread
+from humanopts_teach.study.record import StudyError
 
 _SERVER = 'browser'  # the place of the server: its graphs are in namespaces seat_1, seat_2, ...
 _TOKEN_BYTES = 12
@@ -228,20 +229,19 @@ async def _all_turns(study: Study, thread: TeleopThread, seat: Seat) -> AsyncIte
         nonlocal press
         try:
             participant = study.enter(seat.participant)
-            while (turn := study.next_turn(participant)) is not None:
+            turn = study.next_turn(participant)
+            while isinstance(turn, Turn):
                 condition = ConditionSeat(seat)
                 async with _game(turn.setup, thread, condition) as pressed:
                     press = pressed
                     await condition.over.wait()
                     press = _nothing
                     seat.show(message(seat.head, 'The next part is being prepared ...'), 0)
-                if farewell := condition.farewell or study.farewell(participant, turn):
-                    seat.end(farewell)
-                    return
-            seat.end(study.finish(participant))
-        except (CommandError, GameError) as error:
+                turn = condition.farewell or study.next_turn(participant, turn)
+            seat.end(turn)
+        except (CommandError, GameError, StudyError, OSError) as error:
             seat.end(str(error))
-        except Exception:  # nobody foresaw it; the page is not left waiting
+        except Exception:  # the page must not wait for ever
             traceback.print_exc()
             seat.end('The study cannot go on: see the terminal where it runs.')
 

@@ -1,7 +1,7 @@
 """One launch, for as long as a command runs: what is asked for, checked, and the running graph."""
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 import os
@@ -22,7 +22,13 @@ from humanopts_ros.middleware import check_settings
 from humanopts_ros.recording import Selection
 from humanopts_teach.bags.writer import parts
 from humanopts_teach.command_line import LaunchOptions
-from humanopts_teach.commands import CommandError, Interrupts, noticed_interrupts, refusing
+from humanopts_teach.commands import (
+    agreed,
+    CommandError,
+    Interrupts,
+    noticed_interrupts,
+    refusing,
+)
 from humanopts_teach.commands.output import unfailing_output
 from humanopts_teach.launching import LaunchError, RECORDER, USUAL
 from humanopts_teach.launching.job import front_is_gone
@@ -35,8 +41,10 @@ from humanopts_teach.launching.processes import (
     Setup,
 )
 from humanopts_teach.launching.restarts import MOST, NodeExit
+from humanopts_teach.lesson.store import similar_code
 from humanopts_teach.ros.graph_client import GraphClient
 from humanopts_teach.ros.graph_probe import check_free
+from humanopts_teach.study.record import SimilarCodeError
 
 _NAMESPACE = re.compile(r'/|(/[A-Za-z_][A-Za-z0-9_]*)+')  # of nodes, as ROS 2 allows them
 _TEACHING_SECONDS = 600.0  # longest time in which the simulated teacher does nothing
@@ -72,6 +80,18 @@ def setup_from(
             raise CommandError(lacking)
         print_line(lacking)
     return setup
+
+
+def known_code(code: str, known: Iterable[str]) -> str:
+    """
+    Return the code of a participant; this terminal asks if a known one differs only in case.
+
+    :raises CommandError: it is another participant, who needs another code.
+    """
+    similar = similar_code(code, known)
+    if similar and not agreed(f'{similar} has taken part. Go on as {similar}?'):
+        raise CommandError(str(SimilarCodeError(code, similar)))
+    return similar or code
 
 
 def new_name(prefix: str) -> str:

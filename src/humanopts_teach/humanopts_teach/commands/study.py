@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class _StudyCommands(TyperGroup):
-    """Commands; a first word that is not a command names a plan to run."""
+    """Commands; a first word that is no command is a plan to run."""
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """Return the command that the first word names, or the one that runs a plan."""
@@ -40,7 +40,7 @@ StudyOption = Annotated[
 
 @app.callback()
 def study() -> None:
-    """Carry out a study with people: humanopts study PLAN.yaml --participant CODE."""
+    """Run a study with people: humanopts study PLAN.yaml --participant CODE."""
 
 
 @app.command()
@@ -48,23 +48,23 @@ def study() -> None:
 def run(
     plan: PlanArgument,
     participant: Annotated[
-        str, typer.Option(metavar='CODE', help='of the person; default: ask')
+        str, typer.Option(metavar='CODE', help='code of the person; default: ask')
     ] = '',
     simulate: Annotated[
         int,
         typer.Option(
             parser=whole(0),
             metavar='N',
-            help='let N simulated participants take part, to try a plan without people',
+            help='number of simulated participants, to try a plan without people',
         ),
     ] = 0,
     folder: StudyOption = None,
-    namespace: Annotated[str, typer.Option(metavar='NAME', help='of the nodes')] = '/',
+    namespace: Annotated[str, typer.Option(metavar='NAME', help='namespace of the nodes')] = '/',
     accept_changes: Annotated[
         bool,
         typer.Option(
             '--accept-changes',
-            help='keep a plan that was changed since the study began, for those who begin now',
+            help='accept a plan that was changed since the study began, for those who begin now',
         ),
     ] = False,
     *,
@@ -102,7 +102,7 @@ def status(
     folder: StudyOption = None,
     as_json: Annotated[bool, typer.Option('--json', help='print JSON')] = False,
 ) -> int:
-    """Show how far each participant is."""
+    """Show the progress of each participant."""
     from humanopts_teach.study.protocol import SHOWN_DIGEST
     from humanopts_teach.study.tables import status_table
 
@@ -143,9 +143,9 @@ def export(
 
 def _open(path: Path, folder: Path | None) -> 'tuple[StudyPlan, StudyFolder]':
     """
-    Read a plan; return it, and the folder of those who take part.
+    Read a plan; return it, and the folder of the participants.
 
-    :raises CommandError: it cannot be used.
+    :raises CommandError: the plan cannot be used.
     """
     from humanopts_teach.study.plan import PlanFileError, read_plan
     from humanopts_teach.study.record import StudyFolder
@@ -159,7 +159,7 @@ def _kept(
     command: str, path: Path, folder: Path | None
 ) -> 'tuple[StudyPlan, StudyFolder, Protocol]':
     """
-    Return the plan that is kept in the folder of a study, which counts whatever the file says now.
+    Return the plan in the folder of a study, which is valid whatever the file now says.
 
     Before the first participant it is the plan of the file.
 
@@ -171,27 +171,22 @@ def _kept(
 
     with refusing(PlanFileError, what=f'{path}: '):
         there = StudyFolder(folder or Path('runs') / read_name(path))
-    with refusing(OSError, what='cannot read what is kept of the plan: '):
-        protocol = Protocol(there.path)
-    with refusing(OSError, what=f'cannot read {there.path}: '):
-        missing = there.missing_plan(protocol)
+    protocol = Protocol(there.path)
+    missing = there.missing_plan(protocol)
     _warn(command, [*protocol.problems, *filter(None, [missing])])
     if protocol.plan is None:
         return (*_open(path, there.path), protocol)
     try:
-        if read_plan(path) != protocol.plan:
-            _warn(command, [f'{path} has been changed; what is kept in {there.path} counts'])
+        changed = 'it has been changed' if read_plan(path) != protocol.plan else ''
     except PlanFileError as error:
-        _warn(command, [f'{path}: {error}; what is kept in {there.path} counts'])
+        changed = str(error)
+    if changed:
+        _warn(command, [f'{path}: {changed}; the plan kept in {there.path} is used'])
     return protocol.plan, there, protocol
 
 
 def _export(folder: 'StudyFolder', out: Path, *, excel: bool = False) -> None:
-    """
-    Write the tables, and Table 1 from the bags.
-
-    :raises CommandError: the folder cannot be written.
-    """
+    """Write the tables, and Table 1 from the bags."""
     from humanopts_learner.spreadsheet import csv_of, EXCEL
     from humanopts_teach.bags.reader import open_bag
     from humanopts_teach.evaluation.table1 import (
@@ -214,19 +209,17 @@ def _export(folder: 'StudyFolder', out: Path, *, excel: bool = False) -> None:
     table_1 = table_text(count_named(named_options(bags), {}))
     records, problems = folder.records()
     _warn('export', problems)
-    with refusing(OSError, what=f'cannot write in {out}: '):
-        out.mkdir(parents=True, exist_ok=True)
-        for name, table in tables(records).items():
-            (out / name).write_bytes(csv_of(table).encode(EXCEL if excel else 'utf-8'))
-            print(out / name)
-        kept = [
-            each.model_dump(mode='json', exclude_none=True)
-            for each in Protocol(folder.path).versions
-        ]
-        (out / 'protocol.json').write_text(f'{json.dumps(kept, indent=1)}\n', encoding='utf-8')
-        print(out / 'protocol.json')
-        (out / 'table1.txt').write_text(f'{table_1}\n', encoding='utf-8')
-    print(printable(f'{out / "table1.txt"}\n\n{table_1}'))
+    kept = [
+        each.model_dump(mode='json', exclude_none=True) for each in Protocol(folder.path).versions
+    ]
+    texts = {name: csv_of(table) for name, table in tables(records).items()}
+    texts |= {'protocol.json': f'{json.dumps(kept, indent=1)}\n', 'table1.txt': f'{table_1}\n'}
+    out.mkdir(parents=True, exist_ok=True)
+    for name, text in texts.items():
+        coding = EXCEL if excel and name.endswith('.csv') else 'utf-8'
+        (out / name).write_bytes(text.encode(coding))
+        print(printable(str(out / name)))
+    print(printable(f'\n{table_1}'))
 
 
 def _warn(command: str, problems: Iterable[str]) -> None:
