@@ -1,7 +1,7 @@
 """
-The humanopts command line: a function for each command, whose signature is its options.
+The humanopts command line: one function per command, with its options as parameters.
 
-The work is imported when a command runs, so that help and completion are quick.
+Commands import what they need when they run, so that help and completion are quick.
 """
 
 from collections.abc import Sequence
@@ -16,8 +16,10 @@ from typing import Annotated, Any, TYPE_CHECKING
 from humanopts_ros.limits import accept_any_text, one_line, printable
 from humanopts_teach.command_line import (
     CommandGroup,
+    flag,
     LaunchOptions,
     OnlyOption,
+    option,
     PageOptions,
     PLAIN,
     several_games,
@@ -38,28 +40,28 @@ if TYPE_CHECKING:
     from humanopts_teach.launching.processes import Setup
 
 NAME = 'humanopts'
-COMPLETE = '_HUMANOPTS_COMPLETE'  # set by the shell, for a list of completions
+COMPLETE = '_HUMANOPTS_COMPLETE'  # set by the shell to get completions
 _UNWRITABLE = errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO  # of standard output
-OUTSIDE = {  # commands of the repository: the module that has the Typer app, and a line of help
-    'bench': ('benchmarks.command', 'how long things take, each beside a yardstick'),
-    'reproduce': ('experiments.command', "the paper's figures and tables, computed again"),
+OUTSIDE = {  # commands of the repository: module of the Typer app, and help
+    'bench': ('benchmarks.command', 'benchmarks, each next to a yardstick'),
+    'reproduce': ('experiments.command', "recompute the paper's figures and tables"),
 }
 
 
 class OutsideCommand(TyperCommand):
-    """A command of the repository; what it needs is imported when it runs, or shows its help."""
+    """A command of the repository; its module is imported when it runs or shows its help."""
 
     def make_context(
         self, info_name: str | None, args: list[str], *others: Any, **more: Any
     ) -> Any:
-        """Let the command itself read its words."""
+        """Let the command parse its own arguments."""
         module = importlib.import_module(OUTSIDE[str(self.name)][0])
         command = typer.main.get_command(module.app)
         return command.make_context(info_name, args, *others, **more)
 
 
 class Commands(CommandGroup):
-    """All commands, those of the repository too where it is there."""
+    """All commands, including those of the repository if it is available."""
 
     def __init__(self, **settings: Any) -> None:
         super().__init__(**settings)
@@ -79,10 +81,10 @@ app.add_typer(study_app, name='study')
 
 
 class DomainCommand(TyperCommand):
-    """A command of a game, whose help names the games that there are."""
+    """A command with a domain; its help lists the domains."""
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
-        """Look for the domains only when help is asked for."""
+        """Find the domains only when help is shown."""
         from humanopts_env.domains.names import domain_names, GYMNASIUM
 
         self.epilog = f'DOMAIN is one of {", ".join(domain_names())}, or {GYMNASIUM}ENV_ID.'
@@ -101,7 +103,7 @@ def _version(asked: bool) -> None:
 @app.callback()
 def humanopts(
     version: Annotated[
-        bool, typer.Option('--version', callback=_version, is_eager=True, help='show it, and end')
+        bool, flag('--version', 'show the version and exit', callback=_version, is_eager=True)
     ] = False,
 ) -> None:
     """Teach options to a game-playing agent, and plan with them."""
@@ -113,43 +115,28 @@ def demo(
     domain: str = 'taxi',
     episodes: Annotated[
         int | None,
-        typer.Option(
-            parser=whole(1),
-            metavar='N',
-            help='to play live; default: 100, or 5 where plans are made from samples',
-        ),
+        option('N', 'number of live episodes; default: 100, or 5 with sampled plans', whole(1)),
     ] = None,
     games: Annotated[
         int,
-        typer.Option(
-            parser=whole(0),
-            metavar='N',
+        option(
+            'N',
+            'number of games that evaluate each policy, with sampled plans; 0: no comparison',
+            whole(0),
             callback=several_games,
-            help='that each way to play is judged by where plans are made from samples; 0: leave '
-            'the comparison out',
         ),
     ] = 1000,
     game_steps: Annotated[
         int | None,
-        typer.Option(
-            parser=whole(1),
-            metavar='N',
-            help='of games, that a plan is sampled from where plans are made from samples; '
-            'default: 800000',
-        ),
+        option('N', 'game steps that each sampled plan is made from; default: 800000', whole(1)),
     ] = None,
     error_rate: Annotated[
-        float,
-        typer.Option(
-            parser=share,
-            metavar='SHARE',
-            help="share of the simulated teacher's steps that are wrong",
-        ),
+        float, option('SHARE', 'share of wrong steps of the simulated teacher', share)
     ] = 0.02,
     *,
     launch: LaunchOptions,
 ) -> int:
-    """Run the whole graph with a simulated teacher: bag, options, report."""
+    """Run the whole graph with a simulated teacher, and report on the recorded bag."""
     from humanopts_teach.launching.forks import prepare
 
     prepare()
@@ -178,13 +165,11 @@ def up_setup(
 @with_options
 def up(
     domain: DomainArgument,
-    no_record: Annotated[bool, typer.Option('--no-record', help='do not write a bag')] = False,
+    no_record: Annotated[bool, flag('--no-record', 'do not write a bag')] = False,
     only: OnlyOption = '',
     taught: Annotated[
         list[str],
-        typer.Option(
-            metavar='NAME', help='option that a simulated teacher teaches; may be repeated'
-        ),
+        option('NAME', 'option that a simulated teacher teaches; may be repeated'),
     ] = [],  # noqa: B006
     *,
     launch: LaunchOptions,
@@ -210,10 +195,10 @@ def teach(
     domain: DomainArgument,
     participant: Annotated[
         str,
-        typer.Option(
-            metavar='CODE',
+        option(
+            'CODE',
+            'code of the person: letters, digits, - and _, at most 60; default: ask',
             show_default=False,
-            help='code of the person: letters, digits, - and _, at most 60; default: ask',
         ),
     ] = '',
     *,
@@ -273,10 +258,8 @@ def teach(
 
 @app.command()
 def status(
-    namespace: Annotated[
-        str, typer.Option(metavar='NAME', help='of the nodes; begins with /')
-    ] = '/',
-    json: Annotated[bool, typer.Option('--json', help='print JSON')] = False,
+    namespace: Annotated[str, option('NAME', 'namespace of the nodes; begins with /')] = '/',
+    json: Annotated[bool, flag('--json', 'print JSON')] = False,
 ) -> int:
     """Show the status of a running graph: nodes, rates, recorder, restarts."""
     import json as json_text

@@ -17,8 +17,22 @@ PLAIN: dict[str, Any] = {  # settings of every Typer app: plain help that fits 8
     'add_completion': False,
     'context_settings': {'help_option_names': ['-h', '--help'], 'max_content_width': 80},
 }
+
+
+def option(
+    metavar: str, text: str, parser: Callable[[str], Any] | None = None, **more: Any
+) -> Any:
+    """Return an option that takes a value; ``more`` goes to Typer."""
+    return typer.Option(metavar=metavar, help=text, parser=parser, **more)
+
+
+def flag(name: str, text: str, **more: Any) -> Any:
+    """Return an option without a value; ``more`` goes to Typer."""
+    return typer.Option(name, help=text, **more)
+
+
 ExcelOption = Annotated[
-    bool, typer.Option('--excel', help='begin CSV files with a byte order mark, as Excel needs')
+    bool, flag('--excel', 'begin CSV files with a byte order mark, as Excel needs')
 ]
 _UNITS = {'': 1, 'k': 10**3, 'M': 10**6, 'G': 10**9}
 
@@ -94,11 +108,11 @@ seconds = number('from 0 to 60', lambda value: 0 <= value <= 60)
 
 OnlyOption = Annotated[
     str,
-    typer.Option(
-        metavar='NAMES',
-        show_default=False,
-        help='nodes to start here, such as game,lesson,recorder, while the others run on another '
+    option(
+        'NAMES',
+        'nodes to start here, such as game,lesson,recorder, while the others run on another '
         'machine; default: all',
+        show_default=False,
     ),
 ]
 
@@ -107,40 +121,38 @@ OnlyOption = Annotated[
 class PageOptions:
     """Options of the page server; each field is one."""
 
-    browser: Annotated[
-        bool, typer.Option('--browser', help='serve pages to one or several people')
-    ] = False
+    browser: Annotated[bool, flag('--browser', 'serve pages to one or several people')] = False
     host: Annotated[
         str,
-        typer.Option(metavar='ADDRESS', help='with --browser: address to serve at; 0.0.0.0: all'),
+        option('ADDRESS', 'with --browser: address to serve at; 0.0.0.0: all'),
     ] = '127.0.0.1'
     port: Annotated[
         int,
-        typer.Option(min=0, max=65535, metavar='N', help='with --browser: port; 0: any free one'),
+        option('N', 'with --browser: port; 0: any free one', min=0, max=65535),
     ] = 8080
     allow_host: Annotated[
         list[str],
-        typer.Option(
-            metavar='NAME',
-            help='with --browser: a host name by which browsers reach this machine, such as that '
+        option(
+            'NAME',
+            'with --browser: a host name by which browsers reach this machine, such as that '
             'of a reverse proxy; may be repeated',
         ),
     ] = field(default_factory=list)
     seats: Annotated[
         int | None,
-        typer.Option(
-            parser=whole(1),
-            metavar='N',
-            help='with --browser: largest number of games at once; more people wait in line; '
+        option(
+            'N',
+            'with --browser: largest number of games at once; more people wait in line; '
             'default: as many as fit in memory',
+            whole(1),
         ),
     ] = None
     linger: Annotated[
         float,
-        typer.Option(
-            parser=number('from 1 to 86400', lambda value: 1 <= value <= 86400),
-            metavar='SECONDS',
-            help='with --browser: how long a game continues after its page is closed',
+        option(
+            'SECONDS',
+            'with --browser: how long a game continues after its page is closed',
+            number('from 1 to 86400', lambda value: 1 <= value <= 86400),
         ),
     ] = 120.0
 
@@ -151,14 +163,11 @@ class LaunchOptions:
 
     out: Annotated[
         Path | None,
-        typer.Option(
-            metavar='DIR',
-            help='folder for bags, options and logs; default: runs/DOMAIN, for demo a new one',
+        option(
+            'DIR', 'folder for bags, options and logs; default: runs/DOMAIN, for demo a new one'
         ),
     ] = None
-    seed: Annotated[
-        int, typer.Option(parser=whole(0), metavar='N', help='seed of every random draw')
-    ] = 1
+    seed: Annotated[int, option('N', 'seed of every random draw', whole(0))] = 1
     strategy: Annotated[
         Literal['random', 'coverage', 'failures'], typer.Option(help='choice of start states')
     ] = STRATEGY
@@ -171,47 +180,41 @@ class LaunchOptions:
     ] = METHOD
     budget: Annotated[
         int,
-        typer.Option(
-            parser=whole(1), metavar='N', help='largest number of start states shown per option'
-        ),
+        option('N', 'largest number of start states shown per option', whole(1)),
     ] = BUDGET
     return_delta: Annotated[
         float | None,
-        typer.Option(
-            parser=any_number,
-            metavar='UNITS',
-            help='largest shortfall of the return of an option, in reward units; default: a tenth '
+        option(
+            'UNITS',
+            'largest shortfall of the return of an option, in reward units; default: a tenth '
             'of the range from random actions to the demonstrations',
+            any_number,
         ),
     ] = None
     initiation_error: Annotated[
         float | None,
-        typer.Option(
-            parser=share,
-            metavar='SHARE',
-            help='largest held-out error of the initiation set of an option; default: 0.05',
+        option(
+            'SHARE',
+            'largest held-out error of the initiation set of an option; default: 0.05',
+            share,
         ),
     ] = None
     termination_error: Annotated[
         float | None,
-        typer.Option(
-            parser=share,
-            metavar='SHARE',
-            help='largest held-out error of the termination of an option; default: 0.05',
+        option(
+            'SHARE', 'largest held-out error of the termination of an option; default: 0.05', share
         ),
     ] = None
     parameter: Annotated[
         list[Any],  # of pairs: a name and a value
-        typer.Option(
-            parser=name_and_value,
+        option(
+            'NAME=VALUE',
+            'parameter of the domain, such as rows=7 or is_slippery=false; may be repeated',
+            name_and_value,
             callback=each_once,
-            metavar='NAME=VALUE',
-            help='parameter of the domain, such as rows=7 or is_slippery=false; may be repeated',
         ),
     ] = field(default_factory=list)
-    namespace: Annotated[
-        str, typer.Option(metavar='NAME', help='namespace of the nodes; begins with /')
-    ] = '/'
+    namespace: Annotated[str, option('NAME', 'namespace of the nodes; begins with /')] = '/'
     record_topics: Annotated[
         list[str],
         typer.Option(
@@ -222,39 +225,37 @@ class LaunchOptions:
     ] = field(default_factory=list)
     record_exclude: Annotated[
         list[str],
-        typer.Option(metavar='PATTERN', help='do not record matching topics; may be repeated'),
+        option('PATTERN', 'do not record matching topics; may be repeated'),
     ] = field(default_factory=list)
     split_bytes: Annotated[
         int | None,
-        typer.Option(
-            parser=size,
-            metavar='SIZE',
-            help='start another file of the bag at this size, such as 500M; default: never',
+        option(
+            'SIZE',
+            'start another file of the bag at this size, such as 500M; default: never',
+            size,
         ),
     ] = None
     split_seconds: Annotated[
         float | None,
-        typer.Option(
-            parser=number('a number of seconds up to 1000000', lambda value: 0 < value <= 10**6),
-            metavar='SECONDS',
-            help='start another file of the bag after this time; default: never',
+        option(
+            'SECONDS',
+            'start another file of the bag after this time; default: never',
+            number('a number of seconds up to 1000000', lambda value: 0 < value <= 10**6),
         ),
     ] = None
     step_period: Annotated[
         float | None,
-        typer.Option(
-            parser=seconds,
-            metavar='SECONDS',
-            help='time between steps of the machine; default: 0.15 for teach, 0.02 for demo in a '
+        option(
+            'SECONDS',
+            'time between steps of the machine; default: 0.15 for teach, 0.02 for demo in a '
             'terminal, else 0',
+            seconds,
         ),
     ] = None
-    diagnostics: Annotated[
-        bool, typer.Option('--diagnostics', help='publish /diagnostics, for ROS tools')
-    ] = False
-    views: Annotated[
-        bool, typer.Option('--views', help='publish the game for RViz and Foxglove')
-    ] = False
+    diagnostics: Annotated[bool, flag('--diagnostics', 'publish /diagnostics, for ROS tools')] = (
+        False
+    )
+    views: Annotated[bool, flag('--views', 'publish the game for RViz and Foxglove')] = False
 
 
 def with_options(command: Callable[..., int]) -> Callable[..., int]:

@@ -18,7 +18,9 @@ from humanopts_ros.limits import one_line, printable
 from humanopts_teach.command_line import (
     CommandGroup,
     ExcelOption,
+    flag,
     number,
+    option,
     PLAIN,
     several_games,
     whole,
@@ -41,13 +43,13 @@ BagArguments = Annotated[
 ]
 Namespace = Annotated[
     str,
-    typer.Option(
-        metavar='NAME',
+    option(
+        'NAME',
+        'namespace of the graph to read, if the bag holds several; default: the recorded one',
         show_default=False,
-        help='namespace of the graph to read, if the bag holds several; default: the recorded one',
     ),
 ]
-Json = Annotated[bool, typer.Option('--json', help='print JSON')]
+Json = Annotated[bool, flag('--json', 'print JSON')]
 speed_factor = number('from 1/16 to 64', lambda value: 1 / 16 <= value <= 64)
 
 
@@ -98,7 +100,7 @@ def check(
     bag: BagArgument,
     repair: Annotated[
         Path | None,
-        typer.Option(metavar='OUT', help='write everything that can be saved to this new folder'),
+        option('OUT', 'write everything that can be saved to this new folder'),
     ] = None,
     json: Json = False,
 ) -> int:
@@ -128,18 +130,16 @@ def check(
 @app.command('eval')
 def evaluate(
     bags: BagArguments,
-    html: Annotated[
-        Path | None, typer.Option(metavar='FILE', help='write a report to this file')
-    ] = None,
+    html: Annotated[Path | None, option('FILE', 'write a report to this file')] = None,
     games: Annotated[
         int,
-        typer.Option(
-            parser=whole(0),
-            metavar='N',
+        option(
+            'N',
+            'for sampled plans: compare them with random play and a hand-written rule in N '
+            'games each; takes minutes; default: no comparison',
+            whole(0),
             callback=several_games,
             show_default=False,
-            help='for sampled plans: compare them with random play and a hand-written rule in N '
-            'games each; takes minutes; default: no comparison',
         ),
     ] = 0,
     namespace: Namespace = '',
@@ -186,14 +186,10 @@ def evaluate(
 @app.command()
 def play(
     bag: BagArgument,
-    episode: Annotated[
-        int, typer.Option(parser=whole(1), metavar='N', help='number of the episode in the bag')
-    ] = 1,
+    episode: Annotated[int, option('N', 'number of the episode in the bag', whole(1))] = 1,
     speed: Annotated[
         float,
-        typer.Option(
-            parser=speed_factor, metavar='X', help='1: two steps per second; 2: twice as fast'
-        ),
+        option('X', '1: two steps per second; 2: twice as fast', speed_factor),
     ] = 1.0,
     namespace: Namespace = '',
 ) -> int:
@@ -226,10 +222,7 @@ def table1(
     bags: BagArguments,
     merge: Annotated[
         Path | None,
-        typer.Option(
-            metavar='FILE',
-            help='YAML file with each option name and the list of its other wordings',
-        ),
+        option('FILE', 'YAML file with each option name and the list of its other wordings'),
     ] = None,
     namespace: Namespace = '',
     json: Json = False,
@@ -270,7 +263,7 @@ def export(
             'bag, such as option files'
         ),
     ],
-    out: Annotated[Path, typer.Option(metavar='DIR', help='folder for the files')],
+    out: Annotated[Path, option('DIR', 'folder for the files')],
     namespace: Namespace = '',
     excel: ExcelOption = False,
 ) -> int:

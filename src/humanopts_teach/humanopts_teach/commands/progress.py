@@ -1,8 +1,8 @@
-"""What a person watches while a demo runs: the board, the lesson, the criteria."""
+"""What a demo shows while it runs: the board, the lesson, the criteria."""
 
+from collections.abc import Sequence
 from typing import Any
 
-from humanopts_env.board import board_text
 from humanopts_env.colours import GREEN
 from humanopts_env.domains.capabilities import board_of
 from humanopts_learner.ros.convert import summary_from_message
@@ -14,14 +14,14 @@ from rich.console import Console, Group
 from rich.live import Live
 from rich.text import Text
 
-_LINE_EVERY = 10  # demonstrations, where lines are printed instead of a live picture
+_LINE_EVERY = 10  # demonstrations between lines, without a terminal
 
 
 class DemoProgress:
     """
-    Shows how far a demo is, live on a terminal and as lines anywhere else.
+    Shows the progress of a demo: a live picture on a terminal, lines anywhere else.
 
-    Call it with the graph as often as wanted; it draws only what changed.
+    Call it with the graph as often as you like; it draws only what changed.
     """
 
     def __init__(self) -> None:
@@ -44,56 +44,52 @@ class DemoProgress:
         if self._console.is_terminal:
             self._live.update(Text(f'\n{text} ...'))
         else:
-            self._say(f'{text} ...')
-
-    def __call__(self, graph: GraphClient) -> None:
-        """Draw the graph's current values."""
-        if self._console.is_terminal:
-            self._live.update(self._picture(graph))
-        else:
-            self._lines(graph)
+            self._say(text, f'{text} ...')
 
     def evaluating(self, done: float, total: float, text: str) -> None:
-        """Show how far the evaluation of the bag is."""
+        """Show the progress of the evaluation on a terminal."""
         if self._console.is_terminal:
             self._live.update(Text(f'\n{self._stage}: {text} ({done / total:.0%})'))
 
     def comparing(self, done: float, total: float, text: str) -> None:
-        """Show what plays many games, as lines too."""
+        """Show the progress of many games, also as lines."""
         self.evaluating(done, total, text)
         if not self._console.is_terminal:
-            self._say(f'{done / total:4.0%} {text}', key=text)
+            self._say(text, f'{done / total:4.0%} {text}')
 
-    def _picture(self, graph: GraphClient) -> Group:
-        parts: list[Any] = [Text(f'\n{self._stage}', style='bold')]
+    def __call__(self, graph: GraphClient) -> None:
+        """Show the graph's current values."""
+        board: Sequence[Any] = ()
         if graph.domain is not None and graph.state is not None:
-            parts += board_texts(board_of(graph.domain, graph.state.state))
-        for option in graph.learning.options if graph.learning else ():
-            found = summary_from_message(option)
-            style = GREEN if found.criteria_met else ''
-            parts.append(Text(f'{found.option_name}: {_criteria_words(found)}', style))
+            board = board_texts(board_of(graph.domain, graph.state.state))
+        options = [
+            summary_from_message(m) for m in (graph.learning.options if graph.learning else ())
+        ]
+        lines = [f'{option.option_name}: {_criteria_words(option)}' for option in options]
+        if not self._console.is_terminal:
+            if board:
+                self._say('first state', 'the first state:', *board)
+            for option, line in zip(options, lines):
+                tens = (option.n_demonstrations + option.n_not_here) // _LINE_EVERY
+                self._say(f'{option.option_name} {tens} {option.criteria_met}', line)
+            return
+        parts: list[Any] = [Text(f'\n{self._stage}', style='bold'), *board]
+        parts += [Text(s, GREEN if o.criteria_met else '') for o, s in zip(options, lines)]
         if hasattr(played := graph.feedback, 'fallbacks'):
             counts = (
                 f'{played.episodes} episodes played, {played.successes} done, '
                 f'{played.fallbacks} fallbacks, mean return {played.mean_return:.2f}'
             )
             parts.append(Text(counts))
-        return Group(*parts)
+        self._live.update(Group(*parts))
 
-    def _lines(self, graph: GraphClient) -> None:
-        if graph.domain is not None and graph.state is not None:
-            board = board_text(board_of(graph.domain, graph.state.state))
-            self._say('the first state:\n' + board, key='first state')
-        for option in graph.learning.options if graph.learning else ():
-            tens = (option.n_demonstrations + option.n_not_here) // _LINE_EVERY
-            key = f'{option.option_name} {tens} {option.criteria_met}'
-            words = _criteria_words(summary_from_message(option))
-            self._say(f'{option.option_name}: {words}', key)
-
-    def _say(self, text: str, key: str = '') -> None:
-        if (key or text) not in self._said:
-            self._said.add(key or text)
-            self._console.print(printable(text), highlight=False, markup=False, soft_wrap=True)
+    def _say(self, key: str, *texts: str | Text) -> None:
+        """Print texts, once for each key."""
+        if key not in self._said:
+            self._said.add(key)
+            for text in texts:
+                line = printable(text) if isinstance(text, str) else text
+                self._console.print(line, highlight=False, markup=False, soft_wrap=True)
 
 
 def _criteria_words(option: OptionSummary) -> str:

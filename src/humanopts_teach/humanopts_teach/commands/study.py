@@ -9,7 +9,15 @@ from typing import Annotated, Any, TYPE_CHECKING
 
 from humanopts_ros.limits import one_line, printable
 from humanopts_teach.bags import BagError
-from humanopts_teach.command_line import ExcelOption, PageOptions, PLAIN, whole, with_options
+from humanopts_teach.command_line import (
+    ExcelOption,
+    flag,
+    option,
+    PageOptions,
+    PLAIN,
+    whole,
+    with_options,
+)
 from humanopts_teach.commands import CommandError, refusing
 from humanopts_teach.launching.job import stand_in_front
 import typer
@@ -47,24 +55,18 @@ def study() -> None:
 @with_options
 def run(
     plan: PlanArgument,
-    participant: Annotated[
-        str, typer.Option(metavar='CODE', help='code of the person; default: ask')
-    ] = '',
+    participant: Annotated[str, option('CODE', 'code of the person; default: ask')] = '',
     simulate: Annotated[
         int,
-        typer.Option(
-            parser=whole(0),
-            metavar='N',
-            help='number of simulated participants, to try a plan without people',
-        ),
+        option('N', 'number of simulated participants, to try a plan without people', whole(0)),
     ] = 0,
     folder: StudyOption = None,
-    namespace: Annotated[str, typer.Option(metavar='NAME', help='namespace of the nodes')] = '/',
+    namespace: Annotated[str, option('NAME', 'namespace of the nodes')] = '/',
     accept_changes: Annotated[
         bool,
-        typer.Option(
+        flag(
             '--accept-changes',
-            help='accept a plan that was changed since the study began, for those who begin now',
+            'accept a plan that was changed since the study began, for those who begin now',
         ),
     ] = False,
     *,
@@ -100,7 +102,7 @@ def run(
 def status(
     plan: PlanArgument,
     folder: StudyOption = None,
-    as_json: Annotated[bool, typer.Option('--json', help='print JSON')] = False,
+    as_json: Annotated[bool, flag('--json', 'print JSON')] = False,
 ) -> int:
     """Show the progress of each participant."""
     from humanopts_teach.study.protocol import SHOWN_DIGEST
@@ -128,7 +130,7 @@ def export(
     plan: PlanArgument,
     out: Annotated[
         Path | None,
-        typer.Option(metavar='DIR', help='for the tables; default: tables in the folder'),
+        option('DIR', 'for the tables; default: tables in the folder'),
     ] = None,
     folder: StudyOption = None,
     excel: ExcelOption = False,
