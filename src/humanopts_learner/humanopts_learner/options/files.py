@@ -1,7 +1,8 @@
 """Option files: versioned, readable JSON with the demonstrations that they were learned from."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, fields
+from functools import cache
 import hashlib
 import json
 import os
@@ -15,22 +16,18 @@ from humanopts_learner.demonstrations import (
     Demonstration,
     option_name_fault,
     Real,
-    Text,
     TREES,
 )
-from humanopts_learner.options.decision_tree import EncodedFeature, LEAF, Tree, TreeError
+from humanopts_learner.options.decision_tree import LEAF, Tree, TreeError
 from humanopts_learner.options.learned_option import LearnedOption, OptionError
 from humanopts_ros.limits import JsonError, MAX_JSON, parse_json
 from humanopts_ros.text_files import fault_in, FileError, read_text
 import numpy as np
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
 FORMAT = 'humanopts-option'
 VERSION = 1
 SLUG_LENGTH = 48
-NAMES = ('actions', 'features', 'uuids')
-TEXTS = ('name', 'participant', 'domain')
-COUNTS = ('n_demonstrations', 'n_not_here', 'max_steps')
 PARTS = ('policy', 'initiation', 'termination')
 
 
@@ -44,25 +41,15 @@ def option_to_json(option: LearnedOption, demonstrations: Sequence[Demonstration
 
     :param demonstrations: those that it was learned from, or none.
     """
-    planned: dict[str, Any] = {}
-    if option.method != TREES:
-        planned = {
-            'method': option.method,
-            'policy_columns': [asdict(encoded) for encoded in option.policy_encoding],
-        }
-    data = {
-        'format': FORMAT,
-        'version': VERSION,
-        **{key: getattr(option, key) for key in TEXTS},
-        'domain_parameters': json.loads(option.domain_parameters),
-        **{key: getattr(option, key) for key in COUNTS},
-        **{key: list(getattr(option, key)) for key in NAMES},
-        'columns': [asdict(encoded) for encoded in option.encoding],
-        **planned,
-        **{part: _tree_data(getattr(option, part)) for part in PARTS},
-        'demonstrations': [json.loads(demo.to_json()) for demo in demonstrations],
-    }
-    return _pretty(data) + '\n'
+    values = {field.name: getattr(option, field.name) for field in fields(option)}
+    if option.method == TREES:
+        del values['method'], values['policy_encoding']
+    values['domain_parameters'] = json.loads(option.domain_parameters)
+    values |= {part: _tree_data(values.pop(part)) for part in PARTS}
+    for key in ('encoding', 'policy_encoding'):
+        values |= {key: [asdict(encoded) for encoded in values[key]]} if key in values else {}
+    values['demonstrations'] = [json.loads(demo.to_json()) for demo in demonstrations]
+    return _pretty({'format': FORMAT, 'version': VERSION, **values}) + '\n'
 
 
 class _Values(BaseModel):
@@ -110,28 +97,23 @@ def _tree_data(tree: Tree) -> dict[str, Any]:
     return {'columns': tree.n_features, 'classes': list(tree.classes), 'nodes': nodes}
 
 
-class _OptionFile(_Values):
-    """What an option file holds."""
+class _OptionFile(BaseModel):
+    """An option file; its other keys are those of ``LearnedOption``."""
+
+    model_config = ConfigDict(extra='allow')
 
     format: Literal['humanopts-option']
     version: Literal[1]
-    name: Text
-    participant: Text
-    domain: Text
     domain_parameters: dict[str, Any]
-    n_demonstrations: Count
-    n_not_here: Count
-    max_steps: Count
-    actions: tuple[Text, ...]
-    features: tuple[Text, ...]
-    uuids: tuple[Text, ...]
-    columns: tuple[EncodedFeature, ...]
-    method: Text = TREES
-    policy_columns: tuple[EncodedFeature, ...] = ()
     policy: _Tree
     initiation: _Tree
     termination: _Tree
     demonstrations: tuple[Demonstration, ...]
+
+
+@cache
+def _option_adapter() -> TypeAdapter[LearnedOption]:
+    return TypeAdapter(LearnedOption)
 
 
 def option_from_json(text: str) -> tuple[LearnedOption, list[Demonstration]]:
@@ -142,12 +124,13 @@ def option_from_json(text: str) -> tuple[LearnedOption, list[Demonstration]]:
     """
     try:
         data = _OptionFile.model_validate(parse_json(text))
-        option = LearnedOption(
-            **{key: getattr(data, key) for key in (*TEXTS, *COUNTS, *NAMES, 'method')},
-            **{part: getattr(data, part).tree() for part in PARTS},
-            encoding=data.columns,
-            policy_encoding=data.policy_columns,
-            domain_parameters=json.dumps(data.domain_parameters, sort_keys=True),
+        parameters = json.dumps(data.domain_parameters, sort_keys=True)
+        option = _option_adapter().validate_python(
+            {
+                **(data.model_extra or {}),
+                **{part: getattr(data, part).tree() for part in PARTS},
+                'domain_parameters': parameters,
+            }
         )
         demonstrations = list(data.demonstrations)
         for name in {option.name, *(demo.option_name for demo in demonstrations)}:

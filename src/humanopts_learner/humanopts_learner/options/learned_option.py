@@ -10,7 +10,7 @@ from humanopts_env.domains.base import ActableDomain, Domain, DomainError, Enume
 from humanopts_env.domains.reference import ReferenceOption, TabularReferenceOption
 from humanopts_env.domains.registry import parameters_json
 from humanopts_env.games import Games, TableGames
-from humanopts_learner.demonstrations import METHODS, TREES
+from humanopts_learner.demonstrations import Count, METHODS, Text, TREES
 from humanopts_learner.execution import draw_among
 from humanopts_learner.option import Option
 from humanopts_learner.options.decision_tree import (
@@ -23,6 +23,7 @@ from humanopts_learner.options.decision_tree import (
 )
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import ConfigDict
 
 HALF = 0.5  # from this probability on a state belongs to I, and the option ends
 MEMBER = 1  # class of I and beta
@@ -44,21 +45,23 @@ class LearnedOption:
     option has the same form, and no demonstrations.
     """
 
-    name: str
-    participant: str
-    domain: str  # registered name
-    domain_parameters: str  # JSON object, keys sorted
-    actions: tuple[str, ...]  # that the classes of the policy index
-    features: tuple[str, ...]  # chosen, in the domain's order
+    __pydantic_config__ = ConfigDict(arbitrary_types_allowed=True, extra='forbid')
+
+    name: Text
+    participant: Text
+    domain: Text  # registered name
+    domain_parameters: Text  # JSON object, keys sorted
+    actions: tuple[Text, ...]  # that the classes of the policy index
+    features: tuple[Text, ...]  # chosen, in the domain's order
     encoding: tuple[EncodedFeature, ...]  # of these features, for the trees
     policy: Tree
     initiation: Tree
     termination: Tree
-    n_demonstrations: int  # trajectories that it was learned from
-    n_not_here: int
-    max_steps: int
-    uuids: tuple[str, ...]  # demonstrations and "not here" answers that it was learned from
-    method: str = TREES  # of learning, one of METHODS
+    n_demonstrations: Count  # trajectories that it was learned from
+    n_not_here: Count
+    max_steps: Count
+    uuids: tuple[Text, ...]  # demonstrations and "not here" answers that it was learned from
+    method: Text = TREES  # of learning, one of METHODS
     policy_encoding: tuple[EncodedFeature, ...] = ()  # for the policy; none: as for I and beta
 
     def __post_init__(self) -> None:
