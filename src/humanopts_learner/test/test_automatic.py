@@ -184,15 +184,12 @@ def test_the_cost_is_counted_and_the_same_seed_finds_the_same_options() -> None:
             find_options(domain, 0, QUICK, cancel)
 
 
-def test_goals_can_be_reached_from_their_starts_and_left_again() -> None:
-    errands = draw_tasks(search_space(Rooms()), 50, generator(0, 'test'))
-    goal = errands.target.argmax(axis=1)
-    assert (errands.target.sum(axis=1) == 1).all()
-    assert (goal != errands.starts).all()
+def test_a_task_leads_to_another_state_and_a_one_way_world_has_none() -> None:
+    tasks = draw_tasks(search_space(Rooms()), 50, generator(0, 'test'))
+    goal = tasks.target.argmax(axis=1)
+    assert (tasks.target.sum(axis=1) == 1).all()
+    assert (goal != tasks.starts).all()
     assert not Rooms().over()[goal].any()
-
-
-def test_a_one_way_world_has_no_tasks() -> None:
     space = search_space(PacMan(maze=CORRIDOR))
     step = np.minimum(np.arange(1, 6), 4).astype(np.int32)[:, None, None]
     one = np.ones(step.shape)

@@ -228,20 +228,6 @@ def test_what_one_demonstration_alone_shows_is_unsettled_until_others_show_it(
     assert alone.tolist() == option.can_start(rows).tolist()
 
 
-@pytest.mark.heavy
-def test_where_sampled_states_do_not_fail_coverage_chooses(
-    person: Callable[..., Any], plain_taxi: Any
-) -> None:
-    ann = person()
-    shown = [ann.show(TAXI.state_at(i)) for i in np.flatnonzero(~TAXI.over()).tolist()]
-    option = learn_option(shown, plain_taxi, 0)
-    some = sample_failures(option, plain_taxi, shown, np.random.default_rng(0))
-    assert some.share <= 0.1
-    assert nothing_fails(option, plain_taxi, shown, np.random.default_rng(0))
-    state = choose_start_state('failures', plain_taxi, option, shown, np.random.default_rng(0))
-    assert not TAXI.is_over(state)
-
-
 def test_a_region_outside_i_is_in_doubt_until_three_different_answers(
     person: Callable[..., Any],
 ) -> None:
