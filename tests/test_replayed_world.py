@@ -3,6 +3,8 @@
 from collections.abc import Iterator, Mapping, Sequence
 import itertools
 
+from graph_support.live import Graph
+from graph_support.planning import start_planning
 import gymnasium
 from humanopts_env.domains.base import Action, Domain, Feature, StateError
 from humanopts_env.domains.check import check_domain, ContractError
@@ -12,8 +14,10 @@ from humanopts_env.game import Command, Game, Source
 from humanopts_env.games import new_games
 from humanopts_env.seeding import generator
 from humanopts_env.testing import DomainContract, ReferenceContract
+from humanopts_interfaces.msg import PolicyResult
 from humanopts_learner.options.accuracy import policy_accuracy
-from humanopts_learner.planning.plan import make_plan
+from humanopts_learner.options.learned_option import LearnedOption
+from humanopts_learner.planning.plan import judge_plan, make_plan
 from humanopts_learner.planning.request import PlanRequest
 from humanopts_learner.planning.sampled_plan import SampledPlan
 from humanopts_teach.lesson.in_process import teach
@@ -22,6 +26,8 @@ from humanopts_teach.lesson.simulated_teacher import TeacherSettings
 import numpy as np
 import pytest
 from teach_support.orchard import Field, FILL, install, Orchard, reference_options, UNLOAD
+
+STEPS, SEED = 8_000, 1
 
 
 class FrozenLake:
@@ -147,14 +153,36 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         yield
 
 
-def test_it_is_taught_and_planned_in_by_samples() -> None:
+@pytest.fixture(scope='module')
+def taught() -> Sequence[LearnedOption]:
+    lesson = teach(
+        Orchard(), TeacherSettings((FILL.name, UNLOAD.name), seed=1), LessonRules(seed=1)
+    )
+    assert not lesson.cut_short
+    return lesson.options
+
+
+def planned(options: Sequence[LearnedOption]) -> SampledPlan:
+    made = make_plan(Orchard(), options, PlanRequest('human', game_steps=STEPS, seed=SEED))
+    assert isinstance(made, SampledPlan)
+    return made
+
+
+def test_it_is_taught_and_planned_in_by_samples(taught: Sequence[LearnedOption]) -> None:
     """Two options after a few demonstrations; a plan carries everything home."""
     domain = Orchard()
-    names = (FILL.name, UNLOAD.name)
-    taught = teach(domain, TeacherSettings(names, seed=1), LessonRules(seed=1))
-    assert not taught.cut_short
-    for option in taught.options:
+    for option in taught:
         assert policy_accuracy(option, domain, reference_options(domain)[option.name]) > 0.98
-    made = make_plan(domain, taught.options, PlanRequest('human', game_steps=8_000, seed=1))
-    assert isinstance(made, SampledPlan)
-    assert made.play(1, 40).successes.mean() > 0.9
+    assert planned(taught).play(1, 40).successes.mean() > 0.9
+
+
+def test_nodes_plan_and_play_in_it(shared: Graph, taught: Sequence[LearnedOption]) -> None:
+    planning = start_planning(shared, episodes=1, seed=SEED, domain='orchard')
+    planning.teach(taught)
+    result = planning.plan('human', game_steps=STEPS, evaluation_episodes=5)
+    assert result.mean_return == judge_plan(planned(taught), SEED, 5).total.mean
+    played = planning.play('human')
+    assert played.status == PolicyResult.STATUS_DONE
+    last = planning.player.state
+    assert last.terminated
+    assert planning.player.reset(planning.player.states[-3].state).state.startswith('seed')
