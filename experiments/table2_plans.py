@@ -18,8 +18,7 @@ from humanopts_env.seeding import generator
 from humanopts_learner.execution import play
 from humanopts_learner.options.learned_option import LearnedOption, TabularOption, tabulate
 from humanopts_learner.planning.action_set import ActionSet, AnyOption
-from humanopts_learner.planning.evaluate import play_plan, Returns
-from humanopts_learner.planning.exact_plan import make_exact_plan, option_table
+from humanopts_learner.planning.exact_plan import make_exact_plan, option_table, play_plan, Returns
 from humanopts_learner.planning.interruption import as_executed
 from humanopts_learner.planning.plan import AnyPlan, summarise_plan
 from humanopts_learner.planning.request import (

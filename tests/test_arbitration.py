@@ -10,7 +10,7 @@ from graph_support.scripted import TAXI, TOUR, touring, USE
 from humanopts_interfaces.action import ExecuteOption
 from humanopts_interfaces.msg import OptionResult, OptionValues, PolicyResult
 from humanopts_interfaces.srv import RunOption, SetPace
-from humanopts_learner.planning.evaluate import episode_starts, play_plan
+from humanopts_learner.planning.exact_plan import episode_starts, play_plan
 from humanopts_learner.planning.interruption import as_executed, option_values
 from humanopts_learner.planning.plan import make_plan
 from humanopts_learner.planning.request import Arbitration, PlanRequest

@@ -14,7 +14,7 @@ from humanopts_env.domains.base import is_enumerable
 from humanopts_env.domains.registry import make_domain, reference_options
 from humanopts_learner import load_option
 from humanopts_learner.options.learned_option import options_from_references
-from humanopts_learner.planning.evaluate import play_plan
+from humanopts_learner.planning.exact_plan import play_plan
 from humanopts_learner.planning.plan import make_plan
 from humanopts_learner.planning.request import PlanRequest
 import pytest

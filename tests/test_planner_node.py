@@ -11,7 +11,7 @@ from graph_support.player import PERSON
 from graph_support.scripted import FETCH, taught, TAXI
 from humanopts_interfaces.action import Plan, RunPolicy
 from humanopts_interfaces.msg import NodeStatus, PlanResult, PolicyResult
-from humanopts_learner.planning.evaluate import episode_starts, find_coverage, play_plan
+from humanopts_learner.planning.exact_plan import episode_starts, find_coverage, play_plan
 from humanopts_learner.planning.plan import judge_plan, make_plan
 from humanopts_learner.planning.request import PlanRequest
 from humanopts_ros.qos import CURRENT

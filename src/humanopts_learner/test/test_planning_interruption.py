@@ -16,8 +16,7 @@ from humanopts_learner.options.learned_option import (
     options_from_references,
     TabularOption,
 )
-from humanopts_learner.planning.evaluate import play_plan
-from humanopts_learner.planning.exact_plan import ExactPlan, make_exact_plan
+from humanopts_learner.planning.exact_plan import ExactPlan, make_exact_plan, play_plan
 from humanopts_learner.planning.interruption import (
     arbitrate,
     as_executed,

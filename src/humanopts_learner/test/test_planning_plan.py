@@ -21,8 +21,14 @@ from humanopts_learner.options.learned_option import (
     options_from_references,
     TabularOption,
 )
-from humanopts_learner.planning.evaluate import episode_starts, find_coverage, play_plan
-from humanopts_learner.planning.exact_plan import Decision, ExactPlan, make_exact_plan
+from humanopts_learner.planning.exact_plan import (
+    Decision,
+    episode_starts,
+    ExactPlan,
+    find_coverage,
+    make_exact_plan,
+    play_plan,
+)
 from humanopts_learner.planning.plan import judge_plan, make_plan
 from humanopts_learner.planning.request import (
     NoOptionsError,

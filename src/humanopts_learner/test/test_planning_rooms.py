@@ -10,8 +10,7 @@ from humanopts_learner.options.learned_option import (
     options_from_references,
     tabulate,
 )
-from humanopts_learner.planning.evaluate import episode_starts, play_plan
-from humanopts_learner.planning.exact_plan import build_model, ExactPlan
+from humanopts_learner.planning.exact_plan import build_model, episode_starts, ExactPlan, play_plan
 from humanopts_learner.planning.models import MultiTimeModel
 from humanopts_learner.planning.plan import make_plan
 from humanopts_learner.planning.request import PlanRequest

@@ -14,8 +14,12 @@ from humanopts_env.arrays import Floats
 from humanopts_env.domains.base import Domain, is_enumerable
 from humanopts_learner.intervals import Interval
 from humanopts_learner.option import Option
-from humanopts_learner.planning.evaluate import episode_starts, play_plan
-from humanopts_learner.planning.exact_plan import ExactPlan, make_exact_plan
+from humanopts_learner.planning.exact_plan import (
+    episode_starts,
+    ExactPlan,
+    make_exact_plan,
+    play_plan,
+)
 from humanopts_learner.planning.request import (
     Clock,
     HUMAN_AND_PRIMITIVE,

@@ -19,8 +19,7 @@ from humanopts_learner.execution import play, Policy
 from humanopts_learner.option import Option
 from humanopts_learner.planning.abstraction import Codes
 from humanopts_learner.planning.action_set import ActionSet, AnyOption, Observation
-from humanopts_learner.planning.evaluate import Returns
-from humanopts_learner.planning.exact_plan import PolicyPlan, sweep_progress
+from humanopts_learner.planning.exact_plan import PolicyPlan, Returns, sweep_progress
 from humanopts_learner.planning.interruption import arbitrate, interruptions, OptionValues
 from humanopts_learner.planning.models import look_ahead, MultiTimeModel
 from humanopts_learner.planning.request import (

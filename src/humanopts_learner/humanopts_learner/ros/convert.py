@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:  # slow to import, and terminals convert none of them
-    from humanopts_learner.planning.evaluate import Coverage
+    from humanopts_learner.planning.exact_plan import Coverage
     from humanopts_learner.planning.interruption import OptionValues
     from humanopts_learner.planning.plan import AnyPlan, Performance
 

@@ -27,8 +27,7 @@ from humanopts_learner.automatic.subgoals import Extraction, USUAL
 from humanopts_learner.demonstrations import MACHINE
 from humanopts_learner.options.files import option_to_json
 from humanopts_learner.options.learned_option import LearnedOption
-from humanopts_learner.planning.evaluate import Coverage, find_coverage
-from humanopts_learner.planning.exact_plan import ExactPlan
+from humanopts_learner.planning.exact_plan import Coverage, ExactPlan, find_coverage
 from humanopts_learner.planning.plan import AnyPlan, judge_plan, make_plan, Performance
 from humanopts_learner.planning.request import (
     NoOptionsError,

@@ -15,8 +15,7 @@ from humanopts_interfaces.msg import (
     PolicyResult,
 )
 from humanopts_interfaces.srv import ResetGame, RunOption, SetExecution
-from humanopts_learner.planning.evaluate import episode_start
-from humanopts_learner.planning.exact_plan import ExactPlan
+from humanopts_learner.planning.exact_plan import episode_start, ExactPlan
 from humanopts_learner.planning.interruption import option_values
 from humanopts_learner.planning.request import Arbitration, MODULAR, PlanCanceled, PRIMITIVE
 from humanopts_learner.ros.convert import option_values_to_message

@@ -22,7 +22,7 @@ from humanopts_learner.execution import Fixed, play
 from humanopts_learner.intervals import Interval
 from humanopts_learner.options.learned_option import LearnedOption, OptionError
 from humanopts_learner.planning.action_set import ActionSet, AnyOption
-from humanopts_learner.planning.evaluate import Returns
+from humanopts_learner.planning.exact_plan import Returns
 from humanopts_learner.planning.plan import AnyPlan, judge_plan, Performance
 from humanopts_learner.planning.request import (
     Arbitration,
