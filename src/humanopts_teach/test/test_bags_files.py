@@ -6,7 +6,6 @@ Files of other programs are read where they are bags of ours, or refused with th
 
 from collections.abc import Callable
 from pathlib import Path
-import re
 import resource
 import shutil
 from typing import Any
@@ -90,26 +89,14 @@ def test_a_bag_cut_at_any_byte_opens_with_every_whole_chunk(bag: Path, data: byt
     with file.open('rb') as stream:
         summary = make_reader(stream).get_summary()
     assert summary is not None
-    chunk = summary.chunk_indexes[0]
-    first_chunk, most = chunk.chunk_start_offset + chunk.chunk_length, 0
+    chunks = summary.chunk_indexes
     for size in range(200, len(data), 397):
         file.write_bytes(data[:size])
         opened = open_bag(bag)
         assert opened.damage
         found = [r.message.step for r in opened.messages()]
-        assert found or size < first_chunk
-        assert found == list(range(len(found)))
-        assert len(found) % 10 == 0
-        assert len(found) >= most
-        assert opened.damage
-        most = len(found)
-    assert most == 100
-
-
-def test_a_directory_that_exists_is_never_written_to(bag: Path, data: bytes) -> None:
-    with pytest.raises(BagWriteError, match='exists already'):
-        BagWriter(bag)
-    assert (bag / 'bag_0.mcap').read_bytes() == data
+        whole = sum(each.chunk_start_offset + each.chunk_length <= size for each in chunks)
+        assert found == list(range(10 * whole))
 
 
 def test_a_file_that_cannot_grow_stops_the_writer_and_keeps_what_was_written(
@@ -222,20 +209,6 @@ def test_a_bag_goes_on_in_another_file_and_nothing_is_lost(tmp_path: Path, limit
     assert steps(tmp_path / 'bag') == list(range(100))
 
 
-def test_a_topic_is_in_the_files_that_have_its_messages(tmp_path: Path) -> None:
-    with BagWriter(tmp_path / 'bag', limits=Limits(seconds=1.0)) as writer:
-        for topic in ('/a', '/b', '/silent'):
-            writer.add_topic(topic, GAME, [QOS])
-        for second, topic, step in ((0, '/a', 0), (1, '/b', 0), (2, '/a', 1)):
-            writer.write(topic, state(step), second * 10**9)
-    topics = [
-        list(open_bag(tmp_path / 'bag' / f'bag_{number}.mcap').topics) for number in range(3)
-    ]
-    assert topics == [['/a', '/b', '/silent'], ['/b'], ['/a']]
-    assert set(open_bag(tmp_path / 'bag').topics) == {'/a', '/b', '/silent'}
-    assert not check_bag(open_bag(tmp_path / 'bag')).findings
-
-
 def test_a_topic_that_is_defined_in_two_ways_is_reported(tmp_path: Path) -> None:
     for name, message in (('bag', GameState()), ('other', ActionCommand())):
         write_messages(tmp_path / name, [('/x', message)])
@@ -260,19 +233,6 @@ def test_a_split_that_cannot_be_described_stops_the_writer_and_keeps_what_was_wr
     assert opened.damage == ''
     assert [r.message.step for r in opened.messages()] == list(range(30))
     assert [kept.name for kept in opened.attached()] == ['options/p1/go.json']
-
-
-def test_a_schema_holds_every_dependency_once() -> None:
-    schema = find_schema('humanopts_interfaces/srv/RunOption_Event')
-    names = re.findall(r'^MSG: (\S+)$', schema, re.M)
-    assert sorted(names) == [
-        'builtin_interfaces/Time',
-        'humanopts_interfaces/OptionResult',
-        'humanopts_interfaces/RunOption_Request',
-        'humanopts_interfaces/RunOption_Response',
-        'service_msgs/ServiceEventInfo',
-        'std_msgs/Header',
-    ]
 
 
 @pytest.mark.parametrize(

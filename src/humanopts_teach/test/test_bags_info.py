@@ -137,5 +137,7 @@ def test_criteria_have_a_history_and_the_time_they_were_first_met(tmp_path: Path
         (3, 0.05, 3.0, True),
         (4, 0.2, 4.0, False),
     ]
-    (line,) = (line for line in info.to_text().splitlines() if 'initiation' in line)
-    assert line.split('initiation')[1].split() == ['0.1', '3', '0', '3.0', '0.05', '0.2']
+    lines = [line for line in info.to_text().splitlines() if 'initiation' in line]
+    first, last = (line.split('initiation')[1].split() for line in lines)
+    assert first == ['0.1', '3', '0', '3.0', '0.05', 'yes']
+    assert last == ['0.1', '4', '0', '4.0', '0.2', 'no']

@@ -19,42 +19,23 @@ import pytest
 import typer
 
 
-def launch(evaluated: bool = False, recorded: bool = True, **options: Any) -> Setup:
-    """Return the setup of a launch with these options."""
-    launch_options = LaunchOptions(**options)
-    return setup_from(
-        'taxi', launch_options, directory=Path('x'), evaluated=evaluated, record=recorded
-    )
-
-
-def test_a_message_that_waits_too_long_puts_the_recorder_behind_for_a_second() -> None:
-    lag = Lag()
-    lag.add(10.0, 0.02)
-    lag.add(10.1, 0.6)
-    assert (lag.behind(10.1), lag.behind(11.05), lag.behind(11.2)) == (True, True, False)
-
-
-def test_the_lag_is_the_longest_since_the_last_report() -> None:
-    lag = Lag()
-    for now, waited in ((1.0, 0.1), (1.1, 0.3), (1.2, 0.0)):
+@pytest.mark.parametrize(
+    ('takings', 'longest', 'behind'),
+    [
+        ([(1000.0, 0.0)], 0.0, False),  # the first is not late
+        ([(1.0, 0.1), (1.1, 0.3), (1.2, 0.0)], 0.3, False),
+        ([(10.0, 0.02), (10.1, 0.6)], 0.6, True),
+        ([(1.0, 0.0), (4.0, 0.01)], 3.0, True),  # it was stopped
+    ],
+)
+def test_a_message_that_waits_too_long_puts_the_recorder_behind_for_a_second(
+    takings: list[tuple[float, float]], longest: float, behind: bool
+) -> None:
+    lag, last = Lag(), takings[-1][0]
+    for now, waited in takings:
         lag.add(now, waited)
-    assert (lag.take_longest(), lag.take_longest()) == (0.3, 0.0)
-    assert not lag.behind(1.2)
-
-
-def test_a_recorder_that_was_stopped_is_behind_whatever_the_messages_say() -> None:
-    lag = Lag()
-    lag.add(1.0, 0.0)
-    lag.add(4.0, 0.01)
-    assert lag.behind(4.0)
-    assert lag.take_longest() == 3.0
-
-
-def test_the_first_look_is_not_late() -> None:
-    lag = Lag()
-    lag.add(1000.0, 0.0)
-    assert not lag.behind(1000.0)
-    assert lag.take_longest() == 0.0
+    assert (lag.take_longest(), lag.take_longest()) == (longest, 0.0)
+    assert [lag.behind(last + after) for after in (0, 0.95, 1.1)] == [behind, behind, False]
 
 
 def test_publishers_are_told_apart_as_long_as_memory_allows() -> None:
@@ -83,16 +64,13 @@ def test_the_lock_file_is_that_of_the_checkout(tmp_path: Path) -> None:
 
 def test_attachments_are_the_json_files_of_folders_and_any_file_by_name(tmp_path: Path) -> None:
     (tmp_path / 'options' / 'p1').mkdir(parents=True)
-    for name in ('options/p1/go.json', 'options/p1/go.json.damaged-1', 'options/demos.jsonl'):
-        (tmp_path / name).write_text('{}')
+    for name in ('p1/go.json', 'p1/go.json.damaged-1', 'demos.jsonl', 'go\udcff.json'):
+        (tmp_path / 'options' / name).write_text('{}')
     (tmp_path / 'notes.txt').write_text('x')
     paths = [tmp_path / name for name in ('options', 'notes.txt', 'not there')]
-    assert [name for name, _ in attachments(paths)] == ['options/p1/go.json', 'notes.txt']
-
-
-def test_a_name_that_is_not_in_utf_8_is_kept_as_far_as_it_is(tmp_path: Path) -> None:
-    (tmp_path / 'go\udcff.json').write_text('{}')
-    assert [name for name, _ in attachments([tmp_path])] == [f'{tmp_path.name}/go?.json']
+    assert {name for name, _ in attachments(paths)} == {
+        *('options/p1/go.json', 'options/go?.json', 'notes.txt')
+    }
 
 
 def test_a_folder_that_is_not_in_utf_8_is_refused_before_anything_starts(tmp_path: Path) -> None:
@@ -101,17 +79,21 @@ def test_a_folder_that_is_not_in_utf_8_is_refused_before_anything_starts(tmp_pat
     assert not any(tmp_path.iterdir())
 
 
-def test_every_node_of_a_launch_is_told_what_is_recorded() -> None:
-    setup = launch(record_exclude=['rosout', 'lesson/*'])
-    expected = {'record_exclude': ['rosout', 'lesson/*']}
+def launch(evaluated: bool = False, recorded: bool = True, **options: Any) -> Setup:
+    """Return the setup of a launch with these options."""
+    launch_options = LaunchOptions(**options)
+    return setup_from(
+        'taxi', launch_options, directory=Path('x'), evaluated=evaluated, record=recorded
+    )
+
+
+def test_a_launch_passes_on_what_is_recorded_and_how() -> None:
+    patterns = ['rosout', 'lesson/*']
+    setup = launch(record_exclude=patterns, split_bytes=size('500M'), split_seconds=60.0)
     for spec in processes(setup):
-        assert expected.items() <= spec.parameters.items()
+        assert spec.parameters['record_exclude'] == patterns
         assert 'record_topics' not in spec.parameters
-    assert common_parameters(setup) == {'expect_recorder': True, **expected}
-
-
-def test_the_recorder_of_a_launch_splits_and_keeps_the_option_files() -> None:
-    setup = launch(split_bytes=size('500M'), split_seconds=60.0)
+    assert common_parameters(setup) == {'expect_recorder': True, 'record_exclude': patterns}
     recorder = processes(setup)[0].parameters
     assert (recorder['max_bytes'], recorder['max_seconds']) == (500_000_000, 60.0)
     assert recorder['attach'] == [str(setup.directory / 'options')]

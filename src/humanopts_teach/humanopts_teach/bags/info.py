@@ -2,7 +2,7 @@
 
 from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from datetime import datetime, UTC
 from functools import partial
 from itertools import chain
@@ -85,7 +85,7 @@ class CriterionRow:
     participant: str
     option: str
     criterion: str  # return, initiation or termination
-    seconds: float  # from the start of the bag
+    seconds: float = field(compare=False)  # from the start of the bag
     demonstrations: int  # so far
     not_here: int  # "not here" answers so far
     threshold: float | None  # None: unknown so far
@@ -161,6 +161,15 @@ class BagInfo:
                 f'in policy runs: {self.interruptions} options stopped by the plan, '
                 f'{self.execution_changes} changes of execution'
             )
+        histories = defaultdict[tuple[str, str, str], list[CriterionRow]](list)
+        for row in self.criteria:
+            histories[row.participant, row.option, row.criterion].append(row)
+        # When a criterion was first met, and its last value.
+        criteria = dict.fromkeys(
+            row
+            for rows in histories.values()
+            for row in (next((row for row in rows if row.met), rows[-1]), rows[-1])
+        )
         lossy = [stream for stream in self.streams if stream.missing or stream.repeated]
         lossy.sort(key=attrgetter('missing', 'repeated'), reverse=True)
         parts = [
@@ -173,7 +182,10 @@ class BagInfo:
                 self.options,
                 'participant option demonstrations not_here withdrawn steps seconds criteria_met',
             ),
-            table(self._criteria()),
+            _columns(
+                criteria,
+                'participant option criterion threshold demonstrations not_here seconds value met',
+            ),
             '\n'.join(events),
             _columns(self.topics, 'name messages type'),
             f'missing: {self.missing} messages (by the numbers in {len(self.streams)} streams)',
@@ -181,29 +193,6 @@ class BagInfo:
             f'and {len(lossy) - _MAX_ROWS} more streams' if len(lossy) > _MAX_ROWS else '',
         ]
         return '\n\n'.join(part for part in parts if part)
-
-    def _criteria(self) -> list[dict[str, object]]:
-        """Return when each criterion was first met, and its value then and at the end."""
-        histories = defaultdict[tuple[str, str, str], list[CriterionRow]](list)
-        for row in self.criteria:
-            histories[row.participant, row.option, row.criterion].append(row)
-        found: list[dict[str, object]] = []
-        for (participant, option, criterion), rows in histories.items():
-            met = next((row for row in rows if row.met), None)
-            found.append(
-                {
-                    'participant': participant,
-                    'option': option,
-                    'criterion': criterion,
-                    'target': _cell(rows[-1].threshold),
-                    'demonstrations': _cell(met and met.demonstrations),
-                    'not here': _cell(met and met.not_here),
-                    'second': _cell(met and met.seconds),
-                    'value': _cell(met and met.value),
-                    'at the end': _cell(rows[-1].value),
-                }
-            )
-        return found
 
 
 def _columns(rows: Iterable[Any], names: str) -> str:
@@ -238,7 +227,7 @@ def summarise(bag: Bag, topics: Collection[str] | None = None) -> BagInfo:
     last_states: dict[tuple[str, str, int], tuple[int, Recorded]] = {}  # step and state by episode
     demonstrations: list[Demonstration] = []
     lessons = set[tuple[str, str]]()  # participant and session
-    criteria: dict[tuple[str, str, str], list[CriterionRow]] = {}
+    criteria = defaultdict[tuple[str, str, str], list[CriterionRow]](list)
     criteria_met: dict[tuple[str, str], bool] = {}  # by participant and option
     results = {name: Counter[str]() for name in _RESULTS.values()}
     policies = Counter[str]()
@@ -259,8 +248,8 @@ def summarise(bag: Bag, topics: Collection[str] | None = None) -> BagInfo:
                     each.value if each.measurable else None,
                     each.met,
                 )
-                rows = criteria.setdefault((*key, each.name), [])
-                if not rows or replace(row, seconds=rows[-1].seconds) != rows[-1]:
+                rows = criteria[*key, each.name]
+                if rows[-1:] != [row]:
                     rows.append(row)
 
     def result(kind: str, statuses: Mapping[int, str], message: Any) -> None:

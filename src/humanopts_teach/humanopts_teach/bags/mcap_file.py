@@ -249,11 +249,11 @@ def _add(file: McapFile, record: object, start: int, end: int) -> None:
         except DAMAGE as error:
             file.note(f'the chunk at byte {start} is damaged and left out: {error}')
             return
-        before = len(file.loose)
         for each in inside:
-            _add(file, each, start, end)
-        channels = {message.channel_id for message in file.loose[before:]}
-        del file.loose[before:]
+            if isinstance(each, Message):
+                file.counts[each.channel_id] += 1
+            else:
+                _add(file, each, start, end)
         summary.chunk_indexes.append(
             ChunkIndex(
                 chunk_length=end - start,
@@ -262,7 +262,7 @@ def _add(file: McapFile, record: object, start: int, end: int) -> None:
                 compressed_size=len(record.data),
                 message_end_time=record.message_end_time,
                 message_index_length=0,
-                message_index_offsets=dict.fromkeys(channels, 0),
+                message_index_offsets={},  # unknown: of any channel
                 message_start_time=record.message_start_time,
                 uncompressed_size=record.uncompressed_size,
             )

@@ -98,13 +98,14 @@ class Bag(Recording):
                 stamp = read_stamp(recorded.data)
                 yield '' if stamp is None else stamp.publisher_id
 
-        announced, played = dict.fromkeys(publishers(DOMAIN_INFO)), Counter(publishers(GAME_STATE))
-        games = [each for each in announced if each in played or not played]
-        states = Counter[str]()
+        states = Counter(publishers(GAME_STATE))
+        announced = dict.fromkeys(publishers(DOMAIN_INFO))
+        games = [each for each in announced if each in states or not states]
+        by_node = Counter[str]()
         for each in games:
-            states[signer(each)] += played[each]
+            by_node[signer(each)] += states[each]
         # Of equal ones, the first in the bag; without a signature, any node may be the game.
-        best = max(states, key=states.__getitem__, default='')
+        best = max(by_node, key=by_node.__getitem__, default='')
         return tuple(each for each in games if best and signer(each) == best)
 
     def of_type(self, type_name: str) -> list[str]:
