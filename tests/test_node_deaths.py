@@ -101,8 +101,9 @@ def test_a_demo_survives_the_deaths_of_nodes_while_it_teaches_and_while_it_plays
         assert option['n_demonstrations'] <= 6
 
     # The first bag holds what was shown first, and the second one everything.
-    gaps = f'the recording is in several bags, and has gaps between them: {first.path}'
-    assert gaps in command.errors
+    assert f'the recording is in several bags, with gaps between them: {first.path}' in (
+        command.errors
+    )
     assert re.search('not closed|cut short', first.damage)
     assert (second.damage, second.facts['continues']) == ('', 'bag')
     shown = shown_on_disk(tmp_path / 'out')

@@ -17,7 +17,7 @@ from humanopts_interfaces.msg import (
 )
 from humanopts_interfaces.srv import ResetGame
 from humanopts_ros.qos import CURRENT, LATCHED, STREAM
-from humanopts_teach.ros.diagnostics import of_nodes, of_recording
+from humanopts_teach.ros.diagnostics import of_node, of_recording
 from nav_msgs.msg import OccupancyGrid
 import numpy as np
 import pytest
@@ -161,7 +161,7 @@ def test_nodes_and_recording_of_a_namespace_are_told(live: Graph, tmp_path: Path
 )
 def test_each_state_has_a_level(state: int, there: bool, level: bytes, word: str) -> None:
     status = NodeStatus(state=state, text='no room', node='/game')
-    (found,) = of_nodes({'game': status}, {'/game'} if there else set())
+    found = of_node(status, there)
     assert (found.name, found.level, found.message) == ('/game', level, f'{word}: no room')
 
 

@@ -1,7 +1,6 @@
 """The guard of a node: no message and no error in a callback ends the node or passes unseen."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 import functools
 import inspect
 import traceback
@@ -12,15 +11,6 @@ from humanopts_ros.publisher import PublishError
 from rclpy.impl.rcutils_logger import RcutilsLogger
 
 _LOG_PERIOD = 1.0  # s between two lines in the log about the same topic or callback
-
-
-@dataclass
-class _Count:
-    """What was refused of one topic, or failed in one callback."""
-
-    total: int = 0
-    logged: int = 0  # of these
-    next_line: float = 0.0  # when the next line may be logged, s
 
 
 class Guard:
@@ -47,21 +37,21 @@ class Guard:
         """
         self._logger, self._monotonic, self._changed = logger, monotonic, changed
         self._ends = ends
-        self._counts: dict[str, _Count] = {}
+        self._next_line: dict[str, float] = {}  # when one may be logged, s, by topic or callback
         self._last_refusal = self._last_failure = ''
         self.refused = self.failed = 0
 
     @property
     def remark(self) -> str:
         """What was refused and what failed, in words; empty: nothing."""
-        parts = []
-        if self.refused:
-            plural = 's' if self.refused > 1 else ''
-            parts.append(f'{self.refused} message{plural} refused, the last {self._last_refusal}')
-        if self.failed:
-            plural = 's' if self.failed > 1 else ''
-            parts.append(f'{self.failed} error{plural}, the last in {self._last_failure}')
-        return '; '.join(parts)
+        return '; '.join(
+            f'{count} {what}{"s" if count > 1 else ""}{last}'
+            for count, what, last in (
+                (self.refused, 'message', f' refused, the last {self._last_refusal}'),
+                (self.failed, 'error', f', the last in {self._last_failure}'),
+            )
+            if count
+        )
 
     def refuse(self, topic: str, sender: str, reason: object) -> None:
         """
@@ -130,11 +120,7 @@ class Guard:
 
     def _log(self, what: str, text: str) -> None:
         """Log a line, unless there was one about the same a moment ago."""
-        count, now = self._counts.setdefault(what, _Count()), self._monotonic()
-        count.total += 1
-        if now < count.next_line:
-            return
-        left_out = count.total - 1 - count.logged
-        more = f' ({left_out} more since the line before)' if left_out else ''
-        count.logged, count.next_line = count.total, now + _LOG_PERIOD
-        self._logger().error(text + more)
+        now = self._monotonic()
+        if now >= self._next_line.get(what, now):
+            self._next_line[what] = now + _LOG_PERIOD
+            self._logger().error(text)

@@ -50,6 +50,7 @@ _LAST_ROUNDS = 10  # callbacks that are carried out for the last answers
 _DRAIN = 0.3  # s that readers have to take what was sent, before a node ends
 _PRESENCE_PERIOD = 1.0  # s between checks that the server of a request still exists
 _REMARK_PERIOD = 1.0  # s between statuses that differ in what was refused or failed only
+_REPEAT_PERIOD = 1.0  # s between looks for others that publish current values of a node
 _PROVISION = 5.0  # s that a request waits until the node is ready for it
 _LATE = 5.0  # s after which a node that still starts says what it waits for
 _CHECK_PERIOD = 0.02  # s between checks while a node starts or ends, or a coroutine waits
@@ -230,21 +231,18 @@ class NodeBase(Node):
         topic: str,
         callback: Callable[..., Any],
         qos_profile: QoSProfile | int,
-        *,
-        anybody: bool = False,
         **options: Any,
     ) -> Subscription:
         """
         Create a subscription as rclpy does, with a guarded callback.
 
-        :param anybody: take messages from any node also where only one may publish, by
-            ``senders``; usually, what others publish there is refused.
+        Where only one node may publish, by ``senders``, what others publish is refused.
         """
         sender = sender_of(self.resolve_topic_name(topic), self.get_namespace())
 
         @functools.wraps(callback)
         def use(message: Any) -> None:
-            if sender and not anybody and signer(message.publisher_id) != sender:
+            if sender and signer(message.publisher_id) != sender:
                 self.refuse(topic, message, f'it is not from {sender}')
             else:
                 callback(message)
@@ -372,15 +370,25 @@ class NodeBase(Node):
         topic: str,
         qos: QoSProfile = STREAM,
         on_matched: Callable[[Any], None] | None = None,
+        *,
+        repeated: bool = False,
     ) -> StampedPublisher[M]:
         """
         Create a publisher of a message with header, publisher_id and sequence.
 
         :param on_matched: called whenever a subscription comes or goes.
+        :param repeated: publish the newest message again while others publish in its place.
         """
         event = on_matched and self.guard.guarded(on_matched)
         publisher = StampedPublisher(self, self.publisher_id, kind, topic, qos, event)
         self._stamped.append(publisher)
+
+        def repeat() -> None:
+            if publisher.newest is not None and self.count_publishers(publisher.topic) > 1:
+                publisher.publish(publisher.newest)
+
+        if repeated:
+            self.create_timer(_REPEAT_PERIOD, repeat)
         return publisher
 
     def recorded_service(

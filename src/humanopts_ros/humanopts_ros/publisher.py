@@ -35,6 +35,7 @@ class StampedPublisher(Generic[M]):
     Publishes on one topic, filling in header, publisher_id and sequence.
 
     :ivar sequence: of the last message that was sent; 0: none was sent.
+    :ivar newest: that message; None: none was sent.
     """
 
     def __init__(
@@ -52,6 +53,7 @@ class StampedPublisher(Generic[M]):
             kind, topic, qos, event_callbacks=events
         )
         self.sequence = 0
+        self.newest: M | None = None
 
     @property
     def topic(self) -> str:
@@ -76,6 +78,7 @@ class StampedPublisher(Generic[M]):
                 f'cannot publish on {self.topic}: {cause}; has a reader stopped? They are: {names}'
             ) from error
         self.sequence += 1
+        self.newest = message
 
     def readers(self) -> list[str]:
         """Return the name of the node of each subscription of the topic."""

@@ -65,10 +65,11 @@ class GameNode(NodeBase):
             (0.0, MAX_PERIOD),
             on_change=self._on_step_period,
         )
-        self._info = self.stamped_publisher(DomainInfo, 'domain_info', LATCHED)
+        current = partial(self.stamped_publisher, qos=LATCHED, repeated=True)
+        self._info = current(DomainInfo, 'domain_info')
         self._stream = self.stamped_publisher(GameState, 'game_state')
-        self._current = self.stamped_publisher(GameState, 'current_state', LATCHED)
-        self._control = self.stamped_publisher(ControlState, 'control', LATCHED)
+        self._current = current(GameState, 'current_state')
+        self._control = current(ControlState, 'control')
         self._refusals = self.stamped_publisher(ActionRefusal, 'action_refused')
         self.create_subscription(ActionCommand, 'action', self._on_action, STREAM)
         self.recorded_service(ResetGame, 'reset_game', self._on_reset)
@@ -78,7 +79,7 @@ class GameNode(NodeBase):
         self._unsent: dict[StampedPublisher[Any], deque[Any]] = {t: deque() for t in topics}
         self._pacing = Pacing(self._game, period)
         self._pace = self.create_timer(period or 1.0, self._on_pace, autostart=False)
-        self.create_timer(_RETRY_PERIOD, self._publish_again)
+        self.create_timer(_RETRY_PERIOD, self._retry)
         self._lease, self._pause_lease = Lease(), Lease()
         self._lease_timer = self.create_timer(_LEASE_PERIOD, self._check_lease, autostart=False)
         self._show_timer = self.create_timer(_SHOW_PERIOD, self._show, autostart=False)
@@ -225,21 +226,6 @@ class GameNode(NodeBase):
             self._send(self._current, self._unshown)
             self._unshown = None
 
-    def _publish_again(self) -> None:
-        """
-        Publish what could not be published.
-
-        Current values are published again while another node publishes on their topics.
-        """
-        if any(self._unsent.values()):
-            self._retry()
-        if self.ready and self.count_publishers('domain_info') > 1:
-            self._info.publish(domain_to_info(self._game.domain))
-        if self.ready and self.count_publishers('current_state') > 1:
-            self._send(self._current, transition_to_message(self._game.transition))
-        if self.ready and self.count_publishers('control') > 1:
-            self._send(self._control, control_to_message(self._game.control, self._pacing))
-
     def _send(self, publisher: StampedPublisher[Any], message: Any) -> None:
         """Publish a message, after those that already wait on its topic."""
         self._unsent[publisher].append(message)
@@ -259,11 +245,13 @@ class GameNode(NodeBase):
                 self.set_status(NodeStatus.STATE_PAUSED, str(error))
 
     def _retry(self) -> None:
-        for publisher in self._unsent:
-            self._push(publisher)
-        if not any(self._unsent.values()):
-            self._game.paused = ''
-            self.set_status(NodeStatus.STATE_READY)
+        """Publish what could not be published, and go on once all of it is."""
+        if any(self._unsent.values()):
+            for publisher in self._unsent:
+                self._push(publisher)
+            if not any(self._unsent.values()):
+                self._game.paused = ''
+                self.set_status(NodeStatus.STATE_READY)
 
 
 main = partial(run_node, GameNode, by_events=True)  # every step waits for its answer

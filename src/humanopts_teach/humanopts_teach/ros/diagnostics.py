@@ -4,7 +4,6 @@ The node ``diagnostics``: the states of nodes and recording on ``/diagnostics``,
 These tools read that topic whatever the namespace.
 """
 
-from collections.abc import Iterator, Mapping
 from functools import partial
 import sys
 from typing import Any
@@ -31,15 +30,16 @@ class DiagnosticsNode(NodeBase):
 
     def __init__(self, **options: Any) -> None:
         super().__init__('diagnostics', **options)
+        self._statuses = self.peers.statuses
         self._recorder: RecorderStatus | None = None
         self._out = self.create_publisher(DiagnosticArray, TOPIC, STREAM)
-        self._statuses = self.peers.statuses
         keep = partial(setattr, self, '_recorder')
         self.create_subscription(RecorderStatus, 'recorder_status', keep, CURRENT)
         self.create_timer(_PERIOD, self._publish)
 
     def _publish(self) -> None:
-        found = list(of_nodes(self._statuses, set(self.nodes_there())))
+        there = self.nodes_there()
+        found = [of_node(each, each.node in there) for _, each in sorted(self._statuses.items())]
         if self._recorder is not None:
             found.append(of_recording(f'{self.full_name(RECORDER)}: bag', self._recorder))
         message = DiagnosticArray(status=found)
@@ -47,23 +47,16 @@ class DiagnosticsNode(NodeBase):
         self._out.publish(message)
 
 
-def of_nodes(statuses: Mapping[str, NodeStatus], there: set[str]) -> Iterator[DiagnosticStatus]:
+def of_node(status: NodeStatus, there: bool) -> DiagnosticStatus:
     """
-    Yield what nodes say of themselves.
+    Return what a node says of itself.
 
-    :param there: full names of the nodes on the graph; what is gone is stale.
+    :param there: whether it is on the graph; one that is gone is stale.
     """
-    for _, status in sorted(statuses.items()):
-        name = status.node
-        level, word = _LEVELS.get(status.state, (DiagnosticStatus.ERROR, 'unknown'))
-        if name not in there and status.state != NodeStatus.STATE_STOPPING:
-            level, word = DiagnosticStatus.STALE, 'gone'
-        yield DiagnosticStatus(
-            level=level,
-            name=name,
-            message=f'{word}: {status.text}' if status.text else word,
-            hardware_id=status.publisher_id,
-        )
+    level, word = _LEVELS.get(status.state, (DiagnosticStatus.ERROR, 'unknown'))
+    if not there and status.state != NodeStatus.STATE_STOPPING:
+        level, word = DiagnosticStatus.STALE, 'gone'
+    return _diagnostic(status.node, level, word, status)
 
 
 def of_recording(name: str, status: RecorderStatus) -> DiagnosticStatus:
@@ -73,12 +66,17 @@ def of_recording(name: str, status: RecorderStatus) -> DiagnosticStatus:
         level, word = DiagnosticStatus.WARN, 'not whole'
     if status.stopped:
         level, word = DiagnosticStatus.ERROR, 'stopped'
+    found = _diagnostic(name, level, word, status)
+    found.values = [KeyValue(key=key, value=str(getattr(status, key))) for key in _COUNTS]
+    return found
+
+
+def _diagnostic(
+    name: str, level: bytes, word: str, status: NodeStatus | RecorderStatus
+) -> DiagnosticStatus:
+    message = f'{word}: {status.text}' if status.text else word
     return DiagnosticStatus(
-        level=level,
-        name=name,
-        message=f'{word}: {status.text}' if status.text else word,
-        hardware_id=status.publisher_id,
-        values=[KeyValue(key=key, value=str(getattr(status, key))) for key in _COUNTS],
+        level=level, name=name, message=message, hardware_id=status.publisher_id
     )
 
 

@@ -14,6 +14,7 @@ from humanopts_env.game import Transition
 from humanopts_env.ros.game_subscriber import GameSubscriber, Observed
 from humanopts_interfaces import msg, srv
 from humanopts_ros.node_base import NodeBase, starting_ros
+from humanopts_ros.publisher import PublishError
 from humanopts_ros.qos import CURRENT, DISPLAY
 from humanopts_ros.workarounds import prepare_discovery
 from humanopts_teach.lesson.requests import (
@@ -47,8 +48,11 @@ from rclpy.task import Future
 from rclpy.utilities import try_shutdown
 
 LESSON = 'lesson'  # name of the node
-_LOST = Answer(RequestStatus.REFUSED, 'a node was restarted meanwhile; check its state')
-_ELSEWHERE = Answer(RequestStatus.REFUSED, 'the lesson is now in another session')
+_OK = Answer(RequestStatus.OK, '')
+_LOST = Answer(
+    RequestStatus.REFUSED,
+    'a node was restarted meanwhile, or the lesson is in another session; check its state',
+)
 _PATIENCE = 30.0  # s
 _GIVE_BACK = 5.0  # s for game to take control back
 _RENEWAL = 0.5  # s between signs that this node goes on, while it holds control
@@ -152,21 +156,19 @@ class LessonClient:
         """
         what = self.name_of(request)
         await self.until(lambda: self.is_ready(request), f'{what} to be there')
-        future, before, session = self.send(request), self._lives(), self._session()
+        future, before = self.send(request), self._place()
         await self.until(future.done, f'an answer of {what}')
         answer: Answer = future.result()
         if not answer.carried_out:
             raise RefusedError(what, answer)
-        shown = f'the lesson to show what came of {what}'
-        await self.until(
-            lambda: (
-                settled(request, answer, self.world)
-                or (self._lives(), self._session()) != (before, session)
-            ),
-            shown,
-        )
-        if not settled(request, answer, self.world):
-            raise RefusedError(what, _LOST if self._lives() != before else _ELSEWHERE)
+
+        def shown() -> bool:
+            return settled(request, answer, self.world)
+
+        what_came = f'the lesson to show what came of {what}'
+        await self.until(lambda: shown() or self._place() != before, what_came)
+        if not shown():
+            raise RefusedError(what, _LOST)
         return answer
 
     async def drive(self, action: str) -> Transition:
@@ -227,13 +229,16 @@ class LessonClient:
 
         An action is answered when game has left the state that it was for, or has refused it.
 
-        :raises PublishError: the action could not be sent.
         """
         answer = Future()
         if isinstance(request, Drive):
             person = msg.ActionCommand.SOURCE_PERSON
-            self._action.publish(DRIVE.encode(request, source=person))
-            self._driven.append((request, self._action.sequence, answer))
+            try:
+                self._action.publish(DRIVE.encode(request, source=person))
+            except PublishError as error:
+                answer.set_result(Answer(RequestStatus.REFUSED, str(error)))
+            else:
+                self._driven.append((request, self._action.sequence, answer))
             return answer
         service = self._services[type(request)]
         message = service.request.encode(request)
@@ -266,24 +271,18 @@ class LessonClient:
             return f'action {request.action}'
         return str(self._clients[type(request)].srv_name)
 
-    def _session(self) -> tuple[str, str]:
-        """Return the participant and the session that the lesson is about."""
-        return self.world.lesson.participant, self.world.lesson.session
-
-    def _lives(self) -> tuple[int, int]:
-        """Return how often the nodes were started again that change what requests have changed."""
-        restarts = self._node.peers.restarts
-        return restarts[self._game.name], restarts[LESSON]
+    def _place(self) -> tuple[object, ...]:
+        """Return what changes where a request may have been lost: restarts, and the session."""
+        restarts, lesson = self._node.peers.restarts, self.world.lesson
+        return restarts[self._game.name], restarts[LESSON], lesson.participant, lesson.session
 
     def _on_restart(self, name: str) -> None:
         """Answer what a node that was started again has not answered, and never will."""
-        game = name == self._game.name
-        if game:
-            self._answer_driven(lambda drive, sequence: True, _LOST)
+        role = 'game' if name == self._game.name else name
+        self._answer(lambda drive, _: role == 'game', _LOST)
         for asked, answer in self._asked:
-            if asked == ('game' if game else name) and not answer.done():
+            if asked == role and not answer.done():
                 answer.set_result(_LOST)
-        self._changed()
 
     def _on_domain(self, domain: ActableDomain) -> None:
         self.world.domain = domain
@@ -296,10 +295,7 @@ class LessonClient:
     def _on_game(self, observed: Observed) -> None:
         game = observed.transition
         self.world.update_game(game)
-        self._answer_driven(
-            lambda drive, _: (drive.episode, drive.step) != (game.episode, game.step),
-            Answer(RequestStatus.OK, ''),
-        )
+        self._answer(lambda d, _: (d.episode, d.step) != (game.episode, game.step), _OK)
 
     def _on_control(self, control: msg.ControlState) -> None:
         """Renew control, or the machine's pause, as long as it is this node's."""
@@ -315,19 +311,16 @@ class LessonClient:
 
     def _on_refusal(self, message: msg.ActionRefusal) -> None:
         if message.command_publisher_id == self._node.publisher_id:
-            self._answer_driven(
-                lambda _, sequence: sequence == message.command_sequence,
-                Answer(RequestStatus.REFUSED, message.detail),
-            )
+            refused = Answer(RequestStatus.REFUSED, message.detail)
+            self._answer(lambda _, sequence: sequence == message.command_sequence, refused)
 
-    def _answer_driven(self, concerns: Callable[[Drive, int], bool], answer: Answer) -> None:
+    def _answer(self, concerns: Callable[[Drive, int], bool], answer: Answer) -> None:
         """Answer the actions that were sent and that this answer concerns."""
-        driven, self._driven = self._driven, []
-        for drive, sequence, future in driven:
+        for driven in self._driven.copy():
+            drive, sequence, future = driven
             if concerns(drive, sequence):
+                self._driven.remove(driven)
                 future.set_result(answer)
-            else:
-                self._driven.append((drive, sequence, future))
         self._changed()
 
     def _changed(self) -> None:
@@ -347,7 +340,7 @@ def run_with_lesson(
     """
     prepare_discovery()
     with starting_ros():
-        rclpy.init()
+        rclpy.init()  # Ctrl-C ends it
     executor = SingleThreadedExecutor()
     node = NodeBase(name)
     client = LessonClient(node)

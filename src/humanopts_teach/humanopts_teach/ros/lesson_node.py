@@ -41,7 +41,6 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 
 _NO_NAME_YET = '_NODE_NAME_UNKNOWN_'  # of a node that was found just now, as the middleware says
 _TICK = 0.1  # s between looks at deadlines
-_SAY_AGAIN = 1.0  # s between states that are published again because others were
 _GAME_DEADLINE = 5.0  # s for game to answer, and for a state that was announced to arrive
 _KEEPING = (Verdict.DONE, Verdict.NOT_HERE)
 _RESEND_DELAY = 0.5  # s from a learner's first status until its subscription is matched
@@ -79,7 +78,9 @@ class LessonNode(NodeBase):
         for damage in self._store.damage:
             self.get_logger().warning(damage)
         self._opened: Lesson | None = None  # once the game is known
-        self._state_out = self.stamped_publisher(msg.LessonState, 'lesson_state', LATCHED)
+        self._state_out = self.stamped_publisher(
+            msg.LessonState, 'lesson_state', LATCHED, repeated=True
+        )
         self._demonstrations_out = self.stamped_publisher(msg.Demonstration, 'demonstrations')
         self._unsent: deque[Demonstration] = deque()
         self._shown: LessonView | None = None  # what was published last
@@ -92,16 +93,11 @@ class LessonNode(NodeBase):
         self._reset = self.recorded_client(ResetGame, 'reset_game', self._reentrant)
         self._resend = self.create_timer(_RESEND_DELAY, self._send_again, autostart=False)
         self.create_timer(_TICK, self._tick)
-        self._contested = False  # another node has published a state of the lesson
-        self.create_timer(_SAY_AGAIN, self._say_again)
         self._game = GameSubscriber(self, self._on_domain)
         self.peers.on_restart.append(self._on_restart)
         self._game_states = self._game.follow('game_state', self._on_game_state)
         self._recorder_status = self.create_subscription(
             msg.RecorderStatus, 'recorder_status', self._on_recorder, CURRENT
-        )
-        self.create_subscription(
-            msg.LessonState, 'lesson_state', self._on_lesson_state, CURRENT, anybody=True
         )
 
     def _read_rules(self) -> LessonRules:
@@ -206,15 +202,9 @@ class LessonNode(NodeBase):
         no_game = RequestStatus.NO_GAME
         if not await until(self._game_is_there, _GAME_DEADLINE):
             return lesson.not_begun(no_game, 'Game does not serve reset_game.')
-        reply = await self.answer(
-            self._reset,
-            ResetGame.Request(
-                source=ResetGame.Request.SOURCE_PERSON,
-                start_state=prepared.state,
-                seed=prepared.seed,
-            ),
-            _GAME_DEADLINE,
-        )
+        person, start, seed = ResetGame.Request.SOURCE_PERSON, prepared.state, prepared.seed
+        request = ResetGame.Request(source=person, start_state=start, seed=seed)
+        reply = await self.answer(self._reset, request, _GAME_DEADLINE)
         if reply is None:
             return lesson.not_begun(no_game, 'Game does not answer.')
         if reply.status != ResetGame.Response.STATUS_OK:
@@ -246,11 +236,12 @@ class LessonNode(NodeBase):
         self.waiting.check()
 
     def _on_receipt(self, receipt: msg.DemonstrationReceipt) -> None:
-        if receipt.status == msg.DemonstrationReceipt.STATUS_REFUSED:
-            if receipt.uuid == self._lesson.awaited:
-                self._learner = ''  # a full disk of its own, perhaps: sent again with the next
-            self._lesson.learner_refused(receipt.uuid, receipt.detail)
-            self._show()
+        if receipt.status != receipt.STATUS_REFUSED:
+            return
+        if receipt.uuid == self._lesson.awaited:
+            self._learner = ''  # a full disk of its own, perhaps: sent again with the next
+        self._lesson.learner_refused(receipt.uuid, receipt.detail)
+        self._show()
 
     def _on_status(self, status: msg.LearningStatus) -> None:
         self._lesson.update_summaries([summary_from_message(option) for option in status.options])
@@ -294,17 +285,6 @@ class LessonNode(NodeBase):
         self._resend.cancel()
         self._unsent.extend(self._lesson.demonstrations())
         self._show()
-
-    def _on_lesson_state(self, state: msg.LessonState) -> None:
-        """Publish the state again soon after another node has published one."""
-        if state.publisher_id != self.publisher_id:
-            self.refuse('lesson_state', state, 'it is not from this lesson')
-            self._contested = True
-
-    def _say_again(self) -> None:
-        """Publish the state again while another node publishes on the topic."""
-        if self._contested or self.count_publishers('lesson_state') > 1:
-            self._contested, self._shown = False, None
 
     def _tick(self) -> None:
         if self._opened is None:

@@ -23,7 +23,7 @@ from humanopts_ros.publisher import PublishError
 from humanopts_ros.qos import LATCHED
 from humanopts_ros.recording import MAX_BYTES, own_name, SHARED
 from humanopts_ros.senders import is_next_game
-from humanopts_ros.text_files import FileError, read_bytes
+from humanopts_ros.text_files import fault_in, FileError, read_bytes
 from humanopts_teach.bags import BagWriteError, SchemaError
 from humanopts_teach.bags.provenance import attachments, software
 from humanopts_teach.bags.sequence_numbers import is_stamped, LossCounter, read_stamp
@@ -39,6 +39,7 @@ from humanopts_teach.bags.writer import (
 from humanopts_teach.launching import OUTLASTING
 from humanopts_teach.launching.usage import usage_of
 from humanopts_teach.ros.raw_subscriber import RawSubscriber, Taken, TopicSubscription
+from pydantic import TypeAdapter, ValidationError
 from rcl_interfaces.msg import Log, ParameterEvent
 from rclpy.executors import Executor
 from rclpy.serialization import deserialize_message
@@ -60,6 +61,7 @@ _MOST_TEXT = 2000  # characters in a status
 _HELD = 0.5  # s that a log line waits for its node to be found
 _MAX_SHARED = 10_000  # log lines and the like that wait so
 _RECOVERY = 1.0  # s without such a message after which it keeps up again
+_FACTS = TypeAdapter(dict[str, Any])
 _BEHIND = (
     f'the recorder does not keep up: messages wait for it longer than {LONGEST_WAIT} s; '
     'end other programs, or leave topics out'
@@ -381,12 +383,10 @@ def _facts(text: str) -> dict[str, str]:
     :raises StartError: they are not a JSON object.
     """
     try:
-        values = json.loads(text)
-    except json.JSONDecodeError as error:
-        raise StartError(f'parameter metadata is not JSON: {error}') from None
-    if not isinstance(values, dict):
-        raise StartError(f'parameter metadata is not a JSON object: {text}')
-    return {str(k): v if isinstance(v, str) else json.dumps(v) for k, v in values.items()}
+        values = _FACTS.validate_json(text)
+    except ValidationError as error:
+        raise StartError(f'parameter metadata is not a JSON object: {fault_in(error)}') from None
+    return {k: v if isinstance(v, str) else json.dumps(v) for k, v in values.items()}
 
 
 main = partial(run_node, Recorder)

@@ -8,7 +8,6 @@ from humanopts_env.domains.described import NeedsRulesError, simulated
 from humanopts_interfaces.msg import NodeStatus
 from humanopts_ros.node_base import NodeBase, PATIENCE, SEEDS, StartError
 from humanopts_ros.process import run_node
-from humanopts_ros.publisher import PublishError
 from humanopts_teach.lesson.requests import (
     Drive,
     EndDemonstration,
@@ -111,7 +110,7 @@ class SimulatedTeacherNode(NodeBase):
                         cause = f'{error.what} was refused {_REFUSALS} times: {detail}'
                         break
                     await self.waiting.until(lambda: False, _TICK)
-        except (TeacherError, LessonClientError, PublishError) as error:
+        except (TeacherError, LessonClientError) as error:
             cause = str(error)
         except Exception as error:  # nobody foresaw it; the demo waits for the end
             cause = self.guard.caught('teaching', error)

@@ -24,7 +24,6 @@ from humanopts_interfaces.msg import (
 from humanopts_learner.ros.convert import summary_from_message
 from humanopts_learner.summary import OptionSummary
 from humanopts_ros.node_base import NodeBase, SEEDS
-from humanopts_ros.publisher import PublishError
 from humanopts_ros.qos import ACTION, CURRENT, DISPLAY, STREAM
 from humanopts_teach.dialogue.app import App
 from humanopts_teach.dialogue.menu import opening
@@ -166,20 +165,19 @@ class TeleopNode(NodeBase):
         if isinstance(request, CancelRun):
             self._send_last(request)
             self._answer(request, Answer(RequestStatus.OK, ''))
-        elif isinstance(request, ActionGoal):
-            if self._actions[type(request)].server_is_ready():
-                self._start(request)
-            else:
-                self._held = request
-        elif not self._client.is_ready(request):
+        elif not self._is_ready(request):
             self._held = request
+        elif isinstance(request, ActionGoal):
+            self._start(request)
         else:
-            try:
-                sent = self._client.send(request)
-            except PublishError as error:
-                self._answer(request, Answer(RequestStatus.REFUSED, str(error)))
-            else:
-                sent.add_done_callback(lambda done: self._answer(request, done.result()))
+            sent = self._client.send(request)
+            sent.add_done_callback(lambda done: self._answer(request, done.result()))
+
+    def _is_ready(self, request: Request) -> bool:
+        if isinstance(request, ActionGoal):
+            return bool(self._actions[type(request)].server_is_ready())
+        assert not isinstance(request, CancelRun), 'the server of the run is there, or gone'
+        return self._client.is_ready(request)
 
     def _answer(self, request: Request, answer: Answer) -> None:
         self.app.replied(request, answer, time.monotonic())
@@ -195,8 +193,7 @@ class TeleopNode(NodeBase):
         self._world.missing = tuple(
             node for node in _NEEDED if node not in there and (late or node in self._came)
         )
-        run = self.app.run
-        if run is not None and not self._actions[type(run)].server_is_ready():
+        if self.app.run is not None and not self._is_ready(self.app.run):
             self.app.lost_server()
 
     def _send_last(self, request: Request) -> Future | None:
