@@ -17,26 +17,15 @@ FILES = sorted(
 NUMBERED = ['std_msgs/Header header', 'string publisher_id', 'uint64 sequence']
 
 
-def declarations(path: Path) -> list[tuple[str, str]]:
-    """Return what each line of a file declares, and its comment."""
-    parts = [line.partition('#') for line in path.read_text(encoding='utf-8').splitlines()]
-    return [(code.strip(), text.strip()) for code, _, text in parts if code.strip(' -')]
-
-
 @pytest.mark.parametrize('path', FILES, ids=lambda path: path.name)
-def test_every_field_and_constant_has_a_comment(path: Path) -> None:
-    assert [code for code, comment in declarations(path) if not comment] == []
-
-
-@pytest.mark.parametrize('path', FILES, ids=lambda path: path.name)
-def test_every_file_says_first_what_it_is_for(path: Path) -> None:
-    assert path.read_text(encoding='utf-8').startswith('# ')
-
-
-@pytest.mark.parametrize('path', FILES, ids=lambda path: path.name)
-def test_what_is_published_on_its_own_is_numbered(path: Path) -> None:
-    if 'Published by' in path.read_text(encoding='utf-8').partition('\n\n')[0]:
-        assert [code for code, _ in declarations(path)][:3] == NUMBERED
+def test_a_file_explains_itself_and_what_is_published_on_its_own_is_numbered(path: Path) -> None:
+    text = path.read_text(encoding='utf-8')
+    assert text.startswith('# ')
+    parts = [line.partition('#') for line in text.splitlines()]
+    declared = [(code.strip(), comment.strip()) for code, _, comment in parts if code.strip(' -')]
+    assert [code for code, comment in declared if not comment] == []
+    if 'Published by' in text.partition('\n\n')[0]:
+        assert [code for code, _ in declared[:3]] == NUMBERED
 
 
 @pytest.fixture(scope='module')

@@ -136,23 +136,15 @@ class Server(SingleThreadedExecutor):
 
 
 class Goal:
-    """A goal of an action, sent."""
+    """A goal of an action that the server has accepted."""
 
-    def __init__(self, graph: 'Graph', kind: Any, client: ActionClient, fields: Any) -> None:
-        self._graph = graph
-        self.feedback: list[Any] = []
-        sent = client.send_goal_async(
-            kind.Goal(**fields), feedback_callback=lambda m: self.feedback.append(m.feedback)
-        )
-        graph.until(sent.done, 'the goal to be accepted')
-        self._handle = sent.result()
-        assert self._handle.accepted
-        self._reply = self._handle.get_result_async()
+    def __init__(self, graph: 'Graph', handle: Any, feedback: list[Any]) -> None:
+        self._graph, self._handle, self.feedback = graph, handle, feedback
+        self._reply = handle.get_result_async()
 
     def cancel(self) -> None:
         """Ask for its end, and wait until that is accepted."""
-        asked = self._handle.cancel_goal_async()
-        self._graph.until(asked.done, 'an answer to cancel')
+        self._graph.until(self._handle.cancel_goal_async().done, 'an answer to cancel')
 
     def result(self, seconds: float = 30.0) -> tuple[int, Any]:
         """Wait for its end; return its GoalStatus and the result."""
@@ -350,7 +342,14 @@ class Graph:
             self._clients[action] = ActionClient(self.node, kind, action)
         client = self._clients[action]
         self.until(client.server_is_ready, f'action {action}')
-        return Goal(self, kind, client, fields)
+        feedback: list[Any] = []
+        sent = client.send_goal_async(
+            kind.Goal(**fields), feedback_callback=lambda m: feedback.append(m.feedback)
+        )
+        self.until(sent.done, 'the goal to be accepted')
+        handle = sent.result()
+        assert handle.accepted
+        return Goal(self, handle, feedback)
 
     def close(self) -> list[str]:
         """End everything; say which processes did not end as they should."""

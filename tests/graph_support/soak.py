@@ -79,7 +79,6 @@ class Soak:
         self.names = [name.rpartition('/')[2] for name in self._launcher.node_names]
         self.verbose = False  # a line is printed for each fault
         self._participants, self._replaced = 1, set[int]()  # processes of those who are done
-        self._last = ''  # what garbage was sent last
         self._next: list[str] = []  # kinds of faults
 
     def shown(self) -> list[Demonstration]:
@@ -93,48 +92,46 @@ class Soak:
             self._next = self._rng.sample(kinds, len(kinds))
         kind, node = self._next.pop(), self._rng.choice(self.names)
         self._until(lambda: self._runs(node), f'{node} to run')
-        before, ends, began = len(self.shown()), len(self._launcher.ends), time.monotonic()
-        said = len(self.stranger.said)
-        name = f'{kind} {node}'
-        if kind == 'files':
-            node = self._rng.choice(('lesson', 'learner'))
-            name = f'files of {node}'
-            self._spoil(node)
+        before, began, name = len(self.shown()), time.monotonic(), kind
         if kind in ('kill', 'term', 'files'):
-            self._send(node, signal.SIGTERM if kind == 'term' else signal.SIGKILL)
-            self._until(lambda: len(self._launcher.ends) > ends, f'{name}: its end to be seen')
-            told = f'the node {node} ended'
-            self._until(
-                lambda: any(told in text for text in self.stranger.said[said:]),
-                f'{name}: a message on the graph that tells of it',
-            )
+            name = f'{kind} {self._end(kind, node)}'
         elif kind == 'stop':
+            name = f'stop {node}'
             pid = self._send(node, signal.SIGSTOP)
             self.serve(self._rng.choice((0.2, 1.0, 3.0)))
             os.kill(pid, signal.SIGCONT)
         elif kind == 'terminal':
             name = f'terminal {self._sit_down()}'
         elif kind == 'clock':
-            name = kind
             self._machine.set_time(self._rng.choice(SETTINGS))
         elif kind == 'disk':
-            name = kind
             self._machine.slow_disk(self._rng.choice((0.01, 0.1, 1.0)))
             self.serve(3.0)
             self._machine.slow_disk(0.0)
         elif kind == 'settings':
-            name = kind
             self._set(node)
         elif kind == 'messages':
             topic, type_ = self._rng.choice(self.stranger.topics())
-            name = 'garbage messages'
             self.stranger.send(topic, type_, messages)
             self._outcome.messages += messages
-            self._last = f'{messages} on {topic}'
+            name = f'messages on {topic}'
         else:
-            name = 'garbage calls'
-            self._call(calls)
-        self._recover(name, before, began)
+            name = f'calls of {self._call(calls)}'
+        self._recover(kind, name, before, began)
+
+    def _end(self, kind: str, node: str) -> str:
+        """End a node, after its files were spoilt or not; wait until the graph knows of it."""
+        ends, said = len(self._launcher.ends), len(self.stranger.said)
+        if kind == 'files':
+            node = self._rng.choice(('lesson', 'learner'))
+            self._spoil(node)
+        self._send(node, signal.SIGTERM if kind == 'term' else signal.SIGKILL)
+        self._until(lambda: len(self._launcher.ends) > ends, f'the end of {node} to be seen')
+        news = f'the node {node} ended'
+        self._until(
+            lambda: any(news in text for text in self.stranger.said[said:]), f'the news: {news}'
+        )
+        return node
 
     def _send(self, node: str, how: signal.Signals) -> int:
         """Send a signal to a node, and return its process; it may have ended just now."""
@@ -239,9 +236,9 @@ class Soak:
         self.stranger.node.destroy_client(client)
         return future.result()
 
-    def _call(self, count: int) -> None:
+    def _call(self, count: int) -> str:
+        """Send garbage to a service or an action, and return which."""
         service, type_ = self._rng.choice(self.stranger.services())
-        self._last = f'{count} of {service}'
         for _ in range(count):
             self._until(lambda: self.stranger.ready(service), f'{service} to be there')
             done, result = self.stranger.call(service, type_)
@@ -249,29 +246,31 @@ class Soak:
             self._until(done, f'an answer of {service}', ANSWER)
             if done() and not hasattr(result(), 'status') and not hasattr(result(), 'result'):
                 self._violate(f'{service} answered without a status')
+        return service
 
-    def _recover(self, name: str, before: int, began: float) -> None:
+    def _recover(self, kind: str, name: str, before: int, began: float) -> None:
         """Wait until every node is ready and another demonstration is kept."""
-        detail = f' ({self._last})' if name.startswith('garbage') else ''
-        if name.startswith('garbage'):
+        if kind in GARBAGE:
             before = len(self.shown())
         deadline = time.monotonic() + RECOVERY
         while time.monotonic() < deadline:
             try:
                 self._graph.wait_ready(list(self._launcher.node_names), 15.0)
                 self._graph.wait(lambda: self._grown(before), 15.0, 'another demonstration')
-                self._outcome.recoveries.append((name, time.monotonic() - began))
-                if self.verbose:
-                    print(f'{time.monotonic() - began:7.2f} s  {name}{detail}', flush=True)
-                return
             except LaunchError as error:
-                text = f'after {name}{detail}: {str(error)[:300]}'
+                text = f'after {name}: {str(error)[:300]}'
                 if isinstance(error, OccupiedError):  # a restart was taken for another launch
                     self._violate(text)
                 self._outcome.remarks[text] += 1
                 self._help_teacher()
                 self.serve(0.5)
-        self._violate(f'{name}{detail}: the lesson did not go on within {RECOVERY:.0f} s')
+            else:
+                seconds = time.monotonic() - began
+                self._outcome.recoveries.append((kind, seconds))
+                if self.verbose:
+                    print(f'{seconds:7.2f} s  {name}', flush=True)
+                return
+        self._violate(f'{name}: the lesson did not go on within {RECOVERY:.0f} s')
 
     def _grown(self, before: int) -> bool:
         self.stranger.serve()

@@ -1,4 +1,4 @@
-"""The guard of a node: no message and no error in a callback ends the node or passes unseen."""
+"""Guards the callbacks of a node: bad messages and errors are counted, logged, and survived."""
 
 from collections.abc import Callable
 import functools
@@ -18,7 +18,7 @@ class Guard:
     Counts and logs what a node refuses and what fails in its callbacks.
 
     :ivar refused: messages that could not be used and were dropped.
-    :ivar failed: errors in callbacks that nobody foresaw.
+    :ivar failed: unexpected errors in callbacks.
     """
 
     def __init__(
@@ -29,11 +29,11 @@ class Guard:
         ends: tuple[type[Exception], ...] = (),
     ) -> None:
         """
-        Begin with nothing refused.
+        Start with nothing refused.
 
         :param monotonic: the clock of the limit of the log's rate, s.
         :param changed: called after ``remark`` has changed.
-        :param ends: errors that are to end the node; they are raised again.
+        :param ends: errors that must end the node; they are re-raised.
         """
         self._logger, self._monotonic, self._changed = logger, monotonic, changed
         self._ends = ends
@@ -43,7 +43,7 @@ class Guard:
 
     @property
     def remark(self) -> str:
-        """What was refused and what failed, in words; empty: nothing."""
+        """Summary of what was refused and what failed; empty: nothing."""
         return '; '.join(
             f'{count} {what}{"s" if count > 1 else ""}{last}'
             for count, what, last in (
@@ -67,9 +67,9 @@ class Guard:
 
     def caught(self, where: str, error: Exception) -> str:
         """
-        Count and log an error of a callback, with its traceback; return it in words.
+        Count and log an error of a callback with its traceback, and return its text.
 
-        The error is raised again where it is to end the node.
+        An error that must end the node is re-raised.
         """
         if isinstance(error, self._ends):
             raise error
@@ -86,11 +86,11 @@ class Guard:
         self, callback: Callable[..., Any], failed: Callable[..., Any] | None = None
     ) -> Callable[..., Any]:
         """
-        Return a callback that raises nothing but what is to end the node.
+        Return a callback that raises only errors that must end the node.
 
-        :param callback: a function or a coroutine function; what it returns is kept.
-        :param failed: called with the error in words and the arguments, for the value to return
-            after an error; None: the value is None.
+        :param callback: a function or a coroutine function; its result is returned.
+        :param failed: called with the text of the error and the arguments; returns the result
+            after an error. None: the result is None.
         """
         where = getattr(callback, '__name__', None) or repr(callback)
 
@@ -119,7 +119,7 @@ class Guard:
         return guarded_function
 
     def _log(self, what: str, text: str) -> None:
-        """Log a line, unless there was one about the same a moment ago."""
+        """Log a line, at a limited rate for each topic or callback."""
         now = self._monotonic()
         if now >= self._next_line.get(what, now):
             self._next_line[what] = now + _LOG_PERIOD

@@ -24,16 +24,16 @@ class JsonError(ValueError):
     """A text is not JSON that can be used; the text says why."""
 
 
-def parse_json(text: str, most: int = MAX_JSON) -> Any:
+def parse_json(text: str, limit: int = MAX_JSON) -> Any:
     """
     Return the value of a JSON text within the limits above.
 
-    :param most: characters.
+    :param limit: in characters.
     :raises JsonError: it is longer, is not JSON, is nested too deeply, or holds a number that is
         too large or not finite.
     """
-    if len(text) > most:
-        raise JsonError(f'it has {len(text):,} characters, and {most:,} are allowed')
+    if len(text) > limit:
+        raise JsonError(f'it has {len(text):,} characters, and {limit:,} are allowed')
     try:
         value = json.loads(text)
     except RecursionError:
@@ -86,7 +86,7 @@ def caseless(text: str) -> str:
 
 
 def printable(text: str) -> str:
-    """Return a text for a terminal: escapes stand for what is not printable but line breaks."""
+    """Return a text for a terminal, with escapes for unprintable characters except line breaks."""
     if text.isprintable():
         return text
     return ''.join(
@@ -105,13 +105,13 @@ def one_line(text: str) -> str:
     return printable(text.replace('\n', ' '))
 
 
-def shown(text: str, most: int = MAX_SHOWN) -> str:
-    """Return a text from outside in one printable line; of a long one its begin and its end."""
-    if len(text) > most:
-        half = (most - 5) // 2
+def shown(text: str, limit: int = MAX_SHOWN) -> str:
+    """Return external text in one printable line; of a long text, the beginning and the end."""
+    if len(text) > limit:
+        half = (limit - 5) // 2
         text = f'{text[:half]} ... {text[-half:]}'
     line = one_line(text)
-    return line if len(line) <= 2 * most else f'{line[:most]} ...'
+    return line if len(line) <= 2 * limit else f'{line[:limit]} ...'
 
 
 def accept_any_text() -> None:

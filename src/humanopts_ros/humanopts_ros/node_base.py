@@ -71,9 +71,9 @@ class StartError(RuntimeError):
 @contextmanager
 def starting_ros() -> Iterator[None]:
     """
-    Say in one line why ROS cannot start.
+    Turn an error of rclpy into one line.
 
-    :raises MiddlewareError: in place of the error of rclpy.
+    :raises MiddlewareError: ROS cannot start.
     """
     try:
         yield
@@ -83,7 +83,7 @@ def starting_ros() -> Iterator[None]:
 
 def start_ros(args: list[str] | None = None, context: Context | None = None) -> None:
     """
-    Start ROS with the settings of the shell; signals stay with the caller.
+    Start ROS with the settings of the shell; the caller handles signals.
 
     :param args: of the command line.
     :param context: None: that of the process.
@@ -97,15 +97,15 @@ def start_ros(args: list[str] | None = None, context: Context | None = None) -> 
 
 class Waiting:
     """
-    Conditions that coroutines of one node wait for.
+    Lets coroutines of a node wait for conditions.
 
-    The coroutines must be in a reentrant callback group. Conditions are checked regularly while
-    there are any; ``check`` checks them at once.
+    The coroutines must be in a reentrant callback group. Open conditions are checked regularly;
+    ``check`` checks them at once.
     """
 
     def __init__(self, node: Node, monotonic: Callable[[], float]) -> None:
         """
-        Begin with no condition.
+        Start with no condition.
 
         :param monotonic: the clock of the deadlines, s.
         """
@@ -116,7 +116,7 @@ class Waiting:
         )
 
     def check(self) -> None:
-        """Wake the coroutines whose condition holds or whose time is over."""
+        """Wake the coroutines whose condition holds or whose deadline has passed."""
         now = self._monotonic()
         still = []
         for entry in self._open:
@@ -133,7 +133,7 @@ class Waiting:
             self._timer.cancel()
 
     async def until(self, condition: Callable[[], bool], seconds: float) -> bool:
-        """Wait until a condition holds; False: it did not in time."""
+        """Wait until a condition holds; return whether it did in time."""
         deadline = self._monotonic() + seconds
         while not condition():  # it may hold for a moment only, before the coroutine goes on
             if self._monotonic() > deadline:
@@ -153,9 +153,9 @@ class NodeBase(Node):
     The node is ready once ``waits_for`` returns None and, where a recorder is expected, the
     recorder has matched every publisher, so that the first message is in the bag.
 
-    Its callbacks are guarded: a message that cannot be used is dropped, an error that nobody
-    foresaw is logged, both are counted in the node's status, and the node goes on. A service or an
-    action is then answered with a status and a text.
+    Its callbacks are guarded: invalid messages are dropped and unexpected errors logged; both are
+    counted in the node's status, and the node continues. After an error, a service or an action
+    answers with a status and a text.
     """
 
     role: ClassVar[Role] = 'node'
@@ -221,7 +221,7 @@ class NodeBase(Node):
     def create_timer(
         self, timer_period_sec: float, callback: Callable[..., Any], *args: Any, **options: Any
     ) -> Timer:
-        """Create a timer as rclpy does, with a guarded callback, that no set time of day moves."""
+        """Create a timer as rclpy does, with a guarded callback and on a steady clock."""
         guarded, options['clock'] = self.guard.guarded(callback), _STEADY
         return super().create_timer(timer_period_sec, guarded, *args, **options)
 
@@ -270,7 +270,7 @@ class NodeBase(Node):
         qos: QoSProfile = STREAM,
     ) -> Subscription:
         """
-        Subscribe to a topic whose messages are checked where they become values.
+        Subscribe to a topic and check its messages where they become values.
 
         :param read: returns the value of a message, or raises a ValueError that says why it
             cannot be used; then the message is counted, named and dropped. None: it is of no use.
@@ -348,21 +348,21 @@ class NodeBase(Node):
         return value
 
     def settings(
-        self, usual: D, descriptions: Mapping[str, str], between: Mapping[str, Range]
+        self, defaults: D, descriptions: Mapping[str, str], between: Mapping[str, Range]
     ) -> D:
         """
         Declare a parameter for each of some fields of a dataclass, and return their values in one.
 
-        :param usual: the defaults.
+        :param defaults: the dataclass with the default values.
         :param descriptions: by field.
         :param between: the least and the largest value of some fields; of the others, any.
         :raises StartError: as ``setting``.
         """
         values = {
-            name: self.setting(name, getattr(usual, name), text, between.get(name))
+            name: self.setting(name, getattr(defaults, name), text, between.get(name))
             for name, text in descriptions.items()
         }
-        return replace(usual, **values)
+        return replace(defaults, **values)
 
     def stamped_publisher(
         self,
@@ -493,7 +493,7 @@ class NodeBase(Node):
                 client.remove_pending_request(future)
 
     async def provided(self) -> bool:
-        """Wait in a coroutine until ``waits_for`` returns None; False: it did not in time."""
+        """Wait in a coroutine until ``waits_for`` returns None; return whether it did in time."""
         return await self.waiting.until(lambda: self.waits_for() is None, _PROVISION)
 
     def set_status(self, state: int, text: str = '') -> None:
@@ -514,24 +514,24 @@ class NodeBase(Node):
             self.get_logger().error(str(error))
 
     def publish_status_again(self) -> None:
-        """Publish the node's state again, as a sign that it goes on."""
+        """Publish the node's state again, as a sign of life."""
         self.set_status(self._own_state, self._own_text)
 
     def waits_for(self) -> str | None:
-        """Return in words what the node still needs; None: it can be ready. To be overridden."""
+        """Return what the node still needs, in words; None: nothing. To be overridden."""
         return None
 
     def on_ready(self) -> None:
         """Run once the node is ready, such as to publish a first state. To be overridden."""
 
     def serve(self, executor: Executor, stop: Callable[[], bool]) -> None:
-        """Carry out callbacks until ``stop`` returns True. To be overridden to read input."""
+        """Run callbacks until ``stop`` returns True. To be overridden to read input."""
         while not stop():
             self.turn(executor, 0.1)
 
     def turn(self, executor: Executor, seconds: float) -> None:
         """
-        Carry out one callback, once there is one.
+        Run one callback, once there is one.
 
         Errors outside the guarded callbacks are of futures' callbacks, and of messages whose
         bytes are not those of their type.
@@ -547,7 +547,7 @@ class NodeBase(Node):
         """Finish work before the node ends. To be overridden."""
 
     def finish(self, busy: Callable[[], bool], seconds: float) -> None:
-        """Carry out callbacks until ``busy`` returns False and the responses are sent."""
+        """Run callbacks until ``busy`` returns False and the responses are sent."""
         deadline, executor = time.monotonic() + seconds, self.executor
         assert executor is not None, 'the node serves, or did'
         while busy() and time.monotonic() < deadline:
@@ -589,7 +589,7 @@ class NodeBase(Node):
             self.publish_status_again()
 
     def tell_time_set(self, seconds: float) -> None:
-        """Go on although the time of day was set, and log by how much; from any thread."""
+        """Continue after a change of the system time, and log it; from any thread."""
         if (executor := self.executor) is not None:
             with suppress(InvalidHandle, AttributeError):  # it was shut down just now
                 executor.create_task(self.guard.guarded(self._on_time_set), seconds)
@@ -623,7 +623,7 @@ class NodeBase(Node):
         self.set_status(NodeStatus.STATE_READY)
 
     def _lacks_recorder(self) -> str | None:
-        """Return in words a topic that the recorder lacks; None: it has all, or none runs."""
+        """Return which topic the recorder lacks, in words; None: it has all, or none runs."""
         if not self._expect_recorder:
             return None
         lacking = chain(
@@ -636,7 +636,7 @@ class NodeBase(Node):
 
 def _failed(answer: Any, text: str) -> Any:
     """
-    Return an answer that says that an error ended the work.
+    Return an answer for work that an error has ended.
 
     Its status is STATUS_FAILED; where the type has none, 0, which is sent for nothing else.
     """

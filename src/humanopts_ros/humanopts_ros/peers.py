@@ -52,8 +52,8 @@ class Peers:
 
     :ivar statuses: by name, without the namespace.
     :ivar restarts: by name; a restart counts when the node begins, and when it is ready.
-    :ivar on_restart: each is called with the name whenever a restart counts, the second time for
-        what was asked of the node before it was ready and may have reached nobody.
+    :ivar on_restart: each is called with the name whenever a restart counts, the second time
+        because requests sent before the node was ready may be lost.
     """
 
     def __init__(self, node: Node) -> None:

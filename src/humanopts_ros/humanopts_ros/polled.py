@@ -1,4 +1,4 @@
-"""Subscriptions that no executor serves: who wants the messages takes them."""
+"""Subscriptions that no executor serves: the messages are taken on request."""
 
 from collections.abc import Callable
 from typing import Any, Generic, TypeVar
@@ -13,7 +13,7 @@ V = TypeVar('V')
 
 class Polled(CallbackGroup):
     """
-    Keeps its subscriptions from every executor: their queues are emptied on request.
+    Hides its subscriptions from executors; their queues are emptied on request.
 
     An executor takes one message at a time and looks at every entity for each of them.
     """
@@ -25,7 +25,7 @@ class Polled(CallbackGroup):
         return False
 
     def ending_execution(self, entity: Any) -> None:
-        """Do nothing: nothing begins."""
+        """No-op."""
 
 
 class PolledValue(Generic[T, V]):
@@ -43,7 +43,7 @@ class PolledValue(Generic[T, V]):
         )
 
     def take(self) -> V | None:
-        """Return the newest value since the last call; None: there is none."""
+        """Return the newest value since the last call; None: there is no new one."""
         handle = self._subscription.handle
         with handle:
             taken = handle.take_message(self._kind, False)
@@ -51,4 +51,4 @@ class PolledValue(Generic[T, V]):
 
 
 def never_called(message: Any) -> None:
-    """Do nothing; rclpy asks for a callback."""
+    """No-op: rclpy requires a callback."""

@@ -26,8 +26,8 @@ _PAUSED = (
 
 class _Stop:
     """
-    Set by SIGINT, SIGTERM or SIGHUP, when the launcher that started the process is gone, or when
-    the process goes on after SIGSTOP or SIGTSTP has stopped it for too long.
+    Set by SIGINT, SIGTERM or SIGHUP, when the launcher is gone, or when the process resumes after
+    SIGSTOP or SIGTSTP has stopped it for too long.
 
     :ivar paused: how long that was, s; 0: it was not.
     """

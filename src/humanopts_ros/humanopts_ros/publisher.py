@@ -94,7 +94,7 @@ class StampedPublisher(Generic[M]):
         return self.is_matched() and node_name in self.readers()
 
     def drain(self, seconds: float) -> None:
-        """Wait for the readers to take what was sent."""
+        """Wait until the readers have received what was sent."""
         end = time.monotonic() + seconds  # a wait in the middleware ends by the time of day
         while not self._publisher.wait_for_all_acked(Duration()) and time.monotonic() < end:
             time.sleep(_ACKNOWLEDGED_PERIOD)

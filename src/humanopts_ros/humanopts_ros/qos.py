@@ -17,8 +17,8 @@ def _profile(durability: DurabilityPolicy, depth: int) -> QoSProfile:
 # Publishes a current value: a newer one replaces it, so the first message that a late subscriber
 # gets is the newest. What must not be lost is on a stream.
 LATCHED = _profile(DurabilityPolicy.TRANSIENT_LOCAL, 1)
-# Reads a current value: all of each publisher, so that what one publishes keeps nobody from what
-# another does.
+# Reads a current value: all of each publisher, so that one publisher does not displace
+# another.
 CURRENT = _profile(DurabilityPolicy.TRANSIENT_LOCAL, 0)
 # Append-only streams, for the recorder and the lock-step partners. A reader that has stopped
 # blocks the writer, so displays read LATCHED topics or DISPLAY instead.

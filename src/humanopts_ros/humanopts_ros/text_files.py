@@ -38,11 +38,11 @@ class YamlError(FileError):
     """A text is not YAML that can be used; the text says where and why."""
 
 
-def read_regular(path: Path, most: int | None = None, flags: int = 0) -> bytes:
+def read_regular(path: Path, limit: int | None = None, flags: int = 0) -> bytes:
     """
     Return the contents of a regular file; devices, pipes and folders are refused unread.
 
-    :param most: bytes; None: any number.
+    :param limit: in bytes; None: no limit.
     :param flags: of ``os.open``, besides those of reading.
     :raises OSError: it cannot be read, is not a regular file, or is larger.
     """
@@ -51,48 +51,48 @@ def read_regular(path: Path, most: int | None = None, flags: int = 0) -> bytes:
         if not stat.S_ISREG(os.fstat(handle).st_mode):
             raise OSError(errno.EINVAL, 'it is not a regular file', str(path))
         with open(handle, 'rb', closefd=False) as file:
-            content = file.read(-1 if most is None else most + 1)
+            content = file.read(-1 if limit is None else limit + 1)
     finally:
         os.close(handle)
-    if most is not None and len(content) > most:
-        raise OSError(errno.EFBIG, f'it is larger than {most:,} bytes, the limit', str(path))
+    if limit is not None and len(content) > limit:
+        raise OSError(errno.EFBIG, f'it is larger than {limit:,} bytes, the limit', str(path))
     return content
 
 
-def read_bytes(path: Path, most: int = MAX_TEXT) -> bytes:
+def read_bytes(path: Path, limit: int = MAX_TEXT) -> bytes:
     """
     Return the contents of a regular file that a person named.
 
     :raises FileError: as ``read_regular``, or the path cannot be one.
     """
     try:
-        return read_regular(path, most)
+        return read_regular(path, limit)
     except OSError as error:
         raise FileError(f'cannot read {_named(path)}: {error.strerror}') from error
     except ValueError as error:  # a NUL, or a name that is not in the encoding of file names
         raise FileError(f'cannot read {_named(path)}: it is not a file name') from error
 
 
-def read_text(path: Path, most: int = MAX_TEXT) -> str:
+def read_text(path: Path, limit: int = MAX_TEXT) -> str:
     """
     Return the text of a regular file in UTF-8, without a byte order mark.
 
     :raises FileError: as ``read_bytes``, or it is not UTF-8.
     """
     try:
-        text = read_bytes(path, most).decode('utf-8-sig')
+        text = read_bytes(path, limit).decode('utf-8-sig')
     except UnicodeDecodeError:
         raise FileError(f'{_named(path)} is not a text in UTF-8') from None
     return text.replace('\r\n', '\n').replace('\r', '\n')
 
 
-def read_yaml(path: Path, most: int = MAX_TEXT) -> Any:
+def read_yaml(path: Path, limit: int = MAX_TEXT) -> Any:
     """
     Return the value of a YAML file, as ``parse_yaml`` does.
 
     :raises FileError: it cannot be read, or is not YAML that can be used.
     """
-    text = read_text(path, most)
+    text = read_text(path, limit)
     try:
         return parse_yaml(text)
     except YamlError as error:

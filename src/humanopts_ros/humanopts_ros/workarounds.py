@@ -239,7 +239,7 @@ def limit_leaving(seconds: int | None = None) -> None:
 
     The node is closed, and what it sent is taken by then.
 
-    :param seconds: 0: no more; None: as long as is usual.
+    :param seconds: 0: no more; None: the usual time.
     """
     signal.alarm(_LEAVING if seconds is None else seconds)
 

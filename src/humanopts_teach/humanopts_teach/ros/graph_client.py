@@ -166,11 +166,11 @@ class GraphClient(NodeBase):
         self, action_set: str, episodes: int, seed: int, game_steps: int = 0
     ) -> msg.PlanResult:
         """
-        Have the planner plan with the newest options, and judge the plan.
+        Plan with the newest options, and evaluate the plan.
 
-        :param episodes: to judge it by; 0: it is not judged.
-        :param seed: of what is drawn, for the plan and to judge it.
-        :param game_steps: to sample from; 0: as many as is usual.
+        :param episodes: to evaluate it on; 0: it is not evaluated.
+        :param seed: of all random draws.
+        :param game_steps: to sample from; 0: the default.
         :raises LaunchError: it refused, failed or did not answer.
         """
         goal = Plan.Goal(
@@ -189,11 +189,11 @@ class GraphClient(NodeBase):
         self, action_set: str, episodes: int, seed: int, game_steps: int = 0
     ) -> msg.PolicyResult:
         """
-        Have the planner play episodes through the option server.
+        Play episodes through the option server.
 
         Where it has no plan, or not with the newest options, it plans first.
 
-        :param game_steps: to sample that plan from; 0: as many as is usual.
+        :param game_steps: to sample that plan from; 0: the default.
         :raises LaunchError: it refused, failed or did not answer.
         """
         goal = RunPolicy.Goal(action_set=action_set, episodes=episodes, seed=seed)
@@ -206,7 +206,7 @@ class GraphClient(NodeBase):
         return result
 
     def all_recorded(self) -> bool:
-        """Return whether a recorder that was started again has been sent all that was shown."""
+        """Return whether a restarted recorder has received all demonstrations."""
         lesson = self._statuses.get(LESSON)
         there = lesson is not None and lesson.sequence >= self._resent
         return not self._resent or (there and self.peers.state(LESSON) == _READY)
@@ -247,12 +247,12 @@ class GraphClient(NodeBase):
         self.turn(self._executor, seconds)
 
     def catch_up(self) -> None:
-        """Process the messages that came while nobody served the graph."""
+        """Process the messages that arrived in the meantime."""
         for _ in range(_ROUNDS):
             self.take(0.0)
 
     def unrecorded(self) -> str:
-        """Return why the bag is short, or nothing is recorded now; empty: neither is known."""
+        """Return why the bag is incomplete or nothing is recorded; empty: no reason is known."""
         return self._stopped() or (shown(self.lesson.paused) if self.lesson is not None else '')
 
     def teacher_finished(self) -> bool:
@@ -263,7 +263,7 @@ class GraphClient(NodeBase):
         """
         Return whether an option is finished, and all that was learned until then has come here.
 
-        The topics of several nodes come in any order.
+        Messages of different nodes arrive in any order.
         """
         lesson, learning = self.lesson, self.learning
         if lesson is None or learning is None:
@@ -296,7 +296,7 @@ class GraphClient(NodeBase):
 
     def retry(self, work: Callable[[], T]) -> T:
         """
-        Do work that can be done again, and do so where it failed while a node ended.
+        Do work, and repeat it if it fails while a node is restarted.
 
         :param work: raises a LaunchError where it fails.
         :raises LaunchError: it failed although every node went on, or a node is given up.
@@ -315,7 +315,7 @@ class GraphClient(NodeBase):
         """
         Note that a process of a node of this launch is about to be started.
 
-        :param instance: how its publisher_id will end; only that process speaks for the node.
+        :param instance: suffix of its publisher_id; only that process counts as the node.
         """
         publisher_id = f'{self.full_name(name)}#{instance}'
         self._own[publisher_id] = name
@@ -323,9 +323,9 @@ class GraphClient(NodeBase):
 
     def note_end(self, end: NodeExit, instance: str) -> None:
         """
-        Publish that a node ended; the next process of that name is then no other node.
+        Publish that a node ended; the next process of that name replaces it.
 
-        :param instance: how the publisher_id of its process ended; what comes late is not heard.
+        :param instance: suffix of its process's publisher_id; late statuses are ignored.
         """
         self._ends[end.node] += end.again
         self._fine = time.monotonic() + _LEASE
@@ -342,7 +342,7 @@ class GraphClient(NodeBase):
         self.options, self.newest_option = options, newest
 
     def _text(self, name: str) -> str:
-        """Return what a node says of itself."""
+        """Return the text of a node's status."""
         return one_line(self._statuses[name].text) if name in self._statuses else ''
 
     def _stopped(self) -> str:
@@ -352,7 +352,7 @@ class GraphClient(NodeBase):
         return f'{self._text(RECORDER)}. The bag can be read: humanopts bag info {self._bag}'
 
     def _missing(self, names: Sequence[str]) -> list[str]:
-        """Return what a launch still waits for, each node with what it says of itself."""
+        """Return what a launch still waits for, with the text of each node's status."""
         lacking = [name for name in names if self.peers.state(name) != _READY]
         if not self.ready:
             lacking.append(CONDUCTOR)
@@ -367,7 +367,7 @@ class GraphClient(NodeBase):
 
     def _check_paused(self) -> None:
         """
-        Look whether a node that is needed is paused.
+        Check whether a required node is paused.
 
         :raises LaunchError: the recorder is, or another one is for too long.
         """
@@ -383,7 +383,7 @@ class GraphClient(NodeBase):
 
     def _check_names(self) -> None:
         """
-        Look whether other processes have names of nodes of this launch.
+        Check for other processes with names of nodes of this launch.
 
         :raises OccupiedError: one has while the launch starts.
         """

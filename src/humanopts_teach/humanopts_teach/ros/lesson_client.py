@@ -77,7 +77,7 @@ class NoAnswerError(LessonClientError):
 
 class LessonClient:
     """
-    Asks and drives as a person does, and follows lesson and game.
+    Teaches and drives like a person, and follows lesson and game.
 
     :ivar world: the newest of what was published.
     """
@@ -148,10 +148,10 @@ class LessonClient:
 
     async def ask(self, request: LessonRequest | Drive) -> Answer:
         """
-        Ask the lesson or drive, and wait until the published state shows what came of it.
+        Ask the lesson or drive, and wait until the published state shows the effect.
 
-        :raises RefusedError: it was not carried out, or what came of it cannot be seen: a node was
-            started again, or the lesson is in another session.
+        :raises RefusedError: it was not carried out, or its effect cannot be seen: a node was
+            restarted, or the lesson is in another session.
         :raises NoAnswerError: there was no answer, or the state does not show it.
         """
         what = self.name_of(request)
@@ -255,7 +255,7 @@ class LessonClient:
                 found = service.answer.decode(done.result())
             except ValueError as error:
                 found = Answer(RequestStatus.UNKNOWN, str(error))
-            if isinstance(request, ListOptions):  # that there are none is an answer, too
+            if isinstance(request, ListOptions):  # having none is an answer, too
                 found = replace(found, status=RequestStatus.OK)
             answer.set_result(found)
             self._node.waiting.check()
@@ -277,7 +277,7 @@ class LessonClient:
         return restarts[self._game.name], restarts[LESSON], lesson.participant, lesson.session
 
     def _on_restart(self, name: str) -> None:
-        """Answer what a node that was started again has not answered, and never will."""
+        """Answer the requests that a restarted node will never answer."""
         role = 'game' if name == self._game.name else name
         self._answer(lambda drive, _: role == 'game', _LOST)
         for asked, answer in self._asked:

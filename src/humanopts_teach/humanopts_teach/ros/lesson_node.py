@@ -101,8 +101,8 @@ class LessonNode(NodeBase):
         )
 
     def _read_rules(self) -> LessonRules:
-        what, usual = f'of start states: {", ".join(STRATEGIES)}', LessonRules().strategy
-        strategy = self.setting('strategy', usual, what, among=STRATEGIES)
+        what, default = f'of start states: {", ".join(STRATEGIES)}', LessonRules().strategy
+        strategy = self.setting('strategy', default, what, among=STRATEGIES)
         what = 'how options are learned, where the person asks for no other: trees or goal'
         method = self.setting('learn', LessonRules().method, what, among=tuple(METHODS))
         return self.settings(

@@ -31,7 +31,7 @@ _AT_ONCE = 2000  # messages taken from one topic before the next has its turn
 class Taken(NamedTuple):
     """One message as it arrived."""
 
-    received: int  # ns since the epoch, by a clock that nobody sets
+    received: int  # ns since the epoch, by a steady clock
     sent: int  # ns since the epoch, by the middleware of the sender
     topic: str
     data: bytes  # CDR

@@ -94,7 +94,7 @@ class SimulatedTeacherNode(NodeBase):
                 raise StartError(str(error)) from error
 
     async def _teach(self) -> None:
-        """Teach everything, give control back, and say how it ended."""
+        """Teach everything, return control, and publish how it ended."""
         self._begin.cancel()
         cause, refused, answered = '', 0, self.monotonic()
         try:
@@ -112,7 +112,7 @@ class SimulatedTeacherNode(NodeBase):
                     await self.waiting.until(lambda: False, _TICK)
         except (TeacherError, LessonClientError) as error:
             cause = str(error)
-        except Exception as error:  # nobody foresaw it; the demo waits for the end
+        except Exception as error:  # unexpected; the demo waits for the end
             cause = self.guard.caught('teaching', error)
         if not await self._client.give_back():
             cause = cause or 'game does not take control back'
@@ -146,7 +146,7 @@ class SimulatedTeacherNode(NodeBase):
                 raise NoAnswerError(f'gave up after {self._deadline:g} s of waiting for {reason}')
 
     def _left(self) -> EndDemonstration | None:
-        """Discard, first of all, what a teacher before this one has begun; None: it has not."""
+        """Discard first what an earlier teacher has begun; None: nothing."""
         lesson, first = self._client.lesson, self._first
         self._first = False
         if not first or lesson is None or lesson.phase is not Phase.DEMONSTRATING:

@@ -100,7 +100,7 @@ class TeleopNode(NodeBase):
         self.create_subscription(ActionCommand, 'action', self._on_action, DISPLAY)
 
     def _study(self, participant: str, seed: int) -> App | None:
-        """Return the dialogue of a study; None: there is none."""
+        """Return the dialogue of a study; None: this is not a study."""
         parts = self.setting('study_parts', '', 'of a study, JSON; empty: no study')
         path = self.setting('study_record', '', 'file of the events of the participant')
         if not parts:
@@ -152,7 +152,7 @@ class TeleopNode(NodeBase):
 
     @property
     def parted(self) -> bool:
-        """Whether the last requests are answered, or nobody answers them in time."""
+        """Whether the last requests are answered, or their deadline has passed."""
         answers = self.last_answers
         late = time.monotonic() > self._parted_at
         return answers is not None and (late or all(future.done() for future in answers))
@@ -197,7 +197,7 @@ class TeleopNode(NodeBase):
             self.app.lost_server()
 
     def _send_last(self, request: Request) -> Future | None:
-        """Send one of the last requests; None: nobody is there to answer it."""
+        """Send one of the last requests; None: its server is gone."""
         if isinstance(request, CancelRun):
             return self._goal.cancel() if self._goal is not None else None
         assert not isinstance(request, ActionGoal), 'a terminal that ends begins nothing'
@@ -240,7 +240,7 @@ class TeleopNode(NodeBase):
             self.app.lost_server()
 
     def _on_action(self, message: ActionCommand) -> None:
-        """Keep whose the two newest actions are: one may wait while the other is shown."""
+        """Keep the options of the two newest actions: one may wait while the other is shown."""
         before = list(self._world.acted.items())[:1]
         newest = {(message.publisher_id, message.sequence): message.option_name}
         self._world.acted = newest | dict(before)
