@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from importlib.metadata import version
 import os
 from pathlib import Path
 import platform
@@ -114,7 +113,7 @@ def reproduce(
             ),
             'computed by': f'Dask at {dask}' if dask else where,
             'versions': ', '.join(
-                [f'Python {platform.python_version()}', *(f'{n} {version(n)}' for n in LIBRARIES)]
+                f'{n} {v}' for n, v in {'Python': platform.python_version(), **LIBRARIES}.items()
             ),
         }
         sections = [section_of(each, outcome.rows_of(trials[each])) for each in wanted]

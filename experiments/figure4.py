@@ -191,7 +191,7 @@ def _draw(curves: pd.DataFrame, title: str, as_in_paper: bool, work: Drawing) ->
     report.draw_curves(axes, shown, 'action set', 'episode', lines, lw=1.4)
     axes.set(title=title, xlabel='episode', ylabel='steps per episode')
     if as_in_paper:
-        axes.set_ylim(0, paper.MOST_STEPS)
+        axes.set_ylim(0, paper.MAX_STEPS)
     else:
         axes.set_yscale('log')
         axes.set_ylim(0.8 * curves['mean'].min(), 1.25 * curves['mean'].max())

@@ -4,8 +4,8 @@ The owners of options: people in bags, simulated people, extractions, or none.
 There are two groups of simulated participants, since the paper's claims are of two kinds.
 *Careful* people make no error; they differ only in which of several equally good actions they
 prefer. *Varied* people differ in that too, and each has an error rate of their own (share of steps
-that are wrong, from 0 to ``MOST_ERRORS``) and a rate of needless answers (probability of yes to a
-question about a feature that does not matter, from 0 to ``MOST_NEEDLESS``). So that a handful of
+that are wrong, from 0 to ``MAX_ERRORS``) and a rate of needless answers (probability of yes to a
+question about a feature that does not matter, from 0 to ``MAX_NEEDLESS``). So that a handful of
 people covers both ranges, their rates are not drawn one by one: they go on from an offset that is
 drawn, by steps that fill a square evenly (Roberts 2018, The unreasonable effectiveness of
 quasirandom sequences: R2).
@@ -39,8 +39,8 @@ from experiments import paper
 NOBODY, PERSON, MACHINE = 'nobody', 'person', 'machine'  # kinds of owner
 CLOCK = time.process_time
 CAREFUL, VARIED = 'careful', 'varied'
-MOST_ERRORS = 0.05
-MOST_NEEDLESS = 0.2
+MAX_ERRORS = 0.05
+MAX_NEEDLESS = 0.2
 STEPS = (0.7548776662466927, 0.5698402909980532)  # 1 / g, 1 / g**2, where g**3 = g + 1
 
 
@@ -73,7 +73,7 @@ def participants(group: str, count: int, seed: int) -> list[Participant]:
     found = []
     for number in range(1, count + 1):
         errors, needless = ((x + number * step) % 1.0 for x, step in zip(offsets, STEPS))
-        rates = (errors * MOST_ERRORS, needless * MOST_NEEDLESS) if group == VARIED else (0.0, 0.0)
+        rates = (errors * MAX_ERRORS, needless * MAX_NEEDLESS) if group == VARIED else (0.0, 0.0)
         error_rate, needless_rate = (round(rate, 4) for rate in rates)
         found.append(Participant(group, f'{group}{number}', error_rate, needless_rate, seed))
     return found

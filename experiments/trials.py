@@ -24,7 +24,9 @@ from humanopts_teach.evaluation.side_by_side import as_they_end, processes
 from humanopts_teach.evaluation.summary import write_text
 
 PACKAGES = ('humanopts_env', 'humanopts_learner', 'humanopts_teach', 'experiments')
-LIBRARIES = ('numpy', 'scipy', 'scikit-learn')  # that results may depend on to the last digit
+LIBRARIES = {
+    name: version(name) for name in ('numpy', 'scipy', 'scikit-learn')
+}  # digits depend on
 ANSWERS_WITHIN = 10.0  # s for a Dask scheduler to answer
 WORKERS_WITHIN = 30.0  # s for the first worker of a Dask cluster to join
 Rows = list[dict[str, Any]]  # a result: rows of a table, JSON data
@@ -54,7 +56,7 @@ def code_version() -> str:
 
 def versions() -> dict[str, Any]:
     """Return the versions that numbers depend on: of the code and the numeric libraries."""
-    return {'code': code_version(), 'libraries': {name: version(name) for name in LIBRARIES}}
+    return {'code': code_version(), 'libraries': LIBRARIES}
 
 
 @dataclass(frozen=True)

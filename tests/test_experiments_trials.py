@@ -106,13 +106,6 @@ def test_file_that_is_not_the_trial_counts_as_missing(tmp_path: Path, damage: st
     assert work.asked == [2, 2]
 
 
-def test_two_processes_compute_what_one_does(tmp_path: Path) -> None:
-    trials = tiny('random', 'coverage')
-    one, two = (run_trials(trials, tmp_path / str(jobs), ignore_progress, jobs) for jobs in (1, 2))
-    assert one.results == two.results
-    assert len(one.results) == 2
-
-
 def test_lines_show_progress_where_there_is_no_terminal(tmp_path: Path) -> None:
     now, out = [0.0], io.StringIO()
     with trial_progress(Console(file=out), clock=lambda: now[0]) as progress:

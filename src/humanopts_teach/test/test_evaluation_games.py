@@ -32,7 +32,7 @@ from humanopts_teach.evaluation.games import (
 from humanopts_teach.evaluation.settings import Settings
 from humanopts_teach.evaluation.tables import rows_of
 from humanopts_teach.evaluation.text import games_text
-from humanopts_teach.report.episode import episode_strip, Frame, MOST_PICTURES
+from humanopts_teach.report.episode import episode_strip, Frame, MAX_PICTURES
 from humanopts_teach.report.findings import findings
 from humanopts_teach.report.write import render_report, ReportData
 import numpy as np
@@ -233,8 +233,8 @@ def test_a_long_episode_is_shown_by_the_ends_of_runs(yard: Domain[Any]) -> None:
     ]
     strip = episode_strip(yard, [Frame(state), *steps])
     assert (strip.whole, strip.steps) == (False, 300)
-    assert len(strip.pictures) == MOST_PICTURES
-    assert strip.left_out == 101 - MOST_PICTURES
+    assert len(strip.pictures) == MAX_PICTURES
+    assert strip.left_out == 101 - MAX_PICTURES
     assert [picture.number for picture in strip.pictures][:3] == [0, 3, 6]
     assert strip.pictures[-1].number == 300
     assert (strip.pictures[1].action, strip.pictures[1].reward) == ('3 steps', '+3')

@@ -1,33 +1,29 @@
 """Settings of learning and judging."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields, replace
-from typing import Any
+from dataclasses import asdict, field, fields, replace
+from typing import Annotated, Any
 
 from humanopts_learner.options.judge import Thresholds
 from humanopts_teach.lesson import BUDGET, STRATEGY
+from pydantic import Field, NonNegativeInt
+from pydantic.dataclasses import dataclass
 
 
 @dataclass(frozen=True)
 class Settings:
-    """Settings of learning and judging."""
+    """
+    Settings of learning and judging.
 
-    seed: int = 0
+    :raises ValueError: a number is out of range.
+    """
+
+    seed: NonNegativeInt = 0
     strategy: str = STRATEGY  # of start states
     thresholds: Thresholds = field(default_factory=Thresholds)
-    teacher_error_rate: float | None = None  # None: a person taught
-    budget: int = BUDGET  # most start states shown for one option
-    game_steps: int = 0  # that plans are sampled from; 0: the planner's default
-
-    def __post_init__(self) -> None:
-        """
-        Check the numbers.
-
-        :raises ValueError: one is out of range.
-        """
-        numbers = self.seed, self.budget, self.game_steps
-        if min(numbers) < 0 or not 0 <= (self.teacher_error_rate or 0.0) <= 1:
-            raise ValueError(f'{self}: a number is below 0, or the rate is not a share')
+    teacher_error_rate: Annotated[float, Field(ge=0, le=1)] | None = None  # None: a person taught
+    budget: NonNegativeInt = BUDGET  # most start states shown for one option
+    game_steps: NonNegativeInt = 0  # that plans are sampled from; 0: the planner's default
 
     def to_dict(self) -> dict[str, Any]:
         """Return the settings as JSON data, without the game steps, which each plan has."""
@@ -47,12 +43,11 @@ def settings_from_facts(facts: Mapping[str, str]) -> tuple[Settings, list[str]]:
         usual = getattr(settings.thresholds if name in limits else settings, name)
         try:
             text = facts[name]
-            kind = str if name == 'strategy' else int if type(usual) is int else float
-            value: Any = None if usual is None and text == 'None' else kind(text)
+            value: Any = None if usual is None and text == 'None' else text
             if name in limits:
-                settings = replace(
-                    settings, thresholds=replace(settings.thresholds, **{name: value})
-                )
+                value = value and float(value)
+                thresholds = replace(settings.thresholds, **{name: value})
+                settings = replace(settings, thresholds=thresholds)
             else:
                 settings = replace(settings, **{name: value})
         except KeyError:

@@ -1,6 +1,5 @@
 """An evaluation as plain text, for terminals."""
 
-from collections.abc import Sequence
 import math
 from typing import Any, TYPE_CHECKING
 
@@ -17,19 +16,22 @@ if TYPE_CHECKING:
     import pandas as pd  # slow to import
 
 A_TENTH = 'a tenth of the range from random actions to the demonstrations'
-MOST_POINTS = 12  # of a learning curve that are printed
+MAX_POINTS = 12  # of a learning curve that are printed
 REPRODUCED = {
     True: 'equal to its option file in the bag, to the last digit',
     False: 'NOT equal to its option file in the bag',
 }
-CURVE_HEAD = (
-    *('shown', 'not here', 'return', 'initiation', 'termination'),
-    *('acc. policy', 'acc. I', 'acc. beta', 'met'),
-)
-PLAN_HEAD = (
-    *('action set', 'gamma', 'game steps', 'planning ms', 'sweeps'),
-    *('episodes', 'mean return', '95 % interval', 'all starts', 'discounted'),
-)
+CURVE = {  # columns of a learning curve that are printed
+    'shown': 'n_demonstrations',
+    'not here': 'n_not_here',
+    'return': 'return',
+    'initiation': 'initiation',
+    'termination': 'termination',
+    'acc. policy': 'policy_accuracy',
+    'acc. I': 'classification_accuracy_initiation',
+    'acc. beta': 'classification_accuracy_termination',
+    'met': 'criteria_met',
+}
 
 
 def evaluation_text(evaluation: BagEvaluation) -> str:
@@ -45,7 +47,7 @@ def evaluation_text(evaluation: BagEvaluation) -> str:
         lines += ['', *_option(option)]
     if evaluation.plans:
         rows = [_plan(*row) for row in evaluation.plan_table.iterrows()]
-        lines += ['', 'plans', numbers(PLAN_HEAD, rows)]
+        lines += ['', 'plans', table(rows, ['action set'])]
         lines += [
             f'{name} uses options that do not meet the criteria: {", ".join(unready)}'
             for name, plan in evaluation.plans.items()
@@ -76,17 +78,17 @@ def games_text(games: 'pd.DataFrame') -> list[str]:
     lines = []
     for setting, rows in games.groupby('setting', sort=False):
         outcomes = list(dict.fromkeys(name for each in rows['outcomes'] for name in each))
-        head = (setting or 'policy', 'score', *outcomes, 'planning s')
+        head = str(setting) or 'policy'
         cells = [
-            [
-                row.name,
-                interval(row.score, row.score_low, row.score_high, 0),
-                *(interval(**row.outcomes[name], digits=2) for name in outcomes),
-                number(row.seconds, 3),
-            ]
+            {
+                head: row.name,
+                'score': interval(row.score, row.score_low, row.score_high, 0),
+                **{name: interval(**row.outcomes[name], digits=2) for name in outcomes},
+                'planning s': number(row.seconds, 3),
+            }
             for row in rows_of(rows)
         ]
-        lines += ['', numbers(head, cells)]
+        lines += ['', table(cells, [head])]
         lines += [
             f'{row.name} less {row.less}, game by game: {interval(row.mean, row.low, row.high, 0)}'
             for row in rows_of(gains(rows))
@@ -98,11 +100,6 @@ def interval(mean: float, low: float, high: float, digits: int) -> str:
     """Return a mean and its interval."""
     texts = [f'{round(x, digits) + 0.0:.{digits}f}' for x in (mean, low, high)]  # no -0.00
     return f'{texts[0]} [{texts[1]}, {texts[2]}]'
-
-
-def numbers(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Return a table, all but its first column to the right."""
-    return table([dict(zip(head, row)) for row in rows], head[:1])
 
 
 def number(value: float | None, digits: int = 4) -> str:
@@ -117,19 +114,9 @@ def share(value: float) -> str:
 
 def _option(option: OptionEvaluation) -> list[str]:
     learned, summary, learning = option.option, option.summary, option.learning
-    shown = sorted(
-        {round(i * (len(learning) - 1) / (MOST_POINTS - 1)) for i in range(MOST_POINTS)}
-    )
+    shown = sorted({round(i * (len(learning) - 1) / (MAX_POINTS - 1)) for i in range(MAX_POINTS)})
     rows = [
-        [
-            str(row.n_demonstrations),
-            str(row.n_not_here),
-            *(number(row[name], 3) for name in ('return', 'initiation', 'termination')),
-            share(row.policy_accuracy),
-            share(row.classification_accuracy_initiation),
-            share(row.classification_accuracy_termination),
-            'yes' if row.criteria_met else 'no',
-        ]
+        {head: _cell(column, row[column]) for head, column in CURVE.items()}
         for _, row in learning.iloc[shown].iterrows()
     ]
     lines = [
@@ -147,7 +134,15 @@ def _option(option: OptionEvaluation) -> list[str]:
     if summary.more_needed > 0:
         low, high = likely_range(summary.more_needed)
         lines.append(f'perhaps {low} to {high} more demonstrations are needed')
-    return [*lines, numbers(CURVE_HEAD, rows)]
+    return [*lines, table(rows, [])]
+
+
+def _cell(column: str, value: Any) -> str:
+    if column.startswith('n_'):
+        return str(value)
+    if column == 'criteria_met':
+        return 'yes' if value else 'no'
+    return share(value) if 'accuracy' in column else number(value, 3)
 
 
 def _unmet(criterion: Criterion) -> str:
@@ -161,16 +156,16 @@ def _unmet(criterion: Criterion) -> str:
     return f'{criterion.name} is {is_now}, needs {needs} or less'
 
 
-def _plan(name: Any, row: 'pd.Series') -> list[str]:
-    return [
-        str(name),
-        number(row.gamma),
-        f'{row.game_steps:,}' if row.game_steps else '-',
-        number(1e3 * sum(row[part] for part in SECONDS), 3),
-        str(row.sweeps),
-        str(row.episodes),
-        number(row.mean_return),
-        f'{number(row.mean_return_low)} to {number(row.mean_return_high)}',
-        number(row.exact_mean_return),
-        number(row.mean_discounted_return),
-    ]
+def _plan(name: Any, row: 'pd.Series') -> dict[str, str]:
+    return {
+        'action set': str(name),
+        'gamma': number(row.gamma),
+        'game steps': f'{row.game_steps:,}' if row.game_steps else '-',
+        'planning ms': number(1e3 * sum(row[part] for part in SECONDS), 3),
+        'sweeps': str(row.sweeps),
+        'episodes': str(row.episodes),
+        'mean return': number(row.mean_return),
+        '95 % interval': f'{number(row.mean_return_low)} to {number(row.mean_return_high)}',
+        'all starts': number(row.exact_mean_return),
+        'discounted': number(row.mean_discounted_return),
+    }

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 ARROWS = {'up': '↑', 'down': '↓', 'left': '←', 'right': '→'}  # by key
-MOST_MARKED = 24  # rows or columns up to which every cell shows its choice
-MOST_VECTOR_CELLS = 900  # boards of more cells are drawn as a bitmap
+MAX_MARKED = 24  # rows or columns up to which every cell shows its choice
+MAX_VECTOR_CELLS = 900  # boards of more cells are drawn as a bitmap
 COLORS = 'cividis'
 LETTERS = string.ascii_uppercase + string.ascii_lowercase
 
@@ -60,7 +60,7 @@ def _figure(
     layout: BoardSlice, called: str, plan: ExactPlan, scale: Normalize, name: str
 ) -> tuple[str, str]:
     rows, cols = layout.states.shape
-    marked = max(rows, cols) <= MOST_MARKED
+    marked = max(rows, cols) <= MAX_MARKED
     label = f'Value and policy with the action set {called}, {layout.title}'
     with drawing(name, label, 5.0, 1.1 + 3.3 * min(2.0, rows / cols)) as work:
         values = np.where(layout.states >= 0, plan.solution.values[layout.states], np.nan)
@@ -87,7 +87,7 @@ def draw_heat(
     """Draw the values (rows, cols) of the cells of a board, NaN where there is none, and walls."""
     rows, cols = values.shape
     axes, edges = work.axes, (np.arange(cols + 1) - 0.5, np.arange(rows + 1) - 0.5)
-    bitmap = values.size > MOST_VECTOR_CELLS
+    bitmap = values.size > MAX_VECTOR_CELLS
     heat = axes.pcolormesh(*edges, values, cmap=COLORS, norm=scale, rasterized=bitmap)
     _draw_walls(work, board)
     axes.set(aspect='equal', xlabel='column', ylabel='row')

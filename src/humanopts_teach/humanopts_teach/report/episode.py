@@ -20,9 +20,9 @@ from humanopts_teach.board_html import board_html
 from humanopts_teach.report.pages import MINUS
 
 COLOURS = 4  # of options, classes o0 to o3
-MOST_PICTURES = 60  # of longer episodes only the ends of runs are shown
+MAX_PICTURES = 60  # of longer episodes only the ends of runs are shown
 FIRST = 40  # of the pictures that are shown where even these are too many; the others are the last
-LEAST_WIDTH = 10.6  # rem
+MIN_WIDTH = 10.6  # rem
 REM = 0.49  # of width per character of the board as text
 _OPTION_RESULT = 'humanopts_interfaces/msg/OptionResult'
 
@@ -105,10 +105,10 @@ def episode_strip(domain: Domain[Any], frames: Sequence[Frame]) -> Strip:
     :raises StateError: a state is not of the domain.
     """
     options = list(dict.fromkeys(frame.option for frame in frames if frame.option))
-    whole = len(frames) <= MOST_PICTURES
+    whole = len(frames) <= MAX_PICTURES
     ends = list(range(len(frames))) if whole else _ends(frames)
-    last = MOST_PICTURES - FIRST
-    shown = [*ends[:FIRST], *ends[-last:]] if len(ends) > MOST_PICTURES else ends
+    last = MAX_PICTURES - FIRST
+    shown = [*ends[:FIRST], *ends[-last:]] if len(ends) > MAX_PICTURES else ends
     boards = [board_of(domain, domain.decode(frames[number].state)) for number in shown]
     pictures = []
     for before, number, board in zip([-1, *shown], shown, boards):
@@ -126,7 +126,7 @@ def episode_strip(domain: Domain[Any], frames: Sequence[Frame]) -> Strip:
         )
     width = REM * max((len(line) for board in boards for line in signs(board)), default=0)
     left_out = len(ends) - len(shown)
-    return Strip(pictures, len(frames) - 1, whole, left_out, last, max(LEAST_WIDTH, width))
+    return Strip(pictures, len(frames) - 1, whole, left_out, last, max(MIN_WIDTH, width))
 
 
 def _ends(frames: Sequence[Frame]) -> list[int]:
