@@ -83,7 +83,7 @@ def test_a_plan_stops_an_option_that_anybody_runs(acting: Acting) -> None:
     assert (alone.status, alone.execution) == (OptionResult.STATUS_REACHED, 'run_to_end')
     stopped = acting.run(option_name=TOUR, execution='interrupted', plan_id=acting.plan_id)
     assert stopped.status == OptionResult.STATUS_STOPPED_BY_PLAN
-    assert stopped.detail == 'choosing anew is worth more than going on'
+    assert stopped.detail == 'another choice is worth more than continuing'
     assert stopped.final_state == 'taxi 0,4 passenger G destination B'
     assert stopped.step_count < alone.step_count
 
@@ -101,7 +101,7 @@ def test_a_plan_stops_an_option_that_anybody_runs(acting: Acting) -> None:
         (
             {'execution': 'interrupted', 'plan_id': 'mine'},
             'NO_VALUES',
-            'the option values of plan mine did not come; the newest are those of ',
+            'the option values of plan mine did not arrive; the newest are those of ',
         ),
     ],
 )

@@ -331,7 +331,7 @@ def test_a_recording_that_stops_pauses_the_lesson_until_the_next_one_has_all_tha
     for recorder in recorders:
         live.stop(recorder)
     with live.hurried():
-        assert 'nothing is heard of the recorder any more' in paused()
+        assert 'the recorder does not respond any more' in paused()
     assert uuids(folder / 'first') == shown[:1]
     assert uuids(folder / 'second') == shown
 

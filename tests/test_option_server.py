@@ -188,7 +188,7 @@ def test_what_cannot_run_is_refused_in_words(runs: Runs) -> None:
     with runs.graph.hurried():
         never = runs.run(FETCH, episode=9999)
     assert never.status == OptionResult.STATUS_NO_EPISODE
-    assert 'episode 9999 step 0 did not come; the game is at' in never.detail
+    assert 'episode 9999 step 0 did not arrive; the game is at' in never.detail
 
 
 def test_a_person_takes_over_a_running_option(live: Graph, folder: Path) -> None:

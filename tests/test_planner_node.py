@@ -114,7 +114,7 @@ def test_what_cannot_be_planned_is_refused_in_words(planning: Planning) -> None:
     )
     refused(bad, 'gamma is nan', gamma=math.nan)
     refused(bad, f"no option 'fly'; there is {FETCH!r}", options=[FETCH, 'fly'])
-    refused(bad, 'learned_options 10000 did not come', options_sequence=10_000)
+    refused(bad, 'learned_options 10000 did not arrive', options_sequence=10_000)
     planning.teach([*OPTIONS, *taught('p2')])
     refused(bad, 'name one of p1, p2')
     refused(no_options, "'p3' taught no option; those who did: p1, p2", participant='p3')

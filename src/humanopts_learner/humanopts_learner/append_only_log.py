@@ -1,4 +1,4 @@
-"""Files of JSON lines that are only appended to, and that a crash cannot spoil."""
+"""Append-only files of JSON lines that survive crashes."""
 
 from collections.abc import Callable
 from contextlib import suppress
@@ -17,7 +17,7 @@ MAX_NAMED = 20  # problems of one file that are named; the others are counted
 
 class AppendOnlyLog:
     """
-    A file of JSON lines to which lines are added, and from which none is ever removed.
+    A file of JSON lines to which lines are only added.
 
     A line is on disk (fsync) before ``append`` returns. A last line that a crash cut off is moved
     aside when the file is opened; a line that was written whole is never lost.
@@ -52,7 +52,7 @@ class AppendOnlyLog:
         """
         Add lines.
 
-        :raises OSError: they could not be written; nothing of them is kept.
+        :raises OSError: they could not be written; the file is unchanged.
         """
         append_bytes(self.path, ''.join(f'{line}\n' for line in lines).encode())
 
@@ -83,7 +83,7 @@ def read_lines(
     path: Path, entry_of: Callable[[str], T], most: int | None = None
 ) -> tuple[list[T], list[str]]:
     """
-    Read a file of lines, and change nothing in it: another process may be writing it.
+    Read a file of lines without changing it, since another process may be writing it.
 
     :param entry_of: returns the entry of a line, or raises a ValueError that says why it cannot be
         used; then the line is left out.

@@ -1,5 +1,5 @@
 """
-Demonstrations from a table of one's own, and as a table: a row for each state (needs pandas).
+Demonstrations from a table and as a table, with one row for each state (needs pandas).
 
 ======================  =========================================================================
 column                  what it holds
@@ -72,7 +72,7 @@ def demonstrations_from_table(
     :return: in order of first appearance, checked against the rules of the domain.
     :raises DemonstrationError: the table cannot be used; the text names row and column, or the
         demonstration.
-    :raises OSError: there is no such file.
+    :raises OSError: the file does not exist.
     """
     rows = _rows(table)
     _check_columns(list(rows.columns), domain)
@@ -210,7 +210,7 @@ def _action(text: str, known: Sequence[str]) -> str:
         return text
     if text.lower() in MISSING:
         return ''
-    raise ValueError(f'no action {text!r}; there is {", ".join(known)}')
+    raise ValueError(f'unknown action {text!r}; choose from {", ".join(known)}')
 
 
 def _actions(steps: 'pd.DataFrame') -> list[str]:
@@ -280,5 +280,5 @@ def _value(feature: Feature, text: str) -> float:
         return float(_FLAG(text))
     index = int(text) if text.isascii() and text.isdecimal() else len(words)
     if index >= len(words):
-        raise ValueError(f'there is no value {text!r}; there is {", ".join(words)}')
+        raise ValueError(f'unknown value {text!r}; choose from {", ".join(words)}')
     return index

@@ -48,7 +48,9 @@ METHODS = {  # of learning I, beta and policy from demonstrations; what the poli
     GOAL: 'planned: best ways to an end like the shown ones',
 }
 PRIMITIVE_PREFIX = 'action:'  # of the names of primitive actions as options
-MACHINE = 'automatic:'  # begins the codes of options that nobody taught; people's have no colon
+MACHINE = (
+    'automatic:'  # prefix of participant codes of automatic options; people's codes have no colon
+)
 MAX_NAME = 60  # characters of the name of an option, and of the codes of people and sessions
 KIND_NUMBERS = {Kind.TRAJECTORY: 1, Kind.NOT_HERE: 2}  # KIND_* of Demonstration.msg
 
@@ -85,7 +87,7 @@ class Demonstration:
     terminated: Flag = False
     can_start_at_end: Flag = False
     seconds: Real = 0.0
-    withdrawn: Flag = False  # taken back by the person; nothing is learned from it
+    withdrawn: Flag = False  # withdrawn by the person; not learned from
     method: Text = TREES  # one of METHODS; that of the newest demonstration counts
     machine_steps: Count = 0  # number of leading steps taken by the machine
 
@@ -166,7 +168,7 @@ def make_demonstration(
     number: int = 1,
 ) -> Demonstration:
     """
-    Build a demonstration from what happened in a domain, and check it.
+    Build a demonstration from states and actions in a domain, and check it.
 
     The same arguments give the same demonstration, its uuid included.
 
@@ -251,7 +253,7 @@ def check_demonstration(demonstration: Demonstration, domain: ActableDomain) -> 
 
 
 def option_name_fault(name: str) -> str:
-    """Return what is wrong with the name of an option, in words; empty: nothing."""
+    """Return what is wrong with the name of an option, in words; empty: it is valid."""
     if not name.strip():
         return 'the name is empty'
     if name.startswith(PRIMITIVE_PREFIX):
@@ -267,9 +269,9 @@ def _text_fault(what: str, text: str) -> str:
 
 def check_method(method: str, domain: ActableDomain) -> None:
     """
-    Check that options of a domain can be learned so.
+    Check that options of a domain can be learned by a method.
 
-    :raises DemonstrationError: there is no such method, or the states cannot be listed for it.
+    :raises DemonstrationError: the method is unknown, or needs states that can be listed.
     """
     if method not in METHODS:
         known = ', '.join(METHODS)
@@ -314,7 +316,7 @@ def group_by_option(
 
 def _faults(demo: Demonstration, domain: ActableDomain) -> Iterator[str]:
     """
-    Yield what is wrong with a demonstration; what comes later relies on what comes before.
+    Yield the faults of a demonstration; later checks rely on earlier ones.
 
     :raises DemonstrationError: its method or parameters cannot be used.
     """
@@ -342,8 +344,8 @@ def _faults(demo: Demonstration, domain: ActableDomain) -> Iterator[str]:
             yield f'it cannot be kept: {fault}'
     if demo.participant.startswith(MACHINE):
         yield (
-            f'its participant is {demo.participant!r}; codes that begin with {MACHINE} are those '
-            'of options that nobody taught'
+            f'its participant is {demo.participant!r}; codes that begin with {MACHINE} are '
+            'reserved for automatic options'
         )
     if not demo.chosen_features:
         yield 'it names no feature that the option depends on'
@@ -389,7 +391,7 @@ def _faults(demo: Demonstration, domain: ActableDomain) -> Iterator[str]:
             yield f'the features of state {row} are not those of its state'
     for t, action in enumerate(actions):
         if domain.is_over(states[t]):
-            yield f'it goes on after the task was over in state {t}'
+            yield f'it continues after the task was over in state {t}'
         if not domain.can_follow(states[t], action, states[t + 1]):
             yield (
                 f'action {demo.actions[t]} does not lead from state {t} ({demo.states[t]}) '

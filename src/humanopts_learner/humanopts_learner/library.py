@@ -57,7 +57,7 @@ class OptionLibrary:
 
     def replace(self, options: Iterable[LearnedOption]) -> list[str]:
         """
-        Hold those of these options that can be run here, and no others.
+        Replace the options by those of the given ones that can be run here.
 
         :return: why others cannot: they were learned in another domain, or are named like actions.
         """
@@ -94,8 +94,10 @@ class OptionLibrary:
             raise AmbiguousOptionError(
                 f'option {name!r} was taught by {who}: name the participant'
             )
-        whose = f' of participant {participant!r}' if participant else ''
-        raise UnknownOptionError(f'no option {name!r}{whose}; there is {self._inventory()}')
+        owner = f' of participant {participant!r}' if participant else ''
+        raise UnknownOptionError(
+            f'unknown option {name!r}{owner}; choose from {self._inventory()}'
+        )
 
     def _inventory(self) -> str:
         learned = [f'{option.name!r} ({option.participant})' for option in self.options()]

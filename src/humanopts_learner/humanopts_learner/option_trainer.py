@@ -35,7 +35,7 @@ class TaughtOption:
     """
     One option of one participant.
 
-    It is kept for everybody who ever taught, so it holds no demonstrations and no trees.
+    One is kept for every option ever taught, so it holds no demonstrations and no trees.
     """
 
     summary: OptionSummary
@@ -51,8 +51,8 @@ class OptionTrainer:
     """
     All demonstrations of a domain, kept on disk, and the options learned from them.
 
-    In memory are the demonstrations of the participant who is at work; those of another are read
-    from the disk when that one goes on.
+    Only the demonstrations of the current participant are in memory; those of another are read
+    from disk when that one continues.
     """
 
     def __init__(
@@ -88,7 +88,7 @@ class OptionTrainer:
         """
         Keep a demonstration and learn from it, or from what is left when it is withdrawn.
 
-        :return: False when it is known already, or was withdrawn, and nothing changed.
+        :return: False: it is known already, or was withdrawn; nothing changed.
         :raises DemonstrationError: it cannot be used; it is not kept.
         :raises DataSetError: it could not be written; it is not kept.
         """
@@ -110,7 +110,7 @@ class OptionTrainer:
         return list(self._options.values())
 
     def _read(self, participant: str | None = None) -> list[Demonstration]:
-        """Return the demonstrations on disk, each once: everybody's, or one participant's."""
+        """Return the demonstrations on disk, each once: all, or those of one participant."""
 
         def checked(line: str) -> Demonstration | None:
             demo = Demonstration.from_json(line)
@@ -123,7 +123,7 @@ class OptionTrainer:
 
     def _turn_to(self, participant: str) -> None:
         """
-        Have the demonstrations of a participant at hand, and of nobody else.
+        Load the demonstrations of a participant in place of those of another.
 
         :raises DataSetError: they cannot be read.
         """
@@ -139,7 +139,7 @@ class OptionTrainer:
 
     def _learn(self, participant: str, option_name: str, theirs: Iterable[Demonstration]) -> None:
         """
-        Learn an option, or forget it where nothing of it counts any more.
+        Learn an option, or remove it if no demonstration is left.
 
         :param theirs: all demonstrations of the participant.
         """

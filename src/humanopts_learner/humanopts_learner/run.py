@@ -39,11 +39,11 @@ class RunStatus(Enum):
     INTERRUPTED = 'a person or another node acted, or the game was reset'
     CANCELED = 'it was canceled'
     BUSY = 'refused: another run is under way'
-    UNKNOWN_OPTION = 'refused: there is no such option'
+    UNKNOWN_OPTION = 'refused: the option does not exist'
     NOT_AVAILABLE = 'refused: the option cannot start in this state'
     NO_EPISODE = 'refused: no episode is under way'
     FAILED = 'it failed'
-    STOPPED_BY_PLAN = 'choosing anew is worth more than going on'
+    STOPPED_BY_PLAN = 'another choice is worth more than continuing'
     EXECUTION_CHANGED = 'the execution was changed'
     NO_VALUES = 'refused: the option values of the plan are missing or do not fit'
     BAD_REQUEST = 'refused'
@@ -97,9 +97,9 @@ def execution_named(name: str) -> Arbitration:
 
 class Arbiter:
     """
-    Decides before each step, by the values of a plan, which option acts; nothing is drawn.
+    Decides before each step, by the values of a plan, which option acts, without chance.
 
-    :ivar execution: by which it decides.
+    :ivar execution: the rule of arbitration.
     :ivar modules: the options that compete in a modular execution.
     """
 
@@ -183,7 +183,7 @@ class Run:
     :ivar domain: of the game.
     :ivar state: of the game.
     :ivar acting: the option that took the last action.
-    :ivar arbiter: may stop the option, and chooses the module that acts; None: nothing does.
+    :ivar arbiter: stops the option, or chooses the module that acts; None: neither.
     """
 
     def __init__(

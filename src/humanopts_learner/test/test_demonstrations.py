@@ -234,8 +234,11 @@ def table_with(**cells: Any) -> pd.DataFrame:
         (TABLE.drop(columns='col'), r'demonstration a of .*: \d+ states have row 1, not one'),
         (TABLE[1:], 'steps are not 0 to 1'),
         (TABLE[:2], 'every row but the last names an action'),
-        (table_with(row=99), 'row 0, column row: there is no value .99.'),
-        (table_with(action=['jump', 'right', '', '']), 'row 0, column action: no action .jump.'),
+        (table_with(row=99), 'row 0, column row: unknown value .99.'),
+        (
+            table_with(action=['jump', 'right', '', '']),
+            'row 0, column action: unknown action .jump.',
+        ),
         (table_with(reward='much'), 'row 0, column reward: .*valid number.*much'),
         (table_with(step=['0', 'one', 2, 0]), 'row 1, column step: .*valid number.*one'),
         (table_with(can_start_at_end=2.0), 'row 0, column can_start_at_end: .*boolean.*2'),
@@ -287,7 +290,7 @@ def test_numbers_of_any_type_are_the_same_table(tmp_path: Path) -> None:
 def test_an_error_in_a_file_names_the_row_that_a_spreadsheet_shows(tmp_path: Path) -> None:
     path = tmp_path / 'own.csv'
     path.write_text('demonstration,step,row,col,action\n\n1,0,1,1,right\n1,1,1,x,\n')
-    with pytest.raises(DemonstrationError, match=r'row 4, column col: there is no value .x.'):
+    with pytest.raises(DemonstrationError, match=r'row 4, column col: unknown value .x.'):
         read(path)
 
 

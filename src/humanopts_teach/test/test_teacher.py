@@ -95,7 +95,7 @@ def show(
         (showing(WAITING), Wait('the first state of the demonstration')),
         (
             replace(LESSON, paused='No space.'),
-            Wait('the lesson to go on; it is paused: No space.'),
+            Wait('the lesson to resume; it is paused: No space.'),
         ),
         (replace(LESSON, phase=Phase.FINISHED), DefineOption(DROPOFF)),
     ],
@@ -225,4 +225,4 @@ def test_it_ends_where_the_caller_has_enough_the_budget_is_spent_or_nothing_can_
     assert (len(enough.demonstrations), len(spent.demonstrations)) == (5, 7)
     assert enough.demonstrations == spent.demonstrations[:5]  # by the same seeds
     taught = teach(taxi, TeacherSettings((PICKUP,), step_limit=1))
-    assert 'did not come to the end' in taught.cut_short
+    assert 'did not reach the end' in taught.cut_short

@@ -8,8 +8,8 @@ from humanopts_learner.options.learned_option import LearnedOption, OptionError
 from humanopts_ros.node_base import NodeBase
 from humanopts_ros.qos import STREAM
 
-_GATHERING = 0.1  # s in which several new subscribers get the options together
-_MAX_LIVES = 4  # publisher_ids of which options are kept
+_GATHERING = 0.1  # s for which publishing waits, to serve several new subscribers at once
+_MAX_LIVES = 4  # number of publisher_ids for which options are kept
 Key = tuple[str, str]  # participant and name of an option
 
 
@@ -21,7 +21,7 @@ class OptionPublisher:
     """
 
     def __init__(self, node: NodeBase, topic: str) -> None:
-        """Publish nothing yet."""
+        """Create the publisher."""
         self._files: Mapping[Key, str] | None = None
         self._sent: dict[Key, str] = {}
         self._timer = node.create_timer(_GATHERING, self._publish_again, autostart=False)
@@ -38,7 +38,7 @@ class OptionPublisher:
         """
         Publish what has changed since the last call.
 
-        :param files: the contents of all option files; what is missing was removed.
+        :param files: the contents of all option files; missing ones were removed.
         :raises PublishError: a message could not be sent; the next call sends it.
         """
         first, self._files = self._files is None, dict(files)
@@ -67,7 +67,7 @@ class OptionPublisher:
 
 
 class OptionSubscriber:
-    """The options of a topic, whole whenever all of them have come."""
+    """The options of a topic, reported whenever all of them have arrived."""
 
     def __init__(
         self,
@@ -82,8 +82,8 @@ class OptionSubscriber:
             completed them.
         """
         self._node, self._topic, self._use = node, topic, use
-        # By publisher_id, so that what is sent in the name of the publisher hides nothing of its
-        # own; None: it cannot be read.
+        # By publisher_id, so that a foreign message cannot replace the publisher's options; None:
+        # it cannot be read.
         self._lives: dict[str, dict[Key, LearnedOption | None]] = {}
         self._options: list[LearnedOption] = []
         node.create_subscription(OptionMessage, topic, self._read, STREAM)

@@ -89,7 +89,7 @@ class LearnerNode(NodeBase):
             self.refuse('demonstrations', message, error)
         except DataSetError as error:
             receipt.status, receipt.detail = receipt.STATUS_REFUSED, str(error)
-        except Exception as error:  # nobody foresaw it; the lesson waits for a receipt
+        except Exception as error:  # unforeseen; the lesson waits for a receipt
             receipt.status = receipt.STATUS_REFUSED
             receipt.detail = self.guard.caught('learning', error)
         self._receipts.publish(receipt)

@@ -1,4 +1,4 @@
-"""The planner's actions: what all have in common, and those that compute for long."""
+"""The planner's actions: their common server, planning, and the search for options."""
 
 from collections.abc import Callable
 import concurrent.futures
@@ -139,7 +139,7 @@ class GoalServer:
         raise NotImplementedError
 
     def on_cancel(self, handle: ServerGoalHandle) -> None:
-        """React to the wish of the client."""
+        """Handle a cancel request, just before the goal is canceling."""
 
     async def _execute(self, handle: ServerGoalHandle) -> Any:
         result, status = self.blank(handle.request), ''
@@ -213,7 +213,9 @@ class PlanServer(GoalServer):
         wanted = goal.options_sequence
         await self._node.waiting.until(lambda: state.taught_sequence >= wanted, _OPTIONS_SECONDS)
         if state.taught_sequence < wanted:
-            raise PlanError(f'learned_options {wanted} did not come, only {state.taught_sequence}')
+            raise PlanError(
+                f'learned_options {wanted} did not arrive, only {state.taught_sequence}'
+            )
         known = state.options(goal.action_set)
         options = select_options(known, goal.action_set, goal.participant, goal.options)
         numbers = goal.gamma, goal.tolerance, goal.max_sweeps, goal.game_steps, goal.seed

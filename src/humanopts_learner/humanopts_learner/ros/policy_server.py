@@ -33,8 +33,8 @@ from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import CallbackGroup
 
 _RESET_SECONDS = 5.0  # s to wait for an answer
-# To wait for a run: modules may run for a whole episode that is paced; the server itself does not
-# wait long for game.
+# To wait for a run: modules may run for a whole paced episode; the server itself does not wait
+# long for the game.
 _RUN_SECONDS = 86_400.0
 _GO_ON = (
     OptionResult.STATUS_REACHED,
@@ -97,7 +97,7 @@ class PolicyServer(GoalServer):
         execution = execution_named(goal.execution)
         made = self._state.plans.get((goal.action_set, goal.participant))
         if made is None:
-            raise GoalError('NO_PLAN', f'there is no {goal.action_set!r} plan yet: plan it first')
+            raise GoalError('NO_PLAN', f'no {goal.action_set!r} plan exists yet: plan it first')
         known = self._state.options(goal.action_set)
         if made.known_options is not known and goal.action_set != PRIMITIVE:
             text = 'the options changed since they were planned with: plan again'
@@ -236,7 +236,7 @@ class PolicyServer(GoalServer):
 
     def _check_wanted(self, run: _PolicyRun) -> None:
         """
-        Check that the run is to go on.
+        Check that the run should continue.
 
         :raises PlanCanceled: its client has canceled it, or the node ends.
         """
@@ -261,7 +261,7 @@ class PolicyServer(GoalServer):
     def _publish_execution(
         self, run: _PolicyRun, previous: str = '', *, canceled: bool = False
     ) -> None:
-        """Publish how the run is executed, or that it is to end at once."""
+        """Publish the execution of the run, or that it is to end at once."""
         self._executions.publish(
             ExecutionState(
                 run_id=run.result.run_id,
@@ -275,7 +275,7 @@ class PolicyServer(GoalServer):
             run.execution_sequence = self._executions.sequence
 
     def on_cancel(self, handle: ServerGoalHandle) -> None:
-        """Stop the option or the modules that run, so that the run ends at once."""
+        """Stop the running option or modules, so that the policy run ends at once."""
         if self._run is not None and self._run.handle is handle:
             self._publish_execution(self._run, canceled=True)
 

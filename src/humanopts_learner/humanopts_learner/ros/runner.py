@@ -92,7 +92,7 @@ class PolicySubscriber:
 
     @property
     def plan_id(self) -> str:
-        """The plan that the newest values belong to; empty: none came yet."""
+        """The plan that the newest values belong to; empty: none arrived yet."""
         return str(self._message.plan_id)
 
     def arbiter(self, execution: Arbitration, library: OptionLibrary) -> Arbiter:
@@ -142,7 +142,7 @@ class Runner:
     The runner decides after each state and before each command whether the run continues, so no
     command is pending when the run ends, canceled or not. It also arbitrates: the same states,
     values and execution give the same run. A person who takes control, or a reset, ends the run as
-    interrupted; silence of the game ends it after a deadline.
+    interrupted; a silent game ends it after a deadline.
 
     :ivar library: the options that can be run; None: the game is not known yet.
     :ivar patience: s to wait for game, and for the values of a plan; may be changed.
@@ -251,9 +251,11 @@ class Runner:
         values = self._policy
         if arbitrated and not await self._wait(request, lambda: values.plan_id == goal.plan_id):
             newest = (
-                f'the newest are those of {values.plan_id}' if values.plan_id else 'none came yet'
+                f'the newest are those of {values.plan_id}'
+                if values.plan_id
+                else 'none have arrived'
             )
-            raise PlanError(f'the option values of plan {goal.plan_id} did not come; {newest}')
+            raise PlanError(f'the option values of plan {goal.plan_id} did not arrive; {newest}')
 
         def is_here_or_past() -> bool:  # a game that was restarted counts from 1
             state = self._state
@@ -266,12 +268,12 @@ class Runner:
             await self._wait(request, is_here_or_past)
         state = self._state
         if state is None or not _position(state)[0]:
-            raise RefusedError(RunStatus.NO_EPISODE, 'no state came from game')
+            raise RefusedError(RunStatus.NO_EPISODE, 'the game has published no state')
         here = _position(state)
         if goal.episode and here != wanted:
             raise RefusedError(
                 RunStatus.NO_EPISODE,
-                f'episode {goal.episode} step {goal.step} did not come; the game is at episode '
+                f'episode {goal.episode} step {goal.step} did not arrive; the game is at episode '
                 f'{here[0]} step {here[1]}',
             )
         if not state.transition.open:
@@ -331,14 +333,14 @@ class Runner:
             return
         position = active.run.position
         if not same_game:
-            self._finish(RunStatus.INTERRUPTED, 'the game was started again')
+            self._finish(RunStatus.INTERRUPTED, 'the game was restarted')
         elif here[0] != position[0]:
             self._finish(RunStatus.INTERRUPTED, 'the game was reset')
         elif here > position:
             self._on_step(active, observed)
 
     def _on_step(self, active: _Active, observed: Observed) -> None:
-        """Handle the state that the current command led to, or that another driver's led to."""
+        """Handle the state that the current command, or another driver, led to."""
         led, run = observed.transition, active.run
         mine = led.action_publisher_id == self._node.publisher_id
         if not mine or led.action_sequence != active.command:
@@ -370,7 +372,7 @@ class Runner:
         elif self._policy.plan_id == plan_id and self.library is not None:
             try:
                 run.arbiter = self._policy.arbiter(wanted, self.library)
-            except ValueError as error:  # the options were taught anew meanwhile
+            except ValueError as error:  # the options have been learned again
                 return run.end(RunStatus.FAILED, str(error))
         return run.stopped()
 
@@ -389,13 +391,13 @@ class Runner:
         self._finish(status, message.detail)
 
     def _on_control(self, control: ControlState) -> None:
-        """Begin the deadline of a command anew where the pace has changed."""
+        """Restart the deadline of a command when the pace changes."""
         self._pace = control
         if self._active is not None:
             self._active.deadline = self._node.monotonic() + control.step_period + self.patience
 
     def _check(self) -> None:
-        """Handle a state that the stream did not bring, or the silence of game."""
+        """Handle a state that was missing from the stream, or a game that is silent."""
         self.newest_state()
         active = self._active
         if active is None or self._pace.paused_by:
@@ -420,7 +422,7 @@ def _check(goal: RunOption.Request | ExecuteOption.Goal, library: OptionLibrary)
     Check the parts of a request that do not depend on the start state.
 
     :raises RefusedError: the request is invalid.
-    :raises UnknownOptionError: there is no such option.
+    :raises UnknownOptionError: the option does not exist.
     """
     execution = execution_named(goal.execution)
     fault = ''

@@ -1,4 +1,4 @@
-"""One demonstration under way: the episode so far, what ends it, and what it becomes."""
+"""A demonstration in progress: the episode so far, what ends it, and the recorded result."""
 
 from dataclasses import dataclass, field, replace
 import uuid
@@ -19,10 +19,10 @@ _NAMESPACE = uuid.uuid5(uuid.NAMESPACE_URL, 'humanopts:demonstration')
 @dataclass(slots=True)
 class Attempt:
     """
-    A demonstration from the request for its episode on.
+    A demonstration, from the moment its episode is requested.
 
-    The states of the newest episode are collected from the stream of the game, also before the
-    game has answered which episode is the one that was asked for.
+    The states of the newest episode are collected from the game's stream, even before the game
+    has answered which episode is the requested one.
     """
 
     start_state: str  # in the domain's notation
@@ -41,7 +41,7 @@ class Attempt:
 
     @property
     def machine_steps(self) -> int:
-        """How many of the first steps are the machine's."""
+        """Number of leading steps taken by the machine."""
         by_machine = [step.action_source is Source.MACHINE for step in self.transitions[1:]]
         return [*by_machine, False].index(False)
 
@@ -60,7 +60,7 @@ class Attempt:
 
     def invalidated_by(self, transition: Transition) -> str:
         """
-        Return why the demonstration cannot go on after one more state; empty: it can.
+        Return why the demonstration cannot continue after one more state; empty: it can.
 
         States of earlier episodes that come before the first of this one are late, not a reset.
         """
@@ -81,7 +81,7 @@ class Attempt:
         """
         Check that a verdict can be carried out now.
 
-        :raises RefusalError: it cannot; the demonstration goes on.
+        :raises RefusalError: it cannot; the demonstration continues.
         """
         verdict, (_, last) = request.verdict, self.here
         if verdict is None:
@@ -120,13 +120,13 @@ class Attempt:
         """
         Return the demonstration that the episode is; "not here" when it has no steps.
 
-        Steps of the machine that do not count as shown are left out: it begins where the person
-        took over.
+        Machine steps that do not count as shown are left out: the demonstration begins where the
+        person took over.
 
         :param who: domain, its parameters, participant and session.
         :param feature_names: of all features of the domain.
-        :param request: that was checked.
-        :param method: with which the option is to be learned.
+        :param request: the request, already checked.
+        :param method: learning method of the option.
         """
         shown, machine_steps = self.transitions, self.machine_steps
         if request.verdict is Verdict.NOT_HERE:
@@ -164,8 +164,7 @@ def with_uuid(demo: Demonstration) -> Demonstration:
     """
     Return a demonstration with the uuid of its content, ``seconds`` left out.
 
-    So the same lesson with the same seed gives the same uuids, and with them the same folds in
-    learning.
+    So the same lesson with the same seed has the same uuids, and the same folds in learning.
     """
     draft = replace(demo, uuid='', seconds=0.0)
     return replace(demo, uuid=str(uuid.uuid5(_NAMESPACE, draft.to_json())))

@@ -1,4 +1,4 @@
-"""What the entries of a lesson add up to: the sessions and options of one participant."""
+"""The sessions and options of one participant, rebuilt from the entries of the lesson."""
 
 from collections.abc import Iterable, Sequence
 
@@ -16,11 +16,11 @@ class OptionHistory:
 
     :ivar answers: by feature.
     :ivar earlier: features that were chosen before the questions were asked again.
-    :ivar method: of learning, asked for, or that of the first demonstration; empty: neither.
+    :ivar method: learning method: requested, or that of the first demonstration; empty: neither.
     :ivar demonstrations: those that count.
-    :ivar withdrawn: uuids of those that do not.
-    :ivar start_states: of withdrawn demonstrations that were not shown anew; the last first.
-    :ivar number: of the next demonstration; it also keys the draw of its start state.
+    :ivar withdrawn: uuids of the demonstrations that were withdrawn.
+    :ivar start_states: start states of withdrawn demonstrations, to be demonstrated again.
+    :ivar number: number of the next demonstration; it also seeds the draw of its start state.
     """
 
     def __init__(
@@ -86,9 +86,9 @@ class History:
     """
     The sessions and options of one participant in one domain.
 
-    :ivar participant: empty: nobody has opened a session.
-    :ivar key: name and parameters of the domain, as in the entries; others are passed over.
-    :ivar sessions: the last option of each; empty: none was named.
+    :ivar participant: code; empty: no session was opened.
+    :ivar key: name and parameters of the domain, as in the entries; entries of others are ignored.
+    :ivar sessions: the last option of each session; empty: none was named.
     :ivar n_answers: number of answers given and taken back.
     """
 

@@ -1,8 +1,8 @@
 """
 A lesson in one process: a simulated teacher, the lesson, the game and the learner, without ROS.
 
-It is made of the parts that the nodes are made of and asks them in the same order, so the same
-settings and seed give the same demonstrations as a lesson over the graph.
+It uses the same parts as the nodes, in the same order, so the same settings and seed give the
+same demonstrations as a lesson over the graph.
 """
 
 from collections.abc import Callable, Sequence
@@ -37,7 +37,7 @@ from humanopts_teach.lesson.simulated_teacher import (
 )
 from humanopts_teach.lesson.store import DemonstrationStore
 
-# What a person is taken to need for one act, s: a simulated one needs no time of its own.
+# Assumed duration of each act of a person, s; a simulated person takes no time.
 SECONDS = {
     DefineOption: 5.0,
     AnswerQuestion: 3.0,
@@ -52,7 +52,7 @@ Enough = Callable[[Sequence[Demonstration], LearnedOption], bool]
 
 
 class LessonError(RuntimeError):
-    """The lesson cannot go on; the text says why."""
+    """The lesson cannot continue; the text says why."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ def teach(
     enough: Enough | None = None,
 ) -> Taught:
     """
-    Have a simulated teacher teach options, one after another.
+    Let a simulated teacher teach options, one after another.
 
     :param rules: of the lesson; its seed is the learner's too. None: the defaults.
     :param enough: None: all criteria that can be measured hold, with the usual thresholds.

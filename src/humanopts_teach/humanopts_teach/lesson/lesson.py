@@ -1,9 +1,9 @@
 """
 The teaching session as a state machine (paper, sections 5 and 6).
 
-Every method takes one request or one piece of news, and leaves the lesson in a phase from which it
-can go on. What a person answers and shows is in the store before a request is answered OK; a
-request that cannot be written changes nothing.
+Every method handles one request or one event, and leaves the lesson in a valid phase. Answers and
+demonstrations are on disk before a request is answered OK; a request that cannot be written
+changes nothing.
 """
 
 from collections.abc import Callable, Sequence
@@ -103,7 +103,9 @@ class Lesson:
         self._history = History(domain, '')
         self._option: OptionHistory | None = None
         self._summaries: dict[tuple[str, str], OptionSummary] = {}  # by participant and option
-        self._awaited: Demonstration | None = None  # that the learner has not counted in, or out
+        self._awaited: Demonstration | None = (
+            None  # not yet counted, or discounted, by the learner
+        )
         self._done = False  # the criteria are met, and the strategy has nothing left to ask
         self._attempt: Attempt | None = None  # from the request for an episode on
         self._episode = 0  # of the newest demonstration that was begun
@@ -226,7 +228,7 @@ class Lesson:
             return refusal.answer
 
     def draw_ahead(self) -> None:
-        """Draw what the next start state is chosen from, while the learner is at work."""
+        """Draw the sample for the next start state while the learner is busy."""
         if self.phase is Phase.LEARNING and self._option is not None:
             self._starts.draw_ahead(self._option)
 
@@ -245,15 +247,15 @@ class Lesson:
         return _ok(f'episode {episode} begins', episode=episode, state=state)
 
     def not_begun(self, status: RequestStatus, cause: str) -> Answer:
-        """Abandon the demonstration: there is no episode, or its first state did not come."""
+        """Abandon the demonstration: its episode or its first state did not arrive."""
         self._abandon(cause)
         return Answer(status, cause)
 
     def pause(self, reason: str) -> None:
         """
-        Let nothing new begin; a demonstration under way can still be ended, and is kept.
+        Refuse new work; a demonstration in progress can still be ended, and is kept.
 
-        :param reason: what is wrong and what to do; empty: go on.
+        :param reason: what is wrong and what to do; empty: resume.
         """
         self._paused = reason
 
@@ -276,14 +278,14 @@ class Lesson:
 
         :return: whether the view has changed.
         """
-        changed, self._episode = self._episode != 0, 0  # a new game counts its episodes anew
+        changed, self._episode = self._episode != 0, 0  # a new game numbers its episodes from 1
         if self._under_way is not None:
             self._abandon('The demonstration was abandoned: the game was restarted.')
         return changed
 
     def resume(self, participant: str, session: str) -> Answer:
         """
-        Go on with a session that an earlier process has left open.
+        Resume a session that an earlier process left open.
 
         The newest demonstration may not have reached the learner.
         """
@@ -301,13 +303,13 @@ class Lesson:
         return newest_episode == episode and newest_step >= step
 
     def update_summaries(self, summaries: Sequence[OptionSummary]) -> None:
-        """Keep what the learner knows of every option."""
+        """Store the learner's summaries of all options."""
         self._summaries = {(each.participant, each.option_name): each for each in summaries}
         self._go_on()
 
     def update_option(self, participant: str, option_name: str, text: str) -> None:
         """
-        Keep an option as the learner publishes it.
+        Store an option that the learner has published.
 
         :raises OptionError: it is not an option, or one of another domain.
         """
@@ -315,12 +317,12 @@ class Lesson:
             self._go_on()
 
     def learner_refused(self, uuid: str, detail: str) -> None:
-        """Go on without a demonstration that the learner did not take; it stays in the store."""
+        """Stop waiting for a demonstration that the learner refused; it stays in the store."""
         if uuid == self.awaited:
             self._wait_no_more(_REFUSED, detail)
 
     def learner_silent(self) -> None:
-        """Go on without the learner, which has not answered in time."""
+        """Stop waiting for the learner, which has not answered in time."""
         self._wait_no_more(_SILENT)
 
     def _wait_no_more(self, notices: dict[bool, str], detail: str = '') -> None:
@@ -329,7 +331,7 @@ class Lesson:
             self._awaited = None
             self._check_done()
 
-    # Where the lesson stands.
+    # The state of the lesson.
 
     @property
     def _under_way(self) -> Attempt | None:
@@ -350,7 +352,7 @@ class Lesson:
 
     @property
     def _settled(self) -> OptionSummary | None:
-        """The learner's report that all criteria that can be measured are met, as taught now."""
+        """The learner's report that all measurable criteria hold for the option as taught now."""
         option = self._option
         summary = option and self._summaries.get((option.participant, option.name))
         if not option or not summary or not summary.settled or not _is_current(summary, option):
@@ -359,11 +361,11 @@ class Lesson:
         return summary if same and set(summary.features) == set(option.chosen) else None
 
     def _method(self, option: OptionHistory) -> str:
-        """Return the method by which an option is learned from its next demonstration on."""
+        """Return the learning method of an option from its next demonstration on."""
         return option.method or self._starts.rules.method
 
     def _go_on(self) -> None:
-        """Wait no more where both learner and start states have counted what was awaited."""
+        """Stop waiting once learner and start states have counted the awaited demonstration."""
         option, demo = self._option, self._awaited
         if option is not None and demo is not None:
             summary = self._summaries.get((demo.participant, demo.option_name))
@@ -377,12 +379,12 @@ class Lesson:
         self._check_done()
 
     def _check_done(self) -> None:
-        """Find out whether the option is learned."""
+        """Check whether the option is learned."""
         settled, option = self._settled is not None, self._option
         self._done = settled and option is not None and self._starts.exhausted(option)
 
     def _advice(self, phase: Phase) -> str:
-        """Return what to do next, in words, and why where that is not obvious."""
+        """Return what to do next in words, with the reason where it is not obvious."""
         summary, hint = self._settled, _HINTS[phase]
         if self._paused and phase not in (Phase.DEMONSTRATING, Phase.LEARNING):
             hint = 'The lesson is paused.'
@@ -427,7 +429,7 @@ class Lesson:
             (history or self._history).add(entry)
 
     def _open_session(self, request: OpenSession) -> Answer:
-        """Begin a session, or go on with it where it was left."""
+        """Open a session, or resume it."""
         participant, session = request.participant, request.session
         for what, code in (('participant', participant), ('session', session or 'new')):
             if not CODE.fullmatch(code):
@@ -453,7 +455,7 @@ class Lesson:
         )
 
     def _define_option(self, request: DefineOption) -> Answer:
-        """Name an option to teach, or take it up again."""
+        """Name an option to teach, or resume it."""
         if not self._history.participant:
             raise _wrong_phase('open a session first')
         name = composed(request.name.strip())
@@ -631,7 +633,7 @@ class Lesson:
         return option
 
     def _change_option(self, request: ChangeOption) -> Answer:
-        """Delete an option; or rename it: begin it anew with its answers and demonstrations."""
+        """Delete an option; or rename it: copy its answers and demonstrations to a new one."""
         option, new = self._known(request.name), composed(request.new_name.strip())
         begun: list[Entry] = []
         moved: list[Demonstration] = []
@@ -665,7 +667,7 @@ class Lesson:
 
 
 def _is_current(summary: OptionSummary, option: OptionHistory) -> bool:
-    """Return whether nothing counts in a summary that was withdrawn."""
+    """Return whether a summary counts no withdrawn demonstration."""
     counted = summary.n_demonstrations + summary.n_not_here
     return summary.last_uuid not in option.withdrawn and counted <= len(option.demonstrations)
 

@@ -1,4 +1,4 @@
-"""Questions about groups of features, which spare a person those about each of their features."""
+"""Questions about groups of features, so that a person need not answer one for each feature."""
 
 from enum import Enum
 
@@ -8,7 +8,7 @@ from humanopts_teach.lesson.requests import LessonView
 
 
 class GroupAnswer(Enum):
-    """What becomes of the questions about the features of a group."""
+    """How the questions about the features of a group are answered."""
 
     EACH = 'each is asked'
     NONE = 'no to all'
@@ -17,27 +17,27 @@ class GroupAnswer(Enum):
 
 class QuestionGroups:
     """
-    What a person has said of groups of features, for the questions of one option.
+    The answers about groups of features, for the questions of one option.
 
-    The lesson asks about one feature after the other. A screen asks about ``open_group`` first,
-    and gives ``reply`` for the features of a group that needs no more questions. It says where
-    questions go back, begin again, or are those of another option.
+    The lesson asks about one feature at a time. A screen first asks about ``open_group``, and
+    answers with ``reply`` where the group has settled the question. It calls ``take_back`` and
+    ``forget`` when questions are reopened, restarted, or belong to another option.
     """
 
     def __init__(self) -> None:
         self._answers: dict[str, GroupAnswer] = {}  # by the group's words
 
     def open_group(self, domain: ActableDomain, lesson: LessonView) -> FeatureGroup | None:
-        """Return the group to ask about now; None: the lesson's own question stands."""
+        """Return the group to ask about now; None: ask the lesson's own question."""
         group, said = self.asked(domain, lesson)
         return group if said is None else None
 
     def answer(self, group: FeatureGroup, answer: GroupAnswer) -> None:
-        """Keep what the person said of a group."""
+        """Store the answer about a group."""
         self._answers[group.words] = answer
 
     def reply(self, domain: ActableDomain, lesson: LessonView) -> bool | None:
-        """Return what the open question is answered without asking; None: the person is asked."""
+        """Return the answer to the open question; None: the person has to be asked."""
         _, said = self.asked(domain, lesson)
         if said is None or said is GroupAnswer.EACH:
             return None
@@ -54,7 +54,7 @@ class QuestionGroups:
     def asked(
         self, domain: ActableDomain, lesson: LessonView
     ) -> tuple[FeatureGroup | None, GroupAnswer | None]:
-        """Return the group of the open question and what was said of it; None: nothing."""
+        """Return the group of the open question and its answer; None: there is none."""
         feature = lesson.question_feature
         group = next((each for each in feature_groups(domain) if feature in each.features), None)
         return group, self._answers.get(group.words) if group is not None else None

@@ -2,10 +2,10 @@
 
 from dataclasses import dataclass
 
-PATIENCE = 50  # checks without a new status, after which a recorder is taken to be gone
+PATIENCE = 50  # checks without a new status, after which a recorder counts as lost
 _ADVICE = 'Everything taught so far is on disk: quit, and the same command takes it up again.'
 SILENT = (
-    'nothing is heard of the recorder any more, and the bag may lack the last seconds. ' + _ADVICE
+    'the recorder does not respond any more, and the bag may lack the last seconds. ' + _ADVICE
 )
 AGAIN = 'another recorder has come, and gets the topics'
 
@@ -22,15 +22,15 @@ class Recorders:
     """
     The last status of every recorder; a new recorder may start beside one that has stopped.
 
-    Silence is counted in checks, not in seconds, so that a lesson that was busy itself does not
-    take its own delay for that of the recorder.
+    Silence is counted in checks, not in seconds, so that a busy lesson does not mistake its own
+    delay for that of the recorder.
     """
 
     def __init__(self, *, expected: bool) -> None:
         """
         Begin without a fault.
 
-        :param expected: a lesson without any recorder is a fault, too.
+        :param expected: running without a recorder is a fault.
         """
         self._expected = expected
         self._known: dict[str, _Recorder] = {}  # by publisher_id
@@ -40,7 +40,7 @@ class Recorders:
 
     def update(self, recorder: str, *, complete: bool, stopped: bool, text: str) -> None:
         """
-        Keep the status that a recorder publishes, as it does every second.
+        Store the status that a recorder publishes every second.
 
         :param recorder: its publisher_id; the rest is as in RecorderStatus.
         """

@@ -1,9 +1,9 @@
 """
-What a person asks of the lesson and of the nodes around it, the answers, and what is shown.
+Requests to the lesson and the nodes around it, their answers, and what terminals show.
 
 All are plain values with the names and fields of the messages that carry them (``.srv``,
-``.action`` and ``.msg`` files of humanopts_interfaces). The terminal, the simulated teacher,
-programs of other people and the lesson itself use these same values.
+``.action`` and ``.msg`` files of humanopts_interfaces). Terminals, the simulated teacher,
+other programs and the lesson itself share them.
 """
 
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ from humanopts_learner.summary import OptionSummary
 
 
 class Phase(Enum):
-    """Where the lesson stands; the names are those of LessonState's PHASE constants."""
+    """The phase of the lesson; the names are those of LessonState's PHASE constants."""
 
     NO_SESSION = 'no session'
     NO_OPTION = 'no option'
@@ -30,7 +30,7 @@ class Phase(Enum):
 
 
 class Verdict(Enum):
-    """What becomes of a demonstration; the names are those of EndDemonstration's constants."""
+    """The verdict on a demonstration; the names are those of EndDemonstration's constants."""
 
     DONE = 'done'
     NOT_HERE = 'not here'
@@ -72,7 +72,7 @@ class RequestStatus(Enum):
 
 @dataclass(frozen=True, slots=True)
 class OpenSession:
-    """Begin a session of one participant, or go on with it."""
+    """Open a session of one participant, or resume it."""
 
     participant: str
     session: str = ''  # empty: today's date and a number
@@ -80,11 +80,11 @@ class OpenSession:
 
 @dataclass(frozen=True, slots=True)
 class DefineOption:
-    """Name an option to teach, or take it up again."""
+    """Name an option to teach, or resume it."""
 
     name: str
-    ask_again: bool = False  # ask the feature questions anew
-    method: str = ''  # of learning, from the next demonstration on; empty: as before
+    ask_again: bool = False  # ask the feature questions again
+    method: str = ''  # learning method from the next demonstration on; empty: unchanged
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +100,7 @@ class AnswerQuestion:
 class BeginDemonstration:
     """Choose a start state and begin an episode there."""
 
-    start_state: str = ''  # in the domain's notation; empty: drawn by the lesson's strategy
+    start_state: str = ''  # in the domain's notation; empty: chosen by the lesson
     watch: bool = False  # the machine may move until the person does
 
 
@@ -117,24 +117,24 @@ class EndDemonstration:
 
 @dataclass(frozen=True, slots=True)
 class WithdrawDemonstration:
-    """Take back a demonstration of the option."""
+    """Withdraw a demonstration of the option."""
 
-    uuid: str = ''  # empty: whichever is the newest
+    uuid: str = ''  # empty: the newest
 
 
 @dataclass(frozen=True, slots=True)
 class ListDemonstrations:
-    """List the demonstrations of an option of the person, also those that were taken back."""
+    """List the demonstrations of an option, including withdrawn ones."""
 
-    option_name: str = ''  # empty: the one that is taught
+    option_name: str = ''  # empty: the one being taught
 
 
 @dataclass(frozen=True, slots=True)
 class ChangeOption:
-    """Rename or delete an option of the person."""
+    """Rename or delete an option."""
 
     name: str
-    new_name: str = ''  # empty: it is deleted
+    new_name: str = ''  # empty: delete it
 
 
 LessonRequest = (
@@ -167,11 +167,11 @@ class SetControl:
 
 @dataclass(frozen=True, slots=True)
 class SetPace:
-    """Have the machine move faster or slower, wait, or take single steps."""
+    """Pause, resume or single-step the machine, or change its pace."""
 
     step_period: float  # s
     paused: bool
-    steps: int = 0  # with paused: that are let through first
+    steps: int = 0  # with paused: number of steps to take first
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,21 +183,21 @@ class NewEpisode:
 
 @dataclass(frozen=True, slots=True)
 class ListOptions:
-    """Ask the option server what the participant's options are."""
+    """List the options of a participant."""
 
     participant: str
 
 
 @dataclass(frozen=True, slots=True)
 class SetExecution:
-    """Have the policy that runs carried out in another way, from its next action on."""
+    """Change the execution of the running policy from its next action on."""
 
     execution: str
 
 
 @dataclass(frozen=True, slots=True)
 class RunOption:
-    """Have the machine run a taught option from the current state."""
+    """Run a taught option from the current state."""
 
     option_name: str
     participant: str
@@ -205,17 +205,17 @@ class RunOption:
 
 @dataclass(frozen=True, slots=True)
 class PlanOptions:
-    """Have the planner plan."""
+    """Plan with an action set."""
 
     action_set: str
     participant: str
     seed: int
-    evaluation_episodes: int = 20  # that the plan is judged by
+    evaluation_episodes: int = 20  # to evaluate the plan
 
 
 @dataclass(frozen=True, slots=True)
 class PlayEpisodes:
-    """Have the planner play by its plan."""
+    """Play episodes by the last plan of an action set."""
 
     action_set: str
     participant: str
@@ -226,10 +226,12 @@ class PlayEpisodes:
 
 @dataclass(frozen=True, slots=True)
 class CancelRun:
-    """Ask for the end of the run under way."""
+    """Cancel the current run."""
 
 
-ActionGoal = RunOption | PlanOptions | PlayEpisodes  # goals of actions: they go on once accepted
+ActionGoal = (
+    RunOption | PlanOptions | PlayEpisodes
+)  # goals of actions, which continue once accepted
 ServiceRequest = LessonRequest | SetControl | SetPace | NewEpisode | ListOptions | SetExecution
 Request = ServiceRequest | Drive | ActionGoal | CancelRun
 
@@ -251,32 +253,32 @@ def server(request: Request) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """The answer to one request; the fields that it does not concern are empty."""
+    """The answer to one request; fields that do not apply are empty."""
 
     status: RequestStatus
     detail: str
     session: str = ''  # in force
-    known_options: tuple[str, ...] = ()  # that the participant has begun
+    known_options: tuple[str, ...] = ()  # of the participant
     option_names: tuple[str, ...] = ()  # that can be run
     resumed: bool = False
     episode: int = 0  # that was begun
     state: str = ''  # its first, in the domain's notation
-    uuid: str = ''  # of the demonstration that was kept or taken back
+    uuid: str = ''  # of the demonstration that was kept or withdrawn
     seed: int = 0  # of the chance in the episode to begin; for game only
-    demonstrations: tuple[Demonstration, ...] = ()  # that were asked for
-    contradiction: str = ''  # between what was kept and what was shown earlier, in words
+    demonstrations: tuple[Demonstration, ...] = ()  # requested ones
+    contradiction: str = ''  # with an earlier demonstration, in words
     contradicts: str = ''  # uuid of the earlier demonstration
-    situation: str = ''  # where they differ: the state of what was kept, in the domain's notation
-    unsent: tuple[Demonstration, ...] = ()  # kept or taken back; for the learner only
+    situation: str = ''  # the state where they differ, in the domain's notation
+    unsent: tuple[Demonstration, ...] = ()  # kept or withdrawn; for the learner only
 
     @property
     def demonstration(self) -> Demonstration | None:
-        """The one that was kept or taken back last; None: nothing was."""
+        """The demonstration that was kept or withdrawn last; None: none was."""
         return self.unsent[-1] if self.unsent else None
 
     @property
     def ok(self) -> bool:
-        """Whether the request was carried out, with nothing left to ask for again."""
+        """Whether the request was carried out completely."""
         return self.status is RequestStatus.OK
 
     @property
@@ -295,7 +297,7 @@ class RefusalError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class LessonView:
-    """Where the lesson stands, as in LessonState."""
+    """The state of the lesson, as in LessonState."""
 
     phase: Phase
     participant: str = ''
@@ -315,13 +317,13 @@ class LessonView:
     method: str = ''  # with which the option is learned from its next demonstration on
     start_state: str = ''
     episode: int = 0  # of the newest demonstration that was begun
-    machine_steps: int = 0  # so many of its first steps were the machine's
+    machine_steps: int = 0  # number of leading steps taken by the machine
     criteria_met: bool = False
     paused: str = ''  # why nothing new can be begun; empty: it can
     text: str = ''
 
 
-UNKNOWN = LessonView(Phase.NO_SESSION)  # nothing was heard of the lesson
+UNKNOWN = LessonView(Phase.NO_SESSION)  # the lesson has not published its state
 _NO_GAME = Transition()
 
 
@@ -336,13 +338,13 @@ class World:
     summaries: Sequence[OptionSummary] = ()
     running: str = ''  # what option_server took on last: an option, or action:NAME
     execution: str = ''  # of the policy that runs or ran last; empty: none did
-    holder: str = ''  # publisher_id of the terminal that drives; empty: nobody
+    holder: str = ''  # publisher_id of the terminal that drives; empty: none
     me: str = ''  # our own publisher_id
     step_period: float = 0.0  # least time between steps of the machine, s
-    paused_by: str = ''  # publisher_id of the terminal that has the machine wait; empty: none
-    missing: Sequence[str] = ()  # nodes that are gone or have not come
+    paused_by: str = ''  # publisher_id of the terminal that pauses the machine; empty: none
+    missing: Sequence[str] = ()  # nodes that are not running
     acted: dict[tuple[str, int], str] = field(default_factory=dict)
-    """Whose the newest actions are: the option, by publisher_id and sequence of the command."""
+    """The option that took each recent action, by publisher_id and sequence of the command."""
     uncovered: Sequence[tuple[str, float]] | None = None  # by the last plan; None: not known
     since: Transition | None = None  # from which on the person drives, step by step
     driven: list[str] = field(default_factory=list)  # the person's actions from there on
@@ -372,7 +374,7 @@ class World:
         return effect_between(domain, before, game)
 
     def summary_of(self, participant: str, option_name: str) -> OptionSummary | None:
-        """Return how far the learner is with one option; None: it has not reported."""
+        """Return the learner's summary of one option; None: it has not reported."""
         wanted = (participant, option_name)
         return next((s for s in self.summaries if (s.participant, s.option_name) == wanted), None)
 

@@ -16,8 +16,8 @@ from humanopts_teach.lesson import BUDGET, METHOD, STRATEGY
 from humanopts_teach.lesson.history import OptionHistory
 import numpy as np
 
-FAILURES = 'failures'  # the strategy that looks at what was learned
-MAX_PARSED = 8  # options that are kept as objects, which take many times the memory of their text
+FAILURES = 'failures'  # the strategy that uses the learned option
+MAX_PARSED = 8  # options kept as objects, which take many times the memory of their text
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,10 +25,12 @@ class LessonRules:
     """How start states are drawn, and when the lesson on an option ends."""
 
     strategy: str = STRATEGY  # one of the learner's ``STRATEGIES``
-    budget: int = BUDGET  # the most that is asked for one option, "not here" answers included
+    budget: int = BUDGET  # largest number of demonstrations of one option, with "not here" answers
     seed: int = 0
-    until_no_failures: bool = True  # strategy failures: ask on while the learned option fails
-    method: str = METHOD  # of learning, one of ``METHODS``, where the person asks for no other
+    until_no_failures: bool = (
+        True  # with strategy failures: continue while the learned option fails
+    )
+    method: str = METHOD  # learning method, one of ``METHODS``, unless the person names another
 
 
 class SeededStarts:
@@ -50,7 +52,7 @@ class SeededStarts:
 
     def learned(self, participant: str, option_name: str, text: str) -> bool:
         """
-        Keep an option as the learner publishes it, where the strategy looks at it.
+        Store an option that the learner has published, if the strategy uses it.
 
         :return: whether it has changed.
         :raises OptionError: it is not an option, or one of another domain.
@@ -83,7 +85,7 @@ class SeededStarts:
         return domain.encode(state)
 
     def draw_ahead(self, option: OptionHistory) -> None:
-        """Draw the sample of states that the next start state is chosen from; that takes time."""
+        """Draw the sample of states from which the next start state is chosen; this takes time."""
         if not can_simulate(self._domain):
             return
         key = option.participant, option.name, option.number, bool(option.demonstrations)
@@ -93,11 +95,11 @@ class SeededStarts:
             self._ahead = key, drawn, rng
 
     def episode_seed(self, option: OptionHistory) -> int:
-        """Return the seed of the chance in the next demonstration's episode."""
+        """Return the seed of the next demonstration's episode."""
         return int(self._generator('episode', option).integers(2**63))
 
     def counts(self, option: OptionHistory, demonstration: Demonstration) -> bool:
-        """Return whether the next draw has counted this one in; out, where it is withdrawn."""
+        """Return whether the next draw takes a demonstration, or its withdrawal, into account."""
         if not option.n_trajectories or self.rules.strategy != FAILURES:
             return True
         learned = self._option(option)
@@ -106,7 +108,7 @@ class SeededStarts:
         return (demonstration.uuid in learned.uuids) != demonstration.withdrawn
 
     def exhausted(self, option: OptionHistory) -> bool:
-        """Return whether the strategy has nothing left to ask, once the criteria are met."""
+        """Return whether the strategy has no more questions once the criteria are met."""
         learned = self._option(option)
         asks_failures = self.rules.until_no_failures and self.rules.strategy == FAILURES
         if not asks_failures or learned is None or not option.demonstrations:
@@ -117,7 +119,7 @@ class SeededStarts:
         return nothing_fails(learned, self._domain, option.demonstrations, rng)
 
     def _option(self, option: OptionHistory) -> LearnedOption | None:
-        """Return what was learned of an option; None: nothing."""
+        """Return the learned option; None: not learned yet."""
         text = self._texts.get((option.participant, option.name))
         return self._parse(text) if text is not None else None
 

@@ -3,20 +3,19 @@ A stand-in for a person who teaches, for demos, tests and experiments.
 
 What it assumes of people, and where it is simpler than they are:
 
-- It means by an option what the domain's reference option says, and answers each feature question
-  so; with ``extra_feature_rate`` it also says yes to features that do not matter.
+- It takes the domain's reference option as the meaning of an option, and answers each feature
+  question accordingly; with ``extra_feature_rate`` it also says yes to irrelevant features.
 - Among equally good actions it always prefers the same: by the domain's order of actions, or by an
   order of its own (``own_habits``), drawn for the participant.
 - Before each step it errs with probability ``error_rate``: it takes one of the actions that are
-  not best, each alike. It does not take the error back; it goes on from where that led.
+  not best, with equal probability. It does not undo the error, but continues.
 - It says "not here" exactly where the reference option cannot start, and "done" in the first state
   after at least one step in which the reference option ends. It makes no error in these.
 - A demonstration that an error has ended, from which no best action leads on, or that is longer
-  than ``step_limit``, is discarded and tried again; after ``ATTEMPTS`` in a row it gives up, since
-  it would do so for ever.
+  than ``step_limit``, is discarded and tried again; after ``ATTEMPTS`` in a row it gives up.
 
 Every draw is keyed by seed, participant, option, number of the demonstration, attempt and step, so
-the same seed shows the same, whatever else happens on the graph.
+the same seed gives the same demonstrations, whatever else happens on the graph.
 """
 
 from collections.abc import Mapping
@@ -42,7 +41,7 @@ from humanopts_teach.lesson.requests import (
 )
 import numpy as np
 
-FINISHED = 'finished'  # text of its node's status when everything was taught
+FINISHED = 'finished'  # text of its node's status once everything is taught
 ATTEMPTS = 10  # discarded demonstrations in a row from one start state
 
 
@@ -52,21 +51,21 @@ class TeacherError(RuntimeError):
 
 @dataclass(frozen=True, slots=True)
 class TeacherSettings:
-    """Who the teacher is."""
+    """The settings of a simulated teacher."""
 
     options: tuple[str, ...]  # names of reference options, taught in this order
     participant: str = 'simulated'
     session: str = 'simulated'
     error_rate: float = 0.0  # probability of an error before each step
     extra_feature_rate: float = 0.0  # probability of a needless yes for each feature
-    own_habits: bool = False  # prefers actions in an order of its own
+    own_habits: bool = False  # prefer actions in an order of its own
     step_limit: int = 200  # steps after which a demonstration is discarded
     seed: int = 0
 
 
 @dataclass(frozen=True, slots=True)
 class Wait:
-    """Do nothing until something changes."""
+    """Wait until something changes."""
 
     reason: str  # completes "waits for ..."
 
@@ -80,11 +79,11 @@ Act = LessonRequest | Drive | Wait | Finish
 
 
 class SimulatedTeacher:
-    """Decides what to do next, given where the lesson and the game stand."""
+    """Decides what to do next, from the state of the lesson and the game."""
 
     def __init__(self, domain: Domain[Any], settings: TeacherSettings) -> None:
         """
-        Get ready to teach.
+        Prepare to teach.
 
         :raises TeacherError: no option to teach, one without a reference, or a bad setting.
         """
@@ -109,7 +108,7 @@ class SimulatedTeacher:
         if lesson.paused and isinstance(
             act, OpenSession | DefineOption | AnswerQuestion | BeginDemonstration
         ):
-            return Wait(f'the lesson to go on; it is paused: {lesson.paused}')
+            return Wait(f'the lesson to resume; it is paused: {lesson.paused}')
         return act
 
     def _wanted(self, lesson: LessonView, game: Transition | None) -> Act:
@@ -169,7 +168,7 @@ class SimulatedTeacher:
         if self._attempt >= ATTEMPTS:
             raise TeacherError(
                 f'cannot show {lesson.option_name!r} from {lesson.start_state}: '
-                f'{ATTEMPTS} demonstrations in a row did not come to the end'
+                f'{ATTEMPTS} demonstrations in a row did not reach the end'
             )
         return EndDemonstration(Verdict.DISCARD, *here)
 
@@ -195,7 +194,7 @@ def _check(
     settings: TeacherSettings, references: Mapping[str, ReferenceOption], domain: str
 ) -> None:
     if not settings.options:
-        raise TeacherError('the teacher was given no option to teach')
+        raise TeacherError('no option to teach was given')
     unknown = [name for name in settings.options if name not in references]
     if unknown:
         raise TeacherError(

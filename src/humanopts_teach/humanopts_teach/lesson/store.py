@@ -1,7 +1,7 @@
 """
 The entries of a lesson on disk: for each participant one file of answers and demonstrations.
 
-A line of JSON is one entry. It is durable (fsync) before the lesson goes on.
+A line of JSON is one entry. It is durable (fsync) before the lesson continues.
 """
 
 from collections.abc import Iterable
@@ -99,7 +99,7 @@ class DemonstrationStore(AbstractContextManager['DemonstrationStore']):
     """
     The entries of every participant, in one folder that one process uses at a time.
 
-    They are read from their files when they are asked for; none is kept in memory.
+    They are read from their files on request; none is kept in memory.
     """
 
     def __init__(self, directory: Path) -> None:
@@ -109,7 +109,7 @@ class DemonstrationStore(AbstractContextManager['DemonstrationStore']):
         :raises StoreError: the folder cannot be made or read, or another process has it open.
         """
         self.directory = directory
-        self.damage: list[str] = []  # what was found damaged, in words
+        self.damage: list[str] = []  # damage that was found, in words
         self._logs: dict[str, AppendOnlyLog] = {}  # by participant
         self._lock: TextIO | None = None
         try:
@@ -157,10 +157,10 @@ class DemonstrationStore(AbstractContextManager['DemonstrationStore']):
 
     def append(self, *entries: Entry) -> None:
         """
-        Keep entries of one participant, who names the file; they are on disk when this returns.
+        Append entries of one participant to their file; they are on disk when this returns.
 
-        :raises StoreError: it could not be written (disk full, folder gone); nothing of it is
-            kept, and the same call can be tried again.
+        :raises StoreError: it could not be written (disk full, folder gone); nothing is
+            kept, and the call can be repeated.
         """
         participant = entries[0].participant
         path = self.directory / f'{participant}{_SUFFIX}'
@@ -200,18 +200,18 @@ class OpenSessionFile:
     """
     The file in the folder of demonstrations that names the open session.
 
-    A lesson node that has died goes on with it. Only a process with the same parent takes it up,
-    which is a launcher that starts a node again: the next launch begins with a session of its own.
+    A restarted lesson node resumes it. Only a process with the same parent does so, that is, one
+    restarted by the same launcher; the next launch opens a session of its own.
     """
 
     def __init__(self, folder: Path) -> None:
-        """Name the file; nothing is written."""
+        """Name the file without writing it."""
         self._path = folder / OPEN_SESSION
         parent = psutil.Process(os.getppid())
         self._parent = f'{parent.pid} {parent.create_time()}'
 
     def left(self) -> tuple[str, str] | None:
-        """Return participant and session that a process before this one has left open."""
+        """Return the participant and session that an earlier process left open."""
         try:
             values = parse_json(read_text(self._path))
             if values['parent'] == self._parent:
@@ -221,7 +221,7 @@ class OpenSessionFile:
         return None
 
     def keep(self, participant: str, session: str) -> None:
-        """Note what is open; where that fails, a lesson that is started again has no session."""
+        """Record the open session; if that fails, a restarted lesson has no session."""
         values = {'parent': self._parent, 'participant': participant, 'session': session}
         new = self._path.with_name(f'{OPEN_SESSION}.new')
         with suppress(OSError):
@@ -229,6 +229,6 @@ class OpenSessionFile:
             os.replace(new, self._path)
 
     def forget(self) -> None:
-        """Note that nothing is open."""
+        """Record that no session is open."""
         with suppress(OSError):
             self._path.unlink()
