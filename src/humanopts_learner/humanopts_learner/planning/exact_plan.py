@@ -296,14 +296,21 @@ def option_table(
     return OptionTable([*used, *primitives] if free.any() else used, domain.over())
 
 
-def episode_starts(domain: EnumerableDomain, seed: int, episodes: int) -> NDArray[np.int32]:
+def episode_starts(
+    domain: EnumerableDomain, seed: int, episodes: int, progress: Progress = ignore_progress
+) -> NDArray[np.int32]:
     """
     Draw the start states of episodes, (E,) state indices.
 
     Each draw has its own generator, so start i does not depend on the number of episodes.
+
+    :param progress: called with the stage evaluation, which begins with this.
     """
-    starts = [domain.index(episode_start(domain, seed, episode)) for episode in range(episodes)]
-    return np.array(starts, dtype=np.int32)
+    starts = np.empty(episodes, dtype=np.int32)
+    for episode in range(episodes):
+        progress('evaluation', 0.0, 0, math.nan)
+        starts[episode] = domain.index(episode_start(domain, seed, episode))
+    return starts
 
 
 def episode_start(domain: Domain[S], seed: int, episode: int) -> S:

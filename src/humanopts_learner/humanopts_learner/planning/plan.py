@@ -112,7 +112,7 @@ def judge_plan(
     if episodes < 1:
         raise PlanError(f'cannot play {episodes} episodes')
     if isinstance(plan, ExactPlan):
-        starts = episode_starts(plan.domain, seed, episodes)
+        starts = episode_starts(plan.domain, seed, episodes, progress)
         returns = play_plan(plan, starts, seed=seed, progress=progress)
     else:
         returns = plan.play(seed, episodes, progress=progress)
