@@ -4,11 +4,11 @@ from collections.abc import Callable
 from typing import Any
 
 from graph_support.scripted import show
-from humanopts_env.domains.base import is_enumerable
+from humanopts_env.domains.base import action_index, is_enumerable
 from humanopts_env.domains.taxi import Taxi, TaxiState
 from humanopts_env.domains.taxi_reference import reference_options
 from humanopts_env.seeding import generator
-from humanopts_learner.demonstrations import Demonstration
+from humanopts_learner.demonstrations import Demonstration, make_demonstration
 import pytest
 
 TAXI = Taxi()
@@ -45,6 +45,23 @@ class Person:
             option_name=self.option,
             number=len(self.shown) + 1,
             chosen_features=tuple(self.features),
+        )
+        self.shown.append(demo)
+        return demo
+
+    def walk(self, start: TaxiState, *names: str) -> Demonstration:
+        """Show actions by name, whatever the person would do."""
+        states, rng = [start], generator(0, 'no chance')
+        for name in names:
+            states.append(TAXI.step(states[-1], action_index(TAXI, name), rng).state)
+        demo = make_demonstration(
+            TAXI,
+            self.option,
+            states,
+            names,
+            features=self.features,
+            participant=f'person {self.seed}',
+            number=len(self.shown) + 1,
         )
         self.shown.append(demo)
         return demo

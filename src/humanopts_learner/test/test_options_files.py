@@ -38,7 +38,7 @@ def option(fetching: Shown) -> LearnedOption:
 
 
 def test_an_option_comes_back_with_its_demonstrations(
-    option: LearnedOption, fetching: Shown, person: Callable[..., Any]
+    option: LearnedOption, fetching: Shown, person: Any
 ) -> None:
     """And its file has one node and one demonstration on each line."""
     text = option_to_json(option, fetching)

@@ -46,9 +46,7 @@ def teach(
 
 
 @pytest.mark.parametrize('strategy', STRATEGIES)
-def test_a_state_is_chosen_whatever_was_shown_and_an_open_one(
-    person: Callable[..., Any], strategy: str
-) -> None:
+def test_a_state_is_chosen_whatever_was_shown_and_an_open_one(person: Any, strategy: str) -> None:
     """The first by the generator alone; after "not here" alone, and when all was taken back."""
 
     def choose(option: LearnedOption | None, shown: Shown, seed: int = 0) -> TaxiState:
@@ -64,7 +62,7 @@ def test_a_state_is_chosen_whatever_was_shown_and_an_open_one(
         choose_start_state('clever', TAXI, None, [], np.random.default_rng(0))
 
 
-def test_coverage_asks_for_what_is_unlike_anything_shown(person: Callable[..., Any]) -> None:
+def test_coverage_asks_for_what_is_unlike_anything_shown(person: Any) -> None:
     ann = person()
     ann.show(NEAR)
     option = learn_option(ann.shown, TAXI, 0)
@@ -74,7 +72,7 @@ def test_coverage_asks_for_what_is_unlike_anything_shown(person: Callable[..., A
 
 
 def test_failures_asks_for_a_state_from_which_no_end_is_reached(
-    person: Callable[..., Any],
+    person: Any,
 ) -> None:
     shown = person().show_random(8)
     option = learn_option(shown, TAXI, 0)
@@ -91,7 +89,7 @@ def test_failures_asks_for_a_state_from_which_no_end_is_reached(
 
 
 def test_letting_out_at_the_wrong_place_is_no_end_that_was_shown(
-    person: Callable[..., Any],
+    person: Any,
 ) -> None:
     bob = person(DELIVER)
     bob.show(TaxiState(1, 0, 4, 0))  # to R, which is at 0,0
@@ -102,50 +100,26 @@ def test_letting_out_at_the_wrong_place_is_no_end_that_was_shown(
     assert find_failures(option, TAXI, bob.shown).stuck[TAXI.index(elsewhere)]
 
 
-def test_an_end_by_a_slip_is_no_end(person: Callable[..., Any]) -> None:
+def test_an_end_by_a_slip_is_no_end(person: Any) -> None:
     """One demonstration in which the passenger was let out at the wrong place."""
-    bob = person(DELIVER)
+    bob, at = person(DELIVER), TaxiState(0, 0, 4, 1)
     bob.show_random(4)
-    at = TaxiState(0, 0, 4, 1)
-    states = (at, replace(at, passenger=0))
-    slip = replace(
-        bob.shown[0],
-        uuid='00000000-0000-4000-8000-000000000000',
-        number=9,
-        states=tuple(map(TAXI.encode, states)),
-        features=tuple(tuple(TAXI.feature_values(s).tolist()) for s in states),
-        actions=('dropoff',),
-        rewards=(-1.0,),
-        terminated=False,
-    )
-    shown = [*bob.shown, slip]
-    assert find_failures(learn_option(shown, TAXI, 0), TAXI, shown).stuck[TAXI.index(at)]
+    bob.walk(at, 'dropoff')
+    option = learn_option(bob.shown, TAXI, 0)
+    assert find_failures(option, TAXI, bob.shown).stuck[TAXI.index(at)]
 
 
-def test_a_longer_way_counts_until_it_was_shown_three_times(person: Callable[..., Any]) -> None:
+def test_a_longer_way_counts_until_it_was_shown_three_times(person: Any) -> None:
     ann = person()
-    one = ann.show(NEAR)
-    states = [NEAR, replace(NEAR, col=1), TaxiState(0, 1, 0, 1), TaxiState(0, 0, 0, 1)]
-    states.append(replace(states[-1], passenger=4))
-    long_way = replace(
-        one,
-        states=tuple(map(TAXI.encode, states)),
-        features=tuple(tuple(TAXI.feature_values(s).tolist()) for s in states),
-        actions=('east', 'north', 'west', 'pickup'),
-        rewards=(-1.0, -1.0, -1.0, 0.0),
-    )
-    for times, counts in [(1, True), (2, True), (3, False)]:
-        ids = [f'00000000-0000-4000-8000-00000000000{i}' for i in range(times)]
-        shown = [replace(long_way, uuid=uuid, number=i) for i, uuid in enumerate(ids)]
-        found = find_failures(learn_option(shown, TAXI, 0), TAXI, shown)
+    for counts in (True, True, False):
+        ann.walk(NEAR, 'east', 'north', 'west', 'pickup')
+        found = find_failures(learn_option(ann.shown, TAXI, 0), TAXI, ann.shown)
         assert not found.stuck[TAXI.index(NEAR)]
         assert bool(found.detour[TAXI.index(NEAR)]) is counts
 
 
 @pytest.mark.parametrize('name', [FETCH, DELIVER])
-def test_failures_teaches_every_state_within_thirty_demonstrations(
-    person: Callable[..., Any], name: str
-) -> None:
+def test_failures_teaches_every_state_within_thirty_demonstrations(person: Any, name: str) -> None:
     someone = person(name, seed=3)
     reference = reference_options(TAXI)[name]
     curve: list[float] = []
@@ -168,7 +142,7 @@ def test_failures_teaches_every_state_within_thirty_demonstrations(
 @pytest.mark.heavy
 @pytest.mark.parametrize('name', [FETCH, DELIVER])
 def test_once_nothing_fails_and_the_criteria_hold_every_start_is_driven_in_spite_of_slips(
-    person: Callable[..., Any], name: str
+    person: Any, name: str
 ) -> None:
     """Then what was shown least is asked for."""
     someone = person(name, seed=1, error_rate=0.02)
@@ -194,7 +168,7 @@ def test_once_nothing_fails_and_the_criteria_hold_every_start_is_driven_in_spite
 
 @pytest.mark.heavy
 def test_where_states_cannot_be_enumerated_a_sample_that_fails_is_asked_for(
-    person: Callable[..., Any], plain_taxi: Any
+    person: Any, plain_taxi: Any
 ) -> None:
     shown = person().show_random(12)
     option = learn_option(shown, plain_taxi, 0)
@@ -213,7 +187,7 @@ def test_where_states_cannot_be_enumerated_a_sample_that_fails_is_asked_for(
 
 
 def test_what_one_demonstration_alone_shows_is_unsettled_until_others_show_it(
-    person: Callable[..., Any], plain_taxi: Any
+    person: Any, plain_taxi: Any
 ) -> None:
     ann = person()
     there = TaxiState(4, 0, 2, 1)  # at the passenger
@@ -229,7 +203,7 @@ def test_what_one_demonstration_alone_shows_is_unsettled_until_others_show_it(
 
 
 def test_a_region_outside_i_is_in_doubt_until_three_different_answers(
-    person: Callable[..., Any],
+    person: Any,
 ) -> None:
     ann = person()
     shown = ann.show_random(4)
@@ -240,7 +214,7 @@ def test_a_region_outside_i_is_in_doubt_until_three_different_answers(
     assert not find_failures(learn_option(shown, TAXI, 0), TAXI, shown).doubt.any()
 
 
-def test_both_halves_of_an_option_are_found(person: Callable[..., Any]) -> None:
+def test_both_halves_of_an_option_are_found(person: Any) -> None:
     """Pickup/dropoff shown for one of them alone looks complete: I excludes the other by guess."""
     someone = person('pickup/dropoff')
 
