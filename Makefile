@@ -1,4 +1,4 @@
-# make demo and make test do all the set-up that they need; the second time they skip it.
+# make demo and make test do the set-up that they need; the second time they skip it.
 PYTHON ?= python3
 VENV := .venv
 CACHE := $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/humanopts
@@ -13,22 +13,22 @@ PAGE := -name '*.md' -o -name '*.rst'
 INTERFACES := $(shell find src/humanopts_interfaces -type f -not \( $(PAGE) \))
 PACKAGES := $(shell find src -type f -not -path 'src/humanopts_interfaces/*' \
   -not -path '*/test/*' -not -name '*.pyc' -not \( $(PAGE) \))
-# What mypy checks: the packages, and what is built on them.
+# Checked by mypy: the packages, and the code built on them.
 PURE := $(shell find src -name '*.py' -path '*/humanopts_*/humanopts_*') \
   $(wildcard experiments/*.py benchmarks/*.py)
 CHECKED := conftest.py src experiments benchmarks tests tools examples
 WITH_ROS := root=$(CURDIR); . tools/environment.sh; ROS_PYTHON_CHECK_FIELDS=1
-# Four processes, each with a file of tests at a time: while some wait for their graphs, others compute.
+# Four processes, each with one test file at a time: some compute while others wait for graphs.
 SIDE_BY_SIDE := OMP_NUM_THREADS=1 $(VENV)/bin/python -m pytest \
   -n 4 --dist loadfile --no-loadscope-reorder
-# What computes with the oldest packages; make test-floor imports everything else.
+# Tests that compute with the oldest packages; make test-floor only imports everything else.
 FLOOR := src/humanopts_env src/humanopts_learner $(foreach name,evaluation export table1, \
   $(wildcard src/humanopts_teach/test/test_$(name)*.py))
 COMPILE := build/lock/bin/uv pip compile --universal --python-version 3.11 --generate-hashes \
   --no-emit-index-url --no-header --quiet
 SHELL := /bin/bash
 
-# Nothing of another ROS that the shell has sourced, nor of a person's own settings of colcon.
+# Drop the variables of another ROS that the shell has sourced, and the user's settings of colcon.
 unexport PYTHONDONTWRITEBYTECODE COLCON_DEFAULTS_FILE
 unexport $(shell sed -n 's/^unset //p' tools/environment.sh)
 export COLCON_HOME := $(CURDIR)/build/colcon
@@ -36,28 +36,28 @@ export COLCON_HOME := $(CURDIR)/build/colcon
 .PHONY: help setup checked demo test test-quick test-floor test-whole test-slow test-browser test-hosts test-stress soak lint docs format lock clean
 
 help:
-	@echo 'make demo    teach a simulated agent two options for Taxi, plan, drive, report (OUT=, SEED=)'
-	@echo 'make test    run the tests, four at a time (ARGS=), first those that need no graph'
-	@echo 'make test-quick  run the quick ones of pure code; make test-slow  those that take minutes'
-	@echo 'make test-whole  run those of whole commands: the demo of Pac-Man, studies, nodes that die'
-	@echo 'make test-floor  run those of pure code with the oldest packages that everything works with'
-	@echo 'make test-browser  run those that teach in Chromium'
-	@echo 'make test-hosts  run those over two hosts, in namespaces of this machine, whose cable is pulled'
-	@echo 'make test-stress  run the tests of the graph ten times while all cores are busy and nodes are'
-	@echo '             found late (ROUNDS=, SEED=, LIMIT= in seconds, ARGS= for files)'
-	@echo 'make soak    a long lesson among random faults and garbage (SECONDS=, SEED=)'
-	@echo 'make lint    ruff, mypy --strict, rosdep keys and pages of the packages'
+	@echo 'make demo    let a simulated teacher teach two options for Taxi; plan, play, report (OUT=, SEED=)'
+	@echo 'make test    run the tests, four at a time (ARGS=); those without a graph come first'
+	@echo 'make test-quick  run the quick tests of pure code; make test-slow  those that take minutes'
+	@echo 'make test-whole  run tests of whole commands: the demo of Pac-Man, studies, dying nodes'
+	@echo 'make test-floor  run tests of pure code with the oldest supported packages'
+	@echo 'make test-browser  run the tests that teach in Chromium'
+	@echo 'make test-hosts  run the tests over two hosts, in namespaces of this machine'
+	@echo 'make test-stress  run the graph tests ten times, with busy cores and late discovery'
+	@echo '             (ROUNDS=, SEED=, LIMIT= in seconds, ARGS= for files)'
+	@echo 'make soak    run a long lesson with random faults and garbage (SECONDS=, SEED=)'
+	@echo 'make lint    run ruff and mypy --strict; check rosdep keys and pages of the packages'
 	@echo 'make docs    build the documentation as a site, build/site/index.html'
-	@echo 'make setup   only the set-up that the others do when it is needed'
+	@echo 'make setup   do only the set-up, which the other targets do when needed'
 	@echo 'make format  reformat the Python code'
-	@echo 'make lock    resolve requirements*.in into requirements*.lock again'
-	@echo 'make clean   remove everything that make made'
+	@echo 'make lock    resolve requirements*.in into requirements*.lock'
+	@echo 'make clean   remove everything that make created'
 
 setup:
 	@$(TWO_STEPS) build/.packages
 	@$(TWO_STEPS) $(VENV)/.compiled
 
-# ROS and what builds with it. The rest is installed while the interfaces compile.
+# ROS and the build tools. The other packages are installed while the interfaces compile.
 $(VENV)/.build-locked: requirements-build.lock
 	@tools/check_prerequisites.sh $(PYTHON)
 	@rm -rf $(VENV) && $(PYTHON) -m venv $(VENV)
@@ -65,18 +65,18 @@ $(VENV)/.build-locked: requirements-build.lock
 	@touch $@
 
 $(VENV)/.locked: requirements.lock $(VENV)/.build-locked
-	$(STEP) 'Installing the packages that it runs on' tools/install_packages.sh $(VENV) $<
+	$(STEP) 'Installing the packages needed to run' tools/install_packages.sh $(VENV) $<
 	@touch $@
 
-# What tests, checks and the documentation need beside them.
+# Additional packages of tests, checks and documentation.
 $(VENV)/.test-locked: requirements-test.lock $(VENV)/.locked
 	$(STEP) 'Installing the packages of the tests' tools/install_packages.sh $(VENV) $<
 	@touch $@
 
-# The oldest packages that everything works with, in a folder that goes before those of the others.
+# The oldest supported packages, in a folder that comes first on the path.
 build/floor/.locked: requirements-floor.lock $(VENV)/.locked tools/install_packages.sh
 	@rm -rf $(@D)
-	$(STEP) 'Installing the oldest packages that it runs on' tools/install_packages.sh $(VENV) $< $(@D)
+	$(STEP) 'Installing the oldest supported packages' tools/install_packages.sh $(VENV) $< $(@D)
 	@touch $@
 
 build/.interfaces: $(VENV)/.build-locked $(INTERFACES) tools/build_interfaces.sh tools/wheels.cmake tools/generate_interfaces.py
@@ -92,14 +92,13 @@ build/.packages: build/.interfaces $(VENV)/.locked $(PACKAGES) tools/build_packa
 	$(STEP) 'Building the Python packages' tools/build_packages.sh $(VENV)
 	@touch $@
 
-# Compiled in advance is what the packages import. The order alone matters: they are there by now.
+# Compile the modules that the packages import. Only the order matters: they exist by now.
 $(VENV)/.compiled: $(VENV)/.locked tools/compile_imports.py | build/.packages
-	$(STEP) 'Compiling what the packages import' $(SHELL) -c \
+	$(STEP) 'Compiling the modules that the packages import' $(SHELL) -c \
 	  '$(WITH_ROS); $(VENV)/bin/python tools/compile_imports.py'
 	@touch $@
 
-# What the tests and the checks need beside what runs. setuptools loads what is installed, so it
-# builds the packages when nothing is installed any more.
+# What tests and checks need. setuptools loads installed packages, so the packages are built last.
 checked:
 	@$(TWO_STEPS) $(VENV)/.test-locked build/.stubs
 	@$(TWO_STEPS) build/.packages
@@ -113,7 +112,7 @@ test: checked $(VENV)/.compiled
 test-quick: checked
 	@$(WITH_ROS) $(SIDE_BY_SIDE) -m 'not slow and not live and not heavy' $(or $(ARGS),src)
 
-# Left out is what takes long and computes little.
+# Leave out tests that take long and compute little.
 test-floor: checked build/floor/.locked
 	@$(WITH_ROS); export PYTHONPATH=$(CURDIR)/build/floor:$$PYTHONPATH; \
 	  $(VENV)/bin/python tools/check_floor.py requirements-floor.lock && \
@@ -168,4 +167,4 @@ lock:
 clean:
 	@rm -rf $(VENV) build install log .mypy_cache .ruff_cache .pytest_cache .hypothesis
 	@find $(CHECKED) -name __pycache__ -type d -prune -exec rm -rf {} +
-	@echo 'Built interfaces are kept for the next clone in $(CACHE); rm -r removes them.'
+	@echo 'Built interfaces stay in $(CACHE) for the next clone; rm -r removes them.'

@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # build_interfaces.sh VENV: builds src/humanopts_interfaces into install/ with the ROS of a virtual
-# environment: C type support alone, which is all that Python loads. What was built once for these
-# files, this Python and these ROS packages is kept in the user's cache folder for the next clone.
+# environment: only the C type support, which Python loads. The user's cache folder keeps the
+# result for other clones, by these files, this Python and these ROS packages.
 set -euo pipefail
 venv=$(cd "$1" && pwd)
 root=$PWD
@@ -18,7 +18,7 @@ key=$({
 } | sha256sum | cut -c1-20)
 cache=${XDG_CACHE_HOME:-${HOME:-/nonexistent}/.cache}/humanopts/interfaces-$key
 
-# Copies a tree and puts its new place where a text file of it names the old one.
+# Copies a tree, and replaces its old path in text files by the new one.
 copy() {
   local folder part
   folder=$(dirname "$2")
@@ -36,7 +36,7 @@ if [ -d "$cache" ]; then
   echo "from $cache"
   exit
 fi
-rm -rf "$built"  # or it would keep messages that are no more
+rm -rf "$built"  # with messages that were deleted
 light='-O1 -DNDEBUG'  # a tenth less time than -O3; messages are converted as quickly
 export AMENT_PREFIX_PATH=$venv CMAKE_PREFIX_PATH=$venv MAKEFLAGS=-j$(nproc)
 PATH="$venv/bin:$PATH" "$venv/bin/colcon" --log-level error build \

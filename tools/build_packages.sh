@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# build_packages.sh VENV: installs the Python packages of src/ into install/, and names their
-# folders to the Python of a virtual environment, for people's own scripts.
+# build_packages.sh VENV: installs the Python packages of src/ into install/, and adds their folders
+# to the path of a virtual environment, for users' scripts.
 set -euo pipefail
 venv=$(cd "$1" && pwd)
 packages=(humanopts_ros humanopts_env humanopts_learner humanopts_teach)

@@ -1,8 +1,8 @@
 """
-Checks that the packages of a lock file are those that Python finds, and that all of ours import.
+check_floor.py LOCK: checks that Python finds the packages of a lock file, and that ours import.
 
-check_floor.py LOCK: names the versions, or what is not as the lock file has it. Every module of
-src/ that needs no graph is imported, so that nothing that only newer packages have is needed.
+It prints the versions, or the differences from the lock file. It imports every module of src/ that
+needs no graph, so that none needs a feature of newer packages.
 """
 
 from importlib import import_module
@@ -15,7 +15,7 @@ PIN = re.compile(r'^([a-z0-9-]+)==(\S+) \\$', re.MULTILINE)  # without a marker 
 
 
 def main(lock: Path, source: Path) -> int:
-    """Check, say what was found, and return the exit status."""
+    """Check, print the result, and return the exit status."""
     pins: dict[str, str] = dict(PIN.findall(lock.read_text(encoding='utf-8')))
     wrong = [
         f'{name} {found} is used instead of {pin}: make test-floor installs what it tests with'

@@ -1,11 +1,11 @@
 """
-Checks the packages of src/ as ROS tools see them, and names what is wrong.
+Checks the packages of src/ as ROS tools see them, and prints what is wrong.
 
-Every package.xml is valid, lists what its code imports and nothing else, and lists only keys that
-rosdep knows: those copied from rosdistro (rosdep/rosdistro_keys.txt), our own
-(rosdep/humanopts.yaml), and the packages of src/. The least versions in package.xml and setup.py
-are those that make test-floor tests with (requirements-floor.in). Every package has a README.md,
-and a CHANGELOG.rst with a section of its version.
+Every package.xml must be valid, list exactly the packages that its code imports, and list only
+keys known to rosdep: those copied from rosdistro (rosdep/rosdistro_keys.txt), our own
+(rosdep/humanopts.yaml), and the packages of src/. The minimum versions in package.xml and setup.py
+must be those of make test-floor (requirements-floor.in). Every package needs a README.md, and a
+CHANGELOG.rst with a section for its version.
 """
 
 import ast
@@ -45,13 +45,13 @@ KEYS = {
     'zstandard': 'python3-zstandard',
 }
 FLOOR_KEYS = {'markdown-it-py': 'markdown-it', 'pyyaml': 'yaml', 'scikit-learn': 'sklearn'}
-OPTIONAL = {'distributed', 'minari', 'numba', 'pyarrow', 'quantecon'}  # where installed
-UNIMPORTED = {'std_msgs', 'launch', 'launch_ros'}  # fields of messages; launch files
-SYSTEMS = ('debian', 'ubuntu')  # that a rule of our own is for
+OPTIONAL = {'distributed', 'minari', 'numba', 'pyarrow', 'quantecon'}  # used if installed
+UNIMPORTED = {'std_msgs', 'launch', 'launch_ros'}  # used by messages and launch files
+SYSTEMS = ('debian', 'ubuntu')  # that need a rule of ours
 
 
 def imported(package: Path) -> set[str]:
-    """Return the top-level names that the package's code imports from elsewhere."""
+    """Return the top-level names that the code imports from other packages."""
     names: set[str] = set()
     for path in package.glob(f'{package.name}/**/*.py'):
         for node in ast.walk(ast.parse(path.read_text(encoding='utf-8'))):
@@ -63,7 +63,7 @@ def imported(package: Path) -> set[str]:
 
 
 def import_problems(package: Path, manifest: Package) -> list[str]:
-    """Return where the manifest and the imports of the package's code differ, in words."""
+    """Return the differences between the manifest and the imports, in words."""
     declared = {depend.name for depend in (*manifest.exec_depends, *manifest.build_depends)}
     needed = {KEYS.get(name, name) for name in imported(package)}
     return [
@@ -76,7 +76,7 @@ def import_problems(package: Path, manifest: Package) -> list[str]:
 
 
 def page_problems(package: Path, version: str) -> list[str]:
-    """Return which pages are missing, and what a changelog (REP 132) lacks, in words."""
+    """Return the missing pages and sections of the changelog (REP 132), in words."""
     found = [
         f'{package} has no {name}'
         for name in ('README.md', 'CHANGELOG.rst')
@@ -90,7 +90,7 @@ def page_problems(package: Path, version: str) -> list[str]:
 
 
 def key_problems(root: Path, manifests: dict[Path, Package]) -> list[str]:
-    """Return which keys rosdep does not know, and what is wrong with our lists of keys."""
+    """Return the keys unknown to rosdep, and the faults of our lists of keys."""
     lines = (root / 'rosdep/rosdistro_keys.txt').read_text(encoding='utf-8').splitlines()
     copied = {line for line in lines if line and not line.startswith('#')}
     own = yaml.safe_load((root / 'rosdep/humanopts.yaml').read_text(encoding='utf-8')) or {}
@@ -125,7 +125,7 @@ def key_problems(root: Path, manifests: dict[Path, Package]) -> list[str]:
 
 
 def floor_problems(package: Path, manifest: Package, floor: str) -> list[str]:
-    """Return which least versions are missing or are not those that are tested with, in words."""
+    """Return the minimum versions that are missing or untested, in words."""
     setup = (package / 'setup.py').read_text('utf-8') if (package / 'setup.py').exists() else ''
     declared = {depend.name: depend.version_gte for depend in manifest.exec_depends}
     found = []
@@ -139,7 +139,7 @@ def floor_problems(package: Path, manifest: Package, floor: str) -> list[str]:
 
 
 def problems(root: Path) -> list[str]:
-    """Return what is wrong with the packages in src/ of a folder, in words."""
+    """Return the faults of the packages in src/ of a folder, in words."""
     found: list[str] = []
     manifests: dict[Path, Package] = {}
     floor = (root / 'requirements-floor.in').read_text(encoding='utf-8')

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Says in one line what is missing on this machine, and which package brings it.
+# Prints in one line what this machine lacks, and the package that provides it.
 python="${1:-python3}"
 missing() {
   echo "humanopts: $1; install it with: apt-get install $2" >&2

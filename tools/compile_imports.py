@@ -1,8 +1,8 @@
 """
-Imports every module of src/, and what their functions import, so that Python keeps it compiled.
+Imports every module of src/ and whatever their functions import, so that Python compiles them.
 
-A hundredth of what is installed is used; to compile all of it takes five times as long. It is done
-when it is installed, as others who run it may have no right to write there.
+That is a hundredth of the installed modules; compiling all takes five times as long. It is part of
+the set-up because other users may not be allowed to write there.
 """
 
 import ast
@@ -12,7 +12,7 @@ from pathlib import Path
 
 
 def main(source: Path) -> None:
-    """Import them all; what is optional may be missing."""
+    """Import them all; optional packages may be missing."""
     for path in sorted(source.glob('humanopts_*/humanopts_*/**/[!_]*.py')):
         needed = ['.'.join(path.relative_to(source).with_suffix('').parts[1:])]
         for node in ast.walk(ast.parse(path.read_bytes())):

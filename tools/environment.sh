@@ -1,5 +1,5 @@
-# Sourced with $root set: what install/setup.bash would set, in a millisecond, and nothing that the
-# shell has of another ROS or another Python. make leaves the same variables out.
+# Sourced with $root set: sets what install/setup.bash would set, in a millisecond, and drops the
+# variables of another ROS or Python. make drops the same variables.
 unset PYTHONHOME PYTHONPATH PYTHONPLATLIBDIR VIRTUAL_ENV LD_LIBRARY_PATH
 unset AMENT_PREFIX_PATH AMENT_CURRENT_PREFIX CMAKE_PREFIX_PATH COLCON_PREFIX_PATH
 unset ROS_DISTRO ROS_VERSION ROS_PYTHON_VERSION ROS_PACKAGE_PATH _ROS_WHEELS_BOOTSTRAP_COMPLETE

@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
-# install_packages.sh VENV LOCK [FOLDER]: installs what a lock file names, into a virtual
-# environment, or by its tools into a folder. uv is quick; where it does not reach the package
-# index, which pip's own configuration may name, pip does it. A lock file names everything that is
-# needed, so nothing else is looked for. Nothing is compiled: little of it is imported.
+# install_packages.sh VENV LOCK [FOLDER]: installs the packages of a lock file into a virtual
+# environment, or with its tools into a folder. uv is quick; if it cannot reach the package index,
+# which may be in pip's configuration, pip is used. Dependencies are not resolved: the lock file is
+# complete. Nothing is compiled: little of it is imported.
 set -euo pipefail
 venv=$1 lock=$2
 into=(${3:+--target "$3"})

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# step.sh TEXT COMMAND...: runs one step of the set-up, and says what it is and how long it took,
-# each in a line of its own, as another step may run beside it.
+# step.sh TEXT COMMAND...: runs one step of the set-up, and prints its name and then its time, in
+# two lines, as another step may run at the same time.
 text=$1
 shift
 begun=$(date +%s.%N)

@@ -1,12 +1,12 @@
 """
-Runs the tests of the live graph again and again, while every core is busy and discovery is late.
+Runs the tests of the live graph repeatedly, while every core is busy and discovery is late.
 
-The order of the files and the delays follow from a seed, which each failure names, so that a round
-can be run again: ``make test-stress ROUNDS=1 SEED=7 ARGS=tests/test_recorder.py``.
+The order of the files and the delays follow from a seed, so that a round can be repeated:
+``make test-stress ROUNDS=1 SEED=7 ARGS=tests/test_recorder.py``.
 """
 
 import argparse
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.resources import files
 import os
@@ -20,7 +20,6 @@ import time
 
 LOGS = Path('build/stress')
 LIVE = 'live and not slow and not chromium and not hosts'
-NOTHING_LEFT = 5  # exit status of pytest where no test was chosen
 BUSY = """
 import os
 parent = os.getppid()
@@ -28,8 +27,8 @@ while os.getppid() == parent:
     for _ in range(1_000_000):
         pass
 """
-# Fast DDS announces a participant when it is made and then once in a period; the usual profile of
-# nodes on one machine has it do so ten times a second at first.
+# Fast DDS announces a participant when it is made and then periodically; our profile for one
+# machine has it do so ten times a second at first.
 USUAL = files('humanopts_ros') / 'loopback_discovery.xml'
 ANNOUNCEMENTS = re.compile(r'(?<=<discovery_config>).*(?=</discovery_config>)', re.DOTALL)
 LATE = """
@@ -40,19 +39,9 @@ LATE = """
 """
 
 
-def live_files(chosen: Sequence[str]) -> list[str]:
-    """Return the files that have tests of the live graph, among those chosen; none chosen: all."""
-    command = [sys.executable, '-m', 'pytest', '--collect-only', '-q', '-m', LIVE, *chosen]
-    done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=False)
-    found = [line.partition('::')[0] for line in done.stdout.splitlines() if '::' in line]
-    if done.returncode not in (0, NOTHING_LEFT) or not found:
-        sys.exit(f'no tests of the live graph were found:\n{done.stdout}')
-    return sorted(set(found))
-
-
 @contextmanager
 def busy_cores() -> Iterator[None]:
-    """Keep every core busy meanwhile, by a process for each."""
+    """Keep every core busy, by a process for each."""
     command = [sys.executable, '-c', BUSY]
     processes = [subprocess.Popen(command) for _ in range(os.cpu_count() or 1)]
     try:
@@ -67,9 +56,8 @@ def busy_cores() -> Iterator[None]:
 def write_profile(chance: random.Random, path: Path) -> str:
     """Write a profile by which nodes are found late, and return it in words."""
     first, period = chance.uniform(0.2, 0.9), chance.uniform(1.0, 3.0)
-    seconds = int(period)
     late = LATE.format(
-        first=int(first * 1e9), seconds=seconds, nanoseconds=int((period - seconds) * 1e9)
+        first=int(first * 1e9), seconds=int(period), nanoseconds=int(period % 1.0 * 1e9)
     )
     text, changed = ANNOUNCEMENTS.subn(late, USUAL.read_text(encoding='utf-8'))
     assert changed == 1
@@ -77,76 +65,54 @@ def write_profile(chance: random.Random, path: Path) -> str:
     return f'announced again after {first:.1f} s, then every {period:.1f} s'
 
 
-def run_file(file: str, name: str, profile: Path, seconds: float) -> list[str] | None:
+def run_round(chosen: list[str], seed: int, seconds: float) -> bool:
     """
-    Run the tests of a file.
+    Run the tests once; return whether they all passed in time.
 
-    :param name: of the log, which is kept where something failed.
-    :param seconds: that are left; then pytest is interrupted.
-    :return: the tests that failed; None: there was not time enough.
+    :param chosen: the files; pytest's output goes to a log that is named.
+    :param seconds: after which pytest is interrupted, and ends its nodes and processes.
     """
-    if seconds <= 0:
-        return None
-    log = LOGS / f'{name}.log'
-    command = [sys.executable, '-m', 'pytest', '-q', '-rfE', '-p', 'no:cacheprovider']
-    command += ['-m', LIVE, file]
-    environment = {**os.environ, 'STRESS_PROFILE': str(profile.absolute())}
+    chance = random.Random(seed)
+    profile, log = LOGS / f'discovery-{seed}.xml', LOGS / f'{seed}.log'
+    late = write_profile(chance, profile)
+    print(f'seed {seed}: {late}; see {log}', flush=True)
+    command = [sys.executable, '-m', 'pytest', '-q', '-rfE', '-p', 'no:cacheprovider', '-m', LIVE]
     with log.open('w', encoding='utf-8') as output:
         process = subprocess.Popen(
-            command, stdout=output, stderr=subprocess.STDOUT, env=environment
+            [*command, *chance.sample(chosen, len(chosen))],
+            stdout=output,
+            stderr=subprocess.STDOUT,
+            env={**os.environ, 'STRESS_PROFILE': str(profile.absolute())},
         )
         try:
             status = process.wait(seconds)
         except subprocess.TimeoutExpired:
-            process.send_signal(signal.SIGINT)  # which ends its nodes and processes, too
-            process.wait()
-            return None
-    if status == 0:
-        log.unlink()
-        return []
+            process.send_signal(signal.SIGINT)
+            status = process.wait()
     lines = log.read_text(encoding='utf-8').splitlines()
     failed = [line for line in lines if line.startswith(('FAILED ', 'ERROR '))]
-    return [f'{line} (see {log})' for line in failed] or [f'{file} ended with {status}, see {log}']
+    print('\n'.join([*(f'seed {seed}: {line}' for line in failed), *lines[-1:]]), flush=True)
+    return status == 0
 
 
 def main() -> int:
-    """Run every file once in each round and report; the exit status is 1 where a test failed."""
+    """Run all rounds; return 1 if a test failed or the time was too short."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument('files', nargs='*', help='test files; none: all with live tests')
+    parser.add_argument('files', nargs='*', help='test files; default: all')
     parser.add_argument('--rounds', type=int, default=10)
     parser.add_argument('--seed', type=int, default=1, help='of the first round')
     parser.add_argument('--limit', type=float, default=7200.0, help='seconds for all rounds')
     options = parser.parse_args()
     LOGS.mkdir(parents=True, exist_ok=True)
-    chosen = live_files(options.files)
-    runs, end = 0, time.monotonic() + options.limit
-    failures: list[str] = []  # each with its round and seed
-    left_out: list[str] = []  # files and rounds that there was no time for
+    chosen = options.files or sorted(map(str, Path('tests').glob('test_*.py')))
+    end = time.monotonic() + options.limit
+    passed = 0
     with busy_cores():
-        for number in range(1, options.rounds + 1):
-            seed = options.seed + number - 1
-            chance = random.Random(seed)
-            order = chance.sample(chosen, len(chosen))
-            profile = LOGS / f'discovery-{seed}.xml'
-            late = write_profile(chance, profile)
-            print(f'round {number} of {options.rounds}, seed {seed}: {late}')
-            for file in order:
-                left = end - time.monotonic()
-                found = run_file(file, f'{seed}-{Path(file).stem}', profile, left)
-                if found is None:
-                    left_out.append(f'{file} in round {number}')
-                    continue
-                runs += 1
-                for failure in found:
-                    failures.append(f'round {number}, seed {seed}: {failure}')
-                    print(failures[-1], flush=True)
-    print(f'{runs} runs of {len(chosen)} files, {len(failures)} failures')
-    if left_out:
-        more = f' and {len(left_out) - 5} more' if len(left_out) > 5 else ''
-        print(f'no time in {options.limit:.0f} s for {", ".join(left_out[:5])}{more}')
-    for failure in failures:
-        print(failure)
-    return int(bool(failures))
+        for seed in range(options.seed, options.seed + options.rounds):
+            if (left := end - time.monotonic()) > 0:
+                passed += run_round(chosen, seed, left)
+    print(f'{passed} of {options.rounds} rounds passed')
+    return int(passed < options.rounds)
 
 
 if __name__ == '__main__':

@@ -1,7 +1,7 @@
-# What building interfaces with ROS from wheels needs. It is passed as CMAKE_PROJECT_INCLUDE and
-# done once everything is configured.
+# Changes for building interfaces with ROS from wheels: passed as CMAKE_PROJECT_INCLUDE, and applied
+# once everything is configured.
 
-# The wheels export include paths of the machine that built them. Those that do not exist go.
+# Remove include paths that exist only on the machine that built the wheels.
 function(humanopts_drop_missing_includes)
   get_property(targets DIRECTORY PROPERTY IMPORTED_TARGETS)
   foreach(target IN LISTS targets)

@@ -1,4 +1,4 @@
-"""What the commands do, and how they end early; their options are in ``humanopts_teach.cli``."""
+"""What the commands do and how they are interrupted; ``humanopts_teach.cli`` has the options."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -10,7 +10,7 @@ _ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 class CommandError(Exception):
-    """Bad input: the command ends with status 2 and this one line."""
+    """Bad input: the command ends with status 2 and this line."""
 
 
 @contextmanager
@@ -18,8 +18,8 @@ def refusing(*kinds: type[Exception], what: str = '') -> Iterator[None]:
     """
     Turn errors of some kinds into bad input.
 
-    :param what: begins the text; of an OSError its cause follows.
-    :raises CommandError: in place of the error.
+    :param what: start of the text, before the error; only the cause of an OSError is shown.
+    :raises CommandError: instead of the error.
     """
     try:
         yield
@@ -37,10 +37,10 @@ def agreed(question: str) -> bool:
 @contextmanager
 def interruptible() -> Iterator[None]:
     """
-    Raise KeyboardInterrupt for SIGINT, SIGTERM and SIGHUP, wherever the command is.
+    Raise KeyboardInterrupt for SIGINT, SIGTERM and SIGHUP at any point.
 
-    A shell without job control starts background commands with SIGINT ignored; they hear it here
-    all the same. SIGHUP stays ignored where it was, since ``nohup`` asks for that.
+    This includes background commands, which a shell without job control starts with SIGINT
+    ignored. SIGHUP stays ignored if it was, as ``nohup`` asks for that.
     """
 
     def interrupt(signum: int, frame: FrameType | None) -> None:
@@ -51,16 +51,16 @@ def interruptible() -> Iterator[None]:
 
 
 class Interrupts:
-    """Whether SIGINT, SIGTERM or SIGHUP has been received."""
+    """Whether SIGINT, SIGTERM or SIGHUP was received."""
 
     def __init__(self) -> None:
         self.came = False
 
     def check(self) -> None:
         """
-        Raise what was received.
+        Raise KeyboardInterrupt if a signal was received.
 
-        :raises KeyboardInterrupt: a signal was.
+        :raises KeyboardInterrupt: a signal was received.
         """
         if self.came:
             raise KeyboardInterrupt
@@ -71,8 +71,8 @@ def noticed_interrupts() -> Iterator[Interrupts]:
     """
     Note these signals, and raise KeyboardInterrupt only in ``check`` or at the end.
 
-    An exception that a signal raises anywhere is lost where Python or a library ignores errors:
-    while an object is deleted, or in a callback of C code.
+    An exception raised by a signal handler would be lost where Python or a library ignores
+    errors: while an object is deleted, or in a callback from C.
     """
     interrupts = Interrupts()
 

@@ -1,4 +1,4 @@
-"""What ``--browser`` serves: a page for each participant, and a graph, or those of a study."""
+"""``--browser``: a page for each participant, with a graph, or with the graphs of a study."""
 
 import asyncio
 from collections.abc import AsyncIterator, Callable, Sequence
@@ -33,7 +33,7 @@ from humanopts_teach.launching.usage import memory_left, memory_of_children
 from humanopts_teach.ros.browser_teleop import BrowserTeleopNode, TeleopThread
 from humanopts_teach.study.record import StudyError
 
-_SERVER = 'browser'  # the place of the server: its graphs are in namespaces seat_1, seat_2, ...
+_SERVER = 'browser'  # name reserved by the server; graphs have namespaces seat_1, seat_2, ...
 _TOKEN_BYTES = 12
 _STOPPING_SECONDS = 40.0  # for the processes of a graph to end; each has less
 
@@ -43,10 +43,10 @@ OpenGame = Callable[[TeleopThread, Seat], AbstractAsyncContextManager[Press]]
 
 def teach_in_browser(setup: Setup, pages: PageOptions, participant: str) -> int:
     """
-    Serve pages until Ctrl-C; other parameters and errors are those of ``_serve_seats``.
+    Serve pages until Ctrl-C; other parameters and errors as of ``_serve_seats``.
 
-    :param setup: of each participant's graph, besides its folder and bag.
-    :raises OccupiedError: another server has the namespace.
+    :param setup: of each participant's graph, except for its folder and bag.
+    :raises OccupiedError: another server uses the namespace.
     """
 
     def open_game(thread: TeleopThread, seat: Seat) -> AbstractAsyncContextManager[Press]:
@@ -77,10 +77,10 @@ def _serve_seats(
     """
     Serve pages, each with a seat, until Ctrl-C.
 
-    :param name: of the game, or the study.
+    :param name: of the game or the study.
     :param open_game: returns the game of a seat.
-    :param participant: code that is proposed; empty: none.
-    :param known: returns the codes of those who have taught before.
+    :param participant: code to propose; empty: none.
+    :param known: returns the codes of earlier participants.
     :raises CommandError: the address cannot be used.
     """
     listening, token = _listen(pages), secrets.token_urlsafe(_TOKEN_BYTES)
@@ -95,7 +95,7 @@ def _serve_seats(
             hosts = (pages.host, *pages.allow_host)
             serving = serve(seats, listening, token, participant, lambda: interrupts.came, hosts)
             asyncio.run(serving, debug=False)
-            interrupts.came = False  # it is answered
+            interrupts.came = False  # it is handled
     finally:
         thread.stop()
     print('stopped')
@@ -103,7 +103,7 @@ def _serve_seats(
 
 
 def _fits(pages: PageOptions, games: int) -> bool:
-    """Return whether there may be another game; each is a child of this process."""
+    """Return whether another game is allowed; each is a child of this process."""
     if pages.seats is not None and games >= pages.seats:
         return False
     return another_fits(*memory_left(), memory_of_children(), games)
@@ -122,12 +122,12 @@ def _listen(pages: PageOptions) -> socket.socket:
 
 
 def _name(host: str) -> str:
-    """Return what a browser calls the host; of all addresses of the machine, the outward one."""
+    """Return the host of the URL; for all addresses of the machine, the outward one."""
     if host not in ('0.0.0.0', '::'):
         return f'[{host}]' if ':' in host else host
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
-            probe.connect(('192.0.2.1', 9))  # an address for examples; nothing is sent
+            probe.connect(('192.0.2.1', 9))  # an example address; nothing is sent
         except OSError:
             return socket.gethostname()
         return str(probe.getsockname()[0])
@@ -171,12 +171,12 @@ async def _game(
 
 @asynccontextmanager
 async def _graph(setup: Setup, seat: Seat | ConditionSeat) -> AsyncIterator[None]:
-    """Run a graph in processes of its own until the end; the seat ends if it does."""
+    """Run a graph in a process of its own; the seat ends with it."""
     process = await asyncio.create_subprocess_exec(
         *(sys.executable, '-m', 'humanopts_teach.commands.seat_graph'),
         stdin=asyncio.subprocess.PIPE,
         stdout=asyncio.subprocess.PIPE,
-        process_group=0,  # Ctrl-C is ours
+        process_group=0,  # Ctrl-C reaches only this process
     )
     assert process.stdin is not None
     assert process.stdout is not None
@@ -184,7 +184,7 @@ async def _graph(setup: Setup, seat: Seat | ConditionSeat) -> AsyncIterator[None
     process.stdin.write(f'{setup.to_json()}\n'.encode())
 
     async def said() -> str:
-        """Return the next thing that the process says; empty: it is ready."""
+        """Return the next message of the process; empty: it is ready."""
         line = await output.readline()
         return str(json.loads(line)) if line else 'see the terminal where it runs'
 
@@ -212,7 +212,7 @@ async def _graph(setup: Setup, seat: Seat | ConditionSeat) -> AsyncIterator[None
 
 
 def study_in_browser(study: Study, pages: PageOptions, participant: str) -> int:
-    """Serve pages of a study; other parameters and errors are those of ``_serve_seats``."""
+    """Serve pages of a study; other parameters and errors as of ``_serve_seats``."""
     study.warn()
     with only_launch(study.namespace, [_SERVER]):
         print(f'{study.plan.study}: everything is kept in {study.folder.path}.')
@@ -222,7 +222,7 @@ def study_in_browser(study: Study, pages: PageOptions, participant: str) -> int:
 
 @asynccontextmanager
 async def _all_turns(study: Study, thread: TeleopThread, seat: Seat) -> AsyncIterator[Press]:
-    """Keep one game after the other, each of a condition; the last one ends the seat."""
+    """Run the games of all conditions, one after the other; the last one ends the seat."""
     press: Press = _nothing
 
     async def play() -> None:
@@ -255,4 +255,4 @@ async def _all_turns(study: Study, thread: TeleopThread, seat: Seat) -> AsyncIte
 
 
 def _nothing(keys: list[str], frame: int) -> None:
-    """Take no keys: one condition has ended, and the next one is not ready."""
+    """Ignore keys between two conditions."""

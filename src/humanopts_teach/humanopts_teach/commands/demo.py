@@ -55,8 +55,8 @@ from humanopts_teach.evaluation.tables import (
 from humanopts_teach.evaluation.text import criteria_text, games_text
 from humanopts_teach.launching import LaunchError
 
-EPISODES, LONG_EPISODES = 100, 5  # to play live; the second where plans are made from samples
-_WATCHED = 0.02  # s between steps of the machine, in a terminal
+EPISODES, LONG_EPISODES = 100, 5  # live episodes; the second with sampled plans
+_WATCHED = 0.02  # s between steps of the machine in a terminal
 
 
 def run_demo(
@@ -158,7 +158,7 @@ def _plan_and_play(
     importing.start()
     played = graph.retry(partial(graph.play, HUMAN, episodes, setup.seed, setup.game_steps))
     graph.wait(graph.all_recorded, NEWS_SECONDS, 'what was shown to be in the newest bag')
-    importing.join()  # nothing is imported beside scikit-learn, which hides pandas meanwhile
+    importing.join()
     execution = PlayedEpisodes(
         played.episodes, played.successes, played.fallbacks, played.mean_return
     )
@@ -168,9 +168,9 @@ def _plan_and_play(
 
 def _import_what_follows(learns: bool) -> None:
     """
-    Import what evaluates and draws: a second that would be waited for afterwards.
+    Import the evaluation and the report, which would take a second later.
 
-    :param learns: options are learned again in this process.
+    :param learns: this process learns the options again.
     """
     if learns:
         import sklearn.tree  # noqa: F401
@@ -180,7 +180,7 @@ def _import_what_follows(learns: bool) -> None:
 def _problems(
     taught: Sequence[str], live: Live, evaluation: BagEvaluation, topics: Sequence[TopicRow]
 ) -> list[str]:
-    """Return a sentence for each check of the demo that failed."""
+    """Return a sentence for each failed check of the demo."""
     learned = {*live.options['option_name']}
     found = [f'{name!r} was not learned' for name in taught if name not in learned]
     found += [

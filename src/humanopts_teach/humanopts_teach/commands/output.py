@@ -1,4 +1,4 @@
-"""What a command writes on standard output and standard error, where those may be full or gone."""
+"""Standard output and standard error of a command, which may be full or closed."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -8,19 +8,19 @@ from typing import Any, TextIO
 
 
 class _Unfailing:
-    """A stream of texts; what cannot be written is lost."""
+    """A text stream that drops what cannot be written."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
 
     def write(self, text: str) -> int:
-        """Write, if that is possible."""
+        """Write if possible."""
         with suppress(OSError):
             self._stream.write(text)
         return len(text)
 
     def flush(self) -> None:
-        """Flush, if that is possible."""
+        """Flush if possible."""
         with suppress(OSError):
             self._stream.flush()
 
@@ -30,7 +30,7 @@ class _Unfailing:
 
 @contextmanager
 def unfailing_output() -> Iterator[None]:
-    """Go on though nobody reads standard output or standard error, or their disk is full."""
+    """Continue although standard output or standard error is closed or its disk full."""
     before = sys.stdout, sys.stderr
     unfailing: list[Any] = [_Unfailing(stream) for stream in before]
     sys.stdout, sys.stderr = unfailing
@@ -41,7 +41,7 @@ def unfailing_output() -> Iterator[None]:
 
 
 def open_streams() -> None:
-    """Open what a shell has closed, as with ``>&-``: else another file gets its number."""
+    """Open streams that the shell has closed (``>&-``), before another file gets their numbers."""
     for number, name, mode in ((0, 'stdin', 'r'), (1, 'stdout', 'w'), (2, 'stderr', 'w')):
         if getattr(sys, name) is None:
             null = os.open(os.devnull, os.O_RDWR)
@@ -53,6 +53,6 @@ def open_streams() -> None:
 
 
 def silence(stream: TextIO) -> None:
-    """Drop what is left to write on a stream that cannot be written, and all that follows."""
+    """Drop all buffered and further output of a stream that cannot be written."""
     with suppress(OSError, ValueError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
