@@ -251,13 +251,13 @@ def play(
 
 def joined(parts: Sequence[Runs]) -> Runs:
     """Return the runs that ended in several steps as one."""
-    if not parts:
-        ints, floats, flags = np.zeros(0, dtype=np.intp), np.zeros(0), np.zeros(0, dtype=np.bool_)
-        return Runs(ints, ints, ints, ints, floats, floats, flags, flags, flags)
-    values: list[Any] = [
-        np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Runs)
-    ]
-    return Runs(*values)
+    none: Any = np.zeros(0, dtype=np.intp)
+    return Runs(
+        *(
+            np.concatenate([getattr(part, field.name) for part in parts]) if parts else none
+            for field in fields(Runs)
+        )
+    )
 
 
 class RowOptions:

@@ -219,7 +219,7 @@ def _continuation_values(plan: ExactPlan, option: TabularOption) -> Floats:
     domain, values = plan.domain, plan.solution.values
     rules, over = domain.transitions(), domain.over()
     model = model_option(rules, over, plan.gamma, option, np.ones_like(over))
-    worth = model.values(values)
+    worth = np.asarray(model.reward + model.successor @ values)
     late = model.cut_off & option.initiation & ~over
     if late.any():
         ends = option.termination | over

@@ -141,11 +141,6 @@ class OptionModel:
     successor: SparseRows  # (n, S) expected gamma**k at each end; 0 where the task was over
     cut_off: Flags  # (n,) some runs are still going on after max_steps
 
-    def values(self, values: Floats) -> Floats:
-        """Return (n,): what running the option is worth, by the values (S,) of where it ends."""
-        worth: Floats = self.reward + self.successor @ values
-        return worth
-
 
 def model_option(
     rules: Transitions, over: Flags, gamma: float, option: TabularOption, starts: Flags

@@ -21,7 +21,7 @@ from humanopts_learner.planning.abstraction import Codes
 from humanopts_learner.planning.action_set import ActionSet, AnyOption, Observation
 from humanopts_learner.planning.exact_plan import PolicyPlan, Returns, sweep_progress
 from humanopts_learner.planning.interruption import arbitrate, interruptions, OptionValues
-from humanopts_learner.planning.models import look_ahead, MultiTimeModel
+from humanopts_learner.planning.models import look_ahead
 from humanopts_learner.planning.request import (
     Arbitration,
     Clock,
@@ -32,7 +32,7 @@ from humanopts_learner.planning.request import (
     Progress,
 )
 from humanopts_learner.planning.sampling import SampleCounts, Sampler
-from humanopts_learner.planning.solve import OnSweep, Solution, solve_smdp
+from humanopts_learner.planning.solve import solve_smdp
 import numpy as np
 from numpy.typing import NDArray
 
@@ -167,10 +167,6 @@ class SampledPlan(PolicyPlan):
     def _best(self, state: Any) -> int:
         return int(self.policy.best(self.actions.observe_state(state))[0])
 
-    def as_executed(self, execution: Arbitration | None = None) -> GreedyPolicy:
-        """Return the policy with a way of execution; None: the one it was sampled with."""
-        return self.policy if execution is None else replace(self.policy, execution=execution)
-
     def play(
         self,
         seed: int,
@@ -184,7 +180,7 @@ class SampledPlan(PolicyPlan):
         :param execution: how the policy is executed; None: as it was while sampling.
         :param progress: called with the stage evaluation.
         """
-        policy = self.as_executed(execution)
+        policy = replace(self.policy, execution=execution or self.policy.execution)
         return play_games(self.actions, policy, self.gamma, seed, episodes, progress)
 
 
@@ -232,8 +228,8 @@ def make_sampled_plan(
     """
     asked = request.in_force(domain, options, sampled=True)
     actions = ActionSet(domain, asked.action_set, options, asked.columns)
-    config = asked.sampling
-    counts = SampleCounts(actions.modelled, actions.first_fallback)
+    config, n_choices = asked.sampling, actions.first_fallback
+    counts = SampleCounts(actions.modelled, n_choices)
     rng = generator(asked.seed, 'sampled_plan', asked.action_set)
     n_games = min(config.n_games, asked.game_steps // config.game_steps)
     sampler = Sampler(actions, counts, n_games, asked.gamma, rng)
@@ -250,49 +246,35 @@ def make_sampled_plan(
         model = counts.model(config.min_samples)
         modelled = clock()
         on_sweep = sweep_progress(progress, asked.tol, asked.max_sweeps)
-        solution, greedy = _solve(model, actions, counts, asked, on_sweep)
+        found = solve_smdp(model, asked.tol, asked.max_sweeps, on_sweep, n_choices)
+        ahead = look_ahead(model, found.values)  # (S, modelled)
+        going_on = np.full((len(ahead), n_choices), -np.inf)
+        going_on[:, : len(actions.options)] = ahead[:, n_choices:]
+        order = np.argsort(counts.states)
+        table = OptionValues(
+            action_set=actions.action_set,
+            names=actions.names[:n_choices],
+            states=counts.states[order],
+            option_values=ahead[order, :n_choices],
+            continuation_values=going_on[order],
+            interruption_margin=config.interruption_margin,
+            sampled=True,
+        )
+        greedy = GreedyPolicy(actions, table, asked.execution)
         model_seconds += modelled - began
         sweep_seconds += clock() - modelled
-        # sampled from without an interruption margin
-        values = replace(greedy.values, interruption_margin=0.0)
-        policy = ExploringPolicy(replace(greedy, values=values), config.explore, rng)
+        without_margin = replace(greedy, values=replace(table, interruption_margin=0.0))
+        policy = ExploringPolicy(without_margin, config.explore, rng)
     return SampledPlan(
         domain=domain,
         action_set=asked.action_set,
         gamma=asked.gamma,
         names=actions.names,
-        first_fallback=actions.first_fallback,
+        first_fallback=n_choices,
         actions=actions,
-        solution=solution,
+        solution=replace(found, values=found.values[order], best=found.best[order]),
         policy=greedy,
         game_steps=game_steps,
         model_seconds=model_seconds,
         sweep_seconds=sweep_seconds,
     )
-
-
-def _solve(
-    model: MultiTimeModel,
-    actions: ActionSet,
-    counts: SampleCounts,
-    asked: PlanRequest,
-    on_sweep: OnSweep,
-) -> tuple[Solution, GreedyPolicy]:
-    """Return the solution of the model of all samples so far, and the policy of its values."""
-    n_choices = actions.first_fallback
-    found = solve_smdp(model, asked.tol, asked.max_sweeps, on_sweep, n_choices)
-    ahead = look_ahead(model, found.values)  # (S, modelled)
-    continuation_values = np.full((len(ahead), n_choices), -np.inf)
-    continuation_values[:, : len(actions.options)] = ahead[:, n_choices:]
-    order = np.argsort(counts.states)
-    table = OptionValues(
-        action_set=actions.action_set,
-        names=actions.names[:n_choices],
-        states=counts.states[order],
-        option_values=ahead[order, :n_choices],
-        continuation_values=continuation_values[order],
-        interruption_margin=asked.sampling.interruption_margin,
-        sampled=True,
-    )
-    solution = replace(found, values=found.values[order], best=found.best[order])
-    return solution, GreedyPolicy(actions, table, asked.execution)
