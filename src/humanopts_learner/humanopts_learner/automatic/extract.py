@@ -8,19 +8,15 @@ from humanopts_env.arrays import Ints
 from humanopts_env.domains.base import Domain, is_enumerable
 from humanopts_env.domains.capabilities import HasSearchSpace
 from humanopts_env.domains.search_space import SearchSpace, space_of_states
-from humanopts_env.domains.tabular import TabularSimulator
 from humanopts_env.seeding import generator
 from humanopts_learner.automatic.bottlenecks import Bottleneck, find_bottlenecks, Visits
 from humanopts_learner.automatic.subgoals import (
-    check_tables,
     draw_tasks,
     Extraction,
-    greedy_runs,
-    learn_to_reach,
     Progress,
     Subgoals,
+    Trainer,
     USUAL,
-    Values,
 )
 from humanopts_learner.demonstrations import MACHINE
 from humanopts_learner.options.learned_option import (
@@ -48,7 +44,7 @@ class AutomaticOptions:
     space: SearchSpace
     visits: Ints  # (K,) visits of all greedy runs that reached their goals, by cell
     seconds: float
-    game_steps: int  # primitive steps of learning and of greedy runs
+    game_steps: int  # primitive steps of learning and of the runs that show the bottlenecks
     episodes: int  # of Q-learning: tasks and internal policies
     solved: float  # share of the greedy runs that reached their goals
 
@@ -83,35 +79,13 @@ def find_options(
     :raises PlanError: no tasks can be set in the domain; its subclasses say why.
     :raises PlanCanceled: from ``progress``.
     """
-    space, report = search_space(domain), progress or (lambda stage, done, steps: None)
-    began, game_steps = clock(), 0
-    simulator = TabularSimulator(space.transitions, space.over)
-    check_tables(simulator, config.tasks)
-
-    def learn(stage: str, subgoals: Subgoals, episodes: int, rng: np.random.Generator) -> Values:
-        nonlocal game_steps
-        before = game_steps
-        values, steps = learn_to_reach(
-            simulator,
-            subgoals,
-            episodes,
-            config,
-            rng,
-            lambda done, so_far: report(stage, done, before + so_far),
-        )
-        game_steps += steps
-        report(stage, 1.0, game_steps)
-        return values
-
+    space, began = search_space(domain), clock()
+    trainer = Trainer(space, config, progress or (lambda stage, done, steps: None))
     rng = generator(seed, 'automatic_options', 'tasks')
     tasks = draw_tasks(space, config.tasks, rng)
-    values = learn('tasks', tasks, config.train_episodes, rng)
+    values = trainer.learn('tasks', tasks, config.train_episodes, rng)
     learner = np.repeat(np.arange(config.tasks), config.test_runs)
-    start = tasks.draw(learner, rng)
-    run, state, steps = greedy_runs(
-        simulator, values, tasks, learner, start, config.max_steps, rng
-    )
-    game_steps += steps
+    run, state = trainer.greedy_runs(values, tasks, learner, tasks.draw(learner, rng), rng)
     if not run.size:
         raise PlanError(
             f'not one of {config.tasks} tasks was learned in {config.train_episodes} episodes '
@@ -127,9 +101,10 @@ def find_options(
     target = np.array([bottleneck.target for bottleneck in found])
     starts, counts = np.nonzero(initiation)[1], initiation.sum(axis=1)
     subgoals = Subgoals(starts, counts, target, ~(initiation | target))
-    values = learn('policies', subgoals, config.option_episodes, rng)
+    values = trainer.learn('policies', subgoals, config.option_episodes, rng)
     owner = np.repeat(np.arange(len(found)), counts)
-    reached, _, _ = greedy_runs(simulator, values, subgoals, owner, starts, config.max_steps, rng)
+    game_steps = trainer.game_steps  # without those of the runs that only measure
+    reached, _ = trainer.greedy_runs(values, subgoals, owner, starts, rng)
     reaches = np.bincount(owner[np.unique(reached)], minlength=len(found)) / counts
     return AutomaticOptions(
         options=tuple(

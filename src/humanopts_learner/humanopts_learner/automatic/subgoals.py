@@ -8,6 +8,8 @@ search are here, each with its source.
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from functools import cached_property
+import itertools
+import math
 
 from humanopts_env.arrays import Flags, Ints
 from humanopts_env.domains.search_space import SearchSpace
@@ -20,9 +22,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 Values = NDArray[np.float32]
-OnProgress = Callable[[float, int], object]  # share of the episodes done, steps so far
 REPORT_EVERY = 200  # steps
-LARGEST_TABLES = 2**28  # entries of all learners, 1 GiB
+MAX_TABLES = 2**28  # entries of all learners, 1 GiB
 # Called with the stage (tasks or policies), the share done (0..1) and the game steps so far;
 # raises ``PlanCanceled`` to stop
 Progress = Callable[[str, float, int], object]
@@ -115,105 +116,106 @@ def draw_tasks(space: SearchSpace, count: int, rng: np.random.Generator) -> Subg
     return Subgoals(start, np.ones(count, dtype=np.intp), target, np.zeros_like(target))
 
 
-def check_tables(simulator: TabularSimulator, learners: int) -> None:
+class Trainer:
     """
-    Check that the Q-tables fit in memory.
+    Trains many learners side by side, and runs them.
 
-    :raises PlanError: they do not.
+    :ivar game_steps: taken so far, by all learners.
     """
-    n_states, n_actions, _ = simulator.transitions.successor.shape
-    if learners * n_states * n_actions > LARGEST_TABLES:
-        raise PlanError(
-            f'{learners} tasks or options in {n_states} states need tables that are too large: '
-            'ask for fewer'
-        )
 
+    def __init__(self, space: SearchSpace, config: Extraction, report: Progress) -> None:
+        """
+        Set up the simulator.
 
-def learn_to_reach(
-    simulator: TabularSimulator,
-    subgoals: Subgoals,
-    episodes: int,
-    config: Extraction,
-    rng: np.random.Generator,
-    report: OnProgress,
-) -> tuple[Values, int]:
-    """
-    Learn to reach subgoals.
+        :raises PlanError: the Q-tables do not fit in memory.
+        """
+        self._simulator = TabularSimulator(space.transitions, space.over)
+        self._config, self._report, self.game_steps = config, report, 0
+        self._shape = space.transitions.successor.shape[:2]
+        learners = max(config.tasks, config.options)
+        if learners * math.prod(self._shape) > MAX_TABLES:
+            raise PlanError(
+                f'{learners} tasks or options in {self._shape[0]} states need tables that are too '
+                'large: ask for fewer'
+            )
 
-    Every learner has a table of its own and plays ``episodes`` episodes one after another; all
-    learners step together.
+    def learn(
+        self, stage: str, subgoals: Subgoals, episodes: int, rng: np.random.Generator
+    ) -> Values:
+        """
+        Learn to reach subgoals.
 
-    :return: values (L, S, A), and the steps taken.
-    :raises PlanError: the Q-tables do not fit in memory.
-    """
-    count = len(subgoals.counts)
-    check_tables(simulator, count)
-    values = np.zeros((count, *simulator.transitions.successor.shape[:2]), dtype=np.float32)
-    live = np.arange(count)
-    state = subgoals.draw(live, rng)
-    ran, episode = np.zeros((2, count), dtype=np.intp)  # steps of this episode; episodes so far
-    rounds, game_steps = 0, 0
-    while live.size:
-        here = state[live]
-        explore = rng.random((len(live), 1)) < config.explore
-        action = draw_among(explore | _best(values[live, here]), rng)
-        there, _, over = simulator.step(here, action, simulator.draw(rng, len(live)))
-        hit = subgoals.target[live, there]
-        ended = hit | subgoals.forbidden[live, there] | over
-        goal = np.where(ended, hit, config.gamma * values[live, there].max(axis=1))
-        at = live, here, action
-        values[at] += config.learning_rate * (goal - values[at])
-        state[live] = there
-        ran[live] += 1
-        game_steps += live.size
-        finished = live[ended | (ran[live] >= config.max_steps)]
-        if finished.size:
-            episode[finished] += 1
-            ran[finished] = 0
-            state[finished] = subgoals.draw(finished, rng)
-            live = live[episode[live] < episodes]
-        rounds += 1
-        if rounds % REPORT_EVERY == 0:
-            report(float(episode.mean()) / episodes, game_steps)
-    return values, game_steps
+        Every learner has its own table and plays ``episodes`` episodes one after another.
 
+        :return: values (L, S, A).
+        """
+        config, count = self._config, len(subgoals.counts)
+        values, live = np.zeros((count, *self._shape), dtype=np.float32), np.arange(count)
+        state = subgoals.draw(live, rng)
+        ran, episode = np.zeros((2, count), dtype=np.intp)  # steps of this episode; episodes
+        for rounds in itertools.count(1):
+            here = state[live]
+            explore = rng.random((len(live), 1)) < config.explore
+            action = draw_among(explore | _best(values[live, here]), rng)
+            there, over = self._step(here, action, rng)
+            hit = subgoals.target[live, there]
+            ended = hit | subgoals.forbidden[live, there] | over
+            goal = np.where(ended, hit, config.gamma * values[live, there].max(axis=1))
+            at = live, here, action
+            values[at] += config.learning_rate * (goal - values[at])
+            state[live] = there
+            ran[live] += 1
+            finished = live[ended | (ran[live] >= config.max_steps)]
+            if finished.size:
+                episode[finished] += 1
+                ran[finished] = 0
+                state[finished] = subgoals.draw(finished, rng)
+                live = live[episode[live] < episodes]
+            if rounds % REPORT_EVERY == 0:
+                self._report(stage, float(episode.mean()) / episodes, self.game_steps)
+            if not live.size:
+                break
+        self._report(stage, 1.0, self.game_steps)
+        return values
 
-def greedy_runs(
-    simulator: TabularSimulator,
-    values: Values,
-    subgoals: Subgoals,
-    learner: Ints,
-    start: Ints,
-    max_steps: int,
-    rng: np.random.Generator,
-) -> tuple[Ints, Ints, int]:
-    """
-    Run learners greedily, R runs side by side.
+    def greedy_runs(
+        self,
+        values: Values,
+        subgoals: Subgoals,
+        learner: Ints,
+        start: Ints,
+        rng: np.random.Generator,
+    ) -> tuple[Ints, Ints]:
+        """
+        Run learners greedily, R runs side by side.
 
-    :param learner: (R,) index of the learner of each run.
-    :param start: (R,) the state in which it begins.
-    :param max_steps: after which a run is cut off.
-    :return: run (V,) and state (V,) of every visit of the runs that reached their target, start
-        and target included, run by run in the order of their steps; and all steps taken.
-    """
-    live, state = np.arange(len(learner)), start.copy()
-    arrived = np.zeros(len(learner), dtype=np.bool_)
-    visits, game_steps = [np.stack([live, state])], 0
-    for _ in range(max_steps):
-        if not live.size:
-            break
-        who, here = learner[live], state[live]
-        action = draw_among(_best(values[who, here]), rng)
-        there, _, over = simulator.step(here, action, simulator.draw(rng, len(live)))
-        state[live] = there
-        visits.append(np.stack([live, there]))
-        arrived[live] = subgoals.target[who, there]
-        game_steps += live.size
-        live = live[~(arrived[live] | subgoals.forbidden[who, there] | over)]
-    run, visited = np.concatenate(visits, axis=1)
-    order = np.argsort(run, kind='stable')
-    order = order[arrived[run[order]]]
-    return run[order], visited[order], game_steps
+        :param learner: (R,) index of the learner of each run.
+        :param start: (R,) the state in which it begins.
+        :return: run (V,) and state (V,) of every visit of the runs that reached their target,
+            start and target included, run by run in the order of their steps.
+        """
+        live, state = np.arange(len(learner)), start.copy()
+        arrived = np.zeros(len(learner), dtype=np.bool_)
+        visits = [np.stack([live, state])]
+        for _ in range(self._config.max_steps):
+            if not live.size:
+                break
+            who, here = learner[live], state[live]
+            there, over = self._step(here, draw_among(_best(values[who, here]), rng), rng)
+            state[live] = there
+            visits.append(np.stack([live, there]))
+            arrived[live] = subgoals.target[who, there]
+            live = live[~(arrived[live] | subgoals.forbidden[who, there] | over)]
+        run, visited = np.concatenate(visits, axis=1)
+        order = np.argsort(run, kind='stable')
+        order = order[arrived[run[order]]]
+        return run[order], visited[order]
+
+    def _step(self, here: Ints, action: Ints, rng: np.random.Generator) -> tuple[Ints, Flags]:
+        """Return the next states, and whether the task is over there, (N,) each."""
+        self.game_steps += len(here)
+        there, _, over = self._simulator.step(here, action, self._simulator.draw(rng, len(here)))
+        return there, over
 
 
 def _best(values: Values) -> Flags:
