@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 from uuid import NAMESPACE_OID, uuid5
 
-from humanopts_env.domains.taxi import Taxi
+from humanopts_env.domains.taxi import Taxi, TaxiState
 from humanopts_learner.append_only_log import AppendOnlyLog
-from humanopts_learner.demonstrations import Demonstration, DemonstrationError, Kind
+from humanopts_learner.demonstrations import Demonstration, DemonstrationError
 from humanopts_learner.option_trainer import DATA_SET, DataSetError, OptionTrainer
 from humanopts_learner.options.files import load_options, option_from_json
 from humanopts_learner.options.judge import judge, Thresholds
@@ -22,6 +22,7 @@ import pytest
 
 TAXI = Taxi()
 SEED = 2
+ABOARD = TaxiState(row=2, col=2, passenger=4, destination=3)
 DELIVER = 'go to destination and dropoff'
 Open = Callable[[], OptionTrainer]
 
@@ -189,18 +190,9 @@ def test_what_is_withdrawn_is_unlearned_with_its_file_and_stays_so(
 
 
 def test_not_here_alone_is_counted_but_is_no_option_and_has_no_file(
-    few: list[Demonstration], tmp_path: Path, trainer: OptionTrainer
+    few: list[Demonstration], person: Any, tmp_path: Path, trainer: OptionTrainer
 ) -> None:
-    shown = few[1]
-    refusal = replace(
-        shown,
-        kind=Kind.NOT_HERE,
-        states=shown.states[:1],
-        features=shown.features[:1],
-        actions=(),
-        rewards=(),
-        terminated=False,
-    )
+    refusal = person().show(ABOARD)
     for demo in (refusal, few[0], withdrawn(few[0])):
         trainer.take(demo)
         (taught,) = trainer.options()

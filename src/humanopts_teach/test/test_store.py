@@ -54,11 +54,6 @@ def filled(directory: Path) -> Path:
     return directory / 'p1.jsonl'
 
 
-@pytest.mark.parametrize('entry', ENTRIES, ids=['session', 'option', 'answer', 'demonstration'])
-def test_an_entry_is_read_as_it_was_written(entry: Entry) -> None:
-    assert entry_from_line(entry_to_line(entry)) == entry
-
-
 @pytest.mark.parametrize(
     ('line', 'says'),
     [
@@ -84,24 +79,6 @@ def test_entries_come_back_in_order_after_a_restart(tmp_path: Path) -> None:
         assert list(store.entries('p1')) == ENTRIES
         assert store.damage == []
         assert store.entries('stranger') == ()
-
-
-def test_a_line_cut_off_anywhere_is_moved_aside_and_nothing_else_is_lost(tmp_path: Path) -> None:
-    content = filled(tmp_path / 'whole').read_bytes()
-    last_line = content.rfind(b'\n', 0, -1) + 1
-    for cut in range(last_line + 1, len(content) - 1, 101):
-        folder = tmp_path / str(cut)
-        folder.mkdir()
-        (folder / 'p1.jsonl').write_bytes(content[:cut])
-        with DemonstrationStore(folder) as store:
-            assert list(store.entries('p1')) == ENTRIES[:-1]
-            assert len(store.damage) == 1
-            assert 'cut off' in store.damage[0]
-            store.append(DEMONSTRATION)
-        assert (folder / 'p1.jsonl').read_bytes() == content
-        assert (folder / 'p1.jsonl.torn-1').read_bytes() == content[last_line:cut]
-        with DemonstrationStore(folder) as store:
-            assert store.damage == []
 
 
 @pytest.mark.parametrize(
