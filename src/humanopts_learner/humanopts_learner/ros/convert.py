@@ -1,16 +1,13 @@
 """Conversion between messages and the values of learning and planning."""
 
 from array import array
-from collections.abc import Sequence
 from typing import Any, TYPE_CHECKING
 
 from humanopts_env.arrays import Floats
 from humanopts_interfaces import msg
-from humanopts_interfaces.action import Plan
 from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.intervals import Interval
-from humanopts_learner.options.learned_option import LearnedOption
-from humanopts_learner.planning.request import PlanError, PlanRequest
+from humanopts_learner.planning.request import PlanError
 from humanopts_learner.summary import Criterion, OptionSummary, PlanSummary
 from humanopts_ros.codec import Codec
 import numpy as np
@@ -35,7 +32,7 @@ _DEMONSTRATION = Codec(
     Demonstration, msg.Demonstration, of_value=['features'], of_message=['features']
 )
 
-_PLAN = Codec(
+PLAN_RESULT = Codec(
     PlanSummary,
     msg.PlanResult,
     of_value=['outcomes'],
@@ -52,35 +49,6 @@ def demonstration_to_message(demo: Demonstration) -> msg.Demonstration:
     return _DEMONSTRATION.encode(demo, features=[value for row in demo.features for value in row])
 
 
-def plan_goal_to_message(
-    goal: Plan.Goal, plan_id: str, request: PlanRequest, options: Sequence[LearnedOption]
-) -> msg.PlanGoal:
-    """
-    Encode the plan request that is in force.
-
-    :param goal: of the action plan.
-    :param request: in force.
-    :param options: to plan with.
-    """
-    return msg.PlanGoal(
-        plan_id=plan_id,
-        action_set=request.action_set,
-        participant=goal.participant,
-        options=[option.name for option in options],
-        gamma=request.gamma,
-        tolerance=request.tol,
-        max_sweeps=request.max_sweeps,
-        game_steps=request.game_steps,
-        evaluation_episodes=goal.evaluation_episodes,
-        seed=request.seed,
-    )
-
-
-def refused_plan(action_set: str) -> msg.PlanResult:
-    """Return a result without a plan; status and detail are left to the caller."""
-    return _PLAN.encode(PlanSummary(action_set))
-
-
 def plan_to_message(
     plan: 'AnyPlan', plan_id: str, performance: 'Performance | None', coverage: 'Coverage | None'
 ) -> msg.PlanResult:
@@ -93,7 +61,7 @@ def plan_to_message(
     from humanopts_learner.planning.plan import summarise_plan
 
     summary, result = summarise_plan(plan, performance), msg.PlanResult
-    found = _PLAN.encode(
+    found = PLAN_RESULT.encode(
         summary,
         status=result.STATUS_CONVERGED if summary.converged else result.STATUS_NOT_CONVERGED,
         detail='' if summary.converged else f'not converged after {summary.sweeps} sweeps',
@@ -117,7 +85,9 @@ def plan_from_message(message: msg.PlanResult) -> PlanSummary:
     """Decode what is known of a plan."""
     parts = message.outcome_means, message.outcome_low, message.outcome_high
     intervals = [Interval(*each) for each in zip(*parts, strict=True)]
-    return _PLAN.decode(message, outcomes=dict(zip(message.outcome_names, intervals, strict=True)))
+    return PLAN_RESULT.decode(
+        message, outcomes=dict(zip(message.outcome_names, intervals, strict=True))
+    )
 
 
 def option_values_to_message(

@@ -171,25 +171,22 @@ class OptionServerNode(NodeBase):
         await self.provided()
         library, current = self._runner.library, self._runner.newest_state()
         try:
-            seen = current.state if current is not None else None
-            if library is None or (seen is None and not request.state):
+            if library is None or (current is None and not request.state):
                 raise DomainError('no state is given and no episode was begun')
+            domain, state = library.domain, current and current.state
             option = library.resolve(request.option_name, request.participant)
             if request.state:
-                domain = simulated(
-                    library.domain, 'a query about another state than the current one'
-                )
-                row = domain.feature_values(domain.decode(request.state))[None]
-            else:
-                row = library.domain.feature_values(seen)[None]
-        except UnknownOptionError as error:
-            response.status, response.detail = response.STATUS_UNKNOWN_OPTION, str(error)
-            return response
-        except DomainError as error:
-            response.status, response.detail = response.STATUS_BAD_STATE, str(error)
+                domain = simulated(domain, 'a query about another state than the current one')
+                state = domain.decode(request.state)
+            row = domain.feature_values(state)[None]
+        except (UnknownOptionError, DomainError) as error:
+            response.status = response.STATUS_BAD_STATE
+            if isinstance(error, UnknownOptionError):
+                response.status = response.STATUS_UNKNOWN_OPTION
+            response.detail = str(error)
             return response
         chances = option.action_probabilities(row)[0]
-        names = [action.name for action in library.domain.actions]
+        names = [action.name for action in domain.actions]
         response.status = response.STATUS_OK
         response.can_start = bool(option.can_start(row)[0])
         response.initiation = float(option.initiation_probability(row)[0])

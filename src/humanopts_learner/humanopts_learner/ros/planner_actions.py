@@ -38,12 +38,9 @@ from humanopts_learner.planning.request import (
     PlanRequest,
     select_options,
 )
-from humanopts_learner.ros.convert import (
-    plan_goal_to_message,
-    plan_to_message,
-    refused_plan,
-)
+from humanopts_learner.ros.convert import PLAN_RESULT, plan_to_message
 from humanopts_learner.ros.learned_options import OptionPublisher
+from humanopts_learner.summary import PlanSummary
 from humanopts_ros.node_base import end_goal, NodeBase
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import CallbackGroup
@@ -204,7 +201,7 @@ class PlanServer(GoalServer):
     goal_kind, result_kind, occupation = PlanGoal, PlanResult, 'plan'
 
     def blank(self, goal: Plan.Goal) -> PlanResult:
-        return refused_plan(goal.action_set)
+        return PLAN_RESULT.encode(PlanSummary(goal.action_set))
 
     async def work(
         self, handle: ServerGoalHandle, domain: Domain[Any], result: PlanResult
@@ -221,7 +218,20 @@ class PlanServer(GoalServer):
         numbers = goal.gamma, goal.tolerance, goal.max_sweeps, goal.game_steps, goal.seed
         request = PlanRequest(goal.action_set, *numbers).in_force(domain, options)
         result.plan_id = plan_id = str(uuid.uuid4())
-        self._goals.publish(plan_goal_to_message(goal, plan_id, request, options))
+        self._goals.publish(
+            PlanGoal(
+                plan_id=plan_id,
+                action_set=request.action_set,
+                participant=goal.participant,
+                options=[option.name for option in options],
+                gamma=request.gamma,
+                tolerance=request.tol,
+                max_sweeps=request.max_sweeps,
+                game_steps=request.game_steps,
+                evaluation_episodes=goal.evaluation_episodes,
+                seed=request.seed,
+            )
+        )
         progress = self.progress(handle, 'progress', 'sweeps', 'residual')
 
         def compute() -> tuple[AnyPlan, Performance | None, Coverage | None]:
