@@ -446,7 +446,7 @@ class LessonMachine(RuleBasedStateMachine):
         assert kept == expected
 
 
-LessonMachine.TestCase.settings = settings(max_examples=80, stateful_step_count=50, deadline=None)
+LessonMachine.TestCase.settings = settings(max_examples=60, stateful_step_count=50, deadline=None)
 TestLesson = LessonMachine.TestCase
 
 
