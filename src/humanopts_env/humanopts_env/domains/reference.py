@@ -5,9 +5,10 @@ Accuracy is measured against them, and the simulated teacher acts by them. Learn
 them.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol
 
 from humanopts_env.arrays import Flags, Ints
 from humanopts_env.domains.base import EnumerableDomain
@@ -50,25 +51,33 @@ class Judgement:
     optimal: Flags  # (N, A), False outside the initiation set
 
 
-@runtime_checkable
-class ManyStates(Protocol):
-    """A reference option that judges many states at once."""
+class JudgedOption(ABC):
+    """A ``ReferenceOption`` that judges many states at once, and a single one in the same way."""
 
+    @abstractmethod
     def judge_states(self, states: Sequence[Any]) -> Judgement:
         """Judge N states."""
 
-
-@runtime_checkable
-class ManyGames(Protocol):
-    """A reference option that judges ``Games`` as they are."""
-
     def judge_games(self, games: Any) -> Judgement:
-        """Judge the states of N games."""
+        """Judge the states of N ``Games``."""
+        return self.judge_states(games.states())
+
+    def can_start(self, state: Any) -> bool:
+        """Return whether the state is in the initiation set."""
+        return bool(self.judge_states([state]).initiation[0])
+
+    def ends(self, state: Any) -> bool:
+        """Return whether the termination condition holds."""
+        return bool(self.judge_states([state]).termination[0])
+
+    def optimal_actions(self, state: Any) -> tuple[int, ...]:
+        """Return every best action; empty outside the initiation set."""
+        return tuple(np.flatnonzero(self.judge_states([state]).optimal[0]).tolist())
 
 
 def judge_states(option: ReferenceOption, states: Sequence[Any], n_actions: int) -> Judgement:
     """Judge N states by a reference option: at once where it can, else one by one."""
-    if isinstance(option, ManyStates):
+    if isinstance(option, JudgedOption):
         return option.judge_states(states)
     optimal = np.zeros((len(states), n_actions), dtype=np.bool_)
     for row, state in zip(optimal, states):
@@ -82,13 +91,13 @@ def judge_states(option: ReferenceOption, states: Sequence[Any], n_actions: int)
 
 def judge_games(option: ReferenceOption, games: Games) -> Judgement:
     """Judge the states of N games by a reference option."""
-    if isinstance(option, ManyGames):
+    if isinstance(option, JudgedOption):
         return option.judge_games(games)
     return judge_states(option, games.states(), len(games.domain.actions))
 
 
 @dataclass(frozen=True, eq=False)
-class TabularReferenceOption:
+class TabularReferenceOption(JudgedOption):
     """A reference option of an enumerable domain, as arrays over its S states and A actions."""
 
     domain: EnumerableDomain
@@ -100,18 +109,6 @@ class TabularReferenceOption:
     distance: NDArray[np.int32]  # (S,) steps to the end; -1 outside the initiation set
     judged: Flags  # (S,) states that can be come to: learned I and beta are judged here
     definition: str = ''  # in words
-
-    def can_start(self, state: Any) -> bool:
-        """Return whether the state is in the initiation set."""
-        return bool(self.initiation[self.domain.index(state)])
-
-    def ends(self, state: Any) -> bool:
-        """Return whether the termination condition holds."""
-        return bool(self.termination[self.domain.index(state)])
-
-    def optimal_actions(self, state: Any) -> tuple[int, ...]:
-        """Return every action on a shortest path to the end; empty outside the initiation set."""
-        return tuple(np.flatnonzero(self.optimal[self.domain.index(state)]).tolist())
 
     def judge_states(self, states: Sequence[Any]) -> Judgement:
         """Judge N states at once."""

@@ -20,8 +20,7 @@ from humanopts_env.domains.pacman.rules import (
     Rules,
 )
 from humanopts_env.domains.pacman.state import PacManState
-from humanopts_env.domains.reference import Judgement
-import numpy as np
+from humanopts_env.domains.reference import JudgedOption, Judgement
 
 if TYPE_CHECKING:
     from humanopts_env.domains.pacman.domain import PacMan
@@ -36,7 +35,7 @@ DANGER = 4  # steps within which a dangerous ghost is avoided
 
 
 @dataclass(frozen=True, eq=False)
-class PacManOption:
+class PacManOption(JudgedOption):
     """A ``ReferenceOption`` of Pac-Man: go to the nearest thing of a kind, or away from it."""
 
     rules: Rules
@@ -45,18 +44,6 @@ class PacManOption:
     definition: str
     thing: str  # one of THINGS
     meal: int  # it ends where this was eaten; 0: it goes away from the thing, while that is near
-
-    def can_start(self, state: PacManState) -> bool:
-        """Return whether the state is in the initiation set."""
-        return bool(self.judge_states([state]).initiation[0])
-
-    def ends(self, state: PacManState) -> bool:
-        """Return whether the termination condition holds."""
-        return bool(self.judge_states([state]).termination[0])
-
-    def optimal_actions(self, state: PacManState) -> tuple[int, ...]:
-        """Return every best action; empty outside the initiation set."""
-        return tuple(np.flatnonzero(self.judge_states([state]).optimal[0]).tolist())
 
     def judge_states(self, states: Sequence[PacManState]) -> Judgement:
         """Judge N states at once."""
