@@ -209,11 +209,6 @@ def test_a_continuous_feature_is_suggested_only_on_more_evidence_than_chance() -
         assert find_conflicts(make_dataset(demos, LAKE), LAKE)[1] == (suggested or '')
 
 
-def test_values_are_worded_with_their_unit() -> None:
-    x, _, wind = LAKE.features
-    assert [x.text(3.14159265), x.text(0.0), wind.text(1.0)] == ['3.142 m', '0 m', 'windy']
-
-
 @pytest.mark.parametrize('high', [0.0, -1.0, float('inf'), float('nan')])
 def test_a_range_must_have_a_finite_length(high: float) -> None:
     lake = Lake()

@@ -9,7 +9,6 @@ from humanopts_env.domains.base import DomainError
 from humanopts_env.domains.gymnasium_domain import gymnasium_domain, GymnasiumDomain
 from humanopts_env.domains.registry import domain_from_json, make_domain, parameters_json
 from humanopts_env.domains.taxi import Taxi
-from humanopts_env.seeding import generator
 from humanopts_env.testing import DomainContract
 import numpy as np
 import pytest
@@ -49,7 +48,6 @@ class Chain(gymnasium.Env[Any, Any]):
             'reward': [(1.0, 1, float('nan'), False)],
             'form': [(1.0, 1)],
             'both': [(0.5, 2, 1.0, True), (0.5, 2, 1.0, False)],
-            'start': [(1.0, 0, 0.0, True)],
         }.get(wrong, [(0.5, 1, 0.0, False), (0.5, 0, 0.0, False)])
         count = int(self.action_space.n)
         self.P = {
@@ -59,8 +57,6 @@ class Chain(gymnasium.Env[Any, Any]):
         }
         if wrong == 'keys':
             self.P |= {s: dict.fromkeys(range(80), end) for s in (1, 2)}
-        if wrong == 'missing':
-            del self.P[2]
         if wrong == 'box':
             self.observation_space = gymnasium.spaces.Box(0, 1)  # type: ignore[assignment]
 
@@ -95,7 +91,8 @@ def test_the_transitions_are_the_environments_own(env_id: str) -> None:
     for state in np.flatnonzero(~domain.over()).tolist():
         for action in range(len(domain.actions)):
             at, expected, found = (state, action), {}, {}
-            for share, to, gain, _ in theirs[state][action]:
+            for share, to, gain, over in theirs[state][action]:
+                assert over == domain.is_over(int(to)) or not share
                 expected[int(to), float(gain)] = expected.get((int(to), float(gain)), 0.0) + share
             for share, to, gain in zip(
                 table.probability[at], table.successor[at].tolist(), table.reward[at].tolist()
@@ -103,21 +100,6 @@ def test_the_transitions_are_the_environments_own(env_id: str) -> None:
                 if share > 0:
                     found[to, gain] = found.get((to, gain), 0.0) + share
             assert found == pytest.approx(expected)
-
-
-@pytest.mark.parametrize('env_id', TABLES)
-def test_a_game_of_the_environment_can_be_followed(env_id: str) -> None:
-    """Its own random walk is one of the domain's, ends included."""
-    domain, env = gymnasium_domain(env_id)(), gymnasium.make(env_id).unwrapped
-    rng = generator(0, 'test')
-    state = int(env.reset(seed=1)[0])
-    for _ in range(500):
-        assert state in domain.start_states() or not domain.is_over(state)
-        action = int(rng.integers(len(domain.actions)))
-        after, _, over, _, _ = env.step(action)
-        assert domain.can_follow(state, action, int(after))
-        assert domain.is_over(int(after)) == over
-        state = int(env.reset()[0]) if over else int(after)
 
 
 def test_features_are_those_of_the_states_own_encoding() -> None:
@@ -129,22 +111,6 @@ def test_features_are_those_of_the_states_own_encoding() -> None:
     cliff = gymnasium_domain('CliffWalking-v1')()
     assert cliff.encode(36) == 'row 3, col 0'
     assert gymnasium_domain('test/Chain-v0')().encode(2) == 'state 2'
-
-
-@pytest.mark.parametrize(
-    ('env_id', 'keys'),
-    [
-        ('FrozenLake-v1', ['left', 'down', 'right', 'up']),
-        ('CliffWalking-v1', ['up', 'right', 'down', 'left']),
-        ('Taxi-v4', ['down', 'up', 'right', 'left', 'p', 'd']),
-        ('test/Chain-v0', ['0', '1']),
-    ],
-)
-def test_actions_have_arrows_where_they_are_known_and_digits_otherwise(
-    env_id: str, keys: list[str]
-) -> None:
-    domain = gymnasium_domain(env_id)()
-    assert [action.key for action in domain.actions] == keys
 
 
 @pytest.mark.parametrize(('env_id', 'start'), [('FrozenLake-v1', 5), ('CliffWalking-v1', 18)])
@@ -183,21 +149,15 @@ def test_a_name_with_the_prefix_is_resolved() -> None:
     [
         ('gymnasium:CartPole-v1', {}, 'CartPole-v1 has no table of transitions'),
         ('gymnasium:Nope-v1', {}, r'Nope-v1 cannot be made: .*Nope'),
-        ('gymnasium:Taxi-v3', {}, 'Taxi-v4'),
-        ('gymnasium:', {}, 'gymnasium: cannot be made'),
         (
             'gymnasium:FrozenLake-v1',
             {'map': 3},
             'FrozenLake-v1 does not take the parameter map; it takes',
         ),
-        ('gymnasium:FrozenLake-v1', {'map_name': '9x9'}, '9x9'),
         ('gymnasium:test/Chain-v0', {'wrong': 'fickle'}, 'another game each time'),
         ('gymnasium:FrozenLake-v1', {'is_slippery': 'False'}, 'is "False", and has to be true'),
-        ('gymnasium:FrozenLake-v1', {'is_slippery': 0}, 'is 0, and has to be true or false'),
         ('gymnasium:FrozenLake-v1', {'desc': ['SF', 7]}, r'of the type list\[str\] \| None'),
-        ('gymnasium:FrozenLake-v1', {'map_name': 8}, 'map_name=\'"8"\''),
         ('gymnasium:FrozenLake-v1', {'max_episode_steps': 'a'}, r'of the type int \| None'),
-        ('gymnasium:test/Chain-v0', {'wrong': 1}, 'has to be a text'),
         ('gymnasium:FrozenLake-v1', {'render_mode': 'ansi'}, 'leave render_mode out'),
         ('gymnasium:FrozenLake-v1', {'desc': {1}}, 'the parameter desc of .* cannot be kept'),
         ('gymnasium:Taxi-v4', {'fickle_passenger': True}, 'outside its table'),
@@ -205,9 +165,7 @@ def test_a_name_with_the_prefix_is_resolved() -> None:
         ('gymnasium:test/Chain-v0', {'wrong': 'state'}, 'leads to state 3 of 3'),
         ('gymnasium:test/Chain-v0', {'wrong': 'reward'}, 'reward nan'),
         ('gymnasium:test/Chain-v0', {'wrong': 'form'}, 'a table that cannot be read'),
-        ('gymnasium:test/Chain-v0', {'wrong': 'missing'}, 'a table that cannot be read'),
         ('gymnasium:test/Chain-v0', {'wrong': 'both'}, 'state 2 ends the task on one way'),
-        ('gymnasium:test/Chain-v0', {'wrong': 'start'}, 'state 0 ends the task on one way'),
         ('gymnasium:test/Chain-v0', {'wrong': 'keys'}, '80 actions'),
         ('gymnasium:test/Chain-v0', {'wrong': 'box'}, 'needs Discrete'),
     ],
