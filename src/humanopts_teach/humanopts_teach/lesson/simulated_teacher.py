@@ -18,12 +18,10 @@ Every draw is keyed by seed, participant, option, number of the demonstration, a
 the same seed gives the same demonstrations, whatever else happens on the graph.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from humanopts_env.domains.base import Domain
-from humanopts_env.domains.reference import ReferenceOption
 from humanopts_env.domains.registry import reference_options
 from humanopts_env.game import Transition
 from humanopts_env.seeding import generator
@@ -87,15 +85,27 @@ class SimulatedTeacher:
 
         :raises TeacherError: no option to teach, one without a reference, or a bad setting.
         """
-        self._domain = domain
+        self._domain, self._settings = domain, settings
         self._references = reference_options(domain)
-        _check(settings, self._references, domain.name)
-        self._settings = settings
+        if not settings.options:
+            raise TeacherError('no option to teach was given')
+        if unknown := [name for name in settings.options if name not in self._references]:
+            raise TeacherError(
+                f'{domain.name} has no reference option {unknown[0]!r}; it has '
+                f'{", ".join(self._references) or "none"}'
+            )
+        for name in ('error_rate', 'extra_feature_rate'):
+            if not 0.0 <= (rate := getattr(settings, name)) < 1.0:
+                raise TeacherError(f'{name} is {rate}, and must be at least 0 and below 1')
+        if settings.step_limit < 1:
+            raise TeacherError(f'step_limit is {settings.step_limit}, and must be 1 or more')
         self._finished: set[str] = set()
-        self._tried = ('', 0)  # option and number of the demonstration that is tried
+        self._tried = ('', 0)  # option and number of the current demonstration
         self._attempt = 0  # how often it was discarded
         self._erred = False  # in the last step
-        self._order = self._preference()
+        count = len(domain.actions)
+        own = settings.own_habits
+        self._order = self._generator('habits').permutation(count) if own else np.arange(count)
 
     def next_act(self, lesson: LessonView, game: Transition | None) -> Act:
         """
@@ -159,8 +169,12 @@ class SimulatedTeacher:
         stuck = not best or game.step >= self._settings.step_limit
         if game.terminated or game.truncated or stuck:
             return self._discard(lesson, here)
-        action = self._choose(best, lesson.option_name, number, game.step)
-        self._erred = action not in best
+        rng = self._generator('error', lesson.option_name, number, self._attempt, game.step)
+        wrong = sorted(set(range(len(self._domain.actions))) - set(best))
+        self._erred = bool(wrong) and rng.random() < self._settings.error_rate
+        action = (
+            int(rng.choice(wrong)) if self._erred else min(best, key=self._order.tolist().index)
+        )
         return Drive(self._domain.actions[action].name, *here)
 
     def _discard(self, lesson: LessonView, here: tuple[int, int]) -> EndDemonstration:
@@ -172,40 +186,6 @@ class SimulatedTeacher:
             )
         return EndDemonstration(Verdict.DISCARD, *here)
 
-    def _choose(self, best: tuple[int, ...], option_name: str, number: int, step: int) -> int:
-        rng = self._generator('error', option_name, number, self._attempt, step)
-        wrong = sorted(set(range(len(self._domain.actions))) - set(best))
-        if wrong and rng.random() < self._settings.error_rate:
-            return int(rng.choice(wrong))
-        return min(best, key=self._order.index)
-
-    def _preference(self) -> list[int]:
-        count = len(self._domain.actions)
-        if not self._settings.own_habits:
-            return list(range(count))
-        return [int(action) for action in self._generator('habits').permutation(count)]
-
     def _generator(self, purpose: str, *key: str | int) -> np.random.Generator:
         settings = self._settings
         return generator(settings.seed, 'teacher', purpose, settings.participant, *key)
-
-
-def _check(
-    settings: TeacherSettings, references: Mapping[str, ReferenceOption], domain: str
-) -> None:
-    if not settings.options:
-        raise TeacherError('no option to teach was given')
-    unknown = [name for name in settings.options if name not in references]
-    if unknown:
-        raise TeacherError(
-            f'{domain} has no reference option {unknown[0]!r}; it has '
-            f'{", ".join(references) or "none"}'
-        )
-    for name, rate in (
-        ('error_rate', settings.error_rate),
-        ('extra_feature_rate', settings.extra_feature_rate),
-    ):
-        if not 0.0 <= rate < 1.0:
-            raise TeacherError(f'{name} is {rate}, and must be at least 0 and below 1')
-    if settings.step_limit < 1:
-        raise TeacherError(f'step_limit is {settings.step_limit}, and must be 1 or more')
