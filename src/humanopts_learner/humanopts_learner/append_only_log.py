@@ -31,10 +31,24 @@ class AppendOnlyLog:
         """
         self.path = path
         self.problems: list[str] = []  # what was repaired or left out, in words
-        content = self._content()
+        content = read_in_place(path) if path.exists() or path.is_symlink() else b''
         end = content.rfind(b'\n') + 1
-        if content[end:]:
-            self._mend(end, content[end:])
+        torn = content[end:]
+        if not torn:
+            return
+        try:
+            parse_json(torn.decode())
+        except ValueError:
+            aside = unused_name(path, 'torn')
+            append_bytes(aside, torn)
+            os.truncate(path, end)
+            sync(path)
+            self.problems.append(
+                f'the last line of {path} was cut off; its {len(torn)} bytes are now in '
+                f'{aside.name}, and all lines before it are kept'
+            )
+        else:  # it lacks only its end
+            append_bytes(path, b'\n')
 
     def read(self, entry_of: Callable[[str], T]) -> list[T]:
         """
@@ -55,28 +69,6 @@ class AppendOnlyLog:
         :raises OSError: they could not be written; the file is unchanged.
         """
         append_bytes(self.path, ''.join(f'{line}\n' for line in lines).encode())
-
-    def _content(self) -> bytes:
-        try:
-            return read_in_place(self.path)
-        except FileNotFoundError:
-            return b''
-
-    def _mend(self, size: int, torn: bytes) -> None:
-        """Complete a last line that lacks only its end; move any other aside."""
-        try:
-            parse_json(torn.decode())
-        except ValueError:
-            aside = unused_name(self.path, 'torn')
-            append_bytes(aside, torn)
-            os.truncate(self.path, size)
-            sync(self.path)
-            self.problems.append(
-                f'the last line of {self.path} was cut off; its {len(torn)} bytes are now in '
-                f'{aside.name}, and all lines before it are kept'
-            )
-        else:
-            append_bytes(self.path, b'\n')
 
 
 def read_lines(

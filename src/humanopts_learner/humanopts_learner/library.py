@@ -95,10 +95,6 @@ class OptionLibrary:
                 f'option {name!r} was taught by {who}: name the participant'
             )
         owner = f' of participant {participant!r}' if participant else ''
-        raise UnknownOptionError(
-            f'unknown option {name!r}{owner}; choose from {self._inventory()}'
-        )
-
-    def _inventory(self) -> str:
-        learned = [f'{option.name!r} ({option.participant})' for option in self.options()]
-        return ', '.join([*learned, *self._primitives])
+        there = [f'{option.name!r} ({option.participant})' for option in self.options()]
+        known = ', '.join([*there, *self._primitives])
+        raise UnknownOptionError(f'unknown option {name!r}{owner}; choose from {known}')
