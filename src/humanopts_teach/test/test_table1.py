@@ -13,15 +13,13 @@ from humanopts_interfaces.msg import Demonstration, LessonState, StudyEvent
 from humanopts_ros.limits import composed, one_line
 from humanopts_ros.text_files import FileError
 from humanopts_teach.cli import main
-from humanopts_teach.evaluation import tables
 from humanopts_teach.evaluation.table1 import (
     count_named,
     MergeError,
-    NAMED,
+    Named,
     read_merge,
     TABLE_1,
 )
-from humanopts_teach.evaluation.tables import records, rows_of
 from hypothesis import given, HealthCheck, settings
 from hypothesis import strategies as st
 import pytest
@@ -113,10 +111,9 @@ def test_people_are_counted_once_beside_the_paper(
     assert [line[-15:] for line in lines if line.startswith('wave')] == ['say Hello, Wave']
 
 
-def named_by(*names: tuple[str, str], domain: str = 'taxi') -> Any:
+def named_by(*names: tuple[str, str], domain: str = 'taxi') -> list[Named]:
     """Return what people named and taught in a domain."""
-    rows = [dict(zip(NAMED, (domain, who, name, True))) for who, name in names]
-    return tables.table(NAMED, rows)
+    return [Named(domain, who, name, True) for who, name in names]
 
 
 @pytest.mark.parametrize(
@@ -138,10 +135,10 @@ def test_a_word_is_one_button_however_its_letters_were_typed(
     (tmp_path / 'merge').write_text(merge or '{}')
     named = named_by(*((str(number), composed(name)) for number, name in enumerate(names)))
     (table,) = count_named(named, read_merge(tmp_path / 'merge'))
-    assert {row.option: row.people for row in rows_of(table.rows) if row.people} == people
+    assert {row.option: row.people for row in table.rows if row.people} == people
     (unknown,) = count_named(named_by(('a', 'leave'), domain='rooms'), {})
-    (row,) = records(unknown.rows)
-    assert (row['option'], row['people'], row['paper']) == ('leave', 1, None)
+    (row,) = unknown.rows
+    assert (row.option, row.people, row.paper) == ('leave', 1, None)
 
 
 _TEXT = st.text(max_size=12) | st.sampled_from(['fetch', 'No', '&a x', '*a', '<<', '!!int 1'])

@@ -6,6 +6,7 @@ Commands import what they need when they run, so that help and completion are qu
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
+from dataclasses import asdict
 from functools import partial
 import json as json_text
 import os
@@ -243,7 +244,7 @@ def table1(
         opened = [open_bag(path, show, namespace) for path in bags]
         named = named_options(opened)
     tables = count_named(named, canonical)
-    _print(_json([each.to_dict() for each in tables]) if json else table_text(tables))
+    _print(_json([asdict(each) for each in tables]) if json else table_text(tables))
     for each in opened:
         _warn('table1', each if len(bags) > 1 else None, each.notes)
         if each.graph_facts.get('teacher_error_rate', 'None') != 'None':

@@ -8,9 +8,7 @@ were counted. A study asks people the same; in a lesson, they name the options t
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 import json
-import math
 from pathlib import Path
-from typing import Any, TYPE_CHECKING
 
 from humanopts_learner.demonstrations import Kind
 from humanopts_learner.intervals import Interval
@@ -20,12 +18,8 @@ from humanopts_teach import text_table
 from humanopts_teach.bags import BagError
 from humanopts_teach.bags.contents import domains_played, read_demonstrations
 from humanopts_teach.bags.reader import Bag, DEMONSTRATION, LESSON_STATE
-from humanopts_teach.evaluation.tables import records, rows_of, table
 from humanopts_teach.study.events import Event, event_of, last_attempts
 import numpy as np
-
-if TYPE_CHECKING:
-    import pandas as pd  # slow to import
 
 STUDY_EVENT = 'humanopts_interfaces/msg/StudyEvent'
 TABLE_1 = {  # share of the participants of a domain who gave a button, section 4
@@ -46,22 +40,28 @@ TABLE_1 = {  # share of the participants of a domain who gave a button, section 
 }
 
 
-NAMED = {  # a row for each name of each person
-    'domain': 'object',  # name of the domain
-    'participant': 'object',  # code of the person
-    'name': 'object',  # in the person's words; empty: none, the person was there
-    'taught': 'bool',  # whether it was demonstrated
-}
-BUTTONS = {  # a row for each option of a domain
-    'option': 'object',
-    'people': 'int64',  # who named it
-    'share': 'float64',  # of the people of the domain
-    'share_low': 'float64',  # Wilson's 95 % interval
-    'share_high': 'float64',  # Wilson's 95 % interval
-    'taught': 'int64',  # people who demonstrated it
-    'paper': 'float64',  # share in the paper
-    'wordings': 'object',  # that people used
-}
+@dataclass(frozen=True)
+class Named:
+    """A name that a person gave to an option."""
+
+    domain: str
+    participant: str
+    name: str  # in the person's words; empty: none, the person was there
+    taught: bool  # whether it was demonstrated
+
+
+@dataclass(frozen=True)
+class Button:
+    """The people of a domain who named one option."""
+
+    option: str
+    people: int
+    share: float | None  # of the people of the domain; None: there are none
+    share_low: float | None  # Wilson's 95 % interval
+    share_high: float | None
+    taught: int  # people who demonstrated it
+    paper: float | None  # share in the paper; None: it has no such row
+    wordings: tuple[str, ...]  # that people used
 
 
 class MergeError(ValueError):
@@ -105,9 +105,9 @@ def read_merge(path: Path) -> dict[str, str]:
     return canonical
 
 
-def named_options(bags: Sequence[Bag]) -> 'pd.DataFrame':
+def named_options(bags: Sequence[Bag]) -> list[Named]:
     """
-    Return the options that people named in bags, and the participants; columns ``NAMED``.
+    Return the options that people named in bags, and the participants.
 
     If a part of a study was repeated, perhaps in another bag, the last attempt counts.
 
@@ -135,8 +135,7 @@ def named_options(bags: Sequence[Bag]) -> 'pd.DataFrame':
         for event in last_attempts(sorted(events, key=lambda event: event.time)):
             if event.event == 'button':
                 found.setdefault((domain, participant, event.text), False)
-    rows = [dict(zip(NAMED, (*key, taught))) for key, taught in found.items()]
-    return table(NAMED, rows)
+    return [Named(*key, taught) for key, taught in found.items()]
 
 
 def domain_of(bag: Bag) -> str:
@@ -153,52 +152,50 @@ def domain_of(bag: Bag) -> str:
 
 @dataclass(frozen=True)
 class ButtonTable:
-    """The options that the people of one domain named; columns ``BUTTONS``."""
+    """The options that the people of one domain named."""
 
     domain: str
     people: list[str]
-    rows: 'pd.DataFrame'  # the paper's in its order, then the others, most named first
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the table as JSON data; null: no such row in the paper, or no participant."""
-        return {'domain': self.domain, 'people': self.people, 'rows': records(self.rows)}
+    rows: list[Button]  # the paper's in its order, then the others, most named first
 
 
-def count_named(named: 'pd.DataFrame', canonical: Mapping[str, str]) -> list[ButtonTable]:
+def count_named(named: Sequence[Named], canonical: Mapping[str, str]) -> list[ButtonTable]:
     """
     Count how many people named each option; a person counts once, in however many bags.
 
-    :param named: columns ``NAMED``.
     :param canonical: of ``read_merge``; other names are the same where they differ in case and
         spaces only, and the paper's are written as there.
     :return: a table for each domain, in order of appearance.
     """
     tables = []
-    for domain, mine in named.groupby('domain', sort=False):
-        paper = TABLE_1.get(str(domain), {})
+    for domain in dict.fromkeys(each.domain for each in named):
+        mine, paper = [each for each in named if each.domain == domain], TABLE_1.get(domain, {})
         names = {_plain(name): name for name in paper}
         names = {**names, **{w: names.get(_plain(name), name) for w, name in canonical.items()}}
-        people, given = sorted(mine['participant'].unique()), mine[mine['name'] != '']
-        option = np.array([names.setdefault(_plain(name), name) for name in given['name']])
+        people = sorted({each.participant for each in mine})
+        options: dict[str, list[Named]] = {name: [] for name in paper}
+        for each in mine:
+            if each.name:
+                option = names.setdefault(_plain(each.name), each.name)
+                options.setdefault(option, []).append(each)
         rows = []
-        for name in dict.fromkeys([*paper, *option]):
-            found = given[option == name]
-            count = found['participant'].nunique()
+        for option, given in options.items():
+            count = len({each.participant for each in given})
             share = Interval.of_share(np.arange(len(people)) < count)
             rows.append(
-                {
-                    'option': name,
-                    'people': count,
-                    'share': share.mean,
-                    'share_low': share.low,
-                    'share_high': share.high,
-                    'taught': found['participant'][found['taught']].nunique(),
-                    'paper': paper.get(name),
-                    'wordings': list(found['name'].unique()),
-                }
+                Button(
+                    option,
+                    count,
+                    share=share.mean if people else None,
+                    share_low=share.low if people else None,
+                    share_high=share.high if people else None,
+                    taught=len({each.participant for each in given if each.taught}),
+                    paper=paper.get(option),
+                    wordings=tuple(dict.fromkeys(each.name for each in given)),
+                )
             )
-        rows.sort(key=lambda row: (row['option'] not in paper) * (len(people) + 1 - row['people']))
-        tables.append(ButtonTable(str(domain), people, table(BUTTONS, rows)))
+        rows.sort(key=lambda row: (row.option not in paper) * (len(people) + 1 - row.people))
+        tables.append(ButtonTable(domain, people, rows))
     return tables
 
 
@@ -212,19 +209,17 @@ def table_text(tables: Sequence[ButtonTable]) -> str:
                 'option': row.option,
                 'people': f'{row.people} of {len(found.people)}',
                 'share': _percent(row.share),
-                '95 % interval': '-'
-                if math.isnan(row.share_low)
-                else f'{row.share_low:.0%} to {row.share_high:.0%}',
+                '95 % interval': f'{_percent(row.share_low)} to {_percent(row.share_high)}',
                 'paper': _percent(row.paper),
                 'taught': row.taught,
                 'other wordings': ', '.join(x for x in row.wordings if x != row.option),
             }
-            for row in rows_of(found.rows)
+            for row in found.rows
         ]
         heading = one_line(f'{found.domain}: {who}')
         parts.append(f'{heading}\n\n{text_table.table(rows, ["option", "other wordings"])}')
     return '\n\n\n'.join(parts)
 
 
-def _percent(share: float) -> str:
-    return '-' if math.isnan(share) else f'{share:.0%}'
+def _percent(share: float | None) -> str:
+    return '-' if share is None else f'{share:.0%}'
