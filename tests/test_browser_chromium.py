@@ -258,24 +258,52 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
         assert command.output.endswith('stopped\n')
 
 
-@pytest.mark.parametrize('size', [DESKTOP, PHONE])
-def test_two_people_teach_at_once_by_keys_and_by_buttons(
-    server: Served, windows: Callable[..., Window], size: tuple[int, int]
+def severe(window: Window) -> list[Any]:
+    """Return the errors in the log of the browser."""
+    return [each for each in window.driver.get_log('browser') if each['level'] == 'SEVERE']
+
+
+def key_to_screen(window: Window, *keys: str) -> list[float]:
+    """Press keys, each of which takes a step, and return how long each took in ms, sorted."""
+    window.driver.execute_script(MEASURE)
+    for number, key in enumerate(keys, start=1):
+        window.press(key)
+        window.until(
+            lambda number=number: window.driver.execute_script(COUNT) == number, 'a step', 5.0
+        )
+    return sorted(window.driver.execute_script('return window.waits'))
+
+
+def test_two_people_teach_by_keys_and_by_buttons_while_strangers_flood_the_server(
+    server: Served, windows: Callable[..., Window]
 ) -> None:
-    codes = [f'{who}-{size[0]}' for who in ('anna', 'ben')]
+    flood = Flood(urlsplit(server.address).port or 0, STRANGERS)
     people = [
-        Person(windows(size), server.address, code, keys=number == 0)
-        for number, code in enumerate(codes)
+        Person(windows(size), server.address, code, keys=size == DESKTOP)
+        for code, size in (('anna', DESKTOP), ('ben', PHONE))
     ]
-    for person in people:
-        person.name_option()
-    for start in range(1, 5):
+    try:
+        flood.opened()
         for person in people:
-            person.show(start)
+            person.name_option()
+        for start in range(1, 5):
+            for person in people:
+                person.show(start)
+        for person in people:
+            person.window.see('next: start 5 ')
+            person.window.see('initiation')
+        waits = key_to_screen(people[0].window, *(Keys.ARROW_LEFT, Keys.ARROW_RIGHT) * 10)
+    finally:
+        flood.close()
+    print(f'{len(waits)} keys: median {statistics.median(waits):.0f}, last {waits[-1]:.0f} ms')
+    assert statistics.median(waits) < 2 * MEDIAN
+    assert len(server.command.errors) < 100_000
+    assert '\x1b' not in server.command.errors
+    people[0].act(Keys.ESCAPE, 'menu')
+    people[0].window.see('This demonstration is discarded')
+    people[0].act('enter', 'yes')
+    people[1].act('', 'menu')
     for person in people:
-        person.window.see('next: start 5 ')
-        person.window.see('initiation')
-        person.act(Keys.ESCAPE, 'menu')
         person.window.see('What next?')
         person.window.click('Run a taught option')
         person.window.click(PICKUP)
@@ -283,52 +311,10 @@ def test_two_people_teach_at_once_by_keys_and_by_buttons(
         person.window.click('menu')
         person.window.click('Quit')
         person.window.see('Everything taught is saved.')
-    for code in codes:
-        (bag,) = (server.data / code / 'bags').iterdir()
+        (bag,) = (server.data / person.code / 'bags').iterdir()
         shown = [d for d in read_demonstrations(open_bag(bag)) if d.option_name == PICKUP]
-        assert len(shown) == 4
-        assert {demonstration.participant for demonstration in shown} == {code}
-
-
-def test_two_people_teach_while_strangers_flood_the_server(
-    server: Served, windows: Callable[..., Window]
-) -> None:
-    flood = Flood(urlsplit(server.address).port or 0, STRANGERS)
-    try:
-        flood.opened()
-        people = [
-            Person(windows(DESKTOP), server.address, code, keys=code == 'hal')
-            for code in ('hal', 'ida')
-        ]
-        for person in people:
-            person.name_option()
-        waits = []
-        for start in range(1, 4):
-            for person in people:
-                person.show(start)
-                person.window.see(f'next: start {start + 1} ')
-        for person in people:
-            person.window.driver.execute_script(MEASURE)
-            for key in (Keys.ARROW_LEFT, Keys.ARROW_RIGHT) * 10:
-                before = person.window.driver.execute_script(COUNT)
-                person.window.press(key)
-                person.window.until(
-                    lambda window=person.window, seen=before: (
-                        window.driver.execute_script(COUNT) > seen
-                    ),
-                    'the step',
-                    5.0,
-                )
-            waits += person.window.driver.execute_script('return window.waits')
-            errors = [e for e in person.window.driver.get_log('browser') if e['level'] == 'SEVERE']
-            assert errors == []
-    finally:
-        flood.close()
-    print(f'{len(waits)} keys: median {statistics.median(waits):.0f}, last {max(waits):.0f} ms')
-    print(f'{len(server.command.errors)} bytes of log')
-    assert statistics.median(waits) < 2 * MEDIAN
-    assert len(server.command.errors) < 100_000
-    assert '\x1b' not in server.command.errors
+        assert [demonstration.participant for demonstration in shown] == 4 * [person.code]
+        assert severe(person.window) == []
 
 
 def test_closing_in_mid_demonstration_loses_nothing_that_was_finished(
@@ -388,14 +374,8 @@ def test_key_to_screen_is_quick_and_no_other_server_is_asked(
     window.see('new start')
     window.press(*[Keys.ARROW_DOWN] * 4)  # to the lower edge: no wall is above
     window.until(lambda: 'step 4' in window.text(), 'the way there')
-    window.driver.execute_script(MEASURE)
-    for number in range(KEYS):
-        before = window.driver.execute_script(COUNT)
-        window.press(Keys.ARROW_DOWN if number % 2 else Keys.ARROW_UP)
-        window.until(
-            lambda seen=before: window.driver.execute_script(COUNT) > seen, f'step {number}', 5.0
-        )
-    waits = sorted(window.driver.execute_script('return window.waits'))
+    keys = (Keys.ARROW_UP, Keys.ARROW_DOWN) * (KEYS // 2)
+    waits = key_to_screen(window, *keys)
     late = waits[int(0.99 * len(waits))]
     busy = f'{os.getloadavg()[0]:.1f} of {os.cpu_count()} cores'
     print(
@@ -410,5 +390,4 @@ def test_key_to_screen_is_quick_and_no_other_server_is_asked(
     origin = server.address.rpartition('/')[0]
     assert asked
     assert [url for url in asked if not url.startswith((origin, 'data:', 'about:'))] == []
-    errors = [e for e in window.driver.get_log('browser') if e['level'] == 'SEVERE']
-    assert errors == []
+    assert severe(window) == []
