@@ -2,7 +2,7 @@
 The connections of the pages' server: strangers cost little, and nobody blocks others.
 
 A connection belongs to a stranger until the first line of its first request names the token.
-Strangers are limited in number and time, and get a short answer instead of uvicorn's.
+Strangers are limited in number and time, and get a short answer without uvicorn.
 """
 
 import asyncio
@@ -15,6 +15,7 @@ import ipaddress
 import re
 import resource
 from secrets import compare_digest
+import socket
 import time
 from typing import Any
 
@@ -28,7 +29,8 @@ _MAX_STRANGERS = 512  # at once; fewer where few files may be open
 _MAX_FILES = 4096  # that this process asks for
 _MAX_LINE = 8192  # bytes
 _MAX_MESSAGE = 100_000  # bytes that a page sends at once
-_BACKLOG = 256  # connections that wait to be accepted
+_AT_ONCE = 16  # connections that are accepted before others get their turn
+_QUEUE = 1024  # connections that the kernel keeps until then
 _NAMED = re.compile(rb'[A-Z]+ /([^/? ]*)')  # a request, and the first part of its path
 _ANSWER = (
     f'HTTP/1.1 {HTTPStatus.NOT_FOUND} {HTTPStatus.NOT_FOUND.phrase}\r\n'
@@ -37,41 +39,68 @@ _ANSWER = (
 ).encode()
 
 
-class _Connection(H11Protocol):
-    """A connection of uvicorn, which a stranger cannot use."""
+class _Stranger(asyncio.Protocol):
+    """A connection before its first line; far cheaper than uvicorn's, which replaces it."""
 
-    def __init__(self, token: bytes, max_strangers: int, **others: Any) -> None:
-        super().__init__(**others)
-        self._token, self._max_strangers = token, max_strangers
-        self._first = b''  # read so far, of a stranger
-        self._known, self._since, self._network = False, time.monotonic(), ''
+    def __init__(
+        self,
+        token: bytes,
+        strangers: 'set[_Stranger]',
+        max_strangers: int,
+        admitted: Callable[[], H11Protocol],
+    ) -> None:
+        self._token, self._admitted = token, admitted
+        self._strangers, self._max_strangers = strangers, max_strangers
+        self._first = b''  # read so far
+        self._since, self._network = time.monotonic(), ''
+        self._transport: Any = None
 
-    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Make room for it: end the oldest stranger of the network that has most."""
-        super().connection_made(transport)
-        self._network = _network(self.client[0]) if self.client is not None else ''
-        if len(self.connections) <= self._max_strangers:
-            return
-        strangers = [c for c in self.connections if isinstance(c, _Connection) and not c._known]
-        if len(strangers) > self._max_strangers:
-            most = Counter(each._network for each in strangers).most_common(1)[0][0]
-            crowd = (each for each in strangers if each._network == most)
-            min(crowd, key=lambda each: each._since)._abort()
+        self._transport = transport
+        if (address := transport.get_extra_info('peername')) is not None:
+            self._network = _network(address[0])
+        self._strangers.add(self)
+        if len(self._strangers) > self._max_strangers:
+            most = Counter(each._network for each in self._strangers).most_common(1)[0][0]
+            crowd = (each for each in self._strangers if each._network == most)
+            min(crowd, key=lambda each: each._since).end()
 
     def data_received(self, data: bytes) -> None:
-        """Answer a stranger, or hand everything to uvicorn."""
-        if self._known:
-            super().data_received(data)
-            return
+        """Answer, or hand the connection to uvicorn."""
         self._first += data
         line, end, _ = self._first.partition(b'\n')
         named = _NAMED.match(line)
         if end and named is not None and compare_digest(named[1], self._token):
-            self._known = True
-            super().data_received(self._first)
+            self._strangers.discard(self)
+            protocol = self._admitted()
+            self._transport.set_protocol(protocol)
+            protocol.connection_made(self._transport)
+            protocol.data_received(self._first)
         elif end or len(line) >= _MAX_LINE:
-            self.transport.write(_ANSWER)
-            self.transport.close()
+            self._transport.write(_ANSWER)
+            self._transport.close()
+
+    def connection_lost(self, error: Exception | None) -> None:
+        self._strangers.discard(self)
+
+    def end_late(self) -> None:
+        """End it if it has had its time."""
+        if time.monotonic() - self._since > MAX_SECONDS:
+            self.end()
+
+    def end(self) -> None:
+        """End it now."""
+        self._strangers.discard(self)
+        self._transport.abort()
+
+
+class _Connection(H11Protocol):
+    """A connection whose first request named the token."""
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        self._since = time.monotonic()
+        super().connection_made(transport)
 
     def on_response_complete(self) -> None:
         """Count the time until the next request from now on."""
@@ -79,15 +108,11 @@ class _Connection(H11Protocol):
         super().on_response_complete()
 
     def end_late(self) -> None:
-        """End it if it has had its time for a request; a slow network may still take an answer."""
+        """End it without a request for long; a slow network may still take an answer."""
         idle = self.cycle is None or self.cycle.response_complete
         late = time.monotonic() - self._since > MAX_SECONDS
         if idle and late and not self.transport.get_write_buffer_size():
-            self._abort()
-
-    def _abort(self) -> None:
-        self.connections.discard(self)
-        self.transport.abort()
+            self.transport.abort()
 
 
 class Server(uvicorn.Server):
@@ -108,13 +133,19 @@ class Server(uvicorn.Server):
         :param close: called before the end, while all pages are still connected.
         """
         self._stop, self._close = stop, close
-        max_strangers = min(_MAX_STRANGERS, _open_files() // 4)
+        self._strangers: set[_Stranger] = set()
+        most = min(_MAX_STRANGERS, _open_files() // 4)
+
+        def arrived(**others: Any) -> _Stranger:
+            admitted = partial(_Connection, **others)
+            return _Stranger(token.encode(), self._strangers, most, admitted)
+
         settings = uvicorn.Config(
             app,
-            http=partial(_Connection, token.encode(), max_strangers),  # type: ignore[arg-type]
+            http=arrived,  # type: ignore[arg-type]
             ws='wsproto',
             ws_max_size=_MAX_MESSAGE,
-            backlog=_BACKLOG,
+            backlog=_AT_ONCE,
             log_config=None,
             log_level='error',  # malformed requests are not logged
             proxy_headers=False,  # nothing here asks for addresses
@@ -130,13 +161,25 @@ class Server(uvicorn.Server):
 
     async def on_tick(self, counter: int) -> bool:
         """Look after the connections, ten times a second."""
-        for each in list(self.server_state.connections):
-            if isinstance(each, _Connection):
+        for each in (*self._strangers, *self.server_state.connections):
+            if isinstance(each, _Stranger | _Connection):  # not a WebSocket
                 each.end_late()
         if self._stop():
             await self._close()
             self.should_exit = True
         return await super().on_tick(counter)
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Accept connections; the kernel keeps more of them than are accepted at once."""
+        await super().startup(sockets)
+        for each in sockets or ():
+            each.listen(_QUEUE)
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        """End all connections."""
+        for each in list(self._strangers):
+            each.end()
+        await super().shutdown(sockets)
 
 
 def _open_files() -> int:
