@@ -11,7 +11,7 @@ from humanopts_env.domains.base import Domain
 from humanopts_env.ros.convert import domain_to_info
 from humanopts_interfaces.msg import Demonstration as Message
 from humanopts_interfaces.msg import GameState, OptionResult
-from humanopts_learner.demonstrations import Demonstration, group_by_option, Kind
+from humanopts_learner.demonstrations import Demonstration, Kind
 from humanopts_learner.options.files import option_to_json
 from humanopts_learner.options.judge import judge, Thresholds
 from humanopts_learner.options.learn import learn_option
@@ -338,13 +338,15 @@ def test_no_escape_sequence_in_a_name_reaches_the_terminal(
 def test_a_message_and_the_summary_it_carried_give_the_same_row(
     taxi: Domain[Any], first: Lesson, count: int
 ) -> None:
-    shown = next(iter(group_by_option(first).values()))[:count]
+    shown = first[:count]
     option, summary = learn_option(shown, taxi, 3), judge(shown, taxi, Thresholds(), 3)
     sent = summary_from_message(summary_to_message(summary))
-    live, offline = (table(OPTIONS, [option_row(s, option, taxi)]) for s in (sent, summary))
-    seen = [*LIVE_OPTIONS]
-    assert live[seen].equals(offline[seen])
-    (row,) = json.loads(json.dumps(records(live[seen]), allow_nan=False))
+    live, offline = (
+        table(OPTIONS, [option_row(each, option, taxi)])[[*LIVE_OPTIONS]]
+        for each in (sent, summary)
+    )
+    assert live.equals(offline)
+    (row,) = json.loads(json.dumps(records(live), allow_nan=False))
     unknown = {name for name, value in row.items() if value is None}
     assert unknown == ({'return', 'initiation', 'termination'} if count == 1 else set())
 

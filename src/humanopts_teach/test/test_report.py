@@ -347,17 +347,11 @@ def test_a_report_of_a_bag_alone_has_no_live_numbers(
         write_evaluation_report(Path('/gone/report.html'), undrawn(brief))
 
 
-@pytest.mark.parametrize('equal', [None, True, False])
-def test_a_report_says_whether_options_equal_their_files(
-    brief: BagEvaluation, equal: bool | None
-) -> None:
-    options = (replace(brief.options[0], reproduced=equal),)
-    told = undrawn(replace(brief, options=options))
-    page, found = render_report(ReportData('Taxi', told)), [f.text for f in findings(told)]
-    assert page.count('Learned again, it is') == (equal is not None)
-    assert ('>equal to its option file in the bag, to the last digit<' in page) is (equal is True)
-    assert ('>NOT equal to its option file in the bag<' in page) is (equal is False)
-    assert any('1 option learned again' in text for text in found) is (equal is True)
+def test_a_report_says_whether_options_equal_their_files(brief: BagEvaluation) -> None:
+    told = undrawn(replace(brief, options=(replace(brief.options[0], reproduced=False),)))
+    assert '>NOT equal to its option file in the bag<' in render_report(ReportData('Taxi', told))
+    assert not any('option learned again' in finding.text for finding in findings(told))
+    assert 'Learned again, it is' not in render_report(ReportData('Taxi', undrawn(brief)))
 
 
 @pytest.mark.parametrize(

@@ -152,7 +152,7 @@ _MERGE = st.dictionaries(_TEXT, st.lists(_TEXT | st.none() | st.booleans() | st.
     | _MERGE.map(lambda values: '\n'.join(f'{key}: {value}' for key, value in values.items()))
 )
 @settings(
-    max_examples=int(os.environ.get('GENERATED', '200')),
+    max_examples=int(os.environ.get('GENERATED', '60')),
     suppress_health_check=[HealthCheck.function_scoped_fixture],
 )
 def test_any_merge_file_is_read_or_refused_in_one_line_at_once(tmp_path: Path, text: str) -> None:
