@@ -330,7 +330,7 @@ def _compare_needed(
         reached = members[f'{level:.0%}']
         needed = Interval.of(reached.fillna(members['shown']).astype(float))
         known = needed if reached.notna().all() else f'over {needed.mean:.1f}'
-        values = {f'{level:.0%} for good after': known}
+        values = {f'demonstrations until {level:.0%} holds for good': known}
         if (strategy, level) in GOALS:
             most = GOALS[strategy, level]
             text = f'{level:.0%} policy accuracy takes at most {most} demonstrations.'

@@ -235,11 +235,11 @@ def draw_samples(
         for place, name in enumerate(names):
             height = place + 0.3 * (index - (len(several) - 1) / 2)
             values, color = mine.loc[mine[by] == name, value].dropna(), f'C{index}'
-            axes.plot(values, [height] * len(values), 'o', color=color, **style)
             middle = centre(values)
             axes.plot([middle.low, middle.high], [height, height], color='C1', lw=2)
             ink = color if len(several) > 1 else 'C1'
             (bar,) = axes.plot(middle.mean, height, '|', color=ink, ms=14, mew=2)
+            axes.plot(values, [height] * len(values), 'o', color=color, **style)
         bar.set_label(str(called))
     axes.set_yticks(range(len(names)), names)
     axes.invert_yaxis()
