@@ -29,7 +29,7 @@ class World(Protocol):
     """A world that changes in place; all its chance follows from the seed of its reset."""
 
     def reset(self, seed: int) -> None:
-        """Begin an episode."""
+        """Begin an episode, with nothing left of the one before."""
 
     def step(self, action: int) -> tuple[float, bool]:
         """Take one primitive action; return the reward, and whether the task is over."""
@@ -61,7 +61,7 @@ class ReplayedDomain(Domain[History], ABC):
 
     @abstractmethod
     def make_world(self) -> World:
-        """Return a new world; ``reset`` is called before anything else."""
+        """Return a new world; each is used for many episodes."""
 
     def reset(self, rng: np.random.Generator) -> History:
         return self._begin(int(rng.integers(SEEDS)))
@@ -107,8 +107,8 @@ class ReplayedDomain(Domain[History], ABC):
         """Draw states of random walks, about one in GAP of each, never over."""
         found: list[History] = []
         while len(found) < count:
-            seed, world = int(rng.integers(SEEDS)), self.make_world()
-            world.reset(seed)
+            seed = int(rng.integers(SEEDS))
+            world = self._begun(seed)
             length = rng.integers(min(self.max_steps or MAX_WALK, MAX_WALK))
             actions = tuple(rng.integers(len(self.actions), size=length).tolist())
             looks = {*rng.choice(length + 1, 1 + length // GAP, replace=False).tolist()}
@@ -117,12 +117,26 @@ class ReplayedDomain(Domain[History], ABC):
                     found.append(_history(world, seed, actions[:step]))
                 if step == length or world.step(actions[step])[1]:
                     break
+            self._spare.append(world)
         return [found[place] for place in rng.permutation(len(found))[:count]]
 
     @cached_property
     def _worlds(self) -> OrderedDict[tuple[int, tuple[int, ...]], tuple[World, History]]:
         """Worlds and their states by seed and actions, the newest last."""
         return OrderedDict()
+
+    @cached_property
+    def _spare(self) -> list[World]:
+        """Worlds to begin episodes in, since making one may take long."""
+        return []
+
+    def _begun(self, seed: int) -> World:
+        try:
+            world = self._spare.pop()
+        except IndexError:
+            world = self.make_world()
+        world.reset(seed)
+        return world
 
     def _begin(self, seed: int) -> History:
         return self._keep(self._world_at(seed, ()), seed, (), over=False)
@@ -143,8 +157,7 @@ class ReplayedDomain(Domain[History], ABC):
         kept = self._worlds.pop((seed, actions), None)
         if kept is not None and not kept[1].over:
             return kept[0]
-        world = self.make_world()
-        world.reset(seed)
+        world = self._begun(seed)
         for action in actions:
             _, over = world.step(action)
             if over:
@@ -156,7 +169,8 @@ class ReplayedDomain(Domain[History], ABC):
         state = _history(world, seed, actions, over=over)
         self._worlds[seed, actions] = world, state
         if len(self._worlds) > MAX_WORLDS:
-            self._worlds.popitem(last=False)
+            _, (oldest, _) = self._worlds.popitem(last=False)
+            self._spare.append(oldest)
         return state
 
 
