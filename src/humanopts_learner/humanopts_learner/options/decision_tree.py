@@ -49,38 +49,31 @@ def feature_encoding(domain: ActableDomain, features: Sequence[str]) -> tuple[En
     return tuple(encoding)
 
 
-def encode_rows(encoding: Sequence[EncodedFeature], rows: Rows) -> NDArray[np.float32]:
-    """
-    Return what the trees see.
-
-    :param rows: (N, F), all features of the domain.
-    :return: (N, C), one encoded feature after the other in memory, as large trees are walked.
-    """
-    return Encoder(encoding)(rows)
-
-
 class Encoder:
-    """Encodes rows, again and again, with the encoding as arrays."""
+    """Encodes rows, with the encoding as arrays."""
 
     def __init__(self, encoding: Sequence[EncodedFeature]) -> None:
         values = [encoded.value for encoded in encoding]
         self._index = np.array([encoded.index for encoded in encoding], dtype=np.intp)
-        self._one_hot = np.array([value is not None for value in values], dtype=np.bool_)
-        self._wanted = np.array([value or 0 for value in values], dtype=np.float64)
+        self._one_hot = np.array([[value is not None] for value in values], dtype=np.bool_)
+        self._wanted = np.array([[value or 0] for value in values], dtype=np.float64)
 
-    def __call__(self, rows: Rows, tested: Ints | slice = slice(None)) -> NDArray[np.float32]:
+    def __call__(self, rows: Rows) -> NDArray[np.float32]:
         """
-        Return what ``encode_rows`` does.
+        Return what the trees see.
 
-        :param tested: the encoded features that matter; the others may have any values.
+        :param rows: (N, F), all features of the domain.
+        :return: (N, C), one encoded feature after the other in memory, as large trees are walked.
         """
-        picked, one_hot = rows.T[self._index[tested]], self._one_hot[tested]
-        if one_hot.any():
-            equal = picked == self._wanted[tested][:, None]
-            picked = np.where(one_hot[:, None], equal, picked)
-        encoded = np.empty((len(self._index), len(rows)), dtype=np.float32)
-        encoded[tested] = picked
-        return encoded.T
+        picked = rows.T[self._index]
+        if self._one_hot.any():
+            picked = np.where(self._one_hot, picked == self._wanted, picked)
+        return picked.astype(np.float32).T
+
+
+def encode_rows(encoding: Sequence[EncodedFeature], rows: Rows) -> NDArray[np.float32]:
+    """Return what the trees see, as ``Encoder`` does."""
+    return Encoder(encoding)(rows)
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,11 +154,6 @@ class Tree:
         """Return (N,): the place of the likeliest class, the first of equals."""
         best: Ints = self.shares.argmax(axis=1).take(self.leaves(X))
         return best
-
-    @cached_property
-    def tested(self) -> Ints:
-        """Indices of the encoded features that it tests, ascending."""
-        return np.unique(self.feature[self.left != LEAF]).astype(np.intp)
 
     @property
     def depth(self) -> int:

@@ -116,19 +116,19 @@ class LearnedOption:
 
     def action_probabilities(self, rows: Rows) -> Floats:
         """Return (N, A): pi of every action in each of the N states."""
-        return self.policy.probabilities(self._encode_for_policy(rows, self.policy.tested))
+        return self.policy.probabilities(self._encode_for_policy(rows))
 
     def initiation_probability(self, rows: Rows) -> Floats:
         """Return (N,): the share of members of I among examples like each state."""
-        return self.initiation.probability_of(MEMBER, self._encode(rows, self.initiation.tested))
+        return self.initiation.probability_of(MEMBER, self._encode(rows))
 
     def termination_probability(self, rows: Rows) -> Floats:
         """Return (N,): beta of each state."""
-        return self.termination.probability_of(MEMBER, self._encode(rows, self.termination.tested))
+        return self.termination.probability_of(MEMBER, self._encode(rows))
 
     def action(self, rows: Rows) -> Ints:
         """Return (N,): the likeliest action, the lowest index among equals."""
-        return self.policy.likeliest(self._encode_for_policy(rows, self.policy.tested))
+        return self.policy.likeliest(self._encode_for_policy(rows))
 
     def can_start(self, rows: Rows) -> Flags:
         """Return (N,): whether each state is in the initiation set."""
