@@ -132,15 +132,6 @@ def test_taxi_has_the_nine_options_of_the_paper(seed: int) -> None:
         assert option.reaches == 1.0
 
 
-@pytest.mark.heavy
-@pytest.mark.parametrize('name', ['taxi', 'rooms', 'pacman'])
-def test_options_end_at_their_target_and_outside_their_initiation_set(name: str) -> None:
-    for option in found(name).options:
-        assert option.initiation.any()
-        assert option.termination[option.target.target].all()
-        assert (option.termination == ~option.initiation).all()
-
-
 def test_pacman_options_run_to_their_cells_in_the_real_game() -> None:
     """Without ghosts nothing is in their way."""
     domain = PacMan(maze=CROSSING)
@@ -227,26 +218,12 @@ def test_trees_say_what_the_tables_say_wherever_an_episode_goes_on(name: str) ->
         assert (said.termination == option.termination)[going].all()
         assert (said.action == option.action)[option.initiation].all()
         assert learned.max_steps == option.max_steps
+        assert option.termination[option.target.target].all()
+        assert (option.termination == ~option.initiation).all()
         assert option_from_json(option_to_json(learned)) == (learned, [])
         assert learned.participant == 'automatic:1'
         assert 'blocked_moves' not in learned.features
         assert name != 'rooms' or learned.features == ('row', 'col')
-
-
-@pytest.mark.heavy
-def test_options_of_pacman_see_his_place_and_do_the_same_in_every_game() -> None:
-    domain = domain_of('pacman')
-    rng = np.random.default_rng(0)
-    games = domain.games([domain.rules.start()] * 200)
-    for _ in range(30):
-        games.step(rng.integers(4, size=200), rng)
-    rows, cells = games.features(), games.batch.pacman
-    for option, learned in zip(found('pacman').options, options('pacman'), strict=True):
-        can = option.initiation[cells]
-        assert learned.features == ('pacman_row', 'pacman_col')
-        assert (learned.can_start(rows) == can).all()
-        assert (learned.action(rows) == option.action[cells])[can].all()
-        assert (learned.ends(rows) == option.termination[cells]).all()
 
 
 @pytest.mark.heavy
