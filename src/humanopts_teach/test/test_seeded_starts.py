@@ -73,7 +73,7 @@ def test_it_counts_what_the_newest_option_was_learned_from(
     assert starts(TAXI, strategy='random').counts(known, newer)
 
 
-@pytest.mark.parametrize('strategy', ['random', 'coverage', 'failures'])
+@pytest.mark.parametrize('strategy', ['coverage', 'failures'])
 def test_a_sample_that_is_drawn_ahead_changes_no_start_state(
     yard: Domain[Any], yard_lesson: list[Demonstration], strategy: str
 ) -> None:
