@@ -19,7 +19,7 @@ from humanopts_ros.qos import LATCHED
 import pytest
 
 EPISODES, SEED = 2, 382
-PACE = 0.02  # s between steps where somebody watches
+PACE = 0.02  # s between steps, for a person who watches
 OPTIONS = touring()
 PLAN = make_plan(TAXI, OPTIONS, PlanRequest('human'))
 STARTS = episode_starts(TAXI, SEED, EPISODES)
@@ -65,7 +65,7 @@ def test_modules_of_an_episode_are_one_run(acting: Acting) -> None:
         assert set(run.acted_names) <= set(PLAN.names)
 
 
-def test_an_execution_that_is_unknown_or_comes_too_late_is_refused(acting: Acting) -> None:
+def test_an_unknown_or_late_execution_is_refused(acting: Acting) -> None:
     result = acting.play('at_random')
     assert (result.status, result.run_id) == (PolicyResult.STATUS_BAD_REQUEST, '')
     known = 'run_to_end, interrupted, modular_mass, modular_strongest'
@@ -77,7 +77,7 @@ def test_an_execution_that_is_unknown_or_comes_too_late_is_refused(acting: Actin
     assert (late.status, 'run_policy' in late.detail) == (late.STATUS_NO_RUN, True)
 
 
-def test_a_plan_stops_an_option_that_anybody_runs(acting: Acting) -> None:
+def test_a_plan_stops_an_option_of_any_client(acting: Acting) -> None:
     acting.play('interrupted', episodes=1)
     alone = acting.run(option_name=TOUR)
     assert (alone.status, alone.execution) == (OptionResult.STATUS_REACHED, 'run_to_end')
@@ -136,22 +136,22 @@ def test_values_that_are_on_their_way_are_waited_for(acting: Acting) -> None:
     """They and the request come on different ways."""
     values = option_values_to_message(option_values(PLAN), 'mine', '')
     values.publisher_id = '/planner#test'
-    teller = acting.graph.node.create_publisher(OptionValues, 'option_values', LATCHED)
-    acting.graph.until(teller.get_subscription_count, 'option_server to listen')
+    planner = acting.graph.node.create_publisher(OptionValues, 'option_values', LATCHED)
+    acting.graph.until(planner.get_subscription_count, 'option_server to listen')
     state = acting.player.fresh(START)
     asked = {'option_name': TOUR, 'execution': 'interrupted', 'plan_id': 'mine'}
     waiting = acting.graph.request(RunOption, 'run_option', episode=state.episode, **asked)
     busy = acting.graph.ask(RunOption, 'run_option', option_name=USE).result
     assert busy.status == OptionResult.STATUS_BUSY
-    teller.publish(values)
+    planner.publish(values)
     acting.graph.until(waiting.done, 'the run')
     assert waiting.result().result.status == OptionResult.STATUS_STOPPED_BY_PLAN
-    acting.graph.node.destroy_publisher(teller)
+    acting.graph.node.destroy_publisher(planner)
 
 
 @pytest.fixture(scope='module')
 def paced(acting: Acting) -> Acting:
-    """The same, with time between steps for somebody who watches."""
+    """The same, at a pace for a person who watches."""
     acting.graph.ask(SetPace, 'set_pace', step_period=PACE)
     acting.episodes = 1
     return acting
@@ -204,7 +204,7 @@ def test_a_policy_is_canceled_within_the_episode(paced: Acting, execution: str) 
     assert paced.runs[-1].status == OptionResult.STATUS_CANCELED
 
 
-def test_modules_that_were_begun_are_not_changed_by_what_is_learned_meanwhile(
+def test_running_modules_keep_their_options_when_others_are_learned(
     paced: Acting,
 ) -> None:
     goal = paced.begin('modular_mass')

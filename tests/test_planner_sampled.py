@@ -74,8 +74,8 @@ def test_the_same_seed_gives_the_numbers_of_the_pure_code_each_time(
     assert first.fallbacks == found.fallbacks
     assert list(first.outcome_names) == ['cleared', 'lives left']
     for part in ('mean', 'low', 'high'):
-        told = first.outcome_means if part == 'mean' else getattr(first, f'outcome_{part}')
-        assert list(told) == [getattr(outcome, part) for outcome in found.outcomes.values()]
+        sent = first.outcome_means if part == 'mean' else getattr(first, f'outcome_{part}')
+        assert list(sent) == [getattr(outcome, part) for outcome in found.outcomes.values()]
 
 
 @pytest.fixture(scope='module')

@@ -154,12 +154,12 @@ def test_groups_keep_people_apart_count_repeats_once_and_leave_out_what_was_with
     other = replace(demo, uuid=str(uuid.uuid4()), number=2)
     bob = replace(demo, participant='bob', uuid=str(uuid.UUID(int=3)))
     said = (demo, replace(demo, withdrawn=True), other, bob)
-    told = [said[n] for n in order]
-    assert group_by_option(told) == {
+    sent = [said[n] for n in order]
+    assert group_by_option(sent) == {
         (demo.participant, demo.option_name): [other],
         ('bob', demo.option_name): [bob],
     }
-    known = {d.uuid: d.withdrawn for d in each_once(told)}
+    known = {d.uuid: d.withdrawn for d in each_once(sent)}
     assert known == {demo.uuid: True, other.uuid: False, bob.uuid: False}
     later = replace(demo, uuid=str(uuid.UUID(int=2)), number=2)
     assert group_by_option([later, demo])[demo.participant, demo.option_name] == [demo, later]

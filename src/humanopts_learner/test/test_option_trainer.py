@@ -63,7 +63,7 @@ def test_a_demonstration_is_learned_from_once_and_known_again_when_it_is_opened_
     assert load_options(tmp_path / 'options') == ([taught.option], [])
 
 
-def test_people_and_options_are_kept_apart_and_read_again_when_somebody_goes_on(
+def test_participants_and_options_are_kept_apart_and_read_again_on_return(
     person: Any, tmp_path: Path, reopen: Open, trainer: OptionTrainer
 ) -> None:
     one, two = person(seed=1).show_random(4), person(seed=2).show_random(1)

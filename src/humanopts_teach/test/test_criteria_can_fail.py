@@ -68,7 +68,7 @@ def test_a_lesson_of_a_careless_teacher_does_not_end_with_all_criteria_met(
 
 
 def test_crossing_the_frozen_lake_carelessly_does_not_meet_all_criteria() -> None:
-    """Whose threshold of two reward units was more than the lake can pay."""
+    """A threshold of two reward units would be more than the lake can pay."""
     assert not any(met(LAKE, crossings(CARELESS, seed), seed) for seed in range(6))
 
 
@@ -83,7 +83,7 @@ def test_a_careful_teacher_meets_them_with_about_twenty_demonstrations(
     assert sum(bool(demo.actions) for demo in demonstrations) <= most
 
 
-def test_where_no_reward_can_be_told_from_random_actions_the_return_is_not_measurable() -> None:
+def test_the_return_is_not_measurable_where_random_actions_earn_as_much() -> None:
     """The lesson ends, but does not say that all criteria hold."""
     demonstrations = shown('rooms', SOUTH, 0.0, 1)
     rooms = make_domain('rooms')

@@ -460,8 +460,8 @@ class Transcript(Table):
         self.lines.append(f'    {answer.status.name}: {answer.detail}')
         if answer.contradiction:
             newest = (*self.lesson.demonstrations(), *answer.unsent)
-            told = [demo.number for demo in newest if demo.uuid == answer.contradicts]
-            where = f'{answer.situation}, number {told[0]}'
+            number = next(d.number for d in newest if d.uuid == answer.contradicts)
+            where = f'{answer.situation}, number {number}'
             self.lines.append(f'    in {where}: {answer.contradiction}')
         return answer
 
@@ -593,7 +593,7 @@ def test_an_episode_that_begins_after_the_pause_is_no_demonstration(table: Table
     assert table.lesson.phase is Phase.READY
 
 
-def test_an_unreadable_file_of_a_person_is_told(table: Table) -> None:
+def test_an_unreadable_file_of_a_participant_is_reported(table: Table) -> None:
     kept = table.ready().began(START).drive('west').end().demonstration
     assert table.ask(OpenSession('p2')).ok
     path = table.store.directory / 'p1.jsonl'

@@ -1,4 +1,4 @@
-"""The lesson's memory survives crashes and full disks; a process that died is gone on with."""
+"""Entries of a lesson survive crashes; a restarted process resumes the open session."""
 
 import os
 from pathlib import Path
@@ -182,7 +182,7 @@ def test_only_a_process_of_the_same_parent_goes_on_with_what_was_open(tmp_path: 
 
 
 @pytest.mark.parametrize('text', ['', '[]', '{"parent": 1}', '\0', '[' * 100])
-def test_a_file_that_cannot_be_read_is_none(tmp_path: Path, text: str) -> None:
+def test_an_unreadable_file_of_the_open_session_is_ignored(tmp_path: Path, text: str) -> None:
     (tmp_path / OPEN_SESSION).write_text(text)
     assert OpenSessionFile(tmp_path).left() is None
     nowhere = OpenSessionFile(tmp_path / 'no such folder')
