@@ -1,7 +1,6 @@
 """Whole launches in one ROS_DOMAIN_ID, beside a robot: each bag holds its own people alone."""
 
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from collections.abc import Iterator
 import json
 import os
 from pathlib import Path
@@ -12,7 +11,6 @@ import sys
 from typing import Any
 
 from graph_support.command import Command
-from graph_support.live import module_of, TEACHER
 from humanopts_env.domains.registry import make_domain
 from humanopts_teach.bags.reader import open_bag
 from humanopts_teach.cli import main
@@ -20,8 +18,13 @@ import pytest
 from teach_support.page_client import PageClient
 
 pytestmark = [pytest.mark.whole, pytest.mark.timeout(400)]  # on a busy machine
-TAUGHT = {'/': 'go to passenger and pickup', '/b': 'north-west room to north doorway'}
-PART = ('--only', 'recorder,game,lesson,learner')  # what a lesson needs
+TAUGHT = {
+    'of-root': 'go to passenger and pickup',
+    'of-b': 'north-west room to north doorway',
+    'anna': 'go west',
+    'ben': 'go west',
+}
+PART = ('--only', 'recorder,game,lesson,learner,simulated_teacher')  # what a lesson needs
 QUESTIONS = len(make_domain('taxi').features)
 ROBOT = """
 import rclpy
@@ -40,8 +43,21 @@ def commands(tmp_path: Path, domain_id: int) -> Iterator[dict[str, Command]]:
     """Two launches and a browser server, each with its output in a folder of its own."""
     started: dict[str, Command] = {}
     for name, arguments in (
-        ('taxi', ('up', 'taxi', *PART)),
-        ('rooms', ('up', 'rooms', *PART, '--namespace', '/b', '--record', '/scan')),
+        ('taxi', ('up', 'taxi', *PART, '--taught', TAUGHT['of-root'])),
+        (
+            'rooms',
+            (
+                'up',
+                'rooms',
+                *PART,
+                '--namespace',
+                '/b',
+                '--record',
+                '/scan',
+                '--taught',
+                TAUGHT['of-b'],
+            ),
+        ),
         ('pages', ('teach', 'taxi', '--browser', '--port', 0, '--learn', 'goal')),
     ):
         folder = tmp_path / name
@@ -54,21 +70,12 @@ def commands(tmp_path: Path, domain_id: int) -> Iterator[dict[str, Command]]:
 
 
 @pytest.fixture
-def run(domain_id: int) -> Iterator[Callable[..., 'subprocess.Popen[bytes]']]:
-    """Return what starts Python on the graph."""
-    with ExitStack() as stack:
-
-        def start(*arguments: str) -> 'subprocess.Popen[bytes]':
-            process = subprocess.Popen(
-                [sys.executable, *arguments],
-                env={**os.environ, 'ROS_DOMAIN_ID': str(domain_id)},
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL,
-            )
-            stack.callback(process.kill)
-            return process
-
-        yield start
+def robot(domain_id: int) -> Iterator[None]:
+    """A node that is none of ours, on the graph."""
+    environment = {**os.environ, 'ROS_DOMAIN_ID': str(domain_id)}
+    with subprocess.Popen([sys.executable, '-c', ROBOT], env=environment) as process:
+        yield
+        process.kill()
 
 
 def teach(page: PageClient) -> None:
@@ -96,31 +103,20 @@ def told(capsys: pytest.CaptureFixture[str], *arguments: Any) -> Any:
     return json.loads(capsys.readouterr().out)
 
 
+@pytest.mark.usefixtures('robot')
 def test_each_bag_is_whole_and_holds_the_people_of_its_own_graph(
-    commands: dict[str, Command],
-    run: Callable[..., 'subprocess.Popen[bytes]'],
-    capsys: pytest.CaptureFixture[str],
+    commands: dict[str, Command], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    robot = run('-c', ROBOT)
     pages = commands['pages']
     pages.until(lambda: 'Open ' in pages.output, 'the address')
     found = re.search(r'Open (\S+)(/\S+) in a browser', pages.output)
     assert found is not None
     shown = [PageClient(found.group(1), f'{found.group(2)}/{who}') for who in ('anna', 'ben')]
-    people = []
-    for namespace, option in TAUGHT.items():
-        given = {'options': [option], 'participant': f'of-{namespace[1:] or "root"}'}
-        words = [f'{name}:={json.dumps(value)}' for name, value in given.items()]
-        node = ['-m', module_of(TEACHER), '--ros-args', '-r', f'__ns:={namespace}']
-        people.append(run(*node, '-p', words[0], '-p', words[1]))
     for page in shown:
         teach(page)
     for name in ('taxi', 'rooms'):
         data = commands[name].folder / 'data'
         commands[name].until(lambda d=data: list(d.glob('options/*/*.json')), 'a learned option')
-    for each in (*people, robot):
-        each.terminate()
-        each.wait(20)
     for command in commands.values():
         command.send(signal.SIGINT)
     for command in commands.values():
@@ -135,9 +131,10 @@ def test_each_bag_is_whole_and_holds_the_people_of_its_own_graph(
         (bag,) = (data / 'bags').iterdir()
         assert told(capsys, 'check', bag)['whole']
         info = told(capsys, 'info', bag)
-        assert (info['participants'], info['left_out']) == ([who], [])
-        evaluated = told(capsys, 'eval', bag)
-        assert {option['participant'] for option in evaluated['options']} == {who}
+        code = who if who in ('anna', 'ben') else 'p1'
+        assert (info['participants'], info['left_out']) == ([code], [])
+        (option,) = told(capsys, 'eval', bag)['options']
+        assert (option['participant'], option['option_name']) == (code, TAUGHT[who])
         opened = open_bag(bag)
         names = {topic for topic in opened.topics if topic not in ('/rosout', '/parameter_events')}
         prefix = opened.facts['namespace'].rstrip('/') + '/'
