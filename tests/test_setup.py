@@ -163,8 +163,8 @@ def test_the_whole_check_runs_all_checks_and_fails_where_one_does(
     check_all = Path(shutil.copy(ROOT / '.ci/run', tmp_path / '.ci'))
     stand_in = tmp_path / 'bin/make'
     stand_in.write_text(
-        '#!/bin/sh\nfor word; do case $word in "$FAILING") exit 3;; ARGS=*) ;; *) echo "$word"; '
-        'esac; done\n'
+        '#!/bin/sh\nfor word; do case $word in "$FAILING") exit 3;; ARGS=*|-*) ;; '
+        '*) echo "$word"; esac; done\n'
     )
     stand_in.chmod(0o755)
     path = f'{stand_in.parent}:{os.environ["PATH"]}'
