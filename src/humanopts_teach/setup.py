@@ -18,6 +18,7 @@ setup(
         'psutil>=5.9.8',
         'pyyaml>=6.0.1',
         'rich>=13.7.1',
+        'scikit-learn>=1.4.1',
         'setproctitle>=1.3.3',
         'zstandard>=0.22.0',
     ],

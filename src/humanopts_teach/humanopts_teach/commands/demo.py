@@ -98,7 +98,7 @@ def run_demo(
             progress.stage('teaching')
             wait_until_taught(running)
             taught = running.graph.learned()
-            live = _plan_and_play(running, domain, taught, played, judged, exact, progress)
+            live = _plan_and_play(running, domain, taught, played, judged, progress)
         progress.stage('evaluating the bag')
         try:
             bag = open_bag(running.bags[-1])
@@ -136,13 +136,17 @@ def _plan_and_play(
     taught: Sequence[tuple[LearnedOption, Any]],
     episodes: int,
     judged: int,
-    learns: bool,
     progress: DemoProgress,
 ) -> Live:
     from humanopts_learner.ros.convert import (  # slow to import
         plan_from_message,
         summary_from_message,
     )
+
+    def import_report() -> None:  # which would take a second later
+        if is_enumerable(domain):  # this process learns the options again
+            import sklearn.tree  # noqa: F401
+        from humanopts_teach.report import write  # noqa: F401
 
     graph, setup = running.graph, running.setup
     options = [
@@ -154,7 +158,7 @@ def _plan_and_play(
         for name in (HUMAN, PRIMITIVE)
     ]
     progress.stage(f'playing {episodes} episodes')
-    importing = threading.Thread(target=_import_what_follows, args=(learns,), daemon=True)
+    importing = threading.Thread(target=import_report, daemon=True)
     importing.start()
     played = graph.retry(partial(graph.play, HUMAN, episodes, setup.seed, setup.game_steps))
     graph.wait(graph.all_recorded, NEWS_SECONDS, 'what was shown to be in the newest bag')
@@ -164,17 +168,6 @@ def _plan_and_play(
     )
     planned = [plan_row(plan_from_message(result)) for result in plans]
     return Live(table(OPTIONS, options), table(PLANS, planned), execution)
-
-
-def _import_what_follows(learns: bool) -> None:
-    """
-    Import the evaluation and the report, which would take a second later.
-
-    :param learns: this process learns the options again.
-    """
-    if learns:
-        import sklearn.tree  # noqa: F401
-    from humanopts_teach.report import write  # noqa: F401
 
 
 def _problems(
