@@ -16,37 +16,17 @@ from humanopts_env.domains import registry
 from humanopts_learner.options.starts import STRATEGIES
 from humanopts_teach.bags.contents import read_episodes
 from humanopts_teach.bags.reader import open_bag
-from humanopts_teach.cli import main
+from humanopts_teach.cli import app, main, OUTSIDE
 from humanopts_teach.command_line import LaunchOptions
 from humanopts_teach.commands.session import check_folder, default_folder
 from humanopts_teach.launching.processes import Setup
 import pexpect
 import pytest
 from teach_support.bags import cut_short
+import typer
 
 pytestmark = pytest.mark.timeout(300)  # on a busy machine
-THRESHOLDS = ('--return-delta', '--initiation-error', '--termination-error')
-LAUNCH = (
-    *('--out', '--seed', '--strategy', '--budget', '--parameter', '--namespace'),
-    *THRESHOLDS,
-)
-HELP = {
-    (): ('demo', 'up', 'teach', 'study', 'status', 'bag', 'reproduce', 'bench'),
-    ('status',): ('--namespace', '--json'),
-    ('demo',): ('--domain', '--episodes', '--games', '--game-steps', '--error-rate', *LAUNCH),
-    ('up',): ('DOMAIN', '--no-record', '--step-period', *LAUNCH),
-    ('teach',): ('DOMAIN', 'pacman, rooms, taxi', '--participant', *LAUNCH),
-    ('study',): ('run', 'status', 'export', 'PLAN.yaml'),
-    ('study', 'run'): ('--participant', '--simulate', '--study', '--namespace'),
-    ('bag',): ('info', 'check', 'eval', 'play', 'table1', 'export'),
-    ('bag', 'info'): ('BAG', '--json'),
-    ('bag', 'eval'): ('BAG', '--json', '--html', '--games'),
-    ('bag', 'play'): ('BAG', '--episode', '--speed'),
-    ('bag', 'table1'): ('BAG', '--merge', '--json'),
-    ('bag', 'export'): ('BAG', '--to', 'csv', 'parquet', 'minari', '--out'),
-}
-
-
+PAGE = Path(__file__).parents[1] / 'docs/reference/commands.md'
 EXPORT = ['export', '--to', 'csv', '--out', '/nowhere']
 
 
@@ -74,14 +54,27 @@ def check_refused(capsys: pytest.CaptureFixture[str], status: int, *words: str) 
         assert word in err
 
 
-@pytest.mark.parametrize(('command', 'words'), HELP.items(), ids=lambda v: '-'.join(v) or 'all')
-def test_help_of_every_command_names_its_options(
-    capsys: pytest.CaptureFixture[str], command: tuple[str, ...], words: tuple[str, ...]
+def every_command(command: Any, *path: str) -> Iterator[tuple[tuple[str, ...], Any]]:
+    """Yield each command with its words, other than those of the repository."""
+    yield path, command
+    for name, inner in getattr(command, 'commands', {}).items():
+        if name not in OUTSIDE:
+            yield from every_command(inner, *path, name)
+
+
+def test_every_command_has_help_and_every_option_is_on_the_page_of_commands(
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    assert run(*command, '--help') == 0
-    out, err = capsys.readouterr()
-    assert err == ''
-    assert [word for word in words if word not in out] == []
+    page = PAGE.read_text('utf-8')
+    found = dict(every_command(typer.main.get_command(app)))
+    assert len(found) > 14
+    for path, command in found.items():
+        assert run(*path, '--help') == 0
+        out, err = capsys.readouterr()
+        assert (' '.join(['humanopts', *path]) in out, err) == (True, '')
+        options = [option for param in command.params for option in param.opts]
+        assert [option for option in options if option[0] == '-' and option not in page] == []
+    assert 'pacman, rooms, taxi' in (run('up', '--help'), capsys.readouterr().out)[1]
 
 
 def test_the_version_is_that_of_the_package(capsys: pytest.CaptureFixture[str]) -> None:
