@@ -7,14 +7,13 @@ from humanopts_env.domains.base import Domain, DomainError
 from humanopts_env.domains.capabilities import StepEffect
 from humanopts_env.seeding import generator
 from humanopts_env.testing import DomainContract, ReferenceContract
-from humanopts_greenhouse.greenhouse import Greenhouse, GreenhouseState
+from humanopts_greenhouse.greenhouse import Greenhouse
 from humanopts_greenhouse.reference import reference_options
 from humanopts_learner.automatic.extract import find_options
 from humanopts_learner.automatic.subgoals import Extraction
 from humanopts_learner.options.learned_option import options_from_references
 from humanopts_learner.planning.request import HUMAN, PlanRequest, PRIMITIVE
 from humanopts_teach.evaluation.games import Baseline, PLAN, play_baseline, RANDOM, RULE
-import numpy as np
 import pytest
 
 HOUSE = Greenhouse()
@@ -99,26 +98,11 @@ def test_reference_options(name: str, state: str, distance: int, actions: set[st
     assert {HOUSE.actions[a].name for a in option.optimal_actions(start)} == actions
 
 
-def test_options_alternate() -> None:
-    """Wherever the task is not over, exactly one of them can start."""
-    fill, water = reference_options(HOUSE).values()
-    visited = fill.judged & ~HOUSE.over()
-    assert (fill.initiation ^ water.initiation)[visited].all()
-    assert not (fill.initiation | water.initiation)[HOUSE.over()].any()
-
-
 @pytest.mark.parametrize('size', [2, 10, 4.0, True, '4'])
 def test_sizes_that_are_none_are_refused(size: Any) -> None:
     """With what would be one."""
     with pytest.raises(DomainError, match='from 3 to 9'):
         Greenhouse(size)
-
-
-def test_start_states_are_every_cell() -> None:
-    """With everything dry and the can empty."""
-    starts = [HOUSE.state_at(int(index)) for index in HOUSE.start_states()]
-    dry = (True, True, True)
-    assert starts == [GreenhouseState(*divmod(c, 4), False, dry) for c in np.arange(16).tolist()]
 
 
 def test_subgoals_are_events_at_the_tap_and_the_beds() -> None:

@@ -32,24 +32,9 @@ FOUR_GHOSTS = str(Path(__file__).with_name('four_ghosts.lay'))
 NO_GHOST = '%%%%%\n%P..%\n%%%%%'
 
 
-class WithoutTables:
-    """Taxi as a domain whose states cannot be listed."""
-
-    def __init__(self, rows: int = 5, cols: int = 5) -> None:
-        """Keep the domain whose rules are used."""
-        self._taxi = Taxi(rows, cols)
-
-    def __getattr__(self, name: str) -> Any:
-        """Lend everything but the tables."""
-        if name in ('n_states', 'index', 'state_at', 'transitions', 'over', 'board_slices'):
-            raise AttributeError(name)
-        return getattr(self._taxi, name)
-
-
 OURS: dict[str, Any] = {
     'Taxi': Taxi,
     'WiderTaxi': partial(Taxi, 6, 7),
-    'TaxiWithoutTables': WithoutTables,
     'Rooms': Rooms,
     'RoomsWithTheGoalInARoom': partial(Rooms, 'G2'),
     'LonelyPacMan': partial(PacMan, NO_GHOST),

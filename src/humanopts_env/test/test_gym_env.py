@@ -63,13 +63,6 @@ def test_the_rewards_are_the_papers() -> None:
             assert ours.P[state][action][0][2] == expected
 
 
-def test_it_takes_the_domains_parameters() -> None:
-    env = make(rows=6, cols=7)
-    assert env.observation_space.n == 6 * 7 * 20
-    with pytest.raises(DomainError, match='rows'):
-        make(rows=2)
-
-
 def test_an_episode_is_played_to_its_end() -> None:
     """From a state given as text, and cut off at the domain's max_steps."""
     env = make(render_mode='ansi')

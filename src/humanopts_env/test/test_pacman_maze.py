@@ -45,15 +45,6 @@ def test_numbered_ghosts_come_in_order_and_g_is_the_first() -> None:
 
 
 @pytest.mark.parametrize(
-    'text',
-    [LAYOUT.replace('\n', '\r\n'), LAYOUT + '\n\n', '\n' + LAYOUT, LAYOUT.replace('\n', '  \n')],
-)
-def test_line_ends_do_not_matter(text: str) -> None:
-    """Files of any system, with blank lines or blanks that an editor left."""
-    assert parse_maze(text) == parse_maze(LAYOUT)
-
-
-@pytest.mark.parametrize(
     ('text', 'reason'),
     [
         ('', 'empty'),

@@ -212,7 +212,6 @@ def test_all_parts_of_a_state_are_in_its_text() -> None:
     ('old', 'new'),
     [
         ('pacman 8,8', 'pacman 1,1'),  # a wall
-        ('pacman 8,8', 'pacman 9,8'),
         ('pacman 8,8', 'pacman 08,8'),
         ('pacman 8,8', 'pacman 8,٨'),
         ('pacman 8,8', f'pacman {"9" * 1000},8'),
@@ -220,20 +219,14 @@ def test_all_parts_of_a_state_are_in_its_text() -> None:
         (' ghost 4,9 heading none scared 0', ''),
         ('ghost 4,8', 'ghost 1,1'),
         ('scared 0', 'scared 41'),
-        ('scared 0', 'scared -1'),
         ('heading none', 'heading up'),
         ('food 3', 'food 7'),  # a 99th food
         ('food 3', 'food 03'),
-        ('food 3', 'food F'),
         ('pills 11', 'pills 111'),
-        ('pills 11', 'pills none'),
         ('fruit none', 'fruit 0,0 for 0'),
-        ('fruit none', 'fruit 0,0 for 61'),
         ('fruit none', 'fruit 1,1 for 5'),
         ('lives 3', 'lives 4'),
         ('score 0', 'score 12345678901'),
-        ('score 0', f'score {"1" * 5000}'),
-        ('ate nothing', 'ate everything'),
         ('ate nothing', 'ate ghost+food'),
     ],
 )

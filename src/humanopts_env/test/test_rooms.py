@@ -3,13 +3,11 @@
 from collections import Counter
 
 from humanopts_env.domains.base import DomainError
-from humanopts_env.domains.reference import TabularReferenceOption
 from humanopts_env.domains.rooms import Rooms, RoomsState
 from humanopts_env.domains.rooms_reference import reference_options
 from humanopts_env.domains.tabular import best_ways, draw_outcomes, outcome_limits
 from humanopts_env.seeding import generator
 import numpy as np
-from numpy.typing import NDArray
 import pytest
 
 ROOMS = Rooms()
@@ -132,44 +130,6 @@ def test_distances_and_actions(cell: tuple[int, int], distance: int, action: str
     option, state = OPTIONS[NORTH], RoomsState(*cell)
     assert option.distance[ROOMS.index(state)] == distance
     assert [ROOMS.actions[a].name for a in option.optimal_actions(state)] == [action]
-
-
-@pytest.mark.parametrize('option', OPTIONS.values(), ids=OPTIONS)
-def test_no_other_policy_reaches_the_doorway_sooner(option: TabularReferenceOption) -> None:
-    """
-    Changing the action of any one state lowers the value there (policy improvement).
-
-    The other doorway is worth 0 to those who walk into it, because the option ends there.
-    """
-    room, _, doorway = option.name.removesuffix(' doorway').partition(' room to ')
-    values = [dict(zip(('room', 'doorway'), row[2:])) for row in VALUES]
-    target = np.array([value['doorway'] == doorway for value in values])
-    inside = np.array([value['room'] == room for value in values])
-    starts = inside | option.initiation
-    action = option.optimal.argmax(axis=1)
-    value = reach_value(inside, action, target)
-    table = ROOMS.transitions()
-    ahead = 0.9 * (table.probability * value[table.successor]).sum(axis=2)
-    best = ahead.max(axis=1)
-    assert value[inside] == pytest.approx(best[inside], abs=1e-12)
-    worse = ahead < best[:, None] - 1e-9
-    assert (worse[starts] == ~option.optimal[starts]).all()
-
-
-def reach_value(
-    inside: NDArray[np.bool_], action: NDArray[np.intp], target: NDArray[np.bool_]
-) -> NDArray[np.float64]:
-    """Solve the dense equations of one policy: expected 0.9**k at the target."""
-    table, n = ROOMS.transitions(), ROOMS.n_states
-    step = np.zeros((n, n))
-    for state in np.flatnonzero(inside):
-        np.add.at(
-            step[state],
-            table.successor[state, action[state]],
-            table.probability[state, action[state]],
-        )
-    value: NDArray[np.float64] = np.linalg.solve(np.eye(n) - 0.9 * step, target.astype(np.float64))
-    return value
 
 
 def test_a_way_that_slips_is_worth_the_share_that_arrives() -> None:
