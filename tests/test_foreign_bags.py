@@ -1,4 +1,4 @@
-"""Bags that other tools have compressed, converted or stripped: said what they are, and read."""
+"""Bags that other tools compressed, converted or stripped are read, or refused with advice."""
 
 from collections.abc import Callable
 import gzip

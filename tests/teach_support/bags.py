@@ -16,10 +16,10 @@ from humanopts_ros.senders import SENDERS
 from humanopts_teach.bags.provenance import software
 from humanopts_teach.bags.reader import Bag, open_bag
 from humanopts_teach.bags.writer import BagWriter, Limits, NO_LIMITS
+from humanopts_teach.bags.writer import GAME as GAME_RECORD
 from humanopts_teach.lesson.in_process import teach
 from humanopts_teach.lesson.simulated_teacher import TeacherSettings
 from mcap.reader import make_reader
-from mcap.writer import Writer
 from rclpy.serialization import serialize_message
 
 START = 10**18  # ns since the epoch
@@ -46,7 +46,7 @@ def state(step: int) -> bytes:
 def write_states(
     path: Path, count: int, flush_every: int = 10, limits: Limits = NO_LIMITS
 ) -> BagWriter:
-    """Begin a bag of game states, one a millisecond, and leave it open."""
+    """Write game states, one a millisecond, into a bag that stays open."""
     writer = BagWriter(path, {'seed': '7'}, limits=limits)
     writer.add_topic('/game_state', GAME, [QOS], 'RIHS01_ab')
     for step in range(count):
@@ -119,7 +119,7 @@ def play(domain: Domain[Any], actions: list[str]) -> list[Transition]:
 
 def write_lesson(path: Path) -> Path:
     """
-    Record a short lesson of two options on Taxi, whose demonstrations are then played by them.
+    Record a short lesson of two options on Taxi, which then play the demonstrations.
 
     The facts are those of a launch.
     """
@@ -160,28 +160,14 @@ def write_lesson(path: Path) -> Path:
 
 
 def without(bag: Path, copy: Path, type_name: str, leave_out: Callable[[Any], bool]) -> Path:
-    """Copy a bag's MCAP file record by record, without the messages of a type that match."""
+    """Copy a bag without the messages of a type that match."""
     opened = open_bag(bag)
-    (source,) = opened.files
-    with source.open('rb') as old, copy.open('wb') as new:
-        reader, writer = make_reader(old), Writer(new)
-        writer.start(profile='ros2')
-        channels: dict[int, int] = {}
-        for schema, channel, message in reader.iter_messages():
-            assert schema is not None
-            if channel.id not in channels:
-                kind = writer.register_schema(schema.name, schema.encoding, schema.data)
-                channels[channel.id] = writer.register_channel(
-                    channel.topic, channel.message_encoding, kind, channel.metadata
-                )
-            if schema.name == type_name and leave_out(opened.decoder(channel.topic)(message.data)):
-                continue
-            writer.add_message(
-                channels[channel.id], message.log_time, message.data, message.publish_time
-            )
-        for record in reader.iter_metadata():
-            writer.add_metadata(record.name, record.metadata)
-        writer.finish()
+    with BagWriter(copy, opened.facts) as writer:
+        writer.note(GAME_RECORD, opened.metadata[GAME_RECORD])
+        for each in opened.messages():
+            if each.type != type_name or not leave_out(each.message):
+                writer.add_topic(each.topic, each.type)
+                writer.write(each.topic, each.data, each.log_time, each.publish_time)
     return copy
 
 

@@ -129,7 +129,7 @@ def test_the_last_episode_is_of_the_chosen_game_even_where_two_count_alike(
     assert [frame.ends_run for frame in frames] == [False, False, False, True]
 
 
-def test_the_last_episode_of_modules_tells_which_of_them_acted(
+def test_the_last_episode_of_modules_names_the_module_of_each_step(
     tmp_path: Path, taxi: Domain[Any]
 ) -> None:
     states = [
@@ -151,7 +151,7 @@ def test_the_last_episode_of_modules_tells_which_of_them_acted(
     assert [frame.ends_run for frame in frames] == [False, False, False, True]
 
 
-def test_messages_whose_definition_is_another_are_left_out_and_said(
+def test_messages_of_another_definition_are_left_out_and_noted(
     tmp_path: Path, taxi: Domain[Any], taxi_lesson: list[Demonstration]
 ) -> None:
     bag = write_messages(

@@ -148,7 +148,7 @@ def write_by_another(file: Path, *, without_counts: bool = False, **how: Any) ->
     ],
     ids=['no chunks', 'no topics', 'no types', 'no statistics', 'no counts'],
 )
-def test_files_whose_end_tells_less_are_read_and_whole(tmp_path: Path, how: Any) -> None:
+def test_files_with_a_shorter_summary_are_whole(tmp_path: Path, how: Any) -> None:
     file = tmp_path / 'other.mcap'
     write_by_another(file, **how)
     assert steps(file) == [0, 1, 2, 3, 4]
@@ -205,7 +205,9 @@ def test_a_bag_goes_on_in_another_file_and_nothing_is_lost(tmp_path: Path, limit
     assert check_bag(opened).findings == []
     if limits.bytes:
         assert all(file.stat().st_size > limits.bytes for file in opened.files[:-1])
-    (tmp_path / 'bag' / 'metadata.yaml').unlink()  # so that the order is told by the files' names
+    (
+        tmp_path / 'bag' / 'metadata.yaml'
+    ).unlink()  # so that the names of the files give their order
     assert steps(tmp_path / 'bag') == list(range(100))
 
 

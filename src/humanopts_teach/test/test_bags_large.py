@@ -1,4 +1,4 @@
-"""Large bags take little memory, and show how far they are read."""
+"""Large bags take little memory, and show their progress."""
 
 from collections.abc import Callable, Iterator
 import os
@@ -53,7 +53,7 @@ def drain(rows: Any) -> None:
         pass
 
 
-@pytest.mark.parametrize('period', [10**6, 0], ids=['clock that runs', 'clock that stands'])
+@pytest.mark.parametrize('period', [10**6, 0], ids=['running clock', 'stopped clock'])
 def test_reading_holds_a_few_chunks_however_long_the_bag_is(
     tmp_path: Path, taxi: Domain[Any], taxi_lesson: list[Demonstration], period: int
 ) -> None:
@@ -74,22 +74,20 @@ def test_reading_holds_a_few_chunks_however_long_the_bag_is(
 
 
 @pytest.mark.parametrize('indexed', [True, False])
-def test_every_pass_tells_how_far_it_is_a_scan_too(
-    tmp_path: Path, taxi: Domain[Any], indexed: bool
-) -> None:
+def test_every_pass_reports_its_progress(tmp_path: Path, taxi: Domain[Any], indexed: bool) -> None:
     write_messages(tmp_path / 'bag', lesson(taxi, 4_000_000), period=10**6)
     (file,) = (tmp_path / 'bag').glob('*.mcap')
     if not indexed:
         os.truncate(file, file.stat().st_size - 1000)
-    told: list[tuple[int, int]] = []
-    bag = open_bag(tmp_path / 'bag', lambda done, total: told.append((done, total)))
-    assert bool(told) is not indexed
+    progress: list[tuple[int, int]] = []
+    bag = open_bag(tmp_path / 'bag', lambda done, total: progress.append((done, total)))
+    assert bool(progress) is not indexed
     for read in (lambda: None, lambda: drain(bag.messages()), bag.compare_bytes):
         read()
-        if told:
-            done = [at for at, _ in told]
-            assert len({total for _, total in told}) == 1
+        if progress:
+            done = [at for at, _ in progress]
+            assert len({total for _, total in progress}) == 1
             assert done == sorted(done)
-            assert len(done) < 5 or done[0] < 0.1 * told[0][1]
-            assert done[-1] > 0.8 * told[0][1]
-        told.clear()
+            assert len(done) < 5 or done[0] < 0.1 * progress[0][1]
+            assert done[-1] > 0.8 * progress[0][1]
+        progress.clear()

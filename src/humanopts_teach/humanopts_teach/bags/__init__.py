@@ -1,7 +1,7 @@
 """
-Bags, written and read with no ROS installed, and what can go wrong with them.
+Bags, written and read without ROS, and their errors.
 
-Every text of an error says what is wrong and, where possible, what to do.
+The text of an error says what is wrong and, if possible, what to do.
 """
 
 
@@ -10,7 +10,7 @@ class BagError(ValueError):
 
 
 class BagWriteError(OSError):
-    """A bag cannot be begun or go on; what was written before stays readable."""
+    """A bag cannot be created or continued; what was written before stays readable."""
 
 
 class SchemaError(LookupError):

@@ -7,10 +7,10 @@ class ArrivalTimes:
     """
     Arrival times that start at the time of day and increase steadily, ns since the epoch.
 
-    The middleware notes the time of day when a message arrives. That somebody set it is seen at
-    the next look. What arrived between two looks arrived before it was set or after: of the two
-    times that it may mean, mostly one is between the looks. What was left from before, and fits
-    neither, is put at the earlier look.
+    The middleware stamps an arriving message with the time of day. A change of the clock is
+    detected at the next look. A message that arrived between two looks was stamped before or
+    after the change: usually only one of the two interpretations is between the looks. A message
+    left over from earlier fits neither, and gets the time of the earlier look.
 
     :ivar now: at the last look.
     """
@@ -18,20 +18,20 @@ class ArrivalTimes:
     def __init__(self, time_of_day: TimeOfDay) -> None:
         self._time_of_day = time_of_day
         self.now = self._looked_before = time_of_day.now
-        self._ahead_before = 0  # by how much the time of day was set then, ns
+        self._ahead_before = 0  # offset of the time of day at that look, ns
         self._newest: dict[str, int] = {}  # by topic
 
     def look(self) -> None:
-        """See whether the time of day was set; to be called just after messages were taken."""
+        """Detect changes of the time of day; call it just after taking messages."""
         self._looked_before, self._ahead_before = self.now, self._time_of_day.ahead
         self._time_of_day.look()
         self.now = self._time_of_day.now
 
     def of(self, topic: str, received: int) -> int:
         """
-        Return when a message arrived: not before those of its topic that were taken earlier.
+        Return the arrival time of a message, at or after those taken earlier from its topic.
 
-        :param received: the time of day then, ns since the epoch.
+        :param received: its time of day, ns since the epoch.
         """
         arrived = received - self._time_of_day.ahead
         if not self._looked_before <= arrived <= self.now:

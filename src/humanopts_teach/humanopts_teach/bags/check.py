@@ -127,16 +127,21 @@ def check_bag(bag: Bag) -> Check:
     for topic in bag.topics.values():
         if topic.messages != counts[topic.name]:
             bag.note(f'{topic.name}: {counts[topic.name]} of {topic.messages} messages were read')
-    said = None if bag.growing else bag.information
-    if said is not None and said.message_count != extent.messages:
-        bag.note(f'{FILE} lists {said.message_count} messages; {extent.messages} were read')
-    elif said is not None:  # else the rest differs too, as in a recording that was not closed
-        listed = {t.topic_metadata.name: t.message_count for t in said.topics_with_message_count}
+    metadata = None if bag.growing else bag.information
+    if metadata is not None and metadata.message_count != extent.messages:
+        bag.note(f'{FILE} lists {metadata.message_count} messages; {extent.messages} were read')
+    elif metadata is not None:  # else the rest differs too, as in a recording that was not closed
+        listed = {
+            t.topic_metadata.name: t.message_count for t in metadata.topics_with_message_count
+        }
         for name in sorted(listed.keys() | counts.keys()):
             if listed.get(name, 0) != counts[name]:
                 times = f'{listed.get(name, 0)} messages; {counts[name]} were read'
                 bag.note(f'{name}: {FILE} lists {times}')
-        if {'duration': said.duration, 'starting_time': said.starting_time} != extent.times:
+        if {
+            'duration': metadata.duration,
+            'starting_time': metadata.starting_time,
+        } != extent.times:
             bag.note(f'{FILE} states another start or duration than that of the messages')
     streams = list(counter.losses)
     streams += (

@@ -182,7 +182,7 @@ def state_topics(bag: Bag) -> set[str]:
     states = [name for name in bag.of_type(GAME_STATE) if name.rpartition('/')[2] != STATE_COPY]
     topics = {name for name in states if has_step(bag.topics[name].schema)}
     for name in sorted({*states} - topics):
-        bag.note(f'{name} is left out: its messages do not begin with their place')
+        bag.note(f'{name} is left out: its messages do not begin with episode and step')
     return topics
 
 
@@ -252,7 +252,7 @@ def find_episodes(bag: Bag) -> list[Episode]:
 
 
 ACTION_COMMAND = f'{INTERFACES}msg/ActionCommand'
-AROUND = 10 * 10**9  # ns before and after an episode, in which its commands are looked for
+AROUND = 10 * 10**9  # ns before and after an episode, searched for its commands
 Actors = dict[tuple[str, int], str]  # option by publisher and sequence number of a command
 
 
@@ -260,7 +260,7 @@ def read_actors(bag: Bag, episode: Episode | None = None) -> Actors:
     """
     Return which option sent each command.
 
-    :param episode: whose commands are read; None: of the whole bag.
+    :param episode: sent in or around this episode; None: in the whole bag.
     """
     first, last = (0, ALWAYS[1]) if episode is None else episode.times
     commands = bag.converted(

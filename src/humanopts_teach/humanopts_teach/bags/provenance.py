@@ -1,4 +1,4 @@
-"""Where a recording comes from: versions of software, and the files to keep with it."""
+"""The origin of a recording: versions of software, and the files to keep with it."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
@@ -8,7 +8,7 @@ import os
 from pathlib import Path
 import platform
 
-UNKNOWN = 'not known'
+UNKNOWN = 'unknown'
 LOCK = 'requirements.lock'
 OWN_VERSION = 'humanopts_version'
 _PACKAGES = {
@@ -19,7 +19,7 @@ _PACKAGES = {
 
 
 def software() -> dict[str, str]:
-    """Return the versions of what learning depends on, and the lock file's SHA-256."""
+    """Return the versions of the packages that affect learning, and the lock file's SHA-256."""
     facts = dict.fromkeys(_PACKAGES, UNKNOWN)
     for name, package in _PACKAGES.items():
         with suppress(PackageNotFoundError):
@@ -39,10 +39,9 @@ def lock_hash(places: Sequence[Path]) -> str:
 
 def attachments(paths: Sequence[Path]) -> Iterator[tuple[str, Path]]:
     """
-    Yield files to keep in a bag, each with its name there: ``options/p1/go-to-goal.json``.
+    Yield files to keep in a bag, each with its name in it: ``options/p1/go-to-goal.json``.
 
-    :param paths: files, and folders of which every .json file is taken; paths that do not exist
-        are skipped.
+    :param paths: files, and folders with .json files; missing paths are skipped.
     """
     for path in paths:
         for file in sorted(path.rglob('*.json')) if os.path.isdir(path) else [path]:

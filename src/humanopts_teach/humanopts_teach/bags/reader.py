@@ -131,8 +131,8 @@ class Bag(Recording):
         """
         Return whether a message counts: the nodes of the graph would accept it.
 
-        It is in the bag's namespace, and from the node that may publish there. ``left_out`` says
-        what does not count because of its publisher.
+        It is in the bag's namespace, and from the node that may publish there. ``left_out`` lists
+        the others.
         """
         return not self.is_foreign(recorded) and own_name(recorded.topic, self.namespace) != ''
 
@@ -190,14 +190,14 @@ class Bag(Recording):
 
     @property
     def left_out(self) -> list[str]:
-        """What was not read because it is not of the graph, in words, as far as it was read."""
+        """Messages that do not count, in words, as far as the bag was read."""
         others = [name for name in self.namespaces if name != self.namespace]
         graphs = f'the graph of {", ".join(others)}: the graph of {self.namespace} is read'
         return [*([graphs] if others else []), *self.strangers]
 
     @property
     def notes(self) -> list[str]:
-        """What its reader must know: that it is being recorded, what is left out, its damage."""
+        """Warnings for the reader: a running recording, messages left out, damage."""
         return [
             *([BEING_RECORDED] if self.growing else []),
             *(f'left out: {text}' for text in self.left_out),
@@ -211,14 +211,14 @@ def open_bag(
     """
     Open a rosbag2 directory or an MCAP file.
 
-    A file that was cut short or not closed is opened with all that is whole in it; ``Bag.damage``
-    then says what is wrong. One that is being recorded is opened with what is on the disk so far.
+    A file that was cut short or not closed is opened with its whole chunks; ``Bag.damage`` then
+    describes the damage. A file being recorded is opened with what is on the disk so far.
 
-    :param on_read: is called with how much is read, and of how much, in every pass over the bag;
-        the first of which finds the messages of a file without an index.
-    :param namespace: of the graph to read, where the bag holds several; empty: the bag's own.
-    :raises BagError: there is nothing, it is empty, was written by another program, or holds no
-        humanopts topics and was not begun by our recorder.
+    :param on_read: is called with the amounts read and in all, in every pass over the bag; the
+        first pass finds the messages of a file without an index.
+    :param namespace: of the graph to read, if the bag holds several; empty: the bag's own.
+    :raises BagError: the bag does not exist, is empty, is in another format, or holds no
+        humanopts topics and is not from our recorder.
     """
     path = Path(path)
     paths, information, damage = find_files(path)

@@ -22,7 +22,7 @@ import yaml
 FILE = 'metadata.yaml'
 ROOT = 'rosbag2_bagfile_information'
 _NEVER = 2**63 - 1  # starting time of a bag without messages, as rosbag2 writes it
-_TRANSIENT_LOCAL = ('transient_local', 1)  # by name, and by number as before rosbag2's version 9
+_TRANSIENT_LOCAL = ('transient_local', 1)  # by name, or by number before rosbag2's version 9
 
 
 class _Dumper(getattr(yaml, 'CSafeDumper', yaml.SafeDumper)):  # type: ignore[misc]

@@ -35,17 +35,17 @@ SELF_TEXT = 'serialized_metadata'  # ... under this key
 
 class _File:
     """
-    One MCAP file that is being written, unbuffered.
+    One MCAP file being written, unbuffered.
 
     A record that does not fit on the disk is removed, so that the file stays readable; after that
-    nothing more is written. The file gets its name when its head is on the disk, so that no
-    reader finds it empty. It is locked until it is closed, cannot grow any more, or its process
-    ends for any reason; ``is_being_written`` tests that lock.
+    nothing more is written. The file gets its name once its header is on the disk, so that no
+    reader finds it empty. It is locked until it is closed, a write fails, or its process ends;
+    ``is_being_written`` tests that lock.
     """
 
     def __init__(self, path: Path, facts: Mapping[str, str]) -> None:
         """
-        Begin the file.
+        Create the file.
 
         :param facts: kept in the metadata record ``humanopts``.
         :raises OSError: it exists or cannot be created, or the disk is full.
@@ -136,7 +136,7 @@ def is_being_written(path: Path) -> bool:
     except BlockingIOError:
         return True
     except OSError:
-        pass  # it cannot be opened or locked, so nobody is known to write it
+        pass  # it cannot be opened or locked, so no writer is known
     return False
 
 
@@ -148,21 +148,21 @@ def _names(bag: Path) -> Iterator[Path]:
 
 def parts(bag: Path) -> list[Path]:
     """
-    Return the bags of a recording that there are, in order: ``bag``, ``bag-2``, ``bag-3``.
+    Return the existing bags of a recording, in order: ``bag``, ``bag-2``, ``bag-3``.
 
-    A recorder that is started again begins the next, and leaves the one before as it was.
+    A restarted recorder starts the next one, and leaves the previous one unchanged.
     """
     return list(takewhile(Path.exists, _names(bag)))
 
 
 def next_part(bag: Path) -> Path:
-    """Return where the recording of a bag is to be begun, or goes on."""
+    """Return the path of the next bag of a recording."""
     return next(path for path in _names(bag) if not path.exists())
 
 
 @dataclass(frozen=True)
 class Limits:
-    """When the next file of a bag begins; 0: never."""
+    """Limits of a file, after which the next one begins; 0: none."""
 
     bytes: int = 0  # size of a file, without the present chunk and the index
     seconds: float = 0.0  # after the first message in the file
@@ -173,25 +173,25 @@ NO_LIMITS = Limits()
 
 class BagWriter(AbstractContextManager['BagWriter']):
     """
-    One recording.
+    Writes a bag.
 
     ``flush`` hands every message so far to the operating system as whole chunks: a process that
-    is killed loses only what came after.
+    is killed loses only later messages.
 
-    Whatever writes raises ``BagWriteError`` where the disk is full or a file cannot be written;
-    after that nothing more is written.
+    Every method that writes raises ``BagWriteError`` if the disk is full or a file cannot be
+    written; after that nothing more is written.
     """
 
     def __init__(
         self, path: Path, facts: Mapping[str, str] | None = None, limits: Limits = NO_LIMITS
     ) -> None:
         """
-        Begin a bag.
+        Create a bag.
 
         :param path: its directory; must not exist.
         :param facts: settings and versions, kept in the MCAP metadata record ``humanopts``.
-        :param limits: when the next file is begun.
-        :raises BagWriteError: the directory exists, or cannot be made.
+        :param limits: of each file.
+        :raises BagWriteError: the directory exists, or cannot be created.
         """
         self.path = Path(path)
         self.topics: dict[str, Topic] = {}  # every topic that was added, with its message count
@@ -206,7 +206,7 @@ class BagWriter(AbstractContextManager['BagWriter']):
                 f'{self.path} exists already; name a folder that does not, or remove it'
             ) from None
         except OSError as error:
-            raise BagWriteError(f'cannot make {self.path}: {error.strerror}') from error
+            raise BagWriteError(f'cannot create {self.path}: {error.strerror}') from error
         self._files: list[_File] = []
         self._begin_file()
         self.flush()
@@ -223,7 +223,7 @@ class BagWriter(AbstractContextManager['BagWriter']):
 
     @property
     def extent(self) -> Extent:
-        """How much the files hold."""
+        """Number and times of the messages."""
         return whole_extent(file.extent for file in self._files)
 
     def add_topic(
@@ -235,14 +235,14 @@ class BagWriter(AbstractContextManager['BagWriter']):
         schema: str | None = None,
     ) -> str:
         """
-        Add a topic; one that was added already stays as it is.
+        Add a topic, unless it was added before.
 
         :param type_name: such as humanopts_interfaces/msg/GameState.
         :param qos: the profiles that its publishers offer, keys as in rosbag2's metadata.
-        :param type_hash: RIHS01_..., where it is known; kept for messages only.
-        :param schema: of its messages, ros2msg; None: that of the type installed here.
+        :param type_hash: RIHS01_..., if it is known; kept for messages only.
+        :param schema: definition of the type (ros2msg); None: the one installed here.
         :return: the schema.
-        :raises SchemaError: the type's definition is not installed here.
+        :raises SchemaError: the type is not installed here.
         """
         if name not in self.topics:
             if '/msg/' not in type_name:
@@ -266,7 +266,7 @@ class BagWriter(AbstractContextManager['BagWriter']):
 
         :param data: the CDR bytes as received.
         :param log_time: when it was received, ns since the epoch.
-        :param publish_time: when it was sent; None: not known, so ``log_time``.
+        :param publish_time: when it was sent; None: unknown, so ``log_time``.
         :param sequence: its number; None: the next one of its topic.
         """
         file, limits = self._files[-1], self._limits
@@ -305,13 +305,13 @@ class BagWriter(AbstractContextManager['BagWriter']):
         self._files[-1].writer.add_metadata(name, dict(values))
 
     def flush(self) -> None:
-        """Write the present chunk, and metadata.yaml where it lacks a topic."""
+        """Write the present chunk, and metadata.yaml if it lacks a topic."""
         self._files[-1].writer.flush()
         if self._described != len(self.topics):
             self._describe(self._information())
 
     def close(self) -> None:
-        """Write index, statistics and metadata.yaml; it can be called again."""
+        """Write index, statistics and metadata.yaml; later calls do nothing."""
         if not self._closed:
             self._closed = True
             information = self._information()
@@ -322,7 +322,7 @@ class BagWriter(AbstractContextManager['BagWriter']):
         self.close()
 
     def _channel(self, topic: Topic) -> int:
-        """Return the id of a topic in the present file, which describes it from now on."""
+        """Return the id of a topic in the present file; describe it there if necessary."""
         file = self._files[-1]
         if topic.name not in file.channels:
             if topic.type not in file.schemas:
@@ -336,7 +336,7 @@ class BagWriter(AbstractContextManager['BagWriter']):
         return file.channels[topic.name]
 
     def _split(self) -> None:
-        """Begin the next file and finish this one."""
+        """Create the next file and finish this one."""
         self._begin_file()
         information = self._information()
         try:

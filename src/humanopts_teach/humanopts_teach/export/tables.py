@@ -1,7 +1,7 @@
 """
 A bag as files: tables of steps, demonstrations, options and plans, and attached files.
 
-Rows are written while the bag is read, so that a long one takes little memory.
+Rows are written while the bag is read, so that even a long one takes little memory.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -11,7 +11,7 @@ from functools import cache, partial
 from importlib.util import find_spec
 from itertools import chain, islice
 import json
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any, get_type_hints
 
 from humanopts_env.domains.base import ActableDomain, Feature, FeatureKind
@@ -37,7 +37,7 @@ _STEP = {'episode': int, 'game': str, 'game_episode': int, 'step': int, 'state':
 _MOVE = {'action': str, 'reward': float, 'terminated': bool, 'truncated': bool}
 _ACTOR = dict.fromkeys(('source', 'option'), str)
 _OUTCOMES = dict.fromkeys(('outcome_names', 'outcome_means', 'outcome_low', 'outcome_high'), str)
-Columns = Mapping[str, type]  # int, float, bool or str, of which lists are JSON
+Columns = Mapping[str, type]  # int, float, bool or str, which includes lists as JSON
 
 
 class ExportError(ValueError):
@@ -47,7 +47,7 @@ class ExportError(ValueError):
 @dataclass(frozen=True)
 class Table:
     """
-    A table, of which a row is read when it is written.
+    A table; each row is read when it is written.
 
     :ivar columns: types by name.
     :ivar rows: plain values in the order of the columns; None: unknown.
@@ -83,7 +83,7 @@ def bag_tables(bag: Bag) -> dict[str, Table]:
 
 
 def _columns(kind: type) -> dict[str, type]:
-    """Return the columns of a dataclass: its fields, of which all but plain ones are text."""
+    """Return the fields of a dataclass as columns; compound values are text."""
     hints = get_type_hints(kind)
     return {
         f.name: hints[f.name] if hints[f.name] in (int, float, bool) else str for f in fields(kind)
@@ -188,10 +188,9 @@ def write_attached(bag: Bag, out: Path) -> list[Path]:
         raise ExportError(f'{bag.path} has no attached files')
     paths = []
     for file in bag.attached():
-        name = PurePosixPath(file.name)
-        if name.is_absolute() or '..' in name.parts or not name.parts:
+        path = out / file.name
+        if out.resolve() not in path.resolve().parents:
             raise ExportError(f'{bag.path} has an attached file of the name {file.name!r}')
-        path = out / name
         if path.exists():
             raise ExportError(f'{path} exists already; name another folder')
         path.parent.mkdir(parents=True, exist_ok=True)
