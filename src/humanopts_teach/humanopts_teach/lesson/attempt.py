@@ -4,8 +4,7 @@ from dataclasses import dataclass, field, replace
 import uuid
 
 from humanopts_env.game import Source, Transition
-from humanopts_learner.demonstrations import Demonstration, Kind
-from humanopts_teach.lesson.history import OptionHistory
+from humanopts_learner.demonstrations import Demonstration
 from humanopts_teach.lesson.requests import (
     EndDemonstration,
     RefusalError,
@@ -107,57 +106,18 @@ class Attempt:
             detail = f'steps were taken ({last}), so it is not "not here": say done, or discard'
             raise RefusalError(RequestStatus.STEPS_TAKEN, detail)
 
-    def demonstration(
-        self,
-        who: tuple[str, str, str, str],
-        option: OptionHistory,
-        feature_names: tuple[str, ...],
-        request: EndDemonstration,
-        *,
-        method: str,
-        seconds: float,
-    ) -> Demonstration:
+    def shown(self, request: EndDemonstration) -> tuple[list[Transition], int]:
         """
-        Return the demonstration that the episode is; "not here" when it has no steps.
+        Return what counts as shown, and the number of leading steps taken by the machine in it.
 
-        Machine steps that do not count as shown are left out: the demonstration begins where the
-        person took over.
-
-        :param who: domain, its parameters, participant and session.
-        :param feature_names: of all features of the domain.
-        :param request: the request, already checked.
-        :param method: learning method of the option.
+        "Not here" has no steps. Machine steps that do not count as shown are left out: the
+        demonstration begins where the person took over.
         """
-        shown, machine_steps = self.transitions, self.machine_steps
         if request.verdict is Verdict.NOT_HERE:
-            shown, machine_steps = shown[:1], 0
-        elif not request.count_machine_steps:
-            shown, machine_steps = shown[machine_steps:], 0
-        steps = shown[1:]
-        domain, parameters, participant, session = who
-        return with_uuid(
-            Demonstration(
-                kind=Kind.TRAJECTORY if steps else Kind.NOT_HERE,
-                uuid='',
-                domain=domain,
-                domain_parameters=parameters,
-                participant=participant,
-                session=session,
-                option_name=option.name,
-                number=option.number,
-                chosen_features=option.chosen,
-                feature_names=feature_names,
-                features=tuple(transition.features for transition in shown),
-                states=tuple(transition.state for transition in shown),
-                actions=tuple(step.previous_action for step in steps),
-                rewards=tuple(step.reward for step in steps),
-                terminated=shown[-1].terminated,
-                can_start_at_end=request.can_start_at_end and request.verdict is Verdict.DONE,
-                seconds=seconds,
-                method=method,
-                machine_steps=machine_steps,
-            )
-        )
+            return self.transitions[:1], 0
+        if not request.count_machine_steps:
+            return self.transitions[self.machine_steps :], 0
+        return self.transitions, self.machine_steps
 
 
 def with_uuid(demo: Demonstration) -> Demonstration:

@@ -20,6 +20,7 @@ from humanopts_learner.demonstrations import (
     Demonstration,
     DemonstrationError,
     each_once,
+    Kind,
     option_name_fault,
 )
 from humanopts_learner.options.conflicts import contradiction
@@ -400,10 +401,14 @@ class Lesson:
 
     # How requests are carried out; each raises RefusalError where it is refused.
 
+    @property
+    def _who(self) -> tuple[str, str, str, str]:
+        """Domain, its parameters, participant and session of an entry."""
+        return (*self._history.key, self._history.participant, self._session)
+
     def _event(self, entry: Any, option_name: str, **more: Any) -> LessonEvent:
         """Return an entry about an option in the open session."""
-        who = (*self._history.key, self._history.participant, self._session)
-        return LessonEvent(entry, *who, option_name, **more)
+        return LessonEvent(entry, *self._who, option_name, **more)
 
     def _entries(self, participant: str) -> tuple[Entry, ...]:
         try:
@@ -563,13 +568,27 @@ class Lesson:
         if request.verdict is Verdict.DISCARD:
             self._abandon('')
             return _ok('discarded; the same start state can be tried again')
-        demo = attempt.demonstration(
-            (*self._history.key, option.participant, self._session),
-            option,
-            tuple(feature.name for feature in self._domain.features),
-            request,
-            seconds=round(self._clock() - attempt.began, 3),
-            method=self._method(option),
+        shown, machine_steps = attempt.shown(request)
+        steps = shown[1:]
+        demo = with_uuid(
+            Demonstration(
+                Kind.TRAJECTORY if steps else Kind.NOT_HERE,
+                '',
+                *self._who,
+                option_name=option.name,
+                number=option.number,
+                chosen_features=option.chosen,
+                feature_names=tuple(feature.name for feature in self._domain.features),
+                features=tuple(transition.features for transition in shown),
+                states=tuple(transition.state for transition in shown),
+                actions=tuple(step.previous_action for step in steps),
+                rewards=tuple(step.reward for step in steps),
+                terminated=shown[-1].terminated,
+                can_start_at_end=request.can_start_at_end and request.verdict is Verdict.DONE,
+                seconds=round(self._clock() - attempt.began, 3),
+                method=self._method(option),
+                machine_steps=machine_steps,
+            )
         )
         try:
             check_demonstration(demo, self._domain)
