@@ -1,6 +1,7 @@
 """The node ``option_server``, which runs learned options, and answers queries about them."""
 
 from functools import partial
+from itertools import chain
 from pathlib import Path
 import sys
 from typing import Any
@@ -31,6 +32,7 @@ _DONE = (
     OptionResult.STATUS_EPISODE_OVER,
     OptionResult.STATUS_STOPPED_BY_PLAN,
 )
+_LEARNED = 'learned_options'  # the topic
 _FAREWELL = 0.5  # s to answer the client of the current run when the node ends
 
 
@@ -55,13 +57,12 @@ class OptionServerNode(NodeBase):
             PATIENCE,
             on_change=self._on_deadline,
         )
-        self._learned: list[LearnedOption] | None = None  # None: not published yet
-        self._automatic: list[LearnedOption] = []
+        self._options: dict[str, list[LearnedOption]] = {}  # by topic
         self._results = self.stamped_publisher(OptionResult, 'option_results')
         game = GameSubscriber(self, self._on_domain)
         self._runner = Runner(self, game, Mode(mode), seed, deadline)
-        OptionSubscriber(self, 'learned_options', self._on_learned)
-        OptionSubscriber(self, 'automatic_options', self._on_automatic)
+        for topic in (_LEARNED, 'automatic_options'):
+            OptionSubscriber(self, topic, partial(self._on_options, topic))
         group = ReentrantCallbackGroup()
         self.recorded_service(RunOption, 'run_option', self._on_run, group)
         self.recorded_service(ListOptions, 'list_options', self._on_list, group)
@@ -81,29 +82,19 @@ class OptionServerNode(NodeBase):
 
     def _on_domain(self, domain: ActableDomain) -> None:
         self._runner.library = OptionLibrary(domain)
-        if self._learned is None:
-            self._learned = self._read_files()
+        if _LEARNED not in self._options and self._directory and Path(self._directory).is_dir():
+            self._options[_LEARNED], problems = load_options(Path(self._directory))
+            for problem in problems:
+                self.get_logger().warning(str(problem))
         self._serve()
 
-    def _read_files(self) -> list[LearnedOption]:
-        if not self._directory or not Path(self._directory).is_dir():
-            return []
-        options, problems = load_options(Path(self._directory))
-        for problem in problems:
-            self.get_logger().warning(str(problem))
-        return options
-
-    def _on_learned(self, options: list[LearnedOption], _: object) -> None:
-        self._learned = options
-        self._serve()
-
-    def _on_automatic(self, options: list[LearnedOption], _: object) -> None:
-        self._automatic = options
+    def _on_options(self, topic: str, options: list[LearnedOption], _: object) -> None:
+        self._options[topic] = options
         self._serve()
 
     def _serve(self) -> None:
         """Serve the options that fit the game, once it is known, and report the others."""
-        for fault in self._runner.serve([*(self._learned or []), *self._automatic]):
+        for fault in self._runner.serve(chain(*self._options.values())):
             self.get_logger().warning(f'not served: {fault}')
 
     async def _on_run(

@@ -187,9 +187,7 @@ def _entry_of(participant: str, line: str) -> Entry:
 def _explained(error: OSError, what: str) -> StoreError:
     causes = {
         errno.ENOSPC: 'the disk is full; free some space and try again',
-        errno.EDQUOT: 'the disk quota is used up; free some space and try again',
         errno.EACCES: 'no permission; choose another folder or change its permissions',
-        errno.EROFS: 'the file system is read-only; choose another folder',
         errno.EWOULDBLOCK: 'another lesson has it open; end that one or choose another folder',
     }
     cause = causes.get(error.errno or 0, error.strerror or str(error))
