@@ -1,7 +1,7 @@
 """
-Options that run in N games: the one place that decides when an option starts, goes on and ends.
+Options running in N games: the only code that decides when an option starts, continues and ends.
 
-``Execution`` knows the rules of a run; the live runner uses it with one game. ``play`` is the loop
+``Execution`` has the rules of a run; the live runner uses it with one game. ``play`` is the loop
 around it: rollouts, held-out returns, accuracy, start states and evaluation call it with different
 options and policies.
 """
@@ -17,14 +17,14 @@ from humanopts_learner.option import Option
 import numpy as np
 from numpy.typing import NDArray
 
-NONE = -1  # in place of an option: a choice is due
+NONE = -1  # no option runs: a choice is due
 
 
 class Seen(Protocol):
-    """What is seen of N games, and what the options of a set decide there."""
+    """An observation of N games, and the decisions of options there."""
 
     def take(self, games: Ints) -> Self:
-        """Return the same of chosen games (M,)."""
+        """Return the observation of chosen games (M,)."""
 
     def action(self, option: Ints) -> Ints:
         """Return (N,): the primitive action of each game's option (N,)."""
@@ -46,7 +46,7 @@ class Options(Protocol[S_out]):
         """(O,) steps after which a run of each option is cut off."""
 
     def see(self, games: Games) -> S_out:
-        """Look at games."""
+        """Observe games."""
 
 
 class Policy(Protocol[S_in]):
@@ -72,7 +72,7 @@ def draw_among(among: Flags, rng: np.random.Generator) -> Ints:
 
 @dataclass(frozen=True)
 class Fixed(Policy[Seen]):
-    """The policy that runs the same option in a game again and again."""
+    """The policy that always runs the same option in a game."""
 
     option: Ints  # (N,) of each game
 
@@ -99,7 +99,7 @@ class Execution(Generic[S]):
     """
     One option at a time in each of N games.
 
-    A run ends where the termination condition holds, which is looked at only after a step; where
+    A run ends where the termination condition holds, which is checked only after a step; where
     the task is over; after ``max_steps``; or where the policy stops it.
 
     :ivar games: (N,) their numbers.
@@ -118,7 +118,7 @@ class Execution(Generic[S]):
         limits: Ints | None = None,
     ) -> None:
         """
-        Begin with no option in any game.
+        Start without an option in any game.
 
         :param count: number of games, N.
         :param gamma: discount per primitive step.
@@ -142,10 +142,10 @@ class Execution(Generic[S]):
 
     def observe(self, seen: S, steps: Steps, cut_off: Flags | bool = False) -> Runs:
         """
-        Take in what the actions led to, and return the runs that ended.
+        Record the outcome of the actions, and return the runs that ended.
 
-        :param seen: of the games after the step.
-        :param cut_off: (N,) whether each game ends here for a reason of its own.
+        :param seen: the games after the step.
+        :param cut_off: (N,) whether each game ends here for another reason.
         """
         self.total += steps.reward
         self.discounted += self._gamma**self._ran * steps.reward
@@ -183,9 +183,9 @@ class Execution(Generic[S]):
 
 @dataclass(frozen=True)
 class Played:
-    """What was played in N games."""
+    """The runs and outcomes of N games."""
 
-    over: Flags  # (N,) whether each is over; else it was cut off
+    over: Flags  # (N,) whether the task is over; else the game was cut off
     runs: Runs
     outcomes: Mapping[str, NDArray[Any]]  # (N,) each, as ``Games.outcomes``
 
@@ -213,14 +213,14 @@ def play(
     """
     Play games by a policy until each is over.
 
-    :param games: N of them, which are changed; those that are over have no runs.
+    :param games: N games, which are changed; those that are over have no runs.
     :param chance: of the steps; one generator for each game makes it independent of the others.
     :param max_steps: steps after which a game is cut off.
     :param gamma: discount per primitive step.
     :param limits: (N,) steps after which a run in each game is cut off; None: the options'.
     :param once: a game ends with its first run.
-    :param on_step: called in every step, after the choices, with its number; what it raises
-        passes through.
+    :param on_step: called in every step, after the choices, with its number; its exceptions
+        pass through.
     """
     outcomes = {name: values.copy() for name, values in games.outcomes().items()}
     execution, parts = Execution(options, policy, len(games), gamma, limits), []
@@ -261,7 +261,7 @@ def joined(parts: Sequence[Runs]) -> Runs:
 
 
 class RowOptions:
-    """Options that are evaluated on the features of games, as they are needed."""
+    """Options that are evaluated on the features of games when needed."""
 
     def __init__(self, options: Sequence[Option]) -> None:
         self.options = tuple(options)
@@ -273,7 +273,7 @@ class RowOptions:
 
 @dataclass(frozen=True)
 class SeenRows:
-    """The features of N games, and what options decide there."""
+    """The features of N games, and the decisions of options there."""
 
     options: Sequence[Option]
     rows: Rows  # (N, F)

@@ -2,13 +2,13 @@
 SMDP Q-learning and intra-option Q-learning, many learners side by side.
 
 R. S. Sutton, D. Precup and S. Singh (1999), "Between MDPs and semi-MDPs". SMDP Q-learning (section
-3.2; "macro Q-learning" for options that cannot be interrupted) learns of an option when it ends
+3.2; "macro Q-learning" for options that cannot be interrupted) updates an option when it ends
 after k steps, with r the discounted reward in between:
 
     Q(s, o) += rate * (r + gamma**k * max Q(s', .) - Q(s, o))
 
-Intra-option Q-learning (section 6) learns with every step, of all options that would have done
-the same there, whichever runs, with U(s', o) = Q(s', o) where o goes on and max Q(s', .) where it
+Intra-option Q-learning (section 6) updates in every step all options that would have taken the
+same action, whichever runs, with U(s', o) = Q(s', o) where o continues and max Q(s', .) where it
 ends:
 
     Q(s, o) += rate * (r + gamma * U(s', o) - Q(s, o))
@@ -29,8 +29,8 @@ from humanopts_learner.options.learned_option import OptionTable, SeenStates
 from humanopts_learner.planning.request import PlanError
 import numpy as np
 
-SLOWEST, FASTEST = 0.05, 1.0  # learning rates that are tried
-LEAST, MOST = 0.005, 0.3  # shares of exploring decisions that are tried
+MIN_RATE, MAX_RATE = 0.05, 1.0  # learning rates that are tried
+MIN_EXPLORE, MAX_EXPLORE = 0.005, 0.3  # shares of exploring decisions that are tried
 
 
 class Method(Enum):
@@ -85,9 +85,9 @@ class Learners:
 
 class _Values(Policy[SeenStates]):
     """
-    The values of N learners, and the policy that they follow: a best option, sometimes any.
+    The values of N learners, and their policy: a best option, sometimes any.
 
-    Learners with fewer options than others are filled up to W of them.
+    All learners have W slots for options; some slots may be empty.
 
     :ivar first: (N,) index of each learner's first option among those of all.
     :ivar began: (N,) state in which each learner's option began.
@@ -180,9 +180,9 @@ def learn_in_step(
     domain: EnumerableDomain, groups: Sequence[Learners], settings: Settings, seed: int
 ) -> list[Learning]:
     """
-    Learn from values of 0, each option run to its end; all learners step side by side.
+    Learn from values of 0, with each option run to its end; all learners step side by side.
 
-    Where an episode is cut off, SMDP learning takes the running option as ended there.
+    Where an episode is cut off, SMDP learning treats the running option as ended there.
 
     :return: what each group learned.
     :raises PlanError: nothing limits the episodes, or there are no learners or no episodes.
@@ -234,11 +234,11 @@ def learn_in_step(
 
 
 def drawn_rates(seed: int, count: int) -> list[Rates]:
-    """Draw rates to try, uniform in their logarithms; the first are the usual ones, 0.1."""
+    """Draw rates to try, uniform in their logarithms; the first are the defaults, 0.1."""
     rng = generator(seed, 'rates')
     draws = rng.random((count - 1, 2))
-    learning = SLOWEST * (FASTEST / SLOWEST) ** draws[:, 0]
-    exploring = LEAST * (MOST / LEAST) ** draws[:, 1]
+    learning = MIN_RATE * (MAX_RATE / MIN_RATE) ** draws[:, 0]
+    exploring = MIN_EXPLORE * (MAX_EXPLORE / MIN_EXPLORE) ** draws[:, 1]
     return [Rates(), *(Rates(float(a), float(b)) for a, b in zip(learning, exploring))]
 
 
@@ -253,8 +253,8 @@ def best_rates_of_each(
     """
     Return the rates with the fewest steps in all episodes, averaged over some runs.
 
-    Give every action set the same candidates, runs and episodes: then the search is equally long
-    for all. Learn anew with another seed to judge the rates that were chosen.
+    All action sets get the same candidates, runs and episodes, so the searches are equally long.
+    Learn again with another seed to judge the chosen rates.
 
     :param tables: the options of each action set.
     :param runs: learners for each candidate.

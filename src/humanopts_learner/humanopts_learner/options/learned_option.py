@@ -205,14 +205,14 @@ class OptionTable:
         self.limits = np.array([option.max_steps for option in options], dtype=np.intp)
 
     def see(self, games: Games) -> 'SeenStates':
-        """Look at games whose states are listed."""
+        """Observe games with listed states."""
         assert isinstance(games, TableGames)
         return SeenStates(self, games.state)
 
 
 @dataclass(frozen=True, slots=True)
 class SeenStates:
-    """The states of N games, and what options decide there."""
+    """The states of N games, and the decisions of options there."""
 
     table: OptionTable
     states: Ints  # (N,) indices

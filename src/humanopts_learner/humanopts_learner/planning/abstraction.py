@@ -1,9 +1,9 @@
 """
 Abstract states: games with equal columns are in one abstract state.
 
-Symbol columns are what the options decide: whether each can start, whether it would end, and the
-action that it takes. The preconditions and effects of options are the symbols that planning with
-them needs (Konidaris, Kaelbling and Lozano-Perez 2018), and every domain has them. Feature columns
+Symbol columns are the decisions of options: whether each can start, whether it would end, and its
+action. The preconditions and effects of options are the symbols that planning with them needs
+(Konidaris, Kaelbling and Lozano-Perez 2018), and every domain has them. Feature columns
 are named features with bins, or the planning features of the domain.
 """
 

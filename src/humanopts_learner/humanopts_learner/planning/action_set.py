@@ -1,9 +1,9 @@
 """
-What sampled planning sees and chooses among, in many games at once.
+The observations and options of sampled planning, in many games at once.
 
-Games with equal abstract features are in one abstract state. Abstract states are few enough that
-each is visited often. The options of an action set, primitive actions among them, are run in all
-games side by side.
+Games with equal columns are in one abstract state. There are few enough abstract states that each
+is visited often. The options of an action set, including primitive actions, run in all games side
+by side.
 """
 
 from collections.abc import Sequence
@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True)
 class Observation:
-    """The abstract states of N games, and what O options, fallback aside, decide."""
+    """The abstract states of N games, and the decisions of O options, without the fallback."""
 
     states: Codes  # (N,) codes of the abstract states
     startable: Flags  # (N, O) which options can start
@@ -73,7 +73,7 @@ class Observation:
 
 @dataclass(frozen=True)
 class AnyOption(Policy[Observation | SeenStates]):
-    """Any option that can start, all with the same probability; each runs to its end."""
+    """A random option that can start, all equally likely; each runs to its end."""
 
     rng: np.random.Generator
 
@@ -122,7 +122,7 @@ class ActionSet:
         return self.see(games_at(self.domain, [state]))
 
     def see(self, games: Games) -> Observation:
-        """Look at games."""
+        """Observe games."""
         rows = games.features()
         shape, n_options = (len(rows), self.first_fallback), len(self.options)
         startable, ending = np.ones(shape, dtype=np.bool_), np.ones(shape, dtype=np.bool_)

@@ -1,17 +1,17 @@
 """
-Interruption and modules: which option acts in the next step, by the values of a plan.
+Interruption and modules: the option that acts in the next step, by the values of a plan.
 
 A policy over options can be executed in four ways. All but the first are polling executions: they
-decide anew before each step, from one table of option values, so the same table, states and draws
-always give the same run. Sampled plans and live games decide by the same rules. The values of
-exact plans, and the policies that follow from them, are made here.
+decide again before each step, from one table of option values, so the same table, states and draws
+always give the same run. Sampled plans and live games decide by the same rules. This module
+computes the values of exact plans, and the policies that follow from them.
 
 Sutton, Precup and Singh (1999), section 4 and theorem 2: a policy over Markov options that stops
-an option wherever going on is worth less than choosing anew, by the policy's own values, is worth
-at least as much in every state. An option with ``max_steps`` is Markov only together with the
-number of steps that it has left. Where no run is cut off this makes no difference. Where one may
-be, going on counts as the best that it can be worth with any number of steps left, so a run is
-stopped only where that is right whatever is left, and the theorem holds.
+an option wherever continuing is worth less than choosing again, by the policy's own values, is
+worth at least as much in every state. An option with ``max_steps`` is Markov only together with
+the number of remaining steps. Where no run is cut off this makes no difference. Elsewhere the
+value of continuing is the maximum over any number of remaining steps, so a run is stopped only
+where that is right for any of them, and the theorem holds.
 """
 
 from dataclasses import dataclass, replace

@@ -37,7 +37,7 @@ class PlanCanceled(Exception):  # noqa: N818 - no error: raised by a progress ca
 
 
 class Progress(Protocol):
-    """Called with how far planning is; raise ``PlanCanceled`` to stop it."""
+    """Called with the progress of planning; raise ``PlanCanceled`` to stop it."""
 
     def __call__(self, stage: str, fraction: float, sweeps: int, residual: float, /) -> object:
         """
@@ -55,18 +55,18 @@ def ignore_progress(stage: str, fraction: float, sweeps: int, residual: float) -
 
 class Arbitration(StrEnum):
     """
-    How the options of a policy share control; all but the first decide anew before each step.
+    How the options of a policy share control; all but the first decide again before each step.
 
     Commands and messages call it the execution of a plan.
     """
 
     RUN_TO_END = 'run_to_end'
-    """An option that was chosen runs until it ends."""
+    """A chosen option runs until it ends."""
 
     INTERRUPTED = 'interrupted'
     """
-    An option is stopped where going on with it is worth less than choosing anew, both by the
-    values of the policy that runs to the end (Sutton, Precup and Singh 1999, section 4).
+    An option is stopped where continuing is worth less than choosing again, both by the values
+    of the policy that runs to the end (Sutton, Precup and Singh 1999, section 4).
     """
 
     MODULAR_MASS = 'modular_mass'

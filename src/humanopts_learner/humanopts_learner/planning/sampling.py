@@ -5,8 +5,8 @@ Every suffix of a run is counted. A run of option o from s0 to sk, where o could
 at s1, .., sk-1, is a sample of running it from each of those states too, since a Markov option
 does not depend on earlier states (Precup 2000, chapter 4). From a state where o could not have
 started, it is a sample of continuing o there. Runs that are cut off (by ``max_steps``, the length
-of an episode, or the end of the sampling) and runs that the policy stops count as having ended
-where they were.
+of an episode, or the end of the sampling) and runs that the policy stops count as ended where they
+were.
 """
 
 from collections.abc import Callable, Sequence

@@ -1,9 +1,9 @@
 """
 SMDP value iteration: synchronous, over options (Sutton, Precup and Singh 1999, section 3.1).
 
-In a sampled model many states are the successor of none: runs only passed through them. No value
-depends on theirs, so sweeps leave them out, and they are valued at the end. All numbers are the
-same as if they had been swept.
+In a sampled model many states are never a successor: runs only passed through them. No value
+depends on theirs, so sweeps leave them out, and their values are computed at the end. All numbers
+are the same as if they had been swept.
 """
 
 from collections.abc import Callable
@@ -84,19 +84,24 @@ def _sweep_of(model: MultiTimeModel, n_choices: int) -> tuple[Ints, Sweep]:
 def _single_successors(model: MultiTimeModel, available: Flags, reward: Floats) -> tuple[Any, ...]:
     """Return the tables of ``_sweep_states``, where no pair has more than one successor."""
     shape, rows = reward.T.shape, model.rows
-    has = np.diff(rows.indptr[: reward.size + 1]) == 1
-    successor, discount = np.zeros(len(has), dtype=np.int32), np.zeros(len(has))
     end = rows.indptr[reward.size]
-    successor[has], discount[has] = rows.indices[:end], rows.data[:end]
+    successor, discount = rows.indices[:end], rows.data[:end]
+    if end < reward.size:  # some pairs have none
+        has = np.diff(rows.indptr[: reward.size + 1]) == 1
+        successor, discount = np.zeros(len(has), dtype=np.int32), np.zeros(len(has))
+        successor[has], discount[has] = rows.indices[:end], rows.data[:end]
     nothing, common = discount == 0.0, float(discount.max())
     nothing |= ~available.T.ravel()
-    successor[nothing] = len(reward)  # the end of the task
-    rewards = np.where(available, reward, -np.inf)
+    successor = np.where(nothing, np.int32(len(reward)), successor)
+    rewards = np.array(reward, order='C')
+    np.copyto(rewards, -np.inf, where=~available)
     rewards[~available.any(axis=1), 0] = 0.0  # nothing follows there, so their value stays 0
-    same = (nothing | (discount == common)).all()
-    discounts = np.empty((0, 0)) if same else np.ascontiguousarray(discount.reshape(shape).T)
-    successors = np.ascontiguousarray(successor.astype(np.uint32).reshape(shape).T)
-    return successors, np.ascontiguousarray(rewards), discounts, common
+    if (nothing | (discount == common)).all():
+        discount = np.empty((0, 0))
+    else:
+        discount = np.ascontiguousarray(discount.reshape(shape).T)
+    successor = np.ascontiguousarray(successor.astype(np.uint32).reshape(shape).T)
+    return successor, rewards, discount, common
 
 
 def _sweep_states(
@@ -195,7 +200,10 @@ def solve_smdp(
                 residual = float(np.abs(found - old).max())
             if stop or residual <= tol:
                 break
-    best = np.where(live, ahead(found).argmax(axis=1), -1).astype(np.int32)
+    best, greatest = np.full(len(live), -1, dtype=np.int32), np.full(len(live), -np.inf)
+    for option, worth in enumerate(ahead(found).T):  # argmax would copy the table
+        best[worth > greatest] = option
+        np.maximum(greatest, worth, out=greatest)
     return Solution(found, best, sweeps, residual, residual <= tol)
 
 
