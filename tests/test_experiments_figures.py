@@ -382,7 +382,7 @@ def test_every_action_set_has_as_many_members() -> None:
 
 
 def figure_4(level: dict[str, float], spread: float = 0.0) -> Section:
-    """Return the section of two members for each set, whose episodes take as many steps."""
+    """Return the section of two members for each set, with episodes of constant length."""
     known = {'options': 1, 'learning rate': 0.1, 'exploring': 0.1}
     rows = [
         {'method': method, 'action set': name, **known, 'steps': [steps] * paper.EPISODES}

@@ -1,4 +1,4 @@
-"""Transfer to other mazes: a real trial of small numbers, and what is said of known results."""
+"""Transfer to other mazes: a real trial of small numbers, and comparisons of known results."""
 
 import json
 from typing import Any

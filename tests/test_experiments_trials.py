@@ -1,4 +1,4 @@
-"""Trials of a reproduction: what is computed, what is not computed again, what fails."""
+"""Trials of a reproduction: computed once, resumed, failed."""
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager

@@ -136,7 +136,7 @@ def test_a_search_tells_how_far_it_is_and_refuses_another_meanwhile(at_work: Pla
     goal.cancel()
     status, result = goal.result(5.0)
     assert (status, result.status) == (GoalStatus.STATUS_CANCELED, result.STATUS_CANCELED)
-    fractions = [told.progress for told in goal.feedback]
+    fractions = [news.progress for news in goal.feedback]
     assert fractions == sorted(fractions)
     assert 0 < fractions[-1] < 1
     assert goal.feedback[-1].game_steps > 0

@@ -22,7 +22,7 @@ from experiments.people import options_of, owners, PERSON, read_bag_lessons, Stu
 
 
 def without_time(demonstrations: list[Demonstration]) -> list[dict[str, Any]]:
-    """Return what was shown; only the clock differs between two lessons."""
+    """Return the demonstrations; only the clock differs between two lessons."""
     shown = {d.uuid: json.loads(d.to_json()) for d in demonstrations}
     return [{**values, 'seconds': 0} for values in shown.values()]
 

@@ -83,18 +83,18 @@ def record_lesson(
 
 
 @pytest.fixture(scope='module')
-def told() -> list[tuple[float, float]]:
+def progress() -> list[tuple[float, float]]:
     """The progress of the evaluation."""
     return []
 
 
 @pytest.fixture(scope='module')
 def evaluation(
-    taxi: Domain[Any], taxi_lesson: Lesson, told: list[tuple[float, float]]
+    taxi: Domain[Any], taxi_lesson: Lesson, progress: list[tuple[float, float]]
 ) -> BagEvaluation:
     """The lesson, evaluated."""
     return evaluate(
-        taxi_lesson, taxi, SETTINGS, (), lambda done, total, _: told.append((done, total))
+        taxi_lesson, taxi, SETTINGS, (), lambda done, total, _: progress.append((done, total))
     )
 
 
@@ -127,7 +127,7 @@ def test_order_repetitions_withdrawn_and_foreign_demonstrations_change_no_number
 
 
 def test_an_evaluation_has_learning_curves_and_plans(
-    evaluation: BagEvaluation, told: list[tuple[float, float]]
+    evaluation: BagEvaluation, progress: list[tuple[float, float]]
 ) -> None:
     """Primitive actions plan at least as well as options; no number in JSON is NaN."""
     values = json.loads(json.dumps(evaluation.to_dict(), allow_nan=False))
@@ -143,8 +143,8 @@ def test_an_evaluation_has_learning_curves_and_plans(
     assert list(plans['action_set']) == ['human', 'primitive']
     assert plans['converged'].all()
     assert plans['mean_return'].is_monotonic_increasing
-    assert told[-1][0] == told[-1][1]
-    assert [done for done, _ in told] == sorted(done for done, _ in told)
+    assert progress[-1][0] == progress[-1][1]
+    assert [done for done, _ in progress] == sorted(done for done, _ in progress)
 
 
 @pytest.mark.heavy
@@ -219,11 +219,11 @@ def test_options_learned_again_are_compared_with_their_files(
     assert notes == [f'{first[1]!r} by p1 differs from its option file: policy']
     (note,) = compare_options({second: files[second]}, options[:1], taxi_lesson)[1]
     assert 'was not learned again' in note
-    files['automatic', 'down'] = {'uuids': []}  # nobody taught it
+    files['automatic', 'down'] = {'uuids': []}  # without a teacher
     assert compare_options(files, options, taxi_lesson)[1] == notes
 
 
-def test_a_bag_whose_option_files_come_out_again_says_so(
+def test_a_bag_says_that_its_option_files_are_reproduced(
     tmp_path: Path, taxi: Domain[Any], taxi_lesson: Lesson, evaluation: BagEvaluation
 ) -> None:
     (file, _) = files_of(evaluation, taxi_lesson).values()

@@ -1,4 +1,4 @@
-"""Policies compared in many games of Pac-Man, and the report of what came out."""
+"""Policies compared in many games of Pac-Man, and the report on them."""
 
 from dataclasses import replace
 import json
@@ -72,19 +72,19 @@ def options(evaluation: BagEvaluation) -> list[LearnedOption]:
 
 
 @pytest.fixture(scope='module')
-def told() -> list[tuple[str, float]]:
+def reported() -> list[tuple[str, float]]:
     """The progress that was reported."""
     return []
 
 
 @pytest.fixture(scope='module')
 def games(
-    brief: Domain[Any], options: list[LearnedOption], told: list[tuple[str, float]]
+    brief: Domain[Any], options: list[LearnedOption], reported: list[tuple[str, float]]
 ) -> pd.DataFrame:
     """The results of all policies, from two processes."""
     return evaluate_games(
         *(brief, options, SEED, GAMES, FEW),
-        progress=lambda done, total, text: told.append((text, done / total)),
+        progress=lambda done, total, text: reported.append((text, done / total)),
         jobs=2,
     )
 
@@ -114,7 +114,7 @@ def test_a_plan_of_a_bag_has_the_row_that_it_would_have_if_it_were_made_again(
 
 
 def test_the_papers_and_our_policies_play_in_both_settings(
-    games: pd.DataFrame, told: list[tuple[str, float]]
+    games: pd.DataFrame, reported: list[tuple[str, float]]
 ) -> None:
     assert [*games['setting'].unique()] == ['ghosts=random', 'ghosts=chase']
     for _, rows in games.groupby('setting'):
@@ -123,10 +123,10 @@ def test_the_papers_and_our_policies_play_in_both_settings(
     three = games['options'][games['name'] == 'human, 3 options']
     assert all(names == list(PAPER_OPTIONS) for names in three)
     assert set(games['games']) == {GAMES}
-    shares = [share for _, share in told]
+    shares = [share for _, share in reported]
     assert shares == sorted(shares)
     assert shares[-1] == 1.0
-    assert 'ghosts=chase: human, 3 options' in {what for what, _ in told}
+    assert 'ghosts=chase: human, 3 options' in {what for what, _ in reported}
 
 
 def test_a_policy_has_the_row_that_another_process_gives(
@@ -140,16 +140,16 @@ def test_a_policy_has_the_row_that_another_process_gives(
 
 
 def test_a_watcher_can_end_it(brief: Domain[Any], options: list[LearnedOption]) -> None:
-    told: list[float] = []
+    reported: list[float] = []
 
     def stop(done: float, total: float, text: str) -> None:
-        told.append(done)
+        reported.append(done)
         if done:
             raise PlanCanceled
 
     with pytest.raises(PlanCanceled):
         evaluate_games(brief, options, SEED, 2, FEW, stop, jobs=1)
-    assert told == [0, 1]
+    assert reported == [0, 1]
 
 
 def test_plans_are_compared_with_chance_and_the_rule_game_by_game(games: pd.DataFrame) -> None:

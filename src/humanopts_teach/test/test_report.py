@@ -1,4 +1,4 @@
-"""Reports: self-contained pages whose every number comes from the data."""
+"""Reports: self-contained pages with every number from the data."""
 
 from dataclasses import replace
 from html import escape
@@ -133,8 +133,8 @@ def test_a_criterion_that_is_not_yet_known_is_called_so(brief: BagEvaluation) ->
     text = evaluation_text(found)
     assert 'return is not yet known: about 1.25, at most 3.5 with 95 % confidence' in text
     assert 'perhaps 1 to 21 more demonstrations are needed' in text
-    told = [finding.text for finding in findings(found) if 'Not yet' in finding.text]
-    assert any('return not yet known: at most 3.5, needs 2.25' in each for each in told)
+    changed = [finding.text for finding in findings(found) if 'Not yet' in finding.text]
+    assert any('return not yet known: at most 3.5, needs 2.25' in each for each in changed)
     assert 'not yet known</td>' in render_report(ReportData('Taxi', undrawn(found)))
     figure, *_ = learning_curves(found.options[0], 'curve')
     assert 'upper limit' in figure
@@ -163,10 +163,10 @@ def test_a_plan_with_an_option_that_does_not_meet_the_criteria_says_so(
         replace(o, summary=replace(o.summary, criteria=(Criterion('return', 1.0, 1.0, met),)))
         for o, met in zip(evaluation.options, (True, False))
     ]
-    told = replace(evaluation, options=tuple(options))
+    changed = replace(evaluation, options=tuple(options))
     said = f'human uses options that do not meet the criteria: {TAUGHT[1]}'
-    assert said in evaluation_text(told).splitlines()
-    (text,) = [finding.text for finding in findings(told) if 'uses' in finding.text]
+    assert said in evaluation_text(changed).splitlines()
+    (text,) = [finding.text for finding in findings(changed) if 'uses' in finding.text]
     assert text.count('“') == 1
     assert f'“{TAUGHT[1]}”' in text
 
@@ -250,8 +250,8 @@ def test_every_demonstration_is_in_the_table_once_with_what_became_of_it(
     back, last = replace(taxi_lesson[3], withdrawn=True), taxi_lesson[-1]
     stray = replace(last, uuid='stray', number=99)
     shown = [*taxi_lesson[::-1], back, stray]  # repeated and out of order
-    told = replace(evaluation, demonstrations=shown)
-    rows = shown_demonstrations(told)
+    changed = replace(evaluation, demonstrations=shown)
+    rows = shown_demonstrations(changed)
     names = [last.option_name] * 13 + [back.option_name] * 12
     assert [demo.number for demo, _ in rows] == [*range(1, 13), 99, *range(1, 13)]
     assert [demo.option_name for demo, _ in rows] == names
@@ -262,7 +262,7 @@ def test_every_demonstration_is_in_the_table_once_with_what_became_of_it(
     assert rows[12][1] == 'left out'
     assert [demo for demo, _ in rows[:12]] == taxi_lesson[12:]
     corrected = replace(taxi_lesson[0], machine_steps=2)
-    ((_, verdict),) = shown_demonstrations(replace(told, demonstrations=[corrected]))
+    ((_, verdict),) = shown_demonstrations(replace(changed, demonstrations=[corrected]))
     assert verdict == 'kept: the machine took the first 2'
 
 
@@ -348,9 +348,11 @@ def test_a_report_of_a_bag_alone_has_no_live_numbers(
 
 
 def test_a_report_says_whether_options_equal_their_files(brief: BagEvaluation) -> None:
-    told = undrawn(replace(brief, options=(replace(brief.options[0], reproduced=False),)))
-    assert '>NOT equal to its option file in the bag<' in render_report(ReportData('Taxi', told))
-    assert not any('option learned again' in finding.text for finding in findings(told))
+    changed = undrawn(replace(brief, options=(replace(brief.options[0], reproduced=False),)))
+    assert '>NOT equal to its option file in the bag<' in render_report(
+        ReportData('Taxi', changed)
+    )
+    assert not any('option learned again' in finding.text for finding in findings(changed))
     assert 'Learned again, it is' not in render_report(ReportData('Taxi', undrawn(brief)))
 
 

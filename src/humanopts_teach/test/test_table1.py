@@ -1,4 +1,4 @@
-"""``bag table1``: what people named is counted as in Table 1 of the paper."""
+"""``bag table1``: named options are counted as in Table 1 of the paper."""
 
 import json
 import os
@@ -34,7 +34,7 @@ wave: [say hello]
 
 
 def lesson(who: str, name: str = '') -> tuple[str, LessonState]:
-    """Return what a lesson says while a person names an option."""
+    """Return the message of a lesson while a person names an option."""
     return '/lesson_state', LessonState(participant=who, option_name=name)
 
 
@@ -112,7 +112,7 @@ def test_people_are_counted_once_beside_the_paper(
 
 
 def named_by(*names: tuple[str, str], domain: str = 'taxi') -> list[Named]:
-    """Return what people named and taught in a domain."""
+    """Return the options that people named and taught in a domain."""
     return [Named(domain, who, name, True) for who, name in names]
 
 
