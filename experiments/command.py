@@ -14,12 +14,11 @@ from humanopts_env.domains.pacman.maze import load_maze, MazeError
 from humanopts_teach.bags import BagError
 from humanopts_teach.command_line import PLAIN, SeveralValues, whole
 from humanopts_teach.commands import CommandError
+from humanopts_teach.commands.bag import progress_bar
 from humanopts_teach.evaluation import ProgressCallback
 from humanopts_teach.evaluation.summary import SummaryError
 from humanopts_teach.report.pages import counted, duration
 import pandas as pd
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 import typer
 
 from experiments import demonstrations, figure2, figure3, figure4, table1, table2, transfer
@@ -156,21 +155,16 @@ def _people(trials: Sequence[Trial]) -> list[Participant]:
 
 
 @contextmanager
-def trial_progress(
-    console: Console | None = None, clock: Callable[[], float] = time.monotonic
-) -> Iterator[ProgressCallback]:
+def trial_progress(clock: Callable[[], float] = time.monotonic) -> Iterator[ProgressCallback]:
     """Show progress on standard error: a bar on a terminal, lines anywhere else."""
-    console = console or Console(stderr=True)
-    columns = (TextColumn('{task.description}'), BarColumn(), TimeRemainingColumn())
-    bar = Progress(*columns, console=console, disable=not console.is_terminal)
-    task, next_line = bar.add_task('', total=None), clock()
+    next_line = clock()
 
     def show(done: float, total: float, text: str) -> None:
         nonlocal next_line
-        bar.update(task, completed=done, total=total, description=text)
-        if not console.is_terminal and (clock() >= next_line or done == total):
+        bar(done, total, text)
+        if not sys.stderr.isatty() and (clock() >= next_line or done == total):
             next_line = clock() + _LINE_EVERY
-            console.print(text, markup=False, highlight=False, soft_wrap=True)
+            print(text, file=sys.stderr)
 
-    with bar:
+    with progress_bar() as bar:
         yield show

@@ -3,7 +3,6 @@
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict
-import io
 import os
 from pathlib import Path
 import subprocess
@@ -12,7 +11,6 @@ from typing import Any
 
 from humanopts_teach.bags.mcap_file import ignore_progress
 import pytest
-from rich.console import Console
 
 from experiments import figure2
 from experiments import trials as experiment_trials
@@ -106,14 +104,16 @@ def test_file_that_is_not_the_trial_counts_as_missing(tmp_path: Path, damage: st
     assert work.asked == [2, 2]
 
 
-def test_lines_show_progress_where_there_is_no_terminal(tmp_path: Path) -> None:
-    now, out = [0.0], io.StringIO()
-    with trial_progress(Console(file=out), clock=lambda: now[0]) as progress:
+def test_lines_show_progress_where_there_is_no_terminal(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    now = [0.0]
+    with trial_progress(clock=lambda: now[0]) as progress:
         for seconds, done, text in ((0.0, 0.0, 'begun'), (1.0, 1.0, 'soon'), (60.0, 2.0, 'later')):
             now[0] = seconds
             progress(done, 4.0, text)
         progress(4.0, 4.0, 'done')
-    assert out.getvalue().splitlines() == ['begun', 'later', 'done']
+    assert capsys.readouterr().err.splitlines() == ['begun', 'later', 'done']
 
 
 def test_more_participants_leave_the_first_as_they_are() -> None:
