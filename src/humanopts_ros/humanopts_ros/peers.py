@@ -9,9 +9,6 @@ from humanopts_ros.senders import Role, signer, stated_id
 from rclpy.node import Node
 
 _UNKNOWN = '_UNKNOWN_'  # in the name of a node of which only a topic or service is found yet
-_LOOK_PERIOD = 0.1  # s between looks at the graph while statuses wait to be stated there
-_LOOKS = 50
-_MAX_UNSTATED = 100  # ids with a status that the graph does not state
 
 
 def node_names(node: Node) -> list[str]:
@@ -45,10 +42,11 @@ def stated_ids(node: Node, *roles: Role) -> list[str]:
 
 class Peers:
     """
-    The newest status of each node of a namespace, and how often each was started again.
+    The newest status of each node of a namespace, and the number of its restarts.
 
-    A status counts once the graph states its publisher_id. A process that another one of the same
-    name has replaced counts no more.
+    A status counts if the graph states its publisher_id. A process announces its endpoints in the
+    order of their creation, so a genuine id is stated before its first status arrives. A process
+    that was replaced by another one of the same name no longer counts.
 
     :ivar statuses: by name, without the namespace.
     :ivar restarts: by name; a restart counts when the node begins, and when it is ready.
@@ -64,10 +62,7 @@ class Peers:
         self._node = node
         self._expected: dict[str, str] = {}  # the only publisher_id that counts, by name
         self._replaced: set[str] = set()  # publisher ids
-        self._starting: set[str] = set()  # nodes that were started again, and are not ready yet
-        self._unstated: dict[str, NodeStatus] = {}  # the newest by publisher_id
-        self._looks = 0  # that are left before these are dropped
-        self._timer = node.create_timer(_LOOK_PERIOD, self._look, autostart=False)
+        self._starting: set[str] = set()  # restarted nodes that are not ready yet
         node.create_subscription(NodeStatus, 'node_status', self._on_status, CURRENT)
 
     def state(self, name: str) -> int:
@@ -99,9 +94,6 @@ class Peers:
         known = self.statuses.get(name, status)
         again = known.publisher_id != publisher_id
         if (again or name not in self.statuses) and publisher_id not in stated_ids(self._node):
-            if len(self._unstated) < _MAX_UNSTATED:
-                self._unstated[publisher_id], self._looks = status, _LOOKS
-                self._timer.reset()
             return
         if again:
             if status.state == status.STATE_STOPPING:
@@ -116,12 +108,3 @@ class Peers:
             self.restarts[name] += 1
             for call in self.on_restart:
                 call(name)
-
-    def _look(self) -> None:
-        """Take the statuses whose ids are stated by now."""
-        stated, self._looks = stated_ids(self._node), self._looks - 1
-        for publisher_id in self._unstated.keys() & stated:
-            self._on_status(self._unstated.pop(publisher_id))
-        if not self._unstated or self._looks <= 0:
-            self._unstated.clear()
-            self._timer.cancel()

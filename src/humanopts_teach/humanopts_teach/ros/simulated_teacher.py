@@ -27,7 +27,6 @@ from humanopts_teach.lesson.simulated_teacher import (
 from humanopts_teach.ros.lesson_client import (
     LessonClient,
     LessonClientError,
-    NoAnswerError,
     RefusedError,
 )
 from rclpy.callback_groups import ReentrantCallbackGroup
@@ -126,7 +125,7 @@ class SimulatedTeacherNode(NodeBase):
 
         :raises NoAnswerError: nothing has changed in time.
         """
-        client, teacher, reason, since = self._client, self._teacher, '', 0.0
+        client, teacher = self._client, self._teacher
         assert teacher is not None, 'the node waited for the game'
         if (left := self._left()) is not None:
             return left
@@ -136,14 +135,11 @@ class SimulatedTeacherNode(NodeBase):
             act = teacher.next_act(lesson, game)
             if not isinstance(act, Wait):
                 return act
-            if act.reason != reason:
-                reason, since = act.reason, self.monotonic()
 
-            def is_news(seen: tuple[Any, Any] = (lesson, game)) -> bool:
+            def is_news(seen: tuple[object, object] = (lesson, game)) -> bool:
                 return (client.lesson, client.game) != seen
 
-            if not await self.waiting.until(is_news, since + self._deadline - self.monotonic()):
-                raise NoAnswerError(f'gave up after {self._deadline:g} s of waiting for {reason}')
+            await client.until(is_news, act.reason)
 
     def _left(self) -> EndDemonstration | None:
         """Discard first what an earlier teacher has begun; None: nothing."""
