@@ -1,4 +1,4 @@
-"""Bad messages and errors that nobody foresaw: counted and named, and no node ends by them."""
+"""Bad messages and unexpected errors are counted and named, and end no node."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -50,7 +50,7 @@ TOPICS = {  # the node whose topic it is, and those that read it
 
 
 class Attacked:
-    """A whole graph, and somebody who publishes on all of its topics."""
+    """A whole graph, and a stranger that publishes on all of its topics."""
 
     def __init__(self, graph: Graph, folder: Path) -> None:
         self.graph = graph
@@ -246,7 +246,7 @@ def test_a_demonstration_that_cannot_be_learned_is_answered(
     assert attacked.refused('/learner') == refused + 1
 
 
-def test_errors_that_nobody_foresaw_are_counted_and_answered(live: Graph) -> None:
+def test_unexpected_errors_are_counted_and_answered(live: Graph) -> None:
     node = live.start(FAULTY)
     live.until(lambda: node.ticks > 20, 'the timer to go on')
     response = live.ask(ListOptions, 'list_options')

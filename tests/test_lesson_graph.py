@@ -202,7 +202,7 @@ def test_a_late_learner_gets_all_and_what_is_taken_back_is_unlearned_and_run_no_
     assert found == [(first, True), (second, True), (third, False)]
     assert person.ask(ChangeOption, name=PICKUP, new_name='fetch').status == 1
     graph.until(lambda: [o[:2] for o in learned()] == [('fetch', 1)], 'the new name alone')
-    graph.until(lambda: person.lesson.option_name == 'fetch', 'the lesson to say so')
+    graph.until(lambda: person.lesson.option_name == 'fetch', 'the lesson to show it')
 
 
 def test_a_learner_that_refused_something_gets_it_once_it_is_heard_again(

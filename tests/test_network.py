@@ -210,7 +210,7 @@ COMMANDS = (
 
 @pytest.fixture
 def shell(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A shell with none of these variables, in a folder with the files that they name."""
+    """A shell without these variables, in a folder with the files that they name."""
     (tmp_path / 'text.xml').write_text('profiles')
     (tmp_path / 'page.xml').write_text('<html/>')
     typo = Path(LOOPBACK).read_text('utf-8').replace('receiveBufferSize', 'receiveBuffer')

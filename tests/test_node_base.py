@@ -1,4 +1,4 @@
-"""What every node shares: one plain line for bad parameters, a life that is told, a clean end."""
+"""What every node shares: one line for bad parameters, a status, restarts, a clean end."""
 
 import ctypes
 import itertools
@@ -126,7 +126,7 @@ def test_a_node_goes_on_and_ends_although_the_time_of_day_is_set_back(
             {m.name for m in said if 'the time of day was set by -3600.' in m.msg}
             >= {'game', 'planner'}
         ),
-        'both to tell it',
+        'both to report it',
     )
     assert {game.kill(signal.SIGTERM), planner.kill(signal.SIGTERM)} == {0}
 
@@ -201,7 +201,7 @@ def test_a_node_publishes_its_life_and_ends_cleanly(shared: Graph) -> None:
         assert publisher_id.startswith(f'{node}#')
 
 
-def test_a_node_that_waits_for_the_game_says_that_it_is_starting(shared: Graph) -> None:
+def test_a_node_that_waits_for_the_game_is_starting(shared: Graph) -> None:
     shared.start(PLANNER, '/lonely')
     shared.until(lambda: '/lonely/planner' in shared.statuses, 'its status')
     assert shared.state('/lonely/planner') == STARTING
@@ -242,7 +242,7 @@ from humanopts_ros.process import run_node
 
 class Faulty(NodeBase):
     def on_ready(self):
-        raise ZeroDivisionError('nobody expected this')
+        raise ZeroDivisionError('this was unexpected')
 
     def close(self):
         print('closed')
@@ -262,7 +262,7 @@ def test_an_unexpected_error_closes_the_node_and_shows_the_traceback(domain_id: 
     )
     assert (ended.returncode, ended.stdout) == (1, 'closed\n')
     assert 'Traceback' in ended.stderr
-    assert ended.stderr.splitlines()[-1] == 'ZeroDivisionError: nobody expected this'
+    assert ended.stderr.splitlines()[-1] == 'ZeroDivisionError: this was unexpected'
 
 
 def test_a_server_that_is_found_after_the_call_still_answers(live: Graph) -> None:

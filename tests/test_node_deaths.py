@@ -1,4 +1,4 @@
-"""A demo whose nodes die goes on; one that is ended says so, keeps its bag and leaves nothing."""
+"""A demo survives the deaths of nodes; an interrupted one keeps its bag and leaves no process."""
 
 from collections.abc import Callable, Iterator
 import json
@@ -73,7 +73,7 @@ def test_a_demo_survives_the_deaths_of_nodes_while_it_teaches_and_while_it_plays
     command.until(lambda: in_first_bag(tmp_path), 'a demonstration in the bag', 3 * PATIENCE)
     before = in_first_bag(tmp_path)
     command.kill('recorder', SIGKILL)
-    command.until(lambda: 'the node recorder ended' in command.errors, 'its end to be told')
+    command.until(lambda: 'the node recorder ended' in command.errors, 'its end to be reported')
     command.kill('game', SIGKILL)
     command.until(lambda: 'playing' in command.output, 'the first episode', 3 * PATIENCE)
     command.kill('planner', SIGKILL)
@@ -145,7 +145,7 @@ def test_a_demo_whose_status_is_asked_for_and_that_is_interrupted_stops_everythi
         return status, json.loads(capsys.readouterr().out)
 
     def look_until(well: int, planner_restarts: int) -> dict[str, Any]:
-        # On a busy machine an answer comes late, which is told as a fault, or a status does.
+        # On a busy machine an answer may be late, which is reported as a fault, or a status.
         looks: list[dict[str, Any]] = []
 
         def seen() -> bool:
@@ -183,8 +183,8 @@ def test_a_demo_whose_status_is_asked_for_and_that_is_interrupted_stops_everythi
     command.send(how)
     command.send(how)  # an impatient second one changes nothing
     assert command.ended(PATIENCE) == 130
-    told = [line for line in command.errors.splitlines() if ': the node ' not in line]
-    assert told == ['humanopts demo: interrupted; everything is stopped']
+    said = [line for line in command.errors.splitlines() if ': the node ' not in line]
+    assert said == ['humanopts demo: interrupted; everything is stopped']
     command.gone(2.0)
     bag = bag_of(tmp_path)
     assert bag.damage == ''

@@ -85,7 +85,7 @@ class Recording:
         return self._recorder
 
     def burst(self, count: int, rate: int = 0) -> NodeProcess:
-        """Start a process that sends so many game states, at a rate or as fast as it can."""
+        """Start a process that sends game states, at a rate or as fast as it can."""
         return self.graph.run(['-c', BURST, str(count), str(rate)], 'burst')
 
     def complete(self) -> None:
@@ -105,7 +105,7 @@ class Recording:
         return [message.data for message in self.recorded(topic)]
 
     def holds(self, topic: str, count: int) -> None:
-        """Wait until so many messages of a topic are in the bag."""
+        """Wait until a number of messages of a topic are in the bag."""
         self.graph.until(
             lambda: len(self.recorded(topic)) >= count, f'{count} messages on {topic}'
         )
@@ -273,13 +273,13 @@ def test_a_recorder_that_was_stopped_says_so_and_one_killed_after_a_split_keeps_
     log = recorder.said()
     assert log.count('does not keep up') == log.count('keeps up again')
     until(lambda: recording.status.messages > 300 and recording.status.files > 2, 'files')
-    told = recording.status
-    until(lambda: _seconds(recording.status) > _seconds(told) + 0.5, 'flushes, every 0.25 s')
+    before = recording.status
+    until(lambda: _seconds(recording.status) > _seconds(before) + 0.5, 'flushes, every 0.25 s')
     recorder.kill(signal.SIGKILL)
     bag = open_bag(recording.path)
     recorded = list(bag.messages(['/game_state']))
     assert [r.message.step for r in recorded] == list(range(len(recorded)))
-    assert bag.n_messages >= told.messages
+    assert bag.n_messages >= before.messages
     assert bag.information is not None
     described = len(bag.information.relative_file_paths)
     assert described in (len(bag.files), len(bag.files) - 1)  # the newest may have just begun

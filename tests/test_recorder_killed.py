@@ -17,7 +17,7 @@ from rosbags.highlevel import AnyReader
 
 MOST = 0.5  # s that may be missing
 EARLIEST, LATEST = 0.0, 3.0  # s after the first message, of a kill
-SPLITS = 5  # every so many kills, the recorder begins a new file just then
+SPLITS = 5  # at every fifth kill, the recorder is just beginning a new file
 FILE_BYTES = 200_000  # of the files of such a recorder: half a second or less
 
 

@@ -91,8 +91,8 @@ class Lesson:
         statuses = self.graph.statuses
 
         def finished() -> bool:
-            told = statuses.get(self._teacher, [])
-            return any(status.text.startswith(FINISHED) for status in told)
+            found = statuses.get(self._teacher, [])
+            return any(status.text.startswith(FINISHED) for status in found)
 
         self.graph.until(finished, 'the lesson', 60.0)
         self.graph.stop(self._recorder)

@@ -75,7 +75,7 @@ def until(condition: Callable[[], bool], what: str, seconds: float, *logs: Path)
     deadline = time.monotonic() + seconds
     while not condition():
         said = '\n'.join(f'{log}:\n{log.read_text(errors="replace")[-2000:]}' for log in logs)
-        assert time.monotonic() < deadline, f'waited in vain for {what}\n{said}'
+        assert time.monotonic() < deadline, f'timed out waiting for {what}\n{said}'
         time.sleep(0.1)
 
 

@@ -129,7 +129,9 @@ OK, WARN, ERROR, STALE = (
 )  # fmt: skip
 
 
-def test_nodes_and_recording_of_a_namespace_are_told(live: Graph, tmp_path: Path) -> None:
+def test_the_nodes_and_the_recording_of_a_namespace_are_reported(
+    live: Graph, tmp_path: Path
+) -> None:
     arrays = live.listen(DiagnosticArray, '/diagnostics', STREAM)
     live.start(DIAGNOSTICS, '/room')
     live.start(GAME, '/room')

@@ -82,7 +82,7 @@ class Command:
         deadline = time.monotonic() + seconds
         while not condition():
             assert self._process.poll() is None, f'it ended before {what}:\n{self.errors}'
-            assert time.monotonic() < deadline, f'waited in vain for {what}:\n{self.output}'
+            assert time.monotonic() < deadline, f'timed out waiting for {what}:\n{self.output}'
             time.sleep(0.05)
 
     def ended(self, seconds: float) -> int:

@@ -1,4 +1,4 @@
-"""A node whose callbacks raise errors that nobody foresaw."""
+"""A node whose callbacks raise unexpected errors."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""Messages that nobody means: of any type of the graph, by a seeded generator."""
+"""Random messages of any type of the graph, by a seeded generator."""
 
 import math
 import random

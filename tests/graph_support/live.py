@@ -282,14 +282,14 @@ class Graph:
         Serve all nodes until a condition holds.
 
         :param seconds: of waiting at most. What a node of this process does in a callback, such as
-            to learn, is no waiting, nor is what a busy machine does in the place of this process.
+            to learn, does not count, nor does the time that a busy machine gives to other processes.
         """
         waited = 0.0
         while not condition():
             if waited > seconds:
                 dead = [p for p in self.started if p.process.poll() not in (None, 0)]
                 said = '\n'.join(f'{p.name}: {p.said()}' for p in dead)
-                raise AssertionError(f'waited in vain for {what}\n{said}')
+                raise AssertionError(f'timed out waiting for {what}\n{said}')
             began = time.monotonic()
             self.spin()
             waited += min(time.monotonic() - began, 2 * SPIN)

@@ -87,7 +87,7 @@ class Planning:
         return self.graph.act(Plan, 'plan', action_set=action_set, **fields)
 
     def begin(self, action_set: str, **fields: Any) -> Goal:
-        """Begin to play by a plan; nobody holds control."""
+        """Begin to play by a plan, with control free."""
         self.player.fresh()
         fields = {'episodes': self.episodes, 'seed': self.seed, **fields}
         return self.graph.act(RunPolicy, 'run_policy', action_set=action_set, **fields)

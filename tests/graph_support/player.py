@@ -1,4 +1,4 @@
-"""Somebody who plays: sends commands, and sees what game makes of them."""
+"""A player: sends commands, and sees what the game does with them."""
 
 import itertools
 from typing import Any
@@ -61,7 +61,7 @@ class Player:
         return reply
 
     def fresh(self, start_state: str = '') -> GameState:
-        """Begin an episode that nobody holds; return its first state."""
+        """Begin an episode with control free; return its first state."""
         if self.controls[-1].holder:
             self.hold(False, self.controls[-1].holder_id)
         self.reset(start_state)
@@ -117,7 +117,7 @@ class Player:
             )
 
     def _hears(self) -> bool:
-        """Have game say something, and tell whether it was heard."""
+        """Make the game publish, and return whether it was received."""
         self._graph.ask(ResetGame, f'{self._namespace}/reset_game', source=PERSON)
         return bool(self.states)
 

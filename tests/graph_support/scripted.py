@@ -80,7 +80,7 @@ def walk(
 
 
 def by_reference(option: str, domain: Domain[Any]) -> Chooser:
-    """Return the choices of somebody who takes the first of the best actions."""
+    """Return the choices of a person who takes the first of the best actions."""
     reference = reference_options(domain)[option]
 
     def choose(taken: int, state: Any) -> str | None:

@@ -1,11 +1,11 @@
 """
 A long lesson among random faults: ``make soak SECONDS=600 SEED=1``.
 
-Nodes are killed, ended and stopped at random moments, and so is the terminal of a guest. The time
-of their machine is set, its disk is slow for a while, their files get lines that are none, their
-parameters are set to what they cannot be, and garbage is sent on every topic, service and action.
-After each fault the lesson must go on. At the end nothing that was shown may be lost and no action
-applied twice. A table says what was done and what came of it.
+Nodes are killed, ended and stopped at random, and so is the terminal of a guest. The time of day is
+changed, the disk is slow for a while, invalid lines are added to files, parameters are set to
+invalid values, and garbage is sent on every topic, service and action. After each fault the lesson
+must continue. At the end no demonstration may be lost and no action applied twice. A table shows
+the faults and their effects.
 """
 
 import argparse
@@ -187,7 +187,7 @@ class Soak:
             pressed = 0.0
 
             def let_in() -> bool:
-                """Press Enter now and then: somebody else may show an option just now."""
+                """Press Enter now and then: another participant may be demonstrating."""
                 nonlocal pressed
                 if time.monotonic() > pressed + 0.1:
                     terminal.press(ENTER)
@@ -203,7 +203,7 @@ class Soak:
             terminal.close()
 
     def _spoil(self, node: str) -> None:
-        """Add a line that is no entry to a file that the node reads when it is started again."""
+        """Add an invalid line to a file that the node reads when it is restarted."""
         out = self._running.setup.directory
         folder = out / ('demonstrations' if node == 'lesson' else 'options')
         self._until(lambda: any(f.stat().st_size for f in folder.glob('*.jsonl')), 'a journal')
@@ -313,7 +313,7 @@ class Soak:
         deadline = time.monotonic() + seconds
         while not done():
             if time.monotonic() > deadline:
-                self._violate(f'waited {seconds:.0f} s in vain for {what}')
+                self._violate(f'waited {seconds:.0f} s for {what}, which did not come')
                 return
             self.serve(0.01)
 

@@ -1,4 +1,4 @@
-"""Somebody who sends garbage on a graph, and sees what its game really does."""
+"""A stranger that sends garbage on a graph, and sees what its game really does."""
 
 from collections import defaultdict
 from collections.abc import Callable
@@ -27,7 +27,7 @@ _LATCHED = {
 
 
 class Stranger:
-    """Somebody who sends garbage on the graph, and sees what the game really does."""
+    """Sends garbage on the graph, and sees what the game really does."""
 
     def __init__(self, rng: random.Random) -> None:
         self._context = Context()
@@ -84,7 +84,7 @@ class Stranger:
         return sorted(calls + goals)
 
     def send(self, name: str, kind: str, count: int) -> None:
-        """Publish garbage on a topic: messages, and now and then bytes that are none."""
+        """Publish garbage on a topic: random messages, and sometimes random bytes."""
         loaded = load_type(kind)
         if name not in self._publishers:
             qos = LATCHED if name.rpartition('/')[2] in _LATCHED else STREAM

@@ -72,7 +72,7 @@ class Terminal:
         """Read, and let the other nodes work, until a condition holds."""
         deadline = time.monotonic() + seconds
         while not condition():
-            assert time.monotonic() < deadline, f'waited in vain for {what}:\n{self.text()}'
+            assert time.monotonic() < deadline, f'timed out waiting for {what}:\n{self.text()}'
             looked = time.monotonic()
             while time.monotonic() < looked + LOOK:
                 self._spin()

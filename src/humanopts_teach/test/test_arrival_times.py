@@ -1,4 +1,4 @@
-"""When messages arrived, while somebody sets the time of day."""
+"""Arrival times of messages while the time of day is changed."""
 
 from dataclasses import dataclass
 from itertools import count
@@ -15,7 +15,7 @@ BEGUN = 1_700_000_000 * S  # the time of day
 
 @dataclass
 class Clocks:
-    """Of a machine whose time of day somebody sets."""
+    """Clocks of a machine whose time of day is changed."""
 
     elapsed: int = 5 * S
     day: int = BEGUN - 5 * S
@@ -45,11 +45,11 @@ def test_times_go_on_from_the_time_of_day_at_the_start(looks: list[tuple[int, in
         second = clocks.time_of_day(), clocks.elapsed
         times.look()
         assert times.now == BEGUN - 5 * S + clocks.elapsed
-        told = [times.of('/a', received) for received, _ in (first, second)]
-        assert last <= told[0] <= told[1] <= times.now
-        last = told[1]
+        found = [times.of('/a', received) for received, _ in (first, second)]
+        assert last <= found[0] <= found[1] <= times.now
+        last = found[1]
         if setting == 0 or abs(setting) > before + after:
-            assert told == [BEGUN - 5 * S + elapsed for _, elapsed in (first, second)]
+            assert found == [BEGUN - 5 * S + elapsed for _, elapsed in (first, second)]
 
 
 @pytest.mark.parametrize('setting', [0, -3600 * S, S])
