@@ -281,8 +281,8 @@ class Graph:
         """
         Serve all nodes until a condition holds.
 
-        :param seconds: of waiting at most. What a node of this process does in a callback, such as
-            to learn, does not count, nor does the time that a busy machine gives to other processes.
+        :param seconds: of waiting at most. Time that callbacks of nodes in this process take, such
+            as learning, does not count, nor does time that the machine gives to other processes.
         """
         waited = 0.0
         while not condition():

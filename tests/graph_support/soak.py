@@ -1,8 +1,8 @@
 """
 A long lesson among random faults: ``make soak SECONDS=600 SEED=1``.
 
-Nodes are killed, ended and stopped at random, and so is the terminal of a guest. The time of day is
-changed, the disk is slow for a while, invalid lines are added to files, parameters are set to
+Nodes are killed, ended and stopped at random, and so is the terminal of a guest. The time of day
+is changed, the disk is slow for a while, invalid lines are added to files, parameters are set to
 invalid values, and garbage is sent on every topic, service and action. After each fault the lesson
 must continue. At the end no demonstration may be lost and no action applied twice. A table shows
 the faults and their effects.

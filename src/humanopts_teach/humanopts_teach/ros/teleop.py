@@ -82,7 +82,6 @@ class TeleopNode(NodeBase):
         self._goal: Goal | None = None  # of the run under way
         self.peers.on_restart.append(self._on_restart)
         self._held: Request | None = None  # its server is not there yet
-        self._came: set[str] = set()  # nodes that were there once
         self._started = self._checked = time.monotonic()
         self._drawn = self._asked = 0.0
         self._news = True  # something came in since the last frame
@@ -187,12 +186,10 @@ class TeleopNode(NodeBase):
         if now - self._checked < _PRESENCE_SECONDS:
             return
         self._checked = now
-        there = {node for node, topic in _NEEDED.items() if self.count_publishers(topic)}
-        self._came |= there
-        late = now - self._started > _START_SECONDS
-        self._world.missing = tuple(
-            node for node in _NEEDED if node not in there and (late or node in self._came)
-        )
+        if now - self._started > _START_SECONDS:
+            self._world.missing = tuple(
+                node for node, topic in _NEEDED.items() if not self.count_publishers(topic)
+            )
         if self.app.run is not None and not self._is_ready(self.app.run):
             self.app.lost_server()
 
