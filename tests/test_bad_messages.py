@@ -246,9 +246,14 @@ def test_a_demonstration_that_cannot_be_learned_is_answered(
     assert attacked.refused('/learner') == refused + 1
 
 
-def test_unexpected_errors_are_counted_and_answered(live: Graph) -> None:
+def test_unexpected_errors_are_counted_and_answered_and_a_flood_of_them_is_limited(
+    live: Graph, capfd: pytest.CaptureFixture[str]
+) -> None:
     node = live.start(FAULTY)
-    live.until(lambda: node.ticks > 20, 'the timer to go on')
+    live.until(lambda: node.ticks > 100, 'a hundred errors')
+    lines = [line for line in capfd.readouterr().err.splitlines() if 'an error in on_tick' in line]
+    assert 0 < len(lines) < 20
+    assert len(live.statuses['/faulty']) < 20
     response = live.ask(ListOptions, 'list_options')
     assert response.status == 0
     assert 'RuntimeError: of the service\\x1b[2J' in response.detail
@@ -268,16 +273,6 @@ def test_unexpected_errors_are_counted_and_answered(live: Graph) -> None:
     live.until(lambda: ' errors, the last in ' in live.statuses['/faulty'][-1].text, 'its status')
 
 
-def test_the_log_and_the_status_of_a_flood_of_errors_are_limited(
-    live: Graph, capfd: pytest.CaptureFixture[str]
-) -> None:
-    node = live.start(FAULTY)
-    live.until(lambda: node.ticks > 100, 'a hundred errors')
-    lines = [line for line in capfd.readouterr().err.splitlines() if 'an error in on_tick' in line]
-    assert 0 < len(lines) < 20
-    assert len(live.statuses['/faulty']) < 20
-
-
 def test_a_lesson_goes_on_after_a_forged_status_of_the_recorder(
     live: Graph, tmp_path: Path
 ) -> None:
@@ -292,19 +287,6 @@ def test_a_lesson_goes_on_after_a_forged_status_of_the_recorder(
     live.until(lambda: live.state('/lesson') == NodeStatus.STATE_PAUSED, 'the lesson to pause')
     live.ready('/lesson')
     assert live.node_called('/lesson').guard.refused == 1
-
-
-def test_a_node_that_starts_beside_a_stranger_learns_the_game_all_the_same(
-    live: Graph, tmp_path: Path
-) -> None:
-    live.start(GAME)
-    live.ready('/game')
-    out = live.node.create_publisher(DomainInfo, 'domain_info', LATCHED)
-    out.publish(DomainInfo(publisher_id='/stranger#1', domain='chess'))
-    for turn in range(3):
-        learner = live.start(LEARNER, directory=tmp_path / str(turn))
-        live.until(lambda n=learner: n.ready and n.guard.refused, 'the learner, and its refusal')
-        live.stop(learner)
 
 
 def test_the_status_tells_of_nothing_that_others_signed(

@@ -130,11 +130,6 @@ def test_the_profile_follows_from_the_range(
     monkeypatch.setenv(RANGE, 'restored')
 
 
-def test_no_process_of_a_test_uses_shared_memory() -> None:
-    """With the range LOCALHOST the middleware would, beside the profile."""
-    assert (os.environ[PROFILES[0]], os.environ[RANGE]) == (LOOPBACK, 'SYSTEM_DEFAULT')
-
-
 OTHER = '127.0.0.9'  # a machine that any machine has a route to
 AWAY = {RANGE: 'LOCALHOST', PEERS: f'{OTHER}; '}
 
