@@ -105,8 +105,9 @@ def test_a_bag_with_forged_messages_is_read_as_the_nodes_saw_it_whatever_the_gam
     """The game is started again in the meantime."""
     forgers = '/stranger#1', '/game#1', '/simulator#1a2b3c4d'
     whys = (
-        '2 messages on /domain_info: from /stranger, /game, not from /simulator',
-        '1 message on /domain_info: from /simulator#1a2b3c4d, which was not the game',
+        'from /stranger#1, not from /simulator',
+        'from /game#1, not from /simulator',
+        'from /simulator#1a2b3c4d, which was not the game',
     )
     for topic, message in FORGED.items():  # before the nodes are there
         for message.publisher_id in forgers:
@@ -129,7 +130,8 @@ def test_a_bag_with_forged_messages_is_read_as_the_nodes_saw_it_whatever_the_gam
         assert 'somebody' not in said.out
         assert 'rooms' not in said.out
         if command == 'eval':
-            assert all(f'left out: {why}' in said.err for why in whys)
+            left_out = 'left out: 1 message on /domain_info: '
+                assert [w for w in whys if left_out + w not in said.err] == [], said.err
     found = summarise(open_bag(bag))
     assert (found.participants, found.results['option runs']) == (['p1'], {})
     with live.hurried():

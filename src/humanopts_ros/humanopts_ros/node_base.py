@@ -180,6 +180,8 @@ class NodeBase(Node):
         self.publisher_id = f'{self.get_fully_qualified_name()}#{instance}'
         self._stamped: list[StampedPublisher[Any]] = []
         self._hidden: list[str] = []  # topics of services and actions
+        self._repeated: list[StampedPublisher[Any]] = []
+        self._repeat_timer = self.create_timer(_REPEAT_PERIOD, self._repeat, autostart=False)
         self._on_change: dict[str, Callable[[Any], object]] = {}  # by name of a parameter
         self.add_post_set_parameters_callback(self.guard.guarded(self._on_parameters))
         self._expect_recorder = self.setting(
@@ -382,14 +384,15 @@ class NodeBase(Node):
         event = on_matched and self.guard.guarded(on_matched)
         publisher = StampedPublisher(self, self.publisher_id, kind, topic, qos, event)
         self._stamped.append(publisher)
+        if repeated:
+            self._repeated.append(publisher)
+            self._repeat_timer.reset()
+        return publisher
 
-        def repeat() -> None:
+    def _repeat(self) -> None:
+        for publisher in self._repeated:
             if publisher.newest is not None and self.count_publishers(publisher.topic) > 1:
                 publisher.publish(publisher.newest)
-
-        if repeated:
-            self.create_timer(_REPEAT_PERIOD, repeat)
-        return publisher
 
     def recorded_service(
         self,
