@@ -131,7 +131,7 @@ def test_a_bag_with_forged_messages_is_read_as_the_nodes_saw_it_whatever_the_gam
         assert 'rooms' not in said.out
         if command == 'eval':
             left_out = 'left out: 1 message on /domain_info: '
-                assert [w for w in whys if left_out + w not in said.err] == [], said.err
+            assert [w for w in whys if left_out + w not in said.err] == [], said.err
     found = summarise(open_bag(bag))
     assert (found.participants, found.results['option runs']) == (['p1'], {})
     with live.hurried():
