@@ -290,12 +290,15 @@ def test_a_key_changes_how_the_machine_plays_within_the_episode_and_a_signal_end
     terminal.see('Arbitration: each option runs to its end.')
     terminal.press(ENTER)
     terminals.witness(GameState, lambda m: m.step > 0, terminal)
-    for execution in ('interrupted', 'modular_mass'):
+    for execution, words in (
+        ('interrupted', 'an option stops where another is worth more.'),
+        ('modular_mass', 'all options act at once; the greatest mass wins.'),
+    ):
         terminal.press('x')
         said = terminals.witness(
             ExecutionState, lambda m, wanted=execution: m.execution == wanted, terminal
         )
-    terminal.see('Arbitration: all options act at once; the greatest mass wins.')
+        terminal.see(f'Arbitration: {words}')
     last = max(m.sequence for m in terminals.messages if isinstance(m, GameState))
     terminals.witness(GameState, lambda m: m.sequence > last + 2, terminal)
     terminal.press(ESCAPE)
