@@ -229,9 +229,9 @@ def test_what_a_page_logs_does_not_reach_the_terminal(
             urlopen(f'{address}/{TOKEN}/{quote(PROMPT)}/x')
         page.press('2')
         page.until('said', 'is picked')
-    told = ''.join(capfd.readouterr())
-    assert '\x1b' not in told
-    assert not any(line.startswith('[sudo]') for line in told.splitlines())
+    output = ''.join(capfd.readouterr())
+    assert '\x1b' not in output
+    assert not any(line.startswith('[sudo]') for line in output.splitlines())
 
 
 def test_two_people_teach_while_strangers_keep_2000_connections_open(
@@ -257,13 +257,13 @@ def test_two_people_teach_while_strangers_keep_2000_connections_open(
             open_files = len(list(Path('/proc/self/fd').iterdir()))
         finally:
             flood.close()
-    told = ''.join(capfd.readouterr())
+    output = ''.join(capfd.readouterr())
     print(f'{len(waits)} keys: median {statistics.median(waits):.3f} s, last {max(waits):.3f} s')
     assert statistics.median(waits) < 0.1
     assert max(waits) < 2.0
     assert open_files < 1000
-    assert len(told) < 100_000
-    assert '\x1b' not in told
+    assert len(output) < 100_000
+    assert '\x1b' not in output
 
 
 def test_a_connection_without_a_whole_request_ends(

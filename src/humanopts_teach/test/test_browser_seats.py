@@ -37,7 +37,7 @@ class Page:
         self.shown = line.text, frame
 
     def listen(self, press: Press) -> None:
-        """Keep who is told what is pressed."""
+        """Keep what takes key presses."""
         self.press = press
 
     def reload(self) -> None:
@@ -208,7 +208,7 @@ STORIES = {
 
 
 @pytest.mark.parametrize('story', STORIES)
-def test_seats_as_told(story: str) -> None:
+def test_a_story_of_seats(story: str) -> None:
     asyncio.run(tell(STORIES[story], LINGER if 'stays closed' in story else PATIENCE, 2))
 
 

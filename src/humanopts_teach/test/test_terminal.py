@@ -104,7 +104,7 @@ def test_a_wide_board_leaves_room_for_what_is_beside_it(pacman: Desk) -> None:
     assert {'plans,', 'then', 'plays'} <= set(screen.split())
 
 
-def test_a_small_window_is_told_so_politely(desk: Desk) -> None:
+def test_a_small_window_shows_what_size_is_needed(desk: Desk) -> None:
     assert '69 x 24 characters, and 70 x 20 are needed' in desk.sees(69, 24)
     assert '80 x 19 characters, and 70 x 20 are needed' in desk.sees(80, 19)
     assert 'Teaching' in desk.sees(70, 20)

@@ -159,7 +159,7 @@ class Seats:
         """
         Start without participants.
 
-        :param fits: returns whether another game fits beside that many; called in a thread.
+        :param fits: returns whether one more game fits; called in a thread, with their number.
         :param known: returns the codes of earlier participants.
         """
         self.domain, self.linger, self._known = domain, linger, known

@@ -47,7 +47,7 @@ from humanopts_teach.lesson.requests import (
 REPLY_SECONDS = 5.0  # for a node to answer
 SETTLE_SECONDS = 1.0  # for the latched topics to show what the answer has changed
 MAX_KEYS = 128  # typed ahead; further keys are dropped
-_MAX_FRAMES = 64  # whose keys still count
+_MAX_FRAMES = 64  # back to which keys still count
 _PAUSED = 'Not now: the lesson is paused; see the top of the screen.'
 
 

@@ -56,7 +56,7 @@ class StudyApp(App):
         self._announced = False  # that its time is over
 
     def advance(self, now: float) -> Request | None:
-        """Carry out what can be carried out now; end a part whose time is over."""
+        """Carry out what can be carried out now; end a part when its time is over."""
         if self._part is None and not self.ended:
             self._begin(now)
         if self._part is not None:

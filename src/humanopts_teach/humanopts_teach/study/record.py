@@ -79,7 +79,7 @@ class Record:
         """
         Return the record as it is on disk now, and change nothing in it.
 
-        :raises OSError: it is no regular file, too large, or cannot be read.
+        :raises OSError: it is not a regular file, is too large, or cannot be read.
         """
         events, problems = read_lines(self.path, event_of, MAX_BYTES)
         return replace(self, events=events, problems=problems)
@@ -262,7 +262,7 @@ class StudyFolder:
         """
         Return the plan that a participant follows: the one with which the participant began.
 
-        :param plan: of today, for participants of whom no version is kept.
+        :param plan: the current one, for participants without a stored version.
         :raises OSError: the record, or what is kept, cannot be read.
         """
         began = record.read().began
