@@ -164,7 +164,7 @@ def test_a_value_out_of_its_range_is_refused(shown: list[Demonstration], x: floa
     with pytest.raises(ValueError, match='feature x of lake cannot be'):
         check_transition(transition_from_message(message), LAKE)
     rows = ((x, 3.0, 0.0), *shown[0].features[1:])
-    with pytest.raises(DemonstrationError, match='features'):
+    with pytest.raises(DemonstrationError, match='feature x of lake cannot be'):
         check_demonstration(replace(shown[0], features=rows), LAKE)
 
 
