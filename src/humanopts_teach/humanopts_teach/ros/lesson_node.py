@@ -268,7 +268,7 @@ class LessonNode(NodeBase):
         )
 
     def _check_recording(self) -> None:
-        """Pause while nothing is recorded; then publish everything again for the new bag."""
+        """Pause while nothing is recorded, then publish everything again for the new bag."""
         fault = self._recorders.check(self._recorder_status.get_publisher_count() > 0)
         if self._unrecorded and not fault:
             # Others may publish on the topic. A recorder that has stopped counts, too, and one
@@ -281,7 +281,7 @@ class LessonNode(NodeBase):
         self._unrecorded = fault
 
     def _send_again(self) -> None:
-        """Send everything to a learner that is new; it drops what it has."""
+        """Send everything to a new learner, which drops duplicates."""
         self._resend.cancel()
         self._unsent.extend(self._lesson.demonstrations())
         self._show()
@@ -298,7 +298,7 @@ class LessonNode(NodeBase):
         self._show()
 
     def _show(self) -> None:
-        """Publish what is new; pause while that fails, or while nothing is recorded."""
+        """Publish what is new; pause while that fails or nothing is recorded."""
         if not self.ready:
             return
         cause = self._unrecorded

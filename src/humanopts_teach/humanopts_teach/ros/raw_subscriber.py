@@ -1,4 +1,4 @@
-"""Takes every message of the graph, as bytes, without an executor."""
+"""Receives every message of the graph as bytes, without an executor."""
 
 from collections.abc import Collection
 from dataclasses import dataclass
@@ -47,7 +47,7 @@ class TopicSubscription:
     offers: list[dict[str, Any]]  # QoS of the publishers, as rosbag2's metadata has it
     type_hash: str
     subscription: Subscription
-    profile: QoSProfile  # that is asked for
+    profile: QoSProfile  # that is requested
     publishers: int  # on the graph, when the QoS was last compared
 
     @property
@@ -102,7 +102,7 @@ class RawSubscriber:
         return added
 
     def _wants(self, topic: str, kind: str) -> bool:
-        """Return whether a topic is recorded; where it may change, it is asked for again."""
+        """Return whether a topic is recorded."""
         if topic in self._subscriptions or topic in SHARED:
             return self._selection.wants(topic, own=True)
         publishers = partial(publishers_of, self._node, topic)
@@ -120,7 +120,7 @@ class RawSubscriber:
         return batch
 
     def _adapt(self, known: TopicSubscription, offers: Collection[TopicEndpointInfo]) -> None:
-        """Subscribe again where a new publisher offers less than is asked for."""
+        """Subscribe again if a new publisher offers less than is requested."""
         known.publishers = len(offers)
         profile = _common([known.profile, *(offer.qos_profile for offer in offers)])
         if profile != known.profile:

@@ -115,26 +115,28 @@ class Recorder(NodeBase):
     def __init__(self, **options: Any) -> None:
         super().__init__('recorder', **options)
         self._bag = self._begin()
-        attach = self.setting('attach', [''], 'files and folders to keep in the bag at its end')
+        attach = self.setting('attach', [''], 'files and folders to attach to the bag at its end')
         self._attached = [Path(path) for path in attach if path]
-        others = self.setting('outlasts', [''], 'nodes of the namespace to end after, if it can')
+        others = self.setting(
+            'outlasts', [''], 'nodes of the namespace that end before the recorder'
+        )
         self._outlasts = {self.full_name(name) for name in others if name}
         self._subscriber = RawSubscriber(self, self.selection)
         self._losses = LossCounter()
         self._lag = Lag()
         self._numbered: dict[str, bool] = {}  # recorded topics: whether messages carry numbers
         self._latched: set[str] = set()  # recorded topics of current values
-        self._shared: deque[tuple[float, Taken]] = deque()  # that wait, and since when, s
-        self._games: list[str] = []  # publisher ids of the game, one after each start of it
+        self._shared: deque[tuple[float, Taken]] = deque()  # waiting messages, and since when, s
+        self._games: list[str] = []  # publisher ids of the game, one for each start
         self._complete = False  # every publisher was matched at the last two looks
-        self._stopped = ''  # why nothing is written any more; empty: it is
+        self._stopped = ''  # why the recording has stopped; empty: it has not
         self._text = self.selection.unevaluable
         if self._text:
             self.get_logger().warning(self._text)
         self._discover_at = self._flush_at = 0.0  # when each is due, s
-        self._unflushed = False  # whether a topic came of which nothing may be on disk yet
+        self._unflushed = False  # whether there is a new topic that may not be on disk yet
         self._behind = False
-        self._published: tuple[object, ...] = ()  # what matters of the last status
+        self._published: tuple[object, ...] = ()  # the significant part of the last status
         self._published_at = 0.0
         self._publisher = self.stamped_publisher(RecorderStatus, 'recorder_status', LATCHED)
         self._timer = self.create_timer(_PERIOD, self._on_timer)
@@ -144,14 +146,14 @@ class Recorder(NodeBase):
         return self._stopped or (None if self._complete else 'the publishers on the graph')
 
     def serve(self, executor: Executor, stop: Callable[[], bool]) -> None:
-        """Carry out callbacks until ``stop`` returns True, and those it outlasts have left."""
+        """Run callbacks until ``stop`` returns True and the nodes that it outlasts are gone."""
         super().serve(executor, stop)
         end = time.monotonic() + OUTLASTING
         while self._outlasts.intersection(self.nodes_there()) and time.monotonic() < end:
             self.turn(executor, _DISCOVERY_PERIOD)
 
     def close(self) -> None:
-        """Take what is still on its way, and close the bag; fail where that stops it only now."""
+        """Record the last messages and close the bag; fail if only that stops the recording."""
         before = self._stopped
         end = time.monotonic() + _LINGER
         quiet = time.monotonic() + _QUIET
@@ -199,7 +201,7 @@ class Recorder(NodeBase):
             raise StartError(str(error)) from error
 
     def _attach(self) -> None:
-        """Keep files in the bag as they now are."""
+        """Attach files to the bag."""
         for name, path in attachments(self._attached):
             try:
                 data, changed = read_bytes(path, _MAX_ATTACHED), path.stat().st_mtime_ns
@@ -240,7 +242,7 @@ class Recorder(NodeBase):
         self._publish_status()
 
     def _find_game(self) -> None:
-        """Keep in the bag which publisher is the game, as the other nodes see it."""
+        """Note in the bag which publisher is the game, as the other nodes see it."""
         stated = stated_ids(self, 'game')
         current = next(reversed(self._games), '')
         for publisher_id in stated:
@@ -295,7 +297,7 @@ class Recorder(NodeBase):
                     self._stop(error)
 
     def _attempt(self, write: Callable[[], object]) -> None:
-        """Write to the bag, unless it was given up; give it up where it cannot be written."""
+        """Write to the bag, unless the recording has stopped; stop it if that fails."""
         if not self._stopped:
             try:
                 write()
@@ -303,7 +305,7 @@ class Recorder(NodeBase):
                 self._stop(error)
 
     def _stop(self, error: BagWriteError) -> None:
-        """Write no more, and say why."""
+        """Stop the recording, and report why."""
         if not self._stopped:
             self._stopped = f'recording stopped: {error}'
             self.get_logger().error(self._stopped)
@@ -311,7 +313,7 @@ class Recorder(NodeBase):
             self.set_status(NodeStatus.STATE_PAUSED, self._stopped)
 
     def _publish_status(self) -> None:
-        """Publish the state of the recording, at every change that matters and once a second."""
+        """Publish the state of the recording at every significant change and once a second."""
         now = time.monotonic()
         if (behind := self._lag.behind(now)) != self._behind:
             self._behind = behind
@@ -331,7 +333,7 @@ class Recorder(NodeBase):
             self.get_logger().error(str(error))
 
     def _remark(self) -> str:
-        """Return what of the graph is not recorded; empty: nothing."""
+        """Return what is not recorded, in words; empty: nothing."""
         if self._complete and not self._numbered:
             return 'the patterns leave no topic to record'
         unknown = self._subscriber.unknown.items()

@@ -1,5 +1,5 @@
 """
-A person's node: what the dialogue asks for goes to the graph, and what comes back to it.
+A person's node: passes requests of the dialogue to the graph, and its answers back.
 
 Services and actions of a driver go through ``LessonClient``, the goals of runs through ``Goal``.
 """
@@ -59,8 +59,8 @@ class TeleopNode(NodeBase):
     """
     A person's place on the graph; ``dialogue.app`` and its screens decide everything.
 
-    Whoever shows the dialogue hands keys to ``press``, calls ``go_on`` again and again, and draws
-    when ``frame_due`` says so.
+    The owner passes keys to ``press``, calls ``go_on`` repeatedly, and draws when ``frame_due``
+    returns True.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -123,7 +123,7 @@ class TeleopNode(NodeBase):
         self._news |= bool(keys)
 
     def go_on(self) -> None:
-        """Carry out what can be carried out now."""
+        """Do what is due now."""
         now = time.monotonic()
         request = self.app.advance(now) if self.ready else None
         if request is not None:
@@ -133,18 +133,18 @@ class TeleopNode(NodeBase):
         self._news |= self._seen != self.app.shown
 
     def frame_due(self) -> bool:
-        """Return whether to draw now: something has changed, and what was asked is settled."""
+        """Return whether to draw now: something has changed, and the last request is settled."""
         now = time.monotonic()
         unsettled = self.app.waits_for is not None and now - self._asked < _SETTLING_SECONDS
         return self._news and not unsettled and now - self._drawn > _FRAME_SECONDS
 
     def drawn(self) -> int:
-        """Note that everything was drawn; return the number of the frame."""
+        """Note that the frame was drawn, and return its number."""
         self._drawn, self._seen, self._news = time.monotonic(), self.app.shown, False
         return self.app.drawn()
 
     def send_last_requests(self) -> None:
-        """Make the last requests to those who are there."""
+        """Send the last requests to the servers that are there."""
         sent = [self._send_last(request) for request in self.app.last_requests()]
         self.last_answers = [future for future in sent if future is not None]
         self._parted_at = time.monotonic() + _PARTING_SECONDS
@@ -182,7 +182,7 @@ class TeleopNode(NodeBase):
         self.app.replied(request, answer, time.monotonic())
 
     def _check_presence(self, now: float) -> None:
-        """Notice nodes that are gone."""
+        """Check which nodes are missing."""
         if now - self._checked < _PRESENCE_SECONDS:
             return
         self._checked = now
@@ -231,7 +231,7 @@ class TeleopNode(NodeBase):
         goal.accepted.add_done_callback(on_accepted)
 
     def _on_restart(self, name: str) -> None:
-        """End the run of a server that was started again, and does not know it."""
+        """End a run whose server was restarted."""
         if self.app.run is not None and server(self.app.run) == name:
             self._goal = None
             self.app.lost_server()
