@@ -87,7 +87,7 @@ class Trial:
 
 
 @dataclass
-class Outcome:
+class TrialResults:
     """The results and failures of a run, by key of the trial."""
 
     results: dict[str, Rows] = field(default_factory=dict)
@@ -105,7 +105,7 @@ class Outcome:
 
 def run_trials(
     trials: Sequence[Trial], folder: Path, progress: ProgressCallback, jobs: int, dask: str = ''
-) -> Outcome:
+) -> TrialResults:
     """
     Compute the missing trials; each result is written as soon as it is computed.
 
@@ -120,7 +120,7 @@ def run_trials(
     :raises OSError: the folder cannot be made.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    outcome, missing = Outcome(), list[Trial]()
+    outcome, missing = TrialResults(), list[Trial]()
     for trial in {trial.key: trial for trial in trials}.values():
         try:
             kept = json.loads((folder / f'{trial.key}.json').read_text('utf-8'))

@@ -31,7 +31,7 @@ from humanopts_teach.evaluation.bag_evaluation import (
     evaluate_bag,
     EvaluationError,
 )
-from humanopts_teach.evaluation.settings import Settings, settings_from_facts
+from humanopts_teach.evaluation.settings import EvaluationSettings, settings_from_facts
 from humanopts_teach.evaluation.summary import (
     differences,
     Live,
@@ -44,7 +44,7 @@ from humanopts_teach.evaluation.text import evaluation_text
 import pytest
 from rclpy.serialization import serialize_message
 
-SETTINGS = Settings(seed=5)
+SETTINGS = EvaluationSettings(seed=5)
 FACTS = {
     'seed': '5',
     'return_delta': '0.75',
@@ -54,7 +54,7 @@ FACTS = {
     'budget': '40',
     'teacher_error_rate': '0.0',
 }
-RECORDED = Settings(5, 'random', Thresholds(0.75, 0.05, 0.1), 0.0, 40)  # these
+RECORDED = EvaluationSettings(5, 'random', Thresholds(0.75, 0.05, 0.1), 0.0, 40)  # these
 Lesson = list[Demonstration]
 
 
@@ -193,7 +193,7 @@ def test_settings_are_read_from_the_facts_in_the_bag() -> None:
 )
 def test_a_fact_that_makes_no_sense_is_replaced_and_named(name: str, text: str) -> None:
     settings, assumed = settings_from_facts({name: text})
-    assert settings == Settings()
+    assert settings == EvaluationSettings()
     assert any(name in note and text in note for note in assumed)
 
 
@@ -293,7 +293,7 @@ def test_a_bag_without_facts_is_evaluated_with_defaults_and_says_so(
     tmp_path: Path, taxi: Domain[Any], first: Lesson
 ) -> None:
     found = evaluate_bag(record_lesson(tmp_path / 'bag', taxi, first[:6], facts={}))
-    assert found.settings == Settings()
+    assert found.settings == EvaluationSettings()
     assert any('seed' in warning for warning in found.warnings)
 
 
@@ -354,7 +354,7 @@ def test_a_message_and_the_summary_it_carried_give_the_same_row(
 def test_a_difference_names_what_differs_and_both_values(
     taxi: Domain[Any], taxi_lesson: Lesson
 ) -> None:
-    offline = evaluate(taxi_lesson, taxi, Settings(seed=3))
+    offline = evaluate(taxi_lesson, taxi, EvaluationSettings(seed=3))
     options, plans = offline.option_table, offline.plan_table
     live = Live(options, plans, PlayedEpisodes(1, 1, 0, -10.0))
     assert differences(live, offline) == []

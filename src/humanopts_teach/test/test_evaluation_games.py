@@ -29,7 +29,7 @@ from humanopts_teach.evaluation.games import (
     RULE,
     RULE_NAME,
 )
-from humanopts_teach.evaluation.settings import Settings
+from humanopts_teach.evaluation.settings import EvaluationSettings
 from humanopts_teach.evaluation.tables import rows_of
 from humanopts_teach.evaluation.text import games_text
 from humanopts_teach.report.episode import episode_strip, Frame, MAX_PICTURES
@@ -62,7 +62,9 @@ def brief() -> Domain[Any]:
 @pytest.fixture(scope='module')
 def evaluation(yard: Domain[Any], yard_lesson: list[Demonstration]) -> BagEvaluation:
     """Four options, taught a little."""
-    return evaluate(yard_lesson, yard, Settings(seed=SEED, game_steps=STEPS), episodes=GAMES)
+    return evaluate(
+        yard_lesson, yard, EvaluationSettings(seed=SEED, game_steps=STEPS), episodes=GAMES
+    )
 
 
 @pytest.fixture(scope='module')

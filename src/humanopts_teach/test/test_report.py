@@ -16,7 +16,7 @@ from humanopts_learner.planning.exact_plan import ExactPlan
 from humanopts_learner.summary import Criterion
 from humanopts_teach.bags.info import TopicRow
 from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, evaluate, OptionEvaluation
-from humanopts_teach.evaluation.settings import Settings
+from humanopts_teach.evaluation.settings import EvaluationSettings
 from humanopts_teach.evaluation.summary import Live, PlayedEpisodes, SummaryError
 from humanopts_teach.evaluation.text import evaluation_text
 from humanopts_teach.report import charts
@@ -37,7 +37,9 @@ import pytest
 
 pytestmark = pytest.mark.heavy
 
-SETTINGS = Settings(seed=5, thresholds=Thresholds(2.25, 0.0625, 0.125), teacher_error_rate=0.02)
+SETTINGS = EvaluationSettings(
+    seed=5, thresholds=Thresholds(2.25, 0.0625, 0.125), teacher_error_rate=0.02
+)
 TAUGHT = ('go to passenger and pickup', 'go to destination and dropoff')
 FRAMES = (
     Frame('taxi 0,1 passenger R destination B'),

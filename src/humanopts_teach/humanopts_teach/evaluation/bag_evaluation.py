@@ -45,7 +45,7 @@ from humanopts_teach.bags.provenance import software, UNKNOWN
 from humanopts_teach.bags.reader import Bag, open_bag
 from humanopts_teach.evaluation import ProgressCallback
 from humanopts_teach.evaluation.games import evaluate_games, GAMES, games_to_dict
-from humanopts_teach.evaluation.settings import Settings, settings_from_facts
+from humanopts_teach.evaluation.settings import EvaluationSettings, settings_from_facts
 from humanopts_teach.evaluation.side_by_side import all_of
 from humanopts_teach.evaluation.tables import option_row, OPTIONS, plan_row, PLANS, records, table
 
@@ -105,7 +105,7 @@ class BagEvaluation:
     """
 
     domain: Domain[Any]
-    settings: Settings
+    settings: EvaluationSettings
     options: tuple[OptionEvaluation, ...]
     plans: Mapping[str, PlanEvaluation]
     warnings: tuple[str, ...] = ()
@@ -205,7 +205,7 @@ def evaluate_bag(
 def evaluate(
     demonstrations: Sequence[Demonstration],
     domain: Domain[Any],
-    settings: Settings,
+    settings: EvaluationSettings,
     warnings: Sequence[str] = (),
     progress: ProgressCallback = ignore_progress,
     episodes: int = 0,
@@ -268,7 +268,7 @@ def usable_demonstrations(
 
 
 def _learning_curve(
-    demos: Sequence[Demonstration], domain: Domain[Any], settings: Settings
+    demos: Sequence[Demonstration], domain: Domain[Any], settings: EvaluationSettings
 ) -> OptionEvaluation:
     """Learn an option after every demonstration, from the first trajectory on."""
     first = next(i for i, demo in enumerate(demos, start=1) if demo.kind is Kind.TRAJECTORY)

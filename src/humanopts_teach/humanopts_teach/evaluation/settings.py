@@ -11,7 +11,7 @@ from pydantic.dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class Settings:
+class EvaluationSettings:
     """
     Settings of learning and judging.
 
@@ -30,13 +30,13 @@ class Settings:
         return {name: value for name, value in asdict(self).items() if name != 'game_steps'}
 
 
-def settings_from_facts(facts: Mapping[str, str]) -> tuple[Settings, list[str]]:
+def settings_from_facts(facts: Mapping[str, str]) -> tuple[EvaluationSettings, list[str]]:
     """
     Read the settings, with a default for each that is missing or unreadable.
 
     :return: the settings, and a sentence on each default.
     """
-    settings, assumed = Settings(), []
+    settings, assumed = EvaluationSettings(), []
     limits = [each.name for each in fields(Thresholds)]
     names = ['seed', *limits, 'strategy', 'budget', 'teacher_error_rate']
     for name in [*names, *({'game_steps'} & {*facts})]:

@@ -75,7 +75,7 @@ def _frames(episode: Episode, runs: Sequence[Any], actors: Actors) -> list[Frame
 
 
 @dataclass(frozen=True)
-class Picture:
+class ShownFrame:
     """One state, ready for the page."""
 
     number: int  # step
@@ -90,7 +90,7 @@ class Picture:
 class Strip:
     """A whole episode."""
 
-    pictures: Sequence[Picture]
+    pictures: Sequence[ShownFrame]
     steps: int  # of the episode
     whole: bool  # every step is shown; else the ends of runs
     left_out: int  # ends of runs that are not shown
@@ -115,7 +115,7 @@ def episode_strip(domain: Domain[Any], frames: Sequence[Frame]) -> Strip:
         frame, steps = frames[number], frames[before + 1 : number + 1]
         reward = sum(step.reward for step in steps)
         pictures.append(
-            Picture(
+            ShownFrame(
                 number,
                 board_html(board),
                 frame.option.removeprefix(PRIMITIVE_PREFIX),
