@@ -11,17 +11,13 @@ from humanopts_env.domains.registry import make_domain
 from humanopts_env.domains.rooms import Rooms
 from humanopts_env.domains.taxi import ABOARD, Taxi
 from humanopts_env.seeding import generator
+from humanopts_learner import find_options, LearnedOption, to_learned_options
 from humanopts_learner.automatic.bottlenecks import Bottleneck, find_bottlenecks, Visits
-from humanopts_learner.automatic.extract import (
-    AutomaticOptions,
-    find_options,
-    search_space,
-    to_learned_options,
-)
+from humanopts_learner.automatic.extract import AutomaticOptions, search_space
 from humanopts_learner.automatic.subgoals import draw_tasks, Extraction, USUAL
 from humanopts_learner.execution import Execution
 from humanopts_learner.options.files import option_from_json, option_to_json
-from humanopts_learner.options.learned_option import LearnedOption, tabulate
+from humanopts_learner.options.learned_option import tabulate
 from humanopts_learner.planning.action_set import ActionSet, AnyOption
 from humanopts_learner.planning.plan import make_plan
 from humanopts_learner.planning.request import (

@@ -13,16 +13,16 @@ from humanopts_env.domains.rooms import Rooms
 from humanopts_env.domains.taxi import Taxi
 from humanopts_env.games import feature_rows
 from humanopts_env.seeding import generator
-from humanopts_learner.demonstrations import Demonstration
-from humanopts_learner.options.accuracy import (
-    average_returns,
+from humanopts_learner import (
     classification_accuracy,
+    Demonstration,
+    learn_option,
+    LearnedOption,
     policy_accuracy,
 )
+from humanopts_learner.options.accuracy import average_returns
 from humanopts_learner.options.decision_tree import encode_rows, feature_encoding, fit_tree
-from humanopts_learner.options.learn import learn_option
 from humanopts_learner.options.learned_option import (
-    LearnedOption,
     MEMBERSHIP,
     OptionError,
     options_from_references,

@@ -9,18 +9,15 @@ from pathlib import Path
 from typing import Any
 
 from humanopts_env.domains.taxi import Taxi
-from humanopts_learner.demonstrations import Demonstration
+from humanopts_learner import Demonstration, learn_option, LearnedOption, load_option, save_option
 from humanopts_learner.options.files import (
-    load_option,
     load_options,
     option_from_json,
     option_path,
     option_to_json,
     OptionFileError,
-    save_option,
 )
-from humanopts_learner.options.learn import learn_option
-from humanopts_learner.options.learned_option import LearnedOption, OptionError
+from humanopts_learner.options.learned_option import OptionError
 from humanopts_learner.options.rollout import rollouts
 from humanopts_learner.ros.convert import demonstration_to_message
 from hypothesis import given, settings

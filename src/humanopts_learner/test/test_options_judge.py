@@ -11,22 +11,16 @@ from humanopts_env.domains.registry import make_domain, reference_options
 from humanopts_env.domains.rooms import RoomsState
 from humanopts_env.domains.taxi import Taxi, TaxiState
 from humanopts_env.seeding import generator
-from humanopts_learner.demonstrations import Demonstration
+from humanopts_learner import Demonstration, judge, learn_option, Thresholds
 from humanopts_learner.options.conflicts import find_conflicts
 from humanopts_learner.options.files import option_to_json
 from humanopts_learner.options.judge import (
     fit_leave_fold_out,
     fold_of,
-    judge,
     MIN_TRAJECTORIES,
     more_needed,
-    Thresholds,
 )
-from humanopts_learner.options.learn import (
-    learn_option,
-    make_dataset,
-    NotLearnableError,
-)
+from humanopts_learner.options.learn import make_dataset, NotLearnableError
 from humanopts_learner.options.rollout import rollouts
 from humanopts_learner.summary import Criterion, INITIATION, RETURN, TERMINATION
 import numpy as np

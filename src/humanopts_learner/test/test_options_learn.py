@@ -17,19 +17,19 @@ from humanopts_env.domains.tabular import best_ways, distance_to
 from humanopts_env.domains.taxi import Taxi, TaxiState
 from humanopts_env.domains.taxi_reference import reference_options
 from humanopts_env.seeding import generator
-from humanopts_learner.demonstrations import (
-    check_demonstration,
+from humanopts_learner import (
     Demonstration,
-    DemonstrationError,
-    GOAL,
+    judge,
+    learn_option,
     make_demonstration,
-    TREES,
+    policy_accuracy,
+    Thresholds,
 )
+from humanopts_learner.demonstrations import check_demonstration, DemonstrationError, GOAL, TREES
 from humanopts_learner.option import DrawnOption
-from humanopts_learner.options.accuracy import policy_accuracy
 from humanopts_learner.options.files import option_from_json, option_to_json
-from humanopts_learner.options.judge import judge, MIN_TO_A_GOAL, Thresholds
-from humanopts_learner.options.learn import learn_option, NotLearnableError
+from humanopts_learner.options.judge import MIN_TO_A_GOAL
+from humanopts_learner.options.learn import NotLearnableError
 from humanopts_learner.options.learned_option import (
     OptionError,
     options_from_references,

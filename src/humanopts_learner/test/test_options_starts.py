@@ -7,15 +7,18 @@ from typing import Any
 from humanopts_env.domains.taxi import Taxi, TaxiState
 from humanopts_env.domains.taxi_reference import reference_options
 from humanopts_env.seeding import generator
-from humanopts_learner.demonstrations import Demonstration
-from humanopts_learner.options.accuracy import policy_accuracy
+from humanopts_learner import (
+    choose_start_state,
+    Demonstration,
+    judge,
+    learn_option,
+    LearnedOption,
+    policy_accuracy,
+    Thresholds,
+)
 from humanopts_learner.options.failures import find_failures
-from humanopts_learner.options.judge import judge, Thresholds
-from humanopts_learner.options.learn import learn_option
-from humanopts_learner.options.learned_option import LearnedOption
 from humanopts_learner.options.rollout import rollouts
 from humanopts_learner.options.starts import (
-    choose_start_state,
     committee_disagrees,
     nothing_fails,
     sample_failures,

@@ -10,12 +10,9 @@ from humanopts_env.domains.rooms import Rooms
 from humanopts_env.domains.taxi import Taxi
 from humanopts_env.games import new_games, TableGames
 from humanopts_env.seeding import generator
+from humanopts_learner import LearnedOption
 from humanopts_learner.library import OptionLibrary
-from humanopts_learner.options.learned_option import (
-    LearnedOption,
-    options_from_references,
-    TabularOption,
-)
+from humanopts_learner.options.learned_option import options_from_references, TabularOption
 from humanopts_learner.planning.exact_plan import ExactPlan, make_exact_plan, play_plan
 from humanopts_learner.planning.interruption import (
     arbitrate,

@@ -15,12 +15,9 @@ from humanopts_env.domains.pacman.domain import PacMan
 from humanopts_env.domains.rooms import Rooms
 from humanopts_env.domains.taxi import Taxi
 from humanopts_env.domains.taxi_reference import reference_options
+from humanopts_learner import judge_plan, LearnedOption
 from humanopts_learner.intervals import Interval
-from humanopts_learner.options.learned_option import (
-    LearnedOption,
-    options_from_references,
-    TabularOption,
-)
+from humanopts_learner.options.learned_option import options_from_references, TabularOption
 from humanopts_learner.planning.exact_plan import (
     Decision,
     episode_starts,
@@ -29,7 +26,7 @@ from humanopts_learner.planning.exact_plan import (
     make_exact_plan,
     play_plan,
 )
-from humanopts_learner.planning.plan import judge_plan, make_plan
+from humanopts_learner.planning.plan import make_plan
 from humanopts_learner.planning.request import (
     NoOptionsError,
     PlanCanceled,

@@ -5,11 +5,8 @@ from functools import cache
 
 from humanopts_env.domains.rooms import LAYOUT, PLACES, Rooms
 from humanopts_env.domains.rooms_reference import reference_options
-from humanopts_learner.options.learned_option import (
-    LearnedOption,
-    options_from_references,
-    tabulate,
-)
+from humanopts_learner import LearnedOption
+from humanopts_learner.options.learned_option import options_from_references, tabulate
 from humanopts_learner.planning.exact_plan import build_model, episode_starts, ExactPlan, play_plan
 from humanopts_learner.planning.models import MultiTimeModel
 from humanopts_learner.planning.plan import make_plan

@@ -9,8 +9,9 @@ from humanopts_env.domains.rooms import Rooms
 from humanopts_env.domains.rooms_reference import reference_options
 from humanopts_env.games import TableGames
 from humanopts_env.seeding import generator
+from humanopts_learner import LearnedOption, solve_smdp
 from humanopts_learner.intervals import Interval
-from humanopts_learner.options.learned_option import LearnedOption, options_from_references
+from humanopts_learner.options.learned_option import options_from_references
 from humanopts_learner.planning.abstraction import Abstraction, Column
 from humanopts_learner.planning.action_set import ActionSet, AnyOption
 from humanopts_learner.planning.plan import make_plan
@@ -25,7 +26,6 @@ from humanopts_learner.planning.request import (
 )
 from humanopts_learner.planning.sampled_plan import make_sampled_plan, SampledPlan
 from humanopts_learner.planning.sampling import SampleCounts, Sampler, Samples, samples_of
-from humanopts_learner.planning.solve import solve_smdp
 import numpy as np
 import pytest
 

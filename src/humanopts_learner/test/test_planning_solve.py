@@ -4,6 +4,7 @@ from dataclasses import replace
 from functools import cache
 
 from humanopts_env.arrays import Flags, Floats
+from humanopts_learner import solve_smdp
 from humanopts_learner.planning import solve
 from humanopts_learner.planning.models import (
     concatenate,
@@ -12,11 +13,7 @@ from humanopts_learner.planning.models import (
     primitive_model,
 )
 from humanopts_learner.planning.request import PlanError
-from humanopts_learner.planning.solve import (
-    compiled_sweep,
-    solve_smdp,
-    value_history,
-)
+from humanopts_learner.planning.solve import compiled_sweep, value_history
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np

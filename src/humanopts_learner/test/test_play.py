@@ -6,7 +6,8 @@ from typing import Any
 from humanopts_env.arrays import Flags, Ints, Rows
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.games import games_at
-from humanopts_learner.execution import play, RowOptions, Seen
+from humanopts_learner import play, RowOptions
+from humanopts_learner.execution import Seen
 from humanopts_learner.option import PrimitiveOption
 from humanopts_learner.planning.plan import make_plan
 from humanopts_learner.planning.request import PlanRequest, Sampling

@@ -7,12 +7,12 @@ from humanopts_env.domains.registry import reference_options
 from humanopts_env.domains.rooms import Rooms
 from humanopts_env.domains.taxi import Taxi
 from humanopts_env.seeding import generator
+from humanopts_learner import solve_smdp
 from humanopts_learner.intervals import Interval
 from humanopts_learner.options.learned_option import OptionTable, TabularOption
 from humanopts_learner.planning.exact_plan import build_model, option_table
 from humanopts_learner.planning.models import look_ahead
 from humanopts_learner.planning.request import NoOptionsError, PlanError
-from humanopts_learner.planning.solve import solve_smdp
 from humanopts_learner.qlearning import (
     best_rates_of_each,
     drawn_rates,
