@@ -16,6 +16,7 @@ from humanopts_teach.bags.check import check_bag
 from humanopts_teach.bags.contents import find_episodes, read_episodes
 from humanopts_teach.bags.info import summarise
 from humanopts_teach.bags.reader import Bag, open_bag
+from humanopts_teach.bags.writer import Limits, NO_LIMITS
 from humanopts_teach.export.tables import bag_tables, write_tables
 import pytest
 from teach_support.bags import play, write_messages
@@ -53,13 +54,21 @@ def drain(rows: Any) -> None:
         pass
 
 
-@pytest.mark.parametrize('period', [10**6, 0], ids=['running clock', 'stopped clock'])
+@pytest.mark.parametrize(
+    ('period', 'limits'),
+    [(10**6, Limits(bytes=200_000)), (0, NO_LIMITS)],
+    ids=['many files', 'stopped clock'],
+)
 def test_reading_holds_a_few_chunks_however_long_the_bag_is(
-    tmp_path: Path, taxi: Domain[Any], taxi_lesson: list[Demonstration], period: int
+    tmp_path: Path,
+    taxi: Domain[Any],
+    taxi_lesson: list[Demonstration],
+    period: int,
+    limits: Limits,
 ) -> None:
     shown = (('/demonstrations', demonstration_to_message(demo)) for demo in taxi_lesson)
     entries = (entry for each in (lesson(taxi, 10_000_000), shown) for entry in each)
-    bag = write_messages(tmp_path / 'bag', entries, start=10**18, period=period)
+    bag = write_messages(tmp_path / 'bag', entries, start=10**18, period=period, limits=limits)
     assert check_bag(bag).whole
     readers: dict[str, Callable[[Bag], object]] = {
         'messages': lambda bag: drain(bag.messages()),

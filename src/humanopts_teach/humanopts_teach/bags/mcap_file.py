@@ -5,12 +5,10 @@ A file is read by its index. One without, as a killed recorder leaves it, is sca
 first record that the package cannot read. A chunk that does not match its checksum is left out.
 """
 
-from bisect import bisect_right
 from collections import Counter
-from collections.abc import Callable, Container, Iterator, Sequence
+from collections.abc import Callable, Container, Iterator
 from dataclasses import dataclass, field
 from io import BytesIO
-from operator import attrgetter
 from os import SEEK_END
 from pathlib import Path
 import struct
@@ -85,51 +83,36 @@ class McapFile:
         channel = self.summary.channels.get(channel_id)
         return channel is not None and channel.schema_id in {0, *self.summary.schemas}
 
-    def chunks(self, channels: Container[int], between: tuple[int, int]) -> list[ChunkIndex]:
+    def chunks(self, channels: Container[int], between: tuple[int, int]) -> Iterator[ChunkIndex]:
         """
-        Return the chunks that may hold messages of some channels, in order of time.
+        Yield the chunks that may hold messages of some channels.
 
         :param channels: ids.
         :param between: first and last log time, ns.
         """
-        found = (
-            chunk
-            for chunk in self.summary.chunk_indexes
-            if chunk.message_start_time <= between[1]
-            and chunk.message_end_time >= between[0]
-            and any(
-                each in channels for each in chunk.message_index_offsets or self.summary.channels
-            )
-        )
-        return sorted(found, key=attrgetter('message_start_time', 'chunk_start_offset'))
+        for chunk in self.summary.chunk_indexes:
+            there = chunk.message_index_offsets or self.summary.channels
+            early, late = chunk.message_start_time, chunk.message_end_time
+            if early <= between[1] and late >= between[0] and any(c in channels for c in there):
+                yield chunk
 
-    def messages(
-        self,
-        chunks: Sequence[ChunkIndex],
-        on_chunk: Callable[[], object],
-        note: Callable[[str], object],
-    ) -> Iterator[Message]:
-        """
-        Yield the messages of chunks, and those outside chunks, in order of log time.
-
-        Where chunks overlap in time, the messages of several are held.
-
-        :param note: is called with what is wrong with a chunk, which is then left out.
-        """
-        held = sorted(self.loose, key=attrgetter('log_time'))
+    def read(self, index: ChunkIndex) -> list[Message]:
+        """Return the messages of a chunk; one of ``DAMAGE`` is raised if it is damaged."""
         with self.path.open('rb') as stream:
-            for chunk in chunks:
-                due = bisect_right(held, chunk.message_start_time, key=attrgetter('log_time'))
-                yield from held[:due]
-                del held[:due]
-                on_chunk()
-                try:
-                    held += _read_chunk(stream, chunk)
-                except DAMAGE as error:
-                    where = f'{self.path.name}: the chunk at byte {chunk.chunk_start_offset}'
-                    note(f'{where} is damaged and left out: {error}')
-                held.sort(key=attrgetter('log_time'))
-        yield from held
+            stream.seek(index.chunk_start_offset)
+            limit = index.chunk_length
+            reader = StreamReader(
+                stream, skip_magic=True, emit_chunks=True, record_size_limit=limit
+            )
+            chunk = next(reader.records)
+        if (
+            not isinstance(chunk, Chunk)
+            or chunk.message_start_time != index.message_start_time
+            or chunk.message_end_time != index.message_end_time
+        ):
+            raise ValueError('there is another record than the index says')
+        inside = breakup_chunk(chunk, validate_crc=True)
+        return [each for each in inside if isinstance(each, Message)]
 
 
 def ignore_progress(*_: object) -> None:
@@ -267,18 +250,6 @@ def _add(file: McapFile, record: object, start: int, end: int) -> None:
                 uncompressed_size=record.uncompressed_size,
             )
         )
-
-
-def _read_chunk(stream: BinaryIO, index: ChunkIndex) -> list[Message]:
-    """Return the messages of a chunk."""
-    stream.seek(index.chunk_start_offset)
-    limit = index.chunk_length
-    reader = StreamReader(stream, skip_magic=True, emit_chunks=True, record_size_limit=limit)
-    chunk = next(reader.records)
-    times = index.message_start_time, index.message_end_time
-    if not isinstance(chunk, Chunk) or (chunk.message_start_time, chunk.message_end_time) != times:
-        raise ValueError('there is another record than the index says')
-    return [each for each in breakup_chunk(chunk, validate_crc=True) if isinstance(each, Message)]
 
 
 def check_bytes(path: Path, on_read: ReadCallback = ignore_progress) -> str:

@@ -1,8 +1,7 @@
 """The messages, topics and files of a bag, whichever program wrote it, whole or damaged."""
 
+from bisect import bisect_right
 from collections.abc import Callable, Collection, Iterator
-from heapq import merge
-from itertools import count
 from operator import attrgetter
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
@@ -20,7 +19,7 @@ from humanopts_teach.bags.mcap_file import (
 from humanopts_teach.bags.rosbag2 import FILE, Information, Topic
 from humanopts_teach.bags.schemas import Decoder, make_decoder
 from humanopts_teach.bags.writer import RECORD
-from mcap.records import Attachment, AttachmentIndex, ChunkIndex
+from mcap.records import Attachment, AttachmentIndex, ChunkIndex, Message
 
 MAX_NOTES = 1000  # kinds of damage that are kept
 _UNDECODABLE = (*DAMAGE, IndexError, TypeError, AttributeError)  # what bytes of another type raise
@@ -147,34 +146,42 @@ class Recording:
         """
         Yield messages in order of log time.
 
+        Chunks that overlap in time are held in memory together.
+
         :param topics: names; None: all.
         :param between: first and last log time, ns.
         """
-        done, total = count(1), 0
 
-        def progress() -> None:
-            self.on_read(next(done), total)
-
-        def read(
-            file: McapFile, wanted: dict[int, Topic], chunks: list[ChunkIndex]
-        ) -> Iterator[Recorded]:
-            for each in file.messages(chunks, progress, self.note):
+        def select(messages: list[Message], wanted: dict[int, Topic]) -> Iterator[Recorded]:
+            for each in messages:
                 topic = wanted.get(each.channel_id)
                 if topic is not None and between[0] <= each.log_time <= between[1]:
                     times = each.log_time, each.publish_time
                     yield Recorded(topic.name, topic.type, *times, each.sequence, each.data, self)
 
-        passes = []
+        held, chunks = list[Recorded](), list[tuple[ChunkIndex, McapFile, dict[int, Topic]]]()
         for file in self._files:
             wanted = {
                 channel.id: self.topics[channel.topic]
                 for channel in file.summary.channels.values()
                 if channel.topic in self.topics and (topics is None or channel.topic in topics)
             }
-            chunks = file.chunks(wanted, between)
-            total += len(chunks)
-            passes.append(read(file, wanted, chunks))
-        yield from merge(*passes, key=attrgetter('log_time'))
+            held += select(file.loose, wanted)
+            chunks += ((chunk, file, wanted) for chunk in file.chunks(wanted, between))
+        chunks.sort(key=lambda each: each[0].message_start_time)
+        held.sort(key=attrgetter('log_time'))
+        for number, (chunk, file, wanted) in enumerate(chunks, start=1):
+            due = bisect_right(held, chunk.message_start_time, key=attrgetter('log_time'))
+            yield from held[:due]
+            del held[:due]
+            self.on_read(number, len(chunks))
+            try:
+                held += select(file.read(chunk), wanted)
+            except DAMAGE as error:
+                where = f'{file.path.name}: the chunk at byte {chunk.chunk_start_offset}'
+                self.note(f'{where} is damaged and left out: {error}')
+            held.sort(key=attrgetter('log_time'))
+        yield from held
 
     def decoder(self, topic: str) -> Decoder:
         """
