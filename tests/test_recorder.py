@@ -339,7 +339,7 @@ def test_a_full_disk_is_said_and_holds_nobody_back(recording: Recording) -> None
     ('parameters', 'reason'),
     [
         ({}, 'exists already'),
-        ({'path': '/proc/no/such'}, 'cannot make /proc/no/such'),
+        ({'path': '/proc/no/such'}, 'cannot create /proc/no/such'),
         ({'path': ''}, 'name the directory'),
         ({'path': '/proc/never', 'metadata': '[1]'}, 'not a JSON object'),
     ],
