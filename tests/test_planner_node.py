@@ -137,19 +137,19 @@ def test_judging_is_canceled_at_once(planning: Planning) -> None:
 @pytest.mark.parametrize('options', [OPTIONS, FIRST_ONLY], ids=['all', 'one'])
 def test_playing_by_a_plan_is_what_the_pure_code_says(planning: Planning, options: Any) -> None:
     planning.teach(options)
-    planned = planning.plan('human')
-    runs = [planning.play('human') for _ in range(2)]
+    planned, count = planning.plan('human'), EPISODES if options is OPTIONS else 2
+    runs = [planning.play('human', episodes=count) for _ in range(2 if count == EPISODES else 1)]
     plan = make_plan(TAXI, options, PlanRequest('human'))
-    returns = play_plan(plan, episode_starts(TAXI, SEED, EPISODES))
+    returns = play_plan(plan, episode_starts(TAXI, SEED, count))
     for result in runs:
         assert result.status == PolicyResult.STATUS_DONE
-        assert (result.episodes, result.successes) == (EPISODES, returns.successes.sum())
+        assert (result.episodes, result.successes) == (count, returns.successes.sum())
         assert result.decisions == returns.decisions.sum()
         assert result.fallbacks == returns.fallbacks.sum()
         assert result.mean_return == returns.total.mean()
         assert result.mean_discounted_return == pytest.approx(returns.discounted.mean(), abs=1e-9)
     assert (result.fallbacks > 0) == (options is FIRST_ONLY)
-    goals = planning.policy_goals[-2:]
+    goals = planning.policy_goals[-len(runs) :]
     assert [goal.run_id for goal in goals] == [result.run_id for result in runs]
     assert {goal.plan_id for goal in goals} == {planned.plan_id}
     short = planning.play('human', episodes=2, max_decisions=1)
