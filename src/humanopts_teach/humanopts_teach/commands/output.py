@@ -1,7 +1,7 @@
 """Standard output and standard error of a command, which may be full or closed."""
 
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
 import os
 import sys
 from typing import Any, TextIO
@@ -31,13 +31,10 @@ class _Unfailing:
 @contextmanager
 def unfailing_output() -> Iterator[None]:
     """Continue although standard output or standard error is closed or its disk full."""
-    before = sys.stdout, sys.stderr
-    unfailing: list[Any] = [_Unfailing(stream) for stream in before]
-    sys.stdout, sys.stderr = unfailing
-    try:
+    out: Any = _Unfailing(sys.stdout)
+    err: Any = _Unfailing(sys.stderr)
+    with redirect_stdout(out), redirect_stderr(err):
         yield
-    finally:
-        sys.stdout, sys.stderr = before
 
 
 def open_streams() -> None:
