@@ -56,7 +56,7 @@ def test_a_node_that_does_not_work_is_a_fault(changes: dict[str, object], fault:
         ({'behind': True, 'text': 'it does not keep up'}, 'it does not keep up'),
         ({'missing': 3}, '3 messages are missing in the bag'),
         ({'complete': False}, 'the recorder has not got every topic'),
-        ({'disk_left': LITTLE_DISK - 1}, '1000.0 MB are left on the disk'),
+        ({'disk_left': LITTLE_DISK - 1}, '1,000.0 MB are left on the disk'),
     ],
 )
 def test_a_recording_that_is_not_whole_is_a_fault(changes: dict[str, object], fault: str) -> None:

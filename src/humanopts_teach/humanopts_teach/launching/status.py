@@ -6,6 +6,7 @@ from typing import Any
 
 from humanopts_ros.limits import one_line, shown
 from humanopts_teach.text_table import table
+from rich.filesize import decimal
 
 NO_GRAPH = 2  # exit status: there is nothing in this ROS_DOMAIN_ID and namespace
 LITTLE_DISK = 10**9  # bytes left on the disk of the recording below which that is a fault
@@ -65,14 +66,14 @@ class RecorderReport:
         if not self.complete:
             return 'the recorder has not got every topic'
         little = self.disk_left is not None and self.disk_left < LITTLE_DISK
-        return f'{_size(self.disk_left or 0)} are left on the disk' if little else ''
+        return f'{decimal(self.disk_left or 0)} are left on the disk' if little else ''
 
     def to_text(self) -> str:
         """Return the recording as one line."""
         rate = '' if self.rate is None else f' ({self.rate:.0f}/s)'
-        left = '' if self.disk_left is None else f', {_size(self.disk_left)} left on the disk'
+        left = '' if self.disk_left is None else f', {decimal(self.disk_left)} left on the disk'
         return (
-            f'{self.path}: {self.messages} messages{rate}, {_size(self.bytes)}, '
+            f'{self.path}: {self.messages} messages{rate}, {decimal(self.bytes)}, '
             f'lag {self.lag:.3f} s, {self.missing} missing{left}'
         )
 
@@ -139,14 +140,7 @@ def _row(node: NodeReport) -> tuple[str, ...]:
         answer if node.answer is None else f'{1000.0 * node.answer:.0f} ms',
         str(node.restarts),
         '-' if node.pid is None else str(node.pid),
-        '-' if node.memory is None else _size(node.memory),
+        '-' if node.memory is None else decimal(node.memory),
         '-' if node.threads is None else str(node.threads),
         shown(node.text, 200),
     )
-
-
-def _size(count: int) -> str:
-    for unit, size in (('GB', 10**9), ('MB', 10**6), ('kB', 10**3)):
-        if count >= size:
-            return f'{count / size:.1f} {unit}'
-    return f'{count} bytes'
