@@ -1,6 +1,6 @@
 """A person at the dialogue, with the real lesson and game behind it; nothing here needs ROS."""
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,16 +10,6 @@ from humanopts_learner.demonstrations import group_by_option
 from humanopts_learner.summary import OptionSummary, unmeasured
 from humanopts_teach.dialogue.app import App
 from humanopts_teach.dialogue.menu import opening
-from humanopts_teach.dialogue.panel import (
-    Block,
-    Choices,
-    Criteria,
-    Features,
-    KeyList,
-    Line,
-    Page,
-    TypedText,
-)
 from humanopts_teach.dialogue.view import view
 from humanopts_teach.lesson.lesson import Lesson
 from humanopts_teach.lesson.requests import (
@@ -47,7 +37,8 @@ from humanopts_teach.lesson.requests import (
 )
 from humanopts_teach.lesson.seeded_starts import LessonRules, SeededStarts
 from humanopts_teach.lesson.store import DemonstrationStore
-from humanopts_teach.terminal.drawing import frame
+from humanopts_teach.terminal.drawing import drawn, frame
+from rich.console import Console
 
 ME = 'terminal'
 MEASURED = ('criteria', 'more_needed', 'conflicts', 'suggested_feature', 'mean_return_policy')
@@ -166,13 +157,14 @@ class Desk:
 
     def see(self) -> str:
         """Return all words of the screen but those of the board."""
-        shown = view(self.app)
-        lines = [' · '.join(shown.head), *filter(None, [shown.paused])]
-        for block in (*shown.panel.beside, *shown.panel.below):
-            lines += _lines(block)
+        shown, console = view(self.app), Console(width=400, color_system=None)
+        with console.capture() as words:
+            for block in (*shown.panel.beside, *shown.panel.below):
+                console.print(drawn(block))
+        lines = [' · '.join(shown.head), shown.paused, *words.get().split('\n')]
         said = [f'"{shown.said.text}"'] if shown.said.text else []
         keys = '  '.join(f'[{label}] {words}' for _, label, words in shown.keys if label)
-        return '\n'.join(line for line in (*lines, *said, keys) if line)
+        return '\n'.join(line.rstrip() for line in (*lines, *said, keys) if line.strip())
 
     def carry_out(self, request: Request) -> Answer:
         """Answer as the graph would."""
@@ -224,25 +216,3 @@ class Desk:
 
 def _answer(ok: bool, detail: str) -> Answer:
     return Answer(RequestStatus.OK if ok else RequestStatus.REFUSED, detail)
-
-
-def _lines(block: Block) -> Iterator[str]:
-    """Yield the words of a block."""
-    match block:
-        case Line(text, more=more):
-            yield text + ''.join(each.text for each in more)
-        case TypedText(text):
-            yield f'> {text}'
-        case Page(text):
-            yield text
-        case Choices(items, at):
-            for number, (text, note) in enumerate(items):
-                yield f'{">" if number == at else " "} {text}  {note}'.rstrip()
-        case KeyList(rows):
-            for label, words in rows:
-                yield f'  {label}  {words}'
-        case Features(shown, hidden):
-            yield f'{", ".join(f"{name} {value}".strip() for name, value in shown)}; {hidden}'
-        case Criteria(rows):
-            for row in rows:
-                yield f'  {row.mark} {row.name}  {row.now}  {row.needs}'
