@@ -250,7 +250,7 @@ def test_eight_games_side_by_side_are_each_recorded_whole(tmp_path: Path, domain
     for name in names:
         out = tmp_path / name / 'out'
         bag = open_bag(out / 'bag')
-        assert check_bag(bag).findings == ()
+        assert check_bag(bag).findings == []
         assert shown_in_bag(bag) == shown_on_disk(out)
         assert {part for topic in bag.topics if (part := topic.split('/')[1]) in names} == {name}
         summary = json.loads((out / 'summary.json').read_text('utf-8'))
