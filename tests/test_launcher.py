@@ -325,8 +325,9 @@ def test_a_stopped_node_is_reported_and_a_stopped_server_does_not_block_the_end(
 
 
 def test_what_was_learned_is_known_once_all_of_it_has_come_in_any_order(
-    live: Graph, tmp_path: Path
+    domain_id: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setenv('ROS_DOMAIN_ID', str(domain_id))
     whose = {'participant': 'p01', 'option_name': 'go'}
 
     def told(phase: int, sequence: int, uuid: str) -> dict[str, Any]:
