@@ -1,1 +1,1 @@
-"""The dialogue with a person as pure code: keys and news in, screens and requests out."""
+"""The dialogue with a person, free of I/O: keys and events in, screens and requests out."""

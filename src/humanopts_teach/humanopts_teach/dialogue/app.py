@@ -1,8 +1,8 @@
 """
-The dialogue's state machine: keys and news in, requests out.
+The dialogue's state machine: keys and events in, requests out.
 
-One request is under way at a time, and keys that are typed meanwhile wait for it. A key that would
-answer what the lesson asks for counts only if that was on the screen when it was pressed.
+Only one request is pending at a time; keys typed in the meantime are queued. A key that answers
+the lesson counts only if the current question was on the screen when the key was pressed.
 """
 
 from collections import deque
@@ -44,20 +44,20 @@ from humanopts_teach.lesson.requests import (
     World,
 )
 
-REPLY_SECONDS = 5.0  # for a node to answer
-SETTLE_SECONDS = 1.0  # for the latched topics to show what the answer has changed
-MAX_KEYS = 128  # typed ahead; further keys are dropped
-_MAX_FRAMES = 64  # back to which keys still count
+REPLY_SECONDS = 5.0  # timeout for a node's answer
+SETTLE_SECONDS = 1.0  # timeout for the latched topics to reflect the answer
+MAX_KEYS = 128  # maximum number of queued keys; further keys are dropped
+_MAX_FRAMES = 64  # number of recent frames for which keys are accepted
 _PAUSED = 'Not now: the lesson is paused; see the top of the screen.'
 
 
 class Screen:
     """
-    What is shown now, and what each key does.
+    A screen: its contents and its key bindings.
 
-    :cvar answers_lesson: a key answers what the lesson asks for, if that was seen.
-    :cvar shows_board: the game is shown beside it.
-    :cvar hides_features: during a lesson, the board shows only what the option depends on.
+    :cvar answers_lesson: keys answer the lesson, provided that its question has been displayed.
+    :cvar shows_board: show the board next to the panel.
+    :cvar hides_features: during a lesson, the board shows only the features the option depends on.
     :cvar claims_lesson: the screen may take over another participant's lesson.
     """
 
@@ -68,15 +68,15 @@ class Screen:
 
     @property
     def state(self) -> str:
-        """The state to draw, in the domain's notation; empty: that of the game."""
+        """The state to draw, in the domain's notation; empty: the game's current state."""
         return ''
 
     def panel(self, app: 'App') -> Panel:
-        """Return what is shown besides the board."""
+        """Return the contents of the screen apart from the board."""
         return Panel()
 
     def commands(self, app: 'App') -> Sequence[Command]:
-        """Return what the keys do, in the order of the screen."""
+        """Return the available commands, in display order."""
         return ()
 
     def plays(self, app: 'App') -> bool:
@@ -84,7 +84,7 @@ class Screen:
         return False
 
     def press(self, key: str, app: 'App') -> None:
-        """Carry out the command of a key."""
+        """Run the command bound to a key."""
         command = command_of(key, key_table(self.commands(app)))
         if command is None:
             self.other_key(key, app)
@@ -92,16 +92,16 @@ class Screen:
             command.do(app)
 
     def other_key(self, key: str, app: 'App') -> None:
-        """React to a key without a command."""
+        """Handle a key that is not bound to a command."""
 
     def refused(self, app: 'App') -> None:
-        """React to a request that was not carried out."""
+        """Handle a request that was not carried out."""
 
     def run_ended(self, run: ActionGoal, well: bool, app: 'App') -> None:
-        """React to the end of a run."""
+        """Handle the end of a run."""
 
     def tick(self, app: 'App') -> None:
-        """Do what needs no key, when no request is under way."""
+        """Run automatic actions while no request is pending."""
 
     def again(self, app: 'App') -> None:
         """Return to this screen."""
@@ -110,13 +110,13 @@ class Screen:
 
 @dataclass(frozen=True, slots=True)
 class _Seen:
-    """What a frame showed."""
+    """The contents of a frame."""
 
-    asked_for: object = None  # by the lesson
-    screen: object = None  # None: any
+    asked_for: object = None  # the lesson's open question
+    screen: object = None  # None: any screen
 
 
-_FORGOTTEN = _Seen(object(), object())  # a frame that is too old: none of its keys count
+_FORGOTTEN = _Seen(object(), object())  # an outdated frame; its keys are ignored
 Then = Callable[[Answer], object]
 
 
@@ -129,69 +129,69 @@ class _Waiting:
 
 
 class App:
-    """Everything behind the screen."""
+    """The state and logic of the dialogue."""
 
-    leaving: ClassVar[tuple[str, str]] = ('Quit', 'everything taught is saved')  # in the menu
+    leaving: ClassVar[tuple[str, str]] = ('Quit', 'everything taught is saved')  # menu item
 
     def __init__(self, first: Screen, world: World | None = None, *, seed: int = 0) -> None:
         self.world = world or World()
         self.seed = seed
         self.participant = ''
-        self.known_options: tuple[str, ...] = ()  # in the order in which they were begun
+        self.known_options: tuple[str, ...] = ()  # in order of creation
         self.message = GAP
         self.screen = first
-        self.run: ActionGoal | None = None  # under way
-        self.run_text = ''  # its progress
-        self.next_start = ''  # chosen for the next demonstration; empty: none
+        self.run: ActionGoal | None = None  # active run
+        self.run_text = ''  # progress of the run
+        self.next_start = ''  # chosen start of the next demonstration; empty: none
         self.groups = QuestionGroups()
-        self.can_start_again: dict[str, bool] = {}  # as last set with done, by option
+        self.can_start_again: dict[str, bool] = {}  # latest setting of each option
         self.ended = False
-        self.way_out = 'Ctrl-C quits'  # what a person can do when nodes are missing
-        self._frame = 0  # number of the last one
-        self._seen: dict[int, _Seen] = {}  # by number of the frame
+        self.way_out = 'Ctrl-C quits'  # advice to the person when nodes are missing
+        self._frame = 0  # number of the latest frame
+        self._seen: dict[int, _Seen] = {}  # by frame number
         self._outbox: deque[tuple[Request, Then | None]] = deque()
-        self._keys: deque[tuple[str, _Seen]] = deque()  # with what was seen when it was pressed
+        self._keys: deque[tuple[str, _Seen]] = deque()  # each with the frame seen when pressed
         self._waiting: _Waiting | None = None
-        self._owned = False  # the lesson has been this participant's
-        self._displaced = first  # shown once another participant has the lesson
+        self._owned = False  # this participant has owned the lesson
+        self._displaced = first  # shown when another participant takes over the lesson
 
     @property
     def domain(self) -> ActableDomain:
-        """The domain; screens that need it are shown only once it is known."""
+        """The domain; screens that need it are shown only when it is known."""
         assert self.world.domain is not None
         return self.world.domain
 
     @property
     def waits_for(self) -> Request | None:
-        """The request that is under way."""
+        """The pending request."""
         return self._waiting.request if self._waiting is not None else None
 
     @property
     def shown(self) -> tuple[object, ...]:
-        """What differs when a new frame is due, besides the world and keys that were pressed."""
+        """The values that require a new frame when they change, besides the world and keys."""
         missing = tuple(self.world.missing)
         return self.screen, self.message, self.run, self.run_text, self.waits_for, missing
 
     def show(self, screen: Screen) -> None:
-        """Go to another screen."""
+        """Switch to another screen."""
         self.screen = screen
 
     def say(self, text: str, *, bad: bool = False) -> None:
-        """Show a line to the person."""
+        """Show the person a message."""
         self.message = Line(text, Tone.BAD if bad else Tone.GOOD)
 
     def ask(self, *requests: Request, then: Then | None = None) -> None:
         """
-        Make requests one after the other; the first that fails drops the others.
+        Make requests one after another; if one fails, drop the rest.
 
-        :param then: called with the answer to the last one, once it is carried out.
+        :param then: callback for the answer to the last request, if it was carried out.
         """
         *before, last = requests
         self._outbox.extend((request, None) for request in before)
         self._outbox.append((last, then))
 
     def drive(self, action: str) -> None:
-        """Take a primitive action as a person; between two episodes, only take control."""
+        """Take a primitive action on the person's behalf; between episodes, only take control."""
         game = self.world.game
         if game.open:
             self.ask(Drive(action, game.episode, game.step))
@@ -201,7 +201,7 @@ class App:
             self.say('The episode is over: no more steps can be taken.', bad=True)
 
     def actions(self) -> list[Command]:
-        """Return the keys that drive."""
+        """Return the commands for primitive actions."""
         return [
             Command([a.key], a.name, partial(App.drive, action=a.name), a.description)
             for a in self.domain.actions
@@ -209,22 +209,22 @@ class App:
 
     def claim_lesson(self, participant: str, displaced: Screen) -> None:
         """
-        Act for this participant from now on.
+        Act on behalf of this participant from now on.
 
-        :param displaced: screen to show once another participant has the lesson.
+        :param displaced: screen to show when another participant takes over the lesson.
         """
         self.participant, self._displaced, self._owned = participant, displaced, False
 
     def end(self) -> None:
-        """Leave the dialogue. To be overridden where something follows."""
+        """Leave the dialogue. Subclasses override this to continue instead."""
         self.ended = True
 
     def type(self, keys: Iterable[str], frame: int | None = None) -> None:
         """
-        Queue key presses; Ctrl-C does not wait for anything.
+        Queue key presses; Ctrl-C takes effect immediately.
 
-        :param frame: on which they were pressed: they count only while its screen is shown. None:
-            the last one, from where people also type ahead for the screens that follow.
+        :param frame: frame on which the keys were pressed; they count only while its screen is
+            shown. None: the latest frame, with typing ahead for later screens allowed.
         """
         if frame is None:
             seen = replace(self._seen.get(self._frame, _Seen()), screen=None)
@@ -238,9 +238,9 @@ class App:
 
     def drawn(self) -> int:
         """
-        Remember what was asked for: keys pressed from now on are those of a person who saw it.
+        Record that a frame was displayed: later keys respond to its question.
 
-        :return: number of the frame.
+        :return: frame number.
         """
         self._frame += 1
         self._seen[self._frame] = _Seen(self._asked_for, self.screen)
@@ -249,10 +249,10 @@ class App:
 
     def advance(self, now: float) -> Request | None:
         """
-        Carry out what can be carried out now.
+        Process queued requests and keys as far as possible.
 
-        :param now: seconds, never going back.
-        :return: the next request to make; its answer goes to ``replied``.
+        :param now: monotonic time in seconds.
+        :return: the next request to make; its answer is passed to ``replied``.
         """
         self._check_waiting(now)
         self._owned |= self.world.lesson.participant == self.participant
@@ -279,7 +279,7 @@ class App:
         return None
 
     def replied(self, request: Request, answer: Answer, now: float) -> None:
-        """Take the answer to the request under way; any other answer is late and ignored."""
+        """Accept the answer to the pending request; ignore any other answer as late."""
         waiting = self._waiting
         if waiting is None or waiting.request is not request:
             return
@@ -291,7 +291,7 @@ class App:
         self._check_waiting(now)
 
     def run_ended(self, run: ActionGoal, well: bool, text: str) -> None:
-        """Show how a run ended, unless it is another one."""
+        """Show how the active run ended; ignore other runs."""
         if self.run is run:
             self.run = None
             self.say(text, bad=not well)
@@ -304,12 +304,12 @@ class App:
             self.ask(SetPace(self.world.step_period, paused=False))
 
     def lost_server(self) -> None:
-        """End the run: its server is gone."""
+        """End the active run because its server is gone."""
         if self.run is not None:
             self.run_ended(self.run, False, f'{server(self.run)} is gone.')
 
     def last_requests(self) -> list[Request]:
-        """Return the requests that leave nothing open when the dialogue ends."""
+        """Return the requests that clean up when the dialogue ends."""
         lesson, game = self.world.lesson, self.world.game
         mine = lesson.participant == self.participant
         requests: list[Request] = []
@@ -322,7 +322,7 @@ class App:
         return requests
 
     def _is_anothers(self, request: Request) -> bool:
-        """Return whether a request would go to a lesson that is no longer this person's."""
+        """Return whether a request would affect a lesson that another participant now owns."""
         lesson = self.world.lesson
         if not self._owned or self.screen.claims_lesson or lesson.participant == self.participant:
             return False
@@ -333,7 +333,7 @@ class App:
         return isinstance(request, LessonRequest) or (moves and shows)
 
     def _yield_lesson(self) -> None:
-        """Leave lesson and game to another participant, and say so."""
+        """Yield the lesson and the game to another participant, and inform the person."""
         self._drop()
         if self.run is not None:
             self.ask(CancelRun())
@@ -346,13 +346,13 @@ class App:
         self.show(self._displaced)
 
     def _drop(self) -> None:
-        """Forget what has not been asked or pressed."""
+        """Drop all queued requests and keys."""
         self._outbox.clear()
         self._keys.clear()
 
     @property
     def _asked_for(self) -> object:
-        """What the lesson asks for: it differs between questions and between demonstrations."""
+        """A key that identifies the open question or demonstration of the lesson."""
         lesson, domain = self.world.lesson, self.world.domain
         if domain is None:
             return None
@@ -360,7 +360,7 @@ class App:
         return lesson.phase, lesson.option_name, lesson.question_id, group, lesson.episode
 
     def _check_waiting(self, now: float) -> None:
-        """Finish the request under way once it is answered and settled, or late."""
+        """Finish the pending request when it is answered and settled, or has timed out."""
         waiting = self._waiting
         if waiting is None:
             return
@@ -385,7 +385,7 @@ class App:
 
 
 def _words(request: Request, answer: Answer) -> str:
-    """Return what the person reads of an answer; empty: nothing."""
+    """Return the part of an answer to show the person; empty: nothing."""
     if answer.status is RequestStatus.PAUSED:
         return _PAUSED
     if isinstance(request, Drive) and not answer.ok:

@@ -24,7 +24,7 @@ from humanopts_teach.lesson.requests import (
     World,
 )
 
-EPISODES = 5  # to watch
+EPISODES = 5  # number of episodes to watch
 EXECUTIONS = {
     Arbitration.RUN_TO_END: 'each option runs to its end',
     Arbitration.INTERRUPTED: 'an option stops where another is worth more',
@@ -39,7 +39,7 @@ _UNKNOWN_COVERAGE = (
 
 
 def pace(app: App) -> list[Command]:
-    """Return the keys that pause, resume, single-step, slow down and speed up the machine."""
+    """Return the commands that pause, resume, single-step, slow down and speed up the machine."""
     if app.run is None:
         return []
     now, paused = app.world.step_period, bool(app.world.paused_by)
@@ -66,7 +66,7 @@ def pace_line(world: World) -> Line:
 
 
 def last_step(world: World) -> Iterator[Line]:
-    """Yield what the last step did and its reward, where one was taken."""
+    """Yield the effect and reward of the last step, if any."""
     game, effect = world.game, world.last_effect
     if game.step:
         text = effect.text if effect is not None else f'last: {game.previous_action}'
@@ -76,13 +76,13 @@ def last_step(world: World) -> Iterator[Line]:
 
 @dataclass
 class PlayScreen(Screen):
-    """The person drives freely; nothing of it is a demonstration."""
+    """The person drives freely; nothing is recorded as a demonstration."""
 
     menu: Do
     title: str = 'Drive freely'
     text: str = 'Nothing here is a demonstration.'
-    leave: str = 'menu'  # what Escape does, in words
-    quits: bool = True  # one key ends the dialogue
+    leave: str = 'menu'  # label of the Escape key
+    quits: bool = True  # offer a key that ends the dialogue
 
     def plays(self, app: App) -> bool:
         return True
@@ -117,7 +117,7 @@ class PlayScreen(Screen):
         return Panel(lines)
 
     def machine(self, app: App) -> list[Command]:
-        """Return the keys of the machine's part."""
+        """Return the commands that control the machine."""
         return []
 
     def mode(self, app: App) -> Iterator[Line]:
@@ -125,11 +125,11 @@ class PlayScreen(Screen):
         yield from ()
 
     def running(self, app: App) -> Iterator[Line]:
-        """Yield what the machine runs now."""
+        """Yield what the machine is running."""
         yield from ()
 
     def new_start(self, app: App) -> Request:
-        """Return the request for an episode from a start state of the task."""
+        """Return the request for a new episode from a start state of the task."""
         rng = generator(app.seed, 'terminal episode', app.participant, app.world.game.episode)
         return NewEpisode(int(rng.integers(2**63)))
 
@@ -154,7 +154,7 @@ class RunScreen(PlayScreen):
         return [Command([ENTER], 'run it from here', self._run if app.run is None else None)]
 
     def _run(self, app: App) -> None:
-        """Give control back, and run the option from the current state."""
+        """Release control and run the option from the current state."""
         first = [] if app.world.game.open else [self.new_start(app)]
         app.ask(*first, SetControl(hold=False), RunOption(self.option_name, app.participant))
 
@@ -192,17 +192,17 @@ class WatchScreen(PlayScreen):
         if self.in_force(app) not in MODULAR:
             if world.running:
                 yield Line(f'Running: {world.running.replace("action:", "one step ")}')
-        # Which option took the last step, where one did and it is known.
+        # The option that took the last step, if known.
         elif option := world.acted.get((game.action_publisher_id, game.action_sequence)):
             yield Line(f'{option} won this step.')
 
     def in_force(self, app: App) -> Arbitration:
-        """Return how it plays, or will play."""
+        """Return the arbitration of the active run, or of the next one."""
         playing = isinstance(app.run, PlayEpisodes) and app.world.execution
         return Arbitration(app.world.execution) if playing else self.execution
 
     def run_ended(self, run: ActionGoal, well: bool, app: App) -> None:
-        """Play once it is planned, and name the options that are not yet learned well enough."""
+        """Start playing after planning, and name the options with unmet criteria."""
         said = app.message.text
         if well and isinstance(run, PlanOptions):
             unready = [
@@ -224,14 +224,14 @@ class WatchScreen(PlayScreen):
         app.ask(SetControl(hold=False), PlanOptions(self.action_set, app.participant, app.seed))
 
     def _change(self, app: App) -> None:
-        """Change the execution, also of a run under way."""
+        """Switch to the next arbitration, also for an active run."""
         known = list(EXECUTIONS)
         self.execution = known[(known.index(self.in_force(app)) + 1) % len(known)]
         if isinstance(app.run, PlayEpisodes):
             app.ask(SetExecution(self.execution))
 
     def _show_uncovered(self, app: App) -> None:
-        """List where the options of the plan cannot start, or are worth less than single steps."""
+        """List states where no option can start or a single step is worth more."""
         if not app.world.uncovered:
             known = app.world.uncovered is not None
             app.say('The options cover every place of the plan.' if known else _UNKNOWN_COVERAGE)

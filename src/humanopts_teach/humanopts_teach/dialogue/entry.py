@@ -21,7 +21,7 @@ from humanopts_teach.dialogue.panel import (
 )
 
 MAX_CHARACTERS = 60
-PAGE = 9  # items that a terminal lists at once: each has a digit
+PAGE = 9  # number of items per page; each has a digit key
 
 
 def end(app: App) -> None:
@@ -30,15 +30,15 @@ def end(app: App) -> None:
 
 
 QUIT = Command('qQ', 'quit', end, 'quit; everything taught is saved for the next time')
-_INTERRUPT = Command([keys.INTERRUPT], 'quit', end, 'quit at once')  # as in ``App.type``
+_INTERRUPT = Command([keys.INTERRUPT], 'quit', end, 'quit at once')  # handled in ``App.type``
 
 
 @dataclass
 class Notice(Screen):
     """
-    Something to read, and the keys that lead on.
+    A text to read, and the keys that continue.
 
-    :ivar other: what any other key does; None: nothing.
+    :ivar other: command of all other keys; None: they are ignored.
     """
 
     blocks: Sequence[Block]
@@ -60,7 +60,7 @@ class Notice(Screen):
 
 
 def confirm(question: str, affirm: Do, back: Do) -> Notice:
-    """Return a question that only Enter affirms; every key goes back first."""
+    """Return a yes-no question: Enter means yes, any other key no; both go back first."""
 
     def affirmed(app: App) -> None:
         back(app)
@@ -74,7 +74,7 @@ def confirm(question: str, affirm: Do, back: Do) -> Notice:
 
 
 def key_list(title: str, rows: Sequence[tuple[str, str]], back: Do) -> Notice:
-    """Return a list of keys or signs and their meanings, which any key leaves."""
+    """Return a list of keys or signs and their meanings; any key closes it."""
     choices = [Command([keys.ESCAPE], 'back', back, label='any key')]
     blocks = Line(title, strong=True), KeyList(rows)
     return Notice(blocks, choices, back, shows_board=False)
@@ -84,9 +84,9 @@ def with_help(
     commands: Sequence[Command], back: Do, explained: Sequence[Command] = ()
 ) -> list[Command]:
     """
-    Return commands, and one that explains them.
+    Return the commands with a help command appended.
 
-    :param explained: commands to explain instead; none: these.
+    :param explained: commands that the help explains; empty: the given ones.
     """
 
     def show(app: App) -> None:
@@ -103,14 +103,14 @@ def with_help(
 
 
 def _show_game(back: Do, app: App) -> None:
-    """Show what the game is about, what its signs mean, and what its actions do."""
+    """Explain the game, its signs and its actions."""
     actions = [(keys.label(action.key), action.description) for action in app.domain.actions]
     app.show(key_list('The game', [*explanation(app.domain), *actions], back))
 
 
 @dataclass
 class TextScreen(Screen):
-    """One line that the person types; the first letter replaces the proposed text."""
+    """A text field; the first letter typed replaces the proposed text."""
 
     title: str
     explanation: str
@@ -153,27 +153,27 @@ class TextScreen(Screen):
 
 @dataclass(frozen=True)
 class Item:
-    """One thing to choose."""
+    """An item of a list."""
 
     text: str
     note: str
     choose: Do
-    states: Sequence[str] = ()  # drawn while it is marked, the first one first
+    states: Sequence[str] = ()  # drawn while the item is selected, starting with the first
 
 
 @dataclass
 class ListScreen(Screen):
-    """A list from which the person chooses by arrow keys, or by number within a page."""
+    """A list with selection by arrow keys, or by number within a page."""
 
     title: str
     items: Sequence[Item]
     back: Do | None = None
     at: int = 0
-    step: int = 0  # of the states of the marked item
+    step: int = 0  # index into the states of the selected item
 
     @property
     def state(self) -> str:
-        """The state of the marked item that is drawn."""
+        """The state of the selected item to draw."""
         states = self.items[self.at].states
         return states[self.step] if states else ''
 

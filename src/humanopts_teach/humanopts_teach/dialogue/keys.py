@@ -1,4 +1,4 @@
-"""Keys: their names and labels, and what they do on a screen."""
+"""Keys: names, labels and commands."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -20,13 +20,13 @@ Do = Callable[['App'], object]
 @dataclass(frozen=True, slots=True)
 class Command:
     """
-    One thing that a key does on a screen.
+    A command bound to a key on a screen.
 
-    :ivar wanted: its keys by preference.
-    :ivar words: shown beside the key.
-    :ivar do: None: not possible now; the key is neither shown nor given to another command.
-    :ivar help: the same in a sentence; empty: ``words``.
-    :ivar label: shown instead of the key's own; empty: the key is not shown.
+    :ivar wanted: preferred keys, in order.
+    :ivar words: short description, shown next to the key.
+    :ivar do: callback; None: currently unavailable, and the key is hidden but stays reserved.
+    :ivar help: description in a sentence; empty: ``words``.
+    :ivar label: label shown instead of the key's own; empty: the key is hidden.
     """
 
     wanted: Sequence[str]
@@ -40,7 +40,7 @@ KeyTable = dict[str, Command]
 
 
 def key_table(commands: Iterable[Command]) -> KeyTable:
-    """Give each command, in order, the first of its keys, or of all characters, that is free."""
+    """Bind each command, in order, to its first free preferred key, or else any free character."""
     table: KeyTable = {}
     for each in commands:
         table[next(key for key in (*each.wanted, *_SPARE) if key not in table)] = each
@@ -48,10 +48,10 @@ def key_table(commands: Iterable[Command]) -> KeyTable:
 
 
 def command_of(key: str, table: KeyTable) -> Command | None:
-    """Return the command of a key; a letter without one stands for the other case."""
+    """Return the command bound to a key; an unbound letter falls back to its other case."""
     return table.get(key) or table.get(key.swapcase() if len(key) == 1 else '')
 
 
 def label(key: str) -> str:
-    """Return how a key reads on the screen."""
+    """Return the display label of a key."""
     return _LABELS.get(key, key)

@@ -1,4 +1,4 @@
-"""What the screen of a lesson shows beside the board: questions, progress, what to do next."""
+"""The panel of a lesson screen: questions, progress, advice on what to do next."""
 
 from collections.abc import Iterator
 import math
@@ -26,7 +26,7 @@ from humanopts_teach.lesson.requests import LessonView, Phase
 
 
 def question_panel(app: App) -> Panel:
-    """Return the open question, its position, and what was answered so far."""
+    """Return the open question, its number, and the answers so far."""
     lesson = app.world.lesson
     names = [feature.name for feature in app.domain.features]
     number = names.index(lesson.question_feature) + 1 if lesson.question_feature in names else 0
@@ -42,11 +42,11 @@ def question_panel(app: App) -> Panel:
 
 def progress_panel(app: App, *, questions: str, again: str, demonstrations: str) -> Panel:
     """
-    Return how far the lesson is, and what was learned.
+    Return the progress of the lesson and the learning results.
 
-    :param questions: label of the key that asks the questions again; empty: not possible now.
-    :param again: of the key that says that the option can start again at its end.
-    :param demonstrations: of the key that lists the demonstrations.
+    :param questions: label of the key that repeats the questions; empty: currently unavailable.
+    :param again: label of the key that sets whether the option can start again at its end.
+    :param demonstrations: label of the key that lists the demonstrations.
     """
     world, lesson = app.world, app.world.lesson
     progress = world.summary_of(lesson.participant, lesson.option_name)
@@ -79,12 +79,12 @@ def _title(lesson: LessonView) -> Line:
 
 
 def _plain(name: str) -> str:
-    """Return the name of a feature as people read it."""
+    """Return the human-readable name of a feature."""
     return name.replace('_', ' ')
 
 
 def _position(app: App) -> Line:
-    """Return where the lesson is, and how much was shown."""
+    """Return the current position in the lesson and the number of demonstrations."""
     lesson, step = app.world.lesson, app.world.game.step
     start = lesson.n_demonstrations + lesson.n_not_here + 1
     match lesson.phase:
@@ -102,7 +102,7 @@ def _position(app: App) -> Line:
 
 
 def _features(app: App) -> Features:
-    """Return what the option depends on, with its values in the state that is shown."""
+    """Return the features the option depends on, with their values in the displayed state."""
     domain, game, lesson = app.domain, app.world.game, app.world.lesson
     values: list[float] = []
     if game.state and lesson.phase is Phase.DEMONSTRATING:
@@ -141,7 +141,7 @@ def _criterion(criterion: Criterion) -> CriterionRow:
 
 
 def _estimate(lesson: LessonView, progress: OptionSummary) -> Line:
-    """Return how far it is until the criteria are met."""
+    """Return an estimate of how many more demonstrations are needed to meet the criteria."""
     if progress.criteria_met:
         return Line(progress.result, Tone.GOOD)
     if progress.n_demonstrations < (least := fewest(lesson.method)):
@@ -157,7 +157,7 @@ def _estimate(lesson: LessonView, progress: OptionSummary) -> Line:
 
 
 def _results(lesson: LessonView, progress: OptionSummary) -> Iterator[Line]:
-    """Yield the returns, and whether they are still those of what is taught."""
+    """Yield the mean returns, and a warning if they are outdated."""
     yours, its = progress.mean_return_demonstrations, progress.mean_return_policy
     if not math.isnan(its):
         text = f'mean return on starts it has seen: yours {yours:.2f}, the option {its:.2f}'
@@ -170,7 +170,7 @@ def _results(lesson: LessonView, progress: OptionSummary) -> Iterator[Line]:
 def _conflicts(
     progress: OptionSummary, questions: str, again: str, demonstrations: str
 ) -> Iterator[Line]:
-    """Yield where demonstrations disagree, and what to do about it."""
+    """Yield conflicts between demonstrations and advice on resolving them."""
     if not progress.conflicts:
         return
     more = len(progress.conflicts) - 1
@@ -182,7 +182,7 @@ def _conflicts(
         text = f'Add "{_plain(progress.suggested_feature)}"{key}: it separates most of them.'
         yield Line(text, Tone.WARNING)
     elif any(NO_START in text for text in progress.conflicts):
-        # It can start here by some, and not by others; else a missing feature would explain it.
+        # Demonstrations disagree on whether the option can start here; no feature explains it.
         slip = f'If the last one was a mistake, delete it ({demonstrations}).'
         text = f'{slip} If the option can start where it ends, press {again} before done.'
         yield Line(text, Tone.WARNING)

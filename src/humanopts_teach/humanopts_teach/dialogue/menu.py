@@ -1,4 +1,4 @@
-"""The way from screen to screen: who teaches, what to do, which option."""
+"""Navigation between screens: sign-in, main menu, choice of an option."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -30,17 +30,17 @@ from humanopts_teach.lesson.requests import (
 @dataclass
 class OpeningScreen(TextScreen):
     """
-    The first screen: who teaches.
+    The first screen, which asks for the participant code.
 
-    :ivar known: the proposed code is taken once the lesson is there; the person is asked only if
-        it is refused.
+    :ivar known: accept the proposed code as soon as the lesson is available; the person is asked
+        only if it is refused.
     """
 
     known: bool = False
     claims_lesson = True
 
     def tick(self, app: App) -> None:
-        """Take the code that is known, once."""
+        """Submit a known code, once."""
         if self.known and app.world.lesson is not UNKNOWN:
             self.known = False
             self.submit(self.typed, app)
@@ -50,8 +50,8 @@ def opening(participant: str, *, ask: bool = True) -> OpeningScreen:
     """
     Return the first screen.
 
-    :param participant: code that is proposed, or taken.
-    :param ask: whether the person is asked.
+    :param participant: participant code to propose or use.
+    :param ask: whether to ask the person to confirm the code.
     """
     return OpeningScreen(
         'Who teaches?',
@@ -66,7 +66,7 @@ def _enter(code: str, app: App) -> None:
     lesson = app.world.lesson
     under_way = lesson.phase is Phase.DEMONSTRATING
     app.claim_lesson(code, _displaced())
-    # A terminal that was cut off left a demonstration under way: its owner continues it.
+    # A disconnected terminal left an unfinished demonstration; its owner continues it.
     if under_way and lesson.participant == code:
         app.known_options = (lesson.option_name,)
         to_lesson(app)
@@ -82,7 +82,7 @@ def _enter(code: str, app: App) -> None:
 
 
 def _displaced() -> Notice:
-    """Return what is shown once the lesson is no longer this person's; only t takes it back."""
+    """Return the screen shown after the lesson was taken over; only t reclaims it."""
     choices = [
         Command('t', 'take it back', lambda app: _enter(app.participant, app)),
         Command([ESCAPE], 'menu', to_menu),
@@ -92,7 +92,7 @@ def _displaced() -> Notice:
 
 
 def _take_over(episode: int, app: App) -> None:
-    """Discard the demonstration that another person left, unless it has changed; then enter."""
+    """Discard the demonstration another person left, unless it has changed; then sign in."""
     lesson = app.world.lesson
     under_way = lesson.phase is Phase.DEMONSTRATING and lesson.episode == episode
     if under_way and not app.world.holder:
@@ -105,13 +105,13 @@ def _open(app: App) -> None:
 
 
 def _know(app: App, answer: Answer) -> None:
-    """Return to the menu with the options that the answer names."""
+    """Store the known options from the answer, then show the menu."""
     app.known_options = answer.known_options
     to_menu(app)
 
 
 def to_menu(app: App) -> None:
-    """Give control back, and show what can be done."""
+    """Release control and show the main menu."""
     if app.world.i_drive:
         app.ask(SetControl(hold=False))
     app.next_start = ''
@@ -138,7 +138,7 @@ def to_lesson(app: App) -> None:
 
 
 def to_run(option_name: str, app: App) -> None:
-    """Show the screen from which one option is run."""
+    """Show the screen that runs one option."""
     app.show(RunScreen(to_menu, option_name=option_name))
 
 
@@ -148,7 +148,7 @@ def _name_option(app: App) -> None:
 
 
 def _define(name: str, app: App, method: str = '') -> None:
-    """Name an option, or take it up again, and show its lesson."""
+    """Create an option, or resume it, and show its lesson."""
 
     def defined(answer: Answer) -> None:
         if name not in app.known_options:
@@ -159,7 +159,7 @@ def _define(name: str, app: App, method: str = '') -> None:
 
 
 def _items(names: Iterable[str], choose: Callable[[str, App], object], app: App) -> list[Item]:
-    """Return options to choose from, each with its progress."""
+    """Return a list item for each option, with its progress."""
     items = []
     for name in names:
         progress, note = app.world.summary_of(app.participant, name), 'nothing learned yet'

@@ -1,4 +1,4 @@
-"""What a screen shows, as plain values, which the terminal and the page only draw."""
+"""Screen contents as plain values, which the terminal and the web page render."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,11 +7,11 @@ from typing import NamedTuple
 
 from humanopts_env.board import Board
 
-TARGET = 1 / 3  # of the length of a bar: where a criterion begins to hold
+TARGET = 1 / 3  # share of a bar's length that marks the threshold of a criterion
 
 
 class Tone(Enum):
-    """What kind of information a line gives."""
+    """The kind of information in a line."""
 
     PLAIN = 'plain'
     QUIET = 'quiet'  # background
@@ -28,7 +28,7 @@ class Line:
     text: str
     tone: Tone = Tone.PLAIN
     strong: bool = False
-    more: tuple['Line', ...] = ()  # continues in the same line, each with its own tone
+    more: tuple['Line', ...] = ()  # continuation of the same line, in other tones
 
 
 GAP = Line('')
@@ -36,7 +36,7 @@ GAP = Line('')
 
 @dataclass(frozen=True, slots=True)
 class TypedText:
-    """The line that the person types."""
+    """The text typed by the person."""
 
     text: str
 
@@ -46,7 +46,7 @@ class Choices:
     """A list to choose from."""
 
     items: Sequence[tuple[str, str]]  # text and note
-    at: int  # index of the one that Enter chooses
+    at: int  # index of the selected item
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,20 +60,20 @@ class KeyList:
 class Features:
     """The features that the option depends on."""
 
-    shown: Sequence[tuple[str, str]]  # name and value; no value outside of a demonstration
-    hidden: str  # what is not shown, in words; empty: nothing
+    shown: Sequence[tuple[str, str]]  # name and value; the value is empty outside demonstrations
+    hidden: str  # description of the hidden features; empty: none
 
 
 @dataclass(frozen=True, slots=True)
 class CriterionRow:
-    """A criterion and what it requires."""
+    """A criterion and its requirement."""
 
     mark: str
     name: str
     now: str
     needs: str
     tone: Tone
-    share: float | None  # of the bar that is filled, 0 to 1; None: not measured
+    share: float | None  # filled share of the bar, 0 to 1; None: not measured
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,28 +95,28 @@ Block = Page | Line | TypedText | Choices | KeyList | Features | Criteria
 
 @dataclass(frozen=True, slots=True)
 class Panel:
-    """What a screen shows besides the board, from top to bottom."""
+    """The contents of a screen apart from the board, from top to bottom."""
 
     beside: Sequence[Block] = ()
-    below: Sequence[Block] = ()  # beside the board too where there is room
+    below: Sequence[Block] = ()  # also placed next to the board if there is room
 
 
 class Key(NamedTuple):
-    """A key that does something."""
+    """A key with a command."""
 
     key: str
-    label: str  # empty: shown only where it is a button
+    label: str  # empty: shown only as a button
     words: str
 
 
 @dataclass(frozen=True, slots=True)
 class ScreenView:
-    """Everything that is shown."""
+    """The complete contents of the display."""
 
-    head: Sequence[str]  # where the person is, in a few words each
+    head: Sequence[str]  # header fields: domain, participant, session, driver
     panel: Panel
     said: Line = GAP
     keys: Sequence[Key] = ()
-    paused: str = ''  # why nothing new can be taught now; empty: it can
+    paused: str = ''  # reason why teaching is paused; empty: not paused
     board: Board | None = None  # None: the screen has no board
-    plays: bool = False  # the game is being played
+    plays: bool = False  # whether the game is being played

@@ -1,4 +1,4 @@
-"""The dialogue of a study: one part after the other, of which teaching is one."""
+"""The dialogue of a study: a sequence of parts, one of which is teaching."""
 
 from collections import deque
 from collections.abc import Sequence
@@ -24,12 +24,12 @@ from humanopts_teach.study.events import (
 from humanopts_teach.study.plan import Part, PartKind, Questionnaire
 from humanopts_teach.study.record import OpenRecord
 
-SIGN_SECONDS = 5.0  # between signs of life: what a crash can take of the time at a part
+SIGN_SECONDS = 5.0  # period of keep-alive events: maximum time lost in a crash
 _LAST = 'The time for this part is over: this demonstration is the last.'
 
 
 class StudyApp(App):
-    """The parts that a participant has left in one condition; what is done is noted at once."""
+    """The remaining parts of one condition; events are recorded immediately."""
 
     leaving = ('Finish teaching', 'continue with the study')
 
@@ -45,24 +45,24 @@ class StudyApp(App):
         """
         Start before the first part.
 
-        :param parts: one or more.
+        :param parts: remaining parts, at least one.
         """
         super().__init__(Screen(), world, seed=seed)
         self._parts, self._record, self._code = list(parts), record, participant
         self._part: Part | None = None
-        self._ends = math.inf  # s, when the time of the part is over
-        self._signed = 0.0  # s, when the last sign of life was noted
-        self._taught: tuple[LearnedOption, ...] = ()  # as recorded last
-        self._announced = False  # that its time is over
+        self._ends = math.inf  # s, end of the part's time limit
+        self._signed = 0.0  # s, time of the last keep-alive event
+        self._taught: tuple[LearnedOption, ...] = ()  # as last recorded
+        self._announced = False  # whether the person was informed that the time is over
 
     def advance(self, now: float) -> Request | None:
-        """Carry out what can be carried out now; end a part when its time is over."""
+        """Process queued requests and keys; end the part when its time is over."""
         if self._part is None and not self.ended:
             self._begin(now)
         if self._part is not None:
             if now >= self._signed + SIGN_SECONDS:
                 self._signed = now
-                with suppress(OSError):  # no more than the time since the last one is lost
+                with suppress(OSError):  # at most the time since the last event is lost
                     self._note_taught()
                     self.note('still there')
             if now >= self._ends:
@@ -75,7 +75,7 @@ class StudyApp(App):
         return super().advance(now)
 
     def last_requests(self) -> list[Request]:
-        """Note that a part is left in its middle, too."""
+        """Also record that a part was left unfinished."""
         if self._part is not None:
             self._note_taught()
             self.note('part left')
@@ -83,7 +83,7 @@ class StudyApp(App):
         return super().last_requests()
 
     def _begin(self, now: float) -> None:
-        """Begin the next part; after the last, end."""
+        """Begin the next part; end the dialogue after the last one."""
         if not self._parts:
             self.ended = True
             return
@@ -96,7 +96,7 @@ class StudyApp(App):
 
     def end(self, why: str = FINISHED) -> None:
         """
-        End the part; the next one begins in the next turn.
+        End the part; the next call of ``advance`` begins the next part.
 
         Ctrl-C leaves the study, which can be continued later.
         """
@@ -109,16 +109,16 @@ class StudyApp(App):
         self._note_taught()
         self.note('part ended', why=why)
         self._part = None
-        self._keys.clear()  # typed for what was shown
+        self._keys.clear()  # typed for the previous part
         self._outbox = deque(each for each in self._outbox if not self._is_anothers(each[0]))
         self.show(Screen())
 
     def _note_taught(self) -> None:
-        """Note what was taught so far, if there is anything new."""
+        """Record the options learned so far, if they have changed."""
         mine = [each for each in self.world.summaries if each.participant == self._code]
         if self._part is not None and self._part.kind is PartKind.TEACH:
             options = learned(mine)
-            if options != self._taught:  # none are known yet right after a return
+            if options != self._taught:  # still empty right after a study is resumed
                 self._taught = options
                 self.note('learned', options=options)
 
@@ -130,11 +130,11 @@ class StudyApp(App):
 
 @dataclass
 class QuestionScreen(Screen):
-    """A question that is answered on a scale."""
+    """A question with a rating scale."""
 
     questionnaire: Questionnaire
-    index: int = 0  # of the question
-    value: int | None = field(default=None, init=False)  # chosen so far
+    index: int = 0  # index of the question
+    value: int | None = field(default=None, init=False)  # current choice
     shows_board = False
 
     def panel(self, app: App) -> Panel:
@@ -176,7 +176,7 @@ class QuestionScreen(Screen):
 
 
 def _first_screen(part: Part, participant: str) -> Screen:
-    """Return the screen with which a part begins."""
+    """Return the first screen of a part."""
     match part.kind:
         case PartKind.CONSENT:
             choices = [
@@ -188,7 +188,7 @@ def _first_screen(part: Part, participant: str) -> Screen:
             choices = [Command([ENTER], 'continue', end)]
             return Notice([Page(part.text)], choices, shows_board=False)
         case PartKind.PLAY:
-            # Only Ctrl-C leaves the study.
+            # No quit key: only Ctrl-C leaves the study.
             leave = 'continue with the study'
             return PlayScreen(end, 'Get to know the game', leave=leave, quits=False)
         case PartKind.BUTTONS:

@@ -43,14 +43,14 @@ from humanopts_teach.lesson.requests import (
 
 @dataclass
 class LessonScreen(Screen):
-    """Teaching one option; what it shows follows the lesson's phase."""
+    """The lesson of one option; its contents depend on the lesson's phase."""
 
     menu: Do
     run: Callable[[str, App], None]
-    automatic: bool = False  # the next demonstration begins by itself
-    rest: bool = False  # all other questions are answered no, or as before
-    redo: list[str] = field(default_factory=list)  # actions to take again after an undo
-    delete: str = ''  # uuid of the demonstration to withdraw once the learner is done
+    automatic: bool = False  # begin the next demonstration automatically
+    rest: bool = False  # answer all remaining questions with no, or as before
+    redo: list[str] = field(default_factory=list)  # actions to repeat after an undo
+    delete: str = ''  # uuid of the demonstration to withdraw when the learner is done
     answers_lesson = hides_features = True
 
     def plays(self, app: App) -> bool:
@@ -84,7 +84,7 @@ class LessonScreen(Screen):
         return with_help(commands, self.again, explained)
 
     def _commands(self, phase: Phase, app: App) -> list[Command]:
-        """Return what can be done in a phase."""
+        """Return the commands of a phase."""
         lesson = app.world.lesson
         learned = [
             Command(
@@ -163,7 +163,7 @@ class LessonScreen(Screen):
         ]
 
     def _answers(self, app: App) -> list[Command]:
-        """Return the answers to the open question: about a group of features, or about one."""
+        """Return the answers to the open question about one feature or a group of features."""
         lesson, group = app.world.lesson, app.groups.open_group(app.domain, app.world.lesson)
         earlier = set(lesson.earlier_features)
 
@@ -195,7 +195,7 @@ class LessonScreen(Screen):
         return answers
 
     def _answered(self, app: App, answer: Answer) -> None:
-        if not answer.ok:  # the questions begin again
+        if not answer.ok:  # the questions restart
             self.rest = False
             app.groups.forget()
 
@@ -203,7 +203,7 @@ class LessonScreen(Screen):
         self.rest = True
 
     def _previous(self, app: App) -> Command:
-        """Return the key that goes back one question, or one group of features."""
+        """Return the command that goes back by one question or one group of features."""
         lesson = app.world.lesson
         group, said = app.groups.asked(app.domain, lesson)
         back = AnswerQuestion(lesson.question_id, back=True)
@@ -227,7 +227,7 @@ class LessonScreen(Screen):
         return Command([BACKSPACE], 'previous question', go_back if possible else None)
 
     def tick(self, app: App) -> None:
-        """Begin the next demonstration, or answer a question that needs no person."""
+        """Begin the next demonstration, or answer a question without asking the person."""
         lesson = app.world.lesson
         if self.redo:
             if lesson.phase is Phase.DEMONSTRATING:
@@ -248,7 +248,7 @@ class LessonScreen(Screen):
             self._begin(app)
 
     def refused(self, app: App) -> None:
-        """Stop what goes on by itself."""
+        """Stop all automatic actions."""
         self.automatic, self.rest, self.redo = False, False, []
         if app.world.lesson.phase is Phase.ASKING:
             app.groups.forget()
@@ -258,7 +258,7 @@ class LessonScreen(Screen):
         self.automatic, app.next_start = False, ''
 
     def _end(self, verdict: Verdict, app: App) -> None:
-        """Give a verdict; ask once more where the last step had no effect."""
+        """Give a verdict; ask for confirmation if the last step had no effect."""
         effect = app.world.last_effect
         if app.run is not None:
             app.ask(SetControl(hold=True))
@@ -272,7 +272,7 @@ class LessonScreen(Screen):
             app.show(confirm(question, self._count, self.again))
 
     def _count(self, app: App) -> None:
-        """Keep the demonstration; ask whether the steps that the machine took first count."""
+        """Keep the demonstration; ask whether the machine's leading steps belong to it."""
         steps = app.world.lesson.machine_steps
         if not steps:
             self._verdict(Verdict.DONE, app)
@@ -294,7 +294,7 @@ class LessonScreen(Screen):
         app.ask(request, then=partial(self._ended, app))
 
     def _ended(self, app: App, answer: Answer) -> None:
-        """Go on to the next start; let the person settle a contradiction first."""
+        """Continue with the next start; let the person resolve a contradiction first."""
         self.automatic = not app.world.lesson.paused
         if answer.contradiction:
             items = [
@@ -309,14 +309,14 @@ class LessonScreen(Screen):
             app.show(ListScreen(title, items))
 
     def _discard(self, app: App) -> None:
-        """Discard the demonstration under way, if there is one."""
+        """Discard the current demonstration, if there is one."""
         if app.run is not None:
             app.ask(SetControl(hold=True))
         if app.world.lesson.phase is Phase.DEMONSTRATING:
             self._verdict(Verdict.DISCARD, app)
 
     def _undo(self, app: App) -> None:
-        """Repeat, in a new episode, all steps of the person but the last."""
+        """Start a new episode and repeat all of the person's steps except the last."""
         lesson, since, driven = app.world.lesson, app.world.since, app.world.driven
         if since is None or since.step != lesson.machine_steps or not driven:
             app.say('There is no step of yours to undo.', bad=True)
@@ -331,7 +331,7 @@ class LessonScreen(Screen):
         app.can_start_again[app.world.lesson.option_name] = not _can_start_again(app)
 
     def _watch_new(self, app: App) -> None:
-        """Watch from another start of the task in each episode; empty: where the game begins."""
+        """Watch the option from a random start of the task, or the default one without rules."""
         episode, start = app.world.game.episode, ''
         if can_simulate(app.domain):
             rng = generator(app.seed, 'watched start', app.participant, episode)
@@ -339,7 +339,7 @@ class LessonScreen(Screen):
         self._watch(start, app)
 
     def _watch(self, start: str, app: App) -> None:
-        """Let the machine run the option in a demonstration that the person can take over."""
+        """Run the option in a new demonstration; the person can take over."""
 
         def watch(app: App) -> None:
             run = RunOption(app.world.lesson.option_name, app.participant)
@@ -374,12 +374,12 @@ class LessonScreen(Screen):
         app.show(ListScreen(' '.join(_in_words(demo)), items, back))
 
     def _delete(self, uuid: str, app: App) -> None:
-        """Go on, and withdraw a demonstration as soon as that is possible; empty: none."""
+        """Return to the lesson; withdraw a demonstration as soon as possible; empty: none."""
         self.delete = uuid
         app.show(self)
 
     def _leave(self, words: str, go: Do, app: App) -> None:
-        """Discard the demonstration under way and go; ask first if steps were taken."""
+        """Discard the current demonstration and leave; ask first if steps were taken."""
         if app.world.lesson.phase is not Phase.DEMONSTRATING:
             go(app)
             return
@@ -403,7 +403,7 @@ class LessonScreen(Screen):
 
 
 def _in_words(demo: Demonstration) -> tuple[str, str]:
-    """Return a demonstration in a few words, and further details."""
+    """Return a short description of a demonstration, and further details."""
     steps = len(demo.actions)
     what = f'{steps} step{"s"[: steps != 1]}, return {demo.total_reward:g}'
     notes = [f'by {demo.method}', f'{demo.seconds:.0f} s']
@@ -419,5 +419,5 @@ def _can_skip(lesson: LessonView) -> bool:
 
 
 def _can_start_again(app: App) -> bool:
-    """Return whether the next done says that the option could start again there."""
+    """Return whether the next 'done' marks its end state as a possible start of the option."""
     return app.can_start_again.get(app.world.lesson.option_name, False)

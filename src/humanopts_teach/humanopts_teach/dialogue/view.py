@@ -1,4 +1,4 @@
-"""The view of a dialogue: its screen, and what every screen shows."""
+"""The view of a dialogue: the current screen and the elements common to all screens."""
 
 from humanopts_env.board import Board
 from humanopts_env.domains.capabilities import board_of
@@ -8,11 +8,11 @@ from humanopts_teach.dialogue.keys import key_table, label
 from humanopts_teach.dialogue.panel import Key, Line, Panel, ScreenView, Tone
 from humanopts_teach.lesson.requests import Phase
 
-_ALL_FEATURES = {Phase.NO_SESSION, Phase.NO_OPTION, Phase.ASKING}  # phases that hide none
+_ALL_FEATURES = {Phase.NO_SESSION, Phase.NO_OPTION, Phase.ASKING}  # phases that hide no features
 
 
 def view(app: App) -> ScreenView:
-    """Return everything that is shown now."""
+    """Return the current view."""
     screen, world = app.screen, app.world
     known = world.domain is not None
     return ScreenView(
@@ -44,7 +44,7 @@ def _head(app: App) -> list[str]:
 
 
 def _said(app: App) -> Line:
-    """Return the last message to the person."""
+    """Return the latest message to the person."""
     if app.world.missing:
         names = ', '.join(app.world.missing)
         return Line(f'Missing: {names}. Everything taught is saved; {app.way_out}.', Tone.BAD)
