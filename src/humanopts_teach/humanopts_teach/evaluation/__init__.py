@@ -2,4 +2,4 @@
 
 from collections.abc import Callable
 
-ProgressCallback = Callable[[float, float, str], object]  # done, total, what is under way
+ProgressCallback = Callable[[float, float, str], object]  # done, total, current task

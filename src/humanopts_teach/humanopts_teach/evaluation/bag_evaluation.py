@@ -1,4 +1,4 @@
-"""Evaluation of a bag: every option learned again from its demonstrations, and planned with."""
+"""Evaluation of a bag: relearn every option from its demonstrations and plan with the options."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -52,8 +52,8 @@ from humanopts_teach.evaluation.tables import option_row, OPTIONS, plan_row, PLA
 if TYPE_CHECKING:
     import pandas as pd  # slow to import
 
-EPISODES = 100  # in which plans are judged, where models are exact
-SOFTWARE = ('humanopts_version', 'numpy', 'scikit-learn')  # that learning depends on
+EPISODES = 100  # per plan, if models are exact
+SOFTWARE = ('humanopts_version', 'numpy', 'scikit-learn')  # packages that affect learning
 Key = tuple[str, str]  # participant and name of an option
 
 
@@ -64,12 +64,12 @@ class EvaluationError(BagError):
 @dataclass(frozen=True)
 class OptionEvaluation:
     """
-    One option of one participant, learned again.
+    One relearned option of one participant.
 
-    :ivar summary: of all its demonstrations.
-    :ivar learning: a row after each demonstration, from the first trajectory on; columns
+    :ivar summary: summary after all demonstrations.
+    :ivar learning: one row per demonstration, starting with the first trajectory; columns
         ``OPTIONS``.
-    :ivar reproduced: equals the option file in the bag; None: there is none.
+    :ivar reproduced: whether it equals the option file in the bag; None: no file.
     """
 
     option: LearnedOption
@@ -85,7 +85,7 @@ class OptionEvaluation:
 
 @dataclass(frozen=True)
 class PlanEvaluation:
-    """A plan with the options of one participant; with primitive actions, of none."""
+    """A plan with the options of one participant, or with primitive actions alone."""
 
     participant: str
     plan: AnyPlan
@@ -95,13 +95,13 @@ class PlanEvaluation:
 @dataclass(frozen=True)
 class BagEvaluation:
     """
-    The options and plans that follow from a bag alone.
+    The options and plans computed from a bag alone.
 
     :ivar options: in order of first demonstration.
-    :ivar plans: by action set and, where several people taught, person.
+    :ivar plans: by action set and, if several people taught, by person.
     :ivar warnings: sentences on assumptions and omissions.
-    :ivar games: of ``evaluate_games`` by participant, if asked for.
-    :ivar demonstrations: all of them, including withdrawn and omitted ones.
+    :ivar games: tables of ``evaluate_games`` by participant, if requested.
+    :ivar demonstrations: all demonstrations, including withdrawn and omitted ones.
     """
 
     domain: Domain[Any]
@@ -114,13 +114,13 @@ class BagEvaluation:
 
     @cached_property
     def option_table(self) -> 'pd.DataFrame':
-        """A row for each option with all its demonstrations; columns ``OPTIONS``."""
+        """One row per option, after all its demonstrations; columns ``OPTIONS``."""
         rows = [row for each in self.options for row in records(each.learning.tail(1))]
         return table(OPTIONS, rows)
 
     @cached_property
     def plan_table(self) -> 'pd.DataFrame':
-        """A row for each plan, by its name; columns ``PLANS``."""
+        """One row per plan, indexed by name; columns ``PLANS``."""
         rows = [
             plan_row(
                 summarise_plan(each.plan, each.judged),
@@ -166,7 +166,7 @@ class BagEvaluation:
 
 
 def judged_by(domain: Domain[Any]) -> int:
-    """Return the default number of episodes in which plans are judged."""
+    """Return the default number of episodes for evaluating a plan."""
     return EPISODES if is_enumerable(domain) else GAMES
 
 
@@ -177,14 +177,14 @@ def evaluate_bag(
     jobs: int = 0,
 ) -> BagEvaluation:
     """
-    Evaluate a bag with the settings that it carries.
+    Evaluate a bag with the settings stored in it.
 
     :param progress: called after each part of the work.
-    :param episodes: number in which plans are judged; 0: the default of the domain.
-    :param jobs: number of processes; 0: one for each core, but only this process where plans are
-        exact, as starting processes would take longer.
-    :raises BagError: it is not a readable bag.
-    :raises EvaluationError: it holds no demonstration to learn from.
+    :param episodes: number of episodes per plan; 0: the default of the domain.
+    :param jobs: number of processes; 0: one per core, but only this process if plans are exact,
+        since starting processes would take longer.
+    :raises BagError: the bag cannot be read.
+    :raises EvaluationError: it contains no demonstration to learn from.
     """
     opened = open_bag(bag) if isinstance(bag, str | Path) else bag
     domain = read_domain(opened)
@@ -212,10 +212,10 @@ def evaluate(
     jobs: int = 1,
 ) -> BagEvaluation:
     """
-    Learn every option of every participant, and plan with them.
+    Learn every option of every participant and plan with the options.
 
-    :param episodes: number in which plans are judged; 0: the default of the domain.
-    :param jobs: number of processes; 0: one for each core; 1: this process.
+    :param episodes: number of episodes per plan; 0: the default of the domain.
+    :param jobs: number of processes; 0: one per core; 1: this process.
     :raises EvaluationError: there is no demonstration to learn from.
     """
     groups, notes = usable_demonstrations(demonstrations, domain)
@@ -251,7 +251,7 @@ def evaluate(
 def usable_demonstrations(
     demonstrations: Sequence[Demonstration], domain: Domain[Any]
 ) -> tuple[dict[Key, list[Demonstration]], list[str]]:
-    """Group the demonstrations by option; return sentences on those that are left out."""
+    """Group the demonstrations by option; also return a sentence on each omission."""
     good, notes = [], []
     for demo in demonstrations:
         try:
@@ -270,7 +270,7 @@ def usable_demonstrations(
 def _learning_curve(
     demos: Sequence[Demonstration], domain: Domain[Any], settings: EvaluationSettings
 ) -> OptionEvaluation:
-    """Learn an option after every demonstration, from the first trajectory on."""
+    """Relearn an option after every demonstration, starting with the first trajectory."""
     first = next(i for i, demo in enumerate(demos, start=1) if demo.kind is Kind.TRAJECTORY)
     rows = []
     for count in range(first, len(demos) + 1):
@@ -288,13 +288,13 @@ def _evaluate_plan(
     episodes: int,
 ) -> tuple[AnyPlan, Performance] | PlanError:
     """
-    Learn each option from its demonstrations, plan with them, and judge the plan.
+    Learn each option from its demonstrations, plan with the options and evaluate the plan.
 
-    :return: the error where no plan can be made.
+    :return: the error if no plan can be made.
     """
     options = [learn_option(demos, domain, request.seed) for demos in taught]
     try:
-        clock = time.process_time  # no other program's work makes it longer
+        clock = time.process_time  # unaffected by other programs
         plan = make_plan(domain, options, request, clock=clock)
         return plan, judge_plan(plan, request.seed, episodes)
     except PlanError as error:
@@ -302,7 +302,7 @@ def _evaluate_plan(
 
 
 def attached_options(bag: Bag) -> dict[Key, Mapping[str, Any]]:
-    """Return the option files that are attached to a bag; a damaged one is noted there."""
+    """Return the option files attached to a bag; report damaged ones as warnings of the bag."""
     found: dict[Key, Mapping[str, Any]] = {}
     for file in bag.attached():
         try:
@@ -320,11 +320,11 @@ def compare_options(
     demonstrations: Sequence[Demonstration],
 ) -> tuple[dict[Key, bool], list[str]]:
     """
-    Compare option files with the same options learned again.
+    Compare option files with the relearned options.
 
     :param attached: option files; automatic options, which have no demonstrations, are skipped.
-    :param demonstrations: that the options were learned from, among others.
-    :return: whether they are equal to the last digit, and in words where they are not.
+    :param demonstrations: all demonstrations, including those of the options.
+    :return: whether each file is equal to the last digit, and a sentence on each difference.
     """
     by_uuid = {demo.uuid: demo for demo in reversed(demonstrations)}
     equal: dict[Key, bool] = {}
@@ -344,7 +344,7 @@ def compare_options(
 
 
 def software_notes(facts: Mapping[str, str]) -> list[str]:
-    """Return a sentence for each package that has another version than at the recording."""
+    """Return a sentence on each package with a version other than the recorded one."""
     now = software()
     return [
         f'recorded with {name.removesuffix("_version")} {facts[name]}, and this is {now[name]}: '
@@ -374,7 +374,7 @@ def with_games(
     """
     Compare plans with each participant's options with other policies in many games.
 
-    :param games: in which each policy is judged, two or more.
+    :param games: number of games per policy, two or more.
     :param progress: called after each part of the work.
     :raises EvaluationError: plans of the domain are exact, or it cannot play many games.
     """

@@ -1,9 +1,9 @@
 """
-Policies compared in many games, in a domain where models are sampled.
+Comparison of policies in many games of a domain with sampled models.
 
-The policies are the paper's plans (with the options that its participants taught, and with
-primitive actions), plans with all options, random choice among the options and, if the domain has
-one, a hand-written rule. All play the same number of games in each variant of the game.
+The policies are the paper's plans (with the options taught by its participants and with primitive
+actions), plans with all options, random choice among the options and, if the domain has one, a
+hand-written rule. All play the same number of games in each variant of the game.
 """
 
 from collections.abc import Callable, Sequence
@@ -43,9 +43,9 @@ import numpy as np
 if TYPE_CHECKING:
     import pandas as pd  # slow to import
 
-GAMES = 1000  # in which each policy is judged
-FOLD = 4  # times the game steps, in a second plan with all options
-PLAYING = 50_000  # game steps that take about as long as to judge a policy
+GAMES = 1000  # per policy
+FOLD = 4  # factor of game steps for a second plan with all options
+PLAYING = 50_000  # game steps of sampling that take about as long as evaluating a policy
 PLAN, RANDOM, RULE = 'plan', 'chance', 'rule'  # kinds of baseline
 RULE_NAME = 'hand-written rule'
 HUMAN_PLAN = PlanRequest(HUMAN)
@@ -58,17 +58,17 @@ class Baseline:
     name: str
     kind: str  # PLAN, RANDOM or RULE
     options: Sequence[LearnedOption] = ()  # of PLAN and RANDOM
-    request: PlanRequest = HUMAN_PLAN  # of PLAN; RANDOM has its action set
+    request: PlanRequest = HUMAN_PLAN  # of PLAN; RANDOM uses its action set
 
 
 def gains(games: 'pd.DataFrame') -> 'pd.DataFrame':
     """
-    Return how much more plans score than random choice and the rule, paired by game.
+    Return the gains in score of plans over random choice and over the rule, paired by game.
 
-    :param games: of ``evaluate_games``.
+    :param games: table of ``evaluate_games``.
     :return: setting, name, less (name of the other), mean, low, high (95 % interval). The plan
-        with all options run to their end is compared with random choice among them, and the last
-        such plan with the rule.
+        that runs all options to their ends is compared with random choice among them, and the
+        last such plan with the rule.
     """
     import pandas as pd
 
@@ -90,15 +90,15 @@ def games_to_dict(games: 'pd.DataFrame') -> dict[str, Any]:
 
 
 def baselines_of(domain: Domain[Any]) -> Baselines:
-    """Return the baselines of a domain; none where it does not name any."""
+    """Return the baselines of a domain; empty if it defines none."""
     return domain.baselines() if isinstance(domain, HasBaselines) else Baselines()
 
 
 def carried_over(option: LearnedOption, domain: Domain[Any]) -> LearnedOption:
     """
-    Return an option that was learned in the same game with other parameters, for use in this one.
+    Adapt an option learned with other parameters of the same game to this domain.
 
-    :raises PlanError: another game, or its features or actions are others there.
+    :raises PlanError: the game, its features or its actions differ.
     """
     moved = replace(option, domain_parameters=parameters_json(domain))
     try:
@@ -116,18 +116,18 @@ def play_baseline(
     known: tuple[AnyPlan, Performance] | None = None,
 ) -> dict[str, Any]:
     """
-    Play games by a policy.
+    Play games with a policy.
 
-    :param seed: of the plan, and of the games, which are drawn independently.
-    :param games: two or more.
-    :param known: the plan of the baseline, made and judged with the same seed; None: it is made.
+    :param seed: seed of the plan and of the games, which are drawn independently.
+    :param games: number of games, two or more.
+    :param known: plan of the baseline, made and evaluated with the same seed; None: make it.
     :return: columns ``GAMES`` without the setting, and the scores of the games (E,).
-    :raises PlanError: as ``make_sampled_plan``; or the domain has no hand-written rule.
+    :raises PlanError: see ``make_sampled_plan``; or the domain has no hand-written rule.
     """
     if baseline.kind == PLAN:
         if known is None:
             request = replace(baseline.request, seed=seed)
-            clock = time.process_time  # no other program's work makes it longer
+            clock = time.process_time  # unaffected by other programs
             plan: AnyPlan = make_sampled_plan(domain, baseline.options, request, clock=clock)
             known = plan, judge_plan(plan, seed, games)
         plan, judged = known
@@ -167,7 +167,7 @@ def play_baseline(
 
 @dataclass(frozen=True)
 class Moves:
-    """The actions of a hand-written rule, as one option that ends after every step."""
+    """The actions of a hand-written rule as one option that ends after every step."""
 
     rule: Callable[[Games], Ints]
     actions: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.intp))  # (N,)
@@ -190,11 +190,11 @@ def every_baseline(
     domain: Domain[Any], options: Sequence[LearnedOption], steps: int
 ) -> list[Baseline]:
     """
-    Return the policies that are compared in one variant of the game.
+    Return the policies to compare in one variant of the game.
 
-    :param options: learned in ``domain`` or in a variant of it.
-    :param steps: game steps for a plan.
-    :raises PlanError: the options are of another game.
+    :param options: options learned in ``domain`` or in a variant of it.
+    :param steps: game steps per plan.
+    :raises PlanError: the options belong to another game.
     """
     usual = baselines_of(domain)
     moved = [carried_over(option, domain) for option in options]
@@ -225,15 +225,15 @@ def evaluate_games(
     """
     Play all policies in all variants of the game.
 
-    :param options: of one participant, learned in ``domain`` or in a variant of it.
-    :param games: in which each policy is judged, two or more.
-    :param game_steps: for a plan; 0: the planner's default.
-    :param progress: called after each policy; its exceptions pass through.
-    :param jobs: number of processes; 0: one for each core; 1: this process.
-    :param known: the plan with all options in ``domain``, made and judged with the same seed.
-    :return: a row for each policy in each variant: columns ``GAMES``, and scores, those of the
+    :param options: options of one participant, learned in ``domain`` or in a variant of it.
+    :param games: number of games per policy, two or more.
+    :param game_steps: game steps per plan; 0: the planner's default.
+    :param progress: called after each policy; its exceptions propagate.
+    :param jobs: number of processes; 0: one per core; 1: this process.
+    :param known: plan with all options in ``domain``, made and evaluated with the same seed.
+    :return: one row per policy and variant: columns ``GAMES``, and scores, the scores of the
         games (E,).
-    :raises PlanError: the domain cannot play many games, or the options are of another one.
+    :raises PlanError: the domain cannot play many games, or the options belong to another game.
     """
     variants = {
         name: make_domain(domain.name, {**domain.parameters, **changed})

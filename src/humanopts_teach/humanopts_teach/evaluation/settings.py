@@ -1,4 +1,4 @@
-"""Settings of learning and judging."""
+"""Settings of learning and evaluation."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, field, fields, replace
@@ -13,7 +13,7 @@ from pydantic.dataclasses import dataclass
 @dataclass(frozen=True)
 class EvaluationSettings:
     """
-    Settings of learning and judging.
+    Settings of learning and evaluation.
 
     :raises ValueError: a number is out of range.
     """
@@ -22,19 +22,19 @@ class EvaluationSettings:
     strategy: str = STRATEGY  # of start states
     thresholds: Thresholds = field(default_factory=Thresholds)
     teacher_error_rate: Annotated[float, Field(ge=0, le=1)] | None = None  # None: a person taught
-    budget: NonNegativeInt = BUDGET  # most start states shown for one option
-    game_steps: NonNegativeInt = 0  # that plans are sampled from; 0: the planner's default
+    budget: NonNegativeInt = BUDGET  # maximum number of start states per option
+    game_steps: NonNegativeInt = 0  # per plan; 0: the planner's default
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the settings as JSON data, without the game steps, which each plan has."""
+        """Return the settings as JSON data, without game steps, which each plan contains."""
         return {name: value for name, value in asdict(self).items() if name != 'game_steps'}
 
 
 def settings_from_facts(facts: Mapping[str, str]) -> tuple[EvaluationSettings, list[str]]:
     """
-    Read the settings, with a default for each that is missing or unreadable.
+    Read the settings; use the default for each missing or unreadable one.
 
-    :return: the settings, and a sentence on each default.
+    :return: the settings, and a sentence on each default used.
     """
     settings, assumed = EvaluationSettings(), []
     limits = [each.name for each in fields(Thresholds)]

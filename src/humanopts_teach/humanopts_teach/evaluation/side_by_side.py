@@ -1,4 +1,4 @@
-"""Parallel work in processes of this machine, which end with the process that started them."""
+"""Parallel work in local processes, which end with the process that started them."""
 
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import as_completed, Executor, ProcessPoolExecutor
@@ -20,17 +20,17 @@ def processes(jobs: int = 0) -> Iterator[Executor | None]:
     """
     Start the executor for ``as_they_end``; its processes end with the context.
 
-    :param jobs: number of processes; 1: this one alone, None. 0: one for each core.
+    :param jobs: number of processes; 0: one per core; 1: only this process (yields None).
     """
     count = jobs or len(os.sched_getaffinity(0))
-    if count == 1:  # processes would take longer to start than a small task
+    if count == 1:  # starting a process may take longer than a small task
         yield None
         return
-    # New processes, as a fork of this one would have its locks.
+    # Spawn: a fork would inherit the locks of this process.
     executor = ProcessPoolExecutor(count, multiprocessing.get_context('spawn'), _watch_parent)
     try:
         yield executor
-    finally:  # at once, as Python 3.14's method kill_workers does
+    finally:  # kill without waiting, like kill_workers of Python 3.14
         workers = [*executor._processes.values()]
         executor.shutdown(wait=False, cancel_futures=True)
         for worker in workers:
@@ -43,11 +43,11 @@ def as_they_end(
     calls: Sequence[Callable[[], Result]], costs: Sequence[float], executor: Executor | None
 ) -> Iterator[tuple[int, Result]]:
     """
-    Yield the number of each call and its result as it ends; the costliest start first.
+    Yield the index and result of each call as it ends; the costliest calls start first.
 
-    :param calls: partial calls of module-level functions, which another process can make. Their
-        exceptions pass through.
-    :param executor: makes the calls; None: they are made here, one after the other.
+    :param calls: partial calls of module-level functions, which can be pickled. Their exceptions
+        propagate.
+    :param executor: executor of the calls; None: make them in this process, one by one.
     """
     order = sorted(range(len(calls)), key=lambda number: -costs[number])
     if executor is None:
@@ -56,7 +56,7 @@ def as_they_end(
     with _starting():
         numbers = {executor.submit(calls[number]): number for number in order}
     for ended in as_completed(numbers):
-        yield numbers.pop(ended), ended.result()  # which is kept no longer than needed
+        yield numbers.pop(ended), ended.result()  # drop the result after use
 
 
 def all_of(
@@ -67,9 +67,9 @@ def all_of(
     jobs: int = 0,
 ) -> list[Result]:
     """
-    Return the result of each call, in order; parameters as of ``as_they_end`` and ``processes``.
+    Return the results of all calls in order; see ``as_they_end`` and ``processes``.
 
-    :param report: called with the number of finished calls, of all calls, and the last name.
+    :param report: called with the numbers of finished and of all calls, and the last name.
     """
     results: dict[int, Result] = {}
     with processes(jobs) as executor:
@@ -80,7 +80,7 @@ def all_of(
 
 
 def _watch_parent() -> None:
-    """End this process with the one that started it."""
+    """End this process when its parent ends."""
     parent = multiprocessing.parent_process()
     assert parent is not None
 
@@ -93,8 +93,8 @@ def _watch_parent() -> None:
 
 @contextmanager
 def _starting() -> Iterator[None]:
-    """Let processes that start meanwhile ignore Ctrl-C, and compute with one thread."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, _ENDING)  # which they inherit
+    """Make processes started in this context ignore Ctrl-C and use one thread for computing."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, _ENDING)  # inherited by the processes
     threads = {name: os.environ.get(name) for name in _ONE_THREAD}
     os.environ.update(_ONE_THREAD)
     try:

@@ -1,4 +1,4 @@
-"""The summary of a demo, ``summary.json``, and the differences of live and offline numbers."""
+"""The summary of a demo, ``summary.json``, and differences between live and offline numbers."""
 
 from collections.abc import Mapping
 from contextlib import suppress
@@ -26,7 +26,7 @@ class PlayedEpisodes:
     """Episodes played by running options."""
 
     episodes: int
-    successes: int  # that ended with the task done
+    successes: int  # episodes that ended with the task done
     fallbacks: int  # primitive actions taken because no option was available
     mean_return: float | None  # undiscounted
 
@@ -36,8 +36,8 @@ class Live:
     """
     Numbers from the running graph.
 
-    :ivar options: columns ``OPTIONS``; NaN in others than ``LIVE_OPTIONS``.
-    :ivar plans: columns ``PLANS``; NaN in others than ``LIVE_PLANS`` and ``SECONDS``.
+    :ivar options: columns ``OPTIONS``; NaN except in ``LIVE_OPTIONS``.
+    :ivar plans: columns ``PLANS``; NaN except in ``LIVE_PLANS`` and ``SECONDS``.
     """
 
     options: 'pd.DataFrame'
@@ -49,8 +49,8 @@ def summary(live: Live, offline: BagEvaluation, bag: Mapping[str, Any]) -> dict[
     """
     Return the content of summary.json, without NaN.
 
-    :param offline: learned, planned and played again from the bag alone, which one person taught.
-    :param bag: the facts about the recording.
+    :param offline: evaluation of the bag alone; it has one teacher.
+    :param bag: facts about the recording.
     """
     settings = offline.settings.to_dict()
     return {
@@ -70,7 +70,7 @@ def summary(live: Live, offline: BagEvaluation, bag: Mapping[str, Any]) -> dict[
 
 
 def differences(live: Live, offline: BagEvaluation) -> list[str]:
-    """Return a sentence for each difference of the numbers, seconds apart; none: all are equal."""
+    """Return a sentence on each difference between the numbers, except seconds."""
     found = []
     for what, columns, keys, seen, again in (
         (
@@ -103,7 +103,7 @@ def differences(live: Live, offline: BagEvaluation) -> list[str]:
 
 def write_json(path: Path, values: Mapping[str, Any]) -> None:
     """
-    Write JSON data; a reader sees the old file or all of the new one.
+    Write JSON data atomically: a reader sees the old file or the complete new one.
 
     :raises SummaryError: the folder is missing, full or not writable.
     :raises ValueError: a number is NaN or infinite.
@@ -114,7 +114,7 @@ def write_json(path: Path, values: Mapping[str, Any]) -> None:
 
 def write_text(path: Path, text: str) -> None:
     """
-    Write a text file; a reader sees the old file or all of the new one.
+    Write a text file atomically: a reader sees the old file or the complete new one.
 
     :raises SummaryError: the folder is missing, full or not writable.
     """

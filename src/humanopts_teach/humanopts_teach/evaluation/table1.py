@@ -1,8 +1,8 @@
 """
-Table 1 of the paper: the options that people name, tallied from bags.
+Table 1 of the paper: the options named by people, counted in bags.
 
 Section 4: people were asked for buttons that make winning easier and faster, and their answers
-were counted. A study asks people the same; in a lesson, they name the options that they teach.
+were counted. A study asks the same question; in a lesson, people name the options they teach.
 """
 
 from collections.abc import Mapping, Sequence
@@ -22,7 +22,7 @@ from humanopts_teach.study.events import Event, event_of, last_attempts
 import numpy as np
 
 STUDY_EVENT = 'humanopts_interfaces/msg/StudyEvent'
-TABLE_1 = {  # share of the participants of a domain who gave a button, section 4
+TABLE_1 = {  # share of the participants who named a button, by domain, section 4
     'taxi': {
         'go to passenger and pickup': 0.6,
         'go to destination and dropoff': 0.6,
@@ -42,11 +42,11 @@ TABLE_1 = {  # share of the participants of a domain who gave a button, section 
 
 @dataclass(frozen=True)
 class Named:
-    """A name that a person gave to an option."""
+    """An option named by a person."""
 
     domain: str
     participant: str
-    name: str  # in the person's words; empty: none, the person was there
+    name: str  # in the person's words; empty: the person took part but named nothing
     taught: bool  # whether it was demonstrated
 
 
@@ -56,12 +56,12 @@ class Button:
 
     option: str
     people: int
-    share: float | None  # of the people of the domain; None: there are none
+    share: float | None  # of the participants of the domain; None: no participants
     share_low: float | None  # Wilson's 95 % interval
     share_high: float | None
     taught: int  # people who demonstrated it
-    paper: float | None  # share in the paper; None: it has no such row
-    wordings: tuple[str, ...]  # that people used
+    paper: float | None  # share in the paper; None: no such row
+    wordings: tuple[str, ...]  # used by people
 
 
 class MergeError(ValueError):
@@ -69,17 +69,17 @@ class MergeError(ValueError):
 
 
 def _plain(name: str) -> str:
-    """Return a name without the differences that mean nothing: case, spaces, and Unicode form."""
+    """Normalize a name: ignore case, spaces and Unicode form."""
     return ' '.join(caseless(name).split())
 
 
 def read_merge(path: Path) -> dict[str, str]:
     """
-    Read a merge file: YAML, each canonical name with the list of its wordings.
+    Read a merge file: YAML that maps each canonical name to a list of its wordings.
 
-    :return: the canonical name of each wording, which is plain.
+    :return: canonical name by normalized wording.
     :raises FileError: it cannot be read, or is not YAML.
-    :raises MergeError: it is something else, or a wording belongs to two names.
+    :raises MergeError: it has another structure, or a wording belongs to two names.
     """
     values = read_yaml(path)
     if not isinstance(values, dict):
@@ -107,11 +107,11 @@ def read_merge(path: Path) -> dict[str, str]:
 
 def named_options(bags: Sequence[Bag]) -> list[Named]:
     """
-    Return the options that people named in bags, and the participants.
+    Return the options named in bags, and the participants.
 
     If a part of a study was repeated, perhaps in another bag, the last attempt counts.
 
-    :raises BagError: a bag does not say which domain was played, or has several.
+    :raises BagError: a bag does not name its domain, or names several.
     """
     found: dict[tuple[str, str, str], bool] = {}
     suggested: dict[tuple[str, str, str], list[Event]] = {}  # by domain, study and participant
@@ -142,7 +142,7 @@ def domain_of(bag: Bag) -> str:
     """
     Return the name of the domain of a bag.
 
-    :raises BagError: the bag does not say which domain was played, or has several.
+    :raises BagError: the bag does not name its domain, or names several.
     """
     domains = {name for name, _ in domains_played(bag)}
     if len(domains) != 1:
@@ -152,20 +152,20 @@ def domain_of(bag: Bag) -> str:
 
 @dataclass(frozen=True)
 class ButtonTable:
-    """The options that the people of one domain named."""
+    """The options named by the participants of one domain."""
 
     domain: str
     people: list[str]
-    rows: list[Button]  # the paper's in its order, then the others, most named first
+    rows: list[Button]  # those of the paper in its order, then the others, most frequent first
 
 
 def count_named(named: Sequence[Named], canonical: Mapping[str, str]) -> list[ButtonTable]:
     """
-    Count how many people named each option; a person counts once, in however many bags.
+    Count the people who named each option; each person counts once, even in several bags.
 
-    :param canonical: of ``read_merge``; other names are the same where they differ in case and
-        spaces only, and the paper's are written as there.
-    :return: a table for each domain, in order of appearance.
+    :param canonical: result of ``read_merge``. Other names are equal if they differ only in case
+        and spaces; names from the paper keep its spelling.
+    :return: one table per domain, in order of appearance.
     """
     tables = []
     for domain in dict.fromkeys(each.domain for each in named):
@@ -200,7 +200,7 @@ def count_named(named: Sequence[Named], canonical: Mapping[str, str]) -> list[Bu
 
 
 def table_text(tables: Sequence[ButtonTable]) -> str:
-    """Return the tables as text for a person."""
+    """Return the tables as plain text."""
     parts = []
     for found in tables:
         who = ', '.join(found.people) or 'no participants'

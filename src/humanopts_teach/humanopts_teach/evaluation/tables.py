@@ -1,7 +1,7 @@
 """
-The tables of an evaluation: their columns with types, and the rows of options and plans.
+The tables of an evaluation: typed columns, and the rows of options and plans.
 
-They are pandas DataFrames. A number that is not known is NaN in a table, and null in JSON.
+Tables are pandas DataFrames. An unknown number is NaN in a table and null in JSON.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
@@ -19,10 +19,10 @@ if TYPE_CHECKING:
     import pandas as pd  # slow to import
 
 
-LIVE_OPTIONS = {  # known of an option while it is taught; many are an OptionSummary's
+LIVE_OPTIONS = {  # known while an option is taught; many are fields of OptionSummary
     'participant': 'object',  # code of the person who taught
     'option_name': 'object',
-    'features': 'object',  # names of the features that it depends on
+    'features': 'object',  # names of the features used
     'method': 'object',  # learning method
     'n_demonstrations': 'int64',  # trajectories
     'n_not_here': 'int64',  # "not here" answers
@@ -36,53 +36,53 @@ LIVE_OPTIONS = {  # known of an option while it is taught; many are an OptionSum
     'classification_accuracy_termination': 'float64',  # share of states, of beta
     'criteria_met': 'bool',  # whether all three criteria are met
 }
-OPTIONS = {  # a row for an option after each of its demonstrations
+OPTIONS = {  # one row per demonstration of an option
     **LIVE_OPTIONS,
     'return_high': 'float64',  # upper confidence limit of the shortfall
     'return_threshold': 'float64',  # largest shortfall allowed
     'initiation_threshold': 'float64',  # largest error allowed
     'termination_threshold': 'float64',  # largest error allowed
-    'gain': 'float64',  # return of the policy less that shown, reward units
+    'gain': 'float64',  # return of the policy minus that of the demonstrations, reward units
     'gain_low': 'float64',  # 95 % interval of the gain
     'gain_high': 'float64',  # 95 % interval of the gain
-    'seconds': 'float64',  # of the person's time so far
+    'seconds': 'float64',  # time of the person so far
 }
-LIVE_PLANS = {  # known of a plan while it is made
+LIVE_PLANS = {  # known while a plan is made
     'action_set': 'object',  # human or primitive
-    'gamma': 'float64',  # discount of a step
-    'game_steps': 'int64',  # that models were sampled from; 0: models are exact
+    'gamma': 'float64',  # discount per step
+    'game_steps': 'int64',  # used for sampled models; 0: models are exact
     'sweeps': 'int64',  # of value iteration
     'residual': 'float64',  # largest change of the last sweep, reward units
     'converged': 'bool',  # whether the residual is within the tolerance
-    'episodes': 'int64',  # in which it was judged
+    'episodes': 'int64',  # of its evaluation
     'mean_return': 'float64',  # undiscounted, reward units
     'mean_return_low': 'float64',  # 95 % interval
     'mean_return_high': 'float64',  # 95 % interval
     'mean_discounted_return': 'float64',  # reward units
-    'fallbacks': 'int64',  # primitive actions because no option could start
+    'fallbacks': 'int64',  # primitive actions taken because no option could start
     'outcomes': 'object',  # mean, low and high of each outcome of the domain, by name
 }
 SECONDS = ('table_seconds', 'model_seconds', 'sweep_seconds')  # planning time
-PLANS = {  # a row for each plan
-    'participant': 'object',  # who taught the options; empty: primitive actions
+PLANS = {  # one row per plan
+    'participant': 'object',  # teacher of the options; empty: primitive actions
     **LIVE_PLANS,
     **dict.fromkeys(SECONDS, 'float64'),
     'exact_mean_return': 'float64',  # over all start states
 }
-GAMES = {  # a row for each policy in each variant of a game
-    'setting': 'object',  # variant, such as ghosts=chase; empty: there is one
+GAMES = {  # one row per policy and variant of a game
+    'setting': 'object',  # variant, such as ghosts=chase; empty: only one
     'name': 'object',  # of the policy
     'kind': 'object',  # plan, chance or rule
-    'options': 'object',  # names of the learned options that it chooses among
-    'games': 'int64',  # that it played
+    'options': 'object',  # names of its learned options
+    'games': 'int64',  # number of games played
     'score': 'float64',  # mean
     'score_low': 'float64',  # 95 % interval
     'score_high': 'float64',  # 95 % interval
     'outcomes': 'object',  # mean, low and high of each outcome of the domain, by name
-    'decisions': 'float64',  # options and actions begun in a game, mean
-    'fallbacks': 'float64',  # decisions for an action because no option could start, mean
-    'game_steps': 'int64',  # that planning sampled
-    'seconds': 'float64',  # of the processor, of planning
+    'decisions': 'float64',  # options and actions started per game, mean
+    'fallbacks': 'float64',  # actions chosen per game because no option could start, mean
+    'game_steps': 'int64',  # sampled for planning
+    'seconds': 'float64',  # processor time of planning
 }
 
 
@@ -91,7 +91,7 @@ def table(columns: Mapping[str, str], rows: Iterable[Any]) -> 'pd.DataFrame':
     Return rows as a table.
 
     :param columns: types by name.
-    :param rows: values by column; those of other names are left out, and missing ones are NaN.
+    :param rows: values by column; other names are ignored, and missing values are NaN.
     """
     import pandas as pd
 
@@ -111,7 +111,7 @@ def rows_of(frame: Any) -> Iterator[Any]:
 
 
 def accuracies(option: LearnedOption, domain: Domain[Any]) -> dict[str, float | None]:
-    """Return the accuracies of policy, I and beta by column; None where they are not known."""
+    """Return the accuracies of policy, I and beta by column; None if unknown."""
     names = [name for name in OPTIONS if 'accuracy' in name]
     reference = reference_options(domain).get(option.name)
     if reference is None:
@@ -132,8 +132,8 @@ def option_row(
     """
     Return the row of a learned option.
 
-    :param summary: of the demonstrations that it was learned from.
-    :param seconds: of the person's time.
+    :param summary: summary of the option and its demonstrations.
+    :param seconds: time of the person.
     """
     found = {name: getattr(summary, name, math.nan) for name in OPTIONS}
     found |= {'features': tuple(option.features), 'seconds': seconds}
@@ -149,7 +149,7 @@ def option_row(
 def plan_row(
     summary: PlanSummary, participant: str = '', exact_mean_return: float | None = None
 ) -> dict[str, Any]:
-    """Return the row of a plan and of the episodes in which it was judged."""
+    """Return the row of a plan and its evaluation."""
     return {
         **{name: getattr(summary, name, None) for name in PLANS},
         'participant': participant,
@@ -165,5 +165,5 @@ def finite(value: float | None) -> float | None:
 
 
 def finite_parts(found: Interval) -> dict[str, float | None]:
-    """Return mean, low and high by name; None where the data give none."""
+    """Return mean, low and high by name; None for each undefined one."""
     return {name: finite(getattr(found, name)) for name in ('mean', 'low', 'high')}

@@ -16,12 +16,12 @@ if TYPE_CHECKING:
     import pandas as pd  # slow to import
 
 A_TENTH = 'a tenth of the range from random actions to the demonstrations'
-MAX_POINTS = 12  # of a learning curve that are printed
+MAX_POINTS = 12  # printed per learning curve
 REPRODUCED = {
     True: 'equal to its option file in the bag, to the last digit',
     False: 'NOT equal to its option file in the bag',
 }
-CURVE = {  # columns of a learning curve that are printed
+CURVE = {  # printed columns of a learning curve
     'shown': 'n_demonstrations',
     'not here': 'n_not_here',
     'return': 'return',
@@ -60,12 +60,12 @@ def evaluation_text(evaluation: BagEvaluation) -> str:
 
 
 def return_limit(limits: Thresholds) -> str:
-    """Return how much the return may fall short."""
+    """Return the largest shortfall allowed, as text."""
     return A_TENTH if limits.return_delta is None else f'{limits.return_delta:g}'
 
 
 def criteria_text(option: OptionEvaluation) -> str:
-    """Return whether the criteria of an option are met."""
+    """Return a sentence on whether the criteria of an option are met."""
     if option.summary.criteria_met:
         return 'criteria met'
     if option.summary.settled:
@@ -103,12 +103,12 @@ def interval(mean: float, low: float, high: float, digits: int) -> str:
 
 
 def number(value: float | None, digits: int = 4) -> str:
-    """Return a number, or - where there is none."""
+    """Return a number as text, or - if there is none."""
     return '-' if value is None or math.isnan(value) else f'{value:.{digits}g}'
 
 
 def share(value: float) -> str:
-    """Return a percentage, or - where there is none."""
+    """Return a percentage, or - if there is none."""
     return '-' if math.isnan(value) else f'{100 * value:.1f}%'
 
 

@@ -1,1 +1,1 @@
-"""Reports as one HTML file each, which needs nothing else to be read."""
+"""Reports, each a single self-contained HTML file."""

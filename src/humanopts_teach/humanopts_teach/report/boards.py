@@ -1,4 +1,4 @@
-"""Values and policies of plans, drawn on the board."""
+"""Drawings of the values and policies of plans on the board."""
 
 from collections.abc import Mapping
 import string
@@ -24,9 +24,9 @@ LETTERS = string.ascii_uppercase + string.ascii_lowercase
 
 def board_figures(plans: Mapping[str, ExactPlan], name: str) -> list[tuple[str, str]]:
     """
-    Return SVG and caption for each board slice and plan, slice by slice; on one scale of values.
+    Return SVG and caption for each board slice and plan, slice by slice, on one value scale.
 
-    :param plans: of one domain, by name.
+    :param plans: plans of one domain, by name.
     :param name: prefix of the identifiers.
     """
     if not plans:
@@ -84,7 +84,7 @@ def _letter(option: int) -> str:
 def draw_heat(
     work: Drawing, board: Board, values: NDArray[np.float64], scale: Normalize, unit: str
 ) -> None:
-    """Draw the values (rows, cols) of the cells of a board, NaN where there is none, and walls."""
+    """Draw the walls of a board and the values of its cells, (rows, cols); NaN: no value."""
     rows, cols = values.shape
     axes, edges = work.axes, (np.arange(cols + 1) - 0.5, np.arange(rows + 1) - 0.5)
     bitmap = values.size > MAX_VECTOR_CELLS
@@ -99,7 +99,7 @@ def draw_heat(
 
 
 def _draw_walls(work: Drawing, board: Board) -> None:
-    """Draw the frame, blocks and walls of a board, cell (row, col) at (col, row)."""
+    """Draw the frame, blocks and walls of a board; cell (row, col) is drawn at (col, row)."""
     for row, col in board.blocks:
         work.axes.add_patch(Rectangle((col - 0.5, row - 0.5), 1, 1, color=GRID, lw=0))
     style: dict[str, Any] = {'color': INK, 'lw': 2.2, 'clip_on': False}
@@ -111,7 +111,7 @@ def _draw_walls(work: Drawing, board: Board) -> None:
 def _draw_choices(
     work: Drawing, layout: BoardSlice, plan: ExactPlan, scale: Normalize
 ) -> list[int]:
-    """Mark every cell with its option's letter and the primitive action; return the options."""
+    """Mark every cell with the letter of its option and its action; return the options."""
     size, used = min(8.0, 55.0 / max(layout.states.shape)), set()
     for row, col in np.argwhere(layout.states >= 0):
         state = layout.states[row, col]

@@ -25,8 +25,8 @@ import numpy as np
 import pandas as pd
 
 SIZE = (5.0, 2.9)  # inches
-MARGINS = {'left': 0.15, 'right': 0.985, 'bottom': 0.165, 'top': 0.9}  # shares, for six digits
-MAX_MARKERS = 30  # on a curve
+MARGINS = {'left': 0.15, 'right': 0.985, 'bottom': 0.165, 'top': 0.9}  # shares; fit six digits
+MAX_MARKERS = 30  # per curve
 LEARNING = {  # title and unit of each chart
     'return': ('Return: shortfall', 'reward units'),
     'initiation': ('Initiation: held-out error (may it start?)', 'balanced error'),
@@ -39,7 +39,7 @@ ACCURACIES = {
     'classification_accuracy_initiation': 'I',
     'classification_accuracy_termination': 'β',
 }
-CURVES: tuple[dict[str, Any], ...] = (  # curves of one chart that coincide stay visible
+CURVES: tuple[dict[str, Any], ...] = (  # coinciding curves of a chart stay visible
     {'color': SERIES[0], 'marker': 'o', 'ms': 3.5},
     {'color': SERIES[1], 'marker': 's', 'ms': 7, 'mfc': 'none', 'ls': '--', 'lw': 1.1},
     {'color': SERIES[3], 'marker': '^', 'ms': 3.5, 'ls': ':', 'lw': 1.1},
@@ -48,7 +48,7 @@ STAGES = dict(zip(SECONDS, (('policy tables', 0), ('models', 1), ('sweeps', 3)))
 MARKERS = 'osD^'
 WIDTH, ROW_HEIGHT = 5.6, 0.33  # inches
 CLEARED = 'cleared'
-MAX_VALUES = 20_000_000  # states by sweeps, up to which plans are made again for their sweeps
+MAX_VALUES = 20_000_000  # largest number of states times sweeps for recomputing sweeps
 
 
 @contextmanager
@@ -60,11 +60,11 @@ def _chart(
     **axes: Any,
 ) -> Iterator[Drawing]:
     """
-    Draw a figure of one plot.
+    Draw a figure with a single plot.
 
-    :param label: description for people who do not see it.
-    :param grid: axis that has lines.
-    :param axes: title and names of the axes.
+    :param label: text alternative for screen readers.
+    :param grid: axis with grid lines.
+    :param axes: title and axis labels.
     """
     with drawing(name, label, *size) as work:
         work.axes.set(**axes)
@@ -74,9 +74,9 @@ def _chart(
 
 def learning_curves(option: OptionEvaluation, name: str) -> list[str]:
     """
-    Return one SVG for each criterion, one of the accuracies and one of the gain where known.
+    Return one SVG per criterion and, if known, one of the accuracies and one of the gain.
 
-    After "not here" answers, several rows have the same number of trajectories: the last is drawn.
+    "Not here" answers yield several rows with the same number of trajectories: draw the last.
     """
     points = option.learning[option.learning['n_demonstrations'] > 0]
     points = points.drop_duplicates('n_demonstrations', keep='last').set_index('n_demonstrations')
@@ -101,7 +101,7 @@ def learning_curves(option: OptionEvaluation, name: str) -> list[str]:
             axes = work.axes
             for style, (label, curve) in zip(CURVES, curves.items()):
                 if len(known := curve.dropna()):
-                    every = -(-len(known) // MAX_MARKERS)  # so that markers do not overlap
+                    every = -(-len(known) // MAX_MARKERS)  # keeps markers from overlapping
                     axes.plot(known.index, known, markevery=every, label=str(label), **style)
             if part in verdicts:
                 if curves.isna().all(axis=None):
@@ -117,16 +117,16 @@ def learning_curves(option: OptionEvaluation, name: str) -> list[str]:
                 axes.axhline(0, color=MUTED, lw=0.8)
             axes.set_xlim(0, points.index.max() + 0.6)
             axes.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=7))
-            if axes.get_legend_handles_labels()[0]:  # else nothing is measured
+            if axes.get_legend_handles_labels()[0]:  # otherwise nothing was measured
                 axes.legend(loc='best')
-            work.figure.set_layout_engine(None)  # to lay out takes as long as to draw
+            work.figure.set_layout_engine(None)  # layout would take as long as drawing
             work.figure.subplots_adjust(**MARGINS)
         figures.append(work.svg)
     return figures
 
 
 def _draw_threshold(axes: Axes, thresholds: 'pd.Series[float]', least: float) -> None:
-    """Shade where a criterion is met, by demonstrations; ``least``: of the values drawn."""
+    """Shade the region where a criterion is met; ``least`` is the smallest value drawn."""
     limits = thresholds.reindex(range(thresholds.index.max() + 1)).bfill().ffill()
     if limits.notna().any():
         constant = '' if limits.nunique() == 1 else ' in the end'
@@ -139,9 +139,9 @@ def _draw_threshold(axes: Axes, thresholds: 'pd.Series[float]', least: float) ->
 
 def planning_figures(plans: pd.DataFrame, name: str) -> list[str]:
     """
-    Return the planning time and, where it was measured, the return, by action set.
+    Return figures of the planning time and, if measured, of the return, by action set.
 
-    :param plans: by name; columns ``PLANS``.
+    :param plans: plans by name; columns ``PLANS``.
     """
     if plans.empty:
         return []
@@ -180,7 +180,7 @@ def planning_figures(plans: pd.DataFrame, name: str) -> list[str]:
 
 
 def games_figures(games: pd.DataFrame, name: str) -> list[str]:
-    """Return the scores and, where there are mazes, the share of mazes cleared."""
+    """Return figures of the scores and, for games with mazes, of the share cleared."""
     rows = games.set_index('name').rename(columns={'setting': 'series', 'score': 'mean'})
     score = rows.rename(columns={'score_low': 'low', 'score_high': 'high'})
     figures = [_intervals(score, f'{name}-score', 'Mean score', 'points')]
@@ -195,7 +195,7 @@ def _intervals(
     rows: pd.DataFrame, name: str, title: str, unit: str, row_height: float = ROW_HEIGHT
 ) -> str:
     """
-    Draw means and their intervals, if there are any, by name and series.
+    Draw means and their intervals, if any, by name and series.
 
     :param rows: columns mean, low, high, series; by name.
     """
@@ -224,15 +224,15 @@ def _intervals(
 
 
 def _style(index: int) -> dict[str, Any]:
-    """Return colour and marker of one of several series."""
+    """Return colour and marker of a series."""
     return {'color': SERIES[index % len(SERIES)], 'marker': MARKERS[index % len(MARKERS)]}
 
 
 def sweep_figure(plans: Mapping[str, ExactPlan], name: str) -> str:
     """
-    Return the residual of each sweep; empty if that would take long, or without plans.
+    Return a figure of the residual of each sweep; empty without plans or if it would take long.
 
-    :param plans: with exact models, by name; they are made again, sweep by sweep.
+    :param plans: plans with exact models, by name; each is recomputed sweep by sweep.
     """
     sizes = [plan.domain.n_states * plan.solution.sweeps for plan in plans.values()]
     if max(sizes, default=MAX_VALUES + 1) > MAX_VALUES:
@@ -244,7 +244,7 @@ def sweep_figure(plans: Mapping[str, ExactPlan], name: str) -> str:
             model = build_model(plan.domain, plan.action_set, plan.options, plan.gamma)
             history = value_history(model, max_sweeps=plan.solution.sweeps)  # (sweeps + 1, S)
             residual = np.abs(np.diff(history, axis=0)).max(axis=1)
-            changed = np.flatnonzero(residual)  # the last sweep may change nothing
+            changed = np.flatnonzero(residual)  # the last sweep may change no value
             text = f'{called}: {len(residual)} sweeps'
             axes.plot(1 + changed, residual[changed], ms=3, label=text, **_style(index))
         low, high = axes.get_ylim()

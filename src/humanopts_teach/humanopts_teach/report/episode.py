@@ -1,4 +1,4 @@
-"""The last episode of a bag as a strip of pictures of its board."""
+"""The last episode of a bag as a strip of board pictures."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,11 +19,11 @@ from humanopts_teach.bags.reader import Bag
 from humanopts_teach.board_html import board_html
 from humanopts_teach.report.pages import MINUS
 
-COLOURS = 4  # of options, classes o0 to o3
-MAX_PICTURES = 60  # of longer episodes only the ends of runs are shown
-FIRST = 40  # of the pictures that are shown where even these are too many; the others are the last
+COLOURS = 4  # of options, CSS classes o0 to o3
+MAX_PICTURES = 60  # longer episodes show only the ends of runs
+FIRST = 40  # leading pictures if there are still too many; the rest are the last ones
 MIN_WIDTH = 10.6  # rem
-REM = 0.49  # of width per character of the board as text
+REM = 0.49  # width per character of a board
 _OPTION_RESULT = 'humanopts_interfaces/msg/OptionResult'
 
 
@@ -32,15 +32,15 @@ class Frame:
     """One step of an episode."""
 
     state: str  # in the domain's notation
-    action: str = ''  # that led here; empty in the first frame
+    action: str = ''  # leading to this state; empty in the first frame
     reward: float = 0.0
-    option: str = ''  # that was running; empty: none
-    ends_run: bool = False  # the option's run ended here
+    option: str = ''  # running option; empty: none
+    ends_run: bool = False  # the run of the option ended here
 
 
 def read_last_episode(bag: Bag) -> list[Frame]:
-    """Return the last episode that learned options brought to its end; empty: there is none."""
-    under_way, results = 0, list[Any]()  # an episode and its results
+    """Return the last episode completed by learned options; empty: none."""
+    under_way, results = 0, list[Any]()  # current episode and its results
     number, runs = 0, list[Any]()
     for recorded in bag.genuine(_OPTION_RESULT):
         message = recorded.message
@@ -62,8 +62,8 @@ def _frames(episode: Episode, runs: Sequence[Any], actors: Actors) -> list[Frame
     """
     Return the frames, step by step.
 
-    :param runs: messages OptionResult; one without an option's name is of modules.
-    :param actors: the modules that sent the commands.
+    :param runs: OptionResult messages; one without an option name comes from modules.
+    :param actors: modules that sent the commands.
     """
     frames = []
     for at in episode.transitions:
@@ -92,17 +92,17 @@ class Strip:
 
     pictures: Sequence[ShownFrame]
     steps: int  # of the episode
-    whole: bool  # every step is shown; else the ends of runs
-    left_out: int  # ends of runs that are not shown
-    last: int  # pictures after these
-    width: float  # rem, that a board takes
+    whole: bool  # whether every step is shown, not only the ends of runs
+    left_out: int  # ends of runs not shown
+    last: int  # pictures after those left out
+    width: float  # of a board, rem
 
 
 def episode_strip(domain: Domain[Any], frames: Sequence[Frame]) -> Strip:
     """
-    Draw an episode: every step of a short one, of a long one where runs of options ended.
+    Draw an episode: every step of a short one, the ends of runs of a long one.
 
-    :raises StateError: a state is not of the domain.
+    :raises StateError: a state is not a state of the domain.
     """
     options = list(dict.fromkeys(frame.option for frame in frames if frame.option))
     whole = len(frames) <= MAX_PICTURES
@@ -130,7 +130,7 @@ def episode_strip(domain: Domain[Any], frames: Sequence[Frame]) -> Strip:
 
 
 def _ends(frames: Sequence[Frame]) -> list[int]:
-    """Return the first frame and the last of each run."""
+    """Return the first frame and the last frame of each run."""
     later = [*frames[1:], Frame('')]
     return [
         number

@@ -1,4 +1,4 @@
-"""Figures: as SVG that takes its colours from the page, light or dark, and as files."""
+"""Figures: SVG that takes its colours from the light or dark page, and files."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,7 +14,7 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.rcsetup import cycler
 
-# Placeholders for the colours of the page, which the SVG names by CSS variable.
+# Placeholders for the colours of the page; the SVG refers to them by CSS variables.
 INK, MUTED, GRID, PAPER = '#010101', '#020202', '#030303', '#040404'
 SERIES = ('#0101a1', '#0101a2', '#0101a3', '#0101a4', '#0101a5', '#0101a6')
 VARIABLES = {
@@ -55,14 +55,14 @@ SETTINGS: dict[Any, Any] = {
 
 @cache
 def light_colours() -> dict[str, str]:
-    """Return the value of each of ``VARIABLES`` on a light page."""
+    """Return the light-mode value of each of ``VARIABLES``."""
     first = page_style().split('@media')[0]
     values = dict(re.findall(r'(--[a-z0-9]+): (#[0-9a-f]{6})', first))
     return {colour: values[variable] for colour, variable in VARIABLES.items()}
 
 
 def file_settings(name: str) -> dict[Any, Any]:
-    """Return the settings of a figure in a file of its own, in the colours of a light page."""
+    """Return the settings of a figure in a separate file, in light-mode colours."""
     colours = light_colours()
     return {
         **{key: colours.get(str(value), value) for key, value in SETTINGS.items()},
@@ -74,7 +74,7 @@ def file_settings(name: str) -> dict[Any, Any]:
 
 
 class Drawing:
-    """One figure under way; ``svg`` holds it when the ``with`` block of ``drawing`` ends."""
+    """One figure; ``svg`` is set when the ``with`` block of ``drawing`` ends."""
 
     def __init__(self, width: float, height: float) -> None:
         self.figure = Figure(figsize=(width, height), layout='constrained')
@@ -82,7 +82,7 @@ class Drawing:
 
     @property
     def axes(self) -> Axes:
-        """The one plot of the figure."""
+        """The only plot of the figure."""
         return self.figure.axes[0] if self.figure.axes else self.figure.add_subplot()
 
 
@@ -91,21 +91,21 @@ def drawing(name: str, label: str, width: float, height: float) -> Iterator[Draw
     """
     Draw a figure.
 
-    :param name: makes the identifiers inside the SVG differ from those of other figures.
-    :param label: description for people who do not see it.
-    :param width: inches, as is ``height``; the page scales it.
+    :param name: prefix that keeps the identifiers in the SVG unique on the page.
+    :param label: text alternative for screen readers.
+    :param width: width in inches, as ``height``; the page scales it.
     """
     with matplotlib.rc_context({**SETTINGS, 'svg.hashsalt': name}):
         work = Drawing(width, height)
         yield work
         work.svg = _svg(work.figure, name, label)
-        work.figure.clear()  # its parts hold each other, a megabyte in all
+        work.figure.clear()  # break reference cycles, which keep a megabyte
 
 
 def _svg(figure: Any, name: str, label: str) -> str:
-    """Return an ``<svg>`` element that is scaled and coloured by the page."""
+    """Return an ``<svg>`` element scaled and coloured by the page."""
     file = io.StringIO()
-    canvas: Any = FigureCanvasSVG(figure)  # it draws once; ``savefig`` draws twice
+    canvas: Any = FigureCanvasSVG(figure)  # draws once; ``savefig`` draws twice
     canvas.print_svg(file, metadata={'Date': None, 'Creator': None})
     text = file.getvalue()
     text = text[text.index('<svg') :]

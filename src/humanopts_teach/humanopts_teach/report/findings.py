@@ -1,4 +1,4 @@
-"""The findings of a report: sentences that follow from its numbers, worded in findings.txt."""
+"""The findings of a report: sentences derived from its numbers with findings.txt."""
 
 from collections.abc import Sequence
 from functools import cache
@@ -18,7 +18,7 @@ import numpy as np
 if TYPE_CHECKING:
     import pandas as pd  # slow to import
 
-ALLOWED = 0.02  # share of the return that options may lose against primitive actions
+ALLOWED = 0.02  # largest loss of options against primitive actions, share of the return
 
 
 def findings(
@@ -28,13 +28,13 @@ def findings(
     Return the findings of a report, the most important first.
 
     :param live: numbers from the running graph; None: unknown.
-    :param topics: of the bag; none: unknown.
+    :param topics: topics of the bag; empty: unknown.
     """
     different = [] if live is None else differences(live, evaluation)
     plans = plans_by_name(plans_shown(evaluation, live))
     text = _words().all(evaluation, live, plans, topics, different)
     marks = {mark: good for good, mark in MARKS.items()}
-    # A line that has no mark goes on with the last.
+    # A line without a mark continues the previous finding.
     _, *parts = re.split(rf'^([{"".join(marks)}]) ', text, flags=re.M)
     return [
         Finding(marks[mark], ' '.join(text.split())) for mark, text in zip(parts[::2], parts[1::2])
@@ -42,7 +42,7 @@ def findings(
 
 
 def plans_shown(evaluation: BagEvaluation, live: Live | None) -> 'pd.DataFrame':
-    """Return the plans by name, columns ``PLANS``: live ones where they are known."""
+    """Return the plans by name, columns ``PLANS``: live ones if known."""
     if live is None:
         return evaluation.plan_table
     return live.plans.set_axis([*live.plans['action_set']])
@@ -56,7 +56,7 @@ def plans_by_name(plans: 'pd.DataFrame') -> dict[str, Any]:
 
 @cache
 def _words() -> Any:
-    """Return the macros of the template, with the functions that they call."""
+    """Return the macros of the template, with the functions they call."""
     known: dict[str, Any] = {
         'counted': counted,
         'mark': MARKS.get,

@@ -1,4 +1,4 @@
-"""Shared parts of all pages: style sheet, templates, findings, and numbers as text."""
+"""Shared parts of all pages: style sheet, templates, findings and number formatting."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -10,9 +10,9 @@ from humanopts_learner.intervals import Interval
 import jinja2
 from markupsafe import Markup
 
-DASH = '\N{EN DASH}'  # no number
+DASH = '\N{EN DASH}'  # for a missing number
 MINUS = '\N{MINUS SIGN}'
-MARKS = {True: '✓', False: '✗', None: '·'}  # of what is good, bad, or neither
+MARKS = {True: '✓', False: '✗', None: '·'}  # good, bad, neither
 
 
 @cache
@@ -23,17 +23,17 @@ def page_style() -> str:
 
 def render(package: str, name: str, values: dict[str, Any]) -> str:
     """
-    Return a page from a template of a package, which may extend ``base.html`` of this one.
+    Render a page from a template of a package, which may extend ``base.html`` of this one.
 
-    Templates have the functions of this module that write numbers, and ``markup`` for HTML or SVG;
-    all other values are escaped.
+    Templates can use the number formatters of this module, and ``markup`` for HTML or SVG; all
+    other values are escaped.
     """
     return templates(package).get_template(name).render(values)
 
 
 @cache
 def templates(package: str) -> jinja2.Environment:
-    """Return the templates of a package, and of this one, as ``render`` describes them."""
+    """Return the templates of a package and of this one; see ``render``."""
     packages = dict.fromkeys((package, 'humanopts_teach.report'))
     environment = jinja2.Environment(
         loader=jinja2.ChoiceLoader([jinja2.PackageLoader(each, '') for each in packages]),
@@ -68,29 +68,29 @@ class Finding:
 
 
 def number(value: float | None, digits: int = 4) -> str:
-    """Return a number for people; a dash where there is none."""
+    """Format a number; return a dash if there is none."""
     if value is None or value != value:
         return DASH
     return f'{value:.{digits}g}'.replace('-', MINUS)
 
 
 def limits(found: Interval) -> str:
-    """Return an interval in brackets; empty where there is none."""
+    """Format an interval in brackets; empty if there is none."""
     if math.isnan(found.low):
         return ''
     return f'({number(found.low)} to {number(found.high)})'
 
 
 def duration(seconds: float) -> str:
-    """Return a time for people."""
+    """Format a duration."""
     return f'{seconds:.1f} s' if seconds < 100 else f'{seconds / 60:.1f} min'
 
 
 def counted(count: int, thing: str) -> str:
-    """Return such as ``1 fallback`` or ``no fallbacks``."""
+    """Return a count with its noun, such as ``1 fallback`` or ``no fallbacks``."""
     return f'{count or "no"} {thing}{"" if count == 1 else "s"}'
 
 
 def percent(value: float | None) -> str:
-    """Return a share for people; a dash where there is none."""
+    """Format a share as a percentage; return a dash if there is none."""
     return DASH if value is None else f'{value:.1%}'.replace('.0%', '%')

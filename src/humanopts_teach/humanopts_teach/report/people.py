@@ -1,4 +1,4 @@
-"""The demonstrations that people gave."""
+"""The demonstrations given by people."""
 
 from humanopts_learner.demonstrations import Demonstration, each_once, Kind
 from humanopts_learner.intervals import Interval
@@ -7,9 +7,9 @@ from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, OptionEvalu
 
 def shown_demonstrations(evaluation: BagEvaluation) -> list[tuple[Demonstration, str]]:
     """
-    Return all demonstrations, each once, with a word on the use of each.
+    Return each demonstration once, with a word on its use.
 
-    They are sorted by person and option as these came, and by number.
+    Sorted by person and option in order of appearance, then by number.
     """
     used = {uuid for option in evaluation.options for uuid in option.option.uuids}
     demos = each_once(evaluation.demonstrations)
@@ -26,7 +26,7 @@ def _verdict(demo: Demonstration, used: bool) -> str:
 
 
 def shown_return(evaluation: BagEvaluation, option: OptionEvaluation) -> Interval:
-    """Return the mean return of an option's demonstrations, by Student's t over them."""
+    """Return the mean return of an option's demonstrations, with a Student's t interval."""
     used = set(option.option.uuids)
     return Interval.of(
         [
@@ -39,9 +39,9 @@ def shown_return(evaluation: BagEvaluation, option: OptionEvaluation) -> Interva
 
 def teachers(evaluation: BagEvaluation) -> list[tuple[OptionEvaluation, int, Interval]]:
     """
-    Return each option of each person, those of a name together; none where one person taught.
+    Return each option of each person, grouped by name; empty if only one person taught.
 
-    :return: the option, the number of its withdrawn demonstrations, and the return shown.
+    :return: option, number of its withdrawn demonstrations, and return of its demonstrations.
     """
     if len(evaluation.people) < 2:
         return []

@@ -1,4 +1,4 @@
-"""Decision trees as rules that a person can read."""
+"""Decision trees as human-readable rules."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -45,10 +45,10 @@ def tree_lines(
     tree: Tree, classes: Sequence[str], encoding: Sequence[EncodedFeature], domain: Domain[Any]
 ) -> list[str]:
     """
-    Return the tree as indented lines, one for each branch.
+    Return the tree as indented lines, one per branch.
 
-    :param classes: how each class reads; (K,).
-    :param encoding: of the features that the tree looks at.
+    :param classes: text of each class, (K,).
+    :param encoding: encoding of the features used by the tree.
     """
 
     def below(node: int, indent: str) -> list[str]:
@@ -69,7 +69,7 @@ def tree_lines(
 
 
 def _test(column: EncodedFeature, threshold: float, domain: Domain[Any]) -> tuple[str, str]:
-    """Return the test in words where it fails the threshold (right) and where not (left)."""
+    """Return the test in words, for values above the threshold (right) and others (left)."""
     name = column.feature.replace('_', ' ')
     feature = domain.features[column.index]
     values = feature.values

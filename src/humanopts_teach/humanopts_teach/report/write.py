@@ -1,4 +1,4 @@
-"""Writing a report: one HTML file with everything in it."""
+"""Writing a report as one self-contained HTML file."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -27,7 +27,7 @@ from humanopts_teach.report.pages import render
 from humanopts_teach.report.people import shown_demonstrations, shown_return, teachers
 from humanopts_teach.report.rules import option_rules
 
-MEASURES = (  # column of ``OPTIONS``, how it reads, whether it is a share
+MEASURES = (  # column of ``OPTIONS``, its label, whether it is a share
     ('n_demonstrations', 'demonstrations', False),
     ('mean_return_demonstrations', 'mean return of the demonstrations', False),
     ('mean_return_policy', 'mean return of the policy, same starts', False),
@@ -41,7 +41,7 @@ MEASURES = (  # column of ``OPTIONS``, how it reads, whether it is a share
 
 @dataclass(frozen=True)
 class ReportData:
-    """One report. Parts that are empty are left out of it."""
+    """One report; empty parts are omitted."""
 
     title: str
     evaluation: BagEvaluation
@@ -55,13 +55,13 @@ def write_evaluation_report(
     path: Path, evaluation: BagEvaluation, bag: Bag | None = None, live: Live | None = None
 ) -> ReportData:
     """
-    Write a report that needs no other file and no network.
+    Write a self-contained report that needs no network.
 
-    :param bag: for its recording and last episode; None: unknown.
+    :param bag: source of the recording data and the last episode; None: unknown.
     :param live: numbers from the running graph; None: unknown.
     :return: the content of the report.
     :raises SummaryError: the file cannot be written.
-    :raises StateError: a recorded state is not of the domain.
+    :raises StateError: a recorded state is not a state of the domain.
     """
     how = 'evaluated from a bag' if live is None else 'taught, planned, played'
     title = f'{evaluation.domain.name}: {how}'
@@ -78,11 +78,11 @@ def render_report(data: ReportData) -> str:
     """
     Return the page.
 
-    :raises StateError: a state of the episode is not of the domain.
+    :raises StateError: a state of the episode is not a state of the domain.
     """
     evaluation, live = data.evaluation, data.live
     plans = plans_shown(evaluation, live)
-    episode = episode_strip(evaluation.domain, data.frames)  # first: it can fail
+    episode = episode_strip(evaluation.domain, data.frames)  # first, since it can fail
     exact = {
         name: found.plan
         for name, found in evaluation.plans.items()
@@ -128,7 +128,7 @@ def render_report(data: ReportData) -> str:
 
 
 def _versions() -> list[str]:
-    """Return the versions of the software, as far as they are known."""
+    """Return the known software versions."""
     now, names = software(), ('Python', 'NumPy', 'scikit-learn')
     versions = {**{name: now[name.lower()] for name in names}, 'humanopts': now[OWN_VERSION]}
     return [f'{name} {version}' for name, version in versions.items() if version != UNKNOWN]
