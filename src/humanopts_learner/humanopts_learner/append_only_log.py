@@ -12,25 +12,25 @@ from humanopts_ros.text_files import read_regular
 
 T = TypeVar('T')
 _APPENDING = os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_NOFOLLOW | os.O_NONBLOCK
-MAX_NAMED = 20  # problems of one file that are named; the others are counted
+MAX_NAMED = 20  # problems listed per file; the rest are only counted
 
 
 class AppendOnlyLog:
     """
-    A file of JSON lines to which lines are only added.
+    An append-only file of JSON lines.
 
-    A line is on disk (fsync) before ``append`` returns. A last line that a crash cut off is moved
-    aside when the file is opened; a line that was written whole is never lost.
+    A line is on disk (fsync) before ``append`` returns. A last line truncated by a crash is moved
+    to another file on opening; a complete line is never lost.
     """
 
     def __init__(self, path: Path) -> None:
         """
-        Open the file, which need not exist, and repair its end.
+        Open the file, which need not exist, and repair its last line.
 
-        :raises OSError: it is not a regular file, cannot be read, or its end cannot be repaired.
+        :raises OSError: it is not a regular file, or cannot be read or repaired.
         """
         self.path = path
-        self.problems: list[str] = []  # what was repaired or left out, in words
+        self.problems: list[str] = []  # descriptions of repairs and skipped lines
         content = read_in_place(path) if path.exists() or path.is_symlink() else b''
         end = content.rfind(b'\n') + 1
         torn = content[end:]
@@ -47,15 +47,15 @@ class AppendOnlyLog:
                 f'the last line of {path} was cut off; its {len(torn)} bytes are now in '
                 f'{aside.name}, and all lines before it are kept'
             )
-        else:  # it lacks only its end
+        else:  # only the newline is missing
             append_bytes(path, b'\n')
 
     def read(self, entry_of: Callable[[str], T]) -> list[T]:
         """
-        Return the entries that the lines of the file hold.
+        Parse the lines of the file into entries.
 
-        :param entry_of: returns the entry of a line, or raises a ValueError that says why it
-            cannot be used; then the line is left out and named in ``problems``.
+        :param entry_of: parses a line; if it raises a ValueError, the line is skipped and the
+            reason is added to ``problems``.
         :raises OSError: the file cannot be read.
         """
         entries, problems = read_lines(self.path, entry_of)
@@ -64,9 +64,9 @@ class AppendOnlyLog:
 
     def append(self, *lines: str) -> None:
         """
-        Add lines.
+        Append lines.
 
-        :raises OSError: they could not be written; the file is unchanged.
+        :raises OSError: writing failed; the file is unchanged.
         """
         append_bytes(self.path, ''.join(f'{line}\n' for line in lines).encode())
 
@@ -77,11 +77,10 @@ def read_lines(
     """
     Read a file of lines without changing it, since another process may be writing it.
 
-    :param entry_of: returns the entry of a line, or raises a ValueError that says why it cannot be
-        used; then the line is left out.
-    :param most: bytes that the file may have; None: any number.
-    :return: the entries, and what was left out, in words.
-    :raises OSError: it is not a regular file, is larger, or cannot be read; there may be none.
+    :param entry_of: parses a line; if it raises a ValueError, the line is skipped.
+    :param most: maximum file size in bytes; None: unlimited.
+    :return: the entries, and descriptions of skipped lines; a missing file has no entries.
+    :raises OSError: the file is not regular, is too large, or cannot be read.
     """
     try:
         content = read_in_place(path, most)
@@ -105,11 +104,11 @@ def read_lines(
 
 def read_in_place(path: Path, most: int | None = None) -> bytes:
     """
-    Return the content of a regular file that lies here itself.
+    Return the content of a regular file, without following symbolic links.
 
-    :param most: bytes that it may have; None: any number.
-    :raises OSError: it is a symbolic link, a folder, a pipe or a device, is larger, or cannot be
-        read.
+    :param most: maximum size in bytes; None: unlimited.
+    :raises OSError: it is a symbolic link, a folder, a pipe or a device, is too large, or cannot
+        be read.
     """
     refuse_link(path)
     return read_regular(path, most, os.O_NOFOLLOW)
@@ -119,7 +118,7 @@ def append_bytes(path: Path, content: bytes) -> None:
     """
     Append and fsync.
 
-    :raises OSError: it could not be written; the file is cut back to what it was.
+    :raises OSError: writing failed; the file is truncated to its previous size.
     """
     refuse_link(path)
     handle = os.open(path, _APPENDING, 0o644)
@@ -133,9 +132,9 @@ def append_bytes(path: Path, content: bytes) -> None:
 
 def refuse_link(path: Path) -> None:
     """
-    Refuse a symbolic link in the place of a file: what is written would be written elsewhere.
+    Refuse a symbolic link, since writing to it would change a file elsewhere.
 
-    :raises OSError: it is one.
+    :raises OSError: the path is a symbolic link.
     """
     if path.is_symlink():
         text = f'it is a symbolic link to {os.readlink(path)}; put the file itself there'
@@ -143,7 +142,7 @@ def refuse_link(path: Path) -> None:
 
 
 def link_remark(directory: Path) -> str:
-    """Return that a folder is a symbolic link, and where to, in words; empty: it is none."""
+    """Return a remark if a folder is a symbolic link, naming its target; empty otherwise."""
     if not directory.is_symlink():
         return ''
     return f'{directory} is a symbolic link: its files are those of {directory.resolve()}'
@@ -155,9 +154,9 @@ def append_whole(
     """
     Append to an open file.
 
-    :param finish: is called after the last byte, such as ``os.fsync``.
-    :return: the size of the file before, bytes.
-    :raises OSError: it could not be written; the file is cut back to what it was.
+    :param finish: called after the last byte, such as ``os.fsync``.
+    :return: previous size of the file, bytes.
+    :raises OSError: writing failed; the file is truncated to its previous size.
     """
     size = os.fstat(handle).st_size
     try:
@@ -173,7 +172,7 @@ def append_whole(
 
 
 def sync(path: Path) -> None:
-    """Write the changes of a file or a folder to disk (fsync)."""
+    """Flush changes of a file or folder to disk (fsync)."""
     handle = os.open(path, os.O_RDONLY)
     try:
         os.fsync(handle)
@@ -182,7 +181,7 @@ def sync(path: Path) -> None:
 
 
 def unused_name(path: Path, why: str) -> Path:
-    """Return a path beside a file, to which it can be moved: its name with ``.WHY-1``, 2, ..."""
+    """Return an unused path in the same folder: the file name plus ``.WHY-1``, ``.WHY-2``, ..."""
     number = 1
     while (aside := path.with_name(f'{path.name}.{why}-{number}')).exists():
         number += 1

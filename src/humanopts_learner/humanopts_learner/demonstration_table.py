@@ -1,26 +1,26 @@
 """
-Demonstrations from a table and as a table, with one row for each state (needs pandas).
+Conversion between demonstrations and tables with one row per state (requires pandas).
 
 ======================  =========================================================================
-column                  what it holds
+column                  content
 ======================  =========================================================================
-``demonstration``       which demonstration the row belongs to: any number or name
+``demonstration``       number or name of the demonstration
 ``step``                0, 1, 2, ... within the demonstration
-``state``               the state in the domain's notation; or, in its place, columns with the
-                        names of features that determine the state
-``action``              the action taken there; empty in the last row. One row without an action
-                        is a "not here" answer: the option makes no sense in this state
-``reward``              of the action; without this column, by the rules of the domain
-``option``              optional: the name of the option
-``participant``         optional: who showed it
-``can_start_at_end``    optional, counts in the last row: the option could start again there; true,
-                        yes or 1, or false, no, 0 or empty
+``state``               state in the domain's notation; alternatively, columns named after
+                        features that determine the state
+``action``              action taken in the state; empty in the last row. A single row without an
+                        action is a "not here" answer: the option does not apply in this state
+``reward``              reward of the action; without this column, computed by the domain's rules
+``option``              optional: name of the option
+``participant``         optional: participant who demonstrated it
+``can_start_at_end``    optional, used in the last row: whether the option could start again there;
+                        true, yes or 1, or false, no, 0 or empty
 ======================  =========================================================================
 
-Rows may be in any order, and columns with other names are left alone. A feature is written as the
-domain words its value, or as its index; a continuous one as a number. The apostrophe before text
-that a spreadsheet would take for a formula is not part of the text. A data frame means what its
-cells say, whatever their type: 1, 1.0, True and 'TRUE' are the same flag.
+Rows may be in any order, and columns with other names are ignored. A feature value is the domain's
+word for it or its index; a continuous value is a number. An apostrophe that keeps a spreadsheet
+from reading text as a formula is not part of the text. The cell types of a data frame do not
+matter: 1, 1.0, True and 'TRUE' are the same flag.
 """
 
 from collections import Counter
@@ -48,9 +48,9 @@ if TYPE_CHECKING:
 AGAIN = 'can_start_at_end'
 NEEDED = ('demonstration', 'step', 'action')
 OPTIONAL = ('state', 'reward', 'option', 'participant', AGAIN)
-# Text that pandas reads as "missing": so that a file means the same by path and as a data frame.
+# Text that pandas reads as missing, so that a file and its data frame mean the same.
 MISSING = ('', 'na', 'n/a', '#n/a', '<na>', 'nan', '-nan', 'null', 'none')
-_WHOLE = r'^([+-]?[0-9]+)\.0*$'  # how a column of numbers with a gap in it is written
+_WHOLE = r'^([+-]?[0-9]+)\.0*$'  # format of a numeric column with missing values
 _NUMBER = TypeAdapter(Annotated[float, Field(allow_inf_nan=False)]).validate_python
 _FLAG = TypeAdapter(bool).validate_python  # true, yes, on, 1, and their opposites
 
@@ -63,14 +63,14 @@ def demonstrations_from_table(
     participant: str = 'anonymous',
 ) -> list[Demonstration]:
     """
-    Read demonstrations from a table whose columns are described above.
+    Read demonstrations from a table with the columns described above.
 
-    :param table: a data frame, or the path of a CSV file.
-    :param option_name: where the table has no column ``option``.
-    :param features: names of those that the option depends on; None: all of the domain.
-    :param participant: where the table has no column ``participant``.
+    :param table: data frame, or path of a CSV file.
+    :param option_name: option name if the table has no column ``option``.
+    :param features: names of the features that the option depends on; None: all of the domain.
+    :param participant: participant if the table has no column ``participant``.
     :return: in order of first appearance, checked against the rules of the domain.
-    :raises DemonstrationError: the table cannot be used; the text names row and column, or the
+    :raises DemonstrationError: the table is invalid; the message names the row and column, or the
         demonstration.
     :raises OSError: the file does not exist.
     """
@@ -139,9 +139,9 @@ def demonstrations_to_table(demonstrations: Sequence[Demonstration]) -> 'pd.Data
 
 def _rows(table: 'pd.DataFrame | Path | str') -> 'pd.DataFrame':
     """
-    Return the rows that are not empty as text, labelled as a reader would find them.
+    Return the non-empty rows as text, labelled by row number in a spreadsheet.
 
-    :raises DemonstrationError: it is not a table, has no rows, or two columns of one name.
+    :raises DemonstrationError: it is not a table, has no rows, or has duplicate column names.
     """
     import pandas as pd
 
@@ -156,7 +156,7 @@ def _rows(table: 'pd.DataFrame | Path | str') -> 'pd.DataFrame':
         except ValueError as error:  # also the errors of pandas
             raise DemonstrationError(f'{table} is not a table: {error}') from error
         frame = lines.iloc[1:].set_axis(lines.iloc[0].fillna(''), axis=1)
-        frame.index += 1  # as a spreadsheet counts them, with the head as row 1
+        frame.index += 1  # numbering as in a spreadsheet, with the header in row 1
     names = [from_cell(str(column)).strip() for column in frame.columns]
     if twice := [name for name, count in Counter(names).items() if name and count > 1]:
         raise DemonstrationError(f'the table has two columns {twice[0]}')
@@ -171,7 +171,7 @@ def _check_columns(columns: Sequence[str], domain: Domain[Any]) -> None:
     """
     Check the names of the columns.
 
-    :raises DemonstrationError: one is missing, or meant and written otherwise.
+    :raises DemonstrationError: a column is missing or misspelled.
     """
     known = (*NEEDED, *OPTIONAL, *(feature.name for feature in domain.features))
     for column in columns:
@@ -184,9 +184,9 @@ def _check_columns(columns: Sequence[str], domain: Domain[Any]) -> None:
 
 def _read(rows: 'pd.DataFrame', column: str, parse: Callable[[str], Any]) -> list[Any]:
     """
-    Return what the cells of a column say.
+    Return the parsed cells of a column.
 
-    :raises DemonstrationError: one cannot be used; the text names row and column.
+    :raises DemonstrationError: a cell is invalid; the message names the row and column.
     """
     found = []
     for place, text in rows[column].items():
@@ -205,7 +205,7 @@ def _name(text: str) -> str:
 
 
 def _action(text: str, known: Sequence[str]) -> str:
-    """Return the action that a cell names; empty: none."""
+    """Return the action in a cell; empty: none."""
     if text in known:
         return text
     if text.lower() in MISSING:
@@ -217,7 +217,8 @@ def _actions(steps: 'pd.DataFrame') -> list[str]:
     """
     Return the actions of one demonstration.
 
-    :raises DemonstrationError: steps are not 0, 1, ..., or not all but the last have an action.
+    :raises DemonstrationError: the steps are not 0, 1, ..., an action is missing, or the last row
+        has one.
     """
     if list(steps['step']) != list(range(len(steps))):
         raise DemonstrationError(f'its steps are not 0 to {len(steps) - 1}, each once')
@@ -229,9 +230,9 @@ def _actions(steps: 'pd.DataFrame') -> list[str]:
 
 def _can_start_at_end(steps: 'pd.DataFrame') -> bool:
     """
-    Return whether the last row says that the option can start again there.
+    Return whether the option can start again in the last row.
 
-    :raises DemonstrationError: only an earlier row says so.
+    :raises DemonstrationError: the flag is set only in an earlier row.
     """
     flags = steps[AGAIN]
     if flags.any() and not flags.iloc[-1]:
@@ -244,9 +245,9 @@ def _can_start_at_end(steps: 'pd.DataFrame') -> bool:
 
 def _states(steps: 'pd.DataFrame', domain: Domain[Any]) -> list[Any]:
     """
-    Return the states of one demonstration, by their notation or by features that determine them.
+    Return the states of one demonstration, from their notation or from their features.
 
-    :raises DemonstrationError: they are not given, or features are those of several states.
+    :raises DemonstrationError: states are missing, or not determined by the given features.
     """
     if 'state' in steps:
         return _read(steps, 'state', domain.decode)
@@ -270,7 +271,7 @@ def _states(steps: 'pd.DataFrame', domain: Domain[Any]) -> list[Any]:
 
 
 def _value(feature: Feature, text: str) -> float:
-    """Return the value of a feature, given in words or as its index."""
+    """Return the value of a feature, given as a word or as its index."""
     words = feature.values
     if feature.kind is FeatureKind.CONTINUOUS:
         return float(_NUMBER(text))

@@ -31,32 +31,32 @@ from pydantic import AfterValidator, Field, Strict, TypeAdapter, ValidationError
 
 
 class DemonstrationError(ValueError):
-    """A demonstration cannot be used; the text names what is wrong with it."""
+    """A demonstration is invalid; the message says why."""
 
 
 class Kind(Enum):
     """The kind of a demonstration."""
 
     TRAJECTORY = 'trajectory'
-    NOT_HERE = 'not_here'  # the option makes no sense in its one state
+    NOT_HERE = 'not_here'  # the option does not apply in its single state
 
 
 TREES: Final = 'trees'
 GOAL: Final = 'goal'
-METHODS = {  # of learning I, beta and policy from demonstrations; what the policy is then
+METHODS = {  # learning methods; descriptions of the policy
     TREES: 'learned from the actions that were shown',
     GOAL: 'planned: best ways to an end like the shown ones',
 }
-PRIMITIVE_PREFIX = 'action:'  # of the names of primitive actions as options
+PRIMITIVE_PREFIX = 'action:'  # of primitive actions used as options
 MACHINE = (
     'automatic:'  # prefix of participant codes of automatic options; people's codes have no colon
 )
-MAX_NAME = 60  # characters of the name of an option, and of the codes of people and sessions
+MAX_NAME = 60  # characters of option names, and of codes of people and sessions
 KIND_NUMBERS = {Kind.TRAJECTORY: 1, Kind.NOT_HERE: 2}  # KIND_* of Demonstration.msg
 
 
-# Values of files and messages, of which none is converted but lists, and whole numbers to reals.
-Text = Annotated[str, Strict(), AfterValidator(intern)]  # states and names repeat: kept once
+# Values in files and messages; only lists, and integers for reals, are converted.
+Text = Annotated[str, Strict(), AfterValidator(intern)]  # interned, since states and names repeat
 Real = Annotated[float, Strict()]
 Count = Annotated[int, Strict(), Field(ge=0, le=MAX_WHOLE)]
 Flag = Annotated[bool, Strict()]
@@ -80,15 +80,15 @@ class Demonstration:
     number: Count  # 1, 2, 3, ... within participant and option
     chosen_features: tuple[Text, ...]
     feature_names: tuple[Text, ...]
-    features: tuple[tuple[Real, ...], ...]  # (T + 1) rows of all features
+    features: tuple[tuple[Real, ...], ...]  # T + 1 rows of all features
     states: tuple[Text, ...]  # T + 1
     actions: tuple[Text, ...]  # T
     rewards: tuple[Real, ...]  # T
     terminated: Flag = False
     can_start_at_end: Flag = False
     seconds: Real = 0.0
-    withdrawn: Flag = False  # withdrawn by the person; not learned from
-    method: Text = TREES  # one of METHODS; that of the newest demonstration counts
+    withdrawn: Flag = False  # withdrawn by the person; not used for learning
+    method: Text = TREES  # one of METHODS; the newest demonstration decides
     machine_steps: Count = 0  # number of leading steps taken by the machine
 
     @cached_property
@@ -98,7 +98,7 @@ class Demonstration:
 
     @property
     def plain_features(self) -> list[list[float]]:
-        """``features`` as files have them: whole numbers, as indices are, without a point."""
+        """``features`` as written to files: whole numbers, such as indices, as integers."""
         return [[int(v) if float(v).is_integer() else v for v in row] for row in self.features]
 
     @property
@@ -121,7 +121,7 @@ class Demonstration:
         """
         Read what ``to_json`` wrote.
 
-        :raises DemonstrationError: it is not a demonstration.
+        :raises DemonstrationError: the text is not a demonstration.
         """
         try:
             return cls.from_fields(parse_json(text))
@@ -131,9 +131,9 @@ class Demonstration:
     @classmethod
     def from_fields(cls, values: Mapping[str, Any]) -> 'Demonstration':
         """
-        Build from plain values, lists in place of tuples.
+        Build from plain values, with lists instead of tuples.
 
-        :raises DemonstrationError: a field is missing or has the wrong form.
+        :raises DemonstrationError: a field is missing or malformed.
         """
         try:
             return _adapter().validate_python(values)
@@ -150,7 +150,7 @@ _OPTIONAL = {
     'withdrawn': False,
     'method': TREES,
     'machine_steps': 0,
-}  # of the form that is written: left out so
+}  # fields omitted from JSON if they have these values
 
 
 def make_demonstration(
@@ -170,15 +170,15 @@ def make_demonstration(
     """
     Build a demonstration from states and actions in a domain, and check it.
 
-    The same arguments give the same demonstration, its uuid included.
+    The same arguments give the same demonstration, including its uuid.
 
-    :param states: T + 1 states of the domain; one, without actions: a "not here" answer.
-    :param actions: T names.
-    :param rewards: T; None: by the rules, where all states can be listed.
-    :param features: names of those that the option depends on; None: all.
-    :param can_start_at_end: the option could start again in the last state.
-    :param method: how the option is to be learned, one of METHODS.
-    :raises DemonstrationError: it breaks the rules of the domain, or a reward is not known.
+    :param states: T + 1 states of the domain; one state without actions: a "not here" answer.
+    :param actions: T action names.
+    :param rewards: T rewards; None: computed from the rules, if all states can be listed.
+    :param features: names of the features that the option depends on; None: all.
+    :param can_start_at_end: whether the option could start again in the last state.
+    :param method: learning method, one of METHODS.
+    :raises DemonstrationError: it breaks the rules of the domain, or a reward is unknown.
     """
     if not states:
         raise DemonstrationError('a demonstration has at least one state')
@@ -208,7 +208,7 @@ def make_demonstration(
 
 
 def _rewards(domain: Domain[Any], states: Sequence[Any], actions: Sequence[str]) -> list[float]:
-    """Return the reward of each step by the rules; it is 0 where the step is against them."""
+    """Return the reward of each step by the rules; 0 if the step violates them."""
     if actions and not is_enumerable(domain):
         raise DemonstrationError(f'the states of {domain.name} cannot all be listed: give rewards')
     found = []
@@ -243,17 +243,17 @@ def demonstration_from_message(message: Any) -> Demonstration:
 
 def check_demonstration(demonstration: Demonstration, domain: ActableDomain) -> None:
     """
-    Check a demonstration against the rules of its domain, as far as they are known.
+    Check a demonstration against the known rules of its domain.
 
-    :raises DemonstrationError: it has no steps, numbers that are not finite, features of another
-        domain, or actions that do not lead from one state to the next.
+    :raises DemonstrationError: it has no steps, non-finite numbers, features of another domain, or
+        actions that do not lead from one state to the next.
     """
     if fault := next(_faults(demonstration, domain), ''):
         raise DemonstrationError(fault)
 
 
 def option_name_fault(name: str) -> str:
-    """Return what is wrong with the name of an option, in words; empty: it is valid."""
+    """Return a description of what is wrong with an option name; empty: valid."""
     if not name.strip():
         return 'the name is empty'
     if name.startswith(PRIMITIVE_PREFIX):
@@ -269,9 +269,9 @@ def _text_fault(what: str, text: str) -> str:
 
 def check_method(method: str, domain: ActableDomain) -> None:
     """
-    Check that options of a domain can be learned by a method.
+    Check that options of a domain can be learned with a method.
 
-    :raises DemonstrationError: the method is unknown, or needs states that can be listed.
+    :raises DemonstrationError: the method is unknown, or requires a domain with listable states.
     """
     if method not in METHODS:
         known = ', '.join(METHODS)
@@ -285,9 +285,9 @@ def check_method(method: str, domain: ActableDomain) -> None:
 
 def each_once(demonstrations: Iterable[Demonstration]) -> list[Demonstration]:
     """
-    Drop the repeated demonstrations of a stream or a log, by uuid.
+    Remove duplicate demonstrations from a stream or log, by uuid.
 
-    :return: in order of first appearance; withdrawn are those that were withdrawn at any time.
+    :return: in order of first appearance; a withdrawal takes precedence.
     """
     once: dict[str, Demonstration] = {}
     for demo in demonstrations:
@@ -303,7 +303,7 @@ def group_by_option(
     """
     Group by (participant, option name), in order of first appearance, each sorted by number.
 
-    Each uuid counts once, and one that was withdrawn not at all.
+    Duplicates and withdrawn demonstrations are dropped.
     """
     groups: dict[tuple[str, str], list[Demonstration]] = {}
     for demo in each_once(demonstrations):
@@ -318,7 +318,7 @@ def _faults(demo: Demonstration, domain: ActableDomain) -> Iterator[str]:
     """
     Yield the faults of a demonstration; later checks rely on earlier ones.
 
-    :raises DemonstrationError: its method or parameters cannot be used.
+    :raises DemonstrationError: its method or parameters are invalid.
     """
     try:
         uuid_module.UUID(demo.uuid)

@@ -1,9 +1,9 @@
 """
-Options running in N games: the only code that decides when an option starts, continues and ends.
+Execution of options in N games: the only code that decides when options start and end.
 
-``Execution`` has the rules of a run; the live runner uses it with one game. ``play`` is the loop
-around it: rollouts, held-out returns, accuracy, start states and evaluation call it with different
-options and policies.
+``Execution`` implements the rules of a run; the live runner uses it with one game. ``play`` is the
+loop around it: rollouts, held-out returns, accuracy, start states and evaluation call it with
+different options and policies.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -17,20 +17,20 @@ from humanopts_learner.option import Option
 import numpy as np
 from numpy.typing import NDArray
 
-NONE = -1  # no option runs: a choice is due
+NONE = -1  # no option running: a choice is due
 
 
 class Seen(Protocol):
-    """An observation of N games, and the decisions of options there."""
+    """An observation of N games, with the decisions of options in it."""
 
     def take(self, games: Ints) -> Self:
-        """Return the observation of chosen games (M,)."""
+        """Return the observation of the selected games (M,)."""
 
     def action(self, option: Ints) -> Ints:
         """Return (N,): the primitive action of each game's option (N,)."""
 
     def ends(self, option: Ints) -> Flags:
-        """Return (N,): whether each game's option (N,) ends there."""
+        """Return (N,): whether each game's option (N,) ends."""
 
 
 S = TypeVar('S', bound=Seen)
@@ -43,7 +43,7 @@ class Options(Protocol[S_out]):
 
     @property
     def limits(self) -> Ints:
-        """(O,) steps after which a run of each option is cut off."""
+        """(O,) maximum number of steps per run of each option."""
 
     def see(self, games: Games) -> S_out:
         """Observe games."""
@@ -54,25 +54,25 @@ class Policy(Protocol[S_in]):
 
     def choose(self, seen: S_in, games: Ints) -> Ints:
         """
-        Return (N,): the next option in some games.
+        Return (N,): the next option in the given games.
 
-        :param games: (N,) their numbers.
+        :param games: (N,) game numbers.
         """
 
     def stops(self, seen: S_in, option: Ints) -> Flags | None:
-        """Return (N,): whether each game's option (N,) is stopped; None: nowhere."""
+        """Return (N,): whether each game's option (N,) is stopped; None: none are."""
         return None
 
 
 def draw_among(among: Flags, rng: np.random.Generator) -> Ints:
-    """Return the index (N,) of one True entry of each row (N, O), all equally likely."""
+    """Return the index (N,) of a uniformly random True entry of each row (N, O)."""
     chosen: Ints = np.where(among, rng.random(among.shape), -1.0).argmax(axis=1)
     return chosen
 
 
 @dataclass(frozen=True)
 class Fixed(Policy[Seen]):
-    """The policy that always runs the same option in a game."""
+    """A policy that always runs the same option in each game."""
 
     option: Ints  # (N,) of each game
 
@@ -82,12 +82,12 @@ class Fixed(Policy[Seen]):
 
 @dataclass(frozen=True)
 class Runs:
-    """R runs of options in N games, in the order in which they ended."""
+    """R runs of options in N games, in order of completion."""
 
     game: Ints  # (R,)
     option: Ints  # (R,)
-    begun: Ints  # (R,) steps of the game before the run
-    steps: Ints  # (R,) of the run, k
+    begun: Ints  # (R,) game step at which the run began
+    steps: Ints  # (R,) length of the run, k
     total: Floats  # (R,) sum of r[i], i = 0..k-1
     discounted: Floats  # (R,) sum of gamma**i * r[i]
     reached: Flags  # (R,) the termination condition holds
@@ -97,16 +97,16 @@ class Runs:
 
 class Execution(Generic[S]):
     """
-    One option at a time in each of N games.
+    Runs one option at a time in each of N games.
 
-    A run ends where the termination condition holds, which is checked only after a step; where
-    the task is over; after ``max_steps``; or where the policy stops it.
+    A run ends when the termination condition holds, which is checked only after a step; when the
+    task is over; after ``max_steps``; or when the policy stops it.
 
-    :ivar games: (N,) their numbers.
-    :ivar option: (N,) indices of the options that run; ``NONE``: a choice is due.
-    :ivar decided: (M,) places among the N of the latest choices.
+    :ivar games: (N,) game numbers.
+    :ivar option: (N,) indices of the running options; ``NONE``: a choice is due.
+    :ivar decided: (M,) positions among the N of the latest choices.
     :ivar total: (N,) sum of r[i] of the newest run of each game.
-    :ivar discounted: (N,) sum of gamma**i * r[i] of it.
+    :ivar discounted: (N,) sum of gamma**i * r[i] of the newest run of each game.
     """
 
     def __init__(
@@ -118,11 +118,11 @@ class Execution(Generic[S]):
         limits: Ints | None = None,
     ) -> None:
         """
-        Start without an option in any game.
+        Start with no option running.
 
         :param count: number of games, N.
         :param gamma: discount per primitive step.
-        :param limits: (N,) steps after which a run in each game is cut off; None: the options'.
+        :param limits: (N,) maximum number of steps per run in each game; None: the options' own.
         """
         self.policy, self._gamma = policy, gamma
         self._of_option, self._of_game = options.limits, limits
@@ -132,7 +132,7 @@ class Execution(Generic[S]):
         self.total, self.discounted = np.zeros((2, count))
 
     def act(self, seen: S) -> Ints:
-        """Return the primitive actions (N,), after a choice wherever one is due."""
+        """Return the primitive actions (N,), choosing options first where a choice is due."""
         self.decided = due = np.flatnonzero(self.option == NONE)
         if due.size:
             among = seen if len(due) == len(self.option) else seen.take(due)
@@ -144,7 +144,7 @@ class Execution(Generic[S]):
         """
         Record the outcome of the actions, and return the runs that ended.
 
-        :param seen: the games after the step.
+        :param seen: observation after the step.
         :param cut_off: (N,) whether each game ends here for another reason.
         """
         self.total += steps.reward
@@ -172,7 +172,7 @@ class Execution(Generic[S]):
         return runs
 
     def keep(self, chosen: Ints) -> None:
-        """Keep chosen games (M,) only."""
+        """Keep only the selected games (M,)."""
         self.games, self.option = self.games.take(chosen), self.option.take(chosen)
         self._ran, self._age = self._ran.take(chosen), self._age.take(chosen)
         self.total = self.total.take(chosen)
@@ -185,7 +185,7 @@ class Execution(Generic[S]):
 class Played:
     """The runs and outcomes of N games."""
 
-    over: Flags  # (N,) whether the task is over; else the game was cut off
+    over: Flags  # (N,) task over; otherwise the game was cut off
     runs: Runs
     outcomes: Mapping[str, NDArray[Any]]  # (N,) each, as ``Games.outcomes``
 
@@ -213,14 +213,14 @@ def play(
     """
     Play games by a policy until each is over.
 
-    :param games: N games, which are changed; those that are over have no runs.
-    :param chance: of the steps; one generator for each game makes it independent of the others.
-    :param max_steps: steps after which a game is cut off.
+    :param games: N games, modified in place; those already over have no runs.
+    :param chance: random draws of the steps; one generator per game makes games independent.
+    :param max_steps: maximum number of steps per game.
     :param gamma: discount per primitive step.
-    :param limits: (N,) steps after which a run in each game is cut off; None: the options'.
-    :param once: a game ends with its first run.
-    :param on_step: called in every step, after the choices, with its number; its exceptions
-        pass through.
+    :param limits: (N,) maximum number of steps per run in each game; None: the options' own.
+    :param once: end each game with its first run.
+    :param on_step: called in every step, after the choices, with the step number; its exceptions
+        propagate.
     """
     outcomes = {name: values.copy() for name, values in games.outcomes().items()}
     execution, parts = Execution(options, policy, len(games), gamma, limits), []
@@ -250,7 +250,7 @@ def play(
 
 
 def joined(parts: Sequence[Runs]) -> Runs:
-    """Return the runs that ended in several steps as one."""
+    """Concatenate the runs that ended in several steps."""
     none: Any = np.zeros(0, dtype=np.intp)
     return Runs(
         *(
@@ -261,7 +261,7 @@ def joined(parts: Sequence[Runs]) -> Runs:
 
 
 class RowOptions:
-    """Options that are evaluated on the features of games when needed."""
+    """Options evaluated on demand on the features of games."""
 
     def __init__(self, options: Sequence[Option]) -> None:
         self.options = tuple(options)
@@ -273,7 +273,7 @@ class RowOptions:
 
 @dataclass(frozen=True)
 class SeenRows:
-    """The features of N games, and the decisions of options there."""
+    """The features of N games, with the decisions of options on them."""
 
     options: Sequence[Option]
     rows: Rows  # (N, F)
@@ -289,7 +289,7 @@ class SeenRows:
 
     @cached_property
     def startable(self) -> Flags:
-        """(N, O) which options can start."""
+        """(N, O) whether each option can start."""
         return np.stack([option.can_start(self.rows) for option in self.options], axis=1)
 
     def _each(self, option: Ints, answer: Callable[[Option, Rows], NDArray[Any]]) -> NDArray[Any]:

@@ -1,11 +1,10 @@
 """
-Confidence intervals of everything that is estimated, and what can be decided by them.
+Confidence intervals of estimates, and decisions based on them.
 
-The units of a sample are independent: games of one plan, people, or seeds. Values that belong to
-the same unit are averaged first. Where two samples have the same units, as two plans in the same
-games, the interval is that of the differences within the units. A claim holds where the whole
-interval says so, and is refuted where the whole interval says the opposite; otherwise the data do
-not decide it.
+The units of a sample are independent: games of one plan, people, or seeds. Values of the same unit
+are averaged first. If two samples share their units, such as two plans in the same games, the
+interval is that of the differences within units. A claim holds if the whole interval supports it,
+and is refuted if the whole interval contradicts it; otherwise the data do not decide it.
 """
 
 from collections.abc import Iterable
@@ -21,7 +20,7 @@ LEVEL = 0.95  # confidence, two-sided
 
 @dataclass(frozen=True)
 class Interval:
-    """An estimate, such as a mean, and its confidence interval; NaN: too few data for limits."""
+    """An estimate, such as a mean, and its confidence interval; NaN: not enough data."""
 
     mean: float
     low: float
@@ -32,9 +31,9 @@ class Interval:
         """
         Return the mean of independent values and its interval by Student's t (1908).
 
-        Flags are a share, with the interval of ``of_share``.
+        For flags, return their share and its interval, as ``of_share``.
 
-        :param values: (N,) without NaN; one value has no limits, and none has no mean.
+        :param values: (N,) without NaN; a single value has no limits, and an empty array no mean.
         :param level: two-sided; ``low`` at 0.9 is the one-sided limit at 0.95.
         """
         found = np.asarray(values)
@@ -50,7 +49,7 @@ class Interval:
         """
         Return a share and its score interval (Wilson 1927), which stays within 0 and 1.
 
-        It has a width even where all flags are alike.
+        Its width is positive even if all flags are equal.
 
         :param flags: (N,); an empty array has no share.
         """
@@ -71,10 +70,10 @@ class Interval:
         """
         Return the difference of two means, first - second.
 
-        :param first: (N,) by unit.
-        :param second: (N,) of the same units in the same order; not paired: (M,) of other units,
-            with the degrees of freedom of Welch (1947).
-        :raises ValueError: they are paired, and not of equal length.
+        :param first: (N,) one value per unit.
+        :param second: (N,) the same units in the same order; unpaired: (M,) other units, with the
+            degrees of freedom of Welch (1947).
+        :raises ValueError: paired samples differ in length.
         """
         one, other = np.asarray(first, dtype=float), np.asarray(second, dtype=float)
         if not paired:
@@ -116,34 +115,34 @@ class Interval:
         return cls(mean, mean - half, mean + half)
 
     def above(self, value: float = 0.0) -> bool | None:
-        """Return whether all of it lies above a value (True) or below (False); None: neither."""
+        """Return whether the interval is above a value (True) or below (False); None: neither."""
         if self.low > value:
             return True
         return False if self.high < value else None
 
     def below(self, value: float) -> bool | None:
-        """Return whether all of it lies below a value (True) or above (False); None: neither."""
+        """Return whether the interval is below a value (True) or above (False); None: neither."""
         above = self.above(value)
         return None if above is None else not above
 
     def holds(self, value: float) -> bool | None:
-        """Return whether a value lies within the limits; None: there are none."""
+        """Return whether a value is within the limits; None: no limits."""
         return None if math.isnan(self.low) else self.low <= value <= self.high
 
     def at_most(self, value: float) -> bool | None:
-        """Return whether all of it lies at or below a value, or all above; None: neither."""
+        """Return whether the interval is at most a value (True) or above; None: neither."""
         if self.high <= value:
             return True
         return False if self.low > value else None
 
 
 def level_of_each(count: int) -> float:
-    """Return the level at which all of several intervals hold with ``LEVEL`` (Bonferroni)."""
+    """Return the level per interval for which all hold jointly at ``LEVEL`` (Bonferroni)."""
     return 1 - (1 - LEVEL) / count
 
 
 def all_hold(verdicts: Iterable[bool | None]) -> bool | None:
-    """Return whether all claims hold: False where one is refuted, else None where one is open."""
+    """Return whether all claims hold: False if one is refuted, else None if one is undecided."""
     found = list(verdicts)
     if False in found:
         return False
@@ -151,7 +150,7 @@ def all_hold(verdicts: Iterable[bool | None]) -> bool | None:
 
 
 def any_holds(verdicts: Iterable[bool | None]) -> bool | None:
-    """Return whether any claim holds: True where one does, else None where one is open."""
+    """Return whether any claim holds: True if one does, else None if one is undecided."""
     found = list(verdicts)
     if True in found:
         return True

@@ -1,4 +1,4 @@
-"""Everything that can be run in a domain: learned options and primitive actions."""
+"""The runnable options of a domain: learned options and primitive actions."""
 
 from collections.abc import Iterable
 
@@ -10,18 +10,18 @@ from humanopts_ros.limits import composed
 
 
 class UnknownOptionError(ValueError):
-    """No option, or none of this participant, has this name; the text lists the options."""
+    """Unknown option name, or unknown for this participant; the message lists the options."""
 
 
 class AmbiguousOptionError(UnknownOptionError):
-    """Several participants taught an option of this name, and none of them was named."""
+    """Several participants taught an option of this name, and no participant is given."""
 
 
 def taught_nothing(participant: str, others: Iterable[str]) -> str:
     """
-    Say that a participant has no options, and list the participants that have some.
+    Describe that a participant has no options, and list the participants that do.
 
-    :param others: the participants of all options that there are.
+    :param others: participants of all existing options.
     """
     known = ', '.join(sorted(set(others))) or 'none'
     return f'{participant!r} taught no option; those who did: {known}'
@@ -32,9 +32,9 @@ RunnableOption = LearnedOption | PrimitiveOption
 
 class OptionLibrary:
     """
-    The learned options of one domain by participant and name, beside its primitive actions.
+    The primitive actions of a domain, and its learned options by participant and name.
 
-    :ivar domain: in which the options act.
+    :ivar domain: domain of the options.
     """
 
     def __init__(self, domain: ActableDomain) -> None:
@@ -51,15 +51,15 @@ class OptionLibrary:
         return list(self._primitives)
 
     def options(self, participant: str = '') -> list[LearnedOption]:
-        """Return the learned options of a participant, or of all participants, by name."""
+        """Return the learned options of a participant, or of all participants, sorted by name."""
         found = [o for o in self._options.values() if participant in ('', o.participant)]
         return sorted(found, key=lambda option: (option.name, option.participant))
 
     def replace(self, options: Iterable[LearnedOption]) -> list[str]:
         """
-        Replace the options by those of the given ones that can be run here.
+        Replace the options with the given ones that can run in this domain.
 
-        :return: why others cannot: they were learned in another domain, or are named like actions.
+        :return: why others cannot: learned in another domain, or named like a primitive action.
         """
         self._options, faults = {}, []
         for option in options:
@@ -76,12 +76,12 @@ class OptionLibrary:
 
     def resolve(self, name: str, participant: str = '') -> RunnableOption:
         """
-        Return the option of a name.
+        Return the option with a name.
 
-        :param name: of a learned option, or ``action:NAME`` of a primitive action.
-        :param participant: who taught it; empty: the only one who did.
+        :param name: a learned option, or ``action:NAME`` for a primitive action.
+        :param participant: participant who taught it; empty: the only one who did.
         :raises UnknownOptionError: no option has this name.
-        :raises AmbiguousOptionError: several participants taught it and none is given.
+        :raises AmbiguousOptionError: several participants taught it, and none is given.
         """
         name = composed(name)
         if name in self._primitives:

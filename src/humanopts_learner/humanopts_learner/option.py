@@ -1,4 +1,4 @@
-"""What an option is: where it can start (I), what it does (pi), and where it ends (beta)."""
+"""Options: initiation set (I), policy (pi) and termination condition (beta)."""
 
 from dataclasses import dataclass
 from enum import Enum
@@ -9,10 +9,10 @@ import numpy as np
 
 
 class Mode(Enum):
-    """How the probabilities of an option become decisions in execution; models are greedy."""
+    """How option probabilities become decisions in execution; models are always greedy."""
 
-    GREEDY = 'greedy'  # the likeliest action; ends where beta is 0.5 or more
-    SAMPLED = 'sampled'  # drawn
+    GREEDY = 'greedy'  # most likely action; ends where beta >= 0.5
+    SAMPLED = 'sampled'  # random draws
 
 
 class Option(Protocol):
@@ -24,11 +24,11 @@ class Option(Protocol):
 
     @property
     def name(self) -> str:
-        """Name, unique among the options that are used together."""
+        """Name, unique among options used together."""
 
     @property
     def max_steps(self) -> int:
-        """Number of steps after which a run is cut off, 1 or more."""
+        """Maximum number of steps per run, 1 or more."""
 
     def can_start(self, rows: Rows) -> Flags:
         """Return (N,): whether each state is in the initiation set I."""
@@ -37,12 +37,12 @@ class Option(Protocol):
         """Return (N,): the action that pi takes in each state."""
 
     def ends(self, rows: Rows) -> Flags:
-        """Return (N,): whether beta holds in each state; ignored before the first step."""
+        """Return (N,): whether the option ends in each state; ignored before the first step."""
 
 
 @runtime_checkable
 class StochasticOption(Option, Protocol):
-    """An option that also has probabilities."""
+    """An option with probabilities."""
 
     def action_probabilities(self, rows: Rows) -> Floats:
         """Return (N, A): pi of every action in each state."""
@@ -56,7 +56,7 @@ class StochasticOption(Option, Protocol):
 
 @dataclass(frozen=True)
 class PrimitiveOption:
-    """A primitive action as an option of one step that can start everywhere."""
+    """A primitive action as a one-step option that can start everywhere."""
 
     name: str  # action:NAME
     index: int  # of the action
@@ -84,7 +84,7 @@ class PrimitiveOption:
 
 @dataclass(frozen=True)
 class RandomActions:
-    """The option that takes random actions until another option would end."""
+    """An option that takes random actions until another option would end."""
 
     other: Option
     n_actions: int

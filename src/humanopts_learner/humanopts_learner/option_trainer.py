@@ -1,4 +1,4 @@
-"""The data set of a domain on disk, and the options that are learned from it as it grows."""
+"""The data set of a domain on disk, and the options learned from it as it grows."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ DATA_SET = 'demonstrations.jsonl'
 
 
 class DataSetError(RuntimeError):
-    """The data set cannot be read or written; the text says why."""
+    """The data set cannot be read or written; the message says why."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,15 +35,15 @@ class TaughtOption:
     """
     One option of one participant.
 
-    One is kept for every option ever taught, so it holds no demonstrations and no trees.
+    All are kept in memory, so each contains neither demonstrations nor trees.
     """
 
     summary: OptionSummary
-    file: str  # the option as data, without its demonstrations; empty while no trajectory is left
+    file: str  # serialized option without demonstrations; empty: no trajectory left
 
     @property
     def option(self) -> LearnedOption | None:
-        """The option, read from its data; None while no trajectory is left."""
+        """The deserialized option; None: no trajectory left."""
         return option_from_json(self.file)[0] if self.file else None
 
 
@@ -51,15 +51,15 @@ class OptionTrainer:
     """
     All demonstrations of a domain, kept on disk, and the options learned from them.
 
-    Only the demonstrations of the current participant are in memory; those of another are read
-    from disk when that one continues.
+    Only the demonstrations of the current participant are in memory; those of others are read
+    from disk when needed.
     """
 
     def __init__(
         self, directory: Path, domain: ActableDomain, thresholds: Thresholds, seed: int
     ) -> None:
         """
-        Open the folder and learn again from what it holds.
+        Open the folder and relearn all options from its contents.
 
         :raises DataSetError: the folder cannot be used.
         """
@@ -71,13 +71,13 @@ class OptionTrainer:
             self._log = AppendOnlyLog(directory / DATA_SET)
         except OSError as error:
             raise DataSetError(f'cannot use the folder {directory}: {error.strerror}') from error
-        self.problems = self._log.problems  # parts of the folder that could not be used, in words
+        self.problems = self._log.problems  # unusable parts of the folder
         if remark := link_remark(directory):
             self.problems.append(remark)
         read = self._read()
-        self._withdrawn = {demo.uuid: demo.withdrawn for demo in read}  # of all that are known
+        self._withdrawn = {demo.uuid: demo.withdrawn for demo in read}  # by uuid
         self._at_work: str | None = None
-        self._theirs: dict[str, Demonstration] = {}  # of the participant at work, by uuid
+        self._theirs: dict[str, Demonstration] = {}  # of the current participant, by uuid
         people: dict[str, list[Demonstration]] = {}
         for demo in read:
             people.setdefault(demo.participant, []).append(demo)
@@ -86,11 +86,11 @@ class OptionTrainer:
 
     def take(self, demo: Demonstration) -> bool:
         """
-        Keep a demonstration and learn from it, or from what is left when it is withdrawn.
+        Store a demonstration or its withdrawal, and relearn its option.
 
-        :return: False: it is known already, or was withdrawn; nothing changed.
-        :raises DemonstrationError: it cannot be used; it is not kept.
-        :raises DataSetError: it could not be written; it is not kept.
+        :return: False: already known or withdrawn; nothing changed.
+        :raises DemonstrationError: it is invalid; it is not stored.
+        :raises DataSetError: writing failed; it is not stored.
         """
         known = self._withdrawn.get(demo.uuid)
         if known is not None and known >= demo.withdrawn:
@@ -106,11 +106,11 @@ class OptionTrainer:
         return True
 
     def options(self) -> list[TaughtOption]:
-        """Return every option, in order of first demonstration."""
+        """Return all options, in order of first demonstration."""
         return list(self._options.values())
 
     def _read(self, participant: str | None = None) -> list[Demonstration]:
-        """Return the demonstrations on disk, each once: all, or those of one participant."""
+        """Return all demonstrations on disk, or those of one participant, without duplicates."""
 
         def checked(line: str) -> Demonstration | None:
             demo = Demonstration.from_json(line)
@@ -123,7 +123,7 @@ class OptionTrainer:
 
     def _turn_to(self, participant: str) -> None:
         """
-        Load the demonstrations of a participant in place of those of another.
+        Load the demonstrations of a participant, replacing those in memory.
 
         :raises DataSetError: they cannot be read.
         """
@@ -139,7 +139,7 @@ class OptionTrainer:
 
     def _learn(self, participant: str, option_name: str, theirs: Iterable[Demonstration]) -> None:
         """
-        Learn an option, or remove it if no demonstration is left.
+        Learn an option, or remove it if it has no demonstrations left.
 
         :param theirs: all demonstrations of the participant.
         """
@@ -164,7 +164,7 @@ class OptionTrainer:
         self._options[key] = TaughtOption(summary, file)
 
     def _unlearn(self, participant: str, option_name: str) -> None:
-        """Remove the file of an option that was learned from demonstrations now withdrawn."""
+        """Remove the file of an option, after its demonstrations were withdrawn."""
         try:
             remove_option(self._directory, participant, option_name)
         except OSError as error:

@@ -1,5 +1,5 @@
 """
-SMDP Q-learning and intra-option Q-learning, many learners side by side.
+SMDP Q-learning and intra-option Q-learning, with many learners in parallel.
 
 R. S. Sutton, D. Precup and S. Singh (1999), "Between MDPs and semi-MDPs". SMDP Q-learning (section
 3.2; "macro Q-learning" for options that cannot be interrupted) updates an option when it ends
@@ -7,9 +7,8 @@ after k steps, with r the discounted reward in between:
 
     Q(s, o) += rate * (r + gamma**k * max Q(s', .) - Q(s, o))
 
-Intra-option Q-learning (section 6) updates in every step all options that would have taken the
-same action, whichever runs, with U(s', o) = Q(s', o) where o continues and max Q(s', .) where it
-ends:
+Intra-option Q-learning (section 6) updates, in every step, all options that would have taken the
+same action, with U(s', o) = Q(s', o) if o continues and max Q(s', .) if it ends:
 
     Q(s, o) += rate * (r + gamma * U(s', o) - Q(s, o))
 
@@ -29,8 +28,8 @@ from humanopts_learner.options.learned_option import OptionTable, SeenStates
 from humanopts_learner.planning.request import PlanError
 import numpy as np
 
-MIN_RATE, MAX_RATE = 0.05, 1.0  # learning rates that are tried
-MIN_EXPLORE, MAX_EXPLORE = 0.005, 0.3  # shares of exploring decisions that are tried
+MIN_RATE, MAX_RATE = 0.05, 1.0  # range of candidate learning rates
+MIN_EXPLORE, MAX_EXPLORE = 0.005, 0.3  # range of candidate exploration rates
 
 
 class Method(Enum):
@@ -43,13 +42,13 @@ class Method(Enum):
 @dataclass(frozen=True)
 class Rates:
     """
-    How one learner learns and explores.
+    Learning and exploration rates of one learner.
 
     :raises PlanError: a number is out of range.
     """
 
     learning_rate: float = 0.1
-    explore: float = 0.1  # share of decisions that are drawn from all that is available
+    explore: float = 0.1  # share of decisions drawn from all available options
 
     def __post_init__(self) -> None:
         if not (0.0 < self.learning_rate <= 1.0 and 0.0 <= self.explore <= 1.0):
@@ -58,12 +57,12 @@ class Rates:
 
 @dataclass(frozen=True)
 class Settings:
-    """How long, and by which method, all learners learn."""
+    """Settings shared by all learners."""
 
     episodes: int
     method: Method = Method.SMDP
     gamma: float = 0.0  # discount per primitive step; 0: the domain's own
-    max_steps: int = 0  # after which an episode is cut off; 0: the domain's own limit
+    max_steps: int = 0  # per episode; 0: the domain's own limit
 
 
 @dataclass(frozen=True)
@@ -80,23 +79,23 @@ class Learners:
     """Learners with the same options."""
 
     options: OptionTable
-    rates: Sequence[Rates]  # of the learners, which draw independently
+    rates: Sequence[Rates]  # one per learner; learners draw independently
 
 
 class _Values(Policy[SeenStates]):
     """
-    The values of N learners, and their policy: a best option, sometimes any.
+    The Q-values of N learners, and their epsilon-greedy policy.
 
-    All learners have W slots for options; some slots may be empty.
+    Each learner has W option slots, some of which may be empty.
 
-    :ivar first: (N,) index of each learner's first option among those of all.
-    :ivar began: (N,) state in which each learner's option began.
+    :ivar first: (N,) index of each learner's first option in the combined table.
+    :ivar began: (N,) state in which each learner's current option began.
     """
 
     def __init__(
         self, groups: Sequence[Learners], n_states: int, rng: np.random.Generator
     ) -> None:
-        """Begin with values of 0."""
+        """Initialize all values to 0."""
         self._rng, rates = rng, [one for group in groups for one in group.rates]
         sizes = np.array([len(group.options.names) for group in groups])
         owner = np.repeat(np.arange(len(groups)), [len(group.rates) for group in groups])
@@ -129,7 +128,7 @@ class _Values(Policy[SeenStates]):
         """
         Update by SMDP Q-learning.
 
-        :param there: (N,) the state of each learner.
+        :param there: (N,) current state of each learner.
         """
         ahead = self._ahead(runs.game, there.take(runs.game), runs.over)
         goal = runs.discounted + gamma**runs.steps * ahead
@@ -140,9 +139,10 @@ class _Values(Policy[SeenStates]):
         self, games: Ints, here: Ints, actions: Ints, there: Ints, steps: Steps, gamma: float
     ) -> None:
         """
-        Update by intra-option Q-learning all options that would have done the same.
+        Update all options that would have taken the same actions, by intra-option Q-learning.
 
-        :param here: (n,) states before the step; ``there``: after it.
+        :param here: (n,) states before the step.
+        :param there: (n,) states after the step.
         """
         _, count, width = self.values.shape
         acting = self._acting.take(self._place.take(games) + here, axis=0)
@@ -156,20 +156,20 @@ class _Values(Policy[SeenStates]):
         self._move(game, here.take(at), slot, goal)
 
     def _known(self, games: Ints, states: Ints) -> Floats:
-        """Return the values (n, W) of some learners' options; -inf: not available."""
+        """Return option values (n, W) of some learners; -inf: not available."""
         _, count, width = self.values.shape
         can = self._available.take(self._place.take(games) + states, axis=0)
         values = self.values.reshape(-1, width).take(games * count + states, axis=0)
         return np.where(can, values, -np.inf)
 
     def _ahead(self, games: Ints, states: Ints, over: Flags) -> Floats:
-        """Return the value of the best option (n,); 0 where there is none, or the task is over."""
+        """Return the value of the best option (n,); 0 if none is available or the task is over."""
         best: Floats = self._known(games, states).max(axis=1)
         best[over | (best == -np.inf)] = 0.0
         return best
 
     def _move(self, games: Ints, states: Ints, slots: Ints, goal: Floats) -> None:
-        """Move the values of options (n,), each once, towards goals."""
+        """Move the values of distinct options (n,) towards target values."""
         flat, (_, count, width) = self.values.reshape(-1), self.values.shape
         place = (games * count + states) * width + slots
         known = flat.take(place)
@@ -180,12 +180,12 @@ def learn_in_step(
     domain: EnumerableDomain, groups: Sequence[Learners], settings: Settings, seed: int
 ) -> list[Learning]:
     """
-    Learn from values of 0, with each option run to its end; all learners step side by side.
+    Train all learners in lock-step from values of 0, running each option to its end.
 
-    Where an episode is cut off, SMDP learning treats the running option as ended there.
+    If an episode is cut off, SMDP learning treats the running option as ended there.
 
-    :return: what each group learned.
-    :raises PlanError: nothing limits the episodes, or there are no learners or no episodes.
+    :return: results of each group.
+    :raises PlanError: episodes have no step limit, or there are no learners or no episodes.
     """
     limit, episodes = settings.max_steps or domain.max_steps, settings.episodes
     counts = [len(group.rates) for group in groups]
@@ -201,7 +201,7 @@ def learn_in_step(
     execution = Execution(learners.table, learners, count, gamma)
     steps, returns = np.zeros((count, episodes), dtype=np.intp), np.zeros((count, episodes))
     episode, state, age = np.zeros((3, count), dtype=np.intp)
-    gained = np.zeros(count)  # as age, of the episode so far
+    gained = np.zeros(count)  # return of the current episode
     while len(games):
         live, here = execution.games, games.state
         actions = execution.act(SeenStates(learners.table, here))
@@ -234,7 +234,7 @@ def learn_in_step(
 
 
 def drawn_rates(seed: int, count: int) -> list[Rates]:
-    """Draw rates to try, uniform in their logarithms; the first are the defaults, 0.1."""
+    """Draw candidate rates, log-uniform; the first candidate is the default, 0.1 each."""
     rng = generator(seed, 'rates')
     draws = rng.random((count - 1, 2))
     learning = MIN_RATE * (MAX_RATE / MIN_RATE) ** draws[:, 0]
@@ -251,14 +251,14 @@ def best_rates_of_each(
     seed: int,
 ) -> list[Rates]:
     """
-    Return the rates with the fewest steps in all episodes, averaged over some runs.
+    Return the rates with the fewest steps over all episodes, averaged over runs.
 
-    All action sets get the same candidates, runs and episodes, so the searches are equally long.
-    Learn again with another seed to judge the chosen rates.
+    All action sets get the same candidates, runs and episodes, for searches of equal effort.
+    Relearn with another seed to evaluate the chosen rates.
 
-    :param tables: the options of each action set.
-    :param runs: learners for each candidate.
-    :return: the rates of each table.
+    :param tables: options of each action set.
+    :param runs: number of learners per candidate.
+    :return: best rates for each table.
     :raises PlanError: as ``learn_in_step``.
     """
     every = [rates for rates in candidates for _ in range(runs)]

@@ -1,9 +1,9 @@
 """
 A run of one option, or of options as modules, in a live game: the rules of the runner.
 
-``Execution`` knows them; between its ``act`` and ``observe`` lies the graph. An ``Arbiter`` says
-whether a plan interrupts the option, and which module acts. It decides by ``OptionValues``, which
-a message can carry, as the vectorised play of plans does.
+``Execution`` implements them; the graph lies between its ``act`` and ``observe``. An ``Arbiter``
+decides whether a plan interrupts the option, and which module acts. Like the vectorised play of
+plans, it uses ``OptionValues``, which can be sent in a message.
 """
 
 from collections import Counter
@@ -26,11 +26,11 @@ from humanopts_learner.planning.request import Arbitration, MODULAR, PlanError
 from humanopts_learner.planning.sampled_plan import GreedyPolicy
 import numpy as np
 
-_ONE = np.zeros(1, dtype=np.intp)  # the number of the only game, and of its only option
+_ONE = np.zeros(1, dtype=np.intp)  # index of the only game, and of its only option
 
 
 class RunStatus(Enum):
-    """How a run ended, or why it was refused; the names are those of OptionResult's constants."""
+    """How a run ended, or why it was refused; names match OptionResult's constants."""
 
     REACHED = 'its termination condition holds'
     EPISODE_OVER = 'the episode ended'
@@ -49,12 +49,12 @@ class RunStatus(Enum):
     BAD_REQUEST = 'refused'
 
     def explained(self, detail: str) -> str:
-        """Return the status in words, with more about it."""
+        """Return the text of the status, with details."""
         return f'{self.value}: {detail}' if detail else self.value
 
 
 class RefusedError(PlanError):
-    """A run was refused; the text has the details."""
+    """A run was refused; the message has the details."""
 
     def __init__(self, status: RunStatus, detail: str = '') -> None:
         super().__init__(detail)
@@ -66,7 +66,7 @@ class RunResult:
     """How a run ended, or why it was refused; fields as in ``OptionResult.msg``."""
 
     status: RunStatus
-    detail: str  # the status in words
+    detail: str  # text of the status
     option_name: str
     run_id: str = ''
     episode: int = 0
@@ -79,14 +79,14 @@ class RunResult:
     truncated: bool = False
     execution: str = ''
     acted_names: tuple[str, ...] = ()  # options that acted, in order of first use
-    acted_steps: tuple[int, ...] = ()  # of each
+    acted_steps: tuple[int, ...] = ()  # steps of each
 
 
 def execution_named(name: str) -> Arbitration:
     """
-    Return the execution of a name; an empty name means to run to the end.
+    Return the execution with a name; empty: run to the end.
 
-    :raises RefusedError: no execution has this name; the text lists them.
+    :raises RefusedError: the name is unknown; the message lists the executions.
     """
     try:
         return Arbitration(name or Arbitration.RUN_TO_END)
@@ -97,7 +97,7 @@ def execution_named(name: str) -> Arbitration:
 
 class Arbiter:
     """
-    Decides before each step, by the values of a plan, which option acts, without chance.
+    Decides deterministically before each step, by the values of a plan, which option acts.
 
     :ivar execution: the rule of arbitration.
     :ivar modules: the options that compete in a modular execution.
@@ -111,9 +111,9 @@ class Arbiter:
         options: Mapping[str, RunnableOption],
     ) -> None:
         """
-        Take the values of a plan.
+        Use the values of a plan.
 
-        :param options: by name: all of the plan, and every primitive action.
+        :param options: all options of the plan and all primitive actions, by name.
         :raises PlanError: the values do not fit the domain.
         """
         self.execution, self._values, self._domain = execution, values, domain
@@ -131,9 +131,9 @@ class Arbiter:
 
     def stops(self, state: Any, running: str) -> bool:
         """
-        Return whether an option is stopped in a state in which the task is not over.
+        Return whether interruption stops an option in a state where the task is not over.
 
-        :param running: name of the option, after its first step. Only interruption stops options.
+        :param running: name of the option, which has taken at least one step.
         """
         if self.execution is not Arbitration.INTERRUPTED or running not in self._values.names:
             return False
@@ -147,7 +147,7 @@ class Arbiter:
 
     def module(self, state: Any) -> RunnableOption:
         """
-        Return the module that acts in a state in which the task is not over.
+        Return the module that acts in a state where the task is not over.
 
         :raises PlanError: the execution is not modular.
         """
@@ -171,18 +171,18 @@ class Run:
     """
     One run of an option, or of the modules of a plan, from its first state.
 
-    Call ``next_action`` and ``observe`` in turn. It ends, in this order of precedence: REACHED
-    where the option's termination condition holds, which is looked at only after a step, even if
-    the episode ends there too (``RunResult.terminated`` and ``truncated`` tell); EPISODE_OVER
-    where the episode ended, by the task's end or at its step limit; MAX_STEPS after ``max_steps``
-    steps. Modules never reach an end of their own.
+    Call ``next_action`` and ``observe`` in turn. A run ends, in this order of precedence, with
+    REACHED if the option's termination condition holds, which is checked only after a step, even
+    if the episode ends there too (see ``RunResult.terminated`` and ``truncated``); EPISODE_OVER if
+    the task is over or the episode reaches its step limit; MAX_STEPS after ``max_steps`` steps.
+    Modules have no termination condition.
 
-    To ``Execution`` a run is an option itself, whichever module acts in it.
+    ``Execution`` treats the run as an option, whichever module acts.
 
-    :ivar name: of the option; empty for modules.
-    :ivar domain: of the game.
-    :ivar state: of the game.
-    :ivar acting: the option that took the last action.
+    :ivar name: name of the option; empty for modules.
+    :ivar domain: domain of the game.
+    :ivar state: current state of the game.
+    :ivar acting: option that took the last action.
     :ivar arbiter: stops the option, or chooses the module that acts; None: neither.
     """
 
@@ -200,11 +200,12 @@ class Run:
         """
         Begin in a state of the game.
 
-        :param option: None: the modules of the arbiter.
-        :param position: episode and step of the state; episode 0: none was begun yet.
-        :param max_steps: 0: the option's own limit; for modules the domain's.
-        :param rng: what the decisions of options are drawn from; None: they are greedy.
-        :raises RefusedError: it cannot run from here, or modules would never be cut off.
+        :param option: option to run; None: the modules of the arbiter.
+        :param position: episode and step of the state; episode 0: none has begun yet.
+        :param max_steps: maximum number of steps; 0: the option's limit, or the domain's for
+            modules.
+        :param rng: generator for sampled decisions; None: decisions are greedy.
+        :raises RefusedError: it cannot run from here, or modules would have no step limit.
         """
         self.name = '' if option is None else option.name
         self.max_steps = max_steps or (domain if option is None else option).max_steps
@@ -222,7 +223,7 @@ class Run:
         self._execution = Execution(RowOptions([self]), Fixed(_ONE), 1, domain.gamma)
         self._acted: Counter[str] = Counter()
         self._terminated = self._truncated = False
-        self._path: list[Any] = []  # states in which it acted
+        self._path: list[Any] = []  # states in which the run acted
         if not self._seen().startable[0, 0]:
             raise RefusedError(RunStatus.NOT_AVAILABLE, domain.encode(state))
 
@@ -239,7 +240,7 @@ class Run:
 
     @property
     def step_count(self) -> int:
-        """Number of steps so far."""
+        """Number of steps taken so far."""
         return len(self._path)
 
     @property
@@ -267,11 +268,11 @@ class Run:
         self, state: Any, reward: float, terminated: bool, truncated: bool
     ) -> RunResult | None:
         """
-        Record the state that the action led to.
+        Record the state after the action.
 
-        :param terminated: the task is over in ``state``.
-        :param truncated: the episode was cut off there.
-        :return: how the run ended; None while it continues.
+        :param terminated: whether the task is over in ``state``.
+        :param truncated: whether the episode was cut off in ``state``.
+        :return: result of the run; None: the run continues.
         """
         self._path.append(self.state)
         self.state, self._terminated, self._truncated = state, terminated, truncated
@@ -286,16 +287,16 @@ class Run:
         return self.end(RunStatus.MAX_STEPS, self._cut_off()) if ended.game.size else None
 
     def stopped(self) -> RunResult | None:
-        """Return how the run ends where the plan stops it before its next action; None: not."""
+        """Return the result if the plan stops the run before its next action; None otherwise."""
         if self.arbiter is None or not self.arbiter.stops(self.state, self.name):
             return None
         return self.end(RunStatus.STOPPED_BY_PLAN)
 
     def end(self, status: RunStatus, detail: str = '') -> RunResult:
         """
-        Return how the run ended; from outside: canceled, interrupted, no progress, failed.
+        Return the result; called externally if canceled, interrupted, without progress or failed.
 
-        :param detail: more about it, put after the status's own text.
+        :param detail: details appended to the text of the status.
         """
         return RunResult(
             status=status,
@@ -315,14 +316,14 @@ class Run:
         )
 
     def _decisions(self) -> Option:
-        """Return the option that acts, with its decisions drawn where they are not greedy."""
+        """Return the acting option, with sampled decisions unless they are greedy."""
         return self.acting if self._rng is None else DrawnOption(self.acting, self._rng)
 
     def _seen(self) -> SeenRows:
         return SeenRows([self], self.domain.feature_values(self.state)[None])
 
     def _cut_off(self) -> str:
-        """Return the length of the run in words, and the circle if it certainly walked in one."""
+        """Return the length of the run as text, and its cycle if it certainly walked in one."""
         text, back = f'{self.max_steps} steps', self._path[::-1]
         if self._rng is None and is_deterministic(self.domain) and self.state in back:
             length, where = back.index(self.state) + 1, self.domain.encode(self.state)

@@ -1,4 +1,4 @@
-"""What is known of an option or a plan, as messages, lessons, reports and tables carry it."""
+"""Summaries of options and plans, for messages, lessons, reports and tables."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -19,19 +19,19 @@ class Criterion:
 
     name: str  # RETURN, INITIATION or TERMINATION
     value: float | None  # None: not measurable yet
-    threshold: float | None  # None: that of the return, as long as its range is not measured
+    threshold: float | None  # None: return, while its range is not measured
     met: bool
-    high: float | None = None  # upper confidence limit of the value, where there is one
-    obstacle: str = ''  # why it cannot be measured, however much is shown; empty: it can
+    high: float | None = None  # upper confidence limit of the value, if any
+    obstacle: str = ''  # why more demonstrations cannot make it measurable; empty: they can
 
     @classmethod
     def of(
         cls, name: str, value: float | None, threshold: float | None, high: float | None = None
     ) -> 'Criterion':
         """
-        Return a criterion, which is met when the upper limit is at most the threshold.
+        Return a criterion, which is met if the upper limit is at most the threshold.
 
-        :param high: None: the value is taken as it is.
+        :param high: upper limit; None: the value itself.
         """
         decides = value if high is None else high
         met = decides is not None and threshold is not None and decides <= threshold
@@ -39,19 +39,19 @@ class Criterion:
 
     @property
     def measurable(self) -> bool:
-        """Whether there are enough demonstrations, of both classes, to measure it."""
+        """Whether there are enough demonstrations of both classes to measure it."""
         return self.value is not None
 
     @property
     def undecided(self) -> bool:
-        """Whether the value would do, but is not known well enough to say that it is met."""
+        """Whether the value is at most the threshold, but its upper limit is above it."""
         if self.value is None or self.threshold is None:
             return False
         return self.value <= self.threshold and not self.met
 
     @property
     def verdict(self) -> str:
-        """The result, in the words of every screen and report."""
+        """The result, as worded on screens and in reports."""
         if self.value is None:
             return 'not measurable' if self.obstacle else 'not yet measurable'
         return 'met' if self.met else 'not yet known' if self.undecided else 'not met'
@@ -60,25 +60,25 @@ class Criterion:
 @dataclass(frozen=True, slots=True)
 class OptionSummary:
     """
-    What is known of one option of one participant.
+    Summary of one option of one participant.
 
-    The names are those of the message OptionStatus, and of the columns of tables of options.
+    Field names match the message OptionStatus and the columns of option tables.
     """
 
     option_name: str
     participant: str
     features: tuple[str, ...] = ()  # chosen with the newest demonstration
-    method: str = TREES  # of learning, chosen with the newest demonstration
+    method: str = TREES  # learning method, chosen with the newest demonstration
     n_demonstrations: int = 0  # trajectories
     n_not_here: int = 0  # "not here" answers
-    last_uuid: str = ''  # of the newest demonstration or "not here" answer
-    criteria: tuple[Criterion, ...] = ()  # return, initiation, termination; none: no trajectory
+    last_uuid: str = ''  # newest demonstration or "not here" answer
+    criteria: tuple[Criterion, ...] = ()  # return, initiation, termination; empty: no trajectory
     mean_return_demonstrations: float = math.nan  # undiscounted
     mean_return_policy: float = math.nan  # in-sample: from the same start states
     gain: Interval = UNKNOWN  # of the policy over the demonstrations, from the same start states
-    more_needed: int = -1  # estimate of further demonstrations; 0: none; -1: unknown
-    conflicts: tuple[str, ...] = ()  # situations alike in the features but answered differently
-    suggested_feature: str = ''  # would separate most of them; empty: none
+    more_needed: int = -1  # estimated further demonstrations; 0: none; -1: unknown
+    conflicts: tuple[str, ...] = ()  # situations with equal features but different labels
+    suggested_feature: str = ''  # would resolve most conflicts; empty: none
 
     @property
     def criteria_met(self) -> bool:
@@ -87,7 +87,7 @@ class OptionSummary:
 
     @property
     def result(self) -> str:
-        """Which criteria are met, in the words of every screen."""
+        """Which criteria are met, as worded on screens."""
         if self.criteria_met:
             return 'All criteria are met.'
         if self.settled:
@@ -96,7 +96,7 @@ class OptionSummary:
 
     @property
     def obstacles(self) -> str:
-        """What cannot be measured, and why, in words; empty: nothing."""
+        """The criteria that cannot be measured, with reasons; empty: none."""
         return ' '.join(
             f'The {c.name} cannot be measured: {c.obstacle}.' for c in self.criteria if c.obstacle
         )
@@ -104,9 +104,9 @@ class OptionSummary:
     @property
     def settled(self) -> bool:
         """
-        Whether every criterion is met or cannot be measured: more demonstrations settle nothing.
+        Whether every criterion is either met or impossible to measure.
 
-        The criteria need not be met.
+        More demonstrations would then change nothing.
         """
         return bool(self.criteria) and all(c.met or c.obstacle for c in self.criteria)
 
@@ -114,36 +114,36 @@ class OptionSummary:
 @dataclass(frozen=True, slots=True)
 class PlanSummary:
     """
-    What is known of a plan, and of the episodes in which it was evaluated.
+    Summary of a plan and its evaluation episodes.
 
-    The names are those of the message PlanResult, and of the columns of tables of plans.
+    Field names match the message PlanResult and the columns of plan tables.
     """
 
     action_set: str
     option_names: tuple[str, ...] = ()  # columns of the action set
-    gamma: float = 0.0  # discount per primitive step; 0: there is no plan
-    n_states: int = 0  # of the domain, or abstract states visited in samples
-    game_steps: int = 0  # that models were sampled from; 0: models are exact
+    gamma: float = 0.0  # discount per primitive step; 0: no plan
+    n_states: int = 0  # of the domain, or sampled abstract states
+    game_steps: int = 0  # for sampling models; 0: models are exact
     table_seconds: float = 0.0  # evaluating options in every state
-    model_seconds: float = 0.0  # building models, game steps counted
+    model_seconds: float = 0.0  # building models, including game steps
     sweep_seconds: float = 0.0  # value iteration
     sweeps: int = 0
     residual: float = 0.0  # largest change of the last sweep, reward units
     converged: bool = False  # residual is at most the tolerance
-    evaluation_episodes: int = 0  # behind the numbers below
-    mean_return: float = math.nan  # undiscounted, in the rules of the domain
+    evaluation_episodes: int = 0  # for the numbers below
+    mean_return: float = math.nan  # undiscounted, by the rules of the domain
     mean_return_low: float = math.nan  # 95 % confidence interval
     mean_return_high: float = math.nan
     mean_discounted_return: float = math.nan
-    fallbacks: int = 0  # primitive actions because no option could start, in all episodes
-    outcomes: Mapping[str, Interval] = field(default_factory=dict)  # that the domain reports
+    fallbacks: int = 0  # primitive actions taken because no option could start
+    outcomes: Mapping[str, Interval] = field(default_factory=dict)  # reported by the domain
 
 
 def unmeasured(demonstrations: Sequence[Demonstration]) -> OptionSummary:
     """
-    Return the summary of an option before anything is learned.
+    Return the summary of an option before learning.
 
-    :param demonstrations: one or more, of one participant and option, sorted by number.
+    :param demonstrations: one or more of the same participant and option, sorted by number.
     """
     newest = demonstrations[-1]
     n_not_here = sum(demo.kind is Kind.NOT_HERE for demo in demonstrations)

@@ -1,16 +1,16 @@
 """
 Bottlenecks of greedy runs, and the initiation sets of the options that lead to them.
 
-M. Stolle and D. Precup (2002), "Learning Options in Reinforcement Learning", step 3: the state
-with most visits is the target of an option; those states from which it is reached and that have
-more visits than the mean on paths through it, completed to a contiguous region, are its
-initiation set; then the visits of all paths through the target are subtracted, and so on.
+M. Stolle and D. Precup (2002), "Learning Options in Reinforcement Learning", step 3: the most
+visited state is the target of an option. Its initiation set is the set of states from which it is
+reached and that have more visits than average on paths through it, completed to a contiguous
+region. Then the visits of all paths through the target are subtracted, and the step is repeated.
 
-Our additions: the visited states are cells. A cell in which runs have events (``status`` changes)
-gives one option for each kind of event, not one for being there. Initiation sets count visits
-between the previous event and the target only, since the path after the target does not lead to
-it. The region is completed with situations that have more than half of their neighbours in it, and
-loses states from which the target cannot be reached within it.
+Our changes: the visited states are cells. A cell in which runs have events (``status`` changes)
+gives one option for each kind of event, not one for reaching it. Initiation sets count only visits
+between the previous event and the target, since the path after the target does not lead to it. The
+region is completed with situations that have more than half of their neighbours in it, and loses
+states from which the target cannot be reached within it.
 """
 
 from collections.abc import Iterator
@@ -25,19 +25,19 @@ from scipy.sparse import coo_array
 
 @dataclass(frozen=True)
 class Bottleneck:
-    """The target of an option, and where the option can start."""
+    """The target and the initiation set of an option."""
 
     name: str
     cell: int
-    event: str  # such as pickup or dropoff; empty: being in the cell
-    visits: int  # visits of the cell when it was the most visited
+    event: str  # such as pickup or dropoff; empty: reaching the cell
+    visits: int  # visits to the cell when it was selected
     target: Flags  # (S,)
     initiation: Flags  # (S,)
 
 
 @dataclass(frozen=True)
 class Visits:
-    """The visits of greedy runs, run by run, each in the order of its steps."""
+    """The visits of greedy runs, ordered by run and step."""
 
     space: SearchSpace
     run: Ints  # (V,)
@@ -52,20 +52,20 @@ class Visits:
 
     @cached_property
     def happens(self) -> Flags:
-        """(V,): the step to this visit was an event."""
+        """(V,): whether the step to this visit was an event."""
         status = self.space.status[self.state]
         changed: Flags = (np.diff(status, prepend=-1) != 0) & ~self.begins
         return changed
 
     @property
     def begins(self) -> Flags:
-        """(V,): this visit is the first of its run."""
+        """(V,): whether this visit is the first of its run."""
         first: Flags = np.diff(self.run, prepend=-1) != 0
         return first
 
     def before(self, arrivals: Ints) -> Ints:
         """
-        Return the states (N,) visited on the way to some visits, since the event before each.
+        Return the states (N,) visited between the previous event and each of some visits.
 
         :param arrivals: (H,) indices of visits.
         """
@@ -79,7 +79,7 @@ class Visits:
 
 
 def find_bottlenecks(visits: Visits, most: int) -> list[Bottleneck]:
-    """Return the first bottlenecks, at most ``most``; there may be fewer."""
+    """Return at most ``most`` bottlenecks, in the order found."""
     found: list[Bottleneck] = []
     counts = visits.counts
     left = counts.any(axis=1)
@@ -109,7 +109,7 @@ def _options_to(visits: Visits, cell: int, total: int) -> Iterator[Bottleneck]:
 
 
 def _initiation(visits: Visits, arrivals: Ints, target: Flags) -> Flags:
-    """Return (S,): where an option to a target can start."""
+    """Return (S,): the initiation set of an option for a target."""
     space, situations = visits.space, visits.space.situation
     count = int(situations.max()) + 1
     counts = np.bincount(situations[visits.before(arrivals)], minlength=count)
@@ -118,7 +118,7 @@ def _initiation(visits: Visits, arrivals: Ints, target: Flags) -> Flags:
     apart = here != there
     ends = here[apart], there[apart]
     steps = coo_array((np.ones(len(ends[0])), ends), shape=(count, count)).tocsr()
-    neighbours = steps + steps.T  # whether a step leads from one situation to another, or back
+    neighbours = steps + steps.T  # whether a step connects two situations, in either direction
     neighbours.data[:] = 1.0
     half, before = neighbours.sum(axis=1) / 2, np.zeros_like(chosen)
     while (chosen != before).any():  # add those with more than half of their neighbours inside
@@ -133,6 +133,6 @@ def _initiation(visits: Visits, arrivals: Ints, target: Flags) -> Flags:
 
 
 def _edges(space: SearchSpace, inside: Flags) -> tuple[Ints, Ints]:
-    """Return all steps (N,), (N,) that can be taken from some states."""
+    """Return all possible steps from some states, as their ends (N,), (N,)."""
     possible = (space.transitions.probability > 0) & inside[:, None, None]
     return np.nonzero(possible)[0], space.transitions.successor[possible].astype(np.intp)

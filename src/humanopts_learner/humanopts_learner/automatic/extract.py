@@ -1,4 +1,4 @@
-"""Finding options without a person: tasks, visits, bottlenecks and internal policies."""
+"""Extraction of automatic options: tasks, visits, bottlenecks and internal policies."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -38,22 +38,22 @@ class AutomaticOption(TabularOption):
 
 @dataclass(frozen=True)
 class AutomaticOptions:
-    """The options that were found, and the cost of finding them."""
+    """The options found, and the cost of finding them."""
 
-    options: tuple[AutomaticOption, ...]  # in the order in which they were found
+    options: tuple[AutomaticOption, ...]  # in the order found
     space: SearchSpace
-    visits: Ints  # (K,) visits of all greedy runs that reached their goals, by cell
+    visits: Ints  # (K,) visits to each cell in all successful greedy runs
     seconds: float
-    game_steps: int  # primitive steps of learning and of the runs that show the bottlenecks
+    game_steps: int  # primitive steps of learning and of the greedy runs for bottlenecks
     episodes: int  # of Q-learning: tasks and internal policies
-    solved: float  # share of the greedy runs that reached their goals
+    solved: float  # share of greedy runs that reached their goals
 
 
 def search_space(domain: Domain) -> SearchSpace:
     """
-    Return the search space that the domain defines, else all of its states.
+    Return the domain's own search space, or else all of its states.
 
-    :raises PlanError: the domain defines none, and its states cannot all be listed.
+    :raises PlanError: the domain has no search space, and its states cannot all be listed.
     """
     if isinstance(domain, HasSearchSpace):
         return domain.search_space()
@@ -74,7 +74,7 @@ def find_options(
     """
     Find options by the algorithm of Stolle and Precup (2002), with the changes in the package.
 
-    :param domain: an enumerable domain, or one with a search space of its own.
+    :param domain: enumerable domain, or domain with its own search space.
     :param progress: called with the stages ``tasks`` and ``policies``.
     :raises PlanError: no tasks can be set in the domain; its subclasses say why.
     :raises PlanCanceled: from ``progress``.
@@ -103,7 +103,7 @@ def find_options(
     subgoals = Subgoals(starts, counts, target, ~(initiation | target))
     values = trainer.learn('policies', subgoals, config.option_episodes, rng)
     owner = np.repeat(np.arange(len(found)), counts)
-    game_steps = trainer.game_steps  # without those of the runs that only measure
+    game_steps = trainer.game_steps  # excluding the runs that only evaluate
     reached, _ = trainer.greedy_runs(values, subgoals, owner, starts, rng)
     reaches = np.bincount(owner[np.unique(reached)], minlength=len(found)) / counts
     return AutomaticOptions(
@@ -132,15 +132,15 @@ def to_learned_options(
     domain: Domain, found: AutomaticOptions, participant: str = f'{MACHINE}1'
 ) -> list[LearnedOption]:
     """
-    Return the options so that they can be saved, sent, served and planned with like others.
+    Convert automatic options to learned options, for saving, serving and planning.
 
-    Each depends on as few features as its tables need. The trees agree with the tables in every
-    state that an episode passes through: I and beta in all of them, and pi in I.
+    Each depends on no more features than its tables require. The trees agree with the tables in
+    every state that an episode passes through: I and beta in all of them, and pi in I.
 
     :param found: automatic options of this domain.
-    :param participant: the participant code of the options; begins with ``MACHINE``.
-    :raises PlanError: the participant has another code.
-    :raises DomainError: two states with equal features have different entries in the tables.
+    :param participant: participant code of the options; begins with ``MACHINE``.
+    :raises PlanError: the participant code has another prefix.
+    :raises DomainError: two states with equal features have different table entries.
     """
     check_participant(participant)
     rows, going, columns = found.space.rows, found.space.open, found.space.columns
@@ -148,7 +148,7 @@ def to_learned_options(
     for option in found.options:
         decisions = 2 * np.where(option.initiation, 1 + option.action, 0) + option.termination
         needed = list(columns)
-        for column in reversed(columns):  # without those, tried from the last, that are not needed
+        for column in reversed(columns):  # drop features that are not needed, last first
             fewer = [other for other in needed if other != column]
             seen = rows[going][:, fewer]
             both = np.column_stack([seen, decisions[going]])
@@ -164,7 +164,7 @@ def check_participant(code: str) -> None:
     """
     Check the participant code of automatic options.
 
-    :raises PlanError: it could be the code of a person.
+    :raises PlanError: it could be a person's code.
     """
     if not code.startswith(MACHINE):
         raise PlanError(

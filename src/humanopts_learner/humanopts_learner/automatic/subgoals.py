@@ -1,8 +1,8 @@
 """
-Subgoals, and Q-learning of policies that reach them (Watkins 1989), many learners side by side.
+Subgoals, and parallel Q-learning of policies that reach them (Watkins 1989).
 
-The subgoals are first the goals of random tasks, and then the bottlenecks. The parameters of the
-search are here, each with its source.
+Subgoals are first the goals of random tasks, and then the bottlenecks. ``Extraction`` documents
+the source of each search parameter.
 """
 
 from collections.abc import Callable
@@ -23,33 +23,33 @@ from scipy.sparse.csgraph import connected_components
 
 Values = NDArray[np.float32]
 REPORT_EVERY = 200  # steps
-MAX_TABLES = 2**28  # entries of all learners, 1 GiB
+MAX_TABLES = 2**28  # table entries of all learners, 1 GiB
 # Called with the stage (tasks or policies), the share done (0..1) and the game steps so far;
-# raises ``PlanCanceled`` to stop
+# may raise ``PlanCanceled`` to stop.
 Progress = Callable[[str, float, int], object]
 
 
 @dataclass(frozen=True)
 class Extraction:
     """
-    The parameters of the search for options.
+    Parameters of the search for options.
 
-    M. Stolle and D. Precup (2002), "Learning Options in Reinforcement Learning", give the
-    algorithm. The numbers marked "usual" are those of another implementation
-    (utkd/bottleneck-options-learning); the others are ours, with their reasons.
+    The algorithm is by M. Stolle and D. Precup (2002), "Learning Options in Reinforcement
+    Learning". Values marked "usual" are those of another implementation
+    (utkd/bottleneck-options-learning); the others are ours.
 
-    :raises PlanError: one is out of range.
+    :raises PlanError: a parameter is out of range.
     """
 
-    options: int = 25  # largest number
-    tasks: int = 400  # usual: 20, where some bottlenecks were missed
-    train_episodes: int = 200  # of Q-learning for each task, N_train: usual
-    test_runs: int = 10  # greedy ones for each task, N_test: usual
-    option_episodes: int = 2000  # for each option; usual: 200, but these begin all over I
+    options: int = 25  # maximum number
+    tasks: int = 400  # usual: 20, which misses some bottlenecks
+    train_episodes: int = 200  # of Q-learning per task, N_train: usual
+    test_runs: int = 10  # greedy runs per task, N_test: usual
+    option_episodes: int = 2000  # per option; usual: 200, but these start anywhere in I
     learning_rate: float = 0.1  # usual
     explore: float = 0.1  # share of random actions while learning: usual
     gamma: float = 0.9  # while learning: usual; the reward is 1 at the target, 0 elsewhere
-    max_steps: int = 1000  # after which an episode or a greedy run is cut off: ours
+    max_steps: int = 1000  # per episode or greedy run: ours
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -65,21 +65,21 @@ USUAL = Extraction()
 
 @dataclass(frozen=True)
 class Subgoals:
-    """The tasks of L learners: each learns to reach a target from its starts."""
+    """The tasks of L learners; each learns to reach a target from its start states."""
 
-    starts: Ints  # (M,) start states of the first learner, of the second, ...
-    counts: Ints  # (L,) number of each learner's starts, 1 or more, drawn for each episode
+    starts: Ints  # (M,) start states of the first learner, then of the second, ...
+    counts: Ints  # (L,) number of start states of each learner, 1 or more; drawn per episode
     target: Flags  # (L, S) reward 1; ends the episode
     forbidden: Flags  # (L, S) reward 0; ends the episode too
 
     @cached_property
     def first(self) -> Ints:
-        """Return (L,): the place of each learner's first start."""
+        """(L,) position of each learner's first start state."""
         places: Ints = np.cumsum(self.counts) - self.counts
         return places
 
     def draw(self, learners: Ints, rng: np.random.Generator) -> Ints:
-        """Draw a start for each of some learners (N,)."""
+        """Draw a start state for each of some learners (N,)."""
         drawn: Ints = self.starts[self.first[learners] + rng.integers(self.counts[learners])]
         return drawn
 
@@ -88,9 +88,9 @@ def draw_tasks(space: SearchSpace, count: int, rng: np.random.Generator) -> Subg
     """
     Draw tasks (Stolle and Precup 2002, step 1).
 
-    The goal of a task is another state, where each of start and goal can be reached from the
-    other; or the domain's own goal, where episodes begin with random goals. A task also ends,
-    without reward, where the domain's own task is over.
+    The goal of a task is a different state, such that start and goal can be reached from each
+    other; or the domain's own goal, if its episodes have random goals. A task also ends, without
+    reward, if the domain's own task is over.
 
     :raises PlanError: no two states can be reached from each other, so there are no tasks.
     """
@@ -100,7 +100,7 @@ def draw_tasks(space: SearchSpace, count: int, rng: np.random.Generator) -> Subg
     else:
         rules, shape = space.transitions, (len(space.over), len(space.over))
         possible = (rules.probability > 0) & ~space.over[:, None, None]
-        # csgraph of SciPy 1.11 takes indices of 32 bits only
+        # csgraph in SciPy 1.11 accepts only 32-bit indices
         here = np.nonzero(possible)[0].astype(np.int32)
         there = rules.successor[possible].astype(np.int32)
         steps = coo_array((np.ones(len(here)), (here, there)), shape=shape).tocsr()
@@ -118,9 +118,9 @@ def draw_tasks(space: SearchSpace, count: int, rng: np.random.Generator) -> Subg
 
 class Trainer:
     """
-    Trains many learners side by side, and runs them.
+    Trains and runs many learners in parallel.
 
-    :ivar game_steps: taken so far, by all learners.
+    :ivar game_steps: steps taken so far by all learners.
     """
 
     def __init__(self, space: SearchSpace, config: Extraction, report: Progress) -> None:
@@ -145,14 +145,14 @@ class Trainer:
         """
         Learn to reach subgoals.
 
-        Every learner has its own table and plays ``episodes`` episodes one after another.
+        Each learner has its own table and plays ``episodes`` episodes in sequence.
 
         :return: values (L, S, A).
         """
         config, count = self._config, len(subgoals.counts)
         values, live = np.zeros((count, *self._shape), dtype=np.float32), np.arange(count)
         state = subgoals.draw(live, rng)
-        ran, episode = np.zeros((2, count), dtype=np.intp)  # steps of this episode; episodes
+        ran, episode = np.zeros((2, count), dtype=np.intp)  # steps in episode; episodes finished
         for rounds in itertools.count(1):
             here = state[live]
             explore = rng.random((len(live), 1)) < config.explore
@@ -187,12 +187,12 @@ class Trainer:
         rng: np.random.Generator,
     ) -> tuple[Ints, Ints]:
         """
-        Run learners greedily, R runs side by side.
+        Run learners greedily, R runs in parallel.
 
         :param learner: (R,) index of the learner of each run.
-        :param start: (R,) the state in which it begins.
-        :return: run (V,) and state (V,) of every visit of the runs that reached their target,
-            start and target included, run by run in the order of their steps.
+        :param start: (R,) start state of each run.
+        :return: run (V,) and state (V,) of each visit in runs that reached their target, including
+            start and target, ordered by run and step.
         """
         live, state = np.arange(len(learner)), start.copy()
         arrived = np.zeros(len(learner), dtype=np.bool_)
@@ -212,13 +212,13 @@ class Trainer:
         return run[order], visited[order]
 
     def _step(self, here: Ints, action: Ints, rng: np.random.Generator) -> tuple[Ints, Flags]:
-        """Return the next states, and whether the task is over there, (N,) each."""
+        """Return the next states and whether the task is over in them, (N,) each."""
         self.game_steps += len(here)
         there, _, over = self._simulator.step(here, action, self._simulator.draw(rng, len(here)))
         return there, over
 
 
 def _best(values: Values) -> Flags:
-    """Return (n, A): whether each action is a best one of its row."""
+    """Return (n, A): whether each action is among the best of its row."""
     best: Flags = values == values.max(axis=1, keepdims=True)
     return best
