@@ -1,1 +1,1 @@
-"""The paper's figures and tables: their trials, and the report of the results."""
+"""The paper's figures and tables: trials and a report of their results."""

@@ -1,4 +1,4 @@
-"""``humanopts reproduce``: the paper's figures and tables, computed again."""
+"""``humanopts reproduce``: recompute the paper's figures and tables."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -26,10 +26,10 @@ from experiments.people import Participant, read_bag_lessons, Study
 from experiments.report import PAGE, Reproduction, Section, write_reproduction
 from experiments.trials import ClusterError, LIBRARIES, Rows, run_trials, Trial
 
-_LINE_EVERY = 15.0  # s between lines, where there is no terminal
+_LINE_EVERY = 15.0  # s between lines without a terminal
 app = typer.Typer(**PLAIN)
-# Each has a ``NAME`` on the command line, a ``TITLE``, ``trials`` of a study, and ``present``,
-# which makes a section from the rows of their results.
+# Each module has its command line ``NAME``, a ``TITLE``, ``trials`` of a study, and ``present``,
+# which makes a section from result rows.
 PAPER: list[ModuleType] = [figure2, figure3, figure4, table2]
 EXPERIMENTS = {each.NAME: each for each in (*PAPER, transfer, demonstrations)}
 
@@ -134,7 +134,7 @@ def reproduce(
 
 
 def section_of(experiment: ModuleType, rows: Rows) -> Section:
-    """Return the section of an experiment; an empty one where no trial has a result."""
+    """Return the section of an experiment; empty if no trial has a result."""
     if not rows:
         return Section(experiment.NAME, experiment.TITLE)
     section: Section = experiment.present(pd.DataFrame(rows))
@@ -148,7 +148,7 @@ def _who(study: Study) -> str:
 
 
 def _people(trials: Sequence[Trial]) -> list[Participant]:
-    """Return the simulated people that teach in any of the trials."""
+    """Return the simulated people who teach in any of the trials."""
     sources = [{**trial.parameters, **trial.parameters.get('teacher', {})} for trial in trials]
     found = {known['person']['code']: known['person'] for known in sources if 'person' in known}
     return [Participant(**values) for values in found.values()]
@@ -156,7 +156,7 @@ def _people(trials: Sequence[Trial]) -> list[Participant]:
 
 @contextmanager
 def trial_progress(clock: Callable[[], float] = time.monotonic) -> Iterator[ProgressCallback]:
-    """Show progress on standard error: a bar on a terminal, lines anywhere else."""
+    """Show progress on standard error: a bar on a terminal, otherwise lines."""
     next_line = clock()
 
     def show(done: float, total: float, text: str) -> None:

@@ -1,12 +1,13 @@
 """
-How many demonstrations an option takes, by the way in which it is learned.
+Number of demonstrations needed for an option, by learning method.
 
-Past the paper, which learns every part of an option by trees. A trial is one simulated person who
-teaches every reference option of a domain in one way, from start states of one strategy. A lesson
-goes on until the criteria hold and the policy is right, and then for ``LONGER`` demonstrations, to
-see whether it stays right; or for ``BUDGET`` start states. Right means: in every state of the
-reference option's initiation set the action is one of the best. In domains without chance, it is
-then as good as the demonstrations from every start.
+This goes beyond the paper, which learns every part of an option with trees. In a trial, one
+simulated person teaches every reference option of a domain with one learning method, from start
+states of one strategy. A lesson continues until the criteria are met and the policy is right, and
+then for ``LONGER`` demonstrations, to check that it stays right; it ends after ``BUDGET`` start
+states at the latest. Right means: in every state of the reference option's initiation set the
+action is one of the best. In deterministic domains it is then as good as the demonstrations from
+every start.
 """
 
 from collections.abc import Mapping, Sequence
@@ -33,18 +34,18 @@ from experiments.trials import Rows, Trial
 NAME = 'demonstrations'
 TITLE = 'Demonstrations that an option takes'
 STRATEGIES = ('random', 'failures')
-SLIPS = 'slips'  # careful people with a share of wrong steps
+SLIPS = 'slips'  # careful people who make a share of wrong steps
 ERROR_RATE = 0.02
-BUDGET = 60  # start states of one lesson
-LONGER = 3  # demonstrations after it is right and the criteria hold
-TARGETS = {GOAL: 5, TREES: 25}  # demonstrations until the criteria hold, for the options of Taxi
+BUDGET = 60  # start states per lesson
+LONGER = 3  # extra demonstrations once the policy is right and the criteria are met
+TARGETS = {GOAL: 5, TREES: 25}  # demonstrations until the criteria are met, in Taxi
 KEYS = ['domain', 'option', 'method', 'strategy', 'people']
 UNTIL = ['until the criteria hold', 'until right for good']
-COSTS = {'taxi': 10.0, 'rooms': 30.0}  # of a trial, about processor seconds, by domain
+COSTS = {'taxi': 10.0, 'rooms': 30.0}  # approximate processor seconds per trial, by domain
 
 
 def trials(study: Study) -> list[Trial]:
-    """Return one trial for each simulated person, domain, method and strategy; with bags, none."""
+    """Return one trial per simulated person, domain, method and strategy; none with bags."""
     careful = [] if study.bags else participants(CAREFUL, study.participants, study.seed)
     slipping = [
         replace(one, group=SLIPS, code=one.code.replace(CAREFUL, SLIPS), error_rate=ERROR_RATE)
@@ -65,7 +66,7 @@ def trials(study: Study) -> list[Trial]:
 
 
 def count_demonstrations(parameters: Mapping[str, Any]) -> Rows:
-    """Return a row for each reference option: the demonstrations that it took; None: too few."""
+    """Return one row per reference option: the demonstrations needed; None: too few given."""
     rows = []
     person = parameters['person']
     case = {key: parameters[key] for key in ('domain', 'method', 'strategy')}
@@ -93,8 +94,8 @@ def _lesson(parameters: Mapping[str, Any], name: str) -> list[tuple[int, float, 
     """
     Teach one option.
 
-    :return: demonstrations, accuracy of the policy, and whether the criteria hold, after each
-        demonstration and "not here" answer.
+    :return: number of demonstrations, policy accuracy, and whether the criteria are met, after
+        each demonstration and "not here" answer.
     """
     domain, person = make_domain(parameters['domain']), Participant(**parameters['person'])
     reference = reference_options(domain)[name]
@@ -115,11 +116,11 @@ def _lesson(parameters: Mapping[str, Any], name: str) -> list[tuple[int, float, 
 
 def summary_table(counts: pd.DataFrame) -> pd.DataFrame:
     """
-    Return a row for each option, method, strategy and group of people: medians and maxima.
+    Return one row per option, method, strategy and group of people: medians and maxima.
 
     :return: ``KEYS``, count (of people), for both of ``UNTIL`` the median, the maximum and the
-        number of people for whom the budget was too small, and the most by which the
-        criteria came later.
+        number of people who exceeded the budget, and the largest delay until the criteria were
+        met.
     """
     groups = counts.assign(excess=counts[UNTIL[0]] - counts[UNTIL[1]]).groupby(KEYS, sort=False)
     found = {'count': groups.size()}
@@ -133,7 +134,7 @@ def summary_table(counts: pd.DataFrame) -> pd.DataFrame:
 
 
 def present(rows: pd.DataFrame) -> report.Section:
-    """Return the section of the report; a row is an option that a person taught."""
+    """Return the section of the report; one row per person and option taught."""
     counts = rows.drop(columns='trial', errors='ignore').astype(dict.fromkeys(UNTIL, float))
     tables = [
         report.Table('demonstrations-summary', 'Demonstrations by option', summary_table(counts)),
@@ -160,7 +161,7 @@ def _comparisons(taxi: pd.DataFrame) -> list[report.Comparison]:
     """Compare the mean demonstrations of each option of Taxi with the goal of its method."""
     found = []
     for (method, people), rows in report.grouped(taxi, ['method', 'people']):
-        # A lesson in which they never held would have taken more demonstrations than it had.
+        # A lesson that never met the criteria would have needed more demonstrations.
         means = {
             option: Interval.of(mine[UNTIL[0]].fillna(BUDGET))
             for (option,), mine in report.grouped(rows, ['option'])

@@ -1,12 +1,12 @@
 """
-Figure 2: accuracy of learned options against the number of demonstrations (section 7.1).
+Figure 2: accuracy of learned options by number of demonstrations (section 7.1).
 
-A policy has two measures. *Average return* is the paper's: that of runs from states in the
-option's initiation set. *Policy accuracy* is the share of these states in which the learned policy
-takes one of the best actions. *Classification accuracy* of I and beta is the share of states that
-are classified as the reference option does.
+There are two measures of a policy. *Average return*, as in the paper, is the mean return of runs
+from states in the option's initiation set. *Policy accuracy* is the share of these states in which
+the learned policy takes one of the best actions. *Classification accuracy* of I and beta is the
+share of states classified like in the reference option.
 
-Pac-Man is taught with both lists of its features: directions, which give the policy away, and
+Pac-Man is taught with both of its feature lists: directions, which give the policy away, and
 positions, as in the paper.
 """
 
@@ -50,30 +50,30 @@ from experiments.trials import Rows, Trial
 
 NAME = 'fig2'
 TITLE = 'Figure 2: accuracy against demonstrations'
-ASKED = 6  # most start states for each demonstration, "not here" answers included
-PEOPLE = 'people'  # the group of people in bags
+ASKED = 6  # maximum number of start states per demonstration, including "not here" answers
+PEOPLE = 'people'  # group of the people in bags
 
 
 @dataclass(frozen=True)
 class TaughtGame:
-    """A game that is taught, with one list of features."""
+    """A game with one feature list."""
 
     domain: str
-    features: str  # name of the list
-    feature_list: str | None  # value of that parameter of the domain; None: it has none
-    shown: int  # demonstrations of an option by one person
+    features: str  # name of the feature list
+    feature_list: str | None  # value of this domain parameter; None: no such parameter
+    shown: int  # demonstrations per option and person
     groups: tuple[str, ...]  # of people
-    cost: float  # of a trial, about processor seconds
+    cost: float  # approximate processor seconds per trial
     strategies: tuple[str, ...] = STRATEGIES  # of start states
-    note: str = ''  # on the features, for captions
+    note: str = ''  # note on the features, for captions
 
     @property
     def parameters(self) -> str:
-        """The parameters of the domain that differ from its own, JSON object."""
+        """The domain parameters that differ from the defaults, JSON object."""
         return json.dumps({'features': self.feature_list} if self.feature_list else {})
 
 
-DIRECTIONS, POSITIONS = 'directions', 'positions (features=paper)'  # names of lists of features
+DIRECTIONS, POSITIONS = 'directions', 'positions (features=paper)'  # names of feature lists
 HANDED_OVER = 'These features are first moves of shortest paths: they give the policy away.'
 AS_LISTED = 'These features are positions only, as in the list of the paper.'
 GAMES = (
@@ -81,18 +81,18 @@ GAMES = (
     TaughtGame('pacman', DIRECTIONS, None, 40, (VARIED,), cost=10.0, note=HANDED_OVER),
     TaughtGame('pacman', POSITIONS, 'paper', 60, (VARIED,), 6.0, ('random',), AS_LISTED),
 )
-CASE = ['domain', 'features', 'option', 'people', 'start states by']  # tells curves apart
+CASE = ['domain', 'features', 'option', 'people', 'start states by']  # identifies a curve
 PERSON = [*CASE, 'person']
 RETURN = 'return'
-MEASURES = {  # with the titles of their plots; all but the return are shares of states
+MEASURES = {  # measure: plot title; all except the return are shares of states
     RETURN: 'policy: average return',
     'policy': 'policy: best actions',
     'initiation': 'I (may it start?)',
     'termination': 'β (does it end?)',
 }
-LEVELS = (0.95, 1.0)  # of policy accuracy; the report says how many demonstrations they take
-GOALS = {('failures', 0.95): 15, ('failures', 1.0): 30}  # demonstrations at most, careful, Taxi
-ROUNDING = 1e-9  # of an accuracy
+LEVELS = (0.95, 1.0)  # of policy accuracy; the report gives the demonstrations needed
+GOALS = {('failures', 0.95): 15, ('failures', 1.0): 30}  # max. demonstrations, careful, Taxi
+ROUNDING = 1e-9  # rounding error of an accuracy
 STYLES = {'random': 'C1--', 'coverage': 'C3-.', 'failures': 'C0-'}
 ACTS = ('name of an option', 'answer', 'start state', 'step', 'end of a demonstration')
 PACE = dict(zip(ACTS, SECONDS.values(), strict=True))  # s, assumed
@@ -104,7 +104,7 @@ GROUP_NAMES = {
 
 
 def trials(study: Study) -> list[Trial]:
-    """Return one trial for each person, option and strategy."""
+    """Return one trial per person, option and strategy."""
     if study.bags:
         return [Trial(NAME, asdict(lesson), learn_again) for lesson in study.bags]
     return [
@@ -130,7 +130,7 @@ def trials(study: Study) -> list[Trial]:
 
 
 def learn_from_simulated(parameters: Mapping[str, Any]) -> Rows:
-    """Let a simulated participant teach an option; measure it after every demonstration."""
+    """Have a simulated participant teach an option; measure it after every demonstration."""
     person = Participant(**parameters['person'])
     domain = domain_from_json(parameters['domain'], parameters['domain_parameters'])
     name, wanted, strategy = (parameters[key] for key in ('option', 'demonstrations', 'strategy'))
@@ -147,7 +147,7 @@ def learn_from_simulated(parameters: Mapping[str, Any]) -> Rows:
 
 
 def learn_again(parameters: Mapping[str, Any]) -> Rows:
-    """Learn an option again from the demonstrations in a bag; measure it after each."""
+    """Relearn an option from the demonstrations in a bag; measure it after each one."""
     known = BagLesson(**parameters)
     bag = open_bag(Path(known.bag))
     domain = read_domain(bag)
@@ -170,13 +170,13 @@ def point_rows(
     """
     Measure an option after each of its demonstrations.
 
-    :param lesson: the option after each answer; the last one counts for each number of
-        demonstrations.
+    :param lesson: the option after each answer; for each number of demonstrations, the last one
+        counts.
     :param who: group, strategy of start states, and code of the person.
-    :param seconds: of the whole lesson.
-    :param cut_short: why the lesson ended early; empty: it did not.
+    :param seconds: duration of the lesson.
+    :param cut_short: reason for an early end of the lesson; empty: none.
     :return: ``PERSON``, demonstrations, not here (answers so far), ``MEASURES``, best return (of
-        the reference option), minutes, cut short. None without a reference to compare with.
+        the reference option), minutes, cut short. No rows without a reference option.
     """
     if (reference := reference_options(domain).get(name)) is None:
         return []
@@ -201,7 +201,7 @@ def point_rows(
 
 def curve_table(points: pd.DataFrame) -> pd.DataFrame:
     """
-    Return the numbers that are drawn: means and their intervals over people.
+    Return the numbers to plot: means and their intervals over people.
 
     :return: ``CASE``, demonstrations, best return, count, mean, low, high, measure.
     """
@@ -216,11 +216,11 @@ def curve_table(points: pd.DataFrame) -> pd.DataFrame:
 
 def person_table(points: pd.DataFrame) -> pd.DataFrame:
     """
-    Return a row for each person.
+    Return one row per person.
 
-    :return: ``PERSON``; for each of ``LEVELS`` the demonstrations after which it held for good,
-        NaN where it did not; the last measures, best return, minutes, cut short, and shown (all
-        demonstrations).
+    :return: ``PERSON``; for each of ``LEVELS`` the number of demonstrations after which it was
+        reached permanently, NaN if never; the last measures, best return, minutes, cut short,
+        and shown (number of all demonstrations).
     """
     last = {name: f'last accuracy of {name}' for name in MEASURES} | {RETURN: 'last return'}
     rows = []
@@ -236,9 +236,9 @@ def person_table(points: pd.DataFrame) -> pd.DataFrame:
 
 def needed_table(people: pd.DataFrame) -> pd.DataFrame:
     """
-    Return the demonstrations after which ``LEVELS`` of policy accuracy held for good.
+    Return the demonstrations after which ``LEVELS`` of policy accuracy were reached permanently.
 
-    Where a level was not reached, the mean assumes all demonstrations shown, and is too low.
+    If a level was not reached, the mean assumes all demonstrations shown and is too low.
     """
     rows = []
     for key, members in report.grouped(people, CASE):
@@ -255,7 +255,7 @@ def needed_table(people: pd.DataFrame) -> pd.DataFrame:
 
 
 def last_table(points: pd.DataFrame) -> pd.DataFrame:
-    """Return the means after the last demonstration, and the return of the reference option."""
+    """Return the means after the last demonstration and the return of the reference option."""
     by, shown = [*CASE, 'demonstrations'], points['demonstrations']
     last = points[shown == points.groupby(CASE)['demonstrations'].transform('max')]
     found: pd.DataFrame = last.groupby(by, sort=False)[['best return', *MEASURES]].mean()
@@ -292,12 +292,12 @@ def _compare_cases(points: pd.DataFrame, people: pd.DataFrame) -> Iterator[repor
 
 
 def _compare_accuracies(case: str, points: pd.DataFrame) -> Iterator[report.Comparison]:
-    """Yield how return and best actions rise, within each person, and the errors of I and β."""
+    """Yield the within-person rise of return and best actions, and the errors of I and β."""
     most = int(points['demonstrations'].max())
     last, gains = min(paper.DEMONSTRATIONS, most), {}
     for measure in (RETURN, 'policy'):
         values = points.pivot(index='person', columns='demonstrations', values=measure)
-        # a person who began with "not here" answers alone, or showed fewer, has no pair
+        # people with only "not here" answers at the start, or fewer demonstrations, have no pair
         pairs = values.reindex(columns=[1, last]).dropna().to_numpy(float)
         gains[MEASURES[measure]] = Interval.of_difference(pairs[:, -1], pairs[:, 0])
     ends = points.groupby('person', sort=False).last()
@@ -321,10 +321,10 @@ def _compare_needed(
     case: str, strategy: str, members: pd.DataFrame
 ) -> Iterator[report.Comparison]:
     """
-    Compare the demonstrations that careful people needed with the paper's and our goals.
+    Compare the demonstrations needed by careful people with the paper's and our goals.
 
-    A person who did not reach a level counts with all demonstrations shown. Their number can only
-    be too low then: it may refute that few are needed, and never shows it.
+    A person who did not reach a level counts with all demonstrations shown. This number can only
+    be too low: it may refute that few are needed, but never confirm it.
     """
     for level in LEVELS:
         reached = members[f'{level:.0%}']
@@ -344,12 +344,12 @@ def _compare_needed(
 
 
 def _game(domain: str, features: str) -> str:
-    """Return the name of a game, with its list of features where it has several."""
+    """Return the name of a game, with its feature list if it has several."""
     return domain if features == 'all' else f'{domain} with {features}'
 
 
 def _compare_minutes(people: pd.DataFrame) -> Iterator[report.Comparison]:
-    """Yield the time that people took for all their demonstrations."""
+    """Yield the time people took for all their demonstrations."""
     for (domain, features), mine in report.grouped(people[_like_paper(people)], CASE[:2]):
         if domain in paper.MINUTES:
             lessons = mine.groupby(['person', 'start states by'])['minutes'].sum()
@@ -362,13 +362,13 @@ def _compare_minutes(people: pd.DataFrame) -> Iterator[report.Comparison]:
 
 
 def _like_paper(rows: pd.DataFrame) -> 'pd.Series[bool]':
-    """Return where real people taught, or varied simulated ones from random start states."""
+    """Select rows of real people, and of varied simulated ones with random start states."""
     group = rows['people']
     return (group == PEOPLE) | (group == VARIED) & (rows['start states by'] == 'random')
 
 
 def _pictures(curves: pd.DataFrame) -> list[report.Picture]:
-    """Return one figure for each option and group, with a line for each strategy."""
+    """Return one figure per option and group, with a line per strategy."""
     notes = {(game.domain, game.features): game.note for game in GAMES}
     return [
         report.Picture(

@@ -1,8 +1,8 @@
 """
 Figure 3: options found without a person, in Taxi (section 7.3) and in the maze of Pac-Man.
 
-By the algorithm of Stolle and Precup (2002), see ``humanopts_learner.automatic``. One trial is one
-extraction, from random tasks of its own.
+They are found by the algorithm of Stolle and Precup (2002), see ``humanopts_learner.automatic``.
+One trial is one extraction, with its own random tasks.
 """
 
 from collections import Counter
@@ -29,16 +29,16 @@ from experiments.trials import Rows, Trial
 NAME = 'fig3'
 TITLE = 'Figure 3: automatic options'
 DOMAINS = {'taxi': 'Taxi', 'pacman': 'Pac-Man'}
-COST = 7.0  # of a trial, about processor seconds
+COST = 7.0  # approximate processor seconds per trial
 CENTRE = 'go to cell 2,2'  # of the 5 x 5 grid
-LARGEST_SIDE = 5.0  # of a picture's board, inches
+LARGEST_SIDE = 5.0  # of a drawn board, inches
 PAPERS = (*(f'{event} at {name}' for event in ('pickup', 'dropoff') for name in 'RGYB'), CENTRE)
 KINDS = {'pickups': 'pickup', 'dropoffs': 'dropoff', 'cells': ''}  # of options, by last event
-EACH = {'option': 'option', 'can start': 'share of states where it can start'}  # lists, as titled
+EACH = {'option': 'option', 'can start': 'share of states where it can start'}  # list columns
 
 
 def trials(study: Study) -> list[Trial]:
-    """Return one trial for each domain and seed."""
+    """Return one trial per domain and seed."""
     seeds = range(study.seed, study.seed + study.seeds)
     return [
         Trial(NAME, {'domain': domain, 'seed': seed}, extract, COST)
@@ -55,7 +55,7 @@ def extract(parameters: Mapping[str, Any]) -> Rows:
 
 
 def extraction_row(found: AutomaticOptions) -> dict[str, Any]:
-    """Return the columns of an extraction; lists are in the order of finding, or by cell."""
+    """Return the columns of an extraction; lists are in order of discovery, or by cell."""
     reached, options = found.space.open, found.options
     events = [option.target.event for option in options]
     return {
@@ -97,7 +97,7 @@ def present(extractions: pd.DataFrame) -> Section:
 
 
 def found_table(domain: str, found: Iterable[Sequence[str]]) -> pd.DataFrame:
-    """Return in how many extractions each option was found, those of the paper in any case."""
+    """Return the number of extractions that found each option, including all of the paper's."""
     seen, papers = _seen(found), PAPERS if domain == 'taxi' else ()
     others = sorted(set(seen) - set(papers), key=lambda name: (-seen[name], name))
     rows = [
@@ -108,14 +108,14 @@ def found_table(domain: str, found: Iterable[Sequence[str]]) -> pd.DataFrame:
 
 
 def _seen(found: Iterable[Sequence[str]]) -> Counter[str]:
-    """Return in how many extractions an option of each name was found."""
+    """Return the number of extractions that found an option, by name."""
     return Counter(name for names in found for name in set(names))
 
 
 def _comparisons(taxi: pd.DataFrame) -> list[Comparison]:
     """Compare extractions in Taxi with the paper's."""
     domain = Taxi()
-    shares = {  # flags by extraction
+    shares = {  # one flag per extraction
         'kinds': (taxi[[*KINDS]] == [*paper.AUTOMATIC]).all(axis=1),
         'centre': taxi['option'].map(lambda names: CENTRE in names),
         'more': taxi['options'] - len(domain.actions) == 3,
@@ -136,12 +136,12 @@ def _comparisons(taxi: pd.DataFrame) -> list[Comparison]:
 
 
 def _picture(first: 'pd.Series[Any]') -> Picture:
-    """Return the visits of each cell, with the options numbered at their targets."""
+    """Draw the visits of each cell, with the options numbered at their targets."""
     domain = make_domain(first['domain'])
     space, name = search_space(domain), DOMAINS[domain.name]
     assert space.board is not None, f'{name} has a board'
     states = space.board.states
-    cells = np.where(states >= 0, space.cell[states], -1)  # of each place; -1: none
+    cells = np.where(states >= 0, space.cell[states], -1)  # cell of each board position; -1: none
     rows, cols = cells.shape
     draw = partial(_draw, first, cells, geometry(domain, space.board))
     side = LARGEST_SIDE / max(rows, cols)

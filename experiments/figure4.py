@@ -1,9 +1,9 @@
 """
 Figure 4: steps per episode of Q-learning in Taxi, by action set (section 7.3).
 
-A member is one person's options, or those of one extraction, or none, with several learners. The
-members of a trial learn side by side. Every action set has the same budget: the same number of
-rates is tried in the same number of runs, and the best rates learn again with other random draws.
+A member is a set of options (of one person, of one extraction, or empty) with several learners.
+The members of a trial learn in parallel. Every action set has the same budget: the same number of
+rates is tried in the same number of runs, and the best rates are used again with new random draws.
 """
 
 from collections.abc import Mapping
@@ -39,7 +39,7 @@ from experiments.trials import Rows, Trial
 
 NAME, DOMAIN = 'fig4', 'taxi'
 TITLE = 'Figure 4: steps per episode of Q-learning'
-SETS = {  # by name: kind of owner of the options, action set of the learner, colour and line
+SETS = {  # by name: kind of owner of the options, action set of the learner, colour and line style
     'primitive': (people.NOBODY, PRIMITIVE, 'C0-'),
     'human': (people.PERSON, HUMAN, 'C1--'),
     'automatic': (people.MACHINE, AUTOMATIC, 'C2-.'),
@@ -47,19 +47,19 @@ SETS = {  # by name: kind of owner of the options, action set of the learner, co
     'automatic + primitive': (people.MACHINE, AUTOMATIC_AND_PRIMITIVE, 'C4-'),
 }
 METHODS = {'smdp': 'SMDP Q-learning', 'intra-option': 'intra-option Q-learning'}
-LIMIT = 1000  # steps of an episode at most; the domain's own 200 would hide how long they get
-TRIED, TRIALS = 10, 3  # rates that are tried, and learners for each
-TOGETHER = 6  # members in one trial, at most
-COST = 8.0  # of a member, about processor seconds
+LIMIT = 1000  # maximum steps per episode; the domain's limit of 200 would hide long episodes
+TRIED, TRIALS = 10, 3  # rates to try, and learners for each
+TOGETHER = 6  # maximum number of members per trial
+COST = 8.0  # approximate processor seconds per member
 KEYS = ['method', 'action set']
 FIRST, LAST, ALL = 'first 10 episodes', 'last 10', 'steps in all'
 
 
 def trials(study: people.Study) -> list[Trial]:
     """
-    Return a trial for each method, action set, and up to ``TOGETHER`` members.
+    Return one trial per method, action set, and up to ``TOGETHER`` members.
 
-    Members learn side by side, since that takes a fraction of the time.
+    Members learn in parallel, which takes a fraction of the time.
     """
     sources = people.owners(study, DOMAIN)
     return [
@@ -87,8 +87,8 @@ def learn_curves(parameters: Mapping[str, Any]) -> Rows:
     """
     Learn with one action set.
 
-    :return: a row for each member: method, action set, number of its options, its rates, and its
-        steps: the mean of the learners by episode.
+    :return: one row per member: method, action set, number of options, rates, and steps: the mean
+        over the learners by episode.
     """
     domain, chosen = Taxi(), SETS[parameters['set']][1]
     members = [{**parameters, **member} for member in parameters['members']]
@@ -122,7 +122,7 @@ def learn_curves(parameters: Mapping[str, Any]) -> Rows:
 
 
 def present(members: pd.DataFrame) -> report.Section:
-    """Return the section of the report; in ``members``, a row has the steps of all episodes."""
+    """Return the section of the report; a row of ``members`` has the steps of all episodes."""
     steps = np.array(members['steps'].tolist())  # (members, episodes)
     parts = {ALL: steps.sum(1), FIRST: steps[:, :10].mean(1), LAST: steps[:, -10:].mean(1)}
     totals = members.assign(**parts)
@@ -149,8 +149,8 @@ def _comparisons(totals: pd.DataFrame) -> list[report.Comparison]:
     """
     Compare the steps of all episodes; people and extractions are independent units.
 
-    Fewer steps alone do not show that anything was learned, so the first and the last episodes of
-    human options follow.
+    Fewer steps alone do not prove learning, so a comparison of the first and the last episodes
+    with human options follows.
     """
     found = []
     for (method,), rows in report.grouped(totals, ['method']):
@@ -171,7 +171,7 @@ def _comparisons(totals: pd.DataFrame) -> list[report.Comparison]:
 
 
 def _pictures(curves: pd.DataFrame) -> list[report.Picture]:
-    """Return two figures for each method: the paper's action sets on its axis, and all sets."""
+    """Return two figures per method: the paper's action sets on its axis, and all sets."""
     return [
         report.Picture(
             f'fig4-{method}{suffix}',

@@ -1,8 +1,8 @@
 """
 The paper's statements and numbers, the only ones that a reproduction does not compute.
 
-Subramanian, Isbell and Thomaz (2011): Learning Options through Human Interaction. The
-figures come without tables of numbers, so only statements in the text are listed.
+Subramanian, Isbell and Thomaz (2011): Learning Options through Human Interaction. The paper has no
+tables for its figures, so only statements in the text are listed.
 """
 
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ TITLE = 'Subramanian, Isbell and Thomaz (2011), Learning Options through Human I
 
 @dataclass(frozen=True)
 class Statement:
-    """One thing that the paper says."""
+    """One statement of the paper."""
 
     text: str
     where: str  # section, figure or table
@@ -82,22 +82,22 @@ SAID = {
 DEMONSTRATIONS = 40  # section 7.1, figure 2: trajectories for acceptable accuracy, both domains
 NO_LEVEL = 'the paper does not say which accuracy is acceptable'
 EPISODES = 120  # figure 4
-MAX_STEPS = 300  # figure 4: where its axis ends
+MAX_STEPS = 300  # figure 4: upper end of its axis
 CURVES = ('primitive', 'human', 'automatic')  # figure 4
-AUTOMATIC = (4, 4, 1)  # section 7.3: options that end by pickup, by dropoff, in a cell
-MINUTES = {'taxi': 15.0, 'pacman': 20.0}  # section 7.1: at most, on average
+AUTOMATIC = (4, 4, 1)  # section 7.3: options that end with a pickup, with a dropoff, in a cell
+MINUTES = {'taxi': 15.0, 'pacman': 20.0}  # section 7.1: upper limits of the average
 FIGURE_2_OPTIONS = {  # figure 2 (a) and (b)
     'taxi': 'go to destination and dropoff',
     'pacman': 'go to the closest food',
 }
-TAUGHT = {  # section 7: what each participant taught
+TAUGHT = {  # section 7: options taught by each participant
     'taxi': ('go to passenger and pickup', 'go to destination and dropoff'),
     'pacman': ('go to the closest food', 'avoid ghost', 'go to the nearest power pellet'),
 }
-ALSO_NAMED = {  # table 1: a button that was named and, in section 7, not taught
+ALSO_NAMED = {  # table 1: a button named, but not taught in section 7
     'pacman': ('eat the ghost',),
 }
-NOT_NAMED = {  # buttons that table 1 lacks
+NOT_NAMED = {  # buttons missing from table 1
     'pacman': ('go to the fruit',),
 }
 TABLE_2 = {  # seconds and average reward by domain and action set
@@ -114,7 +114,7 @@ TABLE_2 = {  # seconds and average reward by domain and action set
 }
 NO_BEST_KNOWN = 'the best policy of Pac-Man is not known: too many states, and models are sampled'
 WHY_NO_SECONDS = 'seconds of another computer, and the paper does not say of which work'
-WHY_NO_RETURN = {  # by domain, why the numbers of the paper cannot be compared
+WHY_NO_RETURN = {  # reason why the paper's numbers cannot be compared, by domain
     'taxi': 'the paper does not say how it discounts',
     'pacman': 'the paper gives neither maze nor points, nor how its ghosts move',
 }

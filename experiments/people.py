@@ -1,14 +1,13 @@
 """
 The owners of options: people in bags, simulated people, extractions, or none.
 
-There are two groups of simulated participants, since the paper's claims are of two kinds.
-*Careful* people make no error; they differ only in which of several equally good actions they
-prefer. *Varied* people differ in that too, and each has an error rate of their own (share of steps
-that are wrong, from 0 to ``MAX_ERRORS``) and a rate of needless answers (probability of yes to a
-question about a feature that does not matter, from 0 to ``MAX_NEEDLESS``). So that a handful of
-people covers both ranges, their rates are not drawn one by one: they go on from an offset that is
-drawn, by steps that fill a square evenly (Roberts 2018, The unreasonable effectiveness of
-quasirandom sequences: R2).
+There are two groups of simulated participants, since the paper makes two kinds of claims.
+*Careful* people make no errors; they differ only in their preference among equally good actions.
+*Varied* people also differ in their error rates (share of wrong steps, from 0 to ``MAX_ERRORS``)
+and in their rates of needless answers (probability of answering yes to a question about an
+irrelevant feature, from 0 to ``MAX_NEEDLESS``). So that a handful of people covers both ranges,
+their rates are a quasirandom sequence with a random offset, which fills a square evenly (Roberts
+2018, The unreasonable effectiveness of quasirandom sequences: R2).
 """
 
 from collections.abc import Mapping, Sequence
@@ -46,16 +45,16 @@ STEPS = (0.7548776662466927, 0.5698402909980532)  # 1 / g, 1 / g**2, where g**3 
 
 @dataclass(frozen=True)
 class Participant:
-    """One simulated person; every other draw of theirs is keyed by code and seed."""
+    """One simulated person; all further random draws are keyed by code and seed."""
 
     group: str
     code: str
-    error_rate: float  # share of steps that are wrong
+    error_rate: float  # share of wrong steps
     needless_rate: float  # probability of a needless yes for each feature
     seed: int  # of the study
 
     def teaching(self, *options: str) -> TeacherSettings:
-        """Return the person as a teacher of some options."""
+        """Return the settings of this person as a teacher of some options."""
         return TeacherSettings(
             options=options,
             participant=self.code,
@@ -68,7 +67,7 @@ class Participant:
 
 
 def participants(group: str, count: int, seed: int) -> list[Participant]:
-    """Draw the first people of a group; more of them leave the first as they are."""
+    """Draw the first people of a group; a larger count does not change the first ones."""
     offsets = generator(seed, 'participants', group).uniform(size=2).tolist()
     found = []
     for number in range(1, count + 1):
@@ -81,7 +80,7 @@ def participants(group: str, count: int, seed: int) -> list[Participant]:
 
 @dataclass(frozen=True)
 class BagLesson:
-    """One option that one person taught, in a bag."""
+    """One option taught by one person in a bag."""
 
     bag: str  # absolute path
     participant: str
@@ -95,20 +94,20 @@ class BagLesson:
 
 @dataclass(frozen=True)
 class Study:
-    """The size of a reproduction, and its people."""
+    """The size of a reproduction and its people."""
 
     participants: int = 6  # simulated, in each group
-    seeds: int = 10  # runs of each method that depends on chance
+    seeds: int = 10  # runs of each method with random draws
     seed: int = 1  # of every random draw
     bags: tuple[BagLesson, ...] = ()  # lessons of real people; none: people are simulated
-    mazes: tuple[str, ...] = ()  # texts of a user's own, for ``transfer``; none: they are drawn
+    mazes: tuple[str, ...] = ()  # the user's mazes as text, for ``transfer``; empty: draw mazes
 
 
 def read_bag_lessons(path: Path) -> list[BagLesson]:
     """
-    Return every option that was taught in a bag.
+    Return every option taught in a bag.
 
-    :raises BagError: it cannot be read, or nothing was taught in it.
+    :raises BagError: the bag cannot be read, or nothing was taught in it.
     """
     bag = open_bag(path)
     domain = read_domain(bag)
@@ -132,40 +131,40 @@ def read_bag_lessons(path: Path) -> list[BagLesson]:
 
 
 def taught_in(bag: Bag, domain: Domain[Any]) -> dict[tuple[str, str], list[Demonstration]]:
-    """Return what ``bag eval`` learns from, by participant and option."""
+    """Return the demonstrations used by ``bag eval``, by participant and option."""
     groups, _ = usable_demonstrations(read_demonstrations(bag), domain)
     return groups
 
 
 @dataclass(frozen=True)
 class OwnedOptions:
-    """Options, and the cost of getting them; None: a cost of another kind of owner."""
+    """Options and the cost of obtaining them; None: not a cost of this kind of owner."""
 
-    options: tuple[Any, ...] = ()  # learned, or as an extraction has them for the domain's planner
-    minutes: float | None = None  # of teaching: by the clock, or of simulated people as assumed
-    seconds: float | None = None  # of a processor, for an extraction, or another learner
+    options: tuple[Any, ...] = ()  # learned, or the form of an extraction for the domain's planner
+    minutes: float | None = None  # teaching time: measured, or assumed for simulated people
+    seconds: float | None = None  # processor time of an extraction or another learner
     game_steps: int | None = None
     shown: tuple[Demonstration, ...] = ()
 
     @property
     def demonstrations(self) -> int | None:
-        """Number of trajectories shown; None: there are none."""
+        """Number of demonstrated trajectories; None: there are no demonstrations."""
         count = sum(demo.kind is Kind.TRAJECTORY for demo in self.shown)  # no "not here" answers
         return count if self.shown else None
 
     def __add__(self, other: 'OwnedOptions') -> 'OwnedOptions':
-        """Return what one person taught in two lessons."""
+        """Merge the options taught by one person in two lessons."""
         minutes = (self.minutes or 0.0) + (other.minutes or 0.0)
         return OwnedOptions(self.options + other.options, minutes, shown=self.shown + other.shown)
 
 
 def owners(study: Study, domain: str) -> dict[str, list[dict[str, Any]]]:
     """
-    Return the owners of the options of an experiment: the same number of people, extractions, and
+    Return the owners of the options of an experiment: equal numbers of people, extractions and
     repetitions without options.
 
     :return: parameters of ``options_of`` by kind of owner, JSON data. People are those in bags,
-        else the varied simulated ones; none if people in bags taught in another domain.
+        otherwise varied simulated ones; empty if people in bags taught another domain.
     """
     if study.bags:
         digests: dict[tuple[str, str, int], list[str]] = {}
@@ -189,7 +188,7 @@ def owners(study: Study, domain: str) -> dict[str, list[dict[str, Any]]]:
 
 
 def owner_seed(parameters: Mapping[str, Any], *key: str) -> int:
-    """Return a seed that differs between the owners of options."""
+    """Return a seed that differs between owners of options."""
     source = [str(parameters.get(name)) for name in ('number', 'teacher', 'extraction')]
     return int(generator(parameters['seed'], *key, *source).integers(2**31))
 
@@ -198,10 +197,10 @@ def options_of(
     owner: Mapping[str, Any], domain: Domain[Any], names: Sequence[str] = ()
 ) -> OwnedOptions:
     """
-    Return the options of one owner; those of people are from lessons until the criteria hold.
+    Return the options of one owner; simulated people teach until the criteria are met.
 
     :param owner: one of ``owners``.
-    :param names: options that a simulated person teaches; empty: those of the paper.
+    :param names: options taught by a simulated person; empty: those of the paper.
     """
     if 'extraction' in owner:
         found = extraction(domain.name, parameters_json(domain), owner['extraction'])
@@ -226,7 +225,7 @@ def extraction(domain: str, parameters: str, seed: int) -> AutomaticOptions:
 def _from_lesson(
     person: Participant, domain: str, parameters: str, names: tuple[str, ...]
 ) -> OwnedOptions:
-    """Return the options of a simulated person; each process has each lesson once."""
+    """Return the options of a simulated person; each process runs each lesson once."""
     rules = LessonRules(seed=person.seed)
     taught = teach(domain_from_json(domain, parameters), person.teaching(*names), rules)
     return OwnedOptions(taught.options, taught.seconds / 60, shown=tuple(taught.demonstrations))

@@ -1,10 +1,10 @@
 """
-Mazes drawn at random: nothing was tuned on them.
+Random mazes, on which nothing was tuned.
 
-Junctions lie on every second row and column of the left half. A random spanning tree joins them
-(depth-first, with the last junction first), then every dead end is opened, and the right half is
-the mirror of the left. Two or more rows cross the column in the middle, so that there are ways
-round. All open cells are connected, and none but a crossing has fewer than two neighbours.
+Junctions lie on every second row and column of the left half. A random depth-first spanning tree
+joins them; then every dead end is opened, and the left half is mirrored to the right. Two or more
+rows cross the middle column, so that there are loops. All open cells are connected, and only
+crossings may have fewer than two neighbours.
 """
 
 from humanopts_env.domains.pacman.maze import (
@@ -19,8 +19,8 @@ from humanopts_env.domains.pacman.maze import (
 )
 import numpy as np
 
-ROWS, JUNCTIONS = (7, 9, 11), (4, 5, 6)  # inside the border; junctions in a row of the left half
-CROSSINGS = 2  # rows that cross the middle, at least
+ROWS, JUNCTIONS = (7, 9, 11), (4, 5, 6)  # inside the border; junctions per row of the left half
+CROSSINGS = 2  # minimum number of rows that cross the middle
 _AROUND = ((-2, 0), (0, -2), (0, 2), (2, 0))
 
 
@@ -66,7 +66,7 @@ def _tree(rows: int, cols: int, rng: np.random.Generator) -> set[Cell]:
 
 
 def _open_dead_ends(cells: set[Cell], rows: int, cols: int, rng: np.random.Generator) -> None:
-    """Open one more wall at each junction that has one way only."""
+    """Open one more wall at each junction with a single exit."""
     for row in range(0, rows, 2):
         for col in range(0, cols, 2):
             ways = [((row + r) // 2, (col + c) // 2) for r, c in _near((row, col), rows, cols)]
@@ -76,6 +76,6 @@ def _open_dead_ends(cells: set[Cell], rows: int, cols: int, rng: np.random.Gener
 
 
 def _near(cell: Cell, rows: int, cols: int) -> list[Cell]:
-    """Return the junctions next to one."""
+    """Return the neighbouring junctions."""
     around = [(cell[0] + down, cell[1] + east) for down, east in _AROUND]
     return [(row, col) for row, col in around if 0 <= row < rows and 0 <= col < cols]

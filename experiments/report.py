@@ -1,4 +1,4 @@
-"""The report of a reproduction: the paper's claims beside the results, tables and figures."""
+"""The report of a reproduction: the paper's claims and our results, tables and figures."""
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -33,26 +33,26 @@ OURS = 'goal of this project'
 
 
 class Mark(Enum):
-    """How a result compares with a claim."""
+    """Comparison of a result with a claim."""
 
     AGREES = 'agrees'
     DIFFERS = 'does not agree'
-    UNDECIDED = 'not distinguishable'  # the interval says neither, or there is none
+    UNDECIDED = 'not distinguishable'  # the interval is inconclusive, or there is none
     NOT_COMPARABLE = 'not comparable'
-    NO_COUNTERPART = 'no counterpart'  # nothing like it is computed here
+    NO_COUNTERPART = 'no counterpart'  # nothing comparable is computed here
     MET = 'met'  # a goal of this project, not of the paper
     MISSED = 'missed'
 
     @property
     def good(self) -> bool | None:
-        """Whether the mark is a good one; None: neither good nor bad."""
+        """Whether the mark is good; None: neither good nor bad."""
         good = {Mark.AGREES: True, Mark.MET: True, Mark.DIFFERS: False, Mark.MISSED: False}
         return good.get(self)
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """One claim, beside our results."""
+    """One claim and our results."""
 
     said: str
     where: str  # section, figure or table of the paper; or OURS
@@ -71,12 +71,12 @@ def compare(
     """
     Compare a claim with our results.
 
-    :param claim: of the paper; a text: a goal of this project.
-    :param verdict: whether it holds; None: the data do not decide it.
-    :param case: what the values belong to.
-    :param values: that decide it, by name.
-    :param style: format of the values, as of ``written``.
-    :param why: an explanation that follows the values.
+    :param claim: statement of the paper, or a goal of this project as text.
+    :param verdict: whether the claim holds; None: the data are inconclusive.
+    :param case: case to which the values belong.
+    :param values: values that decide the claim, by name.
+    :param style: format of the values, see ``written``.
+    :param why: explanation, placed after the values.
     """
     statement = Statement(claim, OURS) if isinstance(claim, str) else claim
     if not isinstance(verdict, Mark):
@@ -90,9 +90,9 @@ def compare(
 
 def written(value: Interval | float | str, style: str = '') -> str:
     """
-    Return a value for people, with its limits where it has any.
+    Format a value, with its limits if it has any.
 
-    :param style: format of a number; empty: four digits, and above 100 all before the point.
+    :param style: number format; empty: four digits, and above 100 all digits before the point.
     """
     if isinstance(value, str):
         return value
@@ -105,12 +105,12 @@ def written(value: Interval | float | str, style: str = '') -> str:
 
 @dataclass(frozen=True)
 class Picture:
-    """One figure; it is drawn for the page and for files."""
+    """One figure, drawn for the page and for files."""
 
     name: str  # of the files, without suffix
-    caption: str  # describes the figure to people who do not see it, too
+    caption: str  # also the text alternative for screen readers
     size: tuple[float, float]  # inches
-    draw: Callable[[Drawing], None]  # series have the colours C0, C1, ...
+    draw: Callable[[Drawing], None]  # uses the series colours C0, C1, ...
 
     @property
     def svg(self) -> Markup:
@@ -122,12 +122,12 @@ class Picture:
 
 @dataclass(frozen=True)
 class Table:
-    """A table of the page and a CSV file; a missing value is an empty field."""
+    """A table on the page and as a CSV file; a missing value is an empty field."""
 
     name: str  # of the file, without suffix
     title: str
     frame: pd.DataFrame
-    shown: bool = True  # on the page; all are in files
+    shown: bool = True  # on the page; every table has a file
 
     @property
     def rows(self) -> list[dict[str, Any]]:
@@ -144,7 +144,7 @@ class Section:
     comparisons: Sequence[Comparison] = ()
     pictures: Sequence[Picture] = ()
     tables: Sequence[Table] = ()
-    facts: Mapping[str, Any] = field(default_factory=dict)  # parameters of the method, for JSON
+    facts: Mapping[str, Any] = field(default_factory=dict)  # method parameters, for JSON
 
 
 @dataclass(frozen=True)
@@ -152,9 +152,9 @@ class Reproduction:
     """The content of the page."""
 
     sections: Sequence[Section]
-    people: Sequence[Participant]  # empty: people in bags taught
+    people: Sequence[Participant]  # empty: the people in bags taught
     study: Study
-    missing: Sequence[str]  # trials that failed, in words
+    missing: Sequence[str]  # failed trials, in words
     provenance: Mapping[str, str]
 
 
@@ -166,12 +166,12 @@ def mean_intervals(
     most: float = np.inf,
 ) -> pd.DataFrame:
     """
-    Return means over independent people or runs, with 95 % intervals by Student's t.
+    Return means over independent people or runs, with 95 % Student's t intervals.
 
-    :param by: columns whose values form a group; the other rows of a group are averaged.
-    :param least: smallest possible value; limits are cut off there, and at ``most``.
-    :return: ``by``, count (of values that are not NaN), mean, low, high; NaN where there is none,
-        as the limits of a single value.
+    :param by: columns to group by; the rows of a group are averaged.
+    :param least: smallest possible value; limits are clipped to ``least`` and ``most``.
+    :return: ``by``, count (of values that are not NaN), mean, low, high; NaN if undefined, like
+        the limits of a single value.
     """
     groups = frame.groupby(list(by), sort=False)[value]
     found = groups.agg('count').to_frame('count')
@@ -186,7 +186,7 @@ def mean_intervals(
 def grouped(
     frame: pd.DataFrame, by: Sequence[str]
 ) -> Iterator[tuple[tuple[str, ...], pd.DataFrame]]:
-    """Yield the rows that agree in some columns of text, in the order of their first rows."""
+    """Yield the groups of rows with equal text columns, in order of first appearance."""
     groups: Any = frame.groupby(list(by), sort=False)
     yield from groups
 
@@ -200,11 +200,11 @@ def draw_curves(
     **style: Any,
 ) -> None:
     """
-    Draw means and, where there are any, their limits.
+    Draw means and their limits, if any.
 
-    :param curves: columns ``by``, ``x``, mean, low, high; a curve for each value of ``by``.
-    :param lines: colour, line and marker of each curve in the notation of matplotlib: ``C1--o``.
-    :param style: of all of them.
+    :param curves: columns ``by``, ``x``, mean, low, high; one curve per value of ``by``.
+    :param lines: matplotlib format of each curve (colour, line, marker), such as ``C1--o``.
+    :param style: common style of all curves.
     """
     for (name,), curve in grouped(curves, [by]):
         axes.plot(curve[x], curve['mean'], lines[name], label=name, **style)
@@ -224,11 +224,11 @@ def draw_samples(
     **style: Any,
 ) -> None:
     """
-    Draw single values as dots, one line of the figure for each value of ``by``.
+    Draw single values as dots, one row of the figure per value of ``by``.
 
-    :param series: column; a colour, and a place beside the others, for each value.
-    :param centre: of the values of a series: a bar, and its limits.
-    :param style: of the dots.
+    :param series: column of series; each value has its own colour and offset.
+    :param centre: function from the values of a series to its bar and limits.
+    :param style: style of the dots.
     """
     names, several = list(rows[by].unique()), list(rows[series].unique())
     for index, (called, mine) in enumerate(rows.groupby(series, sort=False)):
@@ -277,7 +277,7 @@ def write_reproduction(folder: Path, data: Reproduction) -> None:
 
 
 def verdicts(sections: Sequence[Section]) -> dict[tuple[str, str, str], Counter[Mark]]:
-    """Return how often each mark was given to a statement of the paper, by section and place."""
+    """Count the marks of each statement of the paper, by section and place."""
     found: dict[tuple[str, str, str], Counter[Mark]] = {}
     for section in sections:
         for c in section.comparisons:
@@ -306,7 +306,7 @@ def page_of(data: Reproduction) -> str:
 
 
 def _cell(value: Any) -> str:
-    """Return a value of a table for people."""
+    """Format a value of a table."""
     if isinstance(value, float) and abs(value) >= 1000:
         return f'{value:,.0f}'
     if isinstance(value, int) and value >= 10_000:

@@ -1,8 +1,9 @@
 """
-Table 1: the buttons that people asked for (section 4).
+Table 1: the buttons requested by people (section 4).
 
-Nothing is computed: simulated people have no wishes. The section says so, and where the paper's
-buttons are taught here. ``humanopts bag table1`` counts the options that people named in lessons.
+Nothing is computed, since simulated people have no wishes. The section explains this and lists
+where the paper's buttons are taught here. ``humanopts bag table1`` counts the options named by
+people in lessons.
 """
 
 from humanopts_env.domains.registry import make_domain, reference_options
@@ -14,7 +15,7 @@ from experiments.report import compare, Mark, Section, Table
 
 NAME = 'table1'
 TITLE = 'Table 1: the options that people name'
-WHY = {  # by statement: why it cannot be compared
+WHY = {  # reason why a statement cannot be compared
     'buttons': 'simulated people name nothing; the options that people named are taught here',
     'options': 'this needs a study with people; the same programs record and read yours',
     'taught': 'people are simulated where none are given with --bags',
@@ -22,7 +23,7 @@ WHY = {  # by statement: why it cannot be compared
 
 
 def present() -> Section:
-    """Return the section of the report: each button of the paper, and where it is taught here."""
+    """Return the section of the report: the paper's buttons, and where they are taught here."""
     rows = [
         (domain, button, share, _taught(domain, button))
         for domain, buttons in TABLE_1.items()
@@ -36,7 +37,7 @@ def present() -> Section:
 
 
 def _taught(domain: str, button: str) -> str:
-    """Return where a button of the paper is an option here."""
+    """Return text on where a button of the paper is taught as an option."""
     if button in paper.TAUGHT[domain]:
         return 'taught in figure 2 and table 2'
     if button in paper.ALSO_NAMED.get(domain, ()):

@@ -1,7 +1,7 @@
 """
 Table 2: time and return of planning with each action set (sections 7.3 and 8).
 
-The trials of the plans in ``table2_plans``, and their section of the report.
+The trials of the plans in ``table2_plans`` and their section of the report.
 """
 
 from collections.abc import Iterator
@@ -40,7 +40,7 @@ from experiments.table2_plans import (
 from experiments.trials import Trial
 
 TITLE = 'Table 2: planning time and return'
-COSTS = {'pacman': 100.0, 'taxi': 5.0}  # of a trial, about processor seconds
+COSTS = {'pacman': 100.0, 'taxi': 5.0}  # approximate processor seconds per trial
 KEYS = ['game', 'action set']
 ROUNDING = 1e-9  # reward units
 ORDER = [one.name for one in (*GAMES, *VARIANTS)]  # of rows
@@ -48,7 +48,7 @@ Values = dict[str, Interval]  # by name
 
 
 def trials(study: people.Study) -> list[Trial]:
-    """Return one trial for each domain that is taught, and person, extraction, repetition."""
+    """Return one trial per taught domain and person, extraction or repetition."""
     found = []
     for domain in dict.fromkeys(game.domain for game in GAMES):
         sources = people.owners(study, domain)
@@ -113,27 +113,27 @@ def _ordered(frame: pd.DataFrame) -> pd.DataFrame:
 
 
 def member_table(plans: pd.DataFrame) -> pd.DataFrame:
-    """Return the means of each member's plans, indexed by game, variant and trial."""
+    """Return the mean over each member's plans, indexed by game, variant and trial."""
     means = plans.groupby([*KEYS, 'trial']).mean(numeric_only=True)
     return _ordered(means.reset_index()).set_index([*KEYS, 'trial'])
 
 
 def summary_table(members: pd.DataFrame) -> pd.DataFrame:
-    """Return a row for each game and variant, indexed by both; each member counts once."""
+    """Return one row per game and variant, indexed by both; each member counts once."""
     means = members.groupby(KEYS, sort=False).mean().drop(columns=['budget', RETURN])
     returns = report.mean_intervals(members.reset_index(), KEYS, RETURN).set_index(KEYS)
     return returns.rename(columns={'mean': RETURN}).join(means)
 
 
 def point_table(curve: pd.DataFrame) -> pd.DataFrame:
-    """Return each member's curve by budget; one that has ended keeps its last point."""
+    """Return each member's curve by budget; a curve that has ended keeps its last point."""
     wide = curve.pivot(index=[*KEYS, 'budget'], columns='trial', values=[SECONDS, RETURN])
     long = wide.groupby(level=KEYS).ffill().stack('trial', future_stack=True).dropna()
     return _ordered(long.reset_index())
 
 
 def cost_table(costs: pd.DataFrame) -> pd.DataFrame:
-    """Return the mean cost of getting the options."""
+    """Return the mean cost of obtaining the options."""
     names = [*costs.columns.difference(['kind', 'domain', 'action set', 'trial'], sort=False)]
     owned = costs[costs['options'] > 0].astype(dict.fromkeys(names, float))
     groups = owned.groupby(['domain', 'action set'], sort=False)
@@ -155,10 +155,10 @@ def paper_table(summary: pd.DataFrame) -> pd.DataFrame:
 
 
 class Results:
-    """The results of one game by variant: means of each member, and the curves."""
+    """The results of one game by variant: means per member, and curves."""
 
     def __init__(self, game: ComparedGame, *tables: pd.DataFrame) -> None:
-        """Take the members, points and curves of all games."""
+        """Select the rows of this game from the members, points and curves of all games."""
         self.game = game
         self.members, self._points, self._curves = (
             {name: rows for (name,), rows in report.grouped(of[of['game'] == game.name], KEYS[1:])}
@@ -166,7 +166,7 @@ class Results:
         )
 
     def returns(self, first: str, second: str) -> tuple[str, Interval]:
-        """Return how much more the first variant returns; with the same owners, within each."""
+        """Return the gain in return of the first variant, paired if the owners are the same."""
         one, other = (self.members[name].set_index('trial')[RETURN] for name in (first, second))
         paired = one.index.equals(other.index)
         more = Interval.of_difference(one, other, paired=paired)
@@ -174,11 +174,11 @@ class Results:
 
     def times(self, first: str, second: str) -> tuple[str, Interval]:
         """
-        Return the time of one variant as a part of another's until both reach the same return.
+        Return the time of one variant to reach a return, as a fraction of another's time.
 
-        Plans with exact models end by themselves. Sampled ones take as long as they may, so they
-        are compared by the time of the first plans of which the whole interval lies at or above a
-        return: the highest that both reach so. Of one member there is none, and all is NaN.
+        Plans with exact models converge. Sampled plans use their whole budget, so they are
+        compared by the time of the first plans with the whole interval at or above a return: the
+        highest return that both reach this way. A single member has no interval: all is NaN.
         """
         pair, level = (first, second), ''
         samples = [self.members[name][SECONDS] for name in pair]
@@ -192,8 +192,8 @@ class Results:
         return f'time{level}, {first} / {second}', Interval.of_ratio(one, other, paired=False)
 
 
-# Claims that one variant returns more than another, or takes less time. A claim with several tests
-# holds if all do.
+# Claims that one variant has a higher return than another, or takes less time. A claim with
+# several tests holds if all of them hold.
 CLAIMS: tuple[tuple[Statement | str, tuple[tuple[Any, str, str], ...]], ...] = (
     (paper.SAID['human_faster'], ((Results.times, 'human', 'primitive'),)),
     (paper.SAID['automatic_faster'], ((Results.times, 'automatic', 'primitive'),)),
@@ -214,7 +214,7 @@ CLAIMS: tuple[tuple[Statement | str, tuple[tuple[Any, str, str], ...]], ...] = (
 
 
 def _claims(results: Results) -> Iterator[report.Comparison]:
-    """Yield the claims of which there are results."""
+    """Yield the comparisons for claims with results."""
     for claim, tests in CLAIMS:
         values, verdicts = Values(), []
         for test, first, second in tests:
@@ -231,8 +231,8 @@ def _numbers(results: Results) -> Iterator[report.Comparison]:
     """
     Compare the numbers of table 2 with ours.
 
-    Seconds are compared as parts of those of primitive actions: they agree where the interval
-    holds the paper's part.
+    Seconds are compared as fractions of those of primitive actions: they agree if the interval
+    contains the paper's fraction.
     """
     game, members, unknown = results.game, results.members, report.Mark.NOT_COMPARABLE
     title, known = game.name.partition(',')[0], paper.TABLE_2[game.domain]

@@ -1,9 +1,9 @@
 """
 The plans of table 2: action sets and executions, in every game (sections 7.3 and 8).
 
-One trial has one owner of options: a person, an extraction, or none. The options are made once,
-in the usual game, and every variant of that kind of owner plans with them. Plans with exact models
-are played from every start state; those with sampled models in new games.
+One trial has one owner of options: a person, an extraction, or none. The options are made once, in
+the default game, and every variant of that kind of owner plans with them. Plans with exact models
+are played from every start state, plans with sampled models in new games.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -41,13 +41,13 @@ from experiments.trials import Rows
 
 NAME = 'table2'
 AS_IN_PAPER = 'human, without eating ghosts'  # in Pac-Man
-# Options of a person: those that the paper's participants taught, those that it names too, and one
-# more that it does not name.
+# Options of a person: those taught by the paper's participants; in addition, those named in the
+# paper; and one more, not named there.
 SECTION_7, NAMED, ALSO_FRUIT = 'of section 7', 'named in the paper', 'the fruit too'
-REPEATS = 7  # makings of one exact plan, for its seconds
+REPEATS = 7  # repetitions of an exact plan, for timing
 PLAN, CURVE, COST = 'plan', 'curve', 'cost'  # kinds of row
 SECONDS, RETURN = 'total, s', 'mean return'
-COLUMNS = {  # of a plan, by field of its summary
+COLUMNS = {  # column names of a plan by field of its summary
     'table_seconds': 'tables, s',
     'model_seconds': 'models, s',
     'sweep_seconds': 'sweeps, s',
@@ -64,21 +64,21 @@ class ComparedGame:
 
     name: str
     domain: str
-    exact: bool  # models; else they are sampled
+    exact: bool  # whether models are exact, not sampled
     parameters: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class Variant:
-    """A row of the table: the options and actions of a plan, and the execution of its policy."""
+    """A row of the table: options and actions of a plan, and the execution of its policy."""
 
     name: str
     owner: str  # kind of owner of the options
     action_set: str
-    line: str  # colour, line and marker in the notation of matplotlib
+    line: str  # matplotlib format: colour, line, marker
     execution: Arbitration = Arbitration.RUN_TO_END
     options: str = NAMED  # of a person, in Pac-Man
-    by_chance: bool = False  # nothing is planned: any option that can start, with equal chance
+    by_chance: bool = False  # no plan: uniform random choice among the options that can start
 
 
 TAXI = ComparedGame('Taxi', 'taxi', exact=True)
@@ -104,12 +104,12 @@ VARIANTS = (
 
 @dataclass(frozen=True)
 class Effort:
-    """How much is sampled and played; with primitive actions alone more, as steps cost less."""
+    """Amount of sampling and play; more with primitive actions alone, where steps cost less."""
 
-    largest: int = 200_000  # game steps of the last point of the curve, and of plans of the table
+    largest: int = 200_000  # game steps of the last point of the curve, and of plans in the table
     primitive_largest: int = 3_200_000
-    first: int = 25_000  # of the first point of the curve; then doubled
-    games: int = 150  # in which every plan is judged
+    first: int = 25_000  # game steps of the first point of the curve, then doubled
+    games: int = 150  # games for evaluating each plan
 
     def budgets(self, variant: Variant) -> list[int]:
         """Return the game steps of the points of the curve."""
@@ -122,10 +122,10 @@ EFFORT = Effort()
 
 def plan_all_games(parameters: Mapping[str, Any]) -> Rows:
     """
-    Plan with every variant that some options belong to, in every game of their domain.
+    Plan with every variant for some options, in every game of their domain.
 
-    :return: rows of three kinds: the cost of the options, plans, and the curve (plans of smaller
-        budgets).
+    :return: rows of three kinds: the cost of the options, plans, and the curve (plans with
+        smaller budgets).
     """
     effort, plans, name = Effort(**parameters['effort']), parameters['plans'], parameters['domain']
     owned = _options_by_variant(parameters)
@@ -148,7 +148,7 @@ def plan_all_games(parameters: Mapping[str, Any]) -> Rows:
         domain = make_domain(game.domain, game.parameters)
         seed = people.owner_seed(parameters, NAME, game.name)
         for variant, owner in owned:
-            options = [  # for use with other parameters than they were taught with
+            options = [  # adapt to other parameters than those of the lesson
                 carried_over(option, domain) if isinstance(option, LearnedOption) else option
                 for option in owner.options
             ]
@@ -167,7 +167,7 @@ def plan_all_games(parameters: Mapping[str, Any]) -> Rows:
 def _options_by_variant(
     parameters: Mapping[str, Any],
 ) -> list[tuple[Variant, people.OwnedOptions]]:
-    """Return the variants of a trial, each with its options, without those that have no more."""
+    """Return the variants of a trial that have options for its owner, with these options."""
     domain = make_domain(parameters['domain'])
     owned = {NAMED: people.options_of(parameters, domain)}
     if domain.name in paper.ALSO_NAMED and 'person' in parameters.get('teacher', {}):
@@ -184,10 +184,10 @@ def _options_by_variant(
 
 def _row(kind: str, budget: int, returns: Returns, plan: AnyPlan | None = None) -> dict[str, Any]:
     """
-    Return seconds, sizes and means of a plan and the games that it was judged in, as JSON data.
+    Return seconds, sizes and means of a plan and its evaluation games, as JSON data.
 
-    :param budget: sweeps at most, or game steps.
-    :param plan: None: nothing was planned.
+    :param budget: maximum number of sweeps, or game steps.
+    :param plan: plan; None: random choice.
     """
     known = PlanSummary('') if plan is None else summarise_plan(plan)
     row = {title: getattr(known, name) for name, title in COLUMNS.items()}
@@ -212,11 +212,12 @@ def play_by_chance(
     """
     Play by random choice among the options: the baseline of a plan.
 
-    Wherever a choice is due, any option that can start is chosen, each with the same probability,
-    and runs to its end. Where none can start, a primitive action is taken.
+    Whenever a choice is due, one of the options that can start is drawn uniformly and run to its
+    end. If none can start, a primitive action is taken.
 
-    :param options: learned or, where states can be listed, tables.
-    :param games: of a domain in which models are sampled; else one is played from every start.
+    :param options: learned options or, if states can be listed, tables.
+    :param games: number of games if models are sampled; otherwise one game is played from every
+        start.
     """
     action_set = HUMAN if options else PRIMITIVE
     if is_enumerable(domain):
@@ -238,12 +239,12 @@ def plan_exactly(
     options: Sequence[LearnedOption | TabularOption],
 ) -> Iterator[dict[str, Any]]:
     """
-    Plan with exact models, and play from every start state, once.
+    Plan with exact models and play once from every start state.
 
-    A plan takes hardly any time, so each is made several times, and the one of the median seconds
-    counts.
+    Planning is very fast, so each plan is repeated several times and the one with the median
+    seconds counts.
 
-    :return: the curve, one row for each number of sweeps, doubled until converged; and the plan.
+    :return: the curve, one row per number of sweeps, doubled until convergence; and the plan.
     """
     sweeps, last = 1, False
     while not last:
@@ -272,11 +273,11 @@ def plan_from_samples(
     seed: int,
 ) -> Iterator[dict[str, Any]]:
     """
-    Plan from samples, and judge each plan in new games.
+    Plan from samples and evaluate each plan in new games.
 
-    :param plans: how many are made of the largest budget, each by random draws of its own.
-    :param seed: of plans and games.
-    :return: the curve, one row for each budget; and the plans.
+    :param plans: number of plans with the largest budget, each with its own random draws.
+    :param seed: seed of plans and games.
+    :return: the curve, one row per budget; and the plans.
     """
     *smaller, largest = effort.budgets(variant)
     for budget, number in [

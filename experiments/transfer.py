@@ -1,9 +1,9 @@
 """
-Transfer: options taught in one maze are used in mazes on which nothing was tuned.
+Transfer: use options taught in one maze in other mazes, on which nothing was tuned.
 
-The mazes are drawn by seed, or are a user's own. One trial is one maze: the options of one person,
-taught in the usual maze, plan and play there in every variant of the game, with every baseline
-of ``humanopts demo``. The settings of the plans were found in the usual maze. Mazes
+The mazes are drawn with a seed or provided by the user. One trial is one maze: plans with the
+options of one person, taught in the default maze, play there in every variant of the game, with
+every baseline of ``humanopts demo``. The planning settings were chosen in the default maze. Mazes
 are the independent units, so differences are paired by maze.
 """
 
@@ -32,14 +32,14 @@ from experiments.trials import Rows, Trial
 
 NAME, DOMAIN = 'transfer', 'pacman'
 TITLE = 'Transfer: options of one maze in others'
-MAZES = 2  # for each seed of the study
-STEPS, GAMES = 100_000, 150  # game steps of a plan; games that each way to play is judged by
+MAZES = 2  # per seed of the study
+STEPS, GAMES = 100_000, 150  # game steps per plan; games per policy
 COST = 60.0
 KEYS = ['game', 'way to play']
 
 
 def trials(study: Study) -> list[Trial]:
-    """Return one trial for each maze; people take turns."""
+    """Return one trial per maze; people take turns."""
     people = owners(study, DOMAIN)[PERSON]
     if not people:
         return []
@@ -69,9 +69,9 @@ def play_in_maze(parameters: Mapping[str, Any]) -> Rows:
     """
     Play in one maze.
 
-    :return: a row for each variant of the game and way to play: maze (its number), text (of the
-        maze), game, way to play, kind, score (mean of the games), cleared (share) and the other
-        outcomes, fallbacks (of a game), seconds (of planning).
+    :return: one row per variant of the game and policy: maze (its number), text (of the maze),
+        game, way to play (the policy), kind, score (mean over games), cleared (share) and the
+        other outcomes, fallbacks (per game), seconds (of planning).
     """
     names = (*paper.TAUGHT[DOMAIN], *paper.ALSO_NAMED[DOMAIN], *paper.NOT_NAMED[DOMAIN])
     options = options_of(parameters, make_domain(DOMAIN), names).options
@@ -91,7 +91,7 @@ def play_in_maze(parameters: Mapping[str, Any]) -> Rows:
 
 
 def present(rows: pd.DataFrame) -> report.Section:
-    """Return the section of the report; a row is a way to play in a variant of a maze."""
+    """Return the section of the report; one row per policy and variant of a maze."""
     mazes = rows[['maze', 'text']].drop_duplicates('maze')
     scores = rows.drop(columns=['text', 'trial'], errors='ignore')
     means = [name for name in ('cleared', 'fallbacks', 'seconds') if name in scores]
@@ -119,9 +119,9 @@ def present(rows: pd.DataFrame) -> report.Section:
 
 def _comparisons(scores: pd.DataFrame) -> list[report.Comparison]:
     """
-    Compare the plan with all options, interrupted, with chance, the rule and primitive actions.
+    Compare the interrupted plan with all options to chance, the rule and primitive actions.
 
-    The intervals of the differences hold for all of these at once.
+    The intervals of the differences are simultaneous.
     """
     asked = []
     for (game,), rows in report.grouped(scores, ['game']):

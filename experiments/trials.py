@@ -1,9 +1,9 @@
 """
-Trials: the computations that an experiment consists of, and how they are run.
+Trials: the computations of an experiment, and their execution.
 
-A finished trial is one JSON file, named by what its result depends on: the experiment, its
-parameters, the code and the numeric libraries. So a run that was interrupted goes on where it
-stopped, and results of other code are computed again.
+A finished trial is one JSON file. Its name depends on everything that affects the result: the
+experiment, its parameters, the code and the numeric libraries. So an interrupted run continues
+where it stopped, and results of other code are recomputed.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -26,10 +26,10 @@ from humanopts_teach.evaluation.summary import write_text
 PACKAGES = ('humanopts_env', 'humanopts_learner', 'humanopts_teach', 'experiments')
 LIBRARIES = {
     name: version(name) for name in ('numpy', 'scipy', 'scikit-learn')
-}  # digits depend on
-ANSWERS_WITHIN = 10.0  # s for a Dask scheduler to answer
-WORKERS_WITHIN = 30.0  # s for the first worker of a Dask cluster to join
-Rows = list[dict[str, Any]]  # a result: rows of a table, JSON data
+}  # affect the last digits of results
+ANSWERS_WITHIN = 10.0  # s, timeout for the answer of a Dask scheduler
+WORKERS_WITHIN = 30.0  # s, timeout for the first worker of a Dask cluster
+Rows = list[dict[str, Any]]  # result: rows of a table, JSON data
 Compute = Callable[[Mapping[str, Any]], Rows]  # takes parameters, JSON data
 
 
@@ -38,7 +38,7 @@ class ClusterError(RuntimeError):
 
 
 def digest(folders: Iterable[Path]) -> str:
-    """Return a short text that changes with the Python code in folders, nodes left out."""
+    """Return a short digest of the Python code in folders, without nodes."""
     found = hashlib.sha256()
     for folder in folders:
         for path in sorted(folder.rglob('*.py')):
@@ -49,39 +49,39 @@ def digest(folders: Iterable[Path]) -> str:
 
 @cache
 def code_version() -> str:
-    """Return the digest of the code that results depend on."""
+    """Return the digest of the code that affects results."""
     specs = [find_spec(package) for package in PACKAGES]
     return digest(Path(place) for s in specs if s for place in s.submodule_search_locations or ())
 
 
 def versions() -> dict[str, Any]:
-    """Return the versions that numbers depend on: of the code and the numeric libraries."""
+    """Return the versions that affect numbers: those of the code and the numeric libraries."""
     return {'code': code_version(), 'libraries': LIBRARIES}
 
 
 @dataclass(frozen=True)
 class Trial:
-    """One computation: the same experiment, code and parameters give the same result."""
+    """One computation: experiment, code and parameters determine the result."""
 
     experiment: str  # such as fig2
     parameters: Mapping[str, Any]  # JSON data
-    compute: Compute  # a function of a module, so that it can be sent to another process
-    cost: float = 1.0  # about processor seconds; for the order, and the estimate of the time left
+    compute: Compute  # a module-level function, so that it can be pickled
+    cost: float = 1.0  # approximate processor seconds, for scheduling and the remaining time
 
     @property
     def identity(self) -> Any:
-        """The values that the result depends on, as JSON data."""
+        """The values that determine the result, as JSON data."""
         known = {'experiment': self.experiment, 'parameters': dict(self.parameters), **versions()}
         return json.loads(json.dumps(known))
 
     @property
     def key(self) -> str:
-        """A short name that no other trial has."""
+        """A short unique name."""
         text = json.dumps(self.identity, sort_keys=True)
         return f'{self.experiment}-{hashlib.sha256(text.encode()).hexdigest()[:20]}'
 
     def __str__(self) -> str:
-        """Return the trial in words."""
+        """Describe the trial."""
         said = ', '.join(f'{name} {value}' for name, value in self.parameters.items())
         return f'{self.experiment} ({said})'
 
@@ -91,8 +91,8 @@ class TrialResults:
     """The results and failures of a run, by key of the trial."""
 
     results: dict[str, Rows] = field(default_factory=dict)
-    computed: int = 0  # in this run; the other results were there before
-    failures: dict[str, str] = field(default_factory=dict)  # the trial, and what happened
+    computed: int = 0  # in this run; the other results existed before
+    failures: dict[str, str] = field(default_factory=dict)  # trial and error
 
     def rows_of(self, trials: Iterable[Trial]) -> list[dict[str, Any]]:
         """Return the rows of all finished trials, each with the number of its ``trial``."""
@@ -107,17 +107,17 @@ def run_trials(
     trials: Sequence[Trial], folder: Path, progress: ProgressCallback, jobs: int, dask: str = ''
 ) -> TrialResults:
     """
-    Compute the missing trials; each result is written as soon as it is computed.
+    Compute the missing trials; write each result as soon as it is computed.
 
-    A trial that fails is named in the outcome, and the others go on.
+    A failed trial is reported in the outcome, and the others continue.
 
-    :param folder: of the finished trials; it is made where it is missing.
+    :param folder: folder of the finished trials; created if missing.
     :param progress: called with costs.
-    :param jobs: processes on this machine, 1 or more; 1: in this process.
-    :param dask: address of a Dask scheduler that does the work instead; empty: none.
+    :param jobs: number of local processes, 1 or more; 1: this process.
+    :param dask: address of a Dask scheduler to use instead; empty: none.
     :raises ClusterError: the cluster does not answer, or Dask is not installed.
     :raises SummaryError: a result cannot be written.
-    :raises OSError: the folder cannot be made.
+    :raises OSError: the folder cannot be created.
     """
     folder.mkdir(parents=True, exist_ok=True)
     outcome, missing = TrialResults(), list[Trial]()
@@ -142,7 +142,7 @@ def run_trials(
             trial = missing[number]
             if error:
                 outcome.failures[trial.key] = f'{trial}: {error}'
-            else:  # a reader of the file sees none or all of it
+            else:
                 kept = {'trial': trial.identity, 'seconds': round(seconds, 3), 'result': result}
                 text = json.dumps(kept, indent=1, allow_nan=False)
                 write_text(folder / f'{trial.key}.json', text + '\n')
@@ -155,11 +155,11 @@ def run_trials(
 
 
 def _compute(compute: Compute, parameters: dict[str, Any]) -> tuple[Rows, float, str]:
-    """Compute one trial in the process that has it; return result, seconds, and the error."""
+    """Compute one trial in this process; return result, seconds and error."""
     began, rows, error = time.perf_counter(), Rows(), ''
     try:
         rows = compute(parameters)
-    except Exception as problem:  # whatever happens to one trial, the others go on
+    except Exception as problem:  # one failure must not stop the other trials
         error = f'{type(problem).__name__}: {problem}'
     return rows, time.perf_counter() - began, error
 
@@ -187,11 +187,11 @@ def _executor(jobs: int, dask: str) -> Iterator[Executor | None]:
 
 def _check_cluster(client: Any, dask: str) -> None:
     """
-    Check that a Dask cluster has the code and libraries of this process.
+    Check that a Dask cluster has the same code and libraries as this process.
 
-    The scheduler reads the calls that it passes on, so it needs their code too.
+    The scheduler unpickles the calls that it forwards, so it needs their code, too.
 
-    :raises ClusterError: there is no worker; or a worker or the scheduler lacks humanopts, or has
+    :raises ClusterError: there is no worker, or a worker or the scheduler lacks humanopts or has
         another version.
     """
     from distributed import TimeoutError as NoWorker

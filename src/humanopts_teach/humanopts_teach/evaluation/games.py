@@ -66,9 +66,9 @@ def gains(games: 'pd.DataFrame') -> 'pd.DataFrame':
     Return the gains in score of plans over random choice and over the rule, paired by game.
 
     :param games: table of ``evaluate_games``.
-    :return: setting, name, less (name of the other), mean, low, high (95 % interval). The plan
-        that runs all options to their ends is compared with random choice among them, and the
-        last such plan with the rule.
+    :return: setting, name, less (name of the other), mean, low, high (95 % interval). The first
+        plan with all options, run to their ends, is compared with random choice among them, and
+        the last plan with all options with the rule.
     """
     import pandas as pd
 

@@ -69,7 +69,7 @@ def tree_lines(
 
 
 def _test(column: EncodedFeature, threshold: float, domain: Domain[Any]) -> tuple[str, str]:
-    """Return the test in words, for values above the threshold (right) and others (left)."""
+    """Return the test in words: above the threshold (right branch), and otherwise (left)."""
     name = column.feature.replace('_', ' ')
     feature = domain.features[column.index]
     values = feature.values
