@@ -1,1 +1,1 @@
-"""What takes how long, measured by pytest-benchmark: ``humanopts bench`` runs these files."""
+"""Timings measured by pytest-benchmark: ``humanopts bench`` runs these files."""

@@ -1,8 +1,8 @@
 """
-The yardstick of the graph: a node that answers at once, by rclpy alone.
+The yardstick of the graph: a node that answers immediately, with rclpy alone.
 
-It takes the messages that game and option_server take, on topics of its own below ``bare``, and
-answers with messages of the same size. It has no rules, numbers nothing, and records nothing.
+It receives the same messages as game and option_server, on separate topics below ``bare``, and
+answers with messages of the same size. It has no rules, no counters and no recording.
 """
 
 import sys
@@ -18,7 +18,7 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 
 
 class BenchPeer(NodeBase):
-    """Echoes commands as states, and ends every run before it began."""
+    """Echo commands as states, and end every run before its first step."""
 
     def __init__(self) -> None:
         super().__init__('bench_peer')
@@ -39,15 +39,15 @@ class BenchPeer(NodeBase):
         )
 
     def waits_for(self) -> str | None:
-        """Wait for a state of the game, to answer with one of its size."""
+        """Wait for a state of the game, so that answers have the same size."""
         return None if self._state is not None else 'current_state'
 
     def on_ready(self) -> None:
-        """Listen to the game no longer."""
+        """Unsubscribe from the game."""
         self.destroy_subscription(self._sample)
 
     def close(self) -> None:
-        """End the action, which the node does not do by itself."""
+        """Destroy the action server, which the node does not do by itself."""
         self._server.destroy()
 
     def _keep(self, message: GameState) -> None:

@@ -1,4 +1,4 @@
-"""The yardstick of the recorder: takes raw messages as it does, and writes nothing."""
+"""The yardstick of the recorder: takes raw messages in the same way, and writes nothing."""
 
 import json
 from pathlib import Path
@@ -11,12 +11,12 @@ from humanopts_ros.process import run_node
 from humanopts_teach.ros.raw_subscriber import RawSubscriber
 
 KINDS = {'game_state': GameState, 'action': ActionCommand, 'current_state': GameState}
-_LOOK_PERIOD = 0.05  # s between looks at the graph
-_TAKE_PERIOD = 0.004  # s between takes, as the recorder has it while messages come
+_LOOK_PERIOD = 0.05  # s between checks of the graph
+_TAKE_PERIOD = 0.004  # s between takes, as in the recorder while messages arrive
 
 
 class BenchReader(NodeBase):
-    """Counts messages."""
+    """Count messages."""
 
     def __init__(self) -> None:
         super().__init__('bench_reader')
@@ -29,7 +29,7 @@ class BenchReader(NodeBase):
         self.create_timer(_TAKE_PERIOD, self._take)
 
     def close(self) -> None:
-        """Write how many messages there were, and the longest time that one waited, s."""
+        """Write the number of messages and the longest waiting time, s."""
         while self._take():
             time.sleep(_TAKE_PERIOD)
         found = {'taken': self._taken, 'waited': self._waited / 1e9}

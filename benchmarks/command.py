@@ -1,4 +1,4 @@
-"""``humanopts bench``: how long things take, each in a group with a yardstick."""
+"""``humanopts bench``: timings, each in a group with a yardstick."""
 
 from enum import StrEnum
 from importlib.util import find_spec
@@ -13,8 +13,8 @@ import typer
 
 COLUMNS = 'min,median,iqr,ops,rounds'
 LARGEST, QUICK = 100, 10  # sides of the largest grid
-PROCESS_BYTES, STATE_BYTES = 2**30, 600  # of this process, and in addition for each state
-INTERRUPTED, STOPPED = 130, 2  # exit statuses of this command, and of pytest
+PROCESS_BYTES, STATE_BYTES = 2**30, 600  # of this process, plus bytes per state
+INTERRUPTED, STOPPED = 130, 2  # exit statuses of this command and of pytest
 app = typer.Typer(**PLAIN)
 
 

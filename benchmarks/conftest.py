@@ -1,4 +1,4 @@
-"""The sizes of benchmarks, and their counts."""
+"""The sizes and counts of benchmarks."""
 
 from typing import Any
 
@@ -13,7 +13,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """Plan on grids up to the largest."""
+    """Parametrize planning benchmarks by grid, up to the largest."""
     if 'side' in metafunc.fixturenames:
         largest = metafunc.config.getoption('--largest')
         sides = [*(side for side in SIDES if side < largest), largest]
@@ -22,7 +22,7 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 
 @pytest.fixture
 def quick(request: pytest.FixtureRequest) -> bool:
-    """Whether everything runs once, small, and nothing is measured."""
+    """Whether to run everything once, at a small size, without measuring."""
     return bool(request.config.getoption('--benchmark-disable'))
 
 

@@ -1,4 +1,4 @@
-"""Times of a step of games, of many at once and of a single one."""
+"""Times of a game step, in many games in parallel and in a single game."""
 
 from collections.abc import Callable
 from typing import Any
@@ -10,14 +10,14 @@ from humanopts_env.seeding import generator
 import numpy as np
 import pytest
 
-STEPS = 4096  # of a round: one step of each of 4,096 games, or 4,096 steps of one
+STEPS = 4096  # per round: one step of each of 4,096 games, or 4,096 steps of one
 
 
 @pytest.mark.parametrize('domain', ['pacman', 'taxi'])
 @pytest.mark.parametrize('features', [False, True], ids=['rules', 'rules and every feature'])
 @pytest.mark.parametrize('together', [True, False], ids=['side by side', 'one game'])
 def bench_steps(benchmark: Any, domain: str, features: bool, together: bool) -> None:
-    """Step at random; games that are over begin again."""
+    """Take random steps; restart games that are over."""
     what = 'rules and every feature' if features else 'rules'
     benchmark.group = f'{STEPS:,} steps of {domain}, {what}'
     benchmark.name = 'side by side' if together else 'one game'
@@ -26,7 +26,7 @@ def bench_steps(benchmark: Any, domain: str, features: bool, together: bool) -> 
 
 
 def _side_by_side(domain: Domain[Any], features: bool) -> Callable[[], None]:
-    """Return a function that takes a step of each game."""
+    """Return a function that takes one step in each game."""
     rng = generator(1, 'benchmark', 'games')
     games = new_games(domain, STEPS, rng)
 

@@ -1,7 +1,7 @@
 """
 Times of a step and of an option on the graph, compared with bare rclpy.
 
-Game and option_server are measured from this process, as a bare peer is that answers at once.
+Game and option_server are measured from this process, as is a bare peer that answers immediately.
 """
 
 from collections.abc import Iterator
@@ -23,8 +23,8 @@ from rclpy.action.client import ActionClient
 from benchmarks.learning import demonstrations
 from benchmarks.processes import Client, launched, NAMESPACE, own_place, own_spec
 
-LENGTHS = (1, 8)  # steps of the runs that are timed
-STEPS = 150  # of an episode; Taxi cuts it off after 200
+LENGTHS = (1, 8)  # steps of the timed runs
+STEPS = 150  # per episode; the limit of Taxi is 200
 ROUNDS = 200
 
 
@@ -46,7 +46,7 @@ def game(request: pytest.FixtureRequest) -> Iterator['Game']:
 
 
 class Game(Client):
-    """Begins episodes and takes steps, in the game or with the bare peer."""
+    """Start episodes and take steps, in the game or with the bare peer."""
 
     def __init__(self, launcher: Launcher, option: str, starts: dict[int, str]) -> None:
         super().__init__(launcher, 'bench_game')
@@ -74,7 +74,7 @@ class Game(Client):
         return commands
 
     def begin(self, length: int) -> None:
-        """Begin an episode where the option takes this number of steps."""
+        """Start an episode in which the option takes this number of steps."""
         source = ResetGame.Request.SOURCE_MACHINE
         request = ResetGame.Request(start_state=self._starts[length], source=source)
         reply = self.ask(self._resets.call_async(request), 'reset_game')
@@ -83,7 +83,7 @@ class Game(Client):
         self.until(lambda: self._at.get('') == (self.episode, 0), 'the first state')
 
     def step(self, prefix: str) -> None:
-        """Send a command, and wait for the state that answers it."""
+        """Send a command and wait for the resulting state."""
         step = self.step_number
         command = ActionCommand(
             publisher_id=f'{NAMESPACE}/{self.node.get_name()}#00000000',
@@ -118,7 +118,7 @@ def bench_step(benchmark: Any, game: Game, prefix: str) -> None:
 @pytest.mark.parametrize('length', [*LENGTHS, 0], ids=lambda steps: f'{steps} steps')
 @pytest.mark.parametrize('via', ['run_option', 'execute_option'])
 def bench_run(benchmark: Any, game: Game, via: str, length: int) -> None:
-    """Run an option by a service or by an action; with 0 steps, have the bare peer answer."""
+    """Run an option by service or action; with 0 steps, the bare peer answers."""
     bare = 'a bare ' + ('service' if via == 'run_option' else 'action')
     benchmark.group, benchmark.name = via, f'{length} steps' if length else bare
     prefix = '' if length else 'bare/'

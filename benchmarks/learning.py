@@ -1,4 +1,4 @@
-"""Times to learn an option again after a demonstration, as the learner node does."""
+"""Times to relearn an option after a demonstration, as in the learner node."""
 
 from functools import cache, partial
 from typing import Any
@@ -19,7 +19,7 @@ COUNTS, SEED = (10, 20, 40), 1
 
 @cache
 def demonstrations(domain: Taxi) -> list[Demonstration]:
-    """Have a simulated teacher show an option from random start states, without errors."""
+    """Have a simulated teacher demonstrate an option from random start states, without errors."""
     teacher = TeacherSettings(('go to passenger and pickup',), seed=SEED)
     rules = LessonRules('random', 6 * max(COUNTS), SEED)  # some answers are "not here"
     taught = teach(domain, teacher, rules, lambda _, o: bool(o.n_demonstrations >= max(COUNTS)))
@@ -34,7 +34,7 @@ DOMAIN = Taxi()
     'what', ['three trees fitted', 'criteria judged', "one scikit-learn tree of the policy's rows"]
 )
 def bench_learning(benchmark: Any, count: int, what: str) -> None:
-    """Learn and judge an option after some demonstrations."""
+    """Learn and evaluate an option after some demonstrations."""
     benchmark.group, benchmark.name = f'learning after {count} demonstrations', what
     shown = demonstrations(DOMAIN)[:count]
     if what == 'three trees fitted':

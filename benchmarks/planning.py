@@ -1,10 +1,10 @@
 """
-How planning time grows with the size of the world: Taxi grids, solved in several ways.
+Planning time by size of the world: Taxi grids, solved with several solvers.
 
 With the paper's rewards a legal pickup costs nothing, so on large grids the best policy never
-delivers: far from the destination it picks up and puts down for ever, at half the cost of
-driving. Here a pickup costs 1 as every other step does, so the best policy delivers from every
-state, and the two options of the paper lose nothing.
+delivers: far from the destination it picks up and puts down forever, at half the cost of driving.
+Here a pickup costs 1 like every other step, so the best policy delivers from every state, and the
+two options of the paper lose nothing.
 """
 
 from collections.abc import Callable
@@ -28,13 +28,13 @@ from scipy.sparse import csr_matrix
 
 OPTIONS = ('go to passenger and pickup', 'go to destination and dropoff')
 GAMMA, TOLERANCE, MAX_SWEEPS = 0.99, 1e-6, 100_000
-REPEATED = 100  # largest side that is solved several times, and by quantecon
-SWEEPS = 10  # in a round of single sweeps
-SWEEP_BYTES = 6 * (4 + 8) + 8 + 8  # a state: 6 successors and rewards, its value before and after
+REPEATED = 100  # largest side for repetitions and for quantecon
+SWEEPS = 10  # per round of single sweeps
+SWEEP_BYTES = 6 * (4 + 8) + 8 + 8  # per state: 6 successors and rewards, old and new value
 
 
 class PricedTaxi(Taxi):
-    """Taxi in which a legal pickup costs 1, as every step but the delivery does."""
+    """Taxi in which a legal pickup costs 1, like every step except the delivery."""
 
     @built_once
     def transitions(self) -> Transitions:
@@ -51,7 +51,7 @@ class PricedTaxi(Taxi):
 
 @pytest.fixture(scope='module')
 def grid(side: int) -> PricedTaxi:
-    """A grid with everything that solvers are given."""
+    """A grid with all inputs of the solvers."""
     compiled_sweep()
     domain = PricedTaxi(side, side)
     assert len(domain.transitions().reward) == len(domain.over())
@@ -59,20 +59,20 @@ def grid(side: int) -> PricedTaxi:
 
 
 def _planned(grid: PricedTaxi, action_set: str) -> int:
-    """Return the sweeps of a plan."""
+    """Make a plan and return its number of sweeps."""
     options = grid.options if action_set == HUMAN else ()
     limits: Any = {'gamma': GAMMA, 'tol': TOLERANCE, 'max_sweeps': MAX_SWEEPS}
     return make_exact_plan(grid, options, PlanRequest(action_set, **limits)).solution.sweeps
 
 
 def _discrete_dp(grid: PricedTaxi) -> Any:
-    """Return quantecon's problem, over sparse pairs of state and action."""
+    """Return the problem for quantecon, over sparse pairs of state and action."""
     markov = pytest.importorskip('quantecon.markov')
     rules, over = grid.transitions(), grid.over()
     n_states, n_actions = rules.successor.shape[:2]
     successor = rules.successor[:, :, 0].copy()
     states = np.arange(n_states, dtype=np.int32)
-    successor[over] = states[over, None]  # a task that is over stays so, and nothing follows
+    successor[over] = states[over, None]  # terminal states are absorbing, with reward 0
     reward = np.where(over[:, None], 0.0, rules.reward[:, :, 0])
     pairs = n_states * n_actions
     rows = csr_matrix(
@@ -83,7 +83,7 @@ def _discrete_dp(grid: PricedTaxi) -> Any:
 
 
 def _by_quantecon(grid: PricedTaxi) -> int:
-    # its tolerance is epsilon * (1 - beta) / (2 * beta) between two sweeps
+    # quantecon's tolerance between sweeps is epsilon * (1 - beta) / (2 * beta)
     epsilon = TOLERANCE * 2 * GAMMA / (1 - GAMMA)
     start = np.zeros(grid.n_states)
     found = _discrete_dp(grid).solve('value_iteration', start, epsilon, MAX_SWEEPS)
@@ -99,8 +99,8 @@ SOLVERS: dict[str, Callable[[PricedTaxi], int]] = {
 
 @pytest.mark.parametrize('solver', SOLVERS)
 def bench_plan(benchmark: Any, grid: PricedTaxi, side: int, solver: str) -> None:
-    """Make whole plans: policies and models of the options, and sweeps."""
-    solve, _ = SOLVERS[solver], grid.options  # which are given
+    """Make complete plans: policies and models of the options, and sweeps."""
+    solve, _ = SOLVERS[solver], grid.options  # cache the options before timing
     benchmark.group, benchmark.name = f'planning on Taxi {side} x {side}', solver
     if side > REPEATED:
         if solve is _by_quantecon:
@@ -119,8 +119,8 @@ def bench_sweeps(benchmark: Any, grid: PricedTaxi, side: int, swept: str) -> Non
     """
     Sweep over all actions.
 
-    A sweep has to read one successor and one reward of each action of each state and the old
-    value, and to write the new one. The copy reads and writes as many bytes in all.
+    For each state, a sweep has to read one successor and one reward per action and the old value,
+    and to write the new value. The copy reads and writes the same number of bytes.
     """
     benchmark.group, benchmark.name = f'{SWEEPS} sweeps of Taxi {side} x {side}', swept
     start = np.zeros(grid.n_states)

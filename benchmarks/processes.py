@@ -1,4 +1,4 @@
-"""The processes of a benchmark, in a ROS domain and a folder of their own, and clients of them."""
+"""The processes of a benchmark, in a separate ROS domain and folder, and their clients."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -19,20 +19,20 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.utilities import try_shutdown
 
-# Domains whose UDP ports lie above those that Linux hands out to other programs.
+# Domains with UDP ports above Linux's ephemeral ports.
 DOMAIN_IDS = range(215, 232)
 _FIRST_PORT, _PORTS, _DISCOVERY = 7400, 250, 10  # DDSI-RTPS 2.2, section 9.6.1.1
-_LOOK_PERIOD = 0.1  # s between looks whether all processes are alive
-_PATIENCE = 20.0  # s for anything that is waited for
+_LOOK_PERIOD = 0.1  # s between checks that all processes are alive
+_PATIENCE = 20.0  # s, timeout of every wait
 NAMESPACE = f'/bench_{os.getpid()}'
 
 
 @contextmanager
 def own_place() -> Iterator[Path]:
     """
-    Provide a temporary folder, and an unused ROS_DOMAIN_ID for new processes.
+    Provide a temporary folder and an unused ROS_DOMAIN_ID for new processes.
 
-    Fields of messages are not checked meanwhile: only tests do that.
+    Message fields are not checked meanwhile: only tests check them.
 
     :raises LaunchError: every domain is in use.
     """
@@ -49,7 +49,7 @@ def own_place() -> Iterator[Path]:
 
 
 def _is_free(domain_id: int) -> bool:
-    """Return whether the port that the first participant of a domain takes is free."""
+    """Return whether the port of the first participant of a domain is free."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
             probe.bind(('', _FIRST_PORT + _PORTS * domain_id + _DISCOVERY))
@@ -59,16 +59,16 @@ def _is_free(domain_id: int) -> bool:
 
 
 def own_spec(name: str, **parameters: Value) -> ProcessSpec:
-    """Return the process of a node for measuring only."""
+    """Return the process of a node that is only used for measuring."""
     return ProcessSpec(name, f'benchmarks.{name}', parameters)
 
 
 @contextmanager
 def launched(specs: Sequence[ProcessSpec], folder: Path) -> Iterator[Launcher]:
     """
-    Start processes, let this one be a client of them, and stop them whatever happens.
+    Start processes with this process as their client, and always stop them at the end.
 
-    :param folder: for logs and parameters.
+    :param folder: folder of logs and parameters.
     """
     launcher = Launcher(specs, folder, NAMESPACE)
     start_ros(['--ros-args', '-r', f'__ns:={NAMESPACE}', '--disable-stdout-logs'])
@@ -81,16 +81,16 @@ def launched(specs: Sequence[ProcessSpec], folder: Path) -> Iterator[Launcher]:
 
 
 def stop(launcher: Launcher) -> None:
-    """End all processes, and print which did not end cleanly."""
+    """Stop all processes and print those that did not exit cleanly."""
     for problem in launcher.stop():
         print(f'humanopts bench: {problem}', file=sys.stderr)
 
 
 class Client:
     """
-    A node of this process that does one thing, and waits for the answer.
+    A node in this process that sends one request and waits for the answer.
 
-    It has its own executor, so that nothing else runs while the time is taken.
+    It has its own executor, so that nothing else runs during a measurement.
     """
 
     def __init__(self, launcher: Launcher, name: str) -> None:
@@ -103,19 +103,19 @@ class Client:
         """
         Run callbacks until a condition holds.
 
-        :raises LaunchError: a process died, or the time is over.
+        :raises LaunchError: a process died, or the wait timed out.
         """
         began = time.monotonic()
         while not done():
             self._executor.spin_once(_LOOK_PERIOD)
             passed = time.monotonic() - began
-            if passed > _LOOK_PERIOD:  # what is timed takes less
+            if passed > _LOOK_PERIOD:  # longer than any timed operation
                 self._launcher.check()
             if passed > seconds:
                 raise LaunchError(f'gave up waiting for {what} after {seconds:.0f} s')
 
     def ask(self, future: Any, what: str) -> Any:
-        """Wait for an answer and return it; errors as ``until``."""
+        """Wait for an answer and return it; errors as in ``until``."""
         self.until(future.done, what)
         return future.result()
 

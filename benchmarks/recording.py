@@ -1,7 +1,7 @@
 """
-Messages per second that the recorder accepts, with cost and losses.
+Messages per second accepted by the recorder, with cost and losses.
 
-This process sends the same messages to the recorder, and to a reader that writes nothing.
+This process sends the same messages to the recorder and to a reader that writes nothing.
 """
 
 from contextlib import closing, ExitStack
@@ -27,22 +27,22 @@ from benchmarks.bench_reader import KINDS
 from benchmarks.processes import Client, launched, NAMESPACE, own_place, own_spec, stop
 
 _PATIENCE = 10.0  # s for a reader to receive all messages
-_PERIOD = 0.002  # s between looks at the clock
-_AT_ONCE = 500  # messages that are sent between looks at the clock, as fast as can be
+_PERIOD = 0.002  # s between checks of the clock
+_AT_ONCE = 500  # messages between checks of the clock, at maximum speed
 
 
 @dataclass(frozen=True)
 class Load:
-    """The messages that are sent to a reader."""
+    """The messages to send to a reader."""
 
     messages: int
-    rate: int  # messages a second; 0: as fast as the reader takes them
+    rate: int  # messages per second; 0: as fast as the reader takes them
     rounds: int
-    longest: float = 15.0  # s that is sent for; a reader that holds the sender back gets less
+    longest: float = 15.0  # s of sending; a reader that slows the sender down gets less
 
 
-# A reader's middleware holds up to 5,000 messages of a topic that are not taken yet, so a load as
-# fast as can be has many times more.
+# A reader's middleware queues up to 5,000 messages per topic, so a load at maximum speed has many
+# times more.
 LOADS = {
     'as fast as they are taken': Load(60_000, 0, 5),
     '3,000 a second': Load(180_000, 3_000, 1, longest=66.0),
@@ -52,7 +52,7 @@ LOADS = {
 @pytest.mark.parametrize('load', LOADS)
 @pytest.mark.parametrize('reader', ['recorder', 'bench_reader'])
 def bench_recording(benchmark: Any, load: str, reader: str, quick: bool) -> None:
-    """Send messages to a reader until its middleware has them; nothing may be lost."""
+    """Send messages to a reader until its middleware has them all; no loss is allowed."""
     benchmark.group = f'messages, {load}'
     benchmark.name = 'the recorder' if reader == 'recorder' else 'taken alike, not written'
     wanted = replace(LOADS[load], messages=2_000) if quick else LOADS[load]
@@ -87,7 +87,7 @@ def bench_recording(benchmark: Any, load: str, reader: str, quick: bool) -> None
 
 
 def _received(folder: Path) -> tuple[int, float]:
-    """Return how many messages a reader got, and the longest time that one waited for it, s."""
+    """Return the number of messages received by a reader, and their longest waiting time, s."""
     if not (folder / 'bag').exists():
         found = json.loads((folder / 'taken.json').read_text('utf-8'))
         return found['taken'], found['waited']
@@ -99,14 +99,14 @@ def _received(folder: Path) -> tuple[int, float]:
 
 class Sender(Client):
     """
-    Sends the messages of a game to one reader.
+    Send the messages of a game to one reader.
 
-    As fast as it can, it sends on one topic what was serialized before, so that the reader is what
-    limits the rate. At a steady rate it sends on three, as a game does that is also displayed.
+    At maximum speed, it sends pre-serialized messages on one topic, so that the reader limits the
+    rate. At a steady rate, it sends on three topics, like a game with a display.
 
-    :ivar sent: messages.
-    :ivar processor: share of one core that the reader used meanwhile.
-    :ivar memory: the most that the reader had at once, bytes.
+    :ivar sent: number of messages.
+    :ivar processor: share of one core used by the reader meanwhile.
+    :ivar memory: peak memory of the reader, bytes.
     """
 
     def __init__(self, launcher: Launcher, reader: str) -> None:
@@ -117,7 +117,7 @@ class Sender(Client):
         self.until(lambda: all(to.get_subscription_count() for to in self._to), reader)
 
     def send(self, load: Load) -> None:
-        """Send everything, or as much as the reader accepts in time; wait until it has arrived."""
+        """Send everything, or what the reader accepts in time; wait until it has arrived."""
         to = self._to if load.rate else self._to[:1]
         wanted = range(load.messages)
         ready = [] if load.rate else [self._message(number, 1) for number in wanted]
@@ -130,7 +130,7 @@ class Sender(Client):
                 try:
                     to[number % len(to)].publish(message)
                 except rclpy_implementation.RCLError:
-                    break  # the reader has held the sender back for 0.1 s
+                    break  # the reader has blocked the sender for 0.1 s
                 self.sent += 1
             if load.rate:
                 time.sleep(_PERIOD)
@@ -140,13 +140,13 @@ class Sender(Client):
         self.memory = after.peak
 
     def close(self) -> None:
-        """Leave the graph; a reader that lacks something ends first, and takes it at its end."""
+        """Leave the graph; a reader with pending messages ends first and takes them at its end."""
         if not self._await_received(0.0):
             stop(self._launcher)
         super().close()
 
     def _await_received(self, seconds: float) -> bool:
-        """Return whether the reader's middleware has everything, after a wait for each topic."""
+        """Wait on each topic; return whether the reader's middleware has received everything."""
         return all(to.wait_for_all_acked(Duration(seconds=seconds)) for to in self._to)
 
     def _message(self, number: int, topics: int) -> bytes:

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# build_packages.sh VENV: installs the Python packages of src/ into install/, and adds their folders
+# build_packages.sh VENV: install the Python packages of src/ into install/, and add their folders
 # to the path of a virtual environment, for users' scripts.
 set -euo pipefail
 venv=$(cd "$1" && pwd)

@@ -1,8 +1,8 @@
 """
-check_floor.py LOCK: checks that Python finds the packages of a lock file, and that ours import.
+check_floor.py LOCK: check that the packages of a lock file are installed and that ours import.
 
-It prints the versions, or the differences from the lock file. It imports every module of src/ that
-needs no graph, so that none needs a feature of newer packages.
+Print the versions, or the differences from the lock file. Import every module of src/ that needs
+no graph, to prove that none needs a feature of newer packages.
 """
 
 from importlib import import_module
@@ -11,11 +11,11 @@ from pathlib import Path
 import re
 import sys
 
-PIN = re.compile(r'^([a-z0-9-]+)==(\S+) \\$', re.MULTILINE)  # without a marker of another Python
+PIN = re.compile(r'^([a-z0-9-]+)==(\S+) \\$', re.MULTILINE)  # without environment marker
 
 
 def main(lock: Path, source: Path) -> int:
-    """Check, print the result, and return the exit status."""
+    """Check, print the result and return the exit status."""
     pins: dict[str, str] = dict(PIN.findall(lock.read_text(encoding='utf-8')))
     wrong = [
         f'{name} {found} is used instead of {pin}: make test-floor installs what it tests with'

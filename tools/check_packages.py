@@ -1,8 +1,8 @@
 """
-Checks the packages of src/ as ROS tools see them, and prints what is wrong.
+Check the packages of src/ from the view of ROS tools, and print all problems.
 
-Every package.xml must be valid, list exactly the packages that its code imports, and list only
-keys known to rosdep: those copied from rosdistro (rosdep/rosdistro_keys.txt), our own
+Every package.xml must be valid, list exactly the packages imported by its code, and list only keys
+known to rosdep: those copied from rosdistro (rosdep/rosdistro_keys.txt), our own
 (rosdep/humanopts.yaml), and the packages of src/. The minimum versions in package.xml and setup.py
 must be those of make test-floor (requirements-floor.in). Every package needs a README.md, and a
 CHANGELOG.rst with a section for its version.
@@ -16,7 +16,7 @@ import sys
 from catkin_pkg.package import InvalidPackage, Package, parse_package
 import yaml
 
-# Import name -> rosdep key, where the two differ.
+# Import name -> rosdep key, if they differ.
 KEYS = {
     'fastapi': 'python3-nicegui-pip',
     'gymnasium': 'python3-gymnasium-pip',
@@ -47,11 +47,11 @@ KEYS = {
 FLOOR_KEYS = {'markdown-it-py': 'markdown-it', 'pyyaml': 'yaml', 'scikit-learn': 'sklearn'}
 OPTIONAL = {'distributed', 'minari', 'numba', 'pyarrow', 'quantecon'}  # used if installed
 UNIMPORTED = {'std_msgs', 'launch', 'launch_ros'}  # used by messages and launch files
-SYSTEMS = ('debian', 'ubuntu')  # that need a rule of ours
+SYSTEMS = ('debian', 'ubuntu')  # need a rule in our list
 
 
 def imported(package: Path) -> set[str]:
-    """Return the top-level names that the code imports from other packages."""
+    """Return the top-level names imported from other packages."""
     names: set[str] = set()
     for path in package.glob(f'{package.name}/**/*.py'):
         for node in ast.walk(ast.parse(path.read_text(encoding='utf-8'))):
@@ -90,7 +90,7 @@ def page_problems(package: Path, version: str) -> list[str]:
 
 
 def key_problems(root: Path, manifests: dict[Path, Package]) -> list[str]:
-    """Return the keys unknown to rosdep, and the faults of our lists of keys."""
+    """Return the keys unknown to rosdep, and the errors in our key lists."""
     lines = (root / 'rosdep/rosdistro_keys.txt').read_text(encoding='utf-8').splitlines()
     copied = {line for line in lines if line and not line.startswith('#')}
     own = yaml.safe_load((root / 'rosdep/humanopts.yaml').read_text(encoding='utf-8')) or {}
@@ -139,7 +139,7 @@ def floor_problems(package: Path, manifest: Package, floor: str) -> list[str]:
 
 
 def problems(root: Path) -> list[str]:
-    """Return the faults of the packages in src/ of a folder, in words."""
+    """Return the problems of the packages in src/ of a folder, in words."""
     found: list[str] = []
     manifests: dict[Path, Package] = {}
     floor = (root / 'requirements-floor.in').read_text(encoding='utf-8')

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Prints in one line what this machine lacks, and the package that provides it.
+# Print in one line the first missing prerequisite and the package that provides it.
 python="${1:-python3}"
 missing() {
   echo "humanopts: $1; install it with: apt-get install $2" >&2

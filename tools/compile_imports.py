@@ -1,8 +1,8 @@
 """
-Imports every module of src/ and whatever their functions import, so that Python compiles them.
+Import every module of src/ and all imports inside functions, so that Python compiles them.
 
-That is a hundredth of the installed modules; compiling all takes five times as long. It is part of
-the set-up because other users may not be allowed to write there.
+These are a hundredth of the installed modules; compiling all takes five times as long. This is
+part of the set-up because other users may lack write permission.
 """
 
 import ast
@@ -12,7 +12,7 @@ from pathlib import Path
 
 
 def main(source: Path) -> None:
-    """Import them all; optional packages may be missing."""
+    """Import all modules; optional packages may be missing."""
     for path in sorted(source.glob('humanopts_*/humanopts_*/**/[!_]*.py')):
         needed = ['.'.join(path.relative_to(source).with_suffix('').parts[1:])]
         for node in ast.walk(ast.parse(path.read_bytes())):

@@ -1,5 +1,5 @@
-# Sourced with $root set: sets what install/setup.bash would set, in a millisecond, and drops the
-# variables of another ROS or Python. make drops the same variables.
+# Source this file with $root set: it sets the variables of install/setup.bash in a millisecond, and
+# unsets those of another ROS or Python. make unsets the same variables.
 unset PYTHONHOME PYTHONPATH PYTHONPLATLIBDIR VIRTUAL_ENV LD_LIBRARY_PATH
 unset AMENT_PREFIX_PATH AMENT_CURRENT_PREFIX CMAKE_PREFIX_PATH COLCON_PREFIX_PATH
 unset ROS_DISTRO ROS_VERSION ROS_PYTHON_VERSION ROS_PACKAGE_PATH _ROS_WHEELS_BOOTSTRAP_COMPLETE
@@ -13,5 +13,5 @@ export PYTHONPATH AMENT_PREFIX_PATH="$AMENT_PREFIX_PATH:$root/.venv"
 export LD_LIBRARY_PATH="$root/install/humanopts_interfaces/lib"
 export PATH="$root/.venv/bin:$PATH"
 export ROS_DISTRO=jazzy ROS_VERSION=2 ROS_PYTHON_VERSION=3
-# Graphs stay on this machine unless the user says otherwise.
+# Graphs stay on this machine unless the user changes the range.
 export ROS_AUTOMATIC_DISCOVERY_RANGE="${ROS_AUTOMATIC_DISCOVERY_RANGE:-LOCALHOST}"

@@ -32,7 +32,7 @@ HEAD = [
 
 
 def stub_of_message(name: str, spec: MessageSpecification) -> Iterator[str]:
-    """Yield the lines of a class; arrays are read as rclpy keeps them, and set from sequences."""
+    """Yield the lines of a class; arrays have the types of rclpy, and are set from sequences."""
     yield f'class {name}:'
     for constant in spec.constants:
         value = bytes([constant.value]) if constant.type == 'byte' else constant.value
@@ -77,7 +77,7 @@ def _is_fixed(kind: Type) -> bool:
 
 
 def stub_of_file(kind: str, package: str, name: str, text: str) -> Iterator[str]:
-    """Yield the lines of a .msg file, or of the parts of a .srv or .action file in a class."""
+    """Yield the lines for a .msg file, or a class with the parts of a .srv or .action file."""
     if kind == 'msg':
         yield from stub_of_message(name, parse_message_string(package, name, text))
         return
@@ -115,7 +115,7 @@ def write_package(package: Path, out: Path) -> None:
 
 
 def main(arguments: list[str]) -> int:
-    """Write the stubs of every package of some folders."""
+    """Write the stubs of every package in the given folders."""
     out, *shares = map(Path, arguments)
     for share in shares:
         for package in sorted(share.iterdir()):

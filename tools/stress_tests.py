@@ -1,7 +1,7 @@
 """
-Runs the tests of the live graph repeatedly, while every core is busy and discovery is late.
+Run the tests of the live graph repeatedly, with every core busy and slow discovery.
 
-The order of the files and the delays follow from a seed, so that a round can be repeated:
+A seed determines the order of the files and the delays, so that a round can be repeated:
 ``make test-stress ROUNDS=1 SEED=7 ARGS=tests/test_recorder.py``.
 """
 
@@ -27,8 +27,8 @@ while os.getppid() == parent:
     for _ in range(1_000_000):
         pass
 """
-# Fast DDS announces a participant when it is made and then periodically; our profile for one
-# machine has it do so ten times a second at first.
+# Fast DDS announces a participant at its creation and then periodically. Our profile for a single
+# machine announces it ten times per second at first.
 USUAL = files('humanopts_ros') / 'loopback_discovery.xml'
 ANNOUNCEMENTS = re.compile(r'(?<=<discovery_config>).*(?=</discovery_config>)', re.DOTALL)
 LATE = """
@@ -41,7 +41,7 @@ LATE = """
 
 @contextmanager
 def busy_cores() -> Iterator[None]:
-    """Keep every core busy, by a process for each."""
+    """Keep every core busy with one process each."""
     command = [sys.executable, '-c', BUSY]
     processes = [subprocess.Popen(command) for _ in range(os.cpu_count() or 1)]
     try:
@@ -54,7 +54,7 @@ def busy_cores() -> Iterator[None]:
 
 
 def write_profile(chance: random.Random, path: Path) -> str:
-    """Write a profile by which nodes are found late, and return it in words."""
+    """Write a profile that delays the discovery of nodes, and return its description."""
     first, period = chance.uniform(0.2, 0.9), chance.uniform(1.0, 3.0)
     late = LATE.format(
         first=int(first * 1e9), seconds=int(period), nanoseconds=int(period % 1.0 * 1e9)
@@ -69,8 +69,8 @@ def run_round(chosen: list[str], seed: int, seconds: float) -> bool:
     """
     Run the tests once; return whether they all passed in time.
 
-    :param chosen: the files; pytest's output goes to a log that is named.
-    :param seconds: after which pytest is interrupted, and ends its nodes and processes.
+    :param chosen: test files; the output of pytest goes to a log, which is printed by name.
+    :param seconds: timeout; pytest is then interrupted and ends its nodes and processes.
     """
     chance = random.Random(seed)
     profile, log = LOGS / f'discovery-{seed}.xml', LOGS / f'{seed}.log'
@@ -96,7 +96,7 @@ def run_round(chosen: list[str], seed: int, seconds: float) -> bool:
 
 
 def main() -> int:
-    """Run all rounds; return 1 if a test failed or the time was too short."""
+    """Run all rounds; return 1 if a test failed or timed out."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('files', nargs='*', help='test files; default: all')
     parser.add_argument('--rounds', type=int, default=10)
