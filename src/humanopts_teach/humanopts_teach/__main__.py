@@ -1,4 +1,4 @@
-"""``python -m humanopts_teach``: what is forked from this process does not import it again."""
+"""``python -m humanopts_teach``: an entry point whose forked processes need no imports."""
 
 import gc
 import sys
@@ -7,5 +7,5 @@ from humanopts_teach.cli import main
 
 if __name__ == '__main__':
     ended_with = main()
-    gc.freeze()  # so that nothing is searched for garbage at the end: half a second after a demo
+    gc.freeze()  # skip the final garbage collection: saves half a second after a demo
     sys.exit(ended_with)

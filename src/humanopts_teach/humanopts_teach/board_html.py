@@ -1,4 +1,4 @@
-"""A board as HTML: an SVG picture and its caption."""
+"""Rendering of a board as HTML: an SVG image and its caption."""
 
 from functools import cache
 import html
@@ -19,8 +19,8 @@ from humanopts_env.board import (
 from rich.color import ColorSystem
 from rich.style import Style
 
-CELL = 40  # width and height of a cell in the picture
-# Drawn around (0, 0) in a square of 20; other marks are letters.
+CELL = 40  # width and height of a cell in the image
+# Shapes centred at (0, 0) in a square of size 20; other marks are letters.
 _SHAPES = {
     OPEN_BOX: '<rect x="-7" y="-7" width="14" height="14" rx="3" class="open"/>',
     BOX: '<rect x="-8" y="-8" width="16" height="16" rx="3"/>',
@@ -34,7 +34,7 @@ _SHAPES = {
 
 
 def board_html(board: Board) -> str:
-    """Return the board as an SVG picture; the style sheet sets the colours of its classes."""
+    """Return the board as an SVG image; the style sheet sets the colours of its classes."""
     if not board.rows:
         return f'<pre class="board">{html.escape(board.picture)}</pre>' if board.picture else ''
     width, height, walls = board.cols * CELL, board.rows * CELL, style_classes(board.colour)
@@ -59,7 +59,7 @@ def board_html(board: Board) -> str:
 
 
 def notes_html(board: Board) -> list[str]:
-    """Return the caption of a board, a piece of HTML for each part."""
+    """Return the caption of a board, one HTML fragment per part."""
     return [
         ''.join(
             f'<b class="{style_classes(style)}">{html.escape(text)}</b>'
@@ -81,7 +81,7 @@ def _mark(mark: Mark, place: tuple[float, float], size: float) -> str:
 
 @cache
 def style_classes(style: str) -> str:
-    """Return CSS classes for a style in rich's notation: the nearest of eight colours."""
+    """Return the CSS class for a style in rich's notation: the nearest of eight colours."""
     colour = Style.parse(style).color
     if colour is None or colour.is_default:
         return ''

@@ -1,7 +1,7 @@
 """
 The humanopts command line: one function per command, with its options as parameters.
 
-Commands import what they need when they run, so that help and completion are quick.
+Commands import their dependencies when they run, so that help and completion are fast.
 """
 
 from collections.abc import Sequence
@@ -41,20 +41,20 @@ if TYPE_CHECKING:
 
 NAME = 'humanopts'
 COMPLETE = '_HUMANOPTS_COMPLETE'  # set by the shell to get completions
-_UNWRITABLE = errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO  # of standard output
-OUTSIDE = {  # commands of the repository: module of the Typer app, and help
+_UNWRITABLE = errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO  # errors of standard output
+OUTSIDE = {  # commands available only in the repository: module of the Typer app, and help
     'bench': ('benchmarks.command', 'benchmarks, each next to a yardstick'),
     'reproduce': ('experiments.command', "recompute the paper's figures and tables"),
 }
 
 
 class OutsideCommand(TyperCommand):
-    """A command of the repository; its module is imported when it runs or shows its help."""
+    """A command of the repository, imported when it runs or shows its help."""
 
     def make_context(
         self, info_name: str | None, args: list[str], *others: Any, **more: Any
     ) -> Any:
-        """Let the command parse its own arguments."""
+        """Delegate argument parsing to the command."""
         module = importlib.import_module(OUTSIDE[str(self.name)][0])
         command = typer.main.get_command(module.app)
         return command.make_context(info_name, args, *others, **more)
@@ -81,10 +81,10 @@ app.add_typer(study_app, name='study')
 
 
 class DomainCommand(TyperCommand):
-    """A command with a domain; its help lists the domains."""
+    """A command with a domain argument; its help lists the domains."""
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
-        """Find the domains only when help is shown."""
+        """Add the list of domains; they are looked up only when help is shown."""
         from humanopts_env.domains.names import domain_names, GYMNASIUM
 
         self.epilog = f'DOMAIN is one of {", ".join(domain_names())}, or {GYMNASIUM}ENV_ID.'
@@ -274,7 +274,7 @@ def status(
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run a command; return its exit status: 0, 1 for a failure, 2 for bad input."""
+    """Run a command and return its exit status: 0, 1 for a failure, 2 for invalid input."""
     open_streams()
     accept_any_text()
     words = list(sys.argv[1:] if argv is None else argv)
@@ -289,19 +289,19 @@ def main(argv: Sequence[str] | None = None) -> int:
     except typer.Exit as end:
         return end.exit_code
     except typer.TyperException as error:
-        usage = getattr(error, 'ctx', None)  # of every usage error
+        usage = getattr(error, 'ctx', None)  # set for every usage error
         path = usage.command_path if usage else NAME
         text = ' '.join(error.format_message().split()).rstrip('.')
         return _complain(path, f'{text[:1].lower()}{text[1:]}; see {path} --help', 2)
     except KeyboardInterrupt:
         return _complain(_named(context), 'interrupted; everything is stopped', 130)
-    except BrokenPipeError:  # the reader has stopped, as in "humanopts bag info BAG | head"
+    except BrokenPipeError:  # the reader has exited, as in "humanopts bag info BAG | head"
         silence(sys.stdout)
         return 1
     except Exception as error:
-        if type(error).__module__.startswith('humanopts_'):  # its text says what is wrong
+        if type(error).__module__.startswith('humanopts_'):  # its message explains the problem
             failed = isinstance(error, LaunchError) and not isinstance(error, OccupiedError)
-            several = isinstance(error, LaunchError | CommandError)  # lines
+            several = isinstance(error, LaunchError | CommandError)  # multi-line messages
             text = str(error) if several else one_line(str(error))
             return _complain(_named(context), text, 1 if failed else 2)
         if isinstance(error, OSError) and error.filename:
@@ -315,7 +315,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _named(context: Any) -> str:
-    """Return the name of the command in messages: humanopts and the first word."""
+    """Return the command name for messages: humanopts and the subcommand."""
     called = context.invoked_subcommand if context is not None else None
     return f'{NAME} {called}' if called else NAME
 
@@ -323,6 +323,6 @@ def _named(context: Any) -> str:
 def _complain(path: str, text: str, status: int) -> int:
     try:
         print(printable(f'{path}: {text}'), file=sys.stderr, flush=True)
-    except OSError:  # no reader, or a full disk; the status remains
+    except OSError:  # no reader, or a full disk; the exit status is still returned
         silence(sys.stderr)
     return status

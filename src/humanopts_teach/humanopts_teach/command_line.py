@@ -1,4 +1,4 @@
-"""The options that commands share, and how their texts become values."""
+"""Options shared by commands, and their parsers."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass, MISSING
@@ -22,12 +22,12 @@ PLAIN: dict[str, Any] = {  # settings of every Typer app: plain help that fits 8
 def option(
     metavar: str, text: str, parser: Callable[[str], Any] | None = None, **more: Any
 ) -> Any:
-    """Return an option that takes a value; ``more`` goes to Typer."""
+    """Return an option with a value; ``more`` is passed to Typer."""
     return typer.Option(metavar=metavar, help=text, parser=parser, **more)
 
 
 def flag(name: str, text: str, **more: Any) -> Any:
-    """Return an option without a value; ``more`` goes to Typer."""
+    """Return a flag; ``more`` is passed to Typer."""
     return typer.Option(name, help=text, **more)
 
 
@@ -41,7 +41,7 @@ def number(what: str, accepted: Callable[[Any], bool], kind: type = float) -> Ca
     """
     Return a parser of numbers.
 
-    :param what: completes the message "... is not"; describes the accepted numbers.
+    :param what: description of the accepted numbers; completes the message "... is not".
     """
 
     def parse(text: str) -> Any:
@@ -58,12 +58,12 @@ def number(what: str, accepted: Callable[[Any], bool], kind: type = float) -> Ca
 
 
 def whole(least: int) -> Callable[[str], int]:
-    """Return a parser of whole numbers from ``least`` to 2**31 - 1."""
+    """Return a parser of integers from ``least`` to 2**31 - 1."""
     return number(f'from {least} to {2**31 - 1}', lambda value: least <= value < 2**31, int)
 
 
 def size(text: str) -> int:
-    """Return the bytes of a size such as 500M."""
+    """Parse a size such as 500M and return it in bytes."""
     digits = text.rstrip('kMG')
     unit = _UNITS.get(text[len(digits) :])
     value = int(digits) * unit if unit and digits.isascii() and digits.isdigit() else 0
@@ -73,7 +73,7 @@ def size(text: str) -> int:
 
 
 def name_and_value(text: str) -> tuple[str, Any]:
-    """Return the name and the value of a domain's parameter, such as rows=7."""
+    """Parse a domain parameter such as rows=7 and return its name and value."""
     from humanopts_env.domains.base import DomainError  # slow to import
     from humanopts_env.domains.parameters import parameter_from_text
 
@@ -87,7 +87,7 @@ def name_and_value(text: str) -> tuple[str, Any]:
 
 
 def each_once(pairs: list[Any]) -> list[Any]:
-    """Refuse a parameter that is given twice: one of its values would silently be lost."""
+    """Reject duplicate parameters: one of the values would be lost silently."""
     names = [name for name, _ in pairs]
     if twice := sorted({name for name in names if names.count(name) > 1}):
         raise typer.BadParameter(f'{", ".join(twice)} is given twice')
@@ -95,7 +95,7 @@ def each_once(pairs: list[Any]) -> list[Any]:
 
 
 def several_games(count: int) -> int:
-    """Check a number of games: 0, or as many as have an interval."""
+    """Check a number of games: one game has no confidence interval."""
     if count == 1:
         raise typer.BadParameter('one game has no interval; give 0, or 2 or more')
     return count
@@ -119,7 +119,7 @@ OnlyOption = Annotated[
 
 @dataclass(frozen=True)
 class PageOptions:
-    """Options of the page server; each field is one."""
+    """Options of the page server, one per field."""
 
     browser: Annotated[bool, flag('--browser', 'serve pages to one or several people')] = False
     host: Annotated[
@@ -159,7 +159,7 @@ class PageOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class LaunchOptions:
-    """Options of every launch; each field is one."""
+    """Options common to all launches, one per field."""
 
     out: Annotated[
         Path | None,
@@ -206,7 +206,7 @@ class LaunchOptions:
         ),
     ] = None
     parameter: Annotated[
-        list[Any],  # of pairs: a name and a value
+        list[Any],  # pairs of name and value
         option(
             'NAME=VALUE',
             'parameter of the domain, such as rows=7 or is_slippery=false; may be repeated',
@@ -259,7 +259,7 @@ class LaunchOptions:
 
 
 def with_options(command: Callable[..., int]) -> Callable[..., int]:
-    """Turn every field of a command's dataclass arguments into an option."""
+    """Turn each field of a command's dataclass arguments into an option."""
 
     def run(**values: Any) -> int:
         return command(**bundled(command, values))
@@ -286,7 +286,7 @@ def bundled(command: Callable[..., Any], values: Mapping[str, Any]) -> dict[str,
     """
     Return the arguments of a command.
 
-    :param values: of its options, by name; those of a dataclass argument become one argument.
+    :param values: option values by name; the fields of a dataclass are combined into one argument.
     """
     found = {}
     for name, parameter in inspect.signature(command).parameters.items():
@@ -299,20 +299,20 @@ def bundled(command: Callable[..., Any], values: Mapping[str, Any]) -> dict[str,
 
 
 class CommandGroup(TyperGroup):
-    """Commands; an unknown one is refused with the list of commands."""
+    """A command group that lists its commands if a command is unknown."""
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """Return the command that the first word names."""
+        """Return the command named by the first word."""
         if not args[0].startswith('-') and args[0] not in self.commands:
             ctx.fail(f'unknown command {args[0]!r}; choose from {", ".join(self.commands)}')
         return super().resolve_command(ctx, args)
 
 
 class SeveralValues(TyperCommand):
-    """A command whose list options take every word up to the next option, as ``--bags A B``."""
+    """A command with list options that take all words up to the next option: ``--bags A B``."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Write the option before each of its words."""
+        """Insert the option before each of its values."""
         several = {name for option in self.params if option.multiple for name in option.opts}
         words: list[str] = []
         under_way = ''

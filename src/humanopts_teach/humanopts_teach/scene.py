@@ -1,7 +1,7 @@
 """
-A board as shapes on a plane, in metres, for viewers such as RViz and Foxglove.
+A board as planar shapes, in metres, for viewers such as RViz and Foxglove.
 
-A cell is 1 m wide and high: x goes to the right, y up, and the origin is the lower left corner.
+A cell is 1 m wide and high: x points right, y up, and the origin is the lower left corner.
 """
 
 from collections.abc import Iterator, Sequence
@@ -15,42 +15,42 @@ from humanopts_env.domains.base import BoardSlice
 import numpy as np
 from rich.style import Style
 
-RESOLUTION = 0.25  # m, of the map
-_CELLS = round(1 / RESOLUTION)  # of the map, along a cell of the board
-_MAX_CELLS = 400  # of a layout whose values are drawn
+RESOLUTION = 0.25  # m, cell size of the map
+_CELLS = round(1 / RESOLUTION)  # number of map cells along a cell of the board
+_MAX_CELLS = 400  # maximum number of cells of a layout to draw values
 _PLAIN, _DIM = (0.9, 0.9, 0.9), (0.45, 0.45, 0.45)
-_LOWEST, _HIGHEST = (0.15, 0.2, 0.55), (0.95, 0.85, 0.2)  # of values
+_LOWEST, _HIGHEST = (0.15, 0.2, 0.55), (0.95, 0.85, 0.2)  # colours of values
 
 Point = tuple[float, float]  # x, y in m
 Colour = tuple[float, float, float]  # red, green, blue, from 0 to 1
 
 
 class Kind(Enum):
-    """What the points of a shape are; the values are the types of visualization_msgs/Marker."""
+    """The kind of a shape; the values are type names of visualization_msgs/Marker."""
 
-    LINES = 'LINE_LIST'  # two for each line
+    LINES = 'LINE_LIST'  # two points per line
     TILES = 'CUBE_LIST'  # centres of rectangles
     DOTS = 'SPHERE_LIST'  # centres of balls
-    BALL = 'SPHERE'  # the centre of one
-    BOX = 'CUBE'  # the centre of one
-    TEXT = 'TEXT_VIEW_FACING'  # the centre of a text
+    BALL = 'SPHERE'  # centre of the ball
+    BOX = 'CUBE'  # centre of the box
+    TEXT = 'TEXT_VIEW_FACING'  # centre of the text
 
 
 @dataclass(frozen=True)
 class Shape:
-    """Things of one kind and layer."""
+    """A shape of one kind in one layer."""
 
-    layer: str  # board, signs, notes, option or values; viewers can hide each
+    layer: str  # board, signs, notes, option or values; viewers can hide each layer
     kind: Kind
     points: tuple[Point, ...]
-    colours: tuple[Colour, ...]  # of each point; one: of all
-    size: Point  # m; of lines the first is the width, of texts the second is the height
+    colours: tuple[Colour, ...]  # one per point, or one for all points
+    size: Point  # m, width and height; lines use only the first, texts only the second
     text: str = ''
 
 
 def occupied(board: Board) -> Flags:
     """
-    Return what nothing can enter or cross, (rows, columns) of cells of 0.25 m from the bottom.
+    Return an occupancy map, (rows, columns) of 0.25 m cells starting at the bottom.
 
     Walls are one cell wide, so the map is one cell larger than the board.
     """
@@ -63,7 +63,7 @@ def occupied(board: Board) -> Flags:
 
 
 def scene(board: Board) -> Iterator[Shape]:
-    """Yield the shapes of a board: walls, blocks and dots, marks, and what is written below it."""
+    """Yield the shapes of a board: walls, blocks, dots, marks, and the caption below it."""
     colour, thin = _rgb(board.colour), (0.08, 0.08)
     height, width = board.rows, board.cols
     if height:
@@ -87,13 +87,13 @@ def scene(board: Board) -> Iterator[Shape]:
 
 
 def text_above(board: Board, text: str, layer: str, distance: float, size: float) -> Shape:
-    """Return a text above the middle of the board, at a distance in m."""
+    """Return a text centred above the board, at a distance in m."""
     at = board.cols / 2, board.rows + distance
     return Shape(layer, Kind.TEXT, (at,), (_PLAIN,), (0.0, size), text)
 
 
 def layout_of(layouts: Sequence[BoardSlice], state: int) -> BoardSlice:
-    """Return the layout of the board that a state is in; else the first."""
+    """Return the board layout that contains a state; if none does, the first one."""
     return next((layout for layout in layouts if state in layout.states), layouts[0])
 
 
@@ -101,13 +101,13 @@ def value_shapes(
     board: Board, layout: BoardSlice, states: Ints, values: Floats, plan: str
 ) -> Iterator[Shape]:
     """
-    Yield a tile for each cell, from blue, the least value, to yellow, the greatest, and a legend.
+    Yield a tile for each cell, from blue (minimum value) to yellow (maximum), and a legend.
 
-    Nothing is drawn where the plan has no value in the layout, or it has more than 400 cells.
+    Nothing is drawn if the layout has no values or more than 400 cells.
 
     :param states: (K,) indices of states.
-    :param values: (K,) of these states, discounted return.
-    :param plan: what the values are of, in words.
+    :param values: (K,) values of these states, discounted return.
+    :param plan: description of the plan.
     """
     known = {s: v for s, v in zip(states.tolist(), values.tolist()) if math.isfinite(v)}
     cells = {
@@ -125,7 +125,7 @@ def value_shapes(
 
 
 def _sign(mark: Mark, at: Point, scale: float) -> Shape:
-    """Draw a letter as itself; RViz has no other signs, which become boxes and balls."""
+    """Draw a letter as text; RViz supports no other signs, so they become boxes and balls."""
     colour = (_rgb(mark.colour),)
     if mark.kind.isascii():
         return Shape('signs', Kind.TEXT, (at,), colour, (0.0, 0.6 * scale), mark.kind)
@@ -136,7 +136,7 @@ def _sign(mark: Mark, at: Point, scale: float) -> Shape:
 
 
 def _rgb(colour: str) -> Colour:
-    """Return a colour in rich's notation."""
+    """Convert a colour from rich's notation."""
     parsed = Style.parse(colour).color
     if parsed is None or parsed.is_default:
         return _PLAIN

@@ -7,17 +7,17 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-_MAX_CELL = 200  # characters
+_MAX_CELL = 200  # maximum number of characters of a cell
 
 
 def table(rows: Sequence[Mapping[str, object]], left: Sequence[str] | None = None) -> str:
     """
-    Lay out rows in columns; empty where there are no rows.
+    Format rows as an aligned table; an empty string if there are no rows.
 
-    Of a text that is too long for a cell its begin and its end are shown.
+    A text too long for a cell is shortened to its beginning and end.
 
-    :param rows: the values of each by the heads of the columns.
-    :param left: heads of the columns that are aligned to the left; None: all but numbers.
+    :param rows: values of each row by column header.
+    :param left: headers of left-aligned columns; None: all non-numeric columns.
     """
     if not rows:
         return ''

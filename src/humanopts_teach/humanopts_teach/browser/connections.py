@@ -1,8 +1,8 @@
 """
-The connections of the pages' server: strangers cost little, and nobody blocks others.
+The connections of the page server: unauthenticated ones are cheap and cannot block others.
 
-A connection belongs to a stranger until the first line of its first request names the token.
-Strangers are limited in number and time, and get a short answer without uvicorn.
+A connection is a stranger's until the first line of its first request contains the token.
+Strangers are limited in number and time, and receive a short response without uvicorn.
 """
 
 import asyncio
@@ -24,14 +24,14 @@ from starlette.types import ASGIApp
 import uvicorn
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-MAX_SECONDS = 10.0  # without a whole request
-_MAX_STRANGERS = 512  # at once; fewer where few files may be open
-_MAX_FILES = 4096  # that this process asks for
+MAX_SECONDS = 10.0  # maximum time without a complete request
+_MAX_STRANGERS = 512  # maximum number of strangers; lower if few files may be open
+_MAX_FILES = 4096  # number of open files that this process requests
 _MAX_LINE = 8192  # bytes
-_MAX_MESSAGE = 100_000  # bytes that a page sends at once
-_AT_ONCE = 16  # connections that are accepted before others get their turn
-_QUEUE = 1024  # connections that the kernel keeps until then
-_NAMED = re.compile(rb'[A-Z]+ /([^/? ]*)')  # a request, and the first part of its path
+_MAX_MESSAGE = 100_000  # bytes, maximum size of a WebSocket message
+_AT_ONCE = 16  # number of connections accepted per iteration of the event loop
+_QUEUE = 1024  # length of the kernel's queue of pending connections
+_NAMED = re.compile(rb'[A-Z]+ /([^/? ]*)')  # a request, and the first segment of its path
 _ANSWER = (
     f'HTTP/1.1 {HTTPStatus.NOT_FOUND} {HTTPStatus.NOT_FOUND.phrase}\r\n'
     f'content-type: text/plain; charset=utf-8\r\ncontent-length: {len(NO_TOKEN)}\r\n'
@@ -40,7 +40,7 @@ _ANSWER = (
 
 
 class _Stranger(asyncio.Protocol):
-    """A connection before its first line; far cheaper than uvicorn's, which replaces it."""
+    """A connection before its first line, far cheaper than the uvicorn one that replaces it."""
 
     def __init__(
         self,
@@ -51,12 +51,12 @@ class _Stranger(asyncio.Protocol):
     ) -> None:
         self._token, self._admitted = token, admitted
         self._strangers, self._max_strangers = strangers, max_strangers
-        self._first = b''  # read so far
+        self._first = b''  # bytes read so far
         self._since, self._network = time.monotonic(), ''
         self._transport: Any = None
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Make room for it: end the oldest stranger of the network that has most."""
+        """Register the connection; if full, drop the oldest one of the most frequent network."""
         self._transport = transport
         if (address := transport.get_extra_info('peername')) is not None:
             self._network = _network(address[0])
@@ -67,7 +67,7 @@ class _Stranger(asyncio.Protocol):
             min(crowd, key=lambda each: each._since).end()
 
     def data_received(self, data: bytes) -> None:
-        """Answer, or hand the connection to uvicorn."""
+        """Respond, or hand the connection over to uvicorn."""
         self._first += data
         line, end, _ = self._first.partition(b'\n')
         named = _NAMED.match(line)
@@ -85,30 +85,30 @@ class _Stranger(asyncio.Protocol):
         self._strangers.discard(self)
 
     def end_late(self) -> None:
-        """End it if it has had its time."""
+        """Abort the connection if it has exceeded its time limit."""
         if time.monotonic() - self._since > MAX_SECONDS:
             self.end()
 
     def end(self) -> None:
-        """End it now."""
+        """Abort the connection immediately."""
         self._strangers.discard(self)
         self._transport.abort()
 
 
 class _Connection(H11Protocol):
-    """A connection whose first request named the token."""
+    """A connection that presented the token in its first request."""
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         self._since = time.monotonic()
         super().connection_made(transport)
 
     def on_response_complete(self) -> None:
-        """Count the time until the next request from now on."""
+        """Restart the timeout for the next request."""
         self._since = time.monotonic()
         super().on_response_complete()
 
     def end_late(self) -> None:
-        """End it without a request for long; a slow network may still take an answer."""
+        """Abort an idle connection after a timeout, but not while a response is being sent."""
         idle = self.cycle is None or self.cycle.response_complete
         late = time.monotonic() - self._since > MAX_SECONDS
         if idle and late and not self.transport.get_write_buffer_size():
@@ -116,7 +116,7 @@ class _Connection(H11Protocol):
 
 
 class Server(uvicorn.Server):
-    """A server that ends late connections, and leaves signals to the command."""
+    """A server that times out connections and leaves signal handling to the command."""
 
     def __init__(
         self,
@@ -128,9 +128,9 @@ class Server(uvicorn.Server):
         """
         Prepare to serve.
 
-        :param token: first part of the path of every request.
-        :param stop: returns whether to end.
-        :param close: called before the end, while all pages are still connected.
+        :param token: first segment of the path of every request.
+        :param stop: function that returns whether to shut down.
+        :param close: called before shutdown, while all pages are still connected.
         """
         self._stop, self._close = stop, close
         self._strangers: set[_Stranger] = set()
@@ -148,7 +148,7 @@ class Server(uvicorn.Server):
             backlog=_AT_ONCE,
             log_config=None,
             log_level='error',  # malformed requests are not logged
-            proxy_headers=False,  # nothing here asks for addresses
+            proxy_headers=False,  # client addresses are not used
             server_header=False,
             timeout_graceful_shutdown=1,
         )
@@ -156,11 +156,11 @@ class Server(uvicorn.Server):
 
     @contextmanager
     def capture_signals(self) -> Iterator[None]:
-        """Capture none."""
+        """Capture no signals."""
         yield
 
     async def on_tick(self, counter: int) -> bool:
-        """Look after the connections, ten times a second."""
+        """Check all connections for timeouts, ten times per second."""
         for each in (*self._strangers, *self.server_state.connections):
             if isinstance(each, _Stranger | _Connection):  # not a WebSocket
                 each.end_late()
@@ -170,20 +170,20 @@ class Server(uvicorn.Server):
         return await super().on_tick(counter)
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-        """Accept connections; the kernel keeps more of them than are accepted at once."""
+        """Accept connections; the kernel queues more than are accepted per iteration."""
         await super().startup(sockets)
         for each in sockets or ():
             each.listen(_QUEUE)
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-        """End all connections."""
+        """Close all connections."""
         for each in list(self._strangers):
             each.end()
         await super().shutdown(sockets)
 
 
 def _open_files() -> int:
-    """Return how many files this process may have open, after asking for more."""
+    """Raise the limit of open files and return it."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     wanted = _MAX_FILES if hard == resource.RLIM_INFINITY else min(_MAX_FILES, hard)
     if soft != resource.RLIM_INFINITY and soft < wanted:
@@ -192,7 +192,7 @@ def _open_files() -> int:
 
 
 def _network(host: str) -> str:
-    """Return what one machine has: an address, or of IPv6 the first half of one."""
+    """Return the network of a host: an IPv4 address, or the first half of an IPv6 address."""
     address = ipaddress.ip_address(host.partition('%')[0])
     if address.version == 4:
         return host

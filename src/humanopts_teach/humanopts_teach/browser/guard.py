@@ -1,8 +1,8 @@
 """
-Guards the pages: a client without the token reaches no part of NiceGUI.
+Access control for the pages: a client without the token cannot reach NiceGUI.
 
-The token is the first part of every path: of pages, of what they load, and of their sockets. A
-stranger gets a short text, and no state is kept for one.
+The token is the first segment of every path: pages, resources and sockets. Other clients receive
+a short text, and no state is kept for them.
 """
 
 from collections.abc import Collection
@@ -22,15 +22,15 @@ _FOREIGN = 'A page of another site has asked for this one. Open its address in a
 
 
 class Guard:
-    """An ASGI application that forwards only requests that may see the pages."""
+    """An ASGI application that forwards only authorised requests."""
 
     def __init__(self, app: ASGIApp, token: str, hosts: Collection[str]) -> None:
         """
         Guard an application.
 
-        :param token: first part of each path; safe in a URL.
-        :param hosts: names by which browsers may call the machine, besides its own. They may use
-            any address: no name server can make a browser send another one than it connects to.
+        :param token: first segment of each path; URL-safe.
+        :param hosts: additional host names that browsers may use. IP addresses are always
+            accepted: DNS rebinding cannot make a browser send another address in the header.
         """
         self._app, self._token = app, token.encode()
         self._given = {host.lower() for host in hosts}
@@ -38,17 +38,17 @@ class Guard:
         self._hosts = {*self._given, 'localhost', here, f'{here.partition(".")[0]}.local'}
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Refuse a request, or forward it."""
+        """Reject a request or forward it."""
         if scope['type'] != 'lifespan':
             if reason := self._refusal(scope):
                 await _refuse(scope, send, reason)
                 return
-            if scope['path'].count('/') == 1:  # else Starlette redirects, past any proxy's prefix
+            if scope['path'].count('/') == 1:  # Starlette's redirect would drop a proxy's prefix
                 scope = {**scope, 'path': f'{scope["path"]}/'}
         await self._app(scope, receive, send)
 
     def _refusal(self, scope: Scope) -> str:
-        """Return why a request is refused; empty: it is not."""
+        """Return why a request is rejected; empty: it is accepted."""
         given = [*scope['raw_path'].split(b'/', 2), b''][1]
         if not (scope['raw_path'].startswith(b'/') and compare_digest(given, self._token)):
             return NO_TOKEN
@@ -71,7 +71,7 @@ class Guard:
 
 
 def _host(url: str) -> str:
-    """Return the name or the address in a URL; empty: there is none."""
+    """Return the host name or address in a URL; empty: none."""
     try:
         return urlsplit(url).hostname or ''
     except ValueError:
@@ -79,8 +79,8 @@ def _host(url: str) -> str:
 
 
 async def _refuse(scope: Scope, send: Send, reason: str) -> None:
-    """Answer with a text, and end the connection: what else it sends is not read."""
-    kind = 'http' if scope['type'] == 'http' else 'websocket.http'  # uvicorn has this extension
+    """Respond with a text and close the connection without reading further data."""
+    kind = 'http' if scope['type'] == 'http' else 'websocket.http'  # a uvicorn extension
     body = reason.encode()
     headers = [
         (b'content-type', b'text/plain; charset=utf-8'),

@@ -1,7 +1,7 @@
 """
-A view as HTML, one piece for each part of the page; ``page.html`` is the template.
+Rendering of a view as HTML, one fragment per part of the page; the template is ``page.html``.
 
-Buttons have their keys in ``data-keys``, which ``page.js`` sends.
+Buttons store their keys in ``data-keys``, which ``page.js`` sends.
 """
 
 from collections.abc import Sequence
@@ -24,15 +24,15 @@ from humanopts_teach.dialogue.panel import (
 from humanopts_teach.report.pages import page_style, templates
 from markdown_it import MarkdownIt
 
-PARTS = ('head', 'board', 'panel', 'said', 'keys')  # of the page, classes of its style sheet
+PARTS = ('head', 'board', 'panel', 'said', 'keys')  # parts of the page; also CSS classes
 _PAD = {'up': '▲', 'left': '◀', 'down': '▼', 'right': '▶'}
-_BESIDE_PAD = 3  # keys that are as large as the arrows
+_BESIDE_PAD = 3  # number of keys as large as the arrows
 _PACKAGE = 'humanopts_teach.browser'
 
 
 @cache
 def head_html() -> str:
-    """Return the head of each page: its style sheet and script."""
+    """Return the HTML head of each page: style sheet and script."""
     folder = files(_PACKAGE)
     style, script = (folder.joinpath(f'page.{end}').read_text('utf-8') for end in ('css', 'js'))
     return f'<style>{page_style()}{style}</style><script>{script}</script>'
@@ -40,7 +40,7 @@ def head_html() -> str:
 
 @cache
 def _macros() -> Any:
-    # HTML is escaped, and no picture is asked for from another server.
+    # Escape HTML, and do not load images from other servers.
     page = MarkdownIt('commonmark', {'html': False}).disable('image').render
     given: dict[str, object] = {
         'picking': _picking,
@@ -56,7 +56,7 @@ def parts(view: ScreenView) -> dict[str, str]:
     """
     Return the HTML of each part of the page.
 
-    :raises jinja2.UndefinedError: the panel has a block of a kind that the template does not know.
+    :raises jinja2.UndefinedError: the template does not support a block of the panel.
     """
     made, blocks, board = _macros(), [*view.panel.beside, *view.panel.below], ''
     if view.board not in (None, Board()):
@@ -72,10 +72,10 @@ def parts(view: ScreenView) -> dict[str, str]:
 
 
 def _keys(keys: Sequence[Key], blocks: Sequence[Block]) -> tuple[list[Key], list[Key], list[Key]]:
-    """Return the arrow pad, the main buttons beside it, and all other buttons."""
+    """Return the arrow pad, the main buttons next to it, and all other buttons."""
     kinds, known = {type(block) for block in blocks}, {each.key: each for each in keys}
     elsewhere = {INTERRUPT, *((ENTER, BACKSPACE) if TypedText in kinds else ())}
-    if Choices in kinds:  # they are pressed themselves, unless there are steps to move along
+    if Choices in kinds:  # items are clicked directly, unless there are steps to browse
         elsewhere |= {*'123456789', *(() if LEFT in known else (ENTER, UP, DOWN))}
     shown = [
         each._replace(label=_PAD.get(each.key, label(each.key)))
@@ -91,7 +91,7 @@ def _keys(keys: Sequence[Key], blocks: Sequence[Block]) -> tuple[list[Key], list
 
 
 def _picking(choices: Choices, number: int) -> list[str]:
-    """Return the keys that choose an item, moving the shorter way around."""
+    """Return the keys that select an item by the shortest path."""
     if number // PAGE == choices.at // PAGE:
         return [str(number % PAGE + 1)]
     count = len(choices.items)

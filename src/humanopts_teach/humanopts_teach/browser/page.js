@@ -1,4 +1,4 @@
-// Keys and buttons: sent with the number of the frame on which they were pressed.
+// Send keys and buttons with the number of the frame on which they were pressed.
 (() => {
   const NAMES = {
     ArrowUp: 'up', ArrowDown: 'down', ArrowLeft: 'left', ArrowRight: 'right',
@@ -6,7 +6,7 @@
   };
   const frame = () => Number(document.querySelector('.frame')?.textContent ?? 0);
   const send = (keys) => {
-    if (window.socket?.connected) emitEvent('press', { keys, frame: frame() }); // else nobody sees what comes of it
+    if (window.socket?.connected) emitEvent('press', { keys, frame: frame() }); // offline: the result would not be visible
   };
   const input = () => document.querySelector('form.typed input');
 
@@ -17,17 +17,17 @@
     if (field) {
       if (key === 'escape') send([key]);
       else if (document.activeElement !== field) field.focus();
-      return; // the field itself edits, and its form sends
+      return; // the field handles editing, and its form submits
     }
     const button = event.target.closest?.('[data-keys]');
-    if (button && (key === 'enter' || key === ' ')) return; // it is clicked
+    if (button && (key === 'enter' || key === ' ')) return; // handled as a click
     if (!key) return;
     event.preventDefault();
     send([key]);
   });
 
-  // A mouse acts when it goes down, a finger when it is lifted: it may have scrolled. A button gets
-  // no focus by either, so that Enter keeps its meaning.
+  // A mouse acts on press, a finger on release, since it may be scrolling. Neither focuses the
+  // button, so that Enter keeps its meaning.
   let pointed = 0;
   const press = (event) => {
     const button = event.target.closest?.('[data-keys]');
@@ -50,7 +50,7 @@
     if (text.trim()) send(['ctrl-u', ...text, 'enter']);
   });
 
-  // Once a field appears, what is typed goes there.
+  // Focus a text field as soon as it appears.
   new MutationObserver(() => {
     const field = input();
     if (field && !field.dataset.met) {

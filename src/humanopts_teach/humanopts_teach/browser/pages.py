@@ -1,4 +1,4 @@
-"""The NiceGUI pages: one asks for the participant's code, one shows a seat."""
+"""The NiceGUI pages: a sign-in page for the participant's code, and a page for each seat."""
 
 import asyncio
 from collections.abc import Callable, Collection
@@ -22,15 +22,15 @@ from humanopts_teach.dialogue.panel import ScreenView
 from humanopts_teach.lesson.store import CODE, CODE_RULE
 from nicegui import Client, core, ui
 
-_RECONNECTING = 10.0  # s for which a page without a connection is kept
-_ANSWER = 1.0  # s in which a page confirms the last frame
+_RECONNECTING = 10.0  # s, time to keep a disconnected page
+_ANSWER = 1.0  # s, timeout for a page to confirm the last frame
 
 
 class PageWindow(Window):
-    """One page: shows frames and forwards key presses."""
+    """A page that shows frames and forwards key presses."""
 
     def __init__(self) -> None:
-        """Lay out the current page."""
+        """Create the elements of the current page."""
         self._press: Press = lambda keys, frame: None
         self._client = ui.context.client
         ui.add_head_html(head_html())
@@ -61,7 +61,7 @@ class PageWindow(Window):
         self._client.open(path)
 
     def _on_press(self, event: Any) -> None:
-        """Forward key presses in the form that ``page.js`` sends."""
+        """Forward valid key presses, as sent by ``page.js``."""
         given = event.args if isinstance(event.args, dict) else {}
         keys, frame = given.get('keys'), given.get('frame')
         if isinstance(keys, list) and len(keys) <= MAX_KEYS and isinstance(frame, int):
@@ -72,7 +72,7 @@ def add_pages(seats: Seats, proposed: str) -> None:
     """
     Define the pages.
 
-    :param proposed: default code of the participant.
+    :param proposed: default participant code.
     """
 
     @ui.page('/')
@@ -94,7 +94,7 @@ def add_pages(seats: Seats, proposed: str) -> None:
             return None
 
         def leave() -> None:
-            if not client.has_socket_connection:  # an old one may end after a new one came
+            if not client.has_socket_connection:  # a new one may open before the old one closes
                 seats.leave(participant, window)
 
         client.on_connect(lambda: seats.enter(participant, window))
@@ -103,7 +103,7 @@ def add_pages(seats: Seats, proposed: str) -> None:
 
 
 def _ask_code(window: PageWindow, domain: str, proposed: str) -> None:
-    """Ask for the participant's code, and open the page of that seat."""
+    """Ask for the participant's code and open the page of the seat."""
 
     def go(code: str, app: App) -> None:
         if CODE.fullmatch(code):
@@ -140,7 +140,7 @@ async def serve(
     Serve the pages until ``stop`` returns True, then end all games.
 
     :param listening: socket that browsers connect to.
-    :param token: first part of every path; required for everything.
+    :param token: first segment of every path; required for all requests.
     :param hosts: additional host names that browsers may use for this machine.
     """
     add_pages(seats, proposed)

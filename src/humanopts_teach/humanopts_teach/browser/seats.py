@@ -1,7 +1,7 @@
 """
-Participants who teach at the same time, each in a seat with a game of its own.
+Participants who teach at the same time, each in a seat with a separate game.
 
-A seat outlives its window for a while, so a reloaded page continues where it was.
+A seat outlives its window for a while, so a reloaded page continues the lesson.
 """
 
 import asyncio
@@ -20,20 +20,20 @@ _IN_LINE = (
     'All games are taken. You are number {} in line. Keep this page open: your game starts '
     'by itself.'
 )
-_GAME_BYTES = 350_000_000  # memory of a game, until a larger one is measured
-_SPARE_BYTES = 1_000_000_000  # left to other programs; a tenth of a small memory
-_LOOK = 0.5  # s between checks whether another game may start
-Press = Callable[[list[str], int], None]  # keys, and the number of the frame they were pressed on
+_GAME_BYTES = 350_000_000  # assumed memory of a game, unless a larger game is measured
+_SPARE_BYTES = 1_000_000_000  # memory reserved for other programs; at most a tenth of the total
+_LOOK = 0.5  # s, period of the checks whether another game may start
+Press = Callable[[list[str], int], None]  # keys, and the number of the frame shown when pressed
 
 
 def another_fits(available: int, total: int, taken: Sequence[int], games: int) -> bool:
     """
     Return whether another game fits into memory; the first one always does.
 
-    :param available: bytes that programs can still use without swapping.
-    :param total: bytes of memory.
-    :param taken: bytes of each measured game; a new game still grows.
-    :param games: number of all games, including those without a process yet.
+    :param available: available memory in bytes, without swapping.
+    :param total: total memory in bytes.
+    :param taken: memory of each measured game in bytes; new games still grow.
+    :param games: number of games, including those without a process yet.
     """
     each = max([_GAME_BYTES, *taken])
     to_come = each * games - sum(taken)
@@ -41,7 +41,7 @@ def another_fits(available: int, total: int, taken: Sequence[int], games: int) -
 
 
 class Window(Protocol):
-    """A page that is open in a browser."""
+    """A page open in a browser."""
 
     def show(self, view: ScreenView, frame: int) -> None:
         """Show a frame."""
@@ -53,23 +53,23 @@ class Window(Protocol):
         """Reload the page."""
 
     async def taken(self) -> None:
-        """Wait until the page has received the last frame, or seems to be gone."""
+        """Wait until the page has received the last frame or seems to be disconnected."""
 
 
 class GameError(Exception):
-    """A participant's game cannot be started, or has ended; the text says why."""
+    """A participant's game cannot be started or has ended; the message gives the reason."""
 
 
-# Opens the game of a seat, which shows frames and may end the seat; yields what takes keys.
+# Opens a seat's game, which shows frames and may end the seat; yields the key handler.
 OpenGame = Callable[['Seat'], AbstractAsyncContextManager[Press]]
 
 
 class Seat:
     """
-    The place of one participant.
+    The seat of one participant.
 
-    :ivar number: from 1, unique among current games; 0: waiting in line for a game.
-    :ivar window: shows the seat; None: no window is open.
+    :ivar number: number from 1, unique among current games; 0: waiting in line for a game.
+    :ivar window: window that shows the seat; None: no window is open.
     """
 
     def __init__(self, participant: str, domain: str) -> None:
@@ -83,7 +83,7 @@ class Seat:
         self._leaving: asyncio.TimerHandle | None = None
 
     def show(self, view: ScreenView, frame: int) -> None:
-        """Show a frame now, or once a window opens."""
+        """Show a frame, or store it until a window opens."""
         self._shown = view, frame
         if self.window is not None:
             self.window.show(view, frame)
@@ -93,7 +93,7 @@ class Seat:
         self._press = press
 
     def enter(self, window: Window) -> None:
-        """Show the seat in a window; a previous window says where the lesson continues."""
+        """Show the seat in a window; a previous window reports that the lesson has moved."""
         if self._leaving is not None:
             self._leaving.cancel()
         if self.window is not None and self.window is not window:
@@ -104,19 +104,19 @@ class Seat:
         window.show(*self._shown)
 
     def leave(self, window: Window, seconds: float) -> None:
-        """Give up the seat after a while, unless a window opens."""
+        """Release the seat after a delay, unless a window opens."""
         if self.window is window:
             self.window = None
             loop = asyncio.get_running_loop()
             self._leaving = loop.call_later(seconds, self.over.set)
 
     def end(self, farewell: str = FAREWELL) -> None:
-        """Give up the seat now."""
+        """Release the seat immediately."""
         self.farewell = farewell
         self.over.set()
 
     async def closed(self) -> None:
-        """Say goodbye, and wait until the page shows it; from then on a key reloads the page."""
+        """Show the farewell and wait until it is received; Enter then reloads the page."""
         if self._leaving is not None:
             self._leaving.cancel()
         if (window := self.window) is not None:
@@ -126,9 +126,9 @@ class Seat:
 
 class ConditionSeat:
     """
-    A seat for one condition of a study, after which the next one follows.
+    A seat for one condition of a study.
 
-    :ivar farewell: why it ended; empty: the participant ended it.
+    :ivar farewell: reason for the end; empty: the participant ended it.
     """
 
     def __init__(self, seat: Seat) -> None:
@@ -145,7 +145,7 @@ class Seats:
     """
     The seats of all current participants.
 
-    :ivar linger: s for which a seat is kept without a window.
+    :ivar linger: time in s to keep a seat without a window.
     """
 
     def __init__(
@@ -159,8 +159,9 @@ class Seats:
         """
         Start without participants.
 
-        :param fits: returns whether one more game fits; called in a thread, with their number.
-        :param known: returns the codes of earlier participants.
+        :param fits: function that returns whether another game fits, given the number of games;
+            called in a thread.
+        :param known: function that returns the codes of earlier participants.
         """
         self.domain, self.linger, self._known = domain, linger, known
         self._open_game, self._fits = open_game, fits
@@ -169,7 +170,7 @@ class Seats:
         self._door = asyncio.Lock()  # one seat checks and enters at a time
         self._seats: dict[str, Seat] = {}  # by participant
         self._tasks: dict[str, asyncio.Task[None]] = {}
-        self._waiting: dict[str, list[Window]] = {}  # for a seat shown in another window
+        self._waiting: dict[str, list[Window]] = {}  # windows waiting for a seat shown elsewhere
 
     def enter(self, participant: str, window: Window) -> None:
         """Show a participant's seat in a window; ask first if another window shows it."""
@@ -186,7 +187,7 @@ class Seats:
         return similar_code(participant, (*self._seats, *self._known()))
 
     def leave(self, participant: str, window: Window) -> None:
-        """Note that a window closed; the next waiting window gets its seat."""
+        """Handle a closed window; the next waiting window gets its seat."""
         waiting = self._waiting.get(participant, [])
         if window in waiting:
             waiting.remove(window)
@@ -209,7 +210,7 @@ class Seats:
         return seat
 
     async def _play(self, seat: Seat, before: 'asyncio.Task[None] | None') -> None:
-        """Run a game from its turn to its end."""
+        """Wait for a turn, then run the game until it ends."""
         if before is not None:
             await before  # the same participant's files are still in use
         try:
@@ -231,9 +232,9 @@ class Seats:
         """
         Wait in line, showing the position, until a game may start.
 
-        A participant without an open page keeps the place for ``linger`` and lets others pass.
+        A participant without an open page keeps the position for ``linger`` but lets others pass.
 
-        :return: whether the game may start; False: the seat is over.
+        :return: whether the game may start; False: the seat has ended.
         """
         self._line.append(seat)
         shown = ''
@@ -260,7 +261,7 @@ class Seats:
             self._line.remove(seat)
 
     def _ask(self, seat: Seat, window: Window) -> None:
-        """Ask whether to continue here; the other window keeps the seat until then."""
+        """Ask whether to continue in this window; until then, the other window keeps the seat."""
         waiting = self._waiting.setdefault(seat.participant, [])
         if window not in waiting:
             waiting.append(window)
@@ -278,7 +279,7 @@ def message(head: tuple[str, ...], text: str, enter: str = '') -> ScreenView:
     """
     Return a view with a message.
 
-    :param enter: label of Enter; empty: it does nothing.
+    :param enter: description of the Enter key; empty: no key.
     """
     keys = [Key(ENTER, label(ENTER), enter)] if enter else []
     return ScreenView(head, Panel((Line(text, strong=True),)), keys=keys)

@@ -1,4 +1,4 @@
-"""What the libraries of the server log, on standard error: escaped, in few lines."""
+"""Log output of the server's libraries on standard error: escaped and rate-limited."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -8,14 +8,14 @@ import time
 
 from humanopts_ros.limits import printable
 
-_BURST = 10  # messages that may come at once
-_SECONDS = 10.0  # until there may be one more
-_MAX_CHARACTERS = 2000  # of a message; a traceback has its cause at its end
+_BURST = 10  # maximum number of messages in a burst
+_SECONDS = 10.0  # time per additional message
+_MAX_CHARACTERS = 2000  # maximum length, cut at the start; a traceback ends with its cause
 _SOURCES = ('asyncio', 'engineio.server', 'nicegui', 'socketio.server', 'uvicorn.error')
 
 
 class _TerminalHandler(logging.Handler):
-    """Writes messages so that what a stranger sends cannot pass for something else."""
+    """A log handler that escapes messages, since clients control parts of them."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -38,7 +38,7 @@ class _TerminalHandler(logging.Handler):
 
 @contextmanager
 def limited_log() -> Iterator[None]:
-    """Have all libraries log in this way meanwhile."""
+    """Apply escaping and rate limiting to all library logs within the block."""
     handler = _TerminalHandler()
     for name in _SOURCES:
         source = logging.getLogger(name)

@@ -1,1 +1,1 @@
-"""Studies with people: the plan, what each participant does in which order, and what is kept."""
+"""Studies with human participants: plan, schedule of each participant, records and tables."""

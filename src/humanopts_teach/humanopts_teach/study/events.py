@@ -1,7 +1,7 @@
 """
-What happens in a study, as lines of JSON with one schema.
+The events of a study, as lines of JSON with one schema.
 
-Every line that comes from a file or a bag is validated here; what does not fit is never counted.
+Every line from a file or a bag is validated here; invalid lines are ignored.
 """
 
 from collections.abc import Iterable
@@ -24,15 +24,15 @@ from pydantic import (
 )
 
 EventKind = Literal[
-    'began',  # the participant came for the first time
-    'part began',  # or began again: its earlier answers and buttons no longer count
-    'still there',  # a sign of life: after a crash, the time until then counts
-    'part left',  # in the middle of it
+    'began',  # the participant started the study
+    'part began',  # started or restarted: earlier answers and buttons no longer count
+    'still there',  # keep-alive: after a crash, the time until this event counts
+    'part left',  # left unfinished
     'part ended',
     'answer',
-    'button',  # was suggested
+    'button',  # suggested button
     'learned',  # all options of the participant in this condition so far
-    'ended',  # the participant reached the end of the study
+    'ended',  # the participant completed the study
 ]
 _REQUIRED: dict[EventKind, tuple[str, ...]] = {
     'began': ('participant', 'number', 'study', 'order', 'simulated'),
@@ -46,11 +46,11 @@ _REQUIRED: dict[EventKind, tuple[str, ...]] = {
     'ended': (),
 }
 FINISHED, TIME, REFUSED = 'finished', 'time is over', 'not agreed'  # why a part ended
-MAX_LINE = 1_000_000  # characters of an event
+MAX_LINE = 1_000_000  # maximum number of characters of an event
 
 
 def _text(text: str) -> str:
-    """Return a text in composed form; half a surrogate pair cannot be written to any file."""
+    """Return a text in composed form; reject lone surrogates, which cannot be encoded."""
     text.encode()
     return composed(text)
 
@@ -62,13 +62,13 @@ Return = Annotated[float, Field(allow_inf_nan=False)]  # reward units
 
 
 class _Values(BaseModel):
-    """Values that are never converted; unknown fields are ignored."""
+    """A strict model without type conversion; unknown fields are ignored."""
 
     model_config: ClassVar[ConfigDict] = ConfigDict(strict=True, frozen=True)
 
 
 class LearnedOption(_Values):
-    """One option as it was learned so far."""
+    """The learning state of one option."""
 
     option: Annotated[Text, Field(min_length=1)]
     method: Text
@@ -80,27 +80,27 @@ class LearnedOption(_Values):
 
 
 class Event(_Values):
-    """One event; the fields that its kind does not need are empty."""
+    """An event; fields that its kind does not use are empty."""
 
     event: EventKind
     time: Annotated[float, Field(ge=0, lt=1e11)]  # s since 1970
-    part: Text = ''  # its key; empty: the event concerns no part
+    part: Text = ''  # key of the part; empty: none
     condition: Text = ''  # empty: none
-    kind: Annotated[PartKind | None, Field(strict=False)] = None  # of the part
+    kind: Annotated[PartKind | None, Field(strict=False)] = None  # kind of the part
     why: Literal['', 'finished', 'time is over', 'not agreed'] = ''
     item: Text = ''  # name of the question
     value: Rank = 0
-    points: Annotated[int, Field(ge=2, le=MAX_POINTS)] = 0  # of the scale
+    points: Annotated[int, Field(ge=2, le=MAX_POINTS)] = 0  # number of points of the scale
     domain: Text = ''
     rank: Rank = 0
     text: Text = ''
     options: tuple[LearnedOption, ...] = Field((), strict=False)
     participant: Annotated[str, Field(pattern=f'^{CODE.pattern}$')] = ''
-    number: Count = 0  # of the participant in the order of arrival
+    number: Count = 0  # index of the participant, in order of arrival
     study: Text = ''
     order: tuple[Text, ...] = Field((), strict=False)  # names of the conditions
     simulated: bool = False
-    protocol: Text = ''  # digest of the plan that the participant follows; empty: not kept
+    protocol: Text = ''  # digest of the participant's plan; empty: not stored
 
     @model_validator(mode='after')
     def _fits(self) -> Self:
@@ -115,9 +115,9 @@ class Event(_Values):
 
 def event_of(line: str) -> Event:
     """
-    Return the event of a line.
+    Parse the event in a line.
 
-    :raises ValueError: it is not an event; the text is one line.
+    :raises ValueError: the line is not an event; the message is a single line.
     """
     values = parse_json(line, MAX_LINE)
     if not isinstance(values, dict):
@@ -129,7 +129,7 @@ def event_of(line: str) -> Event:
 
 
 def learned(options: Iterable[OptionSummary]) -> tuple[LearnedOption, ...]:
-    """Return what was learned, in the form of an event."""
+    """Return the learning states of options, as stored in an event."""
     return tuple(
         LearnedOption(
             option=option.option_name,
@@ -150,13 +150,13 @@ def _finite(value: float) -> float | None:
 
 def last_attempts(events: Iterable[Event]) -> list[Event]:
     """
-    Return the events that count: one for each fact, and of the last attempt at each part.
+    Return the valid events: one for each fact, from the last attempt at each part.
 
-    Restarting a part discards the answers and buttons of the earlier attempt, but not what was
-    taught. Of a fact that is recorded twice in one attempt, such as an answer, the last record
-    counts; a participant begins once, with the first event that says so.
+    Restarting a part discards the answers and buttons of the earlier attempt, but not the options
+    taught. If a fact, such as an answer, is recorded twice in one attempt, the last record counts;
+    only the first 'began' event counts.
 
-    :param events: of one participant, in the order in which they happened.
+    :param events: events of one participant, in chronological order.
     """
     parts: dict[str, dict[tuple[Any, ...], tuple[int, Event]]] = {}
     for place, event in enumerate(events):
@@ -171,25 +171,25 @@ def last_attempts(events: Iterable[Event]) -> list[Event]:
 
 @dataclass
 class TimeIn:
-    """When a participant was at a part, over all sittings."""
+    """The times that a participant spent on a part, over all sittings."""
 
-    began: float | None = None  # s since 1970, the first time; None: not recorded
-    sittings: list[tuple[float, float]] = field(default_factory=list)  # begin and end of each
+    began: float | None = None  # s since 1970, first start; None: not recorded
+    sittings: list[tuple[float, float]] = field(default_factory=list)  # start and end of each
     open: bool = False
 
     @property
     def seconds(self) -> float:
-        """The sum of all sittings."""
+        """The total duration of all sittings."""
         return sum(end - begin for begin, end in self.sittings)
 
 
 def times_in(events: Iterable[Event]) -> dict[str, TimeIn]:
     """
-    Return the time that a participant was at each part, by its key.
+    Return the times that a participant spent on each part, by key.
 
-    A sitting lasts from the beginning of the part until it is left or ended; if neither is noted
-    because a process or the power failed, until the last sign of life. If its beginning is not
-    recorded, it lasts from the first event that is.
+    A sitting lasts from the start of the part until the part is left or ended; if neither is
+    recorded because of a crash or power failure, until the last keep-alive event. If its start is
+    not recorded, it begins with the first recorded event.
     """
     parts: dict[str, TimeIn] = {}
     for event in events:

@@ -1,8 +1,8 @@
 """
-The plan of a study: its conditions, what a participant does in each, and in which order.
+The plan of a study: its conditions, their parts, and their order for each participant.
 
-A plan is a YAML file; pages are Markdown files beside it. Every participant goes through all
-conditions. The order is counterbalanced by a rule, so that it is known beforehand for each.
+A plan is a YAML file; pages are Markdown files in the same folder. Every participant completes all
+conditions. The order is counterbalanced deterministically, so it is known in advance.
 """
 
 from collections.abc import Iterable
@@ -32,24 +32,24 @@ from pydantic import (
     ValidationError,
 )
 
-QUESTIONNAIRES = Path(__file__).parent  # of those that are shipped
+QUESTIONNAIRES = Path(__file__).parent  # folder of the bundled questionnaires
 SHIPPED = 'nasa-tlx'
-_CONTROL = re.compile(r'[\x00-\x08\x0b-\x1f\x7f-\x9f]')  # all but tabs and line breaks
+_CONTROL = re.compile(r'[\x00-\x08\x0b-\x1f\x7f-\x9f]')  # except tabs and line breaks
 MAX_POINTS = 21
 MAX_CONDITIONS = 100
-MAX_ITEMS = 200  # of a questionnaire
-MAX_PAGES = 100  # of a file
-MAX_PAGE = 100_000  # characters of a file of pages
-MAX_LINE = 2000  # characters of a question, a label or another text of a plan
+MAX_ITEMS = 200  # maximum number of items of a questionnaire
+MAX_PAGES = 100  # maximum number of pages in a file
+MAX_PAGE = 100_000  # maximum number of characters in a file of pages
+MAX_LINE = 2000  # maximum number of characters of a question, label or other text
 MAX_MINUTES = 10**6
 
 
 class PlanFileError(ValueError):
-    """A plan cannot be used; the text names the place and says why."""
+    """A plan is unusable; the message gives the location and the reason."""
 
 
 class _Values(BaseModel):
-    """Values of a file, none of which is converted."""
+    """A strict model of a file, without type conversion."""
 
     model_config: ClassVar[ConfigDict] = ConfigDict(strict=True, frozen=True, extra='forbid')
 
@@ -89,23 +89,23 @@ Text = Annotated[
     AfterValidator(_plain),
 ]
 Name = Annotated[Text, AfterValidator(_as_name)]
-Given = Annotated[Text | None, BeforeValidator(_given)]  # None: the key is not there
+Given = Annotated[Text | None, BeforeValidator(_given)]  # None: the key is missing
 Whole = Annotated[int, Field(ge=0, lt=2**31)]
 Minutes = Annotated[float, Field(ge=0, lt=MAX_MINUTES)]
 
 
 class Order(Enum):
-    """How the order of the conditions is chosen for each participant."""
+    """The method that determines the order of conditions for each participant."""
 
     FIXED = 'fixed'  # as in the plan
-    BALANCED = 'balanced'  # by the rows of a balanced Latin square, one after the other
-    RANDOM = 'random'  # drawn by the study's seed and the participant's number
+    BALANCED = 'balanced'  # rows of a balanced Latin square, in turn
+    RANDOM = 'random'  # drawn from the study's seed and the participant's number
 
 
 class PartKind(Enum):
-    """What a participant does in one part."""
+    """The activity of a participant in a part."""
 
-    CONSENT = 'consent'  # reads a page, and agrees or not
+    CONSENT = 'consent'  # reads a page, then agrees or declines
     PAGE = 'page'  # reads a page
     PLAY = 'play'  # drives freely
     BUTTONS = 'buttons'  # suggests buttons that make winning easier and faster
@@ -118,12 +118,12 @@ class Question(_Values):
 
     name: Name
     text: Text
-    low: Text  # what 1 means
-    high: Text  # what the last point means
+    low: Text  # label of the lowest point, 1
+    high: Text  # label of the highest point
 
 
 class Questionnaire(_Values):
-    """Questions that are answered on a Likert scale of 1 to ``points``."""
+    """Questions with a Likert scale from 1 to ``points``."""
 
     items: Annotated[
         tuple[Question, ...],
@@ -134,15 +134,15 @@ class Questionnaire(_Values):
 
 
 class Part(_Values):
-    """One thing that a participant does."""
+    """A part of the study for one participant."""
 
     kind: PartKind
     key: str  # unique in the study, such as trees/teach
-    condition: str = ''  # empty: of no condition
+    condition: str = ''  # empty: none
     domain: str = ''
-    text: str = ''  # of a page, Markdown
-    minutes: float = 0.0  # after which it ends by itself; 0: never
-    most: int = 0  # buttons that can be suggested
+    text: str = ''  # text of a page, Markdown
+    minutes: float = 0.0  # time limit; 0: none
+    most: int = 0  # maximum number of buttons to suggest
     questions: Questionnaire | None = None
 
 
@@ -150,7 +150,7 @@ PARTS = TypeAdapter(tuple[Part, ...])
 
 
 class Condition(_Values):
-    """One way to teach that the study compares; times are minutes, and 0 leaves a part out."""
+    """A teaching condition of the study; times are in minutes, and 0 omits a part."""
 
     name: Name
     domain: Text
@@ -158,15 +158,15 @@ class Condition(_Values):
     learn: Text = METHOD
     strategy: Text = STRATEGY
     budget: Annotated[int, Field(ge=1, lt=2**31)] = BUDGET
-    page: Given = None  # file in Markdown, shown first
+    page: Given = None  # Markdown file, shown first
     free_play: Minutes = 0.0
-    buttons: Whole = 0  # largest number to suggest; 0: the part is left out
-    teach: Annotated[float, Field(gt=0, lt=MAX_MINUTES)] = 20.0  # the most that teaching takes
-    questions: Given = None  # file, or the name of a questionnaire that is shipped
+    buttons: Whole = 0  # maximum number of buttons to suggest; 0 omits the part
+    teach: Annotated[float, Field(gt=0, lt=MAX_MINUTES)] = 20.0  # time limit for teaching
+    questions: Given = None  # file, or name of a bundled questionnaire
 
 
 class _PlanFile(_Values):
-    """What the file of a plan says."""
+    """The contents of a plan file."""
 
     study: Name
     conditions: Annotated[
@@ -178,7 +178,7 @@ class _PlanFile(_Values):
     welcome: Given = None
     thanks: Given = None
     order: Order = Order.BALANCED
-    participants: Whole = 0  # that are planned; 0: any number
+    participants: Whole = 0  # planned number of participants; 0: unlimited
     seed: Whole = 1
 
     @model_validator(mode='after')
@@ -195,16 +195,16 @@ class _PlanFile(_Values):
 
 
 class StudyPlan(_PlanFile):
-    """A whole study, with the contents of the files that its plan names."""
+    """A complete study plan, including the contents of the files it references."""
 
-    pages: dict[str, tuple[str, ...]]  # by name of the file
+    pages: dict[str, tuple[str, ...]]  # by file name
     questionnaires: dict[str, Questionnaire]
 
     def order_of(self, number: int) -> list[Condition]:
         """
-        Return the conditions in the order of a participant.
+        Return the conditions in a participant's order.
 
-        :param number: of the participant in the order of arrival, from 0.
+        :param number: index of the participant in order of arrival, from 0.
         """
         indices = list(range(len(self.conditions)))
         if self.order is Order.BALANCED:
@@ -216,10 +216,10 @@ class StudyPlan(_PlanFile):
 
     def turns_of(self, number: int) -> list[tuple[Condition, list[Part]]]:
         """
-        Return what a participant does in each condition, in order, and around it.
+        Return a participant's conditions in order, each with its parts.
 
-        The parts are in the order of the paper's experiments. Buttons for a game are asked for
-        once, in the first condition that asks for them.
+        The parts follow the order of the paper's experiments; consent and welcome come first,
+        thanks last. Buttons for a game are requested only in the first condition that has them.
         """
         turns: list[tuple[Condition, list[Part]]] = []
         asked: set[str] = set()
@@ -246,11 +246,11 @@ class StudyPlan(_PlanFile):
         return turns
 
     def parts_of(self, number: int) -> list[Part]:
-        """Return everything that a participant does, in order."""
+        """Return all parts of a participant, in order."""
         return [part for _, parts in self.turns_of(number) for part in parts]
 
     def _page(self, file: str | None, key: str, kind: PartKind = PartKind.PAGE) -> list[Part]:
-        """Return the parts of the pages of a file; only the last is of the kind."""
+        """Return one part per page of a file; only the last page has the given kind."""
         pages = self.pages[file] if file else ()
         return [
             Part(kind=PartKind.PAGE, key=f'{key}/{number}', text=text)
@@ -262,9 +262,9 @@ class StudyPlan(_PlanFile):
 
 def balanced_latin_square(count: int) -> list[list[int]]:
     """
-    Return orders of ``count`` conditions in which each follows each other one equally often.
+    Return orders of ``count`` conditions in which each follows every other one equally often.
 
-    The design of Williams (1949): ``count`` orders, or twice as many where ``count`` is odd.
+    The design of Williams (1949): ``count`` orders, or twice as many if ``count`` is odd.
     """
     first = [0]
     for step in range(1, count):
@@ -275,9 +275,9 @@ def balanced_latin_square(count: int) -> list[list[int]]:
 
 def read_plan(path: Path) -> StudyPlan:
     """
-    Read a plan and the files that it names.
+    Read a plan and the files it references.
 
-    :raises PlanFileError: a file cannot be read, or the plan cannot be carried out.
+    :raises PlanFileError: a file cannot be read, or the plan is invalid.
     """
     try:
         values = read_yaml(path)
@@ -305,9 +305,9 @@ def read_plan(path: Path) -> StudyPlan:
 
 def read_name(path: Path) -> str:
     """
-    Return the name of the study of a plan, whatever else the plan says.
+    Return the study name in a plan without validating the rest of the plan.
 
-    :raises PlanFileError: the file cannot be read, or the name cannot be used.
+    :raises PlanFileError: the file cannot be read, or the name is invalid.
     """
     try:
         values = read_yaml(path)
@@ -321,9 +321,9 @@ def read_name(path: Path) -> str:
 
 def _playable(conditions: Iterable[Condition]) -> Iterable[Condition]:
     """
-    Yield the conditions, each of which can be taught as it says; equal games are made once.
+    Validate and yield the conditions; equal games are created once.
 
-    Parameters become those that the game itself gives: what a file held in place of its name.
+    Parameters are replaced by the game's own values: a file name by the contents of the file.
     """
     made = cache(lambda domain, parameters: make_domain(domain, json.loads(parameters)))
     for each in conditions:
@@ -339,7 +339,7 @@ def _playable(conditions: Iterable[Condition]) -> Iterable[Condition]:
 
 
 def _pages(path: Path) -> tuple[str, ...]:
-    """Return the pages of a file, which a line of --- divides."""
+    """Return the pages of a file, separated by lines of ---."""
     text = read_text(path, 4 * MAX_PAGE)
     if len(text) > MAX_PAGE:
         raise PlanFileError(f'{path.name} has {len(text):,} characters; the limit is {MAX_PAGE:,}')
@@ -362,9 +362,9 @@ def _questionnaire(folder: Path, name: str) -> Questionnaire:
 
 def _validated(kind: type[M], values: Any) -> M:
     """
-    Return what the values of a file say.
+    Validate the values of a file.
 
-    :raises PlanFileError: they cannot be used.
+    :raises PlanFileError: the values are invalid.
     """
     if not isinstance(values, dict):
         raise PlanFileError('the file has to map names to values')

@@ -1,8 +1,8 @@
 """
-The protocol of a study: its plan with all pages and questions, as they were used.
+The protocol of a study: the plan as used, including all pages and questions.
 
-It is kept beside the records from the first participant on. A change is kept as a further version;
-who has begun goes on with the version of that time.
+It is stored with the records when the first participant begins. Changes are stored as new
+versions; participants continue with the version with which they began.
 """
 
 import difflib
@@ -20,11 +20,11 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator, ValidationEr
 
 FILE = 'protocol.jsonl'
 SHOWN_DIGEST = 12  # characters
-_CONTEXT = 5  # lines around a change
+_CONTEXT = 5  # context lines of a diff
 
 
 class Version(BaseModel):
-    """A protocol, from a time on."""
+    """A version of the protocol and the time of its introduction."""
 
     model_config: ClassVar[ConfigDict] = ConfigDict(strict=True, frozen=True, extra='forbid')
 
@@ -32,8 +32,8 @@ class Version(BaseModel):
     digest: str
     plan: StudyPlan
     event: Literal['protocol', 'protocol changed'] = 'protocol'
-    replaces: str = ''  # digest of the version before
-    diff: tuple[str, ...] = ()  # lines that differ from it, as of ``diff -u``
+    replaces: str = ''  # digest of the previous version
+    diff: tuple[str, ...] = ()  # unified diff from the previous version
 
     @model_validator(mode='after')
     def _unchanged(self) -> Self:
@@ -43,13 +43,13 @@ class Version(BaseModel):
 
 
 def digest_of(plan: StudyPlan) -> str:
-    """Return the SHA-256 of all that a plan says, its pages and questions included."""
+    """Return the SHA-256 digest of a plan, including its pages and questions."""
     text = json.dumps(plan.model_dump(mode='json', exclude_none=True), sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
 def difference(old: StudyPlan, new: StudyPlan) -> list[str]:
-    """Return the lines in which two plans differ, as of ``diff -u``; pages are split in lines."""
+    """Return the unified diff of two plans; pages are split into lines."""
     lines = _lines(old), _lines(new)
     return list(difflib.unified_diff(*lines, 'kept', 'changed', n=_CONTEXT, lineterm=''))
 
@@ -71,10 +71,10 @@ def _lines(plan: StudyPlan) -> list[str]:
 
 class Protocol:
     """
-    The versions of the protocol of a study, in a folder.
+    The versions of a study's protocol, in a folder.
 
-    :ivar versions: from the first; none before the first participant.
-    :ivar problems: lines that cannot be used, in words.
+    :ivar versions: versions, oldest first; empty before the first participant.
+    :ivar problems: descriptions of invalid lines.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -92,14 +92,14 @@ class Protocol:
         return self.versions[-1].plan if self.versions else None
 
     def plan_of(self, digest: str) -> StudyPlan | None:
-        """Return the plan of a version; None: it is not kept."""
+        """Return the plan with this digest; None: not stored."""
         return next((each.plan for each in self.versions if each.digest == digest), None)
 
     def keep(self, plan: StudyPlan) -> None:
         """
-        Keep a plan as the latest version, unless it is already.
+        Store a plan as the latest version, unless it is unchanged.
 
-        :raises OSError: it cannot be written.
+        :raises OSError: the file cannot be written.
         """
         version = Version(time=round(time.time(), 3), digest=digest_of(plan), plan=plan)
         if self.plan is not None:
@@ -114,9 +114,9 @@ class Protocol:
 
 def _version_of(line: str) -> Version:
     """
-    Return the version of a line.
+    Parse the version in a line.
 
-    :raises ValueError: it is none.
+    :raises ValueError: the line is not a version.
     """
     try:
         return Version.model_validate_json(line)

@@ -1,9 +1,9 @@
 """
-What participants did: one file of events each.
+Records of participants: one file of events each.
 
-An event is a line of JSON. It is on disk (fsync) before the study goes on, and is published too,
-so that the bag of a condition holds it. Nothing that identifies a person is kept but the code that
-the person was given, and what the person types.
+An event is a line of JSON. It is written to disk (fsync) before the study continues, and also
+published, so that the bag of the condition contains it. The only personal data stored are the
+participant code and the texts that the person types.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -30,18 +30,18 @@ from humanopts_teach.study.events import (
 from humanopts_teach.study.plan import Part, StudyPlan
 from humanopts_teach.study.protocol import difference, digest_of, FILE, Protocol, SHOWN_DIGEST
 
-TOPIC = 'study_events'  # StudyEvent, each an event as JSON
-MAX_BYTES = 64 * 2**20  # of a record
-MAX_NUMBER = 999_999  # of a participant
-_NAME = re.compile(rf'([0-9]{{3,6}})-({CODE.pattern})\.jsonl')  # of a record
+TOPIC = 'study_events'  # StudyEvent messages, each an event as JSON
+MAX_BYTES = 64 * 2**20  # maximum size of a record
+MAX_NUMBER = 999_999  # maximum participant number
+_NAME = re.compile(rf'([0-9]{{3,6}})-({CODE.pattern})\.jsonl')  # file name of a record
 
 
 class StudyError(ValueError):
-    """A participant cannot take part; the text says why."""
+    """A participant cannot take part; the message gives the reason."""
 
 
 class SimilarCodeError(StudyError):
-    """A code differs from a known one in case only: it is hardly another person's."""
+    """A code differs from a known one only in case, so it is probably a typo."""
 
     def __init__(self, code: str, known: str) -> None:
         super().__init__(
@@ -52,9 +52,9 @@ class SimilarCodeError(StudyError):
 
 class ChangedPlanError(StudyError):
     """
-    The plan has been changed since it was kept.
+    The plan has changed since it was stored.
 
-    :ivar diff: the lines that differ.
+    :ivar diff: lines of the unified diff.
     """
 
     def __init__(self, diff: Sequence[str]) -> None:
@@ -67,19 +67,19 @@ class ChangedPlanError(StudyError):
 
 @dataclass
 class Record:
-    """The events of one participant, from the first; those that did not fit are left out."""
+    """The events of one participant in order, without invalid ones."""
 
     path: Path
-    code: str = ''  # by the name of the file, and the number too
-    number: int = 0  # in the order of arrival, from 0
+    code: str = ''  # from the file name, as is the number
+    number: int = 0  # in order of arrival, from 0
     events: list[Event] = field(default_factory=list)
-    problems: list[str] = field(default_factory=list)  # what was left out, in words
+    problems: list[str] = field(default_factory=list)  # descriptions of omitted lines
 
     def read(self) -> 'Record':
         """
-        Return the record as it is on disk now, and change nothing in it.
+        Return the record as currently stored on disk, without modifying the file.
 
-        :raises OSError: it is not a regular file, is too large, or cannot be read.
+        :raises OSError: the file is not regular, is too large, or cannot be read.
         """
         events, problems = read_lines(self.path, event_of, MAX_BYTES)
         return replace(self, events=events, problems=problems)
@@ -90,42 +90,42 @@ class Record:
 
     @property
     def began(self) -> Event | None:
-        """How the participant began; None: the line is damaged."""
+        """The participant's 'began' event; None: missing or damaged."""
         return next(iter(self.of('began')), None)
 
     @property
     def done(self) -> set[str]:
-        """Keys of the parts that are over."""
+        """The keys of the completed parts."""
         return {e.part for e in last_attempts(self.events) if e.event == 'part ended'}
 
     @property
     def refused(self) -> bool:
-        """Whether the participant did not agree to take part."""
+        """Whether the participant declined to take part."""
         return any(event.why == REFUSED for event in self.of('part ended'))
 
     @property
     def over(self) -> bool:
-        """Whether the participant has ended the study."""
+        """Whether the participant has completed the study."""
         return bool(self.of('ended'))
 
     @property
     def minutes(self) -> float:
-        """From the first event to the last, pauses included."""
+        """The time in minutes from the first to the last event, including breaks."""
         times = [event.time for event in self.events] or [0.0]
         return (max(times) - min(times)) / 60
 
     def seconds_in(self, part: str) -> float:
-        """Return how long the participant was at a part so far, over all sittings."""
+        """Return the time in s that the participant has spent on a part, over all sittings."""
         return times_in(self.events).get(part, TimeIn()).seconds
 
     def left_of(self, parts: Iterable[Part]) -> list[Part]:
-        """Return what the participant has still to do."""
+        """Return the parts that the participant has not completed."""
         done = self.done
         return [part for part in parts if part.key not in done]
 
 
 class OpenRecord(Record):
-    """A record to which events are added."""
+    """A record opened for appending events."""
 
     def __init__(
         self,
@@ -136,10 +136,10 @@ class OpenRecord(Record):
         """
         Open the file, which need not exist.
 
-        :param publish: called with each new line.
-        :param clock: s since 1970; None: one that goes on evenly when the time of day is set, so
-            that the time between two events of one sitting is the time that passed.
-        :raises OSError: it cannot be read.
+        :param publish: callback for each new line.
+        :param clock: function that returns the time in s since 1970; None: a monotonic clock, so
+            that changes of the system time do not affect durations within a sitting.
+        :raises OSError: the file cannot be read.
         """
         ahead = time.time() - time.monotonic()
         self._clock = clock or (lambda: ahead + time.monotonic())
@@ -148,11 +148,11 @@ class OpenRecord(Record):
 
     def note(self, kind: EventKind, part: Part | None = None, /, **values: Any) -> None:
         """
-        Add an event.
+        Append an event.
 
-        :param part: that it concerns; None: none.
-        :param values: its other fields, but the time.
-        :raises OSError: it could not be written.
+        :param part: part of the event; None: none.
+        :param values: other fields of the event, except the time.
+        :raises OSError: the event could not be written.
         """
         if part is not None:
             values |= {'part': part.key, 'condition': part.condition}
@@ -166,17 +166,17 @@ class OpenRecord(Record):
 
 
 class StudyFolder:
-    """The folder of a study: records of its participants, and a folder for each with bags."""
+    """The folder of a study: participants' records, and one subfolder of bags for each."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
 
     def records(self) -> tuple[list[Record], list[str]]:
         """
-        Return what all participants did, in the order of arrival, each once: copies are left out.
+        Return the records of all participants in order of arrival, without copies.
 
-        :return: also what is left out, in words: files that are not the record of a participant,
-            and lines that are not events.
+        :return: records, and descriptions of what was omitted: files that are not a participant's
+            record, and lines that are not events.
         """
         found: dict[str, Record] = {}
         named, problems = self._named()
@@ -199,13 +199,13 @@ class StudyFolder:
 
     def enter(self, plan: StudyPlan, code: str, *, simulated: bool = False) -> Record:
         """
-        Return the record of a participant: a new one, or one who has not finished and continues.
+        Return the record of a new participant, or of one who continues the study.
 
-        :param simulated: a simulated teacher takes part.
+        :param simulated: whether the participant is a simulated teacher.
         :raises SimilarCodeError: a known code differs only in case.
-        :raises ChangedPlanError: the plan is not the one that is kept.
-        :raises StudyError: the code cannot be used, its participant has finished or follows
-            another plan, or the plan has no room.
+        :raises ChangedPlanError: the plan differs from the stored one.
+        :raises StudyError: the code is invalid, its participant has finished or follows another
+            plan, or the plan is full.
         :raises OSError: the folder cannot be written.
         """
         if not CODE.fullmatch(code):
@@ -236,11 +236,11 @@ class StudyFolder:
 
     def check(self, plan: StudyPlan) -> None:
         """
-        Compare a plan with the one that is kept.
+        Compare a plan with the stored one.
 
-        :raises ChangedPlanError: it has been changed.
-        :raises StudyError: what is kept is damaged.
-        :raises OSError: it cannot be read.
+        :raises ChangedPlanError: the plan has changed.
+        :raises StudyError: the stored protocol is damaged.
+        :raises OSError: the protocol cannot be read.
         """
         protocol = self._whole_protocol()
         if missing := self.missing_plan(protocol):
@@ -250,9 +250,9 @@ class StudyFolder:
 
     def accept(self, plan: StudyPlan) -> None:
         """
-        Keep a changed plan, for participants who begin from now on.
+        Store a changed plan for new participants.
 
-        :raises StudyError: what is kept is damaged.
+        :raises StudyError: the stored protocol is damaged.
         :raises OSError: the folder cannot be read or written.
         """
         with self._locked():
@@ -260,16 +260,16 @@ class StudyFolder:
 
     def plan_of(self, plan: StudyPlan, record: Record) -> StudyPlan:
         """
-        Return the plan that a participant follows: the one with which the participant began.
+        Return the plan with which a participant began.
 
-        :param plan: the current one, for participants without a stored version.
-        :raises OSError: the record, or what is kept, cannot be read.
+        :param plan: current plan, used for participants without a stored version.
+        :raises OSError: the record or the protocol cannot be read.
         """
         began = record.read().began
         return (Protocol(self.path).plan_of(began.protocol) if began else None) or plan
 
     def missing_plan(self, protocol: Protocol) -> str:
-        """Return which plan that a record names is not kept, in words; empty: all are."""
+        """Return a description of a missing plan that a record refers to; empty: none."""
         kept = {'', *(version.digest for version in protocol.versions)}
         for record in self.records()[0]:
             digest = record.began.protocol if record.began is not None else ''
@@ -281,7 +281,7 @@ class StudyFolder:
         return ''
 
     def _whole_protocol(self) -> Protocol:
-        """Return what is kept, unless it has damaged lines: a participant may follow one."""
+        """Return the protocol; raise if a line is damaged: a participant may depend on it."""
         protocol = Protocol(self.path)
         if protocol.problems:
             raise StudyError(f'{protocol.problems[0]}; put the file back from a copy')
@@ -306,7 +306,7 @@ class StudyFolder:
     def _new(
         self, plan: StudyPlan, code: str, known: Sequence[str], problems: Iterable[str]
     ) -> Record:
-        """Return the record of a new participant; one whose file is empty keeps its number."""
+        """Return the record of a new participant; an existing empty file keeps its number."""
         if similar := similar_code(code, known):
             raise SimilarCodeError(code, similar)
         if plan.participants and len(known) >= plan.participants:
@@ -329,7 +329,7 @@ class StudyFolder:
         return Record(self.path / _file_name(number, code), code, number)
 
     def _named(self) -> tuple[list[Record], list[str]]:
-        """Return the files named as records, by number, and which others there are."""
+        """Return the files with record names, by number, and descriptions of other files."""
         found, problems = [], []
         for path in sorted(self.path.glob('*.jsonl')) if self.path.is_dir() else []:
             match = _NAME.fullmatch(path.name)
@@ -344,7 +344,7 @@ class StudyFolder:
 
     @contextmanager
     def _locked(self) -> Iterator[None]:
-        """Keep other terminals from entering a participant at the same time."""
+        """Prevent other processes from entering a participant at the same time."""
         how = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
         lock = os.open(self.path / '.lock', how, 0o644)
         try:
@@ -360,9 +360,9 @@ def _file_name(number: int, code: str) -> str:
 
 def _fault(record: Record, others: Iterable[Record]) -> str:
     """
-    Return why a file is not a participant's record; empty: it is.
+    Return why a file is not a participant's record; empty: it is valid.
 
-    :param others: records whose files come before it.
+    :param others: records of preceding files.
     """
     began = record.began
     if not record.events:

@@ -1,4 +1,4 @@
-"""What a study has found so far: how far each participant is, and tidy tables with a codebook."""
+"""Results of a study: progress of each participant, and tidy tables with a codebook."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -19,9 +19,9 @@ import pandas as pd
 
 def status_table(protocol: Protocol, records: Sequence[Record]) -> pd.DataFrame:
     """
-    Return one row for each participant: how far the study is, by what each one's record says.
+    Return one row per participant with the progress according to the record.
 
-    :param protocol: what comes next is that of the version that the participant follows.
+    :param protocol: versions of the plan; the next part is that of the participant's version.
     """
     columns = ['participant', 'order', 'parts done', 'next', 'minutes']
     rows = []
@@ -41,7 +41,7 @@ _APOSTROPHE = (
     '; an apostrophe before =, +, -, @, a tab or a line break is not part of it: it keeps '
     'spreadsheets from running the text as a formula'
 )
-CODEBOOK = {  # file: column: what it holds
+CODEBOOK = {  # file: column: meaning
     'participants.csv': {
         'participant': 'code that the person was given',
         'number': 'place in the order of arrival, from 0',
@@ -95,9 +95,9 @@ CODEBOOK = {  # file: column: what it holds
 
 def tables(records: Sequence[Record]) -> dict[str, pd.DataFrame]:
     """
-    Return tidy tables by file name, one row for each observation, and the codebook.
+    Return tidy tables by file name, one row per observation, and the codebook.
 
-    Of a part that was left and begun again, what was answered and suggested last counts.
+    If a part was restarted, only the answers and suggestions of the last attempt count.
     """
 
     def rows(kind: EventKind) -> list[dict[str, Any]]:
@@ -130,7 +130,7 @@ def tables(records: Sequence[Record]) -> dict[str, pd.DataFrame]:
 
 
 def _person(record: Record) -> dict[str, Any]:
-    """Return the row of a participant."""
+    """Return a participant's row."""
     began, agreed = record.began, ''
     for event in record.of('part ended'):
         if event.kind is PartKind.CONSENT:
@@ -152,7 +152,7 @@ def _person(record: Record) -> dict[str, Any]:
 
 
 def _parts(record: Record) -> list[dict[str, Any]]:
-    """Return a row for each part that was begun, in the order in which they began."""
+    """Return a row for each started part, in order of their start."""
     order = record.began.order if record.began is not None else ()
     kinds = {event.part: event.kind.value for event in record.events if event.kind}
     conditions = {event.part: event.condition for event in record.events}

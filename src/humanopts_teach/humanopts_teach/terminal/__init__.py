@@ -1,1 +1,1 @@
-"""The dialogue drawn in a terminal: keys in, lines out; and the replay of a bag."""
+"""Terminal front end: key input, screen rendering, and the replay of bags."""

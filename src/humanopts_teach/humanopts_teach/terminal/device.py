@@ -1,4 +1,4 @@
-"""The terminal: reads raw keys, draws lines, and restores its state at the end."""
+"""The terminal device: reads raw keys, draws lines, and restores the terminal on exit."""
 
 from collections.abc import Callable, Mapping, Sequence
 import curses
@@ -17,9 +17,9 @@ from prompt_toolkit.key_binding.key_processor import KeyPress
 from prompt_toolkit.keys import Keys
 from rich.console import Console
 
-ESCAPE_SECONDS = 0.1  # after which an escape character is a key, not the start of a sequence
-_TAKEN_SECONDS = 1.0  # in which a shell takes back the terminal of a suspended job
-_SETTLED_SECONDS = 0.1  # after which it has set up the terminal of a resumed job
+ESCAPE_SECONDS = 0.1  # timeout after which an escape character counts as the Escape key
+_TAKEN_SECONDS = 1.0  # maximum time for a shell to reclaim the terminal of a suspended job
+_SETTLED_SECONDS = 0.1  # time for a shell to set up the terminal of a resumed job
 _ENTER = '\x1b[?1049h\x1b[?25l\x1b[2J'  # alternate screen, hidden cursor, cleared
 _LEAVE = '\x1b[0m\x1b[?25h\x1b[?1049l'
 _NAMED: Mapping[str, str] = {
@@ -41,7 +41,7 @@ _HUNG_UP = select.POLLHUP | select.POLLERR | select.POLLNVAL
 
 
 def why_not() -> str:
-    """Return why standard input and output cannot be used; empty: they can."""
+    """Return why standard input and output are unusable; empty: they are usable."""
     if not sys.stdin.isatty() or not sys.stdout.isatty():
         return 'it needs a terminal for input and output'
     if not (name := os.environ.get('TERM', '')):
@@ -56,7 +56,7 @@ def why_not() -> str:
 
 
 def key_of(press: KeyPress) -> str:
-    """Return our name of a key press; empty: the key is not used."""
+    """Return the humanopts name of a key press; empty: the key is not used."""
     if press.key in _NAMED:
         return _NAMED[press.key]
     key = str(press.key)
@@ -64,32 +64,32 @@ def key_of(press: KeyPress) -> str:
 
 
 def usable_colours(console: Console) -> Colours | None:
-    """Return the colours that the terminal can show; None: none, or NO_COLOR is set."""
+    """Return the terminal's colour system; None: no colours, or NO_COLOR is set."""
     system = None if console.no_color else console.color_system
     return cast(Colours | None, system)
 
 
 class Device:
     """
-    Standard input in raw mode and the alternate screen, inside a ``with`` block.
+    Context manager for standard input in raw mode and the alternate screen.
 
-    A job in the background leaves the terminal to the shell: nothing is read or drawn until
-    ``ours`` says that it is in the foreground.
+    A background job leaves the terminal to the shell: nothing is read or drawn until ``ours``
+    returns True.
     """
 
     def __init__(self, farewell: str = '') -> None:
         """
         Inspect the terminal.
 
-        :param farewell: line to print at a clean end.
+        :param farewell: line to print after a clean exit.
         """
         self._farewell = farewell
         self._input = Vt100Input(sys.stdin)
         self._raw = self._input.raw_mode()
-        self._held = False  # raw, and on the alternate screen
-        self._asked_at = 0.0  # when it was suspended, s
-        self._taken = False  # by the shell, since then
-        self._since: float | None = None  # in the foreground, s; None: it is not
+        self._held = False  # in raw mode, on the alternate screen
+        self._asked_at = 0.0  # s, time of the suspension
+        self._taken = False  # the shell has reclaimed the terminal since then
+        self._since: float | None = None  # s, start of foreground time; None: in the background
         self._poll = select.poll()
         self._poll.register(self._input.fileno(), select.POLLIN)
         self._drawn: list[str] = []
@@ -116,7 +116,7 @@ class Device:
         os.killpg(os.getpgrp(), signal.SIGTSTP)
 
     def ours(self) -> bool:
-        """Return whether to read and draw; after ``suspend``: once it is in the foreground."""
+        """Return whether to read and draw: False while the job is in the background."""
         if self._held or self.closed:
             return True
         now = time.monotonic()
@@ -142,7 +142,7 @@ class Device:
             self._held = False
 
     def read(self) -> list[str]:
-        """Return the keys pressed since the last call, without waiting."""
+        """Return the keys pressed since the last call, without blocking."""
         events = [event for _, event in self._poll.poll(0)]
         presses = self._input.read_keys() if any(e & select.POLLIN for e in events) else []
         self.closed |= self._input.closed
@@ -155,11 +155,11 @@ class Device:
         return [key for key in map(key_of, presses) if key]
 
     def wait(self, seconds: float) -> None:
-        """Wait for a key, up to a time limit."""
+        """Wait for a key, with a timeout."""
         self._poll.poll(1e3 * seconds)
 
     def resized(self) -> bool:
-        """Return whether the size of the window has changed since the last drawing."""
+        """Return whether the window has been resized since the last frame."""
         return self._window() != self._size
 
     def draw(self, frame: Callable[[int, int, Colours | None], Sequence[str]]) -> None:
@@ -179,7 +179,7 @@ class Device:
             size = os.get_terminal_size(sys.stdout.fileno())
         except OSError:
             return (80, 24)
-        return (size.columns or 80, size.lines or 24)  # some terminals say 0 x 0
+        return (size.columns or 80, size.lines or 24)  # some terminals report 0 x 0
 
     def _write(self, text: str) -> None:
         data = text.encode('utf-8', 'replace')

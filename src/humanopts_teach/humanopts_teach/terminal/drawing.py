@@ -1,4 +1,4 @@
-"""The whole screen as lines of a given size."""
+"""Rendering of the screen as lines of text."""
 
 from collections.abc import Iterator, Sequence
 from io import StringIO
@@ -19,10 +19,10 @@ from rich.table import Table
 from rich.text import Text
 
 SMALLEST = (70, 20)  # columns, rows
-_WIDE_BESIDE = 50  # columns beside the board that hold everything
-_ROOMY = 24  # rows; above, there is a gap below the head
+_WIDE_BESIDE = 50  # minimum columns next to the board to place the whole panel there
+_ROOMY = 24  # rows; taller screens have a gap below the header
 Colours = Literal['auto', 'standard', '256', 'truecolor', 'windows']
-KEY = f'bold {TEAL}'  # a key that can be pressed
+KEY = f'bold {TEAL}'  # style of key labels
 STYLES = {
     panel.Tone.PLAIN: '',
     panel.Tone.QUIET: 'dim',
@@ -35,9 +35,9 @@ STYLES = {
 
 def frame(app: App, width: int, height: int, colours: Colours | None = None) -> list[str]:
     """
-    Return the screen as ``height`` lines, each ``width`` cells wide at most.
+    Return the screen as ``height`` lines of at most ``width`` cells.
 
-    :param colours: as rich names what the terminal can do; None: plain text.
+    :param colours: colour system, in rich's notation; None: plain text.
     """
     if width < SMALLEST[0] or height < SMALLEST[1]:
         words = (
@@ -71,7 +71,7 @@ def framed(
     height: int,
     colours: Colours | None,
 ) -> list[str]:
-    """Return ``height`` lines: the top, cut where it is too long, and the foot below."""
+    """Return ``height`` lines: the top, truncated if too long, and the foot below it."""
     upper, lower = (_lines_of(Group(*part), width, colours) for part in (top, foot))
     room = height - len(lower)
     if len(upper) > room:
@@ -98,13 +98,13 @@ def _lines_of(group: Group, width: int, colours: Colours | None) -> list[str]:
 
 
 class _Printable:
-    """Something laid out, without the characters that would control the terminal."""
+    """A renderable without terminal control characters."""
 
     def __init__(self, renderable: RenderableType) -> None:
         self._renderable = renderable
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[Segment]:
-        """Yield the parts; those characters are no cell wide, so that none moves."""
+        """Yield the segments; control characters have zero width, so the layout is unchanged."""
         for text, style, control in console.render(self._renderable, options):
             plain = ''.join(c for c in text if c.isprintable() or c == '\n')
             yield Segment(plain, style, control)
@@ -128,9 +128,9 @@ def _middle(view: panel.ScreenView, width: int) -> RenderableType:
 
 def board_texts(board: Board) -> tuple[Text, Text]:
     """
-    Return a board in colour, and the lines below it, which may be wider.
+    Return a coloured board and the lines below it, which may be wider.
 
-    A world that is not drawn has a list of its features in place of a board.
+    A domain without a drawing shows a list of its features instead of a board.
     """
     drawn, below = signs(board), caption(board)
     if not drawn:
@@ -142,10 +142,10 @@ def board_texts(board: Board) -> tuple[Text, Text]:
 
 
 def drawn(block: panel.Block) -> RenderableType:
-    """Draw a part of a panel."""
+    """Render a block of a panel."""
     match block:
         case panel.Page(text):
-            from rich.markdown import Markdown  # only studies have such pages
+            from rich.markdown import Markdown  # needed only in studies
 
             return Markdown(text)
         case panel.Line():
@@ -186,7 +186,7 @@ def _style(line: panel.Line) -> str:
 
 
 def key_bar(keys: Sequence[tuple[str, str]], width: int) -> list[Text]:
-    """Return keys and what they do in as few lines as they fit in, none broken in two."""
+    """Return the key labels and descriptions in as few lines as possible, without line breaks."""
     lines = [Text()]
     for key, words in keys:
         entry = Text.assemble((key, KEY), ' ', words)

@@ -1,4 +1,4 @@
-"""A replay of recorded episodes as text: its keys and its screen."""
+"""A text replay of recorded episodes: keys and screen."""
 
 from collections.abc import Callable, Iterator, Sequence
 import math
@@ -13,9 +13,9 @@ from humanopts_teach.dialogue.keys import END_OF_FILE, ESCAPE, INTERRUPT, LEFT, 
 from humanopts_teach.terminal.drawing import board_texts, Colours, framed, key_bar, title
 from rich.text import Text
 
-STEP_SECONDS = 0.5  # of a step, at speed 1
+STEP_SECONDS = 0.5  # duration of a step at speed 1
 SLOWEST, FASTEST = 1 / 16, 64.0
-_ROOM_FOR_KEYS = 16  # rows
+_ROOM_FOR_KEYS = 16  # minimum number of rows to show the keys
 _KEYS = (
     *(('Space', 'pause, go on'), ('← →', 'one step'), ('+ -', 'speed')),
     *(('n p', 'next, previous episode'), ('q', 'quit')),
@@ -25,10 +25,10 @@ _QUIT = {'q', 'Q', ESCAPE, INTERRUPT, END_OF_FILE}
 
 class Replay:
     """
-    The position in a replay, and its pace.
+    The position and speed of a replay.
 
-    :ivar running: steps are shown one after another until the episode ends.
-    :ivar over: the person quit.
+    :ivar running: whether steps are shown continuously until the episode ends.
+    :ivar over: whether the person has quit.
     """
 
     def __init__(
@@ -42,10 +42,10 @@ class Replay:
         """
         Start at the first step of an episode.
 
-        :param episodes: at least one; each is read when it is shown.
-        :param actors_of: returns who sent the commands of an episode.
-        :param index: of the episode, from 0.
-        :param speed: 2 is twice as fast.
+        :param episodes: at least one episode; each is read when shown.
+        :param actors_of: function that returns the senders of an episode's commands.
+        :param index: index of the first episode, from 0.
+        :param speed: relative speed; 2 is twice as fast.
         """
         self._domain, self._episodes, self._actors_of = domain, episodes, actors_of
         self._index = self._step = 0
@@ -55,7 +55,7 @@ class Replay:
 
     @property
     def seconds(self) -> float:
-        """Seconds for which a step is shown."""
+        """The time in seconds for which a step is shown."""
         return STEP_SECONDS / self.speed
 
     @property
@@ -63,13 +63,13 @@ class Replay:
         return len(self._episode.transitions) - 1
 
     def advance(self) -> None:
-        """Show the next step while the replay runs; stop at the last one."""
+        """Show the next step if the replay is running; stop at the last one."""
         if self.running:
             self._go(self._step + 1)
             self.running = self._step < self._last
 
     def press(self, key: str) -> None:
-        """Act on a key; ignore unknown ones."""
+        """Handle a key; ignore unknown keys."""
         if key in _QUIT:
             self.over = True
         elif key == SPACE:
@@ -86,7 +86,7 @@ class Replay:
             self._turn(1 if key == 'n' else -1)
 
     def frame(self, width: int, height: int, colours: Colours | None = None) -> list[str]:
-        """Return the screen as ``height`` lines, each ``width`` cells wide at most."""
+        """Return the screen as ``height`` lines of at most ``width`` cells."""
         how = f'speed {self.speed:g}' if self.running else 'paused'
         head = title(f'humanopts · {self._domain.name} · {how}', width)
         top = [head, Text(), *self._board(), Text(), Text(self._words(), 'bold')]
