@@ -1,17 +1,16 @@
 """
-Accuracy: a learned option compared with its reference option (section 7.1).
+Accuracy of a learned option, compared with its reference option (section 7.1).
 
 A policy has two measures: the share of states in which it takes an optimal action and, as in the
 paper, the average return of its runs. Classification accuracy measures I and beta.
 
-Accuracy is measured over all states where they can be listed, and otherwise over a fixed sample.
+Accuracy is measured over all states if they can be listed, and otherwise over a fixed sample.
 Each part is measured where it is used:
 
 - pi in the states of the reference's initiation set where the task is not over;
 - I in all reachable states where the task is not over;
-- beta where the option can be after a step: in its initiation set, and in the states outside it
-  that one of its optimal actions leads to. What beta is in a room that the option never enters
-  does not matter.
+- beta where the option can be after a step: in its initiation set, and in states outside it that
+  one of its optimal actions leads to. Beta in a room that the option never enters is irrelevant.
 """
 
 from collections.abc import Hashable, Sequence
@@ -37,16 +36,16 @@ from humanopts_learner.options.rollout import is_deterministic
 import numpy as np
 
 T = TypeVar('T')
-SAMPLE = 2000  # states, where they cannot be listed
-RUNS = 400  # maximum number of runs in an average return
+SAMPLE = 2000  # number of states, if they cannot be listed
+RUNS = 400  # maximum number of runs per average return
 MAX_RUN_STEPS = 100
 
 
 @dataclass(frozen=True)
 class _Answers:
-    """The reference's values, and the features (., F) of the states where they are compared."""
+    """Reference values, and the features (., F) of the states in which they are compared."""
 
-    starts: list[Any]  # at most RUNS states in which the option acts
+    starts: list[Any]  # at most RUNS states where the option acts
     acting: Rows  # (N, F)
     optimal: Flags  # (N, A)
     starting: Rows  # (M, F)
@@ -57,9 +56,9 @@ class _Answers:
 
 def policy_accuracy(option: LearnedOption, domain: Domain, reference: ReferenceOption) -> float:
     """
-    Return the share of states in which the most likely action is an optimal one.
+    Return the share of states in which the most likely action is optimal.
 
-    :return: 0..1; NaN where the reference can start nowhere.
+    :return: 0..1; NaN if the reference can start nowhere.
     :raises OptionError: the option was not learned in this domain.
     """
     option.check_domain(domain)
@@ -76,13 +75,13 @@ def average_returns(
     """
     Return the average undiscounted return of each policy, in reward units.
 
-    Runs start where the reference option can start, in the same states and with the same chance
-    for every option. They end where the reference option ends, where the task is over, or after
-    ``MAX_RUN_STEPS``: the learned beta is measured separately, and one that ends runs too early
+    Runs start where the reference option can start, in the same states and with the same random
+    numbers for every option. They end where the reference option ends, when the task is over, or
+    after ``MAX_RUN_STEPS``: the learned beta is measured separately, and ending runs too early
     would save the cost of steps.
 
-    :param options: None: the reference option itself, with the first of its optimal actions.
-    :return: NaN where the reference can start nowhere.
+    :param options: learned options; None: the reference itself, with its first optimal action.
+    :return: NaN if the reference can start nowhere.
     :raises OptionError: an option was not learned in this domain.
     """
     for option in options:
@@ -103,7 +102,7 @@ def average_returns(
 
 
 class _UntilReference:
-    """Options that all end where a reference option ends; None: the reference option itself."""
+    """Options that end where a reference option ends; None: the reference option itself."""
 
     def __init__(
         self, options: Sequence[LearnedOption | None], reference: ReferenceOption
@@ -143,7 +142,7 @@ def classification_accuracy(
     """
     Return the shares of states in which I and beta agree with the reference.
 
-    :return: 0..1; NaN for beta where the reference can start nowhere.
+    :return: 0..1; NaN for beta if the reference can start nowhere.
     :raises OptionError: the option was not learned in this domain.
     """
     option.check_domain(domain)
@@ -186,19 +185,19 @@ class _Keyed(Generic[T]):
     """An argument of a cached function, compared by its key."""
 
     key: Hashable
-    value: T = field(compare=False)  # kept, so that an id() in the key stays unique
+    value: T = field(compare=False)  # kept alive, so that an id() in the key stays unique
 
 
 @lru_cache(maxsize=4)
 def _sample(game: _Keyed[Domain]) -> tuple[list[Any], Rows]:
-    """Return ``SAMPLE`` states from all parts of the game, none of them over, and features."""
+    """Return ``SAMPLE`` non-terminal states from all parts of the game, and their features."""
     states = game.value.sample_states(generator(0, 'accuracy', 'states', game.value.name), SAMPLE)
     return states, feature_rows(game.value, states)
 
 
 @lru_cache(maxsize=32)
 def _of_a_sample(game: _Keyed[Domain], meaning: _Keyed[ReferenceOption]) -> _Answers:
-    """Take a step by the first optimal action wherever the option acts: some lead to its end."""
+    """Also step by the first optimal action from each acting state, to include ends."""
     domain, reference, count = game.value, meaning.value, len(game.value.actions)
     states, rows = _sample(game)
     said = judge_states(reference, states, count)

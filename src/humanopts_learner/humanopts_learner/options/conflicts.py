@@ -1,8 +1,8 @@
 """
-Situations that the chosen features cannot separate, and the feature that could.
+Situations that the chosen features cannot distinguish, and the feature that could.
 
-Examples with equal chosen features but different labels limit what any policy, initiation set or
-termination condition over these features can learn.
+Examples with equal chosen features but different labels limit the accuracy of any policy,
+initiation set or termination condition over these features.
 """
 
 from collections import Counter
@@ -19,26 +19,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 MAX_TEXTS = 10
-NO_START = 'cannot start here'  # in the words of a situation
-CHANCE = 0.05  # probability with which a continuous feature may separate examples by chance
-SLIP = 1  # number of different actions in a situation that may be a slip of the hand
+NO_START = 'cannot start here'  # wording in a situation
+CHANCE = 0.05  # significance level for separation by a continuous feature
+SLIP = 1  # number of deviating actions in a situation that may be a slip
 
 
 @dataclass(frozen=True)
 class _Conflict:
     """One situation with different labels."""
 
-    rows: Rows  # (N, F) its examples, alike in the chosen features
+    rows: Rows  # (N, F) examples with equal chosen features
     labels: NDArray[np.int64]  # (N,)
     text: str
-    structural: bool  # False: it may be a slip
+    structural: bool  # False: possibly a slip
 
     def separated_by(self, index: int, feature: Feature) -> bool:
         """
-        Return whether examples with equal values of one more feature have equal labels.
+        Return whether one more feature separates the labels.
 
-        Few examples have equal values of a continuous feature. It must separate the labels by
-        ranges, in more examples than it would by chance.
+        Few examples have equal values of a continuous feature, so it must separate the labels into
+        ranges, with more examples than expected by chance.
         """
         if feature.kind is FeatureKind.CONTINUOUS:
             classes, counts = np.unique(self.labels, return_counts=True)
@@ -53,10 +53,10 @@ class _Conflict:
 
 def find_conflicts(data: Dataset, domain: ActableDomain) -> tuple[tuple[str, ...], str]:
     """
-    Find the situations of one option that have different labels.
+    Find the situations of one option with different labels.
 
-    :return: the situations in words, the most frequent first; and the feature that separates more
-        than half of them, apart from slips. Empty: there is none.
+    :return: descriptions of the situations, most frequent first; and the feature that separates
+        more than half of them, ignoring slips. Empty: none.
     """
     found = [
         conflict
@@ -77,24 +77,24 @@ def find_conflicts(data: Dataset, domain: ActableDomain) -> tuple[tuple[str, ...
 
 @dataclass(frozen=True)
 class Contradiction:
-    """Where a demonstration differs from all before it."""
+    """A situation where a demonstration differs from all earlier ones."""
 
     text: str
-    earlier: Demonstration  # the last one that showed otherwise
-    step: int  # of the new demonstration
+    earlier: Demonstration  # last demonstration that differs
+    step: int  # step of the new demonstration
 
 
 def contradiction(
     newest: Demonstration, earlier: Sequence[Demonstration], domain: ActableDomain
 ) -> Contradiction | None:
     """
-    Return the first situation where a demonstration shows what none before it has shown there.
+    Return the first situation where a demonstration contradicts all earlier ones.
 
-    Ends are compared before starts (except in a "not here" answer), and starts before actions;
-    with the method ``goal`` actions are not compared, because nothing is learned from them.
+    Ends are compared before starts (except in a "not here" answer), and starts before actions.
+    With the method ``goal``, actions are not compared, because nothing is learned from them.
 
-    :param earlier: valid demonstrations of the same option, by number.
-    :return: None: in every known situation it agrees with an earlier demonstration.
+    :param earlier: valid demonstrations of the same option, sorted by number.
+    :return: None: it agrees with an earlier demonstration in every known situation.
     """
     if not any(demo.kind is Kind.TRAJECTORY for demo in (newest, *earlier)):
         return None
@@ -127,7 +127,7 @@ def contradiction(
 
 
 def _parts(data: Dataset) -> Iterator[tuple[Examples, Sequence[str], bool]]:
-    """Yield the examples of beta, I and policy, words for their labels, and if slips occur."""
+    """Yield examples of beta, I and policy, words for labels, and whether slips are possible."""
     yield data.termination, ('not the end', 'the end'), False
     yield data.initiation, (NO_START, 'can start here'), False
     yield data.policy, data.actions, True
@@ -140,7 +140,7 @@ def _conflicts(
     words: Sequence[str],
     may_slip: bool,
 ) -> list[_Conflict]:
-    seen = examples.rows[:, chosen].astype(np.float32)  # as trees see them
+    seen = examples.rows[:, chosen].astype(np.float32)  # precision of the trees
     _, group = np.unique(seen, axis=0, return_inverse=True)
     pairs = np.unique(np.stack([group.ravel(), examples.labels]), axis=1)[0]
     found = []

@@ -1,9 +1,9 @@
 """
-Decision trees: fitted by scikit-learn, kept and evaluated as plain arrays.
+Decision trees, fitted by scikit-learn, and stored and evaluated as plain arrays.
 
-A tree looks at encoded features: an ordinal or continuous feature is a number, a nominal one is
-one-hot. They are float32, as scikit-learn sees them, when it is fitted and when it is evaluated.
-scikit-learn is imported when the first tree is fitted.
+A tree uses encoded features: an ordinal or continuous feature is a number, a nominal one is
+one-hot. They are float32, as in scikit-learn, for both fitting and evaluation. scikit-learn is
+imported when the first tree is fitted.
 """
 
 from collections.abc import Sequence
@@ -16,25 +16,25 @@ from humanopts_learner.demonstrations import Count, Text
 import numpy as np
 from numpy.typing import NDArray
 
-LEAF = -1  # left, right and feature of a leaf
+LEAF = -1  # value of left, right and feature in a leaf
 
 
 class TreeError(ValueError):
-    """Data is not a decision tree; the text says what is wrong with it."""
+    """Data is not a valid decision tree; the message says why."""
 
 
 @dataclass(frozen=True, slots=True)
 class EncodedFeature:
-    """One number that a tree sees: a feature, or whether a nominal one has a value."""
+    """One input of a tree: a feature, or whether a nominal feature has a value."""
 
     feature: Text
-    index: Count  # of the feature among all features of the domain
-    value: Count | None = None  # None: the feature itself; else 1 where it has this value, 0 else
+    index: Count  # of the feature in the domain
+    value: Count | None = None  # None: the feature itself; otherwise 1 at this value, else 0
 
 
 def feature_encoding(domain: ActableDomain, features: Sequence[str]) -> tuple[EncodedFeature, ...]:
     """
-    Return how selected features are encoded: nominal ones one-hot, the others as they are.
+    Return the encoding of selected features: nominal ones one-hot, others unchanged.
 
     :raises DomainError: a name is not a feature of the domain.
     """
@@ -50,7 +50,7 @@ def feature_encoding(domain: ActableDomain, features: Sequence[str]) -> tuple[En
 
 
 class Encoder:
-    """Encodes rows, with the encoding as arrays."""
+    """Encodes rows, using arrays for the encoding."""
 
     def __init__(self, encoding: Sequence[EncodedFeature]) -> None:
         values = [encoded.value for encoded in encoding]
@@ -60,10 +60,10 @@ class Encoder:
 
     def __call__(self, rows: Rows) -> NDArray[np.float32]:
         """
-        Return what the trees see.
+        Return the encoded features.
 
         :param rows: (N, F), all features of the domain.
-        :return: (N, C), one encoded feature after the other in memory, as large trees are walked.
+        :return: (N, C), column-major, which suits the traversal of large trees.
         """
         picked = rows.T[self._index]
         if self._one_hot.any():
@@ -72,32 +72,32 @@ class Encoder:
 
 
 def encode_rows(encoding: Sequence[EncodedFeature], rows: Rows) -> NDArray[np.float32]:
-    """Return what the trees see, as ``Encoder`` does."""
+    """Return the encoded features, as ``Encoder``."""
     return Encoder(encoding)(rows)
 
 
 @dataclass(frozen=True, eq=False)
 class Tree:
     """
-    A decision tree that keeps how often each class was seen.
+    A decision tree with class counts.
 
-    Axes: N nodes, the root first and every child after its parent; K classes. A row goes left
-    where its feature is at most the threshold.
+    Axes: N nodes, the root first and every child after its parent; K classes. A row goes left if
+    its feature is at most the threshold.
     """
 
     left: NDArray[np.int32]  # (N,)
     right: NDArray[np.int32]  # (N,)
-    feature: NDArray[np.int32]  # (N,) index of the encoded feature that is tested
+    feature: NDArray[np.int32]  # (N,) index of the tested encoded feature
     threshold: Floats  # (N,) 0 in leaves
-    counts: NDArray[np.int64]  # (N, K) training examples of each class in the node
+    counts: NDArray[np.int64]  # (N, K) training examples per class
     classes: tuple[int, ...]  # (K,) labels, ascending
-    n_features: int  # encoded features of the rows that it takes, C
+    n_features: int  # number of encoded features, C
 
     def __post_init__(self) -> None:
         """
-        Check the arrays against each other: evaluation may then trust them.
+        Check that the arrays are consistent, so that evaluation may rely on them.
 
-        :raises TreeError: they are not a tree.
+        :raises TreeError: they do not form a tree.
         """
         size, leaf = len(self.left), self.left == LEAF
         inner = np.flatnonzero(~leaf)
@@ -129,7 +129,7 @@ class Tree:
         return hash((self.feature.tobytes(), self.counts.tobytes(), self.classes))
 
     def leaves(self, X: NDArray[np.float32]) -> Ints:
-        """Return (N,): the node in which each row of X (N, C) ends."""
+        """Return (N,): the leaf of each row of X (N, C)."""
         if X.ndim != 2 or X.shape[1] != self.n_features:
             raise TreeError(f'the tree takes rows of {self.n_features} features, not {X.shape}')
         values, node = X.astype(np.float32, copy=False), np.zeros(len(X), dtype=np.intp)
@@ -142,22 +142,22 @@ class Tree:
         return node
 
     def probabilities(self, X: NDArray[np.float32]) -> Floats:
-        """Return (N, K): the share of each class in the leaf of each row of X (N, C)."""
+        """Return (N, K): the class shares in the leaf of each row of X (N, C)."""
         return self.shares[self.leaves(X)]
 
     def probability_of(self, number: int, X: NDArray[np.float32]) -> Floats:
-        """Return (N,): ``probabilities`` of one class, given by its place among the classes."""
+        """Return (N,): ``probabilities`` of one class, given by its position in ``classes``."""
         share: Floats = self.shares[:, number].take(self.leaves(X))
         return share
 
     def likeliest(self, X: NDArray[np.float32]) -> Ints:
-        """Return (N,): the place of the likeliest class, the first of equals."""
+        """Return (N,): the position of the most likely class; the first on ties."""
         best: Ints = self.shares.argmax(axis=1).take(self.leaves(X))
         return best
 
     @property
     def depth(self) -> int:
-        """Number of tests on the longest way from the root to a leaf."""
+        """Number of tests on the longest path from the root to a leaf."""
         level = np.zeros(len(self.left), dtype=np.int64)
         for node in np.flatnonzero(self.left != LEAF):
             level[[self.left[node], self.right[node]]] = level[node] + 1
@@ -165,7 +165,7 @@ class Tree:
 
     @cached_property
     def shares(self) -> Floats:
-        """(N, K) share of each class among the examples in a node."""
+        """(N, K) share of each class among the examples of a node."""
         shares: Floats = self.counts / self.counts.sum(axis=1, keepdims=True)
         return shares
 
@@ -174,23 +174,23 @@ def fit_tree(
     X: NDArray[np.float32], y: NDArray[np.integer], classes: Sequence[int], seed: int
 ) -> Tree:
     """
-    Fit a tree that separates the examples as far as their features can (CART, Gini impurity).
+    Fit a tree that separates the examples as far as their features allow (CART, Gini impurity).
 
     :param X: (N, C) rows, N > 0.
     :param y: (N,) labels.
-    :param classes: every label that there could be, ascending; those not in y have count 0.
-    :param seed: decides between equally good splits.
-    :raises ValueError: there is no row, or a label is not among the classes.
+    :param classes: all possible labels, ascending; those not in y have count 0.
+    :param seed: random seed for choosing between equally good splits.
+    :raises ValueError: there are no rows, or a label is not among the classes.
     """
     if len(X) == 0 or not np.isin(y, classes).all():
         raise ValueError('a tree is fitted to one row or more, labelled with its classes')
     from sklearn import config_context  # slow to import
     from sklearn.tree import DecisionTreeClassifier
 
-    # The public class: its parts would take half the time, and differ between versions.
+    # Use the public class: its internals are twice as fast, but differ between versions.
     classifier = DecisionTreeClassifier(random_state=seed)
     with config_context(assume_finite=True, skip_parameter_validation=True):
-        fitted = classifier.fit(X, y, check_input=False).tree_  # both are of the right type
+        fitted = classifier.fit(X, y, check_input=False).tree_  # both have the required type
     leaf = fitted.children_left == LEAF
     counts = np.zeros((fitted.node_count, len(classes)), dtype=np.int64)
     shares = fitted.value[:, 0, :] * fitted.weighted_n_node_samples[:, None]

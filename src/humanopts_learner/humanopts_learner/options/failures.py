@@ -1,4 +1,4 @@
-"""The states from which a learned option does not do what its demonstrations show."""
+"""The states from which a learned option does not behave as demonstrated."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,8 +13,8 @@ from humanopts_learner.options.rollout import rollouts_from_everywhere
 import numpy as np
 from numpy.typing import NDArray
 
-MEANT = 3  # demonstrations of a detour; fewer may be slips
-REFUSALS = 3  # "not here" answers that are evidence for a leaf outside I
+MEANT = 3  # demonstrations that make a detour intended; fewer may be slips
+REFUSALS = 3  # "not here" answers required as evidence for a leaf outside I
 
 
 @dataclass(frozen=True)
@@ -22,13 +22,13 @@ class Failures:
     """The outcome of running an option from each of the S states of an enumerable domain."""
 
     candidate: Flags  # (S,) open, reachable, and in the learned I
-    stuck: Flags  # (S,) candidates from which it reaches no demonstrated end
-    detour: Flags  # (S,) candidates with a detour, demonstrated less than MEANT times
+    stuck: Flags  # (S,) candidates from which no demonstrated end is reached
+    detour: Flags  # (S,) candidates with a detour demonstrated fewer than MEANT times
     doubt: Flags  # (S,) open, reachable, and outside I without evidence (``in_doubt``)
     times_shown: NDArray[np.int64]  # (S,) demonstrations with a state of equal features
     distance: NDArray[np.int32]  # (S,) fewest steps to a demonstrated end; -1: no known path
-    nearer: Flags  # (S, A) the actions of shortest paths
-    shortfall: Floats  # (S,) return of the best such path - that of the run; stuck: infinite
+    nearer: Flags  # (S, A) first actions of shortest paths
+    shortfall: Floats  # (S,) return of the best shortest path - return of the run; stuck: inf
 
     @property
     def failing(self) -> Flags:
@@ -44,13 +44,13 @@ def find_failures(
     """
     Run the option from every state of a deterministic domain.
 
-    An end counts as demonstrated if a demonstration ended in a state of equal features: a taxi
-    that lets its passenger out at the wrong place has reached an end, but not a demonstrated one.
-    If most demonstrations ended with the task over and this one did not, or vice versa, it may be
-    a slip, and counts from the second time on. A planned policy (``goal.py``) takes the best path
-    to the end that looks most like the demonstrated ones, so each of its ends counts.
+    An end counts as demonstrated if a demonstration ended in a state with equal features: a taxi
+    that drops its passenger at the wrong place has reached an end, but not a demonstrated one. If
+    most demonstrations ended with the task over and one did not, or vice versa, its end may be a
+    slip and only counts from the second time on. A planned policy (``goal.py``) takes the best
+    path to the end most similar to the demonstrated ones, so each of its ends counts.
 
-    :param demonstrations: the option was learned from these.
+    :param demonstrations: those from which the option was learned.
     :raises OptionError: the option was not learned in this domain.
     """
     transitions, over = domain.transitions(), domain.over()
@@ -92,16 +92,16 @@ def largest_shortfall(
     demonstrations: Sequence[Demonstration],
 ) -> float:
     """
-    Return the largest shortfall from the states where an option can start, in reward units.
+    Return the largest shortfall over all states where an option can start, in reward units.
 
-    :return: infinite where it reaches no demonstrated end, or can start nowhere.
+    :return: infinite if it reaches no demonstrated end from some state, or can start nowhere.
     """
     found = find_failures(option, domain, demonstrations)
     return float(found.shortfall[found.candidate].max()) if found.candidate.any() else np.inf
 
 
 def _best_return(domain: EnumerableDomain, distance: NDArray[np.int32], nearer: Flags) -> Floats:
-    """Return (S,): the largest return of a shortest path; -infinity where there is none."""
+    """Return (S,): the largest return of a shortest path; -infinity: no path."""
     table = domain.transitions()
     reward, successor = table.reward[:, :, 0], table.successor[:, :, 0]
     best = np.full(len(distance), -np.inf)
@@ -116,8 +116,8 @@ def in_doubt(option: LearnedOption, rows: Rows, demonstrations: Sequence[Demonst
     """
     Return (N,): whether rows (N, F) are outside I without evidence.
 
-    They were not demonstrated, and fewer than ``REFUSALS`` different "not here" answers fell into
-    their leaf of the tree: it is negative because of little more than ends of the option.
+    They were not demonstrated, and their leaf of the tree has fewer than ``REFUSALS`` distinct
+    "not here" answers: it is negative mainly because of ends of the option.
     """
     seen = np.unique(_encoded(option, [demo.feature_rows for demo in demonstrations]), axis=0)
     refusals = [demo.feature_rows for demo in demonstrations if demo.kind is Kind.NOT_HERE]
@@ -138,7 +138,7 @@ def _shown(
     domain: EnumerableDomain,
     demonstrations: Sequence[Demonstration],
 ) -> tuple[NDArray[np.int64], Flags]:
-    """Return the number of demonstrations of each state, and the demonstrated ends, (S,)."""
+    """Return the number of demonstrations per state and the demonstrated ends, (S,) each."""
     chosen = sorted({encoded.index for encoded in option.encoding})
     table = domain.feature_table()[:, chosen]
     rows = np.concatenate([demo.feature_rows[:, chosen] for demo in demonstrations])
@@ -147,7 +147,7 @@ def _shown(
     _, inverse = np.unique(np.concatenate([table, rows]), axis=0, return_inverse=True)
     group = inverse.ravel()
     of_state, of_row, size = group[: len(table)], group[len(table) :], group.max() + 1
-    once = np.unique(np.stack([of_row, source]), axis=1)[0]  # in each demonstration
+    once = np.unique(np.stack([of_row, source]), axis=1)[0]  # per demonstration
     trajectory = np.array([demo.kind is Kind.TRAJECTORY for demo in demonstrations])
     ends = of_row[np.cumsum(lengths) - 1][trajectory]
     times_ended = np.bincount(ends, minlength=size)[of_state]

@@ -1,4 +1,4 @@
-"""Option files: versioned, readable JSON with the demonstrations that they were learned from."""
+"""Option files: versioned, readable JSON that includes the demonstrations."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, fields
@@ -32,14 +32,14 @@ PARTS = ('policy', 'initiation', 'termination')
 
 
 class OptionFileError(OptionError):
-    """An option file cannot be used; the text names the file and what is wrong with it."""
+    """An option file is unusable; the message names the file and the error."""
 
 
 def option_to_json(option: LearnedOption, demonstrations: Sequence[Demonstration] = ()) -> str:
     """
-    Return the option as JSON, one node of a tree and one demonstration on each line.
+    Return the option as JSON, with one tree node or demonstration per line.
 
-    :param demonstrations: those that it was learned from, or none.
+    :param demonstrations: those from which it was learned, or none.
     """
     values = {field.name: getattr(option, field.name) for field in fields(option)}
     if option.method == TREES:
@@ -57,7 +57,7 @@ class _Values(BaseModel):
 
 
 class _Node(_Values):
-    """A node of a tree; a leaf has counts alone."""
+    """A node of a tree; a leaf has only counts."""
 
     column: Count = LEAF
     at_most: Real = 0.0
@@ -98,7 +98,7 @@ def _tree_data(tree: Tree) -> dict[str, Any]:
 
 
 class _OptionFile(BaseModel):
-    """An option file; its other keys are those of ``LearnedOption``."""
+    """An option file; the other keys are those of ``LearnedOption``."""
 
     model_config = ConfigDict(extra='allow')
 
@@ -120,7 +120,7 @@ def option_from_json(text: str) -> tuple[LearnedOption, list[Demonstration]]:
     """
     Read what ``option_to_json`` wrote.
 
-    :raises OptionFileError: it is not an option, of a version that is not known, or damaged.
+    :raises OptionFileError: it is not an option, has an unknown version, or is damaged.
     """
     try:
         data = _OptionFile.model_validate(parse_json(text))
@@ -152,7 +152,7 @@ def option_from_json(text: str) -> tuple[LearnedOption, list[Demonstration]]:
 
 
 def option_path(directory: Path, participant: str, name: str) -> Path:
-    """Return the path of the file of an option."""
+    """Return the path of an option file."""
     return directory / _slug(participant) / f'{_slug(name)}.json'
 
 
@@ -160,12 +160,12 @@ def save_option(
     directory: Path, option: LearnedOption, demonstrations: Sequence[Demonstration]
 ) -> Path:
     """
-    Write the file of an option, whole or not at all.
+    Write an option file atomically.
 
-    A file in its place that is damaged, or of another option, is moved aside and kept.
+    An existing file that is damaged or belongs to another option is renamed and kept.
 
-    :return: the path of the file.
-    :raises OSError: it cannot be written; what was there before is unchanged.
+    :return: path of the file.
+    :raises OSError: writing failed; any existing file is unchanged.
     """
     path = option_path(directory, option.participant, option.name)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -187,7 +187,7 @@ def save_option(
 
 def remove_option(directory: Path, participant: str, name: str) -> None:
     """
-    Remove the file of an option, if there is one; any other in its place is kept.
+    Remove the file of an option, if it exists; a file of another option is kept.
 
     :raises OSError: it cannot be removed.
     """
@@ -217,8 +217,8 @@ def load_options(directory: Path) -> tuple[list[LearnedOption], list[OptionFileE
 
     Symbolic links in the folder are not followed.
 
-    :return: the options, and what is wrong with files that cannot be used; these are left alone.
-        One of them says if the folder itself is a symbolic link.
+    :return: the options, and the errors of unusable files, which are left unchanged. One error
+        reports if the folder itself is a symbolic link.
     """
     options: list[LearnedOption] = []
     problems: list[OptionFileError] = []
@@ -235,7 +235,7 @@ def load_options(directory: Path) -> tuple[list[LearnedOption], list[OptionFileE
 
 
 def _pretty(data: Mapping[str, Any]) -> str:
-    """Return an object with its entries, and the entries of long lists, on lines of their own."""
+    """Format an object with its entries, and the entries of long lists, on separate lines."""
     lines = []
     for key, value in data.items():
         text = json.dumps(value, allow_nan=False)
@@ -249,7 +249,7 @@ def _pretty(data: Mapping[str, Any]) -> str:
 
 
 def _slug(name: str) -> str:
-    """Return a unique file name, as readable as possible."""
+    """Return a unique and readable file name."""
     readable = re.sub(r'[^a-z0-9]+', '-', name.lower()).strip('-')[:SLUG_LENGTH]
     if readable == name and not re.search(r'-[0-9a-f]{8}$', name):
         return name

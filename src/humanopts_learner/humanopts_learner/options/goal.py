@@ -1,15 +1,15 @@
 """
-The policy of an option by its goal: optimal paths to an end like the demonstrated ones.
+Goal-based policies: optimal paths to an end like the demonstrated ones.
 
-The paper learns the policy from the demonstrated actions. Where the transitions of a domain are
+The paper learns the policy from the demonstrated actions. If the transitions of a domain are
 known, the end of a demonstration says more than its path: I and beta are learned from the
-demonstrations (``learn.py``), and the policy is planned, not learned. From every state it takes an
-optimal path (``tabular.best_ways``) to an outcome where beta holds or the task is over.
+demonstrations (``learn.py``), but the policy is planned. From every state, it takes an optimal
+path (``tabular.best_ways``) to an outcome where beta holds or the task is over.
 
-Beta of few demonstrations holds in too many states, so an end must also look like the demonstrated
-ones. First, the task must be over there, or continue, as in most of them. If demonstrations then
-pass by nearer ends, the person means more: the paths lead to the reachable end that has most of
-the values that the chosen features share in most demonstrated ends.
+With few demonstrations, beta holds in too many states, so an end must also resemble the
+demonstrated ones. First, the task must be over or continue there, as in most of them. If
+demonstrations then pass nearer ends, the goal is more specific: paths lead to the reachable end
+with the most values that the chosen features share in most demonstrated ends.
 """
 
 from collections.abc import Sequence
@@ -21,16 +21,16 @@ from humanopts_env.domains.tabular import best_ways, TIE
 from humanopts_learner.demonstrations import Demonstration
 import numpy as np
 
-MOST = 0.8  # share of the demonstrations, so that a slip in one of several hides nothing
-MAX_GAMMA = 0.999  # a longer path must be worth less
+MOST = 0.8  # share of the demonstrations, to tolerate a slip in one of several
+MAX_GAMMA = 0.999  # below 1, so that a longer path is worth less
 
 
 @dataclass(frozen=True)
 class Ways:
-    """Optimal paths to ends, from S states by A actions."""
+    """Optimal paths to ends, for S states and A actions."""
 
-    value: Floats  # (S,) expected gamma**k of an end by the k-th action; 0: there is no path
-    optimal: Flags  # (S, A) the first actions of optimal paths
+    value: Floats  # (S,) expected gamma**k for an end after k actions; 0: no path
+    optimal: Flags  # (S, A) first actions of optimal paths
 
 
 def ways_to_goal(
@@ -44,18 +44,18 @@ def ways_to_goal(
 
     :param trajectories: demonstrations of the option, one or more.
     :param chosen: indices of the chosen features.
-    :param termination: (S,) where beta holds.
+    :param termination: (S,) whether beta holds.
     """
     table, stops = domain.transitions(), termination | domain.over()
     gamma = min(domain.gamma, MAX_GAMMA)
 
     def ways(ends: Flags) -> Ways:
-        """Return the paths to some of the states (S,) where the option stops."""
+        """Return the paths to a subset (S,) of the states where the option ends."""
         goal = (stops & ends)[table.successor] & (table.probability > 0)
         return Ways(*best_ways(table, goal, ~stops, gamma))
 
     def ways_to_best(rank: Ints) -> Ways:
-        """Return the paths to the reachable stops of the highest rank (S,)."""
+        """Return the paths to the reachable ends with the highest rank (S,)."""
         value, optimal = np.zeros(len(stops)), np.zeros(table.successor.shape[:2], dtype=np.bool_)
         for best in np.unique(rank[stops])[::-1]:
             found = ways(rank == best)
@@ -87,7 +87,7 @@ def preferred_actions(
     ways: Ways,
 ) -> Ints:
     """
-    Return (S,): among optimal actions the one demonstrated most often, then the first.
+    Return (S,): the optimal action demonstrated most often; on ties, the first.
 
     A demonstrated action counts in all states with equal chosen features.
     """
@@ -104,7 +104,7 @@ def preferred_actions(
 
 
 def _as_most(values: Ints, shown: Ints) -> Flags:
-    """Return (S,): which values equal that of most demonstrated ends; none if these differ."""
+    """Return (S,): which values match those of most demonstrated ends; none if these differ."""
     found, counts = np.unique(shown, return_counts=True)
     same: Flags = (values == found[counts.argmax()]) & (counts.max() >= MOST * len(shown))
     return same

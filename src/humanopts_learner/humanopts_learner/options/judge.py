@@ -1,23 +1,23 @@
 """
-Three criteria say when an option is taught well enough, by ten-fold cross-validation.
+Three stopping criteria for teaching an option, by ten-fold cross-validation.
 
 The paper (section 6) compares the return of the learned policy with that of the demonstrations,
 and uses the cross-validation error of I and beta. Here folds are grouped by demonstration, because
-rows of one trajectory on both sides would hide the errors, and the return is held out as well:
-each option runs from the start of the demonstrations that it has not seen. With chance, returns
-differ by luck: the criterion is met when the upper confidence limit of the shortfall is small
-enough, so few or noisy demonstrations do not meet it.
+rows of one trajectory on both sides would hide errors, and the return is held out as well: each
+option runs from the starts of the demonstrations that it was not trained on. With chance, returns
+vary randomly: the criterion is met if the upper confidence limit of the shortfall is small enough,
+so few or noisy demonstrations do not meet it.
 
-What is small enough depends on the game: a shortfall of two is large where all returns are between
-0 and 1. By default the threshold is a tenth of the range between the demonstrated return and that
-of random actions, which run from the same starts as the held-out option, with the same ends and
-the same maximum number of steps. Where random actions return as much as the demonstrations, there
-is no range: the criterion cannot be measured, and is not met.
+The threshold depends on the game: a shortfall of two is large if all returns are between 0 and 1.
+By default it is a tenth of the range between the demonstrated return and that of random actions,
+which run from the same starts as the held-out option, with the same ends and the same maximum
+number of steps. If random actions return as much as the demonstrations, there is no range: the
+criterion cannot be measured, and is not met.
 
-Start states that were chosen because the option fails there make the held-out return worse than it
-is. Where all states can be listed and there is no chance, the return from every start is known:
-the return criterion is also met if the option reaches a demonstrated end from every state where it
-can start, and never falls short of the best path by more than the threshold (``failures.py``).
+Start states chosen because the option fails there bias the held-out return downwards. If all
+states can be listed and there is no chance, the return from every start is known: the return
+criterion is also met if the option reaches a demonstrated end from every state where it can start,
+and never falls short of the best path by more than the threshold (``failures.py``).
 """
 
 from collections.abc import Callable, Sequence
@@ -52,20 +52,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 FOLDS = 10
-MIN_TRAJECTORIES = FOLDS  # without which nothing is measurable
-MIN_TO_A_GOAL = 3  # where the policy is planned, and only I, beta and the goal are learned
+MIN_TRAJECTORIES = FOLDS  # minimum for any criterion to be measurable
+MIN_TO_A_GOAL = 3  # if the policy is planned: only I, beta and goal are learned
 LEVEL = 0.9  # two-sided: the shortfall is above the upper limit in 5 of 100 cases
-CUT_OFF = 2  # maximum length of a held-out run, in lengths of its demonstration
-SHARE = 0.1  # of the range of returns: the default threshold of the shortfall
-RANDOM_RUNS = 200  # minimum, from all starts together
-RANDOM_RUNS_EACH = 10  # minimum, from each start
+CUT_OFF = 2  # maximum length of a held-out run, relative to its demonstration
+SHARE = 0.1  # default threshold of the shortfall, relative to the range of returns
+RANDOM_RUNS = 200  # minimum over all starts
+RANDOM_RUNS_EACH = 10  # minimum per start
 ONE_SIDED = 1.645  # standard errors below the range with 5 % confidence
 ROUNDING = 1e-9  # reward units
 
 
 @dataclass(frozen=True, slots=True)
 class Thresholds:
-    """The largest values with which the criteria are met."""
+    """The largest values that meet the criteria."""
 
     return_delta: float | None = None  # shortfall of the return, reward units; None: by the range
     initiation_error: float = 0.05  # balanced error, 0..1
@@ -75,7 +75,7 @@ class Thresholds:
         """
         Check the values.
 
-        :raises ValueError: one is not finite, or an error is not in 0..1.
+        :raises ValueError: a value is not finite, or an error is not in 0..1.
         """
         errors = self.initiation_error, self.termination_error
         if not math.isfinite(self.return_delta or 0.0) or not all(0 <= e <= 1 for e in errors):
@@ -93,12 +93,12 @@ def judge(
     option: LearnedOption | None = None,
 ) -> OptionSummary:
     """
-    Judge an option by its demonstrations.
+    Evaluate the stopping criteria of an option.
 
-    The return cannot be measured in a domain that can only be acted in.
+    The return cannot be measured in a domain that cannot be simulated.
 
-    :param demonstrations: of one participant and option, checked.
-    :param option: what ``learn_option`` made of the same arguments; None: learned here.
+    :param demonstrations: checked demonstrations of one participant and option.
+    :param option: result of ``learn_option`` with the same arguments; None: learn it here.
     :raises NotLearnableError: as ``learn_option``.
     """
     data = make_dataset(demonstrations, domain)
@@ -112,7 +112,7 @@ def judge(
         if option.method != GOAL and is_deterministic(domain):
             known = largest_shortfall(option, domain, demonstrations)
     criteria = _criteria(data, domain, thresholds, seed, option, known)
-    waits = known is not None and not criteria[0].met  # no law says when it will be known
+    waits = known is not None and not criteria[0].met  # no estimate of when it will be met
     conflicts, suggested = find_conflicts(data, domain)
     return replace(
         unmeasured(data.demonstrations),
@@ -135,9 +135,9 @@ def more_needed(criteria: Sequence[Criterion], n_demonstrations: int) -> int:
     """
     Estimate the number of further demonstrations needed to meet all criteria.
 
-    Held-out errors come from what only one demonstration shows, and its share falls about as
-    1 / n: a value of twice its threshold needs about n more. The distance from the value to its
-    upper limit falls as 1 / sqrt(n).
+    Held-out errors come from situations in only one demonstration, whose share decreases roughly
+    as 1 / n: a value of twice its threshold needs about n more. The distance from the value to its
+    upper limit decreases as 1 / sqrt(n).
 
     :return: 0: none; -1: unknown, because a criterion is not measurable or its threshold is not
         above the limit of the value.
@@ -153,7 +153,7 @@ def more_needed(criteria: Sequence[Criterion], n_demonstrations: int) -> int:
         room = criterion.threshold - min(criterion.value, 0.0)
         if room <= 0:
             return -1
-        # With x = 1 / sqrt(times), falling * x**2 + width * x = room.
+        # With x = 1 / sqrt(times), solve falling * x**2 + width * x = room.
         root = math.sqrt(width**2 + 4 * falling * room)
         times = max(times, ((width + root) / (2 * room)) ** 2)
     return math.ceil(round(n_demonstrations * (times - 1), 6))
@@ -163,11 +163,11 @@ def likely_range(more: int) -> tuple[int, int]:
     """
     Return a likely range for an estimate of ``more_needed``.
 
-    The estimate is that of the worst criterion, which changes from one demonstration to the next.
-    In 20 simulated lessons in Pac-Man (its five options, strategy ``failures``, two seeds, without
-    and with 2 % of wrong steps), 75 of 87 ranges contained the true number.
+    The estimate is that of the worst criterion, which may change with every demonstration. In 20
+    simulated lessons in Pac-Man (its five options, strategy ``failures``, two seeds, with 0 % and
+    2 % wrong steps), 75 of 87 ranges contained the true number.
 
-    :param more: above 0.
+    :param more: the estimate, above 0.
     """
     return max(1, more // 4), 3 * more
 
@@ -183,8 +183,8 @@ def _criteria(
     """
     Return the three criteria.
 
-    :param option: learned from all of the data.
-    :param known: the largest shortfall from any state; None: it cannot be known.
+    :param option: option learned from all of the data.
+    :param known: largest shortfall from any state; None: unknown.
     """
     delta, shortfall = thresholds.return_delta, None
     obstacle = '' if can_simulate(domain) else NO_RULES
@@ -215,16 +215,16 @@ def _criteria(
 
 
 def fewest(method: str) -> int:
-    """Return the number of trajectories from which on the criteria are measurable."""
+    """Return the minimum number of trajectories for measurable criteria."""
     return MIN_TO_A_GOAL if method == GOAL else MIN_TRAJECTORIES
 
 
 def fold_of(data: Dataset, seed: int) -> Ints:
     """
-    Return (D,): the fold of each demonstration, ten folds or one for each demonstration.
+    Return (D,): the fold of each demonstration, with ten folds or one per demonstration.
 
-    The demonstrations are ranked by draws keyed by seed, option and uuid and dealt out in that
-    order, trajectories apart from "not here" answers, so folds differ by one at most.
+    Demonstrations are ranked by draws keyed by seed, option and uuid, and dealt out in that order,
+    separately for trajectories and "not here" answers, so fold sizes differ by at most one.
     """
     demos = data.demonstrations
     draws = np.array(
@@ -239,7 +239,7 @@ def fold_of(data: Dataset, seed: int) -> Ints:
 def fit_leave_fold_out(
     data: Dataset, folds: Ints, domain: ActableDomain, seed: int
 ) -> list[LearnedOption]:
-    """Return what is learned without fold 0, 1, ...; there must be two trajectories or more."""
+    """Return the options learned without fold 0, 1, ...; needs two or more trajectories."""
     return [fit_option(data.of(folds != fold), domain, seed) for fold in range(folds.max() + 1)]
 
 
@@ -251,16 +251,16 @@ def held_out_shortfall(
     seed: int,
 ) -> Interval:
     """
-    Return the mean of demonstrated return - return of the policy that did not see it.
+    Return the mean of demonstrated return - return of the policy trained without it.
 
-    A run that ends with the task over where the demonstration did not, or the other way round, has
-    come to another end: the steps that it has left then cost what the demonstration's worst did.
+    A run has reached a different end if it ends with the task over and the demonstration did not,
+    or vice versa: each of its remaining steps then costs as much as the worst demonstrated step.
 
-    As long as a run takes the actions that were demonstrated, chance gives it the same outcomes
-    (common random numbers), so that luck makes no difference between steps that are the same: it
-    goes its own way from where the option first acts or ends otherwise. The limits are those of
-    the mean over demonstrations by Student's t. Without chance nothing is left to luck: the limits
-    are the mean itself, and doing better than one demonstration does not make up for another.
+    As long as a run takes the demonstrated actions, it gets the same random outcomes (common
+    random numbers), so chance makes no difference between equal steps; it diverges where the
+    option first acts or ends differently. The limits are those of the mean over demonstrations by Student's t.
+    Without chance, the limits are the mean itself, and exceeding one demonstration does not
+    compensate for falling short of another.
     """
     demos, limit = data.trajectories, held_out_limits(data, options[0])
     fold = folds[[demo.kind is Kind.TRAJECTORY for demo in data.demonstrations]]
@@ -290,7 +290,7 @@ def held_out_shortfall(
 
 
 def held_out_limits(data: Dataset, option: LearnedOption) -> NDArray[np.int64]:
-    """Return (D,): the steps after which a run from the start of a demonstration is cut off."""
+    """Return (D,): the maximum length of a run from the start of each demonstration."""
     lengths = np.array([len(demo.actions) for demo in data.trajectories], dtype=np.int64)
     return np.minimum(option.max_steps, CUT_OFF * lengths)
 
@@ -299,10 +299,10 @@ def _cost_of_other_end(
     demos: Sequence[Demonstration], reached: Flags, over: Flags, left: NDArray[np.int64]
 ) -> Floats:
     """
-    Return what is added to the returns of runs that came to another end than the demonstrations.
+    Return the amounts added to the returns of runs whose end differs from the demonstration's.
 
-    :param demos: (N,) whose start each run began in.
-    :param left: (N,) steps that each run has left.
+    :param demos: (N,) demonstration with the start state of each run.
+    :param left: (N,) remaining steps of each run.
     """
     other_end = reached & (over != np.array([demo.terminated for demo in demos]))
     worst: Floats = np.array([min(0.0, *demo.rewards) for demo in demos])
@@ -314,13 +314,13 @@ def return_range(data: Dataset, domain: Domain, option: LearnedOption, seed: int
     """
     Return the mean of demonstrated return - return of random actions from the same start.
 
-    Random actions run as a held-out option does: to an end of the option, the end of the task, or
-    twice the steps of the demonstration. So the range is what a policy that is worth nothing would
-    fall short by, and neither grows with the steps that an option may take in the end, nor
-    vanishes where random actions come to the same end at last.
+    Random actions run like a held-out option: to an end of the option, the end of the task, or
+    twice the steps of the demonstration. The range is thus the shortfall of a worthless policy. It
+    neither grows with the option's step limit, nor vanishes if random actions eventually reach the
+    same end.
 
-    :param option: says where the runs end.
-    :return: None: random actions return as much, as far as these runs tell.
+    :param option: option that determines where the runs end.
+    :return: None: random actions return as much, as far as these runs show.
     """
     demos = data.trajectories
     runs = max(RANDOM_RUNS_EACH, math.ceil(RANDOM_RUNS / len(demos)))
@@ -340,7 +340,7 @@ def return_range(data: Dataset, domain: Domain, option: LearnedOption, seed: int
     total += _cost_of_other_end(demos * runs, played.reached, played.over, left)
     total = total.reshape(runs, len(demos))
     found = Interval.of([demo.total_reward for demo in demos] - total.mean(axis=0), LEVEL)
-    if is_deterministic(domain):  # the demonstrations owe nothing to luck
+    if is_deterministic(domain):  # the demonstrated returns are exact
         error = math.sqrt(float(total.var(axis=0, ddof=1).sum()) / runs) / len(demos)
         found = replace(found, low=found.mean - ONE_SIDED * error)
     return found.mean if found.low > ROUNDING else None
@@ -350,10 +350,10 @@ def _follow(
     options: Sequence[LearnedOption], demos: Sequence[Demonstration], domain: Domain
 ) -> tuple[NDArray[np.int64], Flags]:
     """
-    Let options do what was demonstrated as long as they would have done the same.
+    Follow demonstrations for as long as options would have acted the same.
 
-    :param options: (N,) one for each demonstration.
-    :return: steps (N,) until the option acts or ends otherwise, or the demonstration ends; and
+    :param options: (N,) one per demonstration.
+    :return: steps (N,) until the option acts or ends differently, or the demonstration ends; and
         whether the option ends there, (N,).
     """
     steps, ended = np.zeros(len(demos), dtype=np.int64), np.zeros(len(demos), dtype=np.bool_)
@@ -362,7 +362,7 @@ def _follow(
         shown = [action_index(domain, action) for action in demo.actions]
         acts_otherwise = np.append(option.action(rows[:-1]) != shown, True)
         ends = option.ends(rows)
-        ends[0] = False  # not asked before the first step
+        ends[0] = False  # not checked before the first step
         ends[-1] |= demo.terminated
         steps[index] = (acts_otherwise | ends).argmax()
         ended[index] = ends[steps[index]]
@@ -376,10 +376,10 @@ def balanced_error(
     members_only: bool = False,
 ) -> float | None:
     """
-    Return the mean of the error among members and among others; None: one class only.
+    Return the mean of the errors among members and among non-members; None: only one class.
 
     :param predict: for each fold, the prediction for rows (N, F) learned without it.
-    :param members_only: there are no others to be shown; the error is that among members.
+    :param members_only: non-members cannot be demonstrated; return the error among members.
     """
     predicted = np.empty(len(examples.labels), dtype=np.bool_)
     fold_of_row = folds[examples.source]

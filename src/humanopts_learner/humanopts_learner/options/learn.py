@@ -1,9 +1,9 @@
 """
-Learning an option from demonstrations (paper, section 6; held apart by demonstration).
+Learning an option from demonstrations (paper, section 6).
 
 Examples of I are positive in visited states, negative in "not here" states, and negative in end
-states unless the person says that the option could start again there. Examples of beta are
-positive in end states and in "not here" states, because an option may go on only where it could
+states unless the person marks that the option could start again there. Examples of beta are
+positive in end states and in "not here" states, because an option may continue only where it could
 start (Sutton, Precup and Singh 1999, section 2), and negative in the other states of a trajectory.
 """
 
@@ -35,16 +35,16 @@ from humanopts_learner.options.learned_option import LearnedOption, MEMBER, MEMB
 import numpy as np
 from numpy.typing import NDArray
 
-MAX_STEPS = 200  # of an option, where episodes of its domain have no limit
+MAX_STEPS = 200  # per option run, if the domain has no step limit
 
 
 class NotLearnableError(ValueError):
-    """There are too few demonstrations to learn from; the text says what is missing."""
+    """Not enough demonstrations to learn from; the message says what is missing."""
 
 
 @dataclass(frozen=True)
 class Examples:
-    """Labelled rows of all features, and which demonstration each comes from."""
+    """Labelled rows of all features, with their source demonstrations."""
 
     rows: Rows  # (N, F)
     labels: NDArray[np.int64]  # (N,)
@@ -52,7 +52,7 @@ class Examples:
 
     @classmethod
     def of(cls, labelled: Iterable[tuple[Rows, Sequence[int]]]) -> 'Examples':
-        """Return the labelled rows of each demonstration as one."""
+        """Concatenate the labelled rows of each demonstration."""
         rows, labels = zip(*labelled)
         source = np.repeat(np.arange(len(labels)), [len(each) for each in labels])
         return cls(np.concatenate(rows), np.concatenate(labels).astype(np.int64), source)
@@ -62,7 +62,7 @@ class Examples:
 class Dataset:
     """The demonstrations and examples of one option of one participant."""
 
-    demonstrations: tuple[Demonstration, ...]  # (D,) by number, each once
+    demonstrations: tuple[Demonstration, ...]  # (D,) distinct, sorted by number
     actions: tuple[str, ...]  # of the domain
     features: tuple[str, ...]  # chosen with the newest demonstration
     encoding: tuple[EncodedFeature, ...]  # of the chosen features
@@ -70,25 +70,25 @@ class Dataset:
 
     @property
     def chosen(self) -> list[int]:
-        """Indices of the chosen features."""
+        """The indices of the chosen features."""
         return sorted({encoded.index for encoded in self.encoding})
 
     @property
     def trajectories(self) -> list[Demonstration]:
-        """Demonstrations that are not "not here" answers."""
+        """The demonstrations with steps, without "not here" answers."""
         return [demo for demo in self.demonstrations if demo.kind is Kind.TRAJECTORY]
 
     def of(self, chosen: Flags) -> 'Dataset':
         """
-        Return the data set of chosen demonstrations (D,); the features stay.
+        Return the data set of selected demonstrations (D,), with unchanged features.
 
-        Where a label depends on other demonstrations, it depends on chosen ones only.
+        Labels that depend on other demonstrations depend only on selected ones.
         """
         return replace(self, demonstrations=tuple(compress(self.demonstrations, chosen)))
 
     @cached_property
     def policy(self) -> Examples:
-        """The actions that were shown."""
+        """The demonstrated actions."""
         index = {name: number for number, name in enumerate(self.actions)}
         return Examples.of(
             (demo.feature_rows[: len(demo.actions)], [index[name] for name in demo.actions])
@@ -98,10 +98,10 @@ class Dataset:
     @cached_property
     def initiation(self) -> Examples:
         """
-        Visited states as members of I or not.
+        Visited states, labelled as members of I or not.
 
-        Where the person says that the option can start again at its end, an end where the task is
-        over is no example: the question is not asked there.
+        If the option can start again at its end, ends where the task is over are not examples,
+        because the question is not asked there.
         """
         again, labelled = any(demo.can_start_at_end for demo in self.demonstrations), []
         for demo in self.demonstrations:
@@ -114,10 +114,10 @@ class Dataset:
     @cached_property
     def termination(self) -> Examples:
         """
-        Visited states as ends or not.
+        Visited states, labelled as ends or not.
 
-        Whether an option ends is asked only after a step, so a start is no example against an end
-        that looks the same in the chosen features.
+        Termination is checked only after a step, so a start is not an example against an end with
+        equal chosen features.
         """
         chosen, labelled = self.chosen, []
         ends = {tuple(demo.feature_rows[-1, chosen]) for demo in self.trajectories}
@@ -133,8 +133,9 @@ def make_dataset(demonstrations: Sequence[Demonstration], domain: ActableDomain)
     """
     Collect the examples of one option.
 
-    :param demonstrations: of one participant and option, checked; order and repeats do not matter.
-    :raises NotLearnableError: there is no trajectory, or they are of several options.
+    :param demonstrations: checked, of one participant and option; order and duplicates do not
+        matter.
+    :raises NotLearnableError: there is no trajectory, or they belong to several options.
     :raises DomainError: a chosen feature or an action is not in the domain.
     """
     groups = group_by_option(demonstrations)
@@ -164,20 +165,20 @@ def learn_option(
     demonstrations: Sequence[Demonstration], domain: ActableDomain, seed: int
 ) -> LearnedOption:
     """
-    Learn an option; the same demonstrations in any order give the same option.
+    Learn an option; the order of the demonstrations does not matter.
 
-    :param demonstrations: of one participant and option, checked.
-    :raises NotLearnableError: there is no trajectory among them, or they are of several options.
+    :param demonstrations: checked demonstrations of one participant and option.
+    :raises NotLearnableError: there is no trajectory, or they belong to several options.
     """
     return fit_option(make_dataset(demonstrations, domain), domain, seed)
 
 
 def fit_option(data: Dataset, domain: ActableDomain, seed: int) -> LearnedOption:
     """
-    Learn an option from a data set with a trajectory or more.
+    Learn an option from a data set with one or more trajectories.
 
-    All three trees are fitted to its examples; with the method ``goal``, that of the policy to the
-    actions that are planned.
+    All three trees are fitted to its examples; with the method ``goal``, the policy tree is fitted
+    to planned actions.
     """
     first, trajectories = data.demonstrations[0], len(data.trajectories)
     option = LearnedOption(
@@ -203,16 +204,16 @@ def _with_planned_policy(
     option: LearnedOption, data: Dataset, domain: ActableDomain
 ) -> LearnedOption:
     """
-    Return the option with a policy that leads to an end like the demonstrated ones.
+    Return the option with a policy planned to reach an end like the demonstrated ones.
 
-    Its tree looks at all features: it is not learned, but stores what is planned.
+    Its tree uses all features: it is not learned, but stores the planned actions.
     """
     assert is_enumerable(domain)  # ``check_method``
     rows, chosen = domain.feature_table(), data.chosen
     ways = ways_to_goal(domain, data.trajectories, chosen, option.ends(rows))
     actions = preferred_actions(domain, data.trajectories, chosen, ways)
     known = ways.value > 0
-    if not known.any():  # the chosen features do not separate the demonstrated ends
+    if not known.any():  # the chosen features do not distinguish the demonstrated ends
         known = ~known
     encoding = feature_encoding(domain, [feature.name for feature in domain.features])
     X = encode_rows(encoding, rows[known])
@@ -221,7 +222,7 @@ def _with_planned_policy(
 
 
 def _fit(data: Dataset, examples: Examples, classes: Sequence[int], seed: int) -> Tree:
-    """Fit one of the three trees to its examples; ties are broken alike for one option."""
+    """Fit one of the three trees to its examples, with reproducible tie-breaking per option."""
     demo = data.demonstrations[0]
     rng = generator(seed, 'tree', demo.participant, demo.option_name)
     X = encode_rows(data.encoding, examples.rows)

@@ -25,24 +25,24 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ConfigDict
 
-HALF = 0.5  # from this probability on a state belongs to I, and the option ends
+HALF = 0.5  # minimum probability to belong to I, and for the option to end
 MEMBER = 1  # class of I and beta
 MEMBERSHIP = (0, MEMBER)
-REFERENCE = 'reference'  # participant of options that are made from reference options
+REFERENCE = 'reference'  # participant of options made from reference options
 REFERENCE_MAX_STEPS = 200
 
 
 class OptionError(ValueError):
-    """An option cannot be used; the text says why."""
+    """An option cannot be used; the message says why."""
 
 
 @dataclass(frozen=True)
 class LearnedOption:
     """
-    An option learned from one participant. Rows below are of all F features of its domain.
+    An option learned from one participant; rows contain all F features of its domain.
 
-    Paper, section 6: three decision trees over the features that the person chose. An automatic
-    option has the same form, and no demonstrations.
+    It has three decision trees over the features that the person chose (paper, section 6). An
+    automatic option has the same form, but no demonstrations.
     """
 
     __pydantic_config__ = ConfigDict(arbitrary_types_allowed=True, extra='forbid')
@@ -51,18 +51,18 @@ class LearnedOption:
     participant: Text
     domain: Text  # registered name
     domain_parameters: Text  # JSON object, keys sorted
-    actions: tuple[Text, ...]  # that the classes of the policy index
+    actions: tuple[Text, ...]  # indexed by the classes of the policy
     features: tuple[Text, ...]  # chosen, in the domain's order
     encoding: tuple[EncodedFeature, ...]  # of these features, for the trees
     policy: Tree
     initiation: Tree
     termination: Tree
-    n_demonstrations: Count  # trajectories that it was learned from
+    n_demonstrations: Count  # number of training trajectories
     n_not_here: Count
     max_steps: Count
-    uuids: tuple[Text, ...]  # demonstrations and "not here" answers that it was learned from
-    method: Text = TREES  # of learning, one of METHODS
-    policy_encoding: tuple[EncodedFeature, ...] = ()  # for the policy; none: as for I and beta
+    uuids: tuple[Text, ...]  # training demonstrations and "not here" answers
+    method: Text = TREES  # learning method, one of METHODS
+    policy_encoding: tuple[EncodedFeature, ...] = ()  # for the policy; empty: as for I and beta
 
     def __post_init__(self) -> None:
         """Check that the trees fit the actions and the features."""
@@ -119,7 +119,7 @@ class LearnedOption:
         return self.policy.probabilities(self._encode_for_policy(rows))
 
     def initiation_probability(self, rows: Rows) -> Floats:
-        """Return (N,): the share of members of I among examples like each state."""
+        """Return (N,): the share of members of I among the examples in each state's leaf."""
         return self.initiation.probability_of(MEMBER, self._encode(rows))
 
     def termination_probability(self, rows: Rows) -> Floats:
@@ -127,7 +127,7 @@ class LearnedOption:
         return self.termination.probability_of(MEMBER, self._encode(rows))
 
     def action(self, rows: Rows) -> Ints:
-        """Return (N,): the likeliest action, the lowest index among equals."""
+        """Return (N,): the most likely action; on ties, the lowest index."""
         return self.policy.likeliest(self._encode_for_policy(rows))
 
     def can_start(self, rows: Rows) -> Flags:
@@ -153,16 +153,16 @@ class TabularOption:
     def of_reference(
         cls, reference: TabularReferenceOption, max_steps: int = REFERENCE_MAX_STEPS
     ) -> 'TabularOption':
-        """Return a reference option; where several actions are optimal, the first is taken."""
+        """Return a reference option, with the first of several optimal actions."""
         action = reference.optimal.argmax(axis=1)
         return cls(reference.name, max_steps, action, reference.initiation, reference.termination)
 
 
 def tabulate(option: Option | TabularOption, domain: EnumerableDomain) -> TabularOption:
     """
-    Evaluate an option in every state of its domain; one that is arrays already stays as it is.
+    Evaluate an option in every state of its domain; a tabular option is returned unchanged.
 
-    :raises OptionError: it was learned, but not in this domain.
+    :raises OptionError: it is a learned option of another domain.
     """
     if isinstance(option, TabularOption):
         return option
@@ -185,16 +185,16 @@ class OptionTable:
     :ivar options: (O,).
     :ivar names: (O,).
     :ivar action: (O, S) primitive action.
-    :ivar ends: (O, S) whether the option ends there, after one step or more.
-    :ivar available: (S, O) whether it can be chosen.
-    :ivar limits: (O,) steps after which it is cut off.
+    :ivar ends: (O, S) whether the option ends in the state, after one or more steps.
+    :ivar available: (S, O) whether the option can be chosen.
+    :ivar limits: (O,) maximum number of steps per run.
     """
 
     def __init__(self, options: Sequence[TabularOption], over: Flags | None = None) -> None:
         """
-        Put options into one table.
+        Combine options in one table.
 
-        :param over: (S,) states where none can be chosen, because the task is over.
+        :param over: (S,) whether the task is over, so that no option can be chosen.
         """
         self.options = tuple(options)
         self.names = tuple(option.name for option in options)
@@ -212,7 +212,7 @@ class OptionTable:
 
 @dataclass(frozen=True, slots=True)
 class SeenStates:
-    """The states of N games, and the decisions of options there."""
+    """The states of N games, with the decisions of options in them."""
 
     table: OptionTable
     states: Ints  # (N,) indices
@@ -221,7 +221,7 @@ class SeenStates:
         return SeenStates(self.table, self.states.take(games))
 
     def at_random(self, rng: np.random.Generator) -> Ints:
-        """Return (N,): an option that can be chosen there, all equally likely."""
+        """Return (N,): a uniformly random available option."""
         return draw_among(self.table.available.take(self.states, axis=0), rng)
 
     def action(self, option: Ints) -> Ints:
@@ -241,9 +241,9 @@ def options_from_references(
     """
     Return reference options as learned options, without a teacher.
 
-    Where several actions are optimal, the first is taken. Learning from people never uses these.
+    If several actions are optimal, the first is used. Learning from people never uses these.
 
-    :param references: of this domain, as ``registry.reference_options`` has them by name.
+    :param references: reference options of this domain, as in ``registry.reference_options``.
     :raises DomainError: one has no arrays, or its features do not determine their values.
     """
     found = []
@@ -268,10 +268,10 @@ def option_from_table(
     """
     Return an option with trees that agree with the arrays in every state.
 
-    :param features: those that the trees look at.
+    :param features: names of the features that the trees use.
     :param rows: (S, F) all features of the S states of the arrays.
-    :param known: (S,) the states in which the action, the initiation set and the termination
-        condition are known; None: all.
+    :param known: (S,) states in which the action, the initiation set and the termination condition
+        are known; None: all.
     :raises DomainError: the features do not determine the values.
     """
     encoding = feature_encoding(domain, features)

@@ -1,4 +1,4 @@
-"""Rollouts: options run to their ends by the rules of their domain, without a graph."""
+"""Rollouts: options run to termination by the rules of their domain, without a graph."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 
 def is_deterministic(domain: ActableDomain) -> TypeGuard[EnumerableDomain]:
-    """Return whether all states can be listed, and every action has one outcome."""
+    """Return whether all states can be listed and every action has a single outcome."""
     return is_enumerable(domain) and domain.transitions().deterministic
 
 
@@ -57,14 +57,14 @@ def rollouts(
     max_steps: int | NDArray[np.integer] | None = None,
 ) -> Rollouts:
     """
-    Run an option from every start state, side by side.
+    Run an option from every start state, in parallel.
 
     Each run has its own random generator, so its outcome does not depend on the others.
 
-    :param options: the option of each run (N,), or one for all.
-    :param starts: (N,) states, not over.
-    :param keys: (N,) names of the runs: chance in a run depends on the seed, the option and this.
-    :param max_steps: 1 or more, for all or for each run (N,); None: those of the option.
+    :param options: option of each run (N,), or one for all.
+    :param starts: (N,) start states, in which the task is not over.
+    :param keys: (N,) names of the runs; chance in a run depends on seed, option and name.
+    :param max_steps: maximum steps per run, 1 or more, for all or each (N,); None: the option's.
     :raises OptionError: an option was not learned in this domain.
     :raises DomainError: the task is over in a start state.
     """
@@ -99,7 +99,7 @@ def run_once(
     Run an option from each start state.
 
     :param which: (N,) index of the option of each run.
-    :param limits: (N,) steps after which a run is cut off, 1 or more.
+    :param limits: (N,) maximum number of steps per run, 1 or more.
     :raises DomainError: the task is over in a start state.
     """
     games = games_at(domain, starts)
@@ -116,7 +116,7 @@ def run_once(
 
 @dataclass(frozen=True)
 class FinalRollouts(Rollouts):
-    """Rollouts with the states where they ended."""
+    """Rollouts with their final states."""
 
     final: Ints  # (N,) state indices
 
@@ -125,9 +125,9 @@ def rollouts_from_everywhere(domain: EnumerableDomain, option: TabularOption) ->
     """
     Run an option from each of the S states of a deterministic domain.
 
-    The length of all runs is doubled repeatedly, so runs in a circle cost no more than others.
-    Results are meaningless where the task is over at the start; the return and steps of a run
-    without an end are not those at which it would be cut off.
+    The length of all runs is doubled repeatedly, so cyclic runs cost no more than others. Results
+    are meaningless if the task is over at the start. The return and steps of a run that never ends
+    are not those at its step limit.
     """
     transitions, over = domain.transitions(), domain.over()
     states = np.arange(domain.n_states)

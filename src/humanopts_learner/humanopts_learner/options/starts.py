@@ -1,12 +1,12 @@
 """
-The choice of the next start state, by the rules and the learned trees alone.
+Strategies for the next start state, based only on the rules and the learned trees.
 
-``random`` is the paper's strategy (section 5). ``failures`` chooses states from which the learned
-option does not do what was demonstrated: of these, the one whose shortest paths to an end go
-through the most failing situations that were not demonstrated yet, so that one demonstration
-teaches the most. Once none is stuck, it asks about states that are outside I without evidence, and
-then about those from which the option takes a detour. Where states cannot all be run, it draws one
-from a sample: stuck, without evidence, or decided by a tenth of the demonstrations.
+``random`` is the paper's strategy (section 5). ``failures`` chooses among states from which the
+learned option does not behave as demonstrated: it takes the one whose shortest paths to an end
+pass through the most failing situations not demonstrated yet, so that one demonstration teaches
+the most. Once no state is stuck, it asks about states outside I without evidence, and then about
+states from which the option takes a detour. If the option cannot be run from all states, it draws
+a state from a sample: stuck, without evidence, or decided by a tenth of the demonstrations.
 """
 
 from collections.abc import Sequence
@@ -31,14 +31,14 @@ from humanopts_learner.options.rollout import is_deterministic, rollouts
 import numpy as np
 
 STRATEGIES = ('random', 'coverage', 'failures')
-SHOWN_WEIGHT = 0.1  # of a failing situation that was demonstrated; of others 1
-SAMPLE = 500  # states, where they cannot all be run
-RUNS = 50  # runs from states of the sample
-TOLERATED = 0.1  # share of failing states with which a lesson may end
+SHOWN_WEIGHT = 0.1  # weight of a demonstrated failing situation; others: 1
+SAMPLE = 500  # number of states, if not all can be run
+RUNS = 50  # number of runs from sampled states
+TOLERATED = 0.1  # maximum share of failing states at the end of a lesson
 
 
 class UnknownStrategyError(ValueError):
-    """The strategy is unknown; the text lists the strategies."""
+    """Unknown strategy; the message lists the strategies."""
 
 
 def choose_start_state(
@@ -50,12 +50,12 @@ def choose_start_state(
     drawn: Sequence[Any] | None = None,
 ) -> Any:
     """
-    Choose the state from which to ask for the next demonstration.
+    Choose the start state of the next demonstration.
 
     :param strategy: one of ``STRATEGIES``.
-    :param option: learned from the demonstrations; None: nothing yet.
-    :param demonstrations: of this participant and option, including "not here" answers.
-    :param drawn: what ``draw_sample`` has drawn with the same ``rng``; None: it was not called.
+    :param option: option learned from the demonstrations; None: not learned yet.
+    :param demonstrations: those of this participant and option, including "not here" answers.
+    :param drawn: result of ``draw_sample`` with the same ``rng``; None: not called.
     :raises UnknownStrategyError: the strategy is unknown.
     """
     if strategy not in STRATEGIES:
@@ -63,12 +63,12 @@ def choose_start_state(
             f'unknown start-state strategy {strategy!r}; choose from {", ".join(STRATEGIES)}'
         )
     if not any(demo.kind is Kind.TRAJECTORY for demo in demonstrations):
-        option = None  # learned from others, such as those of an old option file
+        option = None  # learned from other demonstrations, such as an old option file
     if strategy == 'failures' and option is not None:
         state = _failing_state(domain, option, demonstrations, rng, drawn)
         if state is not None:
             return state
-        drawn = None  # another sample
+        drawn = None  # a different sample
     if strategy == 'random' or not demonstrations:
         return domain.sample_states(rng, 1)[0]
     if is_enumerable(domain):
@@ -89,9 +89,9 @@ def draw_sample(
     rng: np.random.Generator,
 ) -> list[Any] | None:
     """
-    Draw the states that ``choose_start_state`` begins with, whatever is learned meanwhile.
+    Draw the sample for ``choose_start_state`` in advance; it does not depend on the option.
 
-    :return: None: it does not begin with a sample.
+    :return: the states; None: it does not use a sample.
     """
     if strategy == 'random' or is_enumerable(domain) or not demonstrations:
         return None
@@ -106,9 +106,9 @@ def _failing_state(
     drawn: Sequence[Any] | None,
 ) -> Any:
     """
-    Return a state from which the option fails; None: there is none.
+    Return a state from which the option fails; None: no such state.
 
-    In a deterministic domain it is an instructive state, whether the option fails there or not.
+    In a deterministic domain, return an instructive state, even if the option does not fail there.
     """
     if not is_deterministic(domain):
         some = sample_failures(option, domain, demonstrations, rng, drawn)
@@ -126,8 +126,8 @@ def _instructive_state(domain: EnumerableDomain, found: Failures, rng: np.random
     """
     Return the state from which a demonstration teaches the most.
 
-    Stuck states come first, then detours; when nothing fails, the state with paths through what
-    was demonstrated least often, so that no lesson rests on one demonstration.
+    Stuck states come first, then detours. If nothing fails, return the state whose paths pass
+    through the least demonstrated states, so that no lesson relies on a single demonstration.
     """
     lost = found.stuck & (found.distance < 0) & (found.times_shown == 0)
     if lost.any():  # no path to a demonstrated end
@@ -136,7 +136,7 @@ def _instructive_state(domain: EnumerableDomain, found: Failures, rng: np.random
     weight = np.where(found.times_shown == 0, 1.0, SHOWN_WEIGHT) * among
     if not among.any():
         among, weight = found.candidate, found.candidate / (1.0 + found.times_shown) ** 2
-    # Sum the weights along shortest paths, and average where there are several.
+    # Sum the weights along shortest paths, averaging over several.
     successor = domain.transitions().successor[:, :, 0]
     for steps in range(2, int(found.distance.max()) + 1):
         at = np.flatnonzero(found.distance == steps)
@@ -155,8 +155,8 @@ def _farthest(
     """
     Return the state that differs most, in the chosen features, from every demonstrated state.
 
-    An ordinal or continuous feature differs by 0..1, a nominal one by 0 or 1, half of it in each
-    of two encoded features.
+    Ordinal and continuous features differ by 0..1; nominal ones by 0 or 1, split equally between
+    two encoded features.
     """
     encoding = feature_encoding(domain, demonstrations[-1].chosen_features)
     features = [domain.features[encoded.index] for encoded in encoding]
@@ -172,27 +172,27 @@ def _farthest(
 
 
 def _states(domain: EnumerableDomain, chosen: Flags, rng: np.random.Generator) -> list[Any]:
-    """Return a sample of at most ``SAMPLE`` of the chosen states (S,)."""
+    """Return a sample of at most ``SAMPLE`` of the selected states (S,)."""
     some = rng.permutation(np.flatnonzero(chosen))[:SAMPLE]
     return [domain.state_at(int(index)) for index in some]
 
 
 def _best(score: Floats, rng: np.random.Generator) -> int:
-    """Return the index of the highest score, drawn among equal ones."""
+    """Return the index of the highest score, with random tie-breaking."""
     return int(rng.choice(np.flatnonzero(score >= score.max() - 1e-9)))
 
 
 @dataclass(frozen=True)
 class SampledFailures:
-    """The outcome of running an option from a sample of states, where they cannot all be run."""
+    """The outcome of running an option from a sample of states."""
 
     states: list[Any]  # (N,)
     member: Flags  # (N,) in the learned I
-    failing: Flags  # (N,) no end before ``max_steps``, in doubt, or a committee disagrees
+    failing: Flags  # (N,) no end within ``max_steps``, in doubt, or the committee disagrees
 
     @property
     def share(self) -> float:
-        """Of the states where the option can start or fails, those from which it fails."""
+        """Share of failing states among those where the option can start or fails."""
         return float(self.failing.sum() / max(1, (self.member | self.failing).sum()))
 
 
@@ -204,10 +204,10 @@ def sample_failures(
     drawn: Sequence[Any] | None = None,
 ) -> SampledFailures:
     """
-    Look at ``SAMPLE`` states, and run the option from ``RUNS`` of those where it can start.
+    Evaluate ``SAMPLE`` states, and run the option from ``RUNS`` of those where it can start.
 
-    :param demonstrations: those that the option was learned from.
-    :param drawn: the states, which ``rng`` has drawn; None: they are drawn here.
+    :param demonstrations: those from which the option was learned.
+    :param drawn: states already drawn from ``rng``; None: draw them.
     """
     states = domain.sample_states(rng, SAMPLE) if drawn is None else list(drawn)
     rows = feature_rows(domain, states)
@@ -228,11 +228,12 @@ def committee_disagrees(
     seed: int,
 ) -> Flags:
     """
-    Return (N,): whether a tenth of the demonstrations decides what the option does in rows (N, F).
+    Return (N,): whether a tenth of the demonstrations decides the behaviour in rows (N, F).
 
-    Query by committee (Seung, Opper and Sompolinsky 1992): the option is learned again without
-    each of ten folds. Where one of them differs in I, or in the action inside I, there are too few
-    demonstrations, or a slip counts too much. With one trajectory, it disagrees everywhere in I.
+    Query by committee (Seung, Opper and Sompolinsky 1992): the option is relearned without each of
+    ten folds. If a relearned option differs in I, or in the action inside I, there are too few
+    demonstrations, or a slip has too much weight. With one trajectory, the committee disagrees
+    everywhere in I.
     """
     inside, action = option.can_start(rows), option.action(rows)
     data = make_dataset(demonstrations, domain)
@@ -252,9 +253,9 @@ def nothing_fails(
     rng: np.random.Generator,
 ) -> bool:
     """
-    Return whether the option fails from no state, or from few where they cannot all be run.
+    Return whether the option fails from no state, or from few states of a sample.
 
-    :param rng: draws the states then.
+    :param rng: generator for the sample, if the option cannot be run from all states.
     """
     if is_deterministic(domain):
         return not find_failures(option, domain, demonstrations).failing.any()
