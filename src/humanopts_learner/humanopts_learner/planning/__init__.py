@@ -1,1 +1,1 @@
-"""Planning over options: exact models, value iteration, and playing by the result."""
+"""Planning over options: models, value iteration, and execution of plans."""

@@ -2,9 +2,9 @@
 Abstract states: games with equal columns are in one abstract state.
 
 Symbol columns are the decisions of options: whether each can start, whether it would end, and its
-action. The preconditions and effects of options are the symbols that planning with them needs
-(Konidaris, Kaelbling and Lozano-Perez 2018), and every domain has them. Feature columns
-are named features with bins, or the planning features of the domain.
+action. The preconditions and effects of options are the symbols that planning requires
+(Konidaris, Kaelbling and Lozano-Perez 2018), and exist in every domain. Feature columns are named
+features with bins, or the planning features of the domain.
 """
 
 from collections.abc import Sequence
@@ -26,10 +26,10 @@ class Column:
     """
     A feature column, from a text such as ``food_distance:2,4,8`` or ``legal_moves``.
 
-    Bin k holds values from the k-th number on, below the next; without numbers, every value is a
-    bin of its own, and the feature must not be continuous.
+    Bin k contains values from the k-th number to below the next. Without numbers, every value has
+    its own bin, and the feature must not be continuous.
 
-    :raises PlanError: there is no such feature, or its numbers do not make bins.
+    :raises PlanError: the feature is unknown, or its numbers are not valid bin edges.
     """
 
     def __init__(self, text: str, domain: Domain) -> None:
@@ -62,11 +62,11 @@ class Abstraction:
 
     def __init__(self, domain: Domain, columns: Sequence[str] = ()) -> None:
         """
-        Choose the feature columns.
+        Select the feature columns.
 
-        :param columns: as of ``Column``; none: the domain's planning features, or the states
-            where they can all be listed; where there are no symbols either, all features.
-        :raises PlanError: a column is wrong.
+        :param columns: texts as in ``Column``; empty: the domain's planning features, or its
+            states if they can all be listed; without symbols either, all features.
+        :raises PlanError: a column is invalid.
         """
         self._domain = domain
         self._columns = [Column(text, domain) for text in columns]
@@ -75,12 +75,12 @@ class Abstraction:
         """
         Return the codes of the abstract states of games, (N,).
 
-        A code is the sum of all columns, each times a random number of 64 bits, so two of a
-        million states have the same code with a probability below 1e-6.
+        A code is the sum of all columns, each multiplied by a random 64-bit number, so a collision
+        among a million states has a probability below 1e-6.
 
         :param rows: (N, F) features of the games.
         :param symbols: symbol columns, (N,) each.
-        :raises PlanError: all features would be columns, and one of them is continuous.
+        :raises PlanError: all features would be columns, but one of them is continuous.
         """
         columns = list(symbols)
         if self._columns:
@@ -100,6 +100,6 @@ class Abstraction:
 
 @cache
 def _weights(count: int) -> NDArray[np.uint64]:
-    """Return one odd number for each column, the same in every process."""
+    """Return one odd number per column, the same in every process."""
     rng = generator(0, 'abstraction')
     return rng.integers(2**64, size=count, dtype=np.uint64) | np.uint64(1)

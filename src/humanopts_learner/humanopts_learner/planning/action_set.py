@@ -1,9 +1,8 @@
 """
-The observations and options of sampled planning, in many games at once.
+The observations and options of sampled planning, in many parallel games.
 
-Games with equal columns are in one abstract state. There are few enough abstract states that each
-is visited often. The options of an action set, including primitive actions, run in all games side
-by side.
+Games with equal columns are in one abstract state; abstract states are few enough to be visited
+often. The options of an action set, including primitive actions, run in all games in parallel.
 """
 
 from collections.abc import Sequence
@@ -29,11 +28,11 @@ class Observation:
     """The abstract states of N games, and the decisions of O options, without the fallback."""
 
     states: Codes  # (N,) codes of the abstract states
-    startable: Flags  # (N, O) which options can start
-    wanted: NDArray[np.int16]  # (N, O) the primitive action of each
-    ending: Flags  # (N, O) whether each, if it runs, ends
-    fallback: Ints  # (N,) index of the primitive action where no option can start; -1 elsewhere
-    n_options: int  # options before the primitive actions
+    startable: Flags  # (N, O) whether each option can start
+    wanted: NDArray[np.int16]  # (N, O) primitive action of each option
+    ending: Flags  # (N, O) whether each option would end
+    fallback: Ints  # (N,) index of the primitive action if no option can start; else -1
+    n_options: int  # number of options before the primitive actions
 
     def take(self, games: Ints) -> 'Observation':
         return Observation(
@@ -46,7 +45,7 @@ class Observation:
         )
 
     def at_random(self, rng: np.random.Generator) -> Ints:
-        """Return (N,): an option that can start there, all equally likely, or the fallback."""
+        """Return (N,): a uniformly random option that can start, or the fallback."""
         option = draw_among(self.startable, rng)
         np.copyto(option, self.fallback, where=self.fallback >= 0)
         return option
@@ -58,14 +57,14 @@ class Observation:
         return action
 
     def ends(self, option: Ints) -> Flags:
-        """Return (N,): whether each game's option ends there; primitive actions always do."""
+        """Return (N,): whether each game's option ends; primitive actions always do."""
         ends = np.ones(len(option), dtype=np.bool_)
         running = np.flatnonzero(option < self.n_options)
         ends[running] = self.ending[running, option[running]]
         return ends
 
     def can_start(self, option: Ints) -> Flags:
-        """Return (N,): whether each game's option could start there; False of a fallback."""
+        """Return (N,): whether each game's option can start; False for a fallback."""
         found: Flags = option < self.startable.shape[1]
         found[found] = self.startable[found, option[found]]
         return found
@@ -73,7 +72,7 @@ class Observation:
 
 @dataclass(frozen=True)
 class AnyOption(Policy[Observation | SeenStates]):
-    """A random option that can start, all equally likely; each runs to its end."""
+    """The policy that runs uniformly random options to their ends."""
 
     rng: np.random.Generator
 
@@ -83,9 +82,9 @@ class AnyOption(Policy[Observation | SeenStates]):
 
 class ActionSet:
     """
-    Options, then all primitive actions as options of one step, by option index. Those from
-    ``first_fallback`` on run only where no option can start.
+    The options, followed by all primitive actions as one-step options.
 
+    Those with an index of ``first_fallback`` or more run only if no option can start.
     """
 
     def __init__(
@@ -99,9 +98,8 @@ class ActionSet:
         Set up an action set.
 
         :param options: ignored in the set ``primitive``.
-        :param columns: feature columns of abstract states, as of ``Abstraction``; none: the
-            usual ones.
-        :raises PlanError: a column is wrong.
+        :param columns: feature columns of abstract states, as in ``Abstraction``; empty: defaults.
+        :raises PlanError: a column is invalid.
         """
         self.options = () if action_set == PRIMITIVE else tuple(options)
         self.action_set, self.n_actions = action_set, len(domain.actions)
@@ -118,7 +116,7 @@ class ActionSet:
         self.limits = np.array([*(o.max_steps for o in self.options), *[1] * self.n_actions])
 
     def observe_state(self, state: Any) -> Observation:
-        """Return the observation of one game that is in a state of the domain."""
+        """Return the observation of one game in a state of the domain."""
         return self.see(games_at(self.domain, [state]))
 
     def see(self, games: Games) -> Observation:
@@ -144,15 +142,15 @@ class ActionSet:
 
     @property
     def modelled(self) -> tuple[str, ...]:
-        """Names of the models: starting each option, then continuing where it cannot start."""
+        """Names of the models: starting each option, then continuing it where it cannot start."""
         names = self.names[: self.first_fallback]
         return (*names, *(f'going on: {option.name}' for option in self.options))
 
     def _fallback(self, rows: Rows, wanted: NDArray[np.int16]) -> Ints:
         """
-        Return (N,): the action of the option that could most probably start.
+        Return (N,): the action of the option with the highest initiation probability.
 
-        An option without probabilities has none here, since it cannot start.
+        Options without probabilities count as 0, since they cannot start.
         """
         chances = [
             option.initiation_probability(rows)

@@ -1,8 +1,8 @@
 """
-Planning with exact models: from an action set to the greedy policy, its episodes and its gaps.
+Planning with exact models: the greedy policy of an action set, its episodes and its coverage.
 
-Coverage, the states where the options of a plan do not serve well, shows where a person can teach
-more (paper, section 8).
+Coverage lists states that are not well served by the options of a plan; it shows where a person
+can teach more (paper, section 8).
 """
 
 from abc import ABC, abstractmethod
@@ -46,7 +46,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-_STARTS = 2_000  # that coverage is found from, at most
+_STARTS = 2_000  # maximum number of start states for coverage
 _ROUNDING = 1e-6  # in units of discounted return
 
 
@@ -57,9 +57,9 @@ class Returns:
     total: NDArray[np.float64]  # (E,) undiscounted
     discounted: NDArray[np.float64]  # (E,)
     steps: Ints  # (E,) primitive steps
-    successes: Flags  # (E,) the task was done, not cut off
-    decisions: Ints  # (E,) options begun
-    fallbacks: Ints  # (E,) decisions for a primitive action because no option could start
+    successes: Flags  # (E,) task completed, not cut off
+    decisions: Ints  # (E,) number of options begun
+    fallbacks: Ints  # (E,) primitive actions taken because no option could start
     outcomes: Mapping[str, NDArray[Any]] = field(default_factory=dict)
     """(E,) each: other results that the domain reports of its games; exact: none."""
 
@@ -88,39 +88,39 @@ class Decision:
     """The next option of a policy over options."""
 
     name: str  # an option, or action:NAME
-    fallback: bool  # a primitive action because no option is available
+    fallback: bool  # primitive action taken because no option is available
 
 
 @dataclass(frozen=True, kw_only=True)
 class PolicyPlan(ABC):
     """
-    A greedy policy over options, and what it took to make it.
+    A greedy policy over options, and the cost of planning.
 
-    Option indices count the options and then, where the action set needs them, all primitive
-    actions.
+    Option indices refer to the options, followed by all primitive actions if the action set needs
+    them.
     """
 
     domain: Domain
     action_set: str
     gamma: float
     names: tuple[str, ...]  # by option index
-    first_fallback: int  # index from which on a choice is a fallback; number of names if none is
+    first_fallback: int  # index of the first fallback; number of names: none
     solution: Solution
-    game_steps: int = 0  # that were sampled
-    table_seconds: float = 0.0  # of the options of exact plans
-    model_seconds: float  # sampling and counting, where models are sampled
+    game_steps: int = 0  # sampled
+    table_seconds: float = 0.0  # for option tables of exact plans
+    model_seconds: float  # for sampled models: sampling and counting
     sweep_seconds: float
 
     @property
     def seconds(self) -> float:
-        """Duration of planning, everything included."""
+        """Total duration of planning."""
         return self.table_seconds + self.model_seconds + self.sweep_seconds
 
     def choose(self, state: Any) -> Decision:
         """
-        Return what the policy runs in a state of the domain.
+        Return the next option of the policy in a state of the domain.
 
-        :raises PlanError: the task is over in it.
+        :raises PlanError: the task is over in this state.
         """
         if self.domain.is_over(state):
             raise PlanError('there is nothing to do: the task is over')
@@ -129,17 +129,17 @@ class PolicyPlan(ABC):
 
     @abstractmethod
     def _best(self, state: Any) -> int:
-        """Return the index of the option to run in a state in which the task is not over."""
+        """Return the index of the option to run in a state where the task is not over."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ExactPlan(PolicyPlan):
     """
-    A plan by the values of all states.
+    A plan based on the values of all states.
 
-    In the sets ``human`` and ``automatic`` primitive actions are the fallback: available only in
-    states where no option is, so that the one chosen there is the best by one step of look-ahead
-    in the plan's own values, the first of equals.
+    In the sets ``human`` and ``automatic``, primitive actions are the fallback: they are available
+    only in states without an available option. The fallback is the best action by one step of
+    look-ahead in the plan's own values; on ties, the first.
     """
 
     domain: EnumerableDomain
@@ -157,13 +157,13 @@ def make_exact_plan(
     clock: Clock = time.perf_counter,
 ) -> ExactPlan:
     """
-    Plan with exact models; parameters and errors as ``plan.make_plan``.
+    Plan with exact models; parameters and errors as in ``plan.make_plan``.
 
-    :param options: learned, or as tables over all states.
+    :param options: learned options, or tables over all states.
     """
     asked = request.in_force(domain, options, sampled=False)
     used = () if asked.action_set == PRIMITIVE else tuple(options)
-    # Built once for all plans, so it is not counted in the time of this one.
+    # Built once for all plans, so not included in the planning time.
     domain.transitions(), domain.over()
     if not all(isinstance(option, TabularOption) for option in used):
         domain.feature_table()
@@ -176,7 +176,7 @@ def make_exact_plan(
     model = build_model(domain, asked.action_set, tabled, asked.gamma, progress)
     modelled = clock()
     on_sweep = None
-    if progress is not ignore_progress:  # small plans would take half as long again
+    if progress is not ignore_progress:  # would slow small plans down by half
         on_sweep = sweep_progress(progress, asked.tol, asked.max_sweeps)
     solution = solve_smdp(model, asked.tol, asked.max_sweeps, on_sweep)
     return ExactPlan(
@@ -195,9 +195,9 @@ def make_exact_plan(
 
 def sweep_progress(report: Progress, tol: float, max_sweeps: int) -> OnSweep:
     """
-    Return what reports the residual as a share of the sweeps.
+    Return a callback that reports progress from the residual.
 
-    Its logarithm falls about linearly.
+    The logarithm of the residual decreases roughly linearly.
     """
     first = fraction = 0.0
 
@@ -223,7 +223,7 @@ def build_model(
     """
     Return the exact model of an action set.
 
-    It has the options and then, where the set needs them, the primitive actions.
+    It contains the options, followed by the primitive actions if the set needs them.
 
     :param options: ignored in the set ``primitive``.
     """
@@ -261,8 +261,8 @@ def _primitive_states(
     """
     Return the states in which primitive actions can be chosen, (S,).
 
-    In the sets ``human`` and ``automatic`` these are only the states where no option is available;
-    where there is no such state, primitive actions are left out of the set.
+    In the sets ``human`` and ``automatic`` these are only the states without an available option;
+    if there are none, the set contains no primitive actions.
     """
     going = ~domain.over()
     if action_set not in OPTIONS_ONLY:
@@ -275,10 +275,10 @@ def option_table(
     domain: EnumerableDomain, action_set: str, options: Sequence[TabularOption]
 ) -> OptionTable:
     """
-    Return the options of an action set as one table.
+    Return the options of an action set as a single table.
 
     :param options: ignored in the set ``primitive``.
-    :raises PlanError: there is no such set, or its options are none or not distinct.
+    :raises PlanError: the set is unknown, or its options are missing or not distinct.
     """
     PlanRequest(action_set).in_force(domain, options, sampled=False)
     used = () if action_set == PRIMITIVE else tuple(options)
@@ -304,7 +304,7 @@ def episode_starts(
 
     Each draw has its own generator, so start i does not depend on the number of episodes.
 
-    :param progress: called with the stage evaluation, which begins with this.
+    :param progress: called with the stage evaluation, which begins here.
     """
     starts = np.empty(episodes, dtype=np.int32)
     for episode in range(episodes):
@@ -322,7 +322,7 @@ def episode_start(domain: Domain[S], seed: int, episode: int) -> S:
 class PlannedOptions(Policy[SeenStates]):
     """The policy of an exact plan: each option runs to its end."""
 
-    best: NDArray[np.integer]  # (S,) index of the option that is begun
+    best: NDArray[np.integer]  # (S,) index of the next option
 
     def choose(self, seen: SeenStates, games: Ints) -> Ints:
         return self.best.take(seen.states).astype(np.intp)
@@ -338,14 +338,13 @@ def play_plan(
     """
     Run each option of the policy to its end, as the runner does, until the episode ends.
 
-    Chance has its own generator for each episode, so episode i is the same however many are
-    played.
+    Each episode has its own generator, so episode i does not depend on the number of episodes.
 
     :param starts: (E,) state indices.
-    :param seed: of the outcomes; not used where every action has one.
-    :param max_steps: episodes are cut off after this many steps; 0: the domain's own limit.
-    :param progress: called with the stage evaluation; what it raises passes through.
-    :raises PlanError: neither limits the episodes.
+    :param seed: random seed of outcomes; unused if every action has a single outcome.
+    :param max_steps: maximum number of steps per episode; 0: the domain's own limit.
+    :param progress: called with the stage evaluation; its exceptions propagate.
+    :raises PlanError: episodes have no step limit.
     """
     limit = max_steps or plan.domain.max_steps
     if limit < 1:
@@ -377,23 +376,22 @@ def _played(
 
 @dataclass(frozen=True)
 class Coverage:
-    """States where a plan decides and its options do not serve well."""
+    """Decision states of a plan that are not well served by its options."""
 
-    fallback: Ints  # (N,) no option can start there; the most visited first
-    single_step: Ints  # (M,) a primitive action is worth more; the greatest gain first
-    gain: Floats  # (M,) of each, in units of discounted return
+    fallback: Ints  # (N,) states where no option can start; most visited first
+    single_step: Ints  # (M,) states where a primitive action is better; greatest gain first
+    gain: Floats  # (M,) gain of each, in units of discounted return
 
 
 def find_coverage(plan: ExactPlan, most: int = 20) -> Coverage:
     """
-    Play one episode from each start state, and look at the states where decisions were made.
+    Play one episode from each start state, and evaluate the states where decisions were made.
 
-    The value of a primitive action followed by the plan is that of one step of look-ahead.
+    The value of a primitive action is that of one step of look-ahead followed by the plan.
 
-    :param plan: with options only.
-    :param most: states of each kind.
-    :raises PlanError: primitive actions are among its choices, or the domain never cuts an
-        episode off.
+    :param plan: plan with options only.
+    :param most: maximum number of states of each kind.
+    :raises PlanError: the plan chooses among primitive actions, or the domain has no step limit.
     """
     domain = plan.domain
     if plan.first_fallback != len(plan.options) or not domain.max_steps or not plan.options:

@@ -1,17 +1,17 @@
 """
-Interruption and modules: the option that acts in the next step, by the values of a plan.
+Interruption and modules: selecting the option that acts in the next step, by the values of a plan.
 
 A policy over options can be executed in four ways. All but the first are polling executions: they
-decide again before each step, from one table of option values, so the same table, states and draws
-always give the same run. Sampled plans and live games decide by the same rules. This module
-computes the values of exact plans, and the policies that follow from them.
+decide again before each step, based on one table of option values, so the same table, states and
+draws always give the same run. Sampled plans and live games use the same rules. This module
+computes the values of exact plans, and the resulting policies.
 
 Sutton, Precup and Singh (1999), section 4 and theorem 2: a policy over Markov options that stops
-an option wherever continuing is worth less than choosing again, by the policy's own values, is
-worth at least as much in every state. An option with ``max_steps`` is Markov only together with
-the number of remaining steps. Where no run is cut off this makes no difference. Elsewhere the
-value of continuing is the maximum over any number of remaining steps, so a run is stopped only
-where that is right for any of them, and the theorem holds.
+an option wherever continuing has a lower value than choosing again, by the policy's own values, is
+at least as good in every state. An option with ``max_steps`` is Markov only together with the
+number of remaining steps. This makes no difference if no run is cut off. Otherwise, the value of
+continuing is the maximum over all numbers of remaining steps, so a run is stopped only if that is
+right for every number, and the theorem holds.
 """
 
 from dataclasses import dataclass, replace
@@ -27,17 +27,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array, eye
 
-MAX_EXACT_STATES = 20_000  # for which the exact return of a plan takes no longer than the plan
-ROUNDING = 1e-9  # relative to the largest value: differences of values that are rounding
+MAX_EXACT_STATES = 20_000  # limit up to which the exact return takes no longer than planning
+ROUNDING = 1e-9  # tolerance for rounding errors, relative to the largest value
 
 
 @dataclass(frozen=True)
 class OptionValues:
     """
-    The values of a plan that arbitration decides by: K states, O options.
+    The values of a plan for arbitration: K states, O options.
 
-    States are those of an enumerable domain, by their indices, or the abstract states of a sampled
-    plan, by their codes. Values are discounted returns; -inf: not available, or not known.
+    States are indices in an enumerable domain, or codes of the abstract states of a sampled plan.
+    Values are discounted returns; -inf: unavailable or unknown.
 
     :raises PlanError: the arrays contradict each other.
     """
@@ -45,9 +45,9 @@ class OptionValues:
     action_set: str
     names: tuple[str, ...]  # (O,) options, then action:NAME
     states: NDArray[np.int64]  # (K,) ascending
-    option_values: Floats  # (K, O) of choosing the option now, where it can start
-    continuation_values: Floats  # (K, O) of going on with it, where it can start or not
-    interruption_margin: float  # differences up to this do not count
+    option_values: Floats  # (K, O) of choosing the option now
+    continuation_values: Floats  # (K, O) of continuing it, even where it cannot start
+    interruption_margin: float  # differences up to this are ignored
     sampled: bool  # states are abstract states
 
     def __post_init__(self) -> None:
@@ -72,10 +72,10 @@ def interruptions(
     option_values: Floats, continuation_values: Floats, interruption_margin: float
 ) -> Flags:
     """
-    Return (N, O): whether each option is stopped if it runs, since choosing anew is worth more.
+    Return (N, O): whether each running option is stopped, because choosing again is worth more.
 
     :param option_values: (N, O); -inf: the option cannot be chosen.
-    :param continuation_values: (N, O); an option of value -inf is not stopped.
+    :param continuation_values: (N, O); an option with value -inf is not stopped.
     """
     best = option_values.max(axis=1, keepdims=True)
     worse = continuation_values < best - interruption_margin
@@ -90,15 +90,15 @@ def arbitrate(
     action: NDArray[np.signedinteger],
 ) -> Ints:
     """
-    Arbitrate between modules: return (N,) the index of the option whose action is taken.
+    Arbitrate between modules: return (N,) the index of the option that acts.
 
-    By greatest mass, it is the strongest of those whose action has the greatest mass; equal masses
-    are decided by the strongest module, and equal modules by the lowest index.
+    By greatest mass, it is the strongest module among those whose action has the greatest mass.
+    Ties between masses are broken by the strongest module, and between modules by lowest index.
 
     :param execution: one of ``MODULAR``.
-    :param option_values: (N, O); modules of value -inf have no strength.
+    :param option_values: (N, O); modules with value -inf have no strength.
     :param continuation_values: (N, O).
-    :param action: (N, O) the action that each module wants.
+    :param action: (N, O) action preferred by each module.
     """
     if execution is Arbitration.MODULAR_STRONGEST:
         strongest: Ints = continuation_values.argmax(axis=1)
@@ -115,10 +115,10 @@ def arbitrate(
 
 def option_values(plan: ExactPlan) -> OptionValues:
     """
-    Return the values that arbitration decides by, for every state.
+    Return the values for arbitration, for every state.
 
-    An option's policy is defined in every state where the task is not over, so going on is
-    modelled there; primitive actions are options of one step.
+    An option's policy is defined in every state where the task is not over, so continuing is
+    modelled in all of them; primitive actions are one-step options.
     """
     domain, values = plan.domain, plan.solution.values
     model = build_model(domain, plan.action_set, plan.options, plan.gamma)
@@ -127,7 +127,7 @@ def option_values(plan: ExactPlan) -> OptionValues:
     for o, option in enumerate(plan.options):
         continuation_values[:, o] = _continuation_values(plan, option)
     continuation_values[domain.over()] = -np.inf
-    # How far values can differ that would be equal had the sweeps gone on for ever.
+    # Maximum difference of values that would be equal after infinitely many sweeps.
     rounding = ROUNDING * max(1.0, float(np.abs(values).max()))
     margin = rounding + 8.0 * plan.solution.residual / max(1.0 - plan.gamma, ROUNDING)
     return OptionValues(
@@ -143,11 +143,11 @@ def option_values(plan: ExactPlan) -> OptionValues:
 
 def as_executed(plan: ExactPlan, execution: Arbitration) -> ExactPlan:
     """
-    Return a plan that, with each option run to its end, acts as ``plan`` does by ``execution``.
+    Return a plan that runs each option to its end and acts like ``plan`` under ``execution``.
 
-    Interrupted options are those that end also where they are stopped; modules are options of one
-    step that can start where they win. The values are still those of ``plan``; ``policy_values``
-    returns those of the new one.
+    Interrupted options also end where they are stopped; modules become one-step options that can
+    start where they win. The values are still those of ``plan``; use ``policy_values`` for those
+    of the new plan.
     """
     if execution is Arbitration.RUN_TO_END:
         return plan
@@ -172,11 +172,11 @@ def as_executed(plan: ExactPlan, execution: Arbitration) -> ExactPlan:
 
 def policy_values(plan: ExactPlan) -> Floats:
     """
-    Return what a plan is worth in every state, (S,), each option run to its end.
+    Return the value of a plan in every state, (S,), running each option to its end.
 
-    The solution of V = R + P V, with R and P the model of the option chosen in each state.
+    The values solve V = R + P V, with R and P the model of the option chosen in each state.
 
-    :raises PlanError: gamma is 1 and the policy does not end from everywhere.
+    :raises PlanError: gamma is 1 and the policy does not terminate from every state.
     """
     from scipy.sparse.linalg import splu  # slow to import
 
@@ -199,10 +199,10 @@ def policy_values(plan: ExactPlan) -> Floats:
 
 def exact_mean_return(plan: ExactPlan) -> float | None:
     """
-    Return the expected return of an episode, undiscounted: the mean over all start states.
+    Return the expected undiscounted return of an episode: the mean over all start states.
 
-    :return: None: the policy does not end from everywhere, or the states are more than
-        ``MAX_EXACT_STATES``.
+    :return: None: the policy does not terminate from every state, or there are more than
+        ``MAX_EXACT_STATES`` states.
     """
     if plan.domain.n_states > MAX_EXACT_STATES:
         return None
@@ -215,7 +215,7 @@ def exact_mean_return(plan: ExactPlan) -> float | None:
 
 
 def _continuation_values(plan: ExactPlan, option: TabularOption) -> Floats:
-    """Return the value of running an option from each state, (S,), started there or not."""
+    """Return the value (S,) of running an option from each state, even outside I."""
     domain, values = plan.domain, plan.solution.values
     rules, over = domain.transitions(), domain.over()
     model = model_option(rules, over, plan.gamma, option, np.ones_like(over))
@@ -237,9 +237,9 @@ def _best_of_any_steps(
     gamma: float,
 ) -> Floats:
     """
-    Return the most that going on is worth with 1 to max_steps steps left, (n,).
+    Return the highest value (n,) of continuing with 1 to max_steps remaining steps.
 
-    :param states: (n,) state indices; runs from these go on from no others.
+    :param states: (n,) state indices; runs from these never continue from others.
     """
     at = states, option.action[states]
     after, share = rules.successor[at], gamma * rules.probability[at]

@@ -1,24 +1,24 @@
 """
 Multi-time models of a semi-Markov decision process (SMDP).
 
-Axes: S states, O options; a primitive action is an option of one step. An option that takes k
-primitive steps counts its successor with gamma**k (Sutton, Precup and Singh 1999, section 3.1).
+Axes: S states, O options; a primitive action is a one-step option. If an option takes k primitive
+steps, its successor has weight gamma**k (Sutton, Precup and Singh 1999, section 3.1).
 
 An exact model of an option (Precup 2000, chapter 3; Sutton, Precup and Singh 1999, section 3.1)
-follows from running the option. ``max_steps`` counts here as it does in execution.
+follows from running the option. ``max_steps`` applies as in execution.
 
-Where every action has one outcome, running an option n steps from all states at once needs about
+If every action has a single outcome, running an option for n steps from all states takes about
 log2(n) compositions of the successor table with itself.
 
-With chance the model solves linear equations. With M the discounted probabilities of going on, E
-those of ending, and r the expected rewards of one step, a run of at most n steps has
+With chance, the model solves linear equations. With M the discounted probabilities of continuing,
+E those of ending, and r the expected rewards of one step, a run of at most n steps has
 
     reward     sum of M**k r, k = 0..n-1
     successor  sum of M**k E, k = 0..n-1, and M**n where it is cut off
 
 The reward is summed step by step. The successor of runs without a limit is F = (I - M)**-1 E, one
-sparse factorisation for each option; where some runs may be cut off, M**n (I - F) is added. States
-of which less than ``NEGLIGIBLE`` is still running after n steps need no such correction.
+sparse factorisation per option; if some runs may be cut off, M**n (I - F) is added. States from
+which less than ``NEGLIGIBLE`` is still running after n steps need no such correction.
 """
 
 from collections.abc import Sequence
@@ -35,9 +35,9 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array, eye, vstack
 
 SparseRows = Any  # csr_array of float64; SciPy has no types
-ROUNDING = 1e-9  # how far above 1 the entries of one row may sum up
-NEGLIGIBLE = 1e-14  # discounted probability that is taken for 0
-BLOCK = 256  # columns that are dense at once
+ROUNDING = 1e-9  # tolerance of row sums above 1
+NEGLIGIBLE = 1e-14  # discounted probability treated as 0
+BLOCK = 256  # number of columns that are dense at a time
 
 
 @dataclass(frozen=True)
@@ -45,8 +45,8 @@ class MultiTimeModel:
     """
     The rewards and successors of running option o from state s.
 
-    Entries of pairs that are not available are ignored, but must be valid numbers. Arrays may be
-    shared and read-only, and of any strides.
+    Entries of unavailable pairs are ignored, but must be valid numbers. Arrays may be shared,
+    read-only, and have any strides.
 
     :raises PlanError: shapes disagree, a number is not finite or out of range, or a row sums to
         more than 1.
@@ -83,12 +83,12 @@ class MultiTimeModel:
 
     @cached_property
     def single(self) -> bool:
-        """Whether no pair of state and option has more than one successor."""
+        """Whether each pair of state and option has at most one successor."""
         return bool((np.diff(self.rows.indptr) <= 1).all())
 
 
 def look_ahead(model: MultiTimeModel, values: Floats) -> Floats:
-    """Return (S, O): the value of each option by the values (S,) of its ends, or -inf."""
+    """Return (S, O): the value of each option, given state values (S,); -inf: unavailable."""
     ahead: Floats = (model.rows @ values).reshape(model.reward.T.shape).T
     ahead += model.reward
     np.copyto(ahead, -np.inf, where=~model.available)
@@ -96,7 +96,7 @@ def look_ahead(model: MultiTimeModel, values: Floats) -> Floats:
 
 
 def concatenate(models: Sequence[MultiTimeModel]) -> MultiTimeModel:
-    """Return one model with the options of all, in order."""
+    """Combine models into one with all options, in order."""
     return MultiTimeModel(
         names=tuple(name for model in models for name in model.names),
         reward=np.concatenate([model.reward.T for model in models]).T,
@@ -111,8 +111,8 @@ def primitive_model(
     """
     Return the exact model whose options are the primitive actions.
 
-    :param over: (S,) states where no action is available, because the task is over.
-    :param names: of the actions, (A,).
+    :param over: (S,) whether the task is over, so that no action is available.
+    :param names: names of the actions, (A,).
     """
     count, actions, outcomes = transitions.successor.shape
     ended = (transitions.terminated | over[:, None, None]).swapaxes(0, 1).ravel()
@@ -122,7 +122,7 @@ def primitive_model(
     if not transitions.deterministic:
         share = gamma * transitions.probability.swapaxes(0, 1).ravel()
         reward = (transitions.probability * transitions.reward).sum(axis=2)
-        successor = successor.copy()  # which is sorted below
+        successor = successor.copy()  # since it is sorted below
     ends = np.arange(0, successor.size + 1, outcomes, dtype=np.int32)
     parts = np.where(ended, 0.0, share), successor, ends
     rows = csr_array(parts, shape=(actions * count, count))
@@ -135,25 +135,25 @@ def primitive_model(
 
 @dataclass(frozen=True)
 class OptionModel:
-    """Where running one option from each of n states leads in k steps."""
+    """The outcome of running one option from each of n states; k: length of a run."""
 
     reward: Floats  # (n,) expected sum of gamma**i * r[i], i = 0..k-1
-    successor: SparseRows  # (n, S) expected gamma**k at each end; 0 where the task was over
-    cut_off: Flags  # (n,) some runs are still going on after max_steps
+    successor: SparseRows  # (n, S) expected gamma**k per final state; 0 if the task was over
+    cut_off: Flags  # (n,) whether some runs continue after max_steps
 
 
 def model_option(
     rules: Transitions, over: Flags, gamma: float, option: TabularOption, starts: Flags
 ) -> OptionModel:
     """
-    Run an option from many states, as execution does.
+    Run an option from many states, by the rules of execution.
 
-    It ends where the termination condition holds, which is looked at only after a step; where the
-    task is over; or after ``max_steps``, at the state where it is.
+    It ends when the termination condition holds, which is checked only after a step; when the task
+    is over; or after ``max_steps``.
 
-    :param over: (S,) states where the task is over.
-    :param option: its action must be defined wherever it can come.
-    :param starts: (S,) the n states from which it is run.
+    :param over: (S,) whether the task is over.
+    :param option: option to run; its action must be defined in all states that it can reach.
+    :param starts: (S,) whether each state is one of the n start states.
     :raises PlanError: max_steps is below 1.
     """
     if option.max_steps < 1:
@@ -166,13 +166,13 @@ def deterministic_model(
     rules: Transitions, over: Flags, gamma: float, option: TabularOption, starts: Flags
 ) -> OptionModel:
     """
-    Return the model of an option where every action has one outcome; as ``model_option``.
+    Return the model of an option if every action has a single outcome; as ``model_option``.
 
-    A step that ends the option leads from a row of the table that is made absorbing, so n moves
-    are a product of binary powers of one table; the last step is taken at the end.
+    Table rows whose next step ends the option are made absorbing, so n moves are a product of
+    binary powers of one table; the last step is added at the end.
     """
     ends = option.termination | over
-    for states in (np.flatnonzero(starts), np.arange(len(ends))):  # all where runs leave those
+    for states in (np.flatnonzero(starts), np.arange(len(ends))):  # all, if runs leave the starts
         pair = states * rules.successor.shape[1]
         pair += option.action[states]
         successor = rules.successor.ravel()[pair].astype(np.intp)
@@ -207,14 +207,14 @@ def deterministic_model(
 
 @dataclass
 class _Walk:
-    """Some number of moves from each of n rows, absorbed where the next step is the last."""
+    """A number of moves from each of n rows, absorbed if the next step is the last."""
 
-    row: Ints  # (n,) where it leads
+    row: Ints  # (n,) final row
     reward: Floats  # (n,) discounted to the start
-    discount: Floats  # (n,) gamma to the number of moves
+    discount: Floats  # (n,) gamma**(number of moves)
 
     def append(self, then: '_Walk') -> None:
-        """Go on by ``then``, which may be this walk itself."""
+        """Append ``then``, which may be this walk itself."""
         gained = then.reward.take(self.row)
         gained *= self.discount
         self.reward += gained
@@ -223,7 +223,7 @@ class _Walk:
 
 
 def _power(one: _Walk, steps: int, last: Flags, wanted: Flags) -> _Walk:
-    """Return ``steps`` moves (1 or more), or fewer where more would change nothing."""
+    """Return ``steps`` moves (1 or more), or fewer if more would change nothing."""
     walk = _Walk(one.row, one.reward.copy(), one.discount.copy())
     for bit in bin(steps)[3:]:  # the highest bit is ``one`` itself
         if _all_stay(walk, last, wanted):
@@ -241,7 +241,7 @@ def _all_stay(walk: _Walk, last: Flags, wanted: Flags) -> bool:
 def stochastic_model(
     rules: Transitions, over: Flags, gamma: float, option: TabularOption, starts: Flags
 ) -> OptionModel:
-    """Return the model of an option, with chance or without; as ``model_option``."""
+    """Return the model of an option, with or without chance; as ``model_option``."""
     ends = option.termination | over
     states = visited(rules, option.action, ends, starts)
     at = states, option.action[states]
@@ -276,7 +276,7 @@ def stochastic_model(
 def visited(
     rules: Transitions, action: NDArray[np.integer], ends: Flags, starts: Flags
 ) -> NDArray[np.intp]:
-    """Return the starts of an option and all states that runs from them can go on from."""
+    """Return the starts of an option and all states from which runs can continue."""
     found = starts.copy()
     fresh = np.flatnonzero(found)
     while fresh.size:
@@ -289,7 +289,7 @@ def visited(
 
 
 def _rewards(on: SparseRows, reward: Floats, max_steps: int) -> tuple[Floats, Floats]:
-    """Return the reward (n,) of at most ``max_steps`` steps and what is still running then."""
+    """Return the reward of ``max_steps`` steps and the discounted share still running, (n,)."""
     first = np.stack([reward, np.zeros(len(reward))], axis=1)
     total = np.stack([np.zeros(len(reward)), np.ones(len(reward))], axis=1)
     for _ in range(max_steps):
@@ -301,9 +301,9 @@ def _rewards(on: SparseRows, reward: Floats, max_steps: int) -> tuple[Floats, Fl
 
 def _unlimited_successors(on: SparseRows, end: SparseRows, can_end: Flags) -> SparseRows:
     """
-    Solve (I - M) F = E, (n, S), where runs can end; where they never do, F is 0.
+    Solve (I - M) F = E, (n, S), for rows whose runs can end; in other rows, F is 0.
 
-    :param can_end: (n,) the option may end with the next step, the task over or not.
+    :param can_end: (n,) whether the option may end with the next step, task over or not.
     """
     from scipy.sparse.linalg import splu  # slow to import
 
@@ -346,6 +346,6 @@ def _limited_successors(
         parts.append((change[col, row], block[row], col))
     data, row, col = (np.concatenate(part) for part in zip(*parts))
     corrected = (successor + csr_array((data, (row, col)), shape=successor.shape)).tocsr()
-    corrected.data[corrected.data < NEGLIGIBLE] = 0.0  # differences that are rounding
+    corrected.data[corrected.data < NEGLIGIBLE] = 0.0  # rounding errors
     corrected.eliminate_zeros()
     return corrected

@@ -1,8 +1,8 @@
 """
-Planning in any domain: exact where its states can all be listed, from samples elsewhere.
+Planning in any domain: exact if its states can all be listed, otherwise from samples.
 
-``make_plan`` and ``judge_plan`` take domains and plans of both kinds. The same request, options
-and seed always give the same numbers, seconds apart.
+``make_plan`` and ``judge_plan`` accept domains and plans of both kinds. The same request, options
+and seed always give the same numbers, except for durations.
 """
 
 from collections.abc import Mapping, Sequence
@@ -43,11 +43,11 @@ def make_plan(
     clock: Clock = time.perf_counter,
 ) -> AnyPlan:
     """
-    Plan with exact models where all states can be listed, and with sampled ones elsewhere.
+    Plan with exact models if all states can be listed, and otherwise with sampled models.
 
     :param options: ignored in the set ``primitive``.
     :param progress: called with the stages tables, models and sweeps; models and sweeps alternate
-        where they are sampled.
+        if models are sampled.
     :raises PlanError: as ``PlanRequest.in_force``.
     :raises PlanCanceled: from ``progress``.
     """
@@ -66,15 +66,15 @@ def plan(
     seed: int = 0,
 ) -> AnyPlan:
     """
-    Plan with options and primitive actions; ``make_plan`` with the settings that people change.
+    Plan with options and primitive actions; ``make_plan`` with its most common settings.
 
     :param action_set: one of ``ACTION_SETS``; empty: ``human+primitive``, or ``primitive``
         without options.
     :param gamma: discount per primitive step; 0: the domain's own.
-    :param max_sweeps: of value iteration; 0: 10,000.
-    :param game_steps: to be sampled, where states cannot all be listed; 0: 800,000.
-    :param seed: of the samples.
-    :return: the plan; its ``choose(state)`` says which option to run.
+    :param max_sweeps: maximum number of sweeps of value iteration; 0: 10,000.
+    :param game_steps: number of sampled steps, if states cannot all be listed; 0: 800,000.
+    :param seed: random seed of the samples.
+    :return: the plan; its ``choose(state)`` returns the option to run.
     :raises PlanError: the plan cannot be made.
     """
     usual = HUMAN_AND_PRIMITIVE if options else PRIMITIVE
@@ -86,27 +86,27 @@ def plan(
 
 @dataclass(frozen=True)
 class Performance:
-    """The results of a plan in episodes; intervals of a single episode have no bounds."""
+    """The results of a plan in episodes; with a single episode, intervals have no limits."""
 
     episodes: int
     total: Interval  # undiscounted return
     discounted: Interval
-    decisions: int  # options begun
-    fallbacks: int  # of these, primitive actions because no option could start
-    outcomes: Mapping[str, Interval]  # other results that the domain reports; exact: none
-    totals: Floats = field(compare=False, repr=False)  # (E,) undiscounted return by episode
+    decisions: int  # number of options begun
+    fallbacks: int  # primitive actions among them, because no option could start
+    outcomes: Mapping[str, Interval]  # other results reported by the domain; exact: none
+    totals: Floats = field(compare=False, repr=False)  # (E,) undiscounted return per episode
 
 
 def judge_plan(
     plan: AnyPlan, seed: int, episodes: int, progress: Progress = ignore_progress
 ) -> Performance:
     """
-    Play episodes by a plan in the real rules, each option run to its end.
+    Play episodes by a plan under the real rules, running each option to its end.
 
-    :param seed: of start states and chance.
-    :param episodes: 1 or more.
+    :param seed: random seed of start states and chance.
+    :param episodes: number of episodes, 1 or more.
     :param progress: called with the stage evaluation.
-    :raises PlanError: the domain never cuts an episode off, or ``episodes`` is below 1.
+    :raises PlanError: the domain has no step limit, or ``episodes`` is below 1.
     :raises PlanCanceled: from ``progress``.
     """
     if episodes < 1:
@@ -130,9 +130,9 @@ def judge_plan(
 
 def summarise_plan(plan: AnyPlan, judged: Performance | None = None) -> PlanSummary:
     """
-    Return what is known of a plan.
+    Return a summary of a plan.
 
-    :param judged: None: it was not played.
+    :param judged: results of evaluation episodes; None: not evaluated.
     """
     solution = plan.solution
     found = PlanSummary(

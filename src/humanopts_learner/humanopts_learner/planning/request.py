@@ -15,7 +15,7 @@ from humanopts_learner.options.learned_option import LearnedOption, OptionError
 HUMAN, PRIMITIVE, HUMAN_AND_PRIMITIVE = 'human', 'primitive', 'human+primitive'
 AUTOMATIC, AUTOMATIC_AND_PRIMITIVE = 'automatic', 'automatic+primitive'
 ACTION_SETS = (HUMAN, PRIMITIVE, HUMAN_AND_PRIMITIVE, AUTOMATIC, AUTOMATIC_AND_PRIMITIVE)
-OPTIONS_ONLY = (HUMAN, AUTOMATIC)  # primitive actions only where no option can start
+OPTIONS_ONLY = (HUMAN, AUTOMATIC)  # primitive actions only if no option can start
 OF_MACHINES = (AUTOMATIC, AUTOMATIC_AND_PRIMITIVE)  # sets of automatic options
 
 TOLERANCE, SAMPLED_TOLERANCE = 1e-8, 1e-3  # reward units
@@ -25,14 +25,14 @@ Clock = Callable[[], float]  # seconds
 
 
 class PlanError(ValueError):
-    """A plan cannot be made; the text says why."""
+    """A plan cannot be made; the message says why."""
 
 
 class NoOptionsError(PlanError):
-    """The action set needs options and there are none."""
+    """The action set needs options, but there are none."""
 
 
-class PlanCanceled(Exception):  # noqa: N818 - no error: raised by a progress callback to stop
+class PlanCanceled(Exception):  # noqa: N818 - not an error: raised by a progress callback to stop
     """Planning was canceled."""
 
 
@@ -44,8 +44,8 @@ class Progress(Protocol):
         Receive the progress.
 
         :param stage: tables, models, sweeps or evaluation.
-        :param fraction: of the stage, 0..1.
-        :param residual: of the last sweep, reward units; NaN before the first.
+        :param fraction: completed fraction of the stage, 0..1.
+        :param residual: residual of the last sweep, reward units; NaN before the first.
         """
 
 
@@ -55,7 +55,7 @@ def ignore_progress(stage: str, fraction: float, sweeps: int, residual: float) -
 
 class Arbitration(StrEnum):
     """
-    How the options of a policy share control; all but the first decide again before each step.
+    Execution of a policy over options; all but the first decide again before each step.
 
     Commands and messages call it the execution of a plan.
     """
@@ -91,17 +91,17 @@ MODULAR = (Arbitration.MODULAR_MASS, Arbitration.MODULAR_STRONGEST)
 @dataclass(frozen=True)
 class Sampling:
     """
-    How samples are drawn, and how plans are made from them.
+    Settings for sampling, and for planning from samples.
 
     :raises PlanError: a number is out of range.
     """
 
-    rounds: int = 8  # rounds of play; all but the first follow the policy so far
-    n_games: int = 1000  # side by side, at most
-    game_steps: int = 400  # smallest number of steps of each game in all
-    explore: float = 0.2  # share of random decisions, from the second round on
-    min_samples: int = 1  # pairs of state and option with fewer are not available
-    interruption_margin: float = 10.0  # reward units that stopping an option must gain
+    rounds: int = 8  # rounds of play; all but the first follow the current policy
+    n_games: int = 1000  # maximum number of parallel games
+    game_steps: int = 400  # minimum number of steps per game in total
+    explore: float = 0.2  # share of random decisions after the first round
+    min_samples: int = 1  # required for a pair of state and option to be available
+    interruption_margin: float = 10.0  # minimum gain for stopping an option, reward units
 
     def __post_init__(self) -> None:
         if min(self.rounds - 1, self.n_games, self.min_samples) < 1:
@@ -115,19 +115,19 @@ class Sampling:
 @dataclass(frozen=True)
 class PlanRequest:
     """
-    The settings of a plan; a number of 0 means the default.
+    Settings of a plan; a number of 0 means the default.
 
-    :raises PlanError: one is out of range.
+    :raises PlanError: a setting is out of range.
     """
 
     action_set: str  # one of ``ACTION_SETS``
     gamma: float = 0.0  # discount per primitive step; default: the domain's own
-    tol: float = 0.0  # of the last sweep, reward units; default: 1e-8 exact, 1e-3 sampled
+    tol: float = 0.0  # tolerance of the residual, reward units; default: 1e-8 exact, 1e-3 sampled
     max_sweeps: int = 0  # default: 10,000
-    game_steps: int = 0  # sampled in all; default: 800,000. Exact models need none: always 0
+    game_steps: int = 0  # total sampled; default: 800,000; always 0 for exact models
     seed: int = 0  # of the samples
     sampling: Sampling = Sampling()
-    columns: tuple[str, ...] = ()  # of sampled abstract states, as of ``Abstraction``
+    columns: tuple[str, ...] = ()  # of sampled abstract states, as in ``Abstraction``
     execution: Arbitration = Arbitration.RUN_TO_END
     """
     How the policy so far is executed while sampling, from the second round on. Where options are
@@ -150,10 +150,10 @@ class PlanRequest:
         """
         Check the request for a domain and its options; return it with defaults filled in.
 
-        :param options: learned ones, or others with a name; ignored in the set ``primitive``.
-        :param sampled: whether models are sampled; None: where the states cannot all be listed.
+        :param options: named options, such as learned ones; ignored in the set ``primitive``.
+        :param sampled: whether models are sampled; None: only if the states cannot all be listed.
         :raises PlanError: the plan cannot be made.
-        :raises NoOptionsError: there are no options, and the action set needs some.
+        :raises NoOptionsError: the action set needs options, but there are none.
         """
         if sampled is None:
             sampled = not is_enumerable(domain)
@@ -188,9 +188,9 @@ class PlanRequest:
 
 def check_limits(tol: float, max_sweeps: int) -> None:
     """
-    Check where sweeps are to end.
+    Check the limits of value iteration.
 
-    :raises PlanError: tol is negative or no number, or max_sweeps is below 1.
+    :raises PlanError: tol is negative or NaN, or max_sweeps is below 1.
     """
     if not tol >= 0.0 or max_sweeps < 1:
         raise PlanError(f'tol is {tol} and max_sweeps {max_sweeps}: need tol >= 0 and a sweep')
@@ -203,15 +203,15 @@ def select_options(
     names: Sequence[str] = (),
 ) -> list[LearnedOption]:
     """
-    Return the options to plan with, in the order given; none for the set ``primitive``.
+    Select the options to plan with, in the given order; none for the set ``primitive``.
 
-    The sets ``automatic`` have the options of participants whose code begins with ``MACHINE``,
-    the sets ``human`` those of all others.
+    The ``automatic`` sets use options of participants with codes that begin with ``MACHINE``, and
+    the ``human`` sets use those of all others.
 
-    :param participant: who taught the options; empty: the only participant there is.
-    :param names: of the options to plan with; empty: all.
-    :raises PlanError: there are several participants and none is named, or a name is unknown.
-    :raises NoOptionsError: the participant has none, and others have.
+    :param participant: participant who taught the options; empty: the only one.
+    :param names: names of the options to plan with; empty: all.
+    :raises PlanError: no participant is given and there are several, or a name is unknown.
+    :raises NoOptionsError: the participant has no options, but others do.
     """
     if action_set == PRIMITIVE:
         return []

@@ -1,7 +1,7 @@
 """
-Planning from samples: rounds of play, each by the policy of the models so far.
+Planning from samples, in rounds of play that follow the policy of the models so far.
 
-The policies choose among the options of an action set, for many games at once.
+The policies choose among the options of an action set, for many games in parallel.
 """
 
 from collections.abc import Sequence
@@ -40,13 +40,14 @@ from numpy.typing import NDArray
 @dataclass(frozen=True)
 class GreedyPolicy(Policy[Observation]):
     """
-    The option of the greatest value among those that can start and were sampled enough.
+    Chooses the option with the highest value among those that can start and have enough samples.
 
-    Where none of those that can start was, it is the option that is the best in most states.
+    If none of those that can start has enough samples, it chooses the one that is best in the most
+    states.
 
-    :ivar values: of the abstract states visited; continuation values where the option cannot
-        start. Where it can, going on is worth as much as choosing it.
-    :ivar execution: of the policy; nothing is drawn in any.
+    :ivar values: option values of the visited abstract states; continuation values where the
+        option cannot start. Where it can, continuing is worth as much as choosing it.
+    :ivar execution: execution of the policy; all are deterministic.
     """
 
     actions: ActionSet
@@ -55,13 +56,13 @@ class GreedyPolicy(Policy[Observation]):
 
     @cached_property
     def preference(self) -> NDArray[np.int64]:
-        """(O,) number of states in which each option is the best."""
+        """(O,) number of states in which each option is best."""
         values = self.values.option_values
         best = values[np.isfinite(values).any(axis=1)].argmax(axis=1)
         return np.bincount(best, minlength=self.actions.first_fallback)
 
     def choose(self, seen: Observation, games: Ints) -> Ints:
-        """Return the next option in each game; of modules the one that acts for a step."""
+        """Return the next option in each game; with modules, the one that acts for one step."""
         row = self._row(seen)
         option_values = self._option_values(seen, row)
         option = self._best(seen, option_values)
@@ -75,7 +76,7 @@ class GreedyPolicy(Policy[Observation]):
         return np.where(known, winner, option)
 
     def best(self, seen: Observation) -> Ints:
-        """Return (N,): the option of the greatest value, whatever the execution."""
+        """Return (N,): the option with the highest value, regardless of the execution."""
         return self._best(seen, self._option_values(seen, self._row(seen)))
 
     def stops(self, seen: Observation, option: Ints) -> Flags | None:
@@ -96,7 +97,7 @@ class GreedyPolicy(Policy[Observation]):
         return stopped
 
     def _best(self, seen: Observation, values: Floats) -> Ints:
-        """Return the best option by its values (N, O), among those that can start there."""
+        """Return the best option by values (N, O), among those that can start."""
         option: Ints = values.argmax(axis=1)
         others = np.flatnonzero(values.max(axis=1) == -np.inf)
         if others.size:
@@ -107,7 +108,7 @@ class GreedyPolicy(Policy[Observation]):
 
     @cached_property
     def _codes(self) -> Codes:
-        """The states (K,), and any number, as unknown states have the place after the last."""
+        """The state codes (K,), and a dummy code, since unknown states map to the last row."""
         return np.append(self.values.states, 0)
 
     @cached_property
@@ -121,13 +122,13 @@ class GreedyPolicy(Policy[Observation]):
         return np.pad(values, ((0, 1), (0, 0)), constant_values=-np.inf)
 
     def _row(self, seen: Observation) -> Ints:
-        """Return (N,): the row of each game's state in the tables."""
+        """Return (N,): the table row of each game's state."""
         place = self.values.states.searchsorted(seen.states)
         unknown = self._codes.take(place) != seen.states
         return np.where(unknown, len(self.values.states), place)
 
     def _option_values(self, seen: Observation, row: Ints) -> Floats:
-        """Return option values (N, O); -inf: the option cannot start, or is not known."""
+        """Return option values (N, O); -inf: the option cannot start, or is unknown."""
         values = self._values.take(row, axis=0)
         np.copyto(values, -np.inf, where=~seen.startable)
         return values
@@ -135,10 +136,10 @@ class GreedyPolicy(Policy[Observation]):
 
 @dataclass(frozen=True)
 class ExploringPolicy(Policy[Observation]):
-    """A greedy policy that sometimes runs a random option that can start, and does not stop it."""
+    """A greedy policy that sometimes runs a random option to its end."""
 
     greedy: GreedyPolicy
-    share: float  # of decisions that explore
+    share: float  # of exploring decisions
     rng: np.random.Generator
 
     def choose(self, seen: Observation, games: Ints) -> Ints:
@@ -155,14 +156,14 @@ class ExploringPolicy(Policy[Observation]):
 @dataclass(frozen=True, kw_only=True)
 class SampledPlan(PolicyPlan):
     """
-    A plan by the values of the abstract states that were visited.
+    A plan based on the values of visited abstract states.
 
-    In the set ``human`` the primitive actions are the fallback where no option can start: the
-    action of the option that could most probably start. They have no models.
+    In the set ``human``, primitive actions are the fallback if no option can start: the action of
+    the option with the highest initiation probability. They have no models.
     """
 
     actions: ActionSet
-    policy: GreedyPolicy  # executed as it was while sampling
+    policy: GreedyPolicy  # executed as while sampling
 
     def _best(self, state: Any) -> int:
         return int(self.policy.best(self.actions.observe_state(state))[0])
@@ -177,7 +178,7 @@ class SampledPlan(PolicyPlan):
         """
         Play episodes in the real game.
 
-        :param execution: how the policy is executed; None: as it was while sampling.
+        :param execution: execution of the policy; None: as while sampling.
         :param progress: called with the stage evaluation.
         """
         policy = replace(self.policy, execution=execution or self.policy.execution)
@@ -196,8 +197,8 @@ def play_games(
     Play games from the start of the task by a policy.
 
     :param episodes: number of episodes, E; the random draws of each depend on E.
-    :param progress: called with the stage evaluation; what it raises passes through.
-    :raises PlanError: the domain never cuts an episode off, or ``episodes`` is below 1.
+    :param progress: called with the stage evaluation; its exceptions propagate.
+    :raises PlanError: the domain has no step limit, or ``episodes`` is below 1.
     """
     domain = actions.domain
     limit = domain.max_steps
@@ -221,10 +222,10 @@ def make_sampled_plan(
     clock: Clock = time.perf_counter,
 ) -> SampledPlan:
     """
-    Plan from samples, in a domain that plays many games at once; rounds get equal parts of them.
+    Plan from samples, split equally into rounds, in a domain that plays many games in parallel.
 
     Parameters and errors are those of ``plan.make_plan``; ``progress`` is called with the stages
-    models and sweeps, anew in each round.
+    models and sweeps in each round.
     """
     asked = request.in_force(domain, options, sampled=True)
     actions = ActionSet(domain, asked.action_set, options, asked.columns)

@@ -1,12 +1,11 @@
 """
-Sampling option models: N games that go on from round to round, their runs counted as samples.
+Sampling of option models from N games that continue from round to round.
 
-Every suffix of a run is counted. A run of option o from s0 to sk, where o could also have started
+Every suffix of a run is a sample. A run of option o from s0 to sk, where o could also have started
 at s1, .., sk-1, is a sample of running it from each of those states too, since a Markov option
 does not depend on earlier states (Precup 2000, chapter 4). From a state where o could not have
-started, it is a sample of continuing o there. Runs that are cut off (by ``max_steps``, the length
-of an episode, or the end of the sampling) and runs that the policy stops count as ended where they
-were.
+started, it is a sample of continuing o. Runs that are cut off (by ``max_steps``, the episode's
+step limit, or the end of sampling) or stopped by the policy count as ended in their last state.
 """
 
 from collections.abc import Callable, Sequence
@@ -23,33 +22,33 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array
 
-BLOCK = 1_000_000  # game steps that are kept before they are counted
+BLOCK = 1_000_000  # number of game steps buffered before counting
 
 
 @dataclass(frozen=True)
 class Samples:
     """M finished runs, or final parts of runs."""
 
-    state: Codes  # (M,) abstract state where it began
-    option: NDArray[np.integer]  # (M,) index of the model
+    state: Codes  # (M,) initial abstract state
+    option: NDArray[np.integer]  # (M,) model index
     reward: Floats  # (M,) sum of gamma**i * r[i], i = 0..k-1
-    discount: Floats  # (M,) gamma**k; 0 where the task was over
-    successor: Codes  # (M,) abstract state where it ended
+    discount: Floats  # (M,) gamma**k; 0 if the task was over
+    successor: Codes  # (M,) final abstract state
 
 
 class SampleCounts:
     """
     Sums over the samples of S abstract states and O options.
 
-    :ivar states: (S,) codes of the abstract states, in the order of the first visits.
+    :ivar states: (S,) codes of the abstract states, in order of first visit.
     """
 
     def __init__(self, names: tuple[str, ...], choosable: int = 0) -> None:
         """
-        Begin without samples.
+        Start without samples.
 
-        :param names: of the models, (O,).
-        :param choosable: the number of them, from the first, that can be chosen; 0: all.
+        :param names: names of the models, (O,).
+        :param choosable: number of leading models that can be chosen; 0: all.
         """
         self.names, self._choosable = names, choosable or len(names)
         self.states: Codes = np.empty(0, dtype=np.int64)
@@ -57,7 +56,7 @@ class SampleCounts:
         self._rows: SparseRows = csr_array((0, 0))
 
     def add(self, samples: Samples) -> None:
-        """Add samples, of states that are known or new."""
+        """Add samples of known or new states."""
         old, (count, _) = len(self.states), self._count.shape
         codes = np.concatenate([samples.state, samples.successor])
         self.states = np.append(self.states, np.setdiff1d(codes, self.states))
@@ -82,13 +81,13 @@ class SampleCounts:
         """
         Return the mean of the samples.
 
-        Pairs of state and option with fewer than ``min_samples`` are not available. States without
+        Pairs of state and option with fewer than ``min_samples`` are unavailable. States without
         an available pair that can be chosen have no value: samples that end there count as if they
-        had ended like the other samples of their pair, and pairs with no other samples are not
-        available.
+        had ended like the other samples of their pair; pairs without other samples are
+        unavailable.
         """
         enough = self._count >= max(min_samples, 1)
-        pairs = np.flatnonzero(enough)  # the others are many, and are not looked at
+        pairs = np.flatnonzero(enough)  # skip the others, which are many
         rows = self._rows[pairs]
         total = rows.sum(axis=1)
         left = np.ones(len(pairs), dtype=np.bool_)
@@ -115,10 +114,10 @@ class SampleCounts:
 
 def samples_of(steps: Sequence[tuple[Any, ...]], gamma: float) -> Samples:
     """
-    Return every suffix of every run, by one pass backwards.
+    Return every suffix of every run, in one backward pass.
 
-    :param steps: of N games, (N,) each: abstract state, model of the option, whether it is
-        sampled, reward, whether the run ended, whether the task is over, abstract state after it.
+    :param steps: steps of N games, (N,) each: abstract state, model of the option, whether it is
+        sampled, reward, whether the run ended, whether the task is over, next abstract state.
     """
     state, option, sampled, reward, ended, over, successor = map(np.array, zip(*steps))
     discount = np.where(over, 0.0, gamma)
@@ -131,7 +130,7 @@ def samples_of(steps: Sequence[tuple[Any, ...]], gamma: float) -> Samples:
 
 
 class Sampler:
-    """N games that continue from round to round; their runs are counted as samples."""
+    """N games that continue from round to round, with their runs counted as samples."""
 
     def __init__(
         self,
@@ -154,9 +153,9 @@ class Sampler:
         """
         Continue by a policy, and count the runs.
 
-        :param steps: game steps in all, rounded down to whole steps of all games.
-        :param on_steps: called with the game steps so far.
-        :return: game steps taken.
+        :param steps: total number of game steps, rounded down to a multiple of N.
+        :param on_steps: called with the number of game steps so far.
+        :return: number of game steps taken.
         """
         n_games = len(self._age)
         left, done = steps // n_games, 0
@@ -172,9 +171,9 @@ class Sampler:
 
     def _step(self, execution: Execution[Observation]) -> tuple[Any, ...]:
         """
-        Take one step in every game; those that are over or cut off then begin again.
+        Take one step in every game, and restart those that are over or cut off.
 
-        :return: as ``samples_of`` takes it.
+        :return: an element of ``steps`` in ``samples_of``.
         """
         fallback, before = self._actions.first_fallback, self._seen
         actions = execution.act(before)
@@ -190,6 +189,6 @@ class Sampler:
         self._seen = self._actions.see(self._games)
         execution.observe(self._seen, steps, cut_off)
         model = np.where(inside, option, option + fallback)
-        # The successor of a game that is over does not count.
+        # The successor is irrelevant if a game is over.
         after, ended = (left or self._seen).states, execution.option == NONE
         return before.states, model, option < fallback, steps.reward, ended, steps.over, after

@@ -1,9 +1,9 @@
 """
 SMDP value iteration: synchronous, over options (Sutton, Precup and Singh 1999, section 3.1).
 
-In a sampled model many states are never a successor: runs only passed through them. No value
-depends on theirs, so sweeps leave them out, and their values are computed at the end. All numbers
-are the same as if they had been swept.
+In a sampled model, many states are never a successor: runs only pass through them. No value
+depends on theirs, so sweeps skip them, and their values are computed at the end. The results are
+the same as with full sweeps.
 """
 
 from collections.abc import Callable
@@ -21,7 +21,7 @@ from scipy.sparse import csr_array
 
 OnSweep = Callable[[int, float], bool | None]
 Sweep = Callable[[Floats, Floats], float]
-COMPILED_FROM = 1_000_000  # state-option pairs; sweeps over fewer end before Numba is loaded
+COMPILED_FROM = 1_000_000  # state-option pairs; with fewer, sweeps end before Numba is loaded
 _FLOATS, _TABLE = 'float64[::1]', 'float64[:, ::1]'
 _SIGNATURE = f'float64(uint32[:, ::1], {_TABLE}, {_TABLE}, float64, {_FLOATS}, {_FLOATS})'
 
@@ -30,8 +30,8 @@ _SIGNATURE = f'float64(uint32[:, ::1], {_TABLE}, {_TABLE}, float64, {_FLOATS}, {
 class Solution:
     """The result of value iteration."""
 
-    values: Floats  # (S,), 0 where no option is available
-    best: NDArray[np.int32]  # (S,) greedy option index, the lowest of equals; -1: none available
+    values: Floats  # (S,), 0 if no option is available
+    best: NDArray[np.int32]  # (S,) greedy option index, lowest on ties; -1: none available
     sweeps: int
     residual: float  # largest change of the last sweep, reward units
     converged: bool  # residual is at most tol
@@ -41,9 +41,9 @@ def _sweep_of(model: MultiTimeModel, n_choices: int) -> tuple[Ints, Sweep]:
     """
     Prepare the sweeps over a model.
 
-    :return: the states (R,) that are swept, and the sweep: from their old values (R + 1,), the
-        last of which is the end of the task, 0, it writes the new ones, and returns the largest
-        change.
+    :return: the states (R,) to sweep, and the sweep: a function of their old values (R + 1,), with
+        the last one, 0, for the end of the task, that writes the new values and returns the
+        largest change.
     """
     available, reward = model.available[:, :n_choices], model.reward[:, :n_choices]
     worth_it = compiled_sweep.cache_info().currsize or reward.size >= COMPILED_FROM
@@ -52,8 +52,8 @@ def _sweep_of(model: MultiTimeModel, n_choices: int) -> tuple[Ints, Sweep]:
         return np.arange(len(reward)), lambda old, new: compiled(*tables, old, new)
     swept = np.zeros(len(reward), dtype=np.bool_)
     swept[model.rows.indices[: model.rows.indptr[reward.size]]] = True
-    # Layer k has the k-th available option of each state that has one. Rows of equal length one
-    # after another are multiplied in a third of the time.
+    # Layer k has the k-th available option of each state that has one. Multiplying consecutive
+    # rows of equal length is three times as fast.
     count, length = available.sum(axis=1), np.diff(model.rows.indptr)
     first = length[available.argmax(axis=1) * len(reward) + np.arange(len(reward))]
     order = np.lexsort((first, -count))
@@ -82,11 +82,11 @@ def _sweep_of(model: MultiTimeModel, n_choices: int) -> tuple[Ints, Sweep]:
 
 
 def _single_successors(model: MultiTimeModel, available: Flags, reward: Floats) -> tuple[Any, ...]:
-    """Return the tables of ``_sweep_states``, where no pair has more than one successor."""
+    """Return the tables of ``_sweep_states``, if each pair has at most one successor."""
     shape, rows = reward.T.shape, model.rows
     end = rows.indptr[reward.size]
     successor, discount = rows.indices[:end], rows.data[:end]
-    if end < reward.size:  # some pairs have none
+    if end < reward.size:  # some pairs have no successor
         has = np.diff(rows.indptr[: reward.size + 1]) == 1
         successor, discount = np.zeros(len(has), dtype=np.int32), np.zeros(len(has))
         successor[has], discount[has] = rows.indices[:end], rows.data[:end]
@@ -95,7 +95,7 @@ def _single_successors(model: MultiTimeModel, available: Flags, reward: Floats) 
     successor = np.where(nothing, np.int32(len(reward)), successor)
     rewards = np.array(reward, order='C')
     np.copyto(rewards, -np.inf, where=~available)
-    rewards[~available.any(axis=1), 0] = 0.0  # nothing follows there, so their value stays 0
+    rewards[~available.any(axis=1), 0] = 0.0  # no option available, so the value stays 0
     if (nothing | (discount == common)).all():
         discount = np.empty((0, 0))
     else:
@@ -113,12 +113,13 @@ def _sweep_states(
     new: Floats,
 ) -> float:
     """
-    Sweep over states in order; ``compiled_sweep`` makes machine code of it.
+    Sweep over states in order; ``compiled_sweep`` compiles it to machine code.
 
-    :param successor: (S, O), S: the end of the task. Unsigned numbers need no check of their sign.
-    :param reward: (S, O), -inf: the option is not available.
-    :param discount: (S, O); of size 0 where all options are discounted by ``common``.
-    :param old: (S + 1,), the last is the end of the task, 0; as ``new``.
+    :param successor: (S, O), S: the end of the task. Unsigned indices need no sign check.
+    :param reward: (S, O), -inf: the option is unavailable.
+    :param discount: (S, O); size 0: all options are discounted by ``common``.
+    :param old: (S + 1,), old values; the last one, 0, is the end of the task.
+    :param new: (S + 1,), new values, likewise.
     """
     residual = 0.0
     for state in range(len(successor)):
@@ -137,18 +138,18 @@ def _sweep_states(
 @cache
 def compiled_sweep() -> Callable[..., float] | None:
     """
-    Return ``_sweep_states`` as machine code, or None where Numba cannot be imported.
+    Return ``_sweep_states`` as machine code, or None if Numba cannot be imported.
 
-    The first call on a machine compiles it, for some seconds, and keeps it on disk; the first call
-    of a process loads it, in less than a second.
+    The first call on a machine compiles it, which takes some seconds, and caches it on disk. The
+    first call in a process loads it in less than a second.
     """
     try:
         from numba import njit
-    except ImportError:  # also where the two libraries' versions do not fit
+    except ImportError:  # also if library versions are incompatible
         return None
     try:
         compiled: Callable[..., float] = njit(_SIGNATURE, cache=True)(_sweep_states)
-    except RuntimeError:  # there is no folder to keep it in
+    except RuntimeError:  # no writable cache folder
         compiled = njit(_SIGNATURE)(_sweep_states)
     return compiled
 
@@ -161,15 +162,14 @@ def solve_smdp(
     n_choices: int = 0,
 ) -> Solution:
     """
-    Return the best value of every state, from values of 0.
+    Return the optimal value of every state, starting from values of 0.
 
-    :param tol: largest change allowed in the last sweep, in reward units.
-    :param max_sweeps: 1 or more.
-    :param on_sweep: called with the number of sweeps and the residual after each, which is that of
-        the states that are swept; returning True ends the work early, and what it raises passes
-        through.
-    :param n_choices: number of options, from the first, that can be chosen; 0: all.
-    :raises PlanError: tol is negative or no number, or max_sweeps is below 1.
+    :param tol: maximum change in the last sweep, in reward units.
+    :param max_sweeps: maximum number of sweeps, 1 or more.
+    :param on_sweep: called after each sweep with the number of sweeps and the residual over the
+        swept states; returning True stops early, and its exceptions propagate.
+    :param n_choices: number of leading options that can be chosen; 0: all.
+    :raises PlanError: tol is negative or NaN, or max_sweeps is below 1.
     """
     check_limits(tol, max_sweeps)
     n_choices = n_choices or len(model.names)
@@ -180,7 +180,7 @@ def solve_smdp(
         return look_ahead(model, values)[:, :n_choices]
 
     def everywhere(values: Floats, before: Floats) -> Floats:
-        """Return the values (S,) of all states, by those of the last two sweeps."""
+        """Return the values (S,) of all states, from those of the last two sweeps."""
         known = np.zeros(len(live))
         known[states] = values[:-1]
         if len(states) < len(live):
@@ -195,13 +195,13 @@ def solve_smdp(
         stop = on_sweep is not None and on_sweep(sweeps, residual)
         if stop or residual <= tol or sweeps == max_sweeps:
             found = everywhere(values, before)
-            if len(states) < len(live):  # the others may have changed by more
+            if len(states) < len(live):  # skipped states may have changed by more
                 old = everywhere(before, earlier) if sweeps > 1 else 0.0
                 residual = float(np.abs(found - old).max())
             if stop or residual <= tol:
                 break
     best, greatest = np.full(len(live), -1, dtype=np.int32), np.full(len(live), -np.inf)
-    for option, worth in enumerate(ahead(found).T):  # argmax would copy the table
+    for option, worth in enumerate(ahead(found).T):  # since argmax would copy the table
         best[worth > greatest] = option
         np.maximum(greatest, worth, out=greatest)
     return Solution(found, best, sweeps, residual, residual <= tol)
@@ -209,7 +209,7 @@ def solve_smdp(
 
 def value_history(model: MultiTimeModel, tol: float = 1e-8, max_sweeps: int = 1000) -> Floats:
     """
-    Return the values after each sweep, (sweeps + 1, S), from 0 to the final ones.
+    Return the values after each sweep, (sweeps + 1, S), from the initial 0 to the final ones.
 
     :raises PlanError: as ``solve_smdp``.
     """
