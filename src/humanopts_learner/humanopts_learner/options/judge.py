@@ -258,9 +258,9 @@ def held_out_shortfall(
 
     As long as a run takes the demonstrated actions, it gets the same random outcomes (common
     random numbers), so chance makes no difference between equal steps; it diverges where the
-    option first acts or ends differently. The limits are those of the mean over demonstrations by Student's t.
-    Without chance, the limits are the mean itself, and exceeding one demonstration does not
-    compensate for falling short of another.
+    option first acts or ends differently. The limits are those of the mean over demonstrations by
+    Student's t. Without chance, the limits are the mean itself, and exceeding one demonstration
+    does not compensate for falling short of another.
     """
     demos, limit = data.trajectories, held_out_limits(data, options[0])
     fold = folds[[demo.kind is Kind.TRAJECTORY for demo in data.demonstrations]]
