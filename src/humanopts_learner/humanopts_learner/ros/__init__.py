@@ -1,3 +1,3 @@
 """ROS nodes of learning and planning. Only modules here and ``convert`` may import rclpy."""
 
-LEARNER, OPTION_SERVER, PLANNER = 'learner', 'option_server', 'planner'  # names of the nodes
+LEARNER, OPTION_SERVER, PLANNER = 'learner', 'option_server', 'planner'  # node names

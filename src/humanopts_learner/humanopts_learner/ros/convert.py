@@ -1,4 +1,4 @@
-"""Conversion between messages and the values of learning and planning."""
+"""Conversion between messages and Python values for learning and planning."""
 
 from array import array
 from typing import Any, TYPE_CHECKING
@@ -13,7 +13,7 @@ from humanopts_ros.codec import Codec
 import numpy as np
 from numpy.typing import NDArray
 
-if TYPE_CHECKING:  # slow to import, and terminals convert none of them
+if TYPE_CHECKING:  # slow to import, and not needed by terminals
     from humanopts_learner.planning.exact_plan import Coverage
     from humanopts_learner.planning.interruption import OptionValues
     from humanopts_learner.planning.plan import AnyPlan, Performance
@@ -26,7 +26,7 @@ _SUMMARY = Codec(
     computed=['criteria_met'],
     parts={'criteria': (_CRITERION.encode, _CRITERION.decode)},
 )
-# None is sent as NaN; confidence limits are not sent.
+# None is sent as NaN; confidence limits are omitted.
 summary_to_message, summary_from_message = _SUMMARY.encode, _SUMMARY.decode
 _DEMONSTRATION = Codec(
     Demonstration, msg.Demonstration, of_value=['features'], of_message=['features']
@@ -45,7 +45,7 @@ PLAN_RESULT = Codec(
 
 
 def demonstration_to_message(demo: Demonstration) -> msg.Demonstration:
-    """Encode a demonstration; header, publisher_id and sequence are left to the publisher."""
+    """Encode a demonstration; the publisher fills header, publisher_id and sequence."""
     return _DEMONSTRATION.encode(demo, features=[value for row in demo.features for value in row])
 
 
@@ -55,7 +55,7 @@ def plan_to_message(
     """
     Encode the result of planning, with the returns of the plan's evaluation episodes.
 
-    :param coverage: None: not known.
+    :param coverage: coverage of the plan; None: unknown.
     """
     from humanopts_learner.planning.exact_plan import ExactPlan
     from humanopts_learner.planning.plan import summarise_plan
@@ -82,7 +82,7 @@ def plan_to_message(
 
 
 def plan_from_message(message: msg.PlanResult) -> PlanSummary:
-    """Decode what is known of a plan."""
+    """Decode the summary of a plan."""
     parts = message.outcome_means, message.outcome_low, message.outcome_high
     intervals = [Interval(*each) for each in zip(*parts, strict=True)]
     return PLAN_RESULT.decode(
@@ -93,7 +93,7 @@ def plan_from_message(message: msg.PlanResult) -> PlanSummary:
 def option_values_to_message(
     values: 'OptionValues', plan_id: str, participant: str
 ) -> msg.OptionValues:
-    """Encode the values for arbitration; arrays are sent as bytes, since they may be large."""
+    """Encode the values for arbitration; arrays are sent as bytes, because they may be large."""
 
     def packed(code: str, table: NDArray[Any]) -> 'array[Any]':
         return array(code, np.ascontiguousarray(table).tobytes())
@@ -115,7 +115,7 @@ def option_values_from_message(message: msg.OptionValues) -> 'OptionValues':
     """
     Decode the values for arbitration.
 
-    :raises PlanError: the parts contradict each other.
+    :raises PlanError: the message is inconsistent.
     """
     from humanopts_learner.planning.interruption import OptionValues
 

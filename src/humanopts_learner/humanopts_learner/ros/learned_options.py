@@ -1,4 +1,4 @@
-"""Options on the graph, one message for each that has changed."""
+"""Publishing and subscribing to options, with one message per changed option."""
 
 from collections.abc import Callable, Mapping
 
@@ -8,14 +8,14 @@ from humanopts_learner.options.learned_option import LearnedOption, OptionError
 from humanopts_ros.node_base import NodeBase
 from humanopts_ros.qos import STREAM
 
-_GATHERING = 0.1  # s for which publishing waits, to serve several new subscribers at once
-_MAX_LIVES = 4  # number of publisher_ids for which options are kept
+_GATHERING = 0.1  # s to delay publishing, to serve several new subscribers together
+_MAX_LIVES = 4  # maximum number of publisher_ids with stored options
 Key = tuple[str, str]  # participant and name of an option
 
 
 class OptionPublisher:
     """
-    Publishes options that have changed, and all of them for each new subscriber.
+    Publishes changed options, and all options for each new subscriber.
 
     :ivar sequence: of the last message; 0: none was sent.
     """
@@ -31,15 +31,15 @@ class OptionPublisher:
 
     @property
     def sequence(self) -> int:
-        """The sequence of the last message; 0: none was sent."""
+        """Sequence of the last message; 0: none sent."""
         return self._publisher.sequence
 
     def publish(self, files: Mapping[Key, str]) -> None:
         """
-        Publish what has changed since the last call.
+        Publish the changes since the last call.
 
-        :param files: the contents of all option files; missing ones were removed.
-        :raises PublishError: a message could not be sent; the next call sends it.
+        :param files: contents of all option files; missing options were removed.
+        :raises PublishError: a message could not be sent; the next call retries.
         """
         first, self._files = self._files is None, dict(files)
         for key in [*(self._sent.keys() - files.keys()), *files]:
@@ -67,7 +67,7 @@ class OptionPublisher:
 
 
 class OptionSubscriber:
-    """The options of a topic, reported whenever all of them have arrived."""
+    """Receives the options of a topic, and reports them once all have arrived."""
 
     def __init__(
         self,
@@ -78,19 +78,19 @@ class OptionSubscriber:
         """
         Subscribe.
 
-        :param use: called with the options, a new list where any has changed, and the message that
+        :param use: called with the options, in a new list if any has changed, and the message that
             completed them.
         """
         self._node, self._topic, self._use = node, topic, use
         # By publisher_id, so that a foreign message cannot replace the publisher's options; None:
-        # it cannot be read.
+        # unreadable.
         self._lives: dict[str, dict[Key, LearnedOption | None]] = {}
         self._options: list[LearnedOption] = []
         node.create_subscription(OptionMessage, topic, self._read, STREAM)
 
     def _read(self, message: OptionMessage) -> None:
         known = self._lives.pop(message.publisher_id, {})
-        self._lives[message.publisher_id] = known  # the last one
+        self._lives[message.publisher_id] = known  # move to the end
         if len(self._lives) > _MAX_LIVES:
             del self._lives[next(iter(self._lives))]
         key = message.participant, message.name

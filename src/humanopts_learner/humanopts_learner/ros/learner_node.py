@@ -1,4 +1,4 @@
-"""The node ``learner``, which fits and judges an option after every demonstration."""
+"""The node ``learner``, which fits and evaluates an option after every demonstration."""
 
 from functools import partial
 import math
@@ -22,7 +22,7 @@ from humanopts_ros.qos import LATCHED, STREAM
 
 
 class LearnerNode(NodeBase):
-    """Stores demonstrations, and publishes the options that are learned from them."""
+    """Stores demonstrations, and publishes the options learned from them."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__(LEARNER, **options)
@@ -61,7 +61,7 @@ class LearnerNode(NodeBase):
         return None if self._trainer else 'domain_info'
 
     def on_ready(self) -> None:
-        """Publish the options of earlier sessions."""
+        """Publish the options from earlier sessions."""
         if self._trainer is not None:
             self._publish(self._trainer)
 
@@ -89,13 +89,13 @@ class LearnerNode(NodeBase):
             self.refuse('demonstrations', message, error)
         except DataSetError as error:
             receipt.status, receipt.detail = receipt.STATUS_REFUSED, str(error)
-        except Exception as error:  # unforeseen; the lesson waits for a receipt
+        except Exception as error:  # unexpected; the lesson is waiting for a receipt
             receipt.status = receipt.STATUS_REFUSED
             receipt.detail = self.guard.caught('learning', error)
         self._receipts.publish(receipt)
 
     def _log_problems(self, trainer: OptionTrainer) -> None:
-        """Log new errors in the folder since the last call."""
+        """Log errors in the folder that are new since the last call."""
         while trainer.problems:
             self.get_logger().warning(trainer.problems.pop(0))
 

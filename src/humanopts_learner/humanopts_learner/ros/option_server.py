@@ -1,4 +1,4 @@
-"""The node ``option_server``, which runs learned options, and answers queries about them."""
+"""The node ``option_server``, which runs learned options and answers queries about them."""
 
 from functools import partial
 from itertools import chain
@@ -33,13 +33,13 @@ _DONE = (
     OptionResult.STATUS_STOPPED_BY_PLAN,
 )
 _LEARNED = 'learned_options'  # the topic
-_FAREWELL = 0.5  # s to answer the client of the current run when the node ends
+_FAREWELL = 0.5  # s to answer the client of the current run on shutdown
 
 
 class OptionServerNode(NodeBase):
     """
-    Serves the options that ``learner`` publishes, and until then those in the option files. It
-    also serves the automatic options of ``planner``.
+    Serves the options published by ``learner``, or those in option files until they arrive, and
+    the automatic options of ``planner``.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -93,7 +93,7 @@ class OptionServerNode(NodeBase):
         self._serve()
 
     def _serve(self) -> None:
-        """Serve the options that fit the game, once it is known, and report the others."""
+        """Serve the options that fit the game, once it is known, and log the others."""
         for fault in self._runner.serve(chain(*self._options.values())):
             self.get_logger().warning(f'not served: {fault}')
 

@@ -1,4 +1,4 @@
-"""The planner's actions: their common server, planning, and the search for options."""
+"""The planner's actions: common action server, planning, and search for options."""
 
 from collections.abc import Callable
 import concurrent.futures
@@ -57,29 +57,29 @@ class MadePlan:
 
     plan: AnyPlan
     plan_id: str
-    participant: str  # the request that it answers
+    participant: str  # of the request
     known_options: list[LearnedOption]
 
 
 @dataclass
 class PlannerState:
-    """The state of the planner; a list of options is replaced, never changed."""
+    """The state of the planner; lists of options are replaced, never modified."""
 
     domain: ActableDomain | None = None
     taught: list[LearnedOption] = field(default_factory=list)
-    taught_sequence: int = 0  # of the message that completed them
+    taught_sequence: int = 0  # of the message that completed the options
     automatic: list[LearnedOption] = field(default_factory=list)
     plans: dict[tuple[str, str], MadePlan] = field(default_factory=dict)  # set, participant
-    pool: ThreadPoolExecutor = field(default_factory=ThreadPoolExecutor)  # for long work
-    stopping: bool = False  # set when the node ends
+    pool: ThreadPoolExecutor = field(default_factory=ThreadPoolExecutor)  # for long computations
+    stopping: bool = False  # set on shutdown
 
     def options(self, action_set: str) -> list[LearnedOption]:
-        """Return the options of an action set; a new list whenever they change."""
+        """Return the options of an action set, in a new list whenever they change."""
         return self.automatic if action_set in OF_MACHINES else self.taught
 
 
 async def in_thread(node: NodeBase, pool: ThreadPoolExecutor, work: Callable[[], T]) -> T:
-    """Run a function in a worker thread; return its result or raise its error."""
+    """Run a function in a worker thread, and return its result or raise its exception."""
     executor = node.executor
     assert executor is not None, 'a callback of the node waits for this'
     done = Future(executor=executor)
@@ -94,7 +94,7 @@ async def in_thread(node: NodeBase, pool: ThreadPoolExecutor, work: Callable[[],
 
 
 class GoalError(Exception):
-    """A goal ends early; ``status`` is the name of a STATUS constant of its result."""
+    """A goal ends early; ``status`` is the name of a STATUS constant of the result."""
 
     def __init__(self, status: str, detail: str) -> None:
         super().__init__(detail)
@@ -103,17 +103,17 @@ class GoalError(Exception):
 
 class GoalServer:
     """
-    An action, one goal at a time; goals and results are published, also results of refusals.
+    An action server for one goal at a time, which publishes goals and results, even of refusals.
 
-    :ivar busy: whether a goal is executed.
+    :ivar busy: whether a goal is being executed.
     """
 
     kind: Any  # type of the action
     name: str  # of the action
-    topics: str  # how the names of its topics of goals and results begin
-    goal_kind: Any  # type of the messages on these topics, as ``result_kind``
+    topics: str  # common prefix of its topics for goals and results
+    goal_kind: Any  # message type of these topics, as ``result_kind``
     result_kind: Any
-    occupation: str  # of "the planner is at work on another ..."
+    occupation: str  # noun in "the planner is at work on another ..."
 
     def __init__(self, node: NodeBase, group: CallbackGroup, state: PlannerState) -> None:
         self.busy = False
@@ -123,20 +123,20 @@ class GoalServer:
         node.recorded_action(self.kind, self.name, self._execute, group, self.on_cancel)
 
     def blank(self, goal: Any) -> Any:
-        """Return an empty result, for a goal that is refused."""
+        """Return an empty result for a refused goal."""
         raise NotImplementedError
 
     async def work(self, handle: ServerGoalHandle, domain: Domain[Any], result: Any) -> Any:
         """
         Execute a goal, and return its result.
 
-        :param result: of ``blank``; filled in, it is also the result where an error is raised.
+        :param result: result of ``blank``, to be filled in; also used if an error is raised.
         :raises GoalError: the goal ends early; PlanError, DomainError: it cannot be executed.
         """
         raise NotImplementedError
 
     def on_cancel(self, handle: ServerGoalHandle) -> None:
-        """Handle a cancel request, just before the goal is canceling."""
+        """Handle a cancel request, just before the goal state becomes canceling."""
 
     async def _execute(self, handle: ServerGoalHandle) -> Any:
         result, status = self.blank(handle.request), ''
@@ -152,7 +152,7 @@ class GoalServer:
             status, result.detail = 'CANCELED', 'canceled by the client'
             if self._state.stopping:
                 status, result.detail = 'FAILED', 'the planner stops'
-        except Exception as error:  # such as too little memory for the tables
+        except Exception as error:  # such as insufficient memory for the tables
             status, result.detail = 'FAILED', repr(error)
         if status:
             result.status = getattr(result, f'STATUS_{status}')
@@ -175,9 +175,9 @@ class GoalServer:
 
     def progress(self, handle: ServerGoalHandle, *measured: str) -> Callable[..., None]:
         """
-        Return a function that publishes feedback at the start of a stage and at intervals.
+        Return a function that publishes feedback at the start of a stage and periodically.
 
-        :param measured: fields of the feedback, after its stage.
+        :param measured: feedback fields after the stage.
         """
         known, due = '', 0.0
 
@@ -249,7 +249,7 @@ class PlanServer(GoalServer):
 
 
 class ExtractionServer(GoalServer):
-    """Searches for options; those of a participant replace the participant's older ones."""
+    """Searches for options; new options replace older ones of the same participant."""
 
     kind, name, topics = ExtractOptions, 'extract_options', 'extraction'
     goal_kind, result_kind = ExtractionGoal, ExtractionResult

@@ -1,4 +1,4 @@
-"""The node ``planner``: SMDP value iteration, and acting by the resulting policy over options."""
+"""The node ``planner``: SMDP value iteration, and execution of policies over options."""
 
 from functools import partial
 import sys
@@ -16,11 +16,11 @@ from humanopts_ros.node_base import NodeBase
 from humanopts_ros.process import run_node
 from rclpy.callback_groups import ReentrantCallbackGroup
 
-_FAREWELL = 1.0  # s to answer the clients of current goals when the node ends
+_FAREWELL = 1.0  # s to answer the clients of current goals on shutdown
 
 
 class PlannerNode(NodeBase):
-    """Plans and searches for options in worker threads; plays through the option server."""
+    """Plans and searches for options in worker threads; plays via ``option_server``."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__(PLANNER, **options)

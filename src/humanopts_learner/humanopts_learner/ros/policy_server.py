@@ -1,4 +1,4 @@
-"""Acting by the policies of plans: the action run_policy, and changes of its execution."""
+"""Running the policies of plans: the action run_policy, and changes of its execution."""
 
 from dataclasses import dataclass
 import math
@@ -33,8 +33,8 @@ from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import CallbackGroup
 
 _RESET_SECONDS = 5.0  # s to wait for an answer
-# To wait for a run: modules may run for a whole paced episode; the server itself does not wait
-# long for the game.
+# Timeout of a run: modules may run for a whole paced episode. The server itself uses a short
+# timeout for the game.
 _RUN_SECONDS = 86_400.0
 _GO_ON = (
     OptionResult.STATUS_REACHED,
@@ -47,23 +47,23 @@ _GO_ON = (
 
 @dataclass
 class _PolicyRun:
-    """The policy run that is in progress."""
+    """The current policy run."""
 
     handle: ServerGoalHandle
     made: MadePlan
     execution: Arbitration
     result: PolicyResult
-    limit: int  # decisions in an episode
-    execution_sequence: int = 0  # of the ExecutionState with the execution
+    limit: int  # maximum number of decisions per episode
+    execution_sequence: int = 0  # of the current ExecutionState
 
 
 class PolicyServer(GoalServer):
     """
     Plays episodes by the newest plans, one policy at a time.
 
-    Game begins the episodes, and option_server runs the options. Option values are sent to
-    option_server when a policy needs them, and option_server decides which option acts. The
-    execution can be changed here at any time, and takes effect from the next action on.
+    ``game`` begins the episodes, and ``option_server`` runs the options. Option values are sent to
+    ``option_server`` when a policy needs them, so that it can decide which option acts. The
+    execution can be changed at any time, and takes effect with the next action.
     """
 
     kind, name, topics = RunPolicy, 'run_policy', 'policy'
@@ -81,7 +81,7 @@ class PolicyServer(GoalServer):
         node.recorded_service(SetExecution, 'set_execution', self._on_set, group)
 
     def stop(self) -> None:
-        """End the run, because the node ends."""
+        """End the run on shutdown."""
         if self._run is not None:
             self._publish_execution(self._run, canceled=True)
 
@@ -118,7 +118,7 @@ class PolicyServer(GoalServer):
         """
         Play all episodes.
 
-        :raises GoalError: the run ends before that.
+        :raises GoalError: the run ends early.
         """
         result = run.result
         result.run_id = str(uuid.uuid4())
@@ -159,9 +159,9 @@ class PolicyServer(GoalServer):
 
     async def _play_episode(self, run: _PolicyRun, start: Any, seed: int) -> tuple[float, float]:
         """
-        Play an episode; return its return and its discounted return.
+        Play an episode, and return its undiscounted and discounted return.
 
-        :raises GoalError: or PlanCanceled: the run ends before the episode does.
+        :raises GoalError: or PlanCanceled: the run ends before the episode.
         """
         plan, result = run.made.plan, run.result
         begin = ResetGame.Request(
@@ -238,13 +238,13 @@ class PolicyServer(GoalServer):
         """
         Check that the run should continue.
 
-        :raises PlanCanceled: its client has canceled it, or the node ends.
+        :raises PlanCanceled: the client has canceled it, or the node is shutting down.
         """
         if run.handle.is_cancel_requested or self._state.stopping:
             raise PlanCanceled
 
     async def _publish_values(self, made: MadePlan) -> None:
-        """Send option_server the values for arbitration by a plan, unless it has them."""
+        """Send the values for arbitration to ``option_server``, unless it has them."""
         if self._published == made.plan_id:
             return
         plan = made.plan
@@ -261,7 +261,7 @@ class PolicyServer(GoalServer):
     def _publish_execution(
         self, run: _PolicyRun, previous: str = '', *, canceled: bool = False
     ) -> None:
-        """Publish the execution of the run, or that it is to end at once."""
+        """Publish the execution of the run, or its cancellation."""
         self._executions.publish(
             ExecutionState(
                 run_id=run.result.run_id,
@@ -275,7 +275,7 @@ class PolicyServer(GoalServer):
             run.execution_sequence = self._executions.sequence
 
     def on_cancel(self, handle: ServerGoalHandle) -> None:
-        """Stop the running option or modules, so that the policy run ends at once."""
+        """Stop the running option or modules, so that the policy run ends immediately."""
         if self._run is not None and self._run.handle is handle:
             self._publish_execution(self._run, canceled=True)
 
@@ -293,7 +293,7 @@ class PolicyServer(GoalServer):
         except RefusedError as error:
             response.status, response.detail = response.STATUS_BAD_REQUEST, str(error)
             return response
-        except Exception as error:  # such as too little memory for the values
+        except Exception as error:  # such as insufficient memory for the values
             response.status, response.detail = response.STATUS_FAILED, repr(error)
             return response
         if run is None or self._run is not run:

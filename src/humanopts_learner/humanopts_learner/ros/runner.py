@@ -1,7 +1,7 @@
 """
-The runner, which executes one run at a time over the graph, in lock-step with game.
+The runner, which executes one run at a time over the graph, in lock-step with ``game``.
 
-It receives the option values of the policy that ``planner`` runs, and the execution in force.
+It receives the option values and the current execution of the policy that ``planner`` runs.
 """
 
 from collections.abc import Callable, Iterable
@@ -44,19 +44,19 @@ from humanopts_ros.qos import CURRENT
 from rclpy.task import Future
 
 _STOPS = 'option_server stops'
-_CHECK_PERIOD = 0.1  # s between checks of the deadline of a command
+_CHECK_PERIOD = 0.1  # s between checks for command timeouts
 _RESULT = Codec(RunResult, OptionResult)
 
 
 @dataclass
 class RunRequest:
     """
-    The request of a run, from a service or an action, and the run once it has begun.
+    A run request from a service or action, and the run once it has begun.
 
     :ivar via: name of the service or action.
-    :ivar execution_sequence: of the ExecutionState with the execution; 0: it is fixed.
+    :ivar execution_sequence: sequence of the ExecutionState; 0: the execution is fixed.
     :ivar canceled: returns whether the client has canceled.
-    :ivar on_step: called after each step with the run and the state that the step led to.
+    :ivar on_step: called after each step with the run and the new state.
     """
 
     goal: RunOption.Request | ExecuteOption.Goal
@@ -75,11 +75,11 @@ class _Active:
     request: RunRequest
     done: Future = field(default_factory=Future)
     deadline: float = 0.0
-    command: int = 0  # sequence of the command that the game has not answered yet
+    command: int = 0  # sequence of the pending command
 
 
 class PolicySubscriber:
-    """Keeps the newest option values and execution, and makes arbiters of them."""
+    """Stores the newest option values and execution, and creates arbiters from them."""
 
     def __init__(self, node: NodeBase) -> None:
         self._node = node
@@ -92,12 +92,12 @@ class PolicySubscriber:
 
     @property
     def plan_id(self) -> str:
-        """The plan that the newest values belong to; empty: none arrived yet."""
+        """The plan of the newest values; empty: none have arrived yet."""
         return str(self._message.plan_id)
 
     def arbiter(self, execution: Arbitration, library: OptionLibrary) -> Arbiter:
         """
-        Return the arbiter of the newest values.
+        Return the arbiter for the newest values.
 
         :raises UnknownOptionError: an option of the plan is not in the library.
         :raises ValueError: the values do not fit the options or their domain.
@@ -114,7 +114,7 @@ class PolicySubscriber:
         return self.arbiters[execution]
 
     def newer(self, request: RunRequest) -> ExecutionState | None:
-        """Return the execution that was published after a request; None: it is as requested."""
+        """Return the execution published after a request; None: unchanged since the request."""
         newer = 0 < request.execution_sequence < self._state.sequence
         return self._state if newer else None
 
@@ -123,7 +123,7 @@ class PolicySubscriber:
         """
         Return the message and its values.
 
-        :raises PlanError: the parts contradict each other.
+        :raises PlanError: the message is inconsistent.
         """
         return message, option_values_from_message(message)
 
@@ -137,15 +137,15 @@ class PolicySubscriber:
 
 class Runner:
     """
-    Runs options, or modules, in the current episode; a second request is answered BUSY.
+    Runs options or modules in the current episode; a second request is answered with BUSY.
 
     The runner decides after each state and before each command whether the run continues, so no
     command is pending when the run ends, canceled or not. It also arbitrates: the same states,
-    values and execution give the same run. A person who takes control, or a reset, ends the run as
-    interrupted; a silent game ends it after a deadline.
+    values and execution give the same run. If a person takes control or the game is reset, the run
+    ends as interrupted; if the game does not respond, it ends after a timeout.
 
-    :ivar library: the options that can be run; None: the game is not known yet.
-    :ivar patience: s to wait for game, and for the values of a plan; may be changed.
+    :ivar library: options that can be run; None: the game is not known yet.
+    :ivar patience: timeout in s for the game and for the values of a plan; may be changed.
     """
 
     def __init__(
@@ -154,20 +154,20 @@ class Runner:
         """
         Subscribe to the states of the game.
 
-        :param seed: of the random draws in sampled mode.
-        :param patience: as the attribute.
+        :param seed: random seed of draws in sampled mode.
+        :param patience: see the attribute.
         """
         self._node, self._mode, self._seed, self.patience = node, mode, seed, patience
         self._policy = PolicySubscriber(node)
         self.library: OptionLibrary | None = None
         self._state: Observed | None = None
-        self._taken_by = ''  # the option or execution of the request; empty: the runner is free
-        self._active: _Active | None = None  # set from the first command on
+        self._taken_by = ''  # option or execution of the request; empty: idle
+        self._active: _Active | None = None  # set with the first command
         self._stopping = False
         self._actions = node.stamped_publisher(ActionCommand, 'action')
         self._goals = node.stamped_publisher(OptionGoal, 'option_goals')
         game.follow('game_state', self._on_state)
-        self._current = game.newest()  # what game published before it was heard on the stream
+        self._current = game.newest()  # published before the subscription to the stream
         game.follow_refusals(self._on_refusal)
         self._pace = ControlState()  # the newest
         game.follow_control(self._on_control)
@@ -175,22 +175,22 @@ class Runner:
 
     @property
     def busy(self) -> bool:
-        """Whether there is a run, or a request that waits for its first state."""
+        """Whether there is a run, or a request waiting for its first state."""
         return bool(self._taken_by)
 
     def serve(self, options: Iterable[LearnedOption]) -> list[str]:
-        """Hold the options that fit the game, once it is known; return why others do not."""
+        """Use the options that fit the game, once it is known; return why others do not."""
         self._policy.arbiters.clear()
         return self.library.replace(options) if self.library is not None else []
 
     def newest_state(self) -> Observed | None:
-        """Return the newest state of the game; None: none was published yet."""
+        """Return the newest state of the game; None: none published yet."""
         if self.library is not None and (observed := self._current.take()) is not None:
             self._on_state(observed)
         return self._state
 
     def stop(self) -> None:
-        """End the current run, or the wait for its first state, because the node ends."""
+        """End the current run, or the wait for its first state, on shutdown."""
         self._stopping = True
         self._finish(RunStatus.FAILED, _STOPS)
 
@@ -211,7 +211,7 @@ class Runner:
         """
         Execute a run to its end.
 
-        :raises RefusedError: or UnknownOptionError, NeedsRulesError, PlanError: it cannot be.
+        :raises RefusedError: or UnknownOptionError, NeedsRulesError, PlanError: it cannot run.
         """
         if self._stopping:
             raise RefusedError(RunStatus.FAILED, _STOPS)
@@ -245,7 +245,7 @@ class Runner:
     async def _begin(
         self, request: RunRequest, execution: Arbitration, library: OptionLibrary
     ) -> Run:
-        """Wait for the option values and the start state; errors are those of ``_run``."""
+        """Wait for option values and start state, and begin the run; errors as in ``_run``."""
         goal, before = request.goal, self.newest_state()
         arbitrated, wanted = execution is not Arbitration.RUN_TO_END, (goal.episode, goal.step)
         values = self._policy
@@ -257,7 +257,7 @@ class Runner:
             )
             raise PlanError(f'the option values of plan {goal.plan_id} did not arrive; {newest}')
 
-        def is_here_or_past() -> bool:  # a game that was restarted counts from 1
+        def is_here_or_past() -> bool:  # a restarted game counts from 1
             state = self._state
             if state is None:
                 return False
@@ -292,9 +292,9 @@ class Runner:
 
     async def _wait(self, request: RunRequest, condition: Callable[[], bool]) -> bool:
         """
-        Wait for a condition of the start of a run, with a deadline; return whether it holds.
+        Wait for a start condition of a run, with a timeout; return whether it holds.
 
-        :raises RefusedError: the client has canceled, or the node ends.
+        :raises RefusedError: the client has canceled, or the node is shutting down.
         """
         await self._node.waiting.until(
             lambda: condition() or self._stopping or self._canceled(request), self.patience
@@ -306,7 +306,7 @@ class Runner:
         return condition()
 
     def _send(self, active: _Active) -> None:
-        """Send the next action to game."""
+        """Send the next action to the game."""
         run = active.run
         episode, step = run.position
         command = ActionCommand(
@@ -321,7 +321,7 @@ class Runner:
         active.command = self._actions.sequence
 
     def _on_state(self, observed: Observed) -> None:
-        """Handle the next state; ``current_state`` repeats those of ``game_state``."""
+        """Handle a state; ``current_state`` repeats states of ``game_state``."""
         known, here = self._state, _position(observed)
         same_game = known is not None and known.publisher_id == observed.publisher_id
         if known is not None and same_game and here <= _position(known):
@@ -340,7 +340,7 @@ class Runner:
             self._on_step(active, observed)
 
     def _on_step(self, active: _Active, observed: Observed) -> None:
-        """Handle the state that the current command, or another driver, led to."""
+        """Handle the state after the current command, or after an action of another driver."""
         led, run = observed.transition, active.run
         mine = led.action_publisher_id == self._node.publisher_id
         if not mine or led.action_sequence != active.command:
@@ -357,7 +357,7 @@ class Runner:
             self._send(active)
 
     def _stopped(self, active: _Active) -> RunResult | None:
-        """Return how the run ends before its next command; None: it continues."""
+        """Return the result if the run ends before its next command; None: it continues."""
         run, request, plan_id = active.run, active.request, active.request.goal.plan_id
         if self._canceled(request):
             return run.end(RunStatus.CANCELED)
@@ -372,7 +372,7 @@ class Runner:
         elif self._policy.plan_id == plan_id and self.library is not None:
             try:
                 run.arbiter = self._policy.arbiter(wanted, self.library)
-            except ValueError as error:  # the options have been learned again
+            except ValueError as error:  # the options have been relearned
                 return run.end(RunStatus.FAILED, str(error))
         return run.stopped()
 
@@ -391,13 +391,13 @@ class Runner:
         self._finish(status, message.detail)
 
     def _on_control(self, control: ControlState) -> None:
-        """Restart the deadline of a command when the pace changes."""
+        """Restart the timeout of a command when the pace changes."""
         self._pace = control
         if self._active is not None:
             self._active.deadline = self._node.monotonic() + control.step_period + self.patience
 
     def _check(self) -> None:
-        """Handle a state that was missing from the stream, or a game that is silent."""
+        """Handle a state missing from the stream, or an unresponsive game."""
         self.newest_state()
         active = self._active
         if active is None or self._pace.paused_by:
@@ -406,14 +406,14 @@ class Runner:
             self._finish(RunStatus.NO_PROGRESS, f'{self.patience:g} s')
 
     def _finish(self, status: RunStatus, detail: str) -> None:
-        """End the current run from outside, where there is one."""
+        """End the current run, if any."""
         active, self._active = self._active, None
         if active is not None:
             active.done.set_result(active.run.end(status, detail))
 
 
 def _position(observed: Observed) -> tuple[int, int]:
-    """Return the episode and the step of a state."""
+    """Return the episode and step of a state."""
     return observed.transition.episode, observed.transition.step
 
 
@@ -439,9 +439,9 @@ def _check(goal: RunOption.Request | ExecuteOption.Goal, library: OptionLibrary)
 
 def _checked(message: ExecutionState) -> ExecutionState:
     """
-    Return the message.
+    Return the message, after checking its execution.
 
-    :raises RefusedError: its execution does not exist.
+    :raises RefusedError: the execution does not exist.
     """
     execution_named(message.execution)
     return message
