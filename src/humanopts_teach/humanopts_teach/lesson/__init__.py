@@ -1,7 +1,7 @@
-"""A teaching session: what is asked, kept and shown, as pure values and rules, without ROS."""
+"""A teaching session: its questions, records and views, as plain values and rules without ROS."""
 
 from typing import Final
 
-STRATEGY: Final = 'failures'  # of start states, unless another is asked for
-METHOD: Final = 'trees'  # of learning, unless another is asked for
-BUDGET = 150  # the most start states that are shown for one option, "not here" answers included
+STRATEGY: Final = 'failures'  # default strategy for start states
+METHOD: Final = 'trees'  # default learning method
+BUDGET = 150  # maximum number of start states per option, including "not here" answers

@@ -1,4 +1,4 @@
-"""A demonstration in progress: the episode so far, what ends it, and the recorded result."""
+"""A demonstration in progress: the episode so far, its end, and the recorded result."""
 
 from dataclasses import dataclass, field, replace
 import uuid
@@ -18,18 +18,18 @@ _NAMESPACE = uuid.uuid5(uuid.NAMESPACE_URL, 'humanopts:demonstration')
 @dataclass(slots=True)
 class Attempt:
     """
-    A demonstration, from the moment its episode is requested.
+    A demonstration, from the request for its episode on.
 
-    The states of the newest episode are collected from the game's stream, even before the game
-    has answered which episode is the requested one.
+    The states of the newest episode are collected from the game's stream, even before the game has
+    reported the number of the requested episode.
     """
 
     start_state: str  # in the domain's notation
-    watch: bool = False  # the machine may move until the person does
-    episode: int = 0  # of the demonstration; 0: game has not answered yet
-    began: float = 0.0  # clock at the start, s
+    watch: bool = False  # the machine may move until the person moves
+    episode: int = 0  # of the demonstration; 0: no answer from the game yet
+    began: float = 0.0  # clock time at the start, s
     transitions: list[Transition] = field(default_factory=list)
-    gap: str = ''  # what is missing of the newest episode, in words; empty: nothing
+    gap: str = ''  # description of states missing from the newest episode; empty: none
     seen: bool = False  # a state of the demonstration has arrived
 
     @property
@@ -45,7 +45,7 @@ class Attempt:
         return [*by_machine, False].index(False)
 
     def add(self, transition: Transition) -> None:
-        """Append the next state; step 0 or another episode begins a new trajectory."""
+        """Append the next state; step 0 or a different episode begins a new trajectory."""
         (last_episode, last_step), step = self.here, transition.step
         if step == 0 or transition.episode != last_episode:
             self.transitions, self.gap = [], ''
@@ -61,7 +61,7 @@ class Attempt:
         """
         Return why the demonstration cannot continue after one more state; empty: it can.
 
-        States of earlier episodes that come before the first of this one are late, not a reset.
+        States of earlier episodes that arrive before the first of this one are late, not a reset.
         """
         if transition.episode != self.episode:
             other = self.seen or transition.episode > self.episode
@@ -78,9 +78,9 @@ class Attempt:
 
     def check(self, request: EndDemonstration) -> None:
         """
-        Check that a verdict can be carried out now.
+        Check that a verdict is currently possible.
 
-        :raises RefusalError: it cannot; the demonstration continues.
+        :raises RefusalError: it is not; the demonstration continues.
         """
         verdict, (_, last) = request.verdict, self.here
         if verdict is None:
@@ -108,10 +108,10 @@ class Attempt:
 
     def shown(self, request: EndDemonstration) -> tuple[list[Transition], int]:
         """
-        Return what counts as shown, and the number of leading steps taken by the machine in it.
+        Return the steps to record, and the number of leading steps taken by the machine in them.
 
-        "Not here" has no steps. Machine steps that do not count as shown are left out: the
-        demonstration begins where the person took over.
+        "Not here" has no steps. Machine steps that do not count are dropped: the demonstration
+        begins where the person took over.
         """
         if request.verdict is Verdict.NOT_HERE:
             return self.transitions[:1], 0
@@ -122,9 +122,9 @@ class Attempt:
 
 def with_uuid(demo: Demonstration) -> Demonstration:
     """
-    Return a demonstration with the uuid of its content, ``seconds`` left out.
+    Return a demonstration with a uuid computed from its content, excluding ``seconds``.
 
-    So the same lesson with the same seed has the same uuids, and the same folds in learning.
+    Thus the same lesson with the same seed has the same uuids, and the same folds in learning.
     """
     draft = replace(demo, uuid='', seconds=0.0)
     return replace(demo, uuid=str(uuid.uuid5(_NAMESPACE, draft.to_json())))

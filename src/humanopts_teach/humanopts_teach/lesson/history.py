@@ -10,15 +10,15 @@ from humanopts_teach.lesson.store import Entry
 
 class OptionHistory:
     """
-    One option: the answers and the demonstrations.
+    The answers and demonstrations of one option.
 
-    There is one question for each feature; when all are answered no, they are asked again.
+    There is one question per feature; if all are answered with no, they are asked again.
 
-    :ivar answers: by feature.
-    :ivar earlier: features that were chosen before the questions were asked again.
-    :ivar method: learning method: requested, or that of the first demonstration; empty: neither.
-    :ivar demonstrations: those that count.
-    :ivar withdrawn: uuids of the demonstrations that were withdrawn.
+    :ivar answers: answers by feature.
+    :ivar earlier: features chosen before the questions were asked again.
+    :ivar method: learning method, requested or of the first demonstration; empty: neither.
+    :ivar demonstrations: demonstrations that were not withdrawn.
+    :ivar withdrawn: uuids of withdrawn demonstrations.
     :ivar start_states: start states of withdrawn demonstrations, to be demonstrated again.
     :ivar number: number of the next demonstration; it also seeds the draw of its start state.
     """
@@ -37,17 +37,17 @@ class OptionHistory:
 
     @property
     def open_feature(self) -> Feature | None:
-        """The feature that is asked about next; None: all are answered."""
+        """The feature of the next question; None: all are answered."""
         return next((f for f in self._features if f.name not in self.answers), None)
 
     @property
     def chosen(self) -> tuple[str, ...]:
-        """Features answered yes, in the domain's order."""
+        """Features answered with yes, in the domain's order."""
         return tuple(f.name for f in self._features if self.answers.get(f.name))
 
     @property
     def n_trajectories(self) -> int:
-        """Demonstrations with steps; the others are "not here" answers."""
+        """Number of demonstrations with steps; the others are "not here" answers."""
         return sum(demo.kind is Kind.TRAJECTORY for demo in self.demonstrations)
 
     @property
@@ -56,7 +56,7 @@ class OptionHistory:
         return self.demonstrations[-1] if self.demonstrations else None
 
     def add(self, entry: Entry) -> None:
-        """Add one more entry about the option."""
+        """Add an entry about the option."""
         if isinstance(entry, Demonstration):
             self.number = max(self.number, entry.number + 1)
             self.method = self.method or entry.method
@@ -86,10 +86,10 @@ class History:
     """
     The sessions and options of one participant in one domain.
 
-    :ivar participant: code; empty: no session was opened.
-    :ivar key: name and parameters of the domain, as in the entries; entries of others are ignored.
-    :ivar sessions: the last option of each session; empty: none was named.
-    :ivar n_answers: number of answers given and taken back.
+    :ivar participant: participant code; empty: no session is open.
+    :ivar key: domain name and parameters, as in the entries; entries of other domains are ignored.
+    :ivar sessions: last option of each session; empty: none yet.
+    :ivar n_answers: number of answers given and withdrawn.
     """
 
     def __init__(
@@ -100,18 +100,18 @@ class History:
         self.options: dict[str, OptionHistory] = {}
         self.sessions: dict[str, str] = {}
         self.n_answers = 0
-        self._numbers: dict[str, int] = {}  # of what follows in options that were deleted
+        self._numbers: dict[str, int] = {}  # next demonstration number of deleted options
         self._features = domain.features
         for entry in entries:
             self.add(entry)
 
     def number(self, option_name: str) -> int:
-        """Return the number of the next demonstration of an option; none is used twice."""
+        """Return the number of an option's next demonstration; numbers are never reused."""
         option = self.options.get(option_name)
         return option.number if option is not None else self._numbers.get(option_name, 1)
 
     def add(self, entry: Entry) -> None:
-        """Add one more entry."""
+        """Add an entry."""
         if (entry.domain, entry.domain_parameters) != self.key:
             return
         self.sessions.setdefault(entry.session, '')

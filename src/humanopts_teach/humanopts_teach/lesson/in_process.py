@@ -1,7 +1,7 @@
 """
 A lesson in one process: a simulated teacher, the lesson, the game and the learner, without ROS.
 
-It uses the same parts as the nodes, in the same order, so the same settings and seed give the
+It uses the same components as the nodes, in the same order, so the same settings and seed give the
 same demonstrations as a lesson over the graph.
 """
 
@@ -37,7 +37,7 @@ from humanopts_teach.lesson.simulated_teacher import (
 )
 from humanopts_teach.lesson.store import DemonstrationStore
 
-# Assumed duration of each act of a person, s; a simulated person takes no time.
+# Assumed duration of a person's actions, s; a simulated teacher takes no time.
 SECONDS = {
     DefineOption: 5.0,
     AnswerQuestion: 3.0,
@@ -46,13 +46,13 @@ SECONDS = {
     EndDemonstration: 1.0,
 }
 
-# Return whether an option is taught well enough; called after each of its demonstrations, with all
-# of them, from the first trajectory on.
+# Returns whether an option is taught well enough; called with all of its demonstrations after each
+# new one, from the first trajectory on.
 Enough = Callable[[Sequence[Demonstration], LearnedOption], bool]
 
 
 class LessonError(RuntimeError):
-    """The lesson cannot continue; the text says why."""
+    """The lesson cannot continue; the message says why."""
 
 
 @dataclass(frozen=True)
@@ -60,9 +60,9 @@ class Taught:
     """The results of a lesson."""
 
     demonstrations: tuple[Demonstration, ...]  # of all options, in order
-    options: tuple[LearnedOption, ...]  # the last of each option
-    seconds: float  # that a person would have needed, by ``SECONDS``
-    cut_short: str  # why the teacher gave up, in words; empty: it taught everything
+    options: tuple[LearnedOption, ...]  # final version of each option
+    seconds: float  # estimated duration for a person, by ``SECONDS``
+    cut_short: str  # why the teacher gave up; empty: everything was taught
 
 
 def teach(
@@ -74,10 +74,10 @@ def teach(
     """
     Let a simulated teacher teach options, one after another.
 
-    :param rules: of the lesson; its seed is the learner's too. None: the defaults.
-    :param enough: None: all criteria that can be measured hold, with the usual thresholds.
-    :raises TeacherError: there is no such option to teach, or a setting is wrong.
-    :raises LessonError: an act of the teacher was refused.
+    :param rules: rules of the lesson; the learner uses the same seed. None: the defaults.
+    :param enough: end of each option; None: all measurable criteria hold at default thresholds.
+    :raises TeacherError: an option does not exist, or a setting is invalid.
+    :raises LessonError: an action of the teacher was refused.
     """
     rules = rules or LessonRules()
     seconds, cut_short = 0.0, ''
@@ -87,7 +87,7 @@ def teach(
     summaries: dict[str, OptionSummary] = {}  # by option
 
     def learn(demo: Demonstration) -> None:
-        """Learn the option again as the learner does, and report to the lesson."""
+        """Relearn the option like the learner, and report to the lesson."""
         name, met, features = demo.option_name, False, demo.chosen_features
         shown = [each for each in lesson.demonstrations() if each.option_name == name]
         if any(each.kind is Kind.TRAJECTORY for each in shown):

@@ -1,8 +1,8 @@
 """
 The teaching session as a state machine (paper, sections 5 and 6).
 
-Every method handles one request or one event, and leaves the lesson in a valid phase. Answers and
-demonstrations are on disk before a request is answered OK; a request that cannot be written
+Every method handles one request or event, and leaves the lesson in a valid phase. Answers and
+demonstrations are on disk before a request is answered with OK; a request that cannot be written
 changes nothing.
 """
 
@@ -93,10 +93,10 @@ class Lesson:
         today: Callable[[], str],
     ) -> None:
         """
-        Begin without a session.
+        Start without a session.
 
-        :param clock: seconds, never going back.
-        :param today: the date as YYYYMMDD, for session codes.
+        :param clock: monotonic clock, s.
+        :param today: returns the date as YYYYMMDD, for session codes.
         """
         self._domain, self._store, self._starts = domain, store, starts
         self._clock, self._today = clock, today
@@ -107,18 +107,18 @@ class Lesson:
         self._awaited: Demonstration | None = (
             None  # not yet counted, or discounted, by the learner
         )
-        self._done = False  # the criteria are met, and the strategy has nothing left to ask
-        self._attempt: Attempt | None = None  # from the request for an episode on
-        self._episode = 0  # of the newest demonstration that was begun
-        self._again = ''  # start state of a demonstration that was discarded or abandoned
+        self._done = False  # criteria met, and no more questions from the strategy
+        self._attempt: Attempt | None = None  # set with the request for an episode
+        self._episode = 0  # of the newest demonstration begun
+        self._again = ''  # start state of a discarded or abandoned demonstration
         self._notice = ''
-        self._paused = ''  # why nothing new can be begun; empty: it can
+        self._paused = ''  # why nothing new can begin; empty: it can
 
-    # What can be read.
+    # Properties and views.
 
     @property
     def phase(self) -> Phase:
-        """What the lesson waits for."""
+        """The phase of the lesson."""
         option = self._option
         for phase, holds in (
             (Phase.NO_SESSION, not self._history.participant),
@@ -134,18 +134,18 @@ class Lesson:
 
     @property
     def awaited(self) -> str:
-        """The uuid of the demonstration that the learner works on; empty: none."""
+        """The uuid of the demonstration that the learner is processing; empty: none."""
         return self._awaited.uuid if self._awaited is not None else ''
 
     @property
     def criteria_met(self) -> bool:
-        """Whether the learner reports so, for the features and the method in force."""
+        """Whether the learner reports the criteria as met, for the current features and method."""
         summary = self._settled
         return summary is not None and summary.criteria_met
 
     @property
     def view(self) -> LessonView:
-        """Everything that a terminal shows."""
+        """The data that terminals show."""
         phase, rules = self.phase, self._starts.rules
         view = LessonView(
             phase=phase,
@@ -160,7 +160,7 @@ class Lesson:
         if option is None:
             return view
         if (feature := option.open_feature) is not None:
-            # As the paper words it (section 5).
+            # Wording of the paper (section 5).
             question = f"Does the '{option.name}' option depend on {feature.question}?"
             view = replace(
                 view,
@@ -187,22 +187,22 @@ class Lesson:
 
     def demonstrations(self) -> list[Demonstration]:
         """
-        Return the demonstrations of all participants in this domain, each once.
+        Return the demonstrations of all participants in this domain, without duplicates.
 
-        Of one that was withdrawn, only the withdrawal is returned.
+        For a withdrawn demonstration, only the withdrawal is returned.
 
-        :raises RefusalError: a file of theirs cannot be read.
+        :raises RefusalError: a participant's file cannot be read.
         """
         return self._demonstrations(*self._store.participants())
 
-    # What the person asks for.
+    # Requests of the person.
 
     def carry_out(self, request: LessonRequest) -> Answer:
         """
-        Carry out one request.
+        Carry out a request.
 
-        After OK to ``BeginDemonstration``, the start state is chosen, and the lesson waits for
-        ``began`` or ``not_begun``.
+        After ``BeginDemonstration`` is answered with OK, the start state is chosen, and the lesson
+        waits for ``began`` or ``not_begun``.
         """
         carry_out: dict[type[LessonRequest], Callable[[Any], Answer]] = {
             OpenSession: self._open_session,
@@ -234,7 +234,7 @@ class Lesson:
             self._starts.draw_ahead(self._option)
 
     def began(self, episode: int, state: str) -> Answer:
-        """Begin the demonstration that was prepared: game has begun its episode."""
+        """Begin the prepared demonstration, after the game has begun its episode."""
         attempt = self._attempt
         assert attempt is not None, 'a demonstration was prepared'
         if self._paused:
@@ -243,28 +243,28 @@ class Lesson:
         self._notice = ''
         attempt.episode, attempt.start_state, attempt.began = episode, state, self._clock()
         self._episode = episode
-        for transition in list(attempt.transitions):  # came before game's answer
+        for transition in list(attempt.transitions):  # arrived before the game's answer
             self._watch(transition)
         return _ok(f'episode {episode} begins', episode=episode, state=state)
 
     def not_begun(self, status: RequestStatus, cause: str) -> Answer:
-        """Abandon the demonstration: its episode or its first state did not arrive."""
+        """Abandon the demonstration, because its episode or first state did not arrive."""
         self._abandon(cause)
         return Answer(status, cause)
 
     def pause(self, reason: str) -> None:
         """
-        Refuse new work; a demonstration in progress can still be ended, and is kept.
+        Pause the lesson; a demonstration in progress can still be ended, and is kept.
 
-        :param reason: what is wrong and what to do; empty: resume.
+        :param reason: description of the fault and its remedy; empty: resume.
         """
         self._paused = reason
 
-    # What the game and the learner publish.
+    # Events from the game and the learner.
 
     def add_transition(self, transition: Transition) -> bool:
         """
-        Add one state of the game's stream.
+        Add a state from the game's stream.
 
         :return: whether the view has changed.
         """
@@ -275,7 +275,7 @@ class Lesson:
 
     def game_restarted(self) -> bool:
         """
-        Abandon the demonstration under way: its episode ended with the game.
+        Abandon the current demonstration, because its episode ended with the game.
 
         :return: whether the view has changed.
         """
@@ -286,7 +286,7 @@ class Lesson:
 
     def resume(self, participant: str, session: str) -> Answer:
         """
-        Resume a session that an earlier process left open.
+        Resume a session left open by an earlier process.
 
         The newest demonstration may not have reached the learner.
         """
@@ -297,7 +297,7 @@ class Lesson:
         return answer
 
     def reached(self, episode: int, step: int) -> bool:
-        """Return whether a state has arrived, or can no longer arrive."""
+        """Return whether a state has arrived or can no longer arrive."""
         if self._attempt is None or self._attempt.episode != episode:
             return True
         newest_episode, newest_step = self._attempt.here
@@ -310,9 +310,9 @@ class Lesson:
 
     def update_option(self, participant: str, option_name: str, text: str) -> None:
         """
-        Store an option that the learner has published.
+        Store an option published by the learner.
 
-        :raises OptionError: it is not an option, or one of another domain.
+        :raises OptionError: it is not an option, or it belongs to another domain.
         """
         if self._starts.learned(participant, option_name, text):
             self._go_on()
@@ -323,7 +323,7 @@ class Lesson:
             self._wait_no_more(_REFUSED, detail)
 
     def learner_silent(self) -> None:
-        """Stop waiting for the learner, which has not answered in time."""
+        """Stop waiting for the learner after a timeout."""
         self._wait_no_more(_SILENT)
 
     def _wait_no_more(self, notices: dict[bool, str], detail: str = '') -> None:
@@ -332,11 +332,11 @@ class Lesson:
             self._awaited = None
             self._check_done()
 
-    # The state of the lesson.
+    # State of the lesson.
 
     @property
     def _under_way(self) -> Attempt | None:
-        """The demonstration under way; None: no episode of one has begun."""
+        """The current demonstration; None: no episode has begun."""
         return self._attempt if self._attempt is not None and self._attempt.episode else None
 
     @property
@@ -346,14 +346,14 @@ class Lesson:
 
     @property
     def _question_id(self) -> int:
-        """Of the open question: counted on over all options, so that none is used twice; or 0."""
+        """The id of the open question, unique across options; 0: none is open."""
         if self._option is None or self._option.open_feature is None:
             return 0
         return self._history.n_answers + 1
 
     @property
     def _settled(self) -> OptionSummary | None:
-        """The learner's report that all measurable criteria hold for the option as taught now."""
+        """The summary if all measurable criteria hold for the current option; otherwise None."""
         option = self._option
         summary = option and self._summaries.get((option.participant, option.name))
         if not option or not summary or not summary.settled or not _is_current(summary, option):
@@ -362,11 +362,11 @@ class Lesson:
         return summary if same and set(summary.features) == set(option.chosen) else None
 
     def _method(self, option: OptionHistory) -> str:
-        """Return the learning method of an option from its next demonstration on."""
+        """Return the learning method of an option for its next demonstration."""
         return option.method or self._starts.rules.method
 
     def _go_on(self) -> None:
-        """Stop waiting once learner and start states have counted the awaited demonstration."""
+        """Stop waiting once learner and start states include the awaited demonstration."""
         option, demo = self._option, self._awaited
         if option is not None and demo is not None:
             summary = self._summaries.get((demo.participant, demo.option_name))
@@ -385,7 +385,7 @@ class Lesson:
         self._done = settled and option is not None and self._starts.exhausted(option)
 
     def _advice(self, phase: Phase) -> str:
-        """Return what to do next in words, with the reason where it is not obvious."""
+        """Return advice on what to do next, with the reason if it is not obvious."""
         summary, hint = self._settled, _HINTS[phase]
         if self._paused and phase not in (Phase.DEMONSTRATING, Phase.LEARNING):
             hint = 'The lesson is paused.'
@@ -399,11 +399,11 @@ class Lesson:
             return f'{summary.result[:-1]}, but from some starts it still fails. {hint}'
         return hint
 
-    # How requests are carried out; each raises RefusalError where it is refused.
+    # Handlers of requests; they raise RefusalError to refuse a request.
 
     @property
     def _who(self) -> tuple[str, str, str, str]:
-        """Domain, its parameters, participant and session of an entry."""
+        """Domain, domain parameters, participant and session of an entry."""
         return (*self._history.key, self._history.participant, self._session)
 
     def _event(self, entry: Any, option_name: str, **more: Any) -> LessonEvent:
@@ -485,7 +485,7 @@ class Lesson:
         self._check_done()
 
     def _answer_question(self, request: AnswerQuestion) -> Answer:
-        """Answer the open question, or take back the last answer, so that its question is open."""
+        """Answer the open question, or withdraw the last answer to reopen its question."""
         option = self._option
         feature = option.open_feature if option is not None else None
         fault = ''
@@ -523,7 +523,7 @@ class Lesson:
             status = RequestStatus.BUDGET_SPENT if spent else RequestStatus.WRONG_PHASE
             raise RefusalError(status, self._advice(phase))
         if not can_simulate(self._domain):
-            state = request.start_state  # for the game to judge; empty: where it is now
+            state = request.start_state  # validated by the game; empty: the current state
         elif request.start_state:
             try:
                 decoded = self._domain.decode(request.start_state)
@@ -542,7 +542,7 @@ class Lesson:
         )
 
     def _watch(self, transition: Transition) -> bool:
-        """Look at one state of the stream; return whether the view has changed."""
+        """Handle a state of the stream; return whether the view has changed."""
         attempt = self._under_way
         if attempt is None:
             return False
@@ -629,14 +629,14 @@ class Lesson:
         withdrawn = replace(demo, withdrawn=True)
         self._write(withdrawn)
         self._awaited = withdrawn
-        self._again = self._notice = ''  # the option's history has the start state
+        self._again = self._notice = ''  # the start state is in the option's history
         steps = len(demo.actions)
         what = f'the demonstration of {steps} step{"s"[: steps != 1]}' if steps else '"not here"'
         text = f'{what} is withdrawn; its start comes again'
         return _ok(text, uuid=wanted, unsent=(withdrawn,))
 
     def _list(self, request: ListDemonstrations) -> Answer:
-        """List the demonstrations of an option, also those that were withdrawn."""
+        """List the demonstrations of an option, including withdrawn ones."""
         option = self._known(request.option_name) if request.option_name else self._option
         if option is None:
             raise RefusalError(RequestStatus.NO_OPTION, 'no option is being taught: name one')
@@ -652,7 +652,7 @@ class Lesson:
         return option
 
     def _change_option(self, request: ChangeOption) -> Answer:
-        """Delete an option; or rename it: copy its answers and demonstrations to a new one."""
+        """Delete an option, or rename it by copying answers and demonstrations to a new one."""
         option, new = self._known(request.name), composed(request.new_name.strip())
         begun: list[Entry] = []
         moved: list[Demonstration] = []
@@ -686,7 +686,7 @@ class Lesson:
 
 
 def _is_current(summary: OptionSummary, option: OptionHistory) -> bool:
-    """Return whether a summary counts no withdrawn demonstration."""
+    """Return whether a summary includes no withdrawn demonstration."""
     counted = summary.n_demonstrations + summary.n_not_here
     return summary.last_uuid not in option.withdrawn and counted <= len(option.demonstrations)
 

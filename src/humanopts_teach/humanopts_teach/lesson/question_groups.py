@@ -1,4 +1,4 @@
-"""Questions about groups of features, so that a person need not answer one for each feature."""
+"""Questions about groups of features, so that a person need not answer one per feature."""
 
 from enum import Enum
 
@@ -8,27 +8,27 @@ from humanopts_teach.lesson.requests import LessonView
 
 
 class GroupAnswer(Enum):
-    """How the questions about the features of a group are answered."""
+    """The answer to the questions about all features of a group."""
 
     EACH = 'each is asked'
     NONE = 'no to all'
-    AS_BEFORE = 'all as before'  # where the questions are asked again
+    AS_BEFORE = 'all as before'  # if the questions are asked again
 
 
 class QuestionGroups:
     """
-    The answers about groups of features, for the questions of one option.
+    Answers about groups of features, for the questions of one option.
 
     The lesson asks about one feature at a time. A screen first asks about ``open_group``, and
-    answers with ``reply`` where the group has settled the question. It calls ``take_back`` and
-    ``forget`` when questions are reopened, restarted, or belong to another option.
+    answers with ``reply`` if the group settles the question. It calls ``take_back`` and ``forget``
+    when questions are reopened, restarted, or belong to another option.
     """
 
     def __init__(self) -> None:
-        self._answers: dict[str, GroupAnswer] = {}  # by the group's words
+        self._answers: dict[str, GroupAnswer] = {}  # by wording of the group
 
     def open_group(self, domain: ActableDomain, lesson: LessonView) -> FeatureGroup | None:
-        """Return the group to ask about now; None: ask the lesson's own question."""
+        """Return the group to ask about; None: ask the lesson's own question."""
         group, said = self.asked(domain, lesson)
         return group if said is None else None
 
@@ -37,7 +37,7 @@ class QuestionGroups:
         self._answers[group.words] = answer
 
     def reply(self, domain: ActableDomain, lesson: LessonView) -> bool | None:
-        """Return the answer to the open question; None: the person has to be asked."""
+        """Return the answer to the open question; None: ask the person."""
         _, said = self.asked(domain, lesson)
         if said is None or said is GroupAnswer.EACH:
             return None
@@ -54,7 +54,7 @@ class QuestionGroups:
     def asked(
         self, domain: ActableDomain, lesson: LessonView
     ) -> tuple[FeatureGroup | None, GroupAnswer | None]:
-        """Return the group of the open question and its answer; None: there is none."""
+        """Return the group of the open question and its answer; None: no group or answer."""
         feature = lesson.question_feature
         group = next((each for each in feature_groups(domain) if feature in each.features), None)
         return group, self._answers.get(group.words) if group is not None else None

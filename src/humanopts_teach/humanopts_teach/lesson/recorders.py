@@ -1,8 +1,8 @@
-"""Whether a lesson is recorded: by the status of the recorders and their presence on the graph."""
+"""Monitoring of recorders, by their status messages and their presence on the graph."""
 
 from dataclasses import dataclass
 
-PATIENCE = 50  # checks without a new status, after which a recorder counts as lost
+PATIENCE = 50  # maximum number of checks without a new status of a recorder
 _ADVICE = 'Everything taught so far is on disk: quit, and the same command takes it up again.'
 SILENT = (
     'the recorder does not respond any more, and the bag may lack the last seconds. ' + _ADVICE
@@ -15,34 +15,34 @@ class _Recorder:
     complete: bool
     stopped: bool
     text: str
-    checks: int = 0  # since this status
+    checks: int = 0  # since the last status
 
 
 class Recorders:
     """
-    The last status of every recorder; a new recorder may start beside one that has stopped.
+    The last status of every recorder; a new recorder may start while a stopped one is present.
 
-    Silence is counted in checks, not in seconds, so that a busy lesson does not mistake its own
-    delay for that of the recorder.
+    Timeouts are measured in checks, not in seconds, so that a busy lesson does not mistake its own
+    delay for one of the recorder.
     """
 
     def __init__(self, *, expected: bool) -> None:
         """
-        Begin without a fault.
+        Start without a fault.
 
-        :param expected: running without a recorder is a fault.
+        :param expected: whether running without a recorder is a fault.
         """
         self._expected = expected
         self._known: dict[str, _Recorder] = {}  # by publisher_id
         self._published: set[str] = set()  # recorders that have published a status
-        self._again = False  # since the last check, the first of another recorder has come
+        self._again = False  # a new recorder has appeared since the last check
         self._fault = ''
 
     def update(self, recorder: str, *, complete: bool, stopped: bool, text: str) -> None:
         """
         Store the status that a recorder publishes every second.
 
-        :param recorder: its publisher_id; the rest is as in RecorderStatus.
+        :param recorder: publisher_id of the recorder; other parameters are as in RecorderStatus.
         """
         self._again |= bool(self._published) and recorder not in self._published and not stopped
         self._published.add(recorder)
@@ -50,12 +50,12 @@ class Recorders:
 
     def check(self, present: bool) -> str:
         """
-        Return why nothing is recorded and what to do; empty: it is recorded.
+        Return the reason why nothing is recorded and what to do; empty: it is recorded.
 
-        A new recorder ends a fault once it has every topic. One that follows another without a
-        fault is one itself for a check: a lesson has to publish everything again for it.
+        A fault ends once a new recorder has every topic. Without a fault, another recorder causes
+        one for a single check, so that the lesson publishes everything again for it.
 
-        :param present: a recorder is on the graph; one that was killed stays there for a while.
+        :param present: whether a recorder is on the graph; a killed one remains for a while.
         """
         for recorder in self._known.values():
             recorder.checks += 1

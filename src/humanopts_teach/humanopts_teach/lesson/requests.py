@@ -1,9 +1,9 @@
 """
-Requests to the lesson and the nodes around it, their answers, and what terminals show.
+Requests to the lesson and its neighbouring nodes, their answers, and the data of terminals.
 
-All are plain values with the names and fields of the messages that carry them (``.srv``,
-``.action`` and ``.msg`` files of humanopts_interfaces). Terminals, the simulated teacher,
-other programs and the lesson itself share them.
+All are plain values with the names and fields of the corresponding ``.srv``, ``.action`` and
+``.msg`` files of humanopts_interfaces. Terminals, the simulated teacher, other programs and the
+lesson itself share them.
 """
 
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ from humanopts_learner.summary import OptionSummary
 
 
 class Phase(Enum):
-    """The phase of the lesson; the names are those of LessonState's PHASE constants."""
+    """The phase of the lesson; names match LessonState's PHASE constants."""
 
     NO_SESSION = 'no session'
     NO_OPTION = 'no option'
@@ -30,7 +30,7 @@ class Phase(Enum):
 
 
 class Verdict(Enum):
-    """The verdict on a demonstration; the names are those of EndDemonstration's constants."""
+    """The verdict on a demonstration; names match EndDemonstration's constants."""
 
     DONE = 'done'
     NOT_HERE = 'not here'
@@ -38,7 +38,7 @@ class Verdict(Enum):
 
 
 class RequestStatus(Enum):
-    """How a request ended; the names are those of the services' STATUS constants."""
+    """The status of an answer; names match the services' STATUS constants."""
 
     UNKNOWN = 'unknown'
     OK = 'ok'
@@ -84,16 +84,16 @@ class DefineOption:
 
     name: str
     ask_again: bool = False  # ask the feature questions again
-    method: str = ''  # learning method from the next demonstration on; empty: unchanged
+    method: str = ''  # learning method for future demonstrations; empty: unchanged
 
 
 @dataclass(frozen=True, slots=True)
 class AnswerQuestion:
-    """Answer the open question, or go back to the one before."""
+    """Answer the open question, or return to the previous one."""
 
     question_id: int  # of the open question; 0: none is open
     yes: bool = False
-    back: bool = False  # take the last answer back
+    back: bool = False  # withdraw the last answer
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,18 +101,18 @@ class BeginDemonstration:
     """Choose a start state and begin an episode there."""
 
     start_state: str = ''  # in the domain's notation; empty: chosen by the lesson
-    watch: bool = False  # the machine may move until the person does
+    watch: bool = False  # the machine may move until the person moves
 
 
 @dataclass(frozen=True, slots=True)
 class EndDemonstration:
-    """Give the verdict on the demonstration under way."""
+    """End the current demonstration with a verdict."""
 
-    verdict: Verdict | None  # None: the request named none that exists
+    verdict: Verdict | None  # None: unknown verdict in the request
     episode: int  # of the last state that the person saw
     step: int
     can_start_at_end: bool = False  # with DONE: the option could start again there
-    count_machine_steps: bool = False  # with DONE: those before the person's count as shown
+    count_machine_steps: bool = False  # with DONE: record machine steps before the person's too
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,7 +126,7 @@ class WithdrawDemonstration:
 class ListDemonstrations:
     """List the demonstrations of an option, including withdrawn ones."""
 
-    option_name: str = ''  # empty: the one being taught
+    option_name: str = ''  # empty: the current option
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,7 +134,7 @@ class ChangeOption:
     """Rename or delete an option."""
 
     name: str
-    new_name: str = ''  # empty: delete it
+    new_name: str = ''  # empty: delete the option
 
 
 LessonRequest = (
@@ -151,7 +151,7 @@ LessonRequest = (
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """Take one primitive action as a person: an ActionCommand, which game answers."""
+    """Take one primitive action as a person: an ActionCommand, which the game answers."""
 
     action: str
     episode: int  # of the last state that the person saw
@@ -160,7 +160,7 @@ class Drive:
 
 @dataclass(frozen=True, slots=True)
 class SetControl:
-    """Take control of the game for a person, or give it back to the machine."""
+    """Take control of the game for a person, or return it to the machine."""
 
     hold: bool
 
@@ -171,7 +171,7 @@ class SetPace:
 
     step_period: float  # s
     paused: bool
-    steps: int = 0  # with paused: number of steps to take first
+    steps: int = 0  # if paused: number of steps to take first
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,7 +190,7 @@ class ListOptions:
 
 @dataclass(frozen=True, slots=True)
 class SetExecution:
-    """Change the execution of the running policy from its next action on."""
+    """Change the execution of the running policy, effective with its next action."""
 
     execution: str
 
@@ -210,12 +210,12 @@ class PlanOptions:
     action_set: str
     participant: str
     seed: int
-    evaluation_episodes: int = 20  # to evaluate the plan
+    evaluation_episodes: int = 20  # for evaluation of the plan
 
 
 @dataclass(frozen=True, slots=True)
 class PlayEpisodes:
-    """Play episodes by the last plan of an action set."""
+    """Play episodes by the newest plan of an action set."""
 
     action_set: str
     participant: str
@@ -231,7 +231,7 @@ class CancelRun:
 
 ActionGoal = (
     RunOption | PlanOptions | PlayEpisodes
-)  # goals of actions, which continue once accepted
+)  # action goals, which continue after acceptance
 ServiceRequest = LessonRequest | SetControl | SetPace | NewEpisode | ListOptions | SetExecution
 Request = ServiceRequest | Drive | ActionGoal | CancelRun
 
@@ -257,23 +257,23 @@ class Answer:
 
     status: RequestStatus
     detail: str
-    session: str = ''  # in force
+    session: str = ''  # current session
     known_options: tuple[str, ...] = ()  # of the participant
     option_names: tuple[str, ...] = ()  # that can be run
     resumed: bool = False
-    episode: int = 0  # that was begun
-    state: str = ''  # its first, in the domain's notation
-    uuid: str = ''  # of the demonstration that was kept or withdrawn
-    seed: int = 0  # of the chance in the episode to begin; for game only
+    episode: int = 0  # episode begun
+    state: str = ''  # first state of the episode, in the domain's notation
+    uuid: str = ''  # of the demonstration kept or withdrawn
+    seed: int = 0  # random seed of the new episode; for the game only
     demonstrations: tuple[Demonstration, ...] = ()  # requested ones
-    contradiction: str = ''  # with an earlier demonstration, in words
+    contradiction: str = ''  # description of a contradiction with an earlier demonstration
     contradicts: str = ''  # uuid of the earlier demonstration
     situation: str = ''  # the state where they differ, in the domain's notation
     unsent: tuple[Demonstration, ...] = ()  # kept or withdrawn; for the learner only
 
     @property
     def demonstration(self) -> Demonstration | None:
-        """The demonstration that was kept or withdrawn last; None: none was."""
+        """The demonstration last kept or withdrawn; None: none."""
         return self.unsent[-1] if self.unsent else None
 
     @property
@@ -283,7 +283,7 @@ class Answer:
 
     @property
     def carried_out(self) -> bool:
-        """Whether the request was carried out; with NO_FEATURE, the questions begin again."""
+        """Whether the request was carried out; with NO_FEATURE, the questions start again."""
         return self.status in (RequestStatus.OK, RequestStatus.NO_FEATURE)
 
 
@@ -314,12 +314,12 @@ class LessonView:
     last_uuid: str = ''  # of the newest demonstration; empty: none
     budget: int = 0
     strategy: str = ''
-    method: str = ''  # with which the option is learned from its next demonstration on
+    method: str = ''  # learning method for the option's next demonstration
     start_state: str = ''
-    episode: int = 0  # of the newest demonstration that was begun
+    episode: int = 0  # of the newest demonstration begun
     machine_steps: int = 0  # number of leading steps taken by the machine
     criteria_met: bool = False
-    paused: str = ''  # why nothing new can be begun; empty: it can
+    paused: str = ''  # why nothing new can begin; empty: it can
     text: str = ''
 
 
@@ -329,33 +329,33 @@ _NO_GAME = Transition()
 
 @dataclass(slots=True)
 class World:
-    """The newest of everything that the graph has published."""
+    """The newest data published on the graph."""
 
-    domain: ActableDomain | None = None  # None: it has not come yet
-    game: Transition = _NO_GAME  # of episode 0: none has come yet
-    before: Transition | None = None  # from which the step was taken that led to ``game``
+    domain: ActableDomain | None = None  # None: not received yet
+    game: Transition = _NO_GAME  # episode 0: not received yet
+    before: Transition | None = None  # state before the last step to ``game``
     lesson: LessonView = UNKNOWN
     summaries: Sequence[OptionSummary] = ()
-    running: str = ''  # what option_server took on last: an option, or action:NAME
-    execution: str = ''  # of the policy that runs or ran last; empty: none did
-    holder: str = ''  # publisher_id of the terminal that drives; empty: none
+    running: str = ''  # last goal of option_server: an option, or action:NAME
+    execution: str = ''  # of the current or last policy run; empty: none
+    holder: str = ''  # publisher_id of the driving terminal; empty: none
     me: str = ''  # our own publisher_id
-    step_period: float = 0.0  # least time between steps of the machine, s
-    paused_by: str = ''  # publisher_id of the terminal that pauses the machine; empty: none
+    step_period: float = 0.0  # minimum time between machine steps, s
+    paused_by: str = ''  # publisher_id of the pausing terminal; empty: none
     missing: Sequence[str] = ()  # nodes that are not running
     acted: dict[tuple[str, int], str] = field(default_factory=dict)
     """The option that took each recent action, by publisher_id and sequence of the command."""
-    uncovered: Sequence[tuple[str, float]] | None = None  # by the last plan; None: not known
-    since: Transition | None = None  # from which on the person drives, step by step
-    driven: list[str] = field(default_factory=list)  # the person's actions from there on
+    uncovered: Sequence[tuple[str, float]] | None = None  # by the last plan; None: unknown
+    since: Transition | None = None  # state from which the person has been driving
+    driven: list[str] = field(default_factory=list)  # the person's actions since then
 
     @property
     def i_drive(self) -> bool:
-        """Whether this terminal holds control."""
+        """Whether this terminal has control."""
         return bool(self.me) and self.holder == self.me
 
     def update_game(self, game: Transition) -> None:
-        """Keep the newest state of the game, and the one before it where no step is missing."""
+        """Store the newest state of the game, and its predecessor if no step is missing."""
         now = self.game
         if (game.episode, game.step) != (now.episode, now.step):
             self.before = now if game.follows(now) else None
@@ -367,25 +367,25 @@ class World:
 
     @property
     def last_effect(self) -> StepEffect | None:
-        """What the last step did; None: none was taken, or its beginning was not seen."""
+        """The effect of the last step; None: no step yet, or the state before it is unknown."""
         domain, game, before = self.domain, self.game, self.before
         if domain is None or before is None or not game.previous_action:
             return None
         return effect_between(domain, before, game)
 
     def summary_of(self, participant: str, option_name: str) -> OptionSummary | None:
-        """Return the learner's summary of one option; None: it has not reported."""
+        """Return the learner's summary of an option; None: not reported yet."""
         wanted = (participant, option_name)
         return next((s for s in self.summaries if (s.participant, s.option_name) == wanted), None)
 
 
 def settled(request: Request, answer: Answer, world: World) -> bool:
     """
-    Return whether the published state shows what a request has changed.
+    Return whether the published state reflects a request.
 
-    The state is published on topics, so it can come after the answer of a service.
+    The state is published on topics, so it may arrive after the answer of a service.
 
-    :param answer: to the request, which was carried out.
+    :param answer: answer to the request, which was carried out.
     """
     lesson, game = world.lesson, world.game
     match request:

@@ -1,4 +1,4 @@
-"""Where demonstrations start: drawn by a strategy, keyed by person, option and number."""
+"""Start states of demonstrations, drawn by a strategy; seeded by person, option and number."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,29 +17,29 @@ from humanopts_teach.lesson.history import OptionHistory
 import numpy as np
 
 FAILURES = 'failures'  # the strategy that uses the learned option
-MAX_PARSED = 8  # options kept as objects, which take many times the memory of their text
+MAX_PARSED = 8  # cached option objects, which take far more memory than their text
 
 
 @dataclass(frozen=True, slots=True)
 class LessonRules:
-    """How start states are drawn, and when the lesson on an option ends."""
+    """Rules for drawing start states, and for ending the lesson on an option."""
 
     strategy: str = STRATEGY  # one of the learner's ``STRATEGIES``
-    budget: int = BUDGET  # largest number of demonstrations of one option, with "not here" answers
+    budget: int = BUDGET  # maximum demonstrations per option, including "not here" answers
     seed: int = 0
     until_no_failures: bool = (
         True  # with strategy failures: continue while the learned option fails
     )
-    method: str = METHOD  # learning method, one of ``METHODS``, unless the person names another
+    method: str = METHOD  # default learning method, one of ``METHODS``
 
 
 class SeededStarts:
     """
     The start states of one lesson.
 
-    A draw depends on seed, participant, option, the number of the demonstration and, with the
-    strategy ``failures``, on what was learned; so a demonstration that is tried again, or after a
-    restart, starts in the same state.
+    A draw depends on the seed, participant, option, number of the demonstration and, with the
+    strategy ``failures``, the learned option. A demonstration that is repeated, even after a
+    restart, thus starts in the same state.
     """
 
     def __init__(self, domain: ActableDomain, rules: LessonRules) -> None:
@@ -47,15 +47,15 @@ class SeededStarts:
         self._domain = domain
         self._texts: dict[tuple[str, str], str] = {}  # options, by participant and name
         self._parse = lru_cache(MAX_PARSED)(lambda text: option_from_json(text)[0])
-        # What the sample of the next start state depends on, the sample, and its generator.
+        # Key of the sample for the next start state, the sample, and its generator.
         self._ahead: tuple[Any, Sequence[Any] | None, np.random.Generator] | None = None
 
     def learned(self, participant: str, option_name: str, text: str) -> bool:
         """
-        Store an option that the learner has published, if the strategy uses it.
+        Store an option published by the learner, if the strategy uses it.
 
         :return: whether it has changed.
-        :raises OptionError: it is not an option, or one of another domain.
+        :raises OptionError: it is not an option, or it belongs to another domain.
         """
         key = participant, option_name
         if self.rules.strategy != FAILURES or self._texts.get(key) == text:
@@ -68,7 +68,7 @@ class SeededStarts:
         """
         Return the start state of the next demonstration, in the domain's notation.
 
-        :raises NeedsRulesError: the domain can only be acted in.
+        :raises NeedsRulesError: the domain cannot be simulated.
         """
         domain = simulated(self._domain, 'the choice of a start state')
         self.draw_ahead(option)
@@ -85,7 +85,7 @@ class SeededStarts:
         return domain.encode(state)
 
     def draw_ahead(self, option: OptionHistory) -> None:
-        """Draw the sample of states from which the next start state is chosen; this takes time."""
+        """Draw the sample of candidates for the next start state in advance, since it is slow."""
         if not can_simulate(self._domain):
             return
         key = option.participant, option.name, option.number, bool(option.demonstrations)
@@ -99,7 +99,7 @@ class SeededStarts:
         return int(self._generator('episode', option).integers(2**63))
 
     def counts(self, option: OptionHistory, demonstration: Demonstration) -> bool:
-        """Return whether the next draw takes a demonstration, or its withdrawal, into account."""
+        """Return whether the next draw includes a demonstration or its withdrawal."""
         if not option.n_trajectories or self.rules.strategy != FAILURES:
             return True
         learned = self._option(option)
@@ -108,12 +108,12 @@ class SeededStarts:
         return (demonstration.uuid in learned.uuids) != demonstration.withdrawn
 
     def exhausted(self, option: OptionHistory) -> bool:
-        """Return whether the strategy has no more questions once the criteria are met."""
+        """Return whether the strategy has no more questions, given that the criteria are met."""
         learned = self._option(option)
         asks_failures = self.rules.until_no_failures and self.rules.strategy == FAILURES
         if not asks_failures or learned is None or not option.demonstrations:
             return True
-        if not can_simulate(self._domain):  # where it fails shows only when it is run
+        if not can_simulate(self._domain):  # failures are only found by running the option
             return True
         rng = self._generator('exhausted', option)
         return nothing_fails(learned, self._domain, option.demonstrations, rng)

@@ -1,21 +1,21 @@
 """
-A stand-in for a person who teaches, for demos, tests and experiments.
+A simulated teacher for demos, tests and experiments.
 
-What it assumes of people, and where it is simpler than they are:
+Assumptions and simplifications:
 
-- It takes the domain's reference option as the meaning of an option, and answers each feature
-  question accordingly; with ``extra_feature_rate`` it also says yes to irrelevant features.
-- Among equally good actions it always prefers the same: by the domain's order of actions, or by an
-  order of its own (``own_habits``), drawn for the participant.
-- Before each step it errs with probability ``error_rate``: it takes one of the actions that are
-  not best, with equal probability. It does not undo the error, but continues.
+- It uses the domain's reference option as the meaning of an option, and answers each feature
+  question accordingly; with ``extra_feature_rate``, it also says yes to irrelevant features.
+- Among equally good actions, it has a fixed preference: the domain's order of actions, or a random
+  order per participant (``own_habits``).
+- Before each step, it errs with probability ``error_rate``: it takes a uniformly random action
+  among those that are not optimal. It does not undo the error, but continues.
 - It says "not here" exactly where the reference option cannot start, and "done" in the first state
-  after at least one step in which the reference option ends. It makes no error in these.
-- A demonstration that an error has ended, from which no best action leads on, or that is longer
-  than ``step_limit``, is discarded and tried again; after ``ATTEMPTS`` in a row it gives up.
+  after at least one step in which the reference option ends. These verdicts are always correct.
+- A demonstration is discarded and repeated if an error ended it, if no optimal action is left, or
+  if it exceeds ``step_limit``; after ``ATTEMPTS`` failures in a row, the teacher gives up.
 
 Every draw is keyed by seed, participant, option, number of the demonstration, attempt and step, so
-the same seed gives the same demonstrations, whatever else happens on the graph.
+the same seed gives the same demonstrations, regardless of other events on the graph.
 """
 
 from dataclasses import dataclass
@@ -39,12 +39,12 @@ from humanopts_teach.lesson.requests import (
 )
 import numpy as np
 
-FINISHED = 'finished'  # text of its node's status once everything is taught
+FINISHED = 'finished'  # status text of its node after everything is taught
 ATTEMPTS = 10  # discarded demonstrations in a row from one start state
 
 
 class TeacherError(RuntimeError):
-    """The teacher cannot teach this; the text says why."""
+    """The teacher cannot teach this; the message says why."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,9 +55,9 @@ class TeacherSettings:
     participant: str = 'simulated'
     session: str = 'simulated'
     error_rate: float = 0.0  # probability of an error before each step
-    extra_feature_rate: float = 0.0  # probability of a needless yes for each feature
-    own_habits: bool = False  # prefer actions in an order of its own
-    step_limit: int = 200  # steps after which a demonstration is discarded
+    extra_feature_rate: float = 0.0  # probability of a wrong yes per irrelevant feature
+    own_habits: bool = False  # use a random preference among actions
+    step_limit: int = 200  # maximum number of steps per demonstration
     seed: int = 0
 
 
@@ -77,13 +77,13 @@ Act = LessonRequest | Drive | Wait | Finish
 
 
 class SimulatedTeacher:
-    """Decides what to do next, from the state of the lesson and the game."""
+    """Decides on the next action, from the state of the lesson and the game."""
 
     def __init__(self, domain: Domain[Any], settings: TeacherSettings) -> None:
         """
         Prepare to teach.
 
-        :raises TeacherError: no option to teach, one without a reference, or a bad setting.
+        :raises TeacherError: no options, an option without a reference, or an invalid setting.
         """
         self._domain, self._settings = domain, settings
         self._references = reference_options(domain)
@@ -101,18 +101,18 @@ class SimulatedTeacher:
             raise TeacherError(f'step_limit is {settings.step_limit}, and must be 1 or more')
         self._finished: set[str] = set()
         self._tried = ('', 0)  # option and number of the current demonstration
-        self._attempt = 0  # how often it was discarded
-        self._erred = False  # in the last step
+        self._attempt = 0  # number of times it was discarded
+        self._erred = False  # whether the last step was an error
         count = len(domain.actions)
         own = settings.own_habits
         self._order = self._generator('habits').permutation(count) if own else np.arange(count)
 
     def next_act(self, lesson: LessonView, game: Transition | None) -> Act:
         """
-        Return what to do next; to be called once for each thing that is done.
+        Return the next action; call once per action carried out.
 
-        :param game: newest state of the game; None: none has come yet.
-        :raises TeacherError: it cannot show the option from the start state.
+        :param game: newest state of the game; None: not received yet.
+        :raises TeacherError: it cannot demonstrate the option from the start state.
         """
         act = self._wanted(lesson, game)
         if lesson.paused and isinstance(

@@ -1,7 +1,7 @@
 """
-The entries of a lesson on disk: for each participant one file of answers and demonstrations.
+The entries of a lesson on disk, with one file of answers and demonstrations per participant.
 
-A line of JSON is one entry. It is durable (fsync) before the lesson continues.
+Each line of JSON is one entry, which is durable (fsync) before the lesson continues.
 """
 
 from collections.abc import Iterable
@@ -27,23 +27,23 @@ VERSION = 1  # of the line format
 OPEN_SESSION = 'open_session.json'
 _SUFFIX = '.jsonl'
 _LOCK = '.lock'
-CODE = re.compile(r'[A-Za-z0-9_-]{1,60}')  # of participants, who name files, and sessions
+CODE = re.compile(r'[A-Za-z0-9_-]{1,60}')  # of participants, used as file names, and of sessions
 CODE_RULE = 'letters, digits, - and _, at most 60 of them'
 
 
 def similar_code(code: str, known: Iterable[str]) -> str:
-    """Return a known code that differs only in case; empty: none does, or it is known itself."""
+    """Return a known code that differs only in case; empty: none, or the code is known."""
     alike = [each for each in known if caseless(each) == caseless(code)]
     return '' if code in alike else next(iter(alike), '')
 
 
 class EntryError(ValueError):
-    """A line is not an entry; the text says why."""
+    """A line is not an entry; the message says why."""
 
 
 @dataclass(frozen=True, slots=True)
 class LessonEvent:
-    """What happened in a lesson; an option is named in all but the first kind."""
+    """An event in a lesson; all kinds except the first name an option."""
 
     entry: Literal['session', 'option', 'answer', 'answer taken back', 'option deleted']
     domain: str
@@ -51,10 +51,10 @@ class LessonEvent:
     participant: str
     session: str
     option_name: Annotated[str, AfterValidator(composed)] = ''
-    feature: str = ''  # that was answered
+    feature: str = ''  # of the question
     yes: bool = False  # the answer
-    ask_again: bool = False  # with "option": the answers given before count no longer
-    method: str = ''  # with "option": of learning, that was asked for; empty: none
+    ask_again: bool = False  # with "option": discard earlier answers
+    method: str = ''  # with "option": requested learning method; empty: none
 
 
 Entry = LessonEvent | Demonstration
@@ -62,7 +62,7 @@ _EVENT = TypeAdapter(LessonEvent)
 
 
 def entry_to_line(entry: Entry) -> str:
-    """Return the entry as one line of JSON, without the line's end."""
+    """Return the entry as one line of JSON, without a newline."""
     if isinstance(entry, Demonstration):
         values = {'entry': 'demonstration', **json.loads(entry.to_json())}
     else:
@@ -74,7 +74,7 @@ def entry_from_line(line: str) -> Entry:
     """
     Read what ``entry_to_line`` wrote.
 
-    :raises EntryError: it is not JSON, of another version, or a field is missing or wrong.
+    :raises EntryError: it is not JSON, has another version, or a field is missing or invalid.
     """
     try:
         values = parse_json(line)
@@ -92,24 +92,24 @@ def entry_from_line(line: str) -> Entry:
 
 
 class StoreError(OSError):
-    """The folder cannot be read or written; the text says why, and what to do."""
+    """The folder cannot be read or written; the message says why, and what to do."""
 
 
 class DemonstrationStore(AbstractContextManager['DemonstrationStore']):
     """
-    The entries of every participant, in one folder that one process uses at a time.
+    The entries of all participants, in a folder used by one process at a time.
 
-    They are read from their files on request; none is kept in memory.
+    They are read from files on request, and not kept in memory.
     """
 
     def __init__(self, directory: Path) -> None:
         """
-        Open the folder, creating it where needed, and repair what a crash left behind.
+        Open the folder, creating it if needed, and repair damage from crashes.
 
-        :raises StoreError: the folder cannot be made or read, or another process has it open.
+        :raises StoreError: the folder cannot be created or read, or another process uses it.
         """
         self.directory = directory
-        self.damage: list[str] = []  # damage that was found, in words
+        self.damage: list[str] = []  # descriptions of damage found
         self._logs: dict[str, AppendOnlyLog] = {}  # by participant
         self._lock: TextIO | None = None
         try:
@@ -145,9 +145,9 @@ class DemonstrationStore(AbstractContextManager['DemonstrationStore']):
 
     def entries(self, participant: str) -> tuple[Entry, ...]:
         """
-        Return the entries of one participant, in the order in which they were written.
+        Return the entries of one participant, in the order written.
 
-        :raises StoreError: their file cannot be read.
+        :raises StoreError: the file cannot be read.
         """
         log = self._logs.get(participant)
         try:
@@ -157,10 +157,10 @@ class DemonstrationStore(AbstractContextManager['DemonstrationStore']):
 
     def append(self, *entries: Entry) -> None:
         """
-        Append entries of one participant to their file; they are on disk when this returns.
+        Append entries of one participant; they are on disk when this returns.
 
-        :raises StoreError: it could not be written (disk full, folder gone); nothing is
-            kept, and the call can be repeated.
+        :raises StoreError: writing failed (disk full, folder gone); nothing is stored, and the
+            call can be repeated.
         """
         participant = entries[0].participant
         path = self.directory / f'{participant}{_SUFFIX}'
@@ -174,9 +174,9 @@ class DemonstrationStore(AbstractContextManager['DemonstrationStore']):
 
 def _entry_of(participant: str, line: str) -> Entry:
     """
-    Return the entry of a line.
+    Return the entry in a line.
 
-    :raises EntryError: it is none, or another participant's.
+    :raises EntryError: it is not an entry, or it belongs to another participant.
     """
     entry = entry_from_line(line)
     if entry.participant != participant:
@@ -196,26 +196,26 @@ def _explained(error: OSError, what: str) -> StoreError:
 
 class OpenSessionFile:
     """
-    The file in the folder of demonstrations that names the open session.
+    The file in the demonstrations folder that names the open session.
 
-    A restarted lesson node resumes it. Only a process with the same parent does so, that is, one
-    restarted by the same launcher; the next launch opens a session of its own.
+    A restarted lesson node resumes this session, but only if it has the same parent process, that
+    is, if the same launcher restarted it; the next launch opens a new session.
     """
 
     def __init__(self, folder: Path) -> None:
-        """Name the file without writing it."""
+        """Set the path, without writing the file."""
         self._path = folder / OPEN_SESSION
         parent = psutil.Process(os.getppid())
         self._parent = f'{parent.pid} {parent.create_time()}'
 
     def left(self) -> tuple[str, str] | None:
-        """Return the participant and session that an earlier process left open."""
+        """Return the participant and session left open by an earlier process, if any."""
         try:
             values = parse_json(read_text(self._path))
             if values['parent'] == self._parent:
                 return str(values['participant']), str(values['session'])
         except (FileError, JsonError, LookupError, TypeError):
-            pass  # there is none, or it is not ours
+            pass  # no such file, or not ours
         return None
 
     def keep(self, participant: str, session: str) -> None:
