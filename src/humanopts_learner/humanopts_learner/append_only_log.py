@@ -142,7 +142,7 @@ def refuse_link(path: Path) -> None:
 
 
 def link_remark(directory: Path) -> str:
-    """Return a remark if a folder is a symbolic link, naming its target; empty otherwise."""
+    """Return a remark with the target if a folder is a symbolic link; otherwise empty."""
     if not directory.is_symlink():
         return ''
     return f'{directory} is a symbolic link: its files are those of {directory.resolve()}'

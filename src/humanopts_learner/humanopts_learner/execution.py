@@ -104,7 +104,7 @@ class Execution(Generic[S]):
 
     :ivar games: (N,) game numbers.
     :ivar option: (N,) indices of the running options; ``NONE``: a choice is due.
-    :ivar decided: (M,) positions among the N of the latest choices.
+    :ivar decided: (M,) indices among the N games of the latest choices.
     :ivar total: (N,) sum of r[i] of the newest run of each game.
     :ivar discounted: (N,) sum of gamma**i * r[i] of the newest run of each game.
     """

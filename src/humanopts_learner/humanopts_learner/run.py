@@ -229,7 +229,7 @@ class Run:
 
     @property
     def execution(self) -> Arbitration:
-        """The execution in force."""
+        """The current execution."""
         return Arbitration.RUN_TO_END if self.arbiter is None else self.arbiter.execution
 
     @property

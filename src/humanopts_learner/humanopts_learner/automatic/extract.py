@@ -76,7 +76,7 @@ def find_options(
 
     :param domain: enumerable domain, or domain with its own search space.
     :param progress: called with the stages ``tasks`` and ``policies``.
-    :raises PlanError: no tasks can be set in the domain; its subclasses say why.
+    :raises PlanError: no tasks can be set, none was learned, or no options were found.
     :raises PlanCanceled: from ``progress``.
     """
     space, began = search_space(domain), clock()

@@ -1,1 +1,1 @@
-"""Options: learned from demonstrations, judged, run, and kept as files."""
+"""Options: learning from demonstrations, evaluation, execution, and storage in files."""

@@ -197,7 +197,7 @@ def _sample(game: _Keyed[Domain]) -> tuple[list[Any], Rows]:
 
 @lru_cache(maxsize=32)
 def _of_a_sample(game: _Keyed[Domain], meaning: _Keyed[ReferenceOption]) -> _Answers:
-    """Also step by the first optimal action from each acting state, to include ends."""
+    """Return answers for a sample, with ends added by one optimal step from acting states."""
     domain, reference, count = game.value, meaning.value, len(game.value.actions)
     states, rows = _sample(game)
     said = judge_states(reference, states, count)

@@ -80,7 +80,7 @@ class Contradiction:
     """A situation where a demonstration differs from all earlier ones."""
 
     text: str
-    earlier: Demonstration  # last demonstration that differs
+    earlier: Demonstration  # last earlier demonstration that differs
     step: int  # step of the new demonstration
 
 

@@ -47,8 +47,8 @@ def find_failures(
     An end counts as demonstrated if a demonstration ended in a state with equal features: a taxi
     that drops its passenger at the wrong place has reached an end, but not a demonstrated one. If
     most demonstrations ended with the task over and one did not, or vice versa, its end may be a
-    slip and only counts from the second time on. A planned policy (``goal.py``) takes the best
-    path to the end most similar to the demonstrated ones, so each of its ends counts.
+    slip and counts only if repeated. A planned policy (``goal.py``) takes the best path to the end
+    most similar to the demonstrated ones, so each of its ends counts.
 
     :param demonstrations: those from which the option was learned.
     :raises OptionError: the option was not learned in this domain.

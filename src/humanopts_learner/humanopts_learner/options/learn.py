@@ -2,7 +2,7 @@
 Learning an option from demonstrations (paper, section 6).
 
 Examples of I are positive in visited states, negative in "not here" states, and negative in end
-states unless the person marks that the option could start again there. Examples of beta are
+states unless the person says that the option could start again there. Examples of beta are
 positive in end states and in "not here" states, because an option may continue only where it could
 start (Sutton, Precup and Singh 1999, section 2), and negative in the other states of a trajectory.
 """

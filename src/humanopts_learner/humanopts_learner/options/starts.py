@@ -32,7 +32,7 @@ import numpy as np
 
 STRATEGIES = ('random', 'coverage', 'failures')
 SHOWN_WEIGHT = 0.1  # weight of a demonstrated failing situation; others: 1
-SAMPLE = 500  # number of states, if not all can be run
+SAMPLE = 500  # number of states, if the option cannot be run from all
 RUNS = 50  # number of runs from sampled states
 TOLERATED = 0.1  # maximum share of failing states at the end of a lesson
 
@@ -136,7 +136,7 @@ def _instructive_state(domain: EnumerableDomain, found: Failures, rng: np.random
     weight = np.where(found.times_shown == 0, 1.0, SHOWN_WEIGHT) * among
     if not among.any():
         among, weight = found.candidate, found.candidate / (1.0 + found.times_shown) ** 2
-    # Sum the weights along shortest paths, averaging over several.
+    # Sum the weights along shortest paths, averaged over equally short ones.
     successor = domain.transitions().successor[:, :, 0]
     for steps in range(2, int(found.distance.max()) + 1):
         at = np.flatnonzero(found.distance == steps)

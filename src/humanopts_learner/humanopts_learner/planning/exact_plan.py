@@ -65,7 +65,7 @@ class Returns:
 
     @classmethod
     def of(cls, played: Played, gamma: float, first_fallback: int) -> 'Returns':
-        """Return the results of episodes; ``first_fallback`` as of ``PolicyPlan``."""
+        """Return the results of episodes; ``first_fallback`` as in ``PolicyPlan``."""
         runs, by_game = played.runs, played.by_game
         ones = np.ones(len(runs.game))
         steps, decisions, fallbacks = (

@@ -39,7 +39,7 @@ class OptionValues:
     States are indices in an enumerable domain, or codes of the abstract states of a sampled plan.
     Values are discounted returns; -inf: unavailable or unknown.
 
-    :raises PlanError: the arrays contradict each other.
+    :raises PlanError: the arrays are inconsistent.
     """
 
     action_set: str

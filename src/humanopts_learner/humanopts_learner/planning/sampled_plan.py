@@ -136,7 +136,7 @@ class GreedyPolicy(Policy[Observation]):
 
 @dataclass(frozen=True)
 class ExploringPolicy(Policy[Observation]):
-    """A greedy policy that sometimes runs a random option to its end."""
+    """A greedy policy that sometimes runs a random option without stopping it."""
 
     greedy: GreedyPolicy
     share: float  # of exploring decisions

@@ -17,7 +17,7 @@ class OptionPublisher:
     """
     Publishes changed options, and all options for each new subscriber.
 
-    :ivar sequence: of the last message; 0: none was sent.
+    :ivar sequence: sequence of the last message; 0: none sent.
     """
 
     def __init__(self, node: NodeBase, topic: str) -> None:

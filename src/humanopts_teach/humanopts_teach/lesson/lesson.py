@@ -104,9 +104,7 @@ class Lesson:
         self._history = History(domain, '')
         self._option: OptionHistory | None = None
         self._summaries: dict[tuple[str, str], OptionSummary] = {}  # by participant and option
-        self._awaited: Demonstration | None = (
-            None  # not yet counted, or discounted, by the learner
-        )
+        self._awaited: Demonstration | None = None  # not yet processed by the learner
         self._done = False  # criteria met, and no more questions from the strategy
         self._attempt: Attempt | None = None  # set with the request for an episode
         self._episode = 0  # of the newest demonstration begun

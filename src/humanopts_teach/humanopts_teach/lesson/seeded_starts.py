@@ -27,9 +27,7 @@ class LessonRules:
     strategy: str = STRATEGY  # one of the learner's ``STRATEGIES``
     budget: int = BUDGET  # maximum demonstrations per option, including "not here" answers
     seed: int = 0
-    until_no_failures: bool = (
-        True  # with strategy failures: continue while the learned option fails
-    )
+    until_no_failures: bool = True  # with ``failures``: continue while the learned option fails
     method: str = METHOD  # default learning method, one of ``METHODS``
 
 
