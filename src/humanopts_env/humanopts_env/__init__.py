@@ -1,7 +1,7 @@
 """
 Games as domains: rules without hidden state, reference options, Gymnasium in both directions.
 
-``make_domain('taxi')`` is the way in. Everything here works without ROS.
+The entry point is ``make_domain('taxi')``. Everything here works without ROS.
 """
 
 from lazy_loader import attach_stub

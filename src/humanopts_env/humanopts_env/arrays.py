@@ -1,4 +1,4 @@
-"""Types of arrays by what they hold; axes are named where the arrays are described."""
+"""Array types by content; axes are documented with each array."""
 
 import numpy as np
 from numpy.typing import NDArray

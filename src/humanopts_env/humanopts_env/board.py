@@ -1,12 +1,11 @@
 """
-A board as geometry, and as text.
+A board as geometry and as text.
 
-A domain says what is where: cells, walls and marks. Terminals, web pages, RViz and the figures of
-reports all draw the same ``Board``; ``board_text`` draws it for terminals, logs and tests.
+A domain defines a board by its cells, walls and marks. Terminals, web pages, RViz and the figures
+of reports all draw the same ``Board``; ``board_text`` draws it for terminals, logs and tests.
 
 Cells are (row, column), row 0 in the north and column 0 in the west. The corner between four
-cells has the row and column of the cell south-east of it. A frame around all cells is drawn
-without being listed.
+cells has the row and column of the cell south-east of it. The frame around all cells is implied.
 """
 
 from dataclasses import dataclass
@@ -15,49 +14,49 @@ import math
 
 import numpy as np
 
-# Marks that pictures draw as shapes; all others are letters.
+# Marks drawn as shapes in pictures; all others are letters.
 PERSON, BOX, OPEN_BOX, HATCHED_BOX, FLAG, BALL, DOT = '☻■□▒⚑●·'
 DIM = 'dim'  # a style, like the colours in ``colours``
 BLOCK = '█'
 CAPTION_WIDTH = 78  # characters
-_LINES = ' ╹╻┃╸┛┓┫╺┗┏┣━┻┳╋'  # by their arms: bit 0 up, 1 down, 2 left, 3 right
+_LINES = ' ╹╻┃╸┛┓┫╺┗┏┣━┻┳╋'  # indexed by arms: bit 0 up, 1 down, 2 left, 3 right
 _UP, _DOWN, _LEFT, _RIGHT = 1, 2, 4, 8
 
 Cell = tuple[int, int]
-Wall = tuple[int, int, int, int]  # row and column of one corner, and of the other
-Sign = tuple[str, str]  # a character, and its style as rich names it
+Wall = tuple[int, int, int, int]  # row and column of one corner, then of the other
+Sign = tuple[str, str]  # a character and its rich style
 
 
 @dataclass(frozen=True, slots=True)
 class Mark:
-    """A thing in a cell."""
+    """An object in a cell."""
 
     cell: Cell
     kind: str  # one character: one of the shapes above, or a letter
-    name: str  # in the legend, which lists marks of one name together
-    colour: str = ''  # one of ``colours``; empty: that of text
+    name: str  # in the legend, which groups marks by name
+    colour: str = ''  # one of ``colours``; empty: text colour
 
 
 @dataclass(frozen=True, slots=True)
 class Board:
-    """What may be seen of a state. Blocks and walls are the same in all states of a domain."""
+    """The visible part of a state. Blocks and walls are equal in all states of a domain."""
 
     rows: int = 0
     cols: int = 0
     blocks: tuple[Cell, ...] = ()  # cells that nothing can enter
     walls: tuple[Wall, ...] = ()  # straight lines along the edges of cells
-    marks: tuple[Mark, ...] = ()  # of one cell, the first is in front
-    notes: tuple[str, ...] = ()  # what the drawing does not show
+    marks: tuple[Mark, ...] = ()  # the first mark of a cell is in front
+    notes: tuple[str, ...] = ()  # information that is not drawn
     colour: str = ''  # of blocks and walls
-    dotted: bool = True  # a dot in each empty cell makes it easy to count them
-    picture: str = ''  # a drawing in characters that a world without cells brings with it
+    dotted: bool = True  # draw a dot in each empty cell, so that cells are easy to count
+    picture: str = ''  # text drawing of a world without cells
 
     def edges(self) -> tuple[Wall, ...]:
-        """Return the sides of the frame, and all walls."""
+        """Return the sides of the frame and all walls."""
         return (*_frame(self.rows, self.cols), *self.walls) if self.rows else ()
 
     def places(self) -> list[tuple[Mark, tuple[float, float], float]]:
-        """Return each mark with its place in rows and columns, and its size in cells."""
+        """Return each mark with its position in rows and columns, and its size in cells."""
         found = []
         for (row, col), marks in self.marks_by_cell().items():
             across = math.ceil(math.sqrt(len(marks)))
@@ -69,14 +68,14 @@ class Board:
         return found
 
     def marks_by_cell(self) -> dict[Cell, list[Mark]]:
-        """Return the marks of each cell that has any."""
+        """Return the marks by cell, for cells with marks."""
         found: dict[Cell, list[Mark]] = {}
         for mark in self.marks:
             found.setdefault(mark.cell, []).append(mark)
         return found
 
     def empty_cells(self) -> list[Cell]:
-        """Return the cells with neither a block nor a mark, where the board is dotted."""
+        """Return the cells with neither a block nor a mark if the board is dotted."""
         taken = {*self.blocks, *(mark.cell for mark in self.marks)}
         cells = product(range(self.rows), range(self.cols)) if self.dotted else ()
         return [cell for cell in cells if cell not in taken]
@@ -84,10 +83,10 @@ class Board:
 
 def signs(board: Board) -> list[list[Sign]]:
     """
-    Return the rows of characters that show the board; all rows are equally long.
+    Return the board as rows of characters of equal length.
 
-    A cell is two characters wide and shows two marks; where there are walls between cells, it is
-    three characters wide and shows three.
+    A cell is two characters wide and shows two marks; on boards with walls between cells, it is
+    three characters wide and shows three marks.
     """
     if not board.rows:
         lines = board.picture.split('\n') if board.picture else []
@@ -120,7 +119,7 @@ def caption(board: Board, width: int = CAPTION_WIDTH) -> list[list[Sign]]:
     """
     Return the lines below the board.
 
-    :param width: in characters; only a longer piece makes a longer line.
+    :param width: line width in characters; only a single longer piece exceeds it.
     """
     lines: list[list[Sign]] = []
     for pieces in captions(board):
@@ -134,8 +133,8 @@ def caption(board: Board, width: int = CAPTION_WIDTH) -> list[list[Sign]]:
 
 
 def captions(board: Board) -> tuple[list[list[Sign]], list[list[Sign]]]:
-    """Return the pieces of the legend, and those of what the drawing does not show."""
-    legend: dict[str, dict[str, str]] = {}  # by name: the style of each sign
+    """Return the pieces of the legend and of the notes."""
+    legend: dict[str, dict[str, str]] = {}  # name -> sign -> style
     for mark in board.marks:
         legend.setdefault(mark.name, {})[mark.kind] = _style(mark)
     shown = 3 if board.walls else 2
@@ -170,7 +169,7 @@ def _style(mark: Mark) -> str:
 
 
 def runs(line: list[Sign]) -> list[Sign]:
-    """Return a line as texts of one style each."""
+    """Merge a line into texts of one style each."""
     return [
         (''.join(sign for sign, _ in group), style)
         for style, group in groupby(line, key=lambda sign: sign[1])

@@ -1,8 +1,8 @@
 """
-Colours of text that can be read on black and on white, as rich names them.
+Text colours that are readable on black and on white, by their rich names.
 
-Each is one of the 240 fixed colours of terminals with 256, so that a theme does not change it. Its
-contrast with black and with white is 3.5 or more (WCAG 2.2, success criterion 1.4.11, asks for 3).
+Each is one of the 240 fixed colours of 256-colour terminals, so that themes do not change it. Its
+contrast with black and with white is 3.5 or more (WCAG 2.2, success criterion 1.4.11, requires 3).
 """
 
 RED, ORANGE, GREEN, TEAL = 'color(160)', 'color(130)', 'color(28)', 'color(30)'

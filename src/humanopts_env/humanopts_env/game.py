@@ -1,9 +1,9 @@
 """
-The game in lock-step: one step for each accepted command, of a person or of a machine.
+The game in lock-step: one step per accepted command of a person or a machine.
 
 The values mirror the messages of humanopts_interfaces: the enums have the numbers of
 ``ActionCommand``, ``ActionRefusal``, ``ControlState``, ``GameState``, ``ResetGame`` and
-``SetControl``, and the dataclasses their fields.
+``SetControl``; the dataclasses have their fields.
 """
 
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ from humanopts_ros.limits import MAX_STATE
 
 
 class Source(IntEnum):
-    """Who chose an action."""
+    """The source of an action."""
 
     NONE = 0
     PERSON = 1
@@ -28,7 +28,7 @@ class Source(IntEnum):
 
 
 class Reason(IntEnum):
-    """Why a command was refused."""
+    """The reason for a refusal."""
 
     STALE = 1
     HELD_BY_PERSON = 2
@@ -39,7 +39,7 @@ class Reason(IntEnum):
 
 
 class Holder(IntEnum):
-    """Who holds control."""
+    """The holder of control."""
 
     NOBODY = 0
     PERSON = 1
@@ -67,7 +67,7 @@ class Command:
 
     publisher_id: str
     sequence: int
-    source: int  # a Source; any other number is refused
+    source: int  # a Source; other numbers are refused
     episode: int
     step: int
     action: str
@@ -75,7 +75,7 @@ class Command:
 
 @dataclass(frozen=True, slots=True)
 class Transition:
-    """One ``GameState``: the game's state, and the transition that led to it."""
+    """One ``GameState``: the state of the game and the transition to it."""
 
     episode: int = 0
     step: int = 0
@@ -95,12 +95,12 @@ class Transition:
         return self.episode > 0 and not self.terminated and not self.truncated
 
     def follows(self, other: 'Transition') -> bool:
-        """Return whether it came one step after another."""
+        """Return whether this transition is the step after another."""
         return (self.episode, self.step) == (other.episode, other.step + 1)
 
 
 def effect_between(domain: ActableDomain, before: Transition, after: Transition) -> StepEffect:
-    """Return what the step did that led from one transition to the next of its episode."""
+    """Return the effect of the step between two successive transitions of an episode."""
     action = action_index(domain, after.previous_action)
     states = (published_state(domain, each.state, each.features) for each in (before, after))
     return step_effect(domain, next(states), action, next(states))
@@ -124,8 +124,8 @@ def check_transition(transition: Transition, domain: ActableDomain) -> Any:
     """
     Check a transition against the rules of its game.
 
-    :return: its state, decoded; None: no episode was begun.
-    :raises ValueError: its state, a feature or its action is none of the domain.
+    :return: the decoded state; None: no episode was started.
+    :raises ValueError: the state, a feature or the action does not belong to the domain.
     """
     if not transition.episode:
         return None
@@ -143,7 +143,7 @@ def check_features(values: Sequence[float], domain: ActableDomain) -> None:
     """
     Check the features of a state.
 
-    :raises ValueError: there are more or fewer than the domain has, or one is out of its range.
+    :raises ValueError: their number differs from the domain's, or one is out of range.
     """
     if len(values) != len(domain.features):
         raise ValueError(f'its features are not those of {domain.name}')
@@ -163,15 +163,15 @@ class Control:
 
 @dataclass(frozen=True, slots=True)
 class Accepted:
-    """A command that was carried out."""
+    """A command that was executed."""
 
     transition: Transition
-    control: Control | None  # new, where the command took control; None: unchanged
+    control: Control | None  # new, if the command took control; None: unchanged
 
 
 @dataclass(frozen=True, slots=True)
 class Refused:
-    """A command that changed nothing: one ``ActionRefusal``."""
+    """A refused command, which changed nothing: one ``ActionRefusal``."""
 
     reason: Reason
     detail: str
@@ -186,18 +186,18 @@ class Reply:
 
     status: ResetStatus | ControlStatus
     detail: str = ''
-    transition: Transition | None = None  # the first of the new episode; None: none was begun
+    transition: Transition | None = None  # first of the new episode; None: no episode was started
     control: Control | None = None  # the new state of control; None: unchanged
 
 
 class Game:
     """
-    One game of a domain, in lock-step: a command is for the newest step, and is refused as stale
-    for any other. A refused request changes nothing.
+    One game of a domain, in lock-step. A command must refer to the newest step, otherwise it is
+    refused as stale. A refused request changes nothing.
 
     :ivar transition: the newest transition; episode 0 before the first reset.
-    :ivar control: who holds control.
-    :ivar paused: why commands are refused now; empty: they are carried out.
+    :ivar control: current control of the game.
+    :ivar paused: reason why commands are refused now; empty: they are executed.
     """
 
     def __init__(self, domain: Domain) -> None:
@@ -210,11 +210,11 @@ class Game:
 
     def reset(self, start_state: str, seed: int, source: int) -> Reply:
         """
-        Begin a new episode.
+        Start a new episode.
 
-        :param start_state: in the domain's notation; empty: drawn from its start states by seed.
-        :param seed: of the start state and of all chance in the episode, 0 or greater.
-        :param source: a ``Source``; a machine's is refused while a person holds control.
+        :param start_state: state in the domain's notation; empty: drawn with the seed.
+        :param seed: seed of the start state and of all random draws of the episode, 0 or greater.
+        :param source: a ``Source``; machines are refused while a person holds control.
         :raises ValueError: the seed is negative.
         """
         if source not in (Source.PERSON, Source.MACHINE):
@@ -231,7 +231,7 @@ class Game:
         return Reply(ResetStatus.OK, '', self.transition)
 
     def command(self, command: Command) -> Accepted | Refused:
-        """Take one step, or return why it is refused."""
+        """Take one step, or refuse it."""
         refused = self.refusal(command)
         if refused is not None:
             return refused
@@ -241,7 +241,7 @@ class Game:
         return Accepted(self._step(command), control)
 
     def refusal(self, command: Command) -> Refused | None:
-        """Return how a command would be refused now; None: it would be carried out."""
+        """Return the refusal of a command at this moment; None: it would be executed."""
         objection = self._objection(command)
         return None if objection is None else self.refuse(command, *objection)
 
@@ -251,9 +251,9 @@ class Game:
 
     def set_control(self, hold: bool, holder_id: str) -> Reply:
         """
-        Take control for a person, or give it back.
+        Take or release control for a person.
 
-        :param hold: True: the person takes control; False: the person gives it back.
+        :param hold: whether to take control, not release it.
         :param holder_id: publisher id of the person's terminal.
         """
         if not holder_id:
@@ -269,12 +269,12 @@ class Game:
         return Reply(ControlStatus.OK, control.reason, control=control)
 
     def release(self, reason: str) -> Control:
-        """Free control without its holder, such as a terminal that has left the graph."""
+        """Release control on behalf of its holder, such as a terminal that has left the graph."""
         self.control = Control(Holder.NOBODY, '', reason)
         return self.control
 
     def _objection(self, command: Command) -> tuple[Reason, str] | None:
-        """Return why the command must be refused; None: it can be carried out."""
+        """Return the reason to refuse a command; None: it can be executed."""
         transition, machine = self.transition, command.source == Source.MACHINE
         if self.paused:
             return Reason.PAUSED, self.paused
@@ -355,16 +355,15 @@ MAX_PERIOD = 60.0  # s between steps of the machine
 
 class Pacing:
     """
-    Delays one command of a machine at a time; commands of a person are never delayed.
+    Delays commands of a machine, one at a time; commands of a person are never delayed.
 
-    A person who watches can change the pace, pause the machine and single-step it.
+    A spectator can change the pace, pause the machine and single-step it.
 
-    A step belongs to the first command that answers it, as without pacing: while that one waits,
-    others for the same step are refused as stale. A command that would be refused anyway does not
-    wait.
+    As without pacing, the first command for a step wins: while it waits, others for the same step
+    are refused as stale. A command that would be refused anyway is not delayed.
 
-    :ivar waiting: the delayed command; None: there is none.
-    :ivar period: least time between steps of the machine, s.
+    :ivar waiting: the delayed command; None: none.
+    :ivar period: minimum time between steps of the machine, s.
     :ivar paused_by: publisher id of the terminal that paused the machine; empty: none.
     """
 
@@ -373,7 +372,7 @@ class Pacing:
         self.waiting: Command | None = None
         self.period = period
         self.paused_by = ''
-        self._steps = 0  # allowed while it is paused
+        self._steps = 0  # steps allowed while paused
 
     def set_pace(self, period: float, paused_by: str, steps: int = 0) -> list[Result]:
         """
@@ -381,8 +380,8 @@ class Pacing:
 
         :param period: 0 to MAX_PERIOD, s.
         :param paused_by: publisher id of the terminal that pauses the machine; empty: none.
-        :param steps: single steps that are allowed while it is paused.
-        :return: the result of a delayed command that is carried out now.
+        :param steps: number of single steps allowed while paused.
+        :return: the result of a delayed command that is executed now.
         """
         self.period, self.paused_by = period, paused_by
         self._steps = steps if paused_by else 0
@@ -390,10 +389,10 @@ class Pacing:
 
     def offer(self, command: Command) -> list[Result]:
         """
-        Carry out, refuse or delay a command.
+        Execute, refuse or delay a command.
 
-        :return: its result, unless it is delayed, and the refusal of a delayed command that it
-            replaces because the game has moved on.
+        :return: its result, unless it is delayed, and the refusal of a stale delayed command that
+            it replaces.
         """
         game, before = self._game, self.waiting
         if command.source == Source.PERSON:
@@ -410,7 +409,7 @@ class Pacing:
         return results if self.period and not self._steps else results + self.due()
 
     def due(self) -> list[Result]:
-        """Carry out the delayed command, if there is one and it is not held by a pause."""
+        """Execute the delayed command, if any, unless the machine is paused."""
         command = self.waiting
         if command is None:
             return []

@@ -1,8 +1,8 @@
 """
 N independent games of one domain, stepped in place.
 
-There are three ways to play them: ``TableGames`` where all states can be listed, the arrays of a
-domain that has them (``HasGames``), and ``StateGames``, one state after another, in any domain.
+There are three implementations: ``TableGames`` if all states can be listed, the arrays of the
+domain itself if it has them (``HasGames``), and ``StateGames``, state by state, for any domain.
 """
 
 from collections.abc import Mapping, Sequence
@@ -15,8 +15,8 @@ from humanopts_env.domains.tabular import TabularSimulator
 import numpy as np
 from numpy.typing import NDArray
 
-# Where the outcomes of steps are drawn from: one generator for all games, or one for each of the
-# N. With its own, a game draws what ``Domain.step`` draws, whatever the other games do.
+# Generators for the outcomes of steps: one for all games, or one for each of the N games. With its
+# own generator, a game draws the same outcomes as ``Domain.step``, independently of other games.
 Chance = np.random.Generator | Sequence[np.random.Generator]
 
 
@@ -24,12 +24,12 @@ Chance = np.random.Generator | Sequence[np.random.Generator]
 class Steps:
     """The results of one step of N games."""
 
-    reward: Floats  # (N,); 0 where the game was over before
-    over: Flags  # (N,) the task is over now
+    reward: Floats  # (N,); 0 if the game was already over
+    over: Flags  # (N,) whether the task is over now
 
 
 class Games(Protocol):
-    """N games of one domain; games that are over stay as they are."""
+    """N games of one domain; finished games do not change."""
 
     @property
     def domain(self) -> Domain:
@@ -39,7 +39,7 @@ class Games(Protocol):
         """Return the number of games, N."""
 
     def features(self) -> Rows:
-        """Return (N, F): all features."""
+        """Return all features, (N, F)."""
 
     def over(self) -> Flags:
         """Return (N,): whether the task is over."""
@@ -52,7 +52,7 @@ class Games(Protocol):
         """
 
     def reset(self, games: Ints, chance: np.random.Generator) -> None:
-        """Begin chosen games (M,) anew, as ``Domain.reset`` does."""
+        """Restart chosen games (M,), like ``Domain.reset``."""
 
     def take(self, games: Ints) -> Self:
         """Return copies of chosen games (M,), in any order and number."""
@@ -61,19 +61,19 @@ class Games(Protocol):
         """Return the state of each game."""
 
     def outcomes(self) -> Mapping[str, NDArray[Any]]:
-        """Return what is reported of games beside the return, (N,) each, by name."""
+        """Return the reported outcomes of the games other than the return, (N,) each, by name."""
 
 
 @runtime_checkable
 class HasGames(Protocol):
-    """A domain that plays many games at once by arrays of its own."""
+    """A domain with its own array implementation of many games."""
 
     def games(self, states: Sequence[Any]) -> Games:
-        """Return games that are in given states."""
+        """Return games in given states."""
 
 
 def games_at(domain: Domain, states: Sequence[Any]) -> Games:
-    """Return games of a domain that are in given states, in its fastest way to play them."""
+    """Return games of a domain in given states, with the fastest implementation."""
     if isinstance(domain, HasGames):
         return domain.games(states)
     if is_enumerable(domain):
@@ -82,7 +82,7 @@ def games_at(domain: Domain, states: Sequence[Any]) -> Games:
 
 
 def new_games(domain: Domain, count: int, chance: np.random.Generator) -> Games:
-    """Begin N games at the start of the task."""
+    """Start N games in start states."""
     one = games_at(domain, [domain.reset(np.random.default_rng(0))])
     games = one.take(np.zeros(count, dtype=np.intp))
     games.reset(np.arange(count), chance)
@@ -95,7 +95,7 @@ def feature_rows(domain: Domain, states: Sequence[Any]) -> Rows:
 
 
 def chance_of(chance: Chance, games: Ints) -> Chance:
-    """Return the chance of chosen games (M,)."""
+    """Return the generators of chosen games (M,)."""
     if isinstance(chance, np.random.Generator):
         return chance
     return [chance[game] for game in games.tolist()]
@@ -108,16 +108,16 @@ class TableGames:
         self, domain: EnumerableDomain, state: Ints, simulator: TabularSimulator | None = None
     ) -> None:
         """
-        Take the games over.
+        Create the games; ``state`` is modified in place.
 
-        :param simulator: of the domain; None: it is made here.
+        :param simulator: simulator of the domain; None: create one.
         """
         self.domain, self.state = domain, state
         self._simulator = simulator or TabularSimulator(domain.transitions(), domain.over())
 
     @classmethod
     def at(cls, domain: EnumerableDomain, states: Sequence[Any]) -> Self:
-        """Return games that are in given states."""
+        """Return games in given states."""
         return cls(domain, np.array([domain.index(state) for state in states], dtype=np.intp))
 
     def __len__(self) -> int:
@@ -158,7 +158,7 @@ class TableGames:
 
 
 class StateGames:
-    """Games of any domain, as a list of states that are stepped one after another."""
+    """Games of any domain, as a list of states, stepped one by one."""
 
     def __init__(self, domain: Domain, states: list[Any]) -> None:
         self.domain, self._states = domain, states

@@ -48,13 +48,13 @@ class DomainEnv(gymnasium.Env[Any, Any]):
     """
     A domain; actions are action indices.
 
-    An observation is the state's index where the states can be listed. Elsewhere it is the value
+    An observation is the index of the state if states can be listed. Otherwise it has the value
     of every feature, in the order of ``domain.features``: an index into the feature's ``values``,
-    or, where one is continuous, a ``Box`` of float64.
+    or, if one is continuous, a ``Box`` of float64.
 
     ``info['action_mask']`` (A,) is 1 for the actions that can change something, as in Gymnasium's
-    Taxi, and for all where that is not known; ``action_space.sample(mask)`` draws among them. The
-    others are allowed too.
+    Taxi, and for all actions if that is unknown; ``action_space.sample(mask)`` draws among them.
+    The other actions are allowed, too.
 
     :ivar domain: the rules, with ``features``, ``actions`` and ``decode``.
     """
@@ -65,11 +65,11 @@ class DomainEnv(gymnasium.Env[Any, Any]):
         self, domain: str, render_mode: str | None = None, **parameters: Parameter
     ) -> None:
         """
-        Make the environment of a registered domain.
+        Create the environment of a registered domain.
 
-        :param domain: the domain's name; ``parameters`` are those of the domain, such as rows.
+        :param domain: name of the domain; ``parameters`` are its parameters, such as rows.
         :param render_mode: 'ansi' for text, or None.
-        :raises DomainError: there is no such domain, or it refuses the parameters.
+        :raises DomainError: the domain is unknown, or it refuses the parameters.
         """
         self.domain: Domain = make_domain(domain, parameters)
         self.render_mode = render_mode
@@ -100,11 +100,11 @@ class DomainEnv(gymnasium.Env[Any, Any]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
         """
-        Begin an episode.
+        Start an episode.
 
-        :param options: ``{'state': text}`` begins in a state in the domain's notation;
-            ``{'game_seed': number}`` uses the random draws of the node game after a reset with
-            that seed.
+        :param options: ``{'state': text}`` sets the start state in the domain's notation;
+            ``{'game_seed': number}`` uses the same random draws as the node game after a reset
+            with this seed.
         :raises StateError: the text is not a state.
         """
         super().reset(seed=seed)
@@ -119,8 +119,8 @@ class DomainEnv(gymnasium.Env[Any, Any]):
         """
         Take one primitive action; the episode is truncated at the domain's ``max_steps``.
 
-        :raises ResetNeeded: no episode was begun.
-        :raises DomainError: there is no such action, or the episode has ended.
+        :raises ResetNeeded: no episode was started.
+        :raises DomainError: the action is unknown, or the episode has ended.
         """
         outcome = self.domain.step(self._state('step'), int(action), self.np_random)
         self._now, self._steps = outcome.state, self._steps + 1
@@ -132,7 +132,7 @@ class DomainEnv(gymnasium.Env[Any, Any]):
         """
         Return the drawing of the state in render mode 'ansi', else None.
 
-        :raises ResetNeeded: no episode was begun.
+        :raises ResetNeeded: no episode was started.
         """
         state = self._state('render')
         return board_text(board_of(self.domain, state)) if self.render_mode == 'ansi' else None
@@ -158,7 +158,7 @@ class DomainEnv(gymnasium.Env[Any, Any]):
 
     @cached_property
     def P(self) -> Tabular:  # noqa: N802, Gymnasium's own name
-        """The transitions in Gymnasium's tabular form, built when they are first used."""
+        """The transitions in Gymnasium's tabular form, built on first use."""
         table = self._listed.transitions()
         axes = table.probability, table.successor, table.reward, table.terminated
         rows = zip(*(axis.tolist() for axis in axes))
@@ -172,7 +172,7 @@ class DomainEnv(gymnasium.Env[Any, Any]):
 
     @cached_property
     def initial_state_distrib(self) -> Floats:
-        """Probability of each state (S,) to be the first, in Gymnasium's tabular form."""
+        """Probability of each start state, (S,), in Gymnasium's tabular form."""
         starts = self._listed.start_states()
         share = np.zeros(self._listed.n_states)
         share[starts] = 1 / len(starts)
@@ -180,7 +180,7 @@ class DomainEnv(gymnasium.Env[Any, Any]):
 
 
 def spec_of(domain: Domain) -> EnvSpec:
-    """Return the specification from which ``gymnasium.make`` makes a domain's environment."""
+    """Return the specification of a domain's environment for ``gymnasium.make``."""
     names = {known: name for name, known in ENVIRONMENTS.items()}
     name = names.get(domain.name, 'humanopts/Table-v0')
     return EnvSpec(name, _ENTRY_POINT, kwargs={'domain': domain.name, **domain.parameters})
@@ -190,7 +190,7 @@ def _feature_space(features: Sequence[Feature]) -> gymnasium.Space[Any]:
     if all(feature.kind is not FeatureKind.CONTINUOUS for feature in features):
         sizes = [len(feature.values) for feature in features]
         return gymnasium.spaces.MultiDiscrete(sizes, dtype=np.int32)
-    lowest = np.array([feature.low for feature in features])  # 0 of the others
+    lowest = np.array([feature.low for feature in features])  # 0 for other features
     highest = lowest + [feature.span for feature in features]
     return gymnasium.spaces.Box(lowest, highest, dtype=np.float64)
 

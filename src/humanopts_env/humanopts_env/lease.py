@@ -1,18 +1,18 @@
-"""Control of the game is a lease: it ends unless its holder renews it."""
+"""Control of the game is a lease, which ends unless its holder renews it."""
 
 from collections import OrderedDict
 
-CHECKS = 7  # checks without a message of the holder, after which its control ends
-MAX_KNOWN = 1000  # publishers that are remembered
+CHECKS = 7  # maximum number of checks without a message from the holder
+MAX_KNOWN = 1000  # known publishers
 
 
 class Lease:
     """
-    The lease of control; any message of its holder renews it.
+    The lease of control; any message from its holder renews it.
 
-    Silence is counted in checks, not in seconds, so that a game that was stopped itself does not
-    blame the holder for its own delay. A publisher is a node and a random part that changes
-    when the node is started again: ``/keyboard_teleop#1f0c33aa``.
+    Silence is counted in checks, not in seconds, so that a delay of the game itself does not end
+    the lease. A publisher id is a node name and a random part that changes when the node is
+    restarted: ``/keyboard_teleop#1f0c33aa``.
     """
 
     def __init__(self) -> None:
@@ -21,24 +21,24 @@ class Lease:
         self._known: OrderedDict[str, None] = OrderedDict()  # publishers of statuses
 
     def begin(self, holder_id: str) -> None:
-        """Begin the lease of a holder; empty: nobody holds control."""
+        """Start the lease of a holder; empty: control is free."""
         self._holder, self._silent = holder_id, 0
 
     def knows(self, publisher_id: str) -> bool:
-        """Return whether a publisher has published a status, and has not ended."""
+        """Return whether a publisher has published a status and has not ended."""
         return publisher_id in self._known
 
     def renew(self, publisher_id: str) -> None:
-        """Note a message of a publisher; if it is the holder, the lease goes on."""
+        """Note a message from a publisher; if it is the holder, renew the lease."""
         if publisher_id == self._holder:
             self._silent = 0
 
     def note_status(self, publisher_id: str, *, ended: bool = False) -> str:
         """
-        Count a status of a publisher.
+        Note a status of a publisher.
 
-        :param ended: it is the last one.
-        :return: why the lease ends now; empty: it does not.
+        :param ended: whether it is the last one.
+        :return: reason why the lease ends now; empty: it continues.
         """
         self.renew(publisher_id)
         new = publisher_id not in self._known
@@ -55,7 +55,7 @@ class Lease:
         return f'{_node(publisher_id)} was started again' if again else ''
 
     def check(self) -> str:
-        """Count a check; return why the lease ends now, or an empty text."""
+        """Count a check; return the reason why the lease ends now, or an empty text."""
         self._silent += 1
         if not self._holder or self._silent < CHECKS:
             return ''

@@ -9,9 +9,9 @@ def generator(seed: int, *purpose: str | int) -> np.random.Generator:
     """
     Return the generator of one purpose.
 
-    :param seed: the run's seed, 0 or greater.
-    :param purpose: what it draws, such as ``'start_state', option, number``; the same seed and
-        purpose give the same numbers in every process, on every machine.
+    :param seed: seed of the run, 0 or greater.
+    :param purpose: key of the draws, such as ``'start_state', option, number``; equal seeds and
+        purposes give the same numbers in every process, on every machine.
     :raises ValueError: seed is negative.
     """
     if seed < 0:

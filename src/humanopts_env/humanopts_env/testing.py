@@ -1,7 +1,7 @@
 """
 The contracts of domains and of reference options, as test classes for pytest.
 
-In the tests of a package that adds a domain::
+Use them in the tests of a package that adds a domain::
 
     class TestMyDomain(DomainContract):
         def make(self) -> Domain:
@@ -11,8 +11,8 @@ In the tests of a package that adds a domain::
         def make(self) -> Domain:
             return MyDomain()
 
-A contract is a list of claims, functions that raise ``Breach`` with what is wrong; each becomes a
-test. Claims about tables or a capability hold for domains that have none.
+A contract is a list of claims, functions that raise ``Breach`` with a description; each becomes a
+test. Claims about tables or a capability pass for domains without them.
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -46,16 +46,16 @@ from humanopts_env.seeding import generator
 import numpy as np
 from numpy.typing import NDArray
 
-STEPS, SAMPLES = 300, 50  # of the random walk; states that are drawn besides
-MANY = 40  # games that are played side by side
-ALIKE = 10  # states that agree and must be drawn alike
-MAX_STATES = 400  # of an enumerable domain that are compared one by one
+STEPS, SAMPLES = 300, 50  # steps of the random walk; additional sampled states
+MANY = 40  # games played in parallel
+ALIKE = 10  # equal states whose drawings must be equal
+MAX_STATES = 400  # states of an enumerable domain compared one by one
 MAX_EFFECT, MAX_WORDS = 50, 90  # characters
-MAX_HELP_ROWS = 18  # that a terminal shows
+MAX_HELP_ROWS = 18  # rows that fit on a terminal
 COLOURS = {'', *(value for name, value in vars(colours).items() if name.isupper())}
-ALL, SAMPLE = 2000, 600  # options are judged in all states, or in sampled ones of a larger domain
-ONE_BY_ONE = 40  # states that are judged one by one, and runs that are played
-MAX_RUN = 1000  # steps of a run, where the domain has no limit of its own
+ALL, SAMPLE = 2000, 600  # options are evaluated in all states, or in a sample of a larger domain
+ONE_BY_ONE = 40  # states evaluated one by one, and runs played
+MAX_RUN = 1000  # steps of a run in a domain without a limit
 
 
 def its_parameters_make_an_equal_domain(seen: Evidence) -> None:
@@ -122,7 +122,7 @@ def a_board_shows_the_chosen_features_and_nothing_else(seen: Evidence) -> None:
         alike: dict[tuple[float, ...], list[Any]] = {}
         for state, row in zip(states, rows):
             alike.setdefault(tuple(row[k] for k in columns), []).append(state)
-        drawn: dict[str, set[str]] = {}  # by board: what it should show, in words
+        drawn: dict[str, set[str]] = {}  # board -> what it should show, in words
         for values, group in alike.items():
             boards = {board_of(domain, state, shown) for state in group[:ALIKE]}
             if shown is not None:
@@ -194,7 +194,7 @@ def layouts_are_as_large_as_the_board_and_leave_out_its_blocks(seen: Evidence) -
 
 
 def many_games_are_single_games(seen: Evidence) -> None:
-    """With chance of its own, each draws what the rules draw; copies are independent."""
+    """With its own generator, each game draws the same as the rules; copies are independent."""
     domain, rng = seen.domain, seen.rng('games')
     states = [state for state in seen.states if not domain.is_over(state)][:MANY]
     games, single = games_at(domain, states), StateGames(domain, list(states))
@@ -273,7 +273,7 @@ def an_effect_is_described_in_a_few_words(seen: Evidence) -> None:
 
 
 def texts_are_short_and_unique(seen: Evidence) -> None:
-    """Options to teach, groups of features, and the explanation of the game."""
+    """Options to teach, feature groups, and the explanation of the game."""
     domain = seen.domain
     if isinstance(domain, HasTeachingDefaults):
         _assert_once(domain.teaching.options, 'options to teach')
@@ -329,7 +329,7 @@ def _assert_once(names: Collection[str], what: str) -> None:
 
 
 class OptionEvidence:
-    """The options of a domain, judged in its open states or in sampled ones."""
+    """The options of a domain, evaluated in its open states or in a sample of them."""
 
     def __init__(self, domain: Domain, options: Mapping[str, ReferenceOption]) -> None:
         self.domain, self.options = domain, options
@@ -387,7 +387,7 @@ def its_features_determine_where_each_starts_and_ends(seen: OptionEvidence) -> N
 
 
 def every_run_comes_to_its_end(seen: OptionEvidence) -> None:
-    """By the first and by the last optimal action; where the task is over, none can start."""
+    """With the first and the last optimal action; no option can start once the task is over."""
     for name, said in seen.judged.items():
         starts = np.flatnonzero(said.initiation)
         states = [seen.states[n] for n in starts[:: max(1, len(starts) // ONE_BY_ONE)]]
@@ -432,11 +432,11 @@ OPTION_CLAIMS = (
 
 
 class DomainContract:
-    """Tests that a domain keeps the promises of ``humanopts_env.domains.base``."""
+    """Tests that a domain satisfies the contract of ``humanopts_env.domains.base``."""
 
     def make(self) -> Domain:
-        """Return the domain to test; a new one at every call."""
-        # not abstract: pytest would report that it cannot make the class, not what is missing
+        """Return a new instance of the domain to test."""
+        # not abstract: pytest would report that it cannot create the class, not what is missing
         raise NotImplementedError('make() must return the domain to test')
 
 
@@ -444,15 +444,17 @@ class ReferenceContract:
     """Tests that reference options satisfy ``humanopts_env.domains.reference``."""
 
     def make(self) -> Domain:
-        """Return the domain whose options are tested."""
+        """Return a new instance of the domain of the options."""
         raise NotImplementedError('make() must return the domain whose options are tested')
 
     def options(self, domain: Domain) -> Mapping[str, ReferenceOption]:
-        """Return the options to test by name; by default those that are registered."""
+        """Return the options to test by name; default: the registered ones."""
         return reference_options(domain)
 
 
-@lru_cache(maxsize=1)  # pytest makes an object for each test, and runs those of a class in a row
+@lru_cache(
+    maxsize=1
+)  # pytest creates an object per test, and runs the tests of a class in sequence
 def _evidence(suite: Callable[[], Any]) -> Any:
     made, domain = suite(), suite().make()
     if isinstance(made, ReferenceContract):

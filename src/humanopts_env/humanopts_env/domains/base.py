@@ -1,4 +1,4 @@
-"""What a domain is: named features, named actions, and rules without hidden state."""
+"""Domains: named features, named actions, and rules without hidden state."""
 
 from collections.abc import Collection, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import TypeVar
 
-S = TypeVar('S', bound=Hashable, default=Any)  # states; ``Domain`` alone is one of any
+S = TypeVar('S', bound=Hashable, default=Any)  # states; a bare ``Domain`` has any type of states
 Parameter = int | float | str | bool
 
 
 class DomainError(ValueError):
-    """The domain lacks what was requested; the text says what and why."""
+    """The domain cannot do what was requested; the text says what and why."""
 
 
 class StateError(DomainError):
@@ -24,10 +24,10 @@ class StateError(DomainError):
 
 
 class FeatureKind(Enum):
-    """What the values of a feature are."""
+    """The kind of a feature's values."""
 
-    ORDINAL = 'ordinal'  # indices into texts that have an order
-    NOMINAL = 'nominal'  # indices into texts that have none; one-hot for the trees
+    ORDINAL = 'ordinal'  # indices into ordered texts
+    NOMINAL = 'nominal'  # indices into unordered texts; one-hot for the trees
     CONTINUOUS = 'continuous'  # numbers in a range
 
 
@@ -43,14 +43,14 @@ class Feature:
     name: str  # snake_case
     question: str  # completes "Does OPTION depend on ...?"
     kind: FeatureKind
-    values: tuple[str, ...] = ()  # the text of each ordinal or nominal value, for people
+    values: tuple[str, ...] = ()  # text of each ordinal or nominal value
     unit: str = ''  # of a continuous feature, such as m or rad; empty: none
     low: float = 0.0  # range of a continuous feature; both finite
     high: float = 0.0
 
     @classmethod
     def number(cls, name: str, question: str, count: int, *more: str) -> 'Feature':
-        """Return an ordinal feature of the numbers below ``count``, and then of other values."""
+        """Return an ordinal feature of the numbers below ``count``, followed by other values."""
         return cls(name, question, FeatureKind.ORDINAL, (*map(str, range(count)), *more))
 
     @classmethod
@@ -58,11 +58,11 @@ class Feature:
         cls, name: str, words: str, rows: int, cols: int, *more: str
     ) -> tuple['Feature', 'Feature']:
         """
-        Return the row and the column of a thing.
+        Return the row and the column of an object as features.
 
-        :param name: begins the names of both; empty: they are row and col.
-        :param words: what the thing is: the taxi.
-        :param more: other values of both, such as none.
+        :param name: prefix of both names; empty: the names are row and col.
+        :param words: the object in words, such as the taxi.
+        :param more: additional values of both, such as none.
         """
         row, col = (f'{name}_{axis}'.strip('_') for axis in ('row', 'col'))
         return (
@@ -72,7 +72,7 @@ class Feature:
 
     @classmethod
     def nominal(cls, name: str, question: str, values: Iterable[str]) -> 'Feature':
-        """Return a feature whose values have no order."""
+        """Return a feature with unordered values."""
         return cls(name, question, FeatureKind.NOMINAL, tuple(values))
 
     @classmethod
@@ -83,20 +83,20 @@ class Feature:
         return cls(name, question, FeatureKind.CONTINUOUS, (), unit, low, high)
 
     def has(self, value: float) -> bool:
-        """Return whether the feature can have a value."""
+        """Return whether a value is valid."""
         if self.kind is FeatureKind.CONTINUOUS:
             return self.low <= value <= self.high
         return 0 <= value < len(self.values) and value == int(value)
 
     def text(self, value: float) -> str:
-        """Return a value as people read it: continuous ones to four digits, with the unit."""
+        """Return the text of a value: continuous values to four digits, with the unit."""
         if self.kind is FeatureKind.CONTINUOUS:
             return f'{value:.4g} {self.unit}'.strip()
         return self.values[int(value)]
 
     @property
     def span(self) -> float:
-        """Highest minus lowest value, at least 1 where these are indices."""
+        """Highest minus lowest value, at least 1 for indices."""
         if self.kind is FeatureKind.CONTINUOUS:
             return self.high - self.low
         return max(len(self.values) - 1, 1)
@@ -106,7 +106,7 @@ def check_whole(name: str, value: object, least: int, most: int) -> None:
     """
     Check a parameter of a domain.
 
-    :raises DomainError: it is not a whole number from ``least`` to ``most``.
+    :raises DomainError: the value is not a whole number from ``least`` to ``most``.
     """
     if type(value) is not int or not least <= value <= most:
         raise DomainError(
@@ -118,14 +118,14 @@ def check_choice(name: str, value: object, known: Iterable[str]) -> None:
     """
     Check a parameter of a domain.
 
-    :raises DomainError: it is not one of the known texts.
+    :raises DomainError: the value is not one of the known texts.
     """
     if value not in (choices := tuple(known)):
         raise DomainError(f'{name} is {value!r}, and must be {" or ".join(choices)}')
 
 
 def subset_names(names: Sequence[str], joint: str = ', ', none: str = 'none') -> list[str]:
-    """Return the text of every subset of names, by its bit mask."""
+    """Return the text of every subset of names, indexed by bit mask."""
     subsets = product((False, True), repeat=len(names))  # the last name is the highest bit
     return [joint.join(compress(names, subset[::-1])) or none for subset in subsets]
 
@@ -150,12 +150,12 @@ class Outcome(Generic[S]):
 
 class ActableDomain(Protocol):
     """
-    A domain that can be acted in: its features and actions, and states that it has published.
+    A domain in which actions can be taken: its features, its actions and its published states.
 
-    This is enough to be taught, to learn, and to run options. ``Domain`` adds the rules.
+    This is enough to teach, learn and run options. ``Domain`` adds the rules.
     """
 
-    name: str  # as registered
+    name: str  # registered name
     parameters: Mapping[str, Parameter]  # keyword arguments that construct an equal domain
     features: Sequence[Feature]
     actions: Sequence[Action]
@@ -166,7 +166,7 @@ class ActableDomain(Protocol):
         """Return whether the task is over in ``state``, so that no step can be taken."""
 
     def feature_values(self, state: Any) -> Floats:
-        """Return the value of every feature, (F,), as ``Feature`` describes it."""
+        """Return the value of every feature, (F,), see ``Feature``."""
 
     def encode(self, state: Any) -> str:
         """Return the state in the domain's notation, one line."""
@@ -176,7 +176,7 @@ class Domain(ActableDomain, Protocol[S]):
     """
     The rules of one game. Implementations are immutable: all state is in the values passed.
 
-    ``humanopts_env.testing`` states what every implementation must satisfy.
+    ``humanopts_env.testing`` tests the contract of every implementation.
     """
 
     def reset(self, rng: np.random.Generator) -> S:
@@ -187,30 +187,30 @@ class Domain(ActableDomain, Protocol[S]):
         Take one primitive action.
 
         :param action: index into ``actions``.
-        :raises DomainError: the action is not in the domain, or the episode is over in ``state``.
+        :raises DomainError: the action is unknown, or the task is over in ``state``.
         """
 
     def is_over(self, state: S) -> bool:
         """Return whether the task is over in ``state``, so that no step can be taken."""
 
     def can_follow(self, state: S, action: int, successor: S) -> bool:
-        """Return whether ``step`` can lead from ``state`` by ``action`` to ``successor``."""
+        """Return whether ``action`` can lead from ``state`` to ``successor``."""
 
     def feature_values(self, state: S) -> Floats:
-        """Return the value of every feature, (F,), as ``Feature`` describes it."""
+        """Return the value of every feature, (F,), see ``Feature``."""
 
     def encode(self, state: S) -> str:
         """Return the state in the domain's notation, one line."""
 
     def decode(self, text: str) -> S:
         """
-        Return the state that ``encode`` wrote.
+        Return the state from the text of ``encode``.
 
         :raises StateError: ``text`` is not a state of this domain.
         """
 
     def sample_states(self, rng: np.random.Generator, count: int) -> list[S]:
-        """Draw states from which a person could be asked to demonstrate (never over)."""
+        """Draw possible start states of demonstrations (never over)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -218,9 +218,9 @@ class Transitions:
     """
     Exact one-step transitions of an enumerable domain.
 
-    Axes: S states, A actions, B possible outcomes (1 where the domain is deterministic). Unused
-    outcomes have probability 0. From states where the task is over they are defined like any
-    other, as in Gymnasium; nothing may be planned from there.
+    Axes: S states, A actions, B possible outcomes (1 for a deterministic domain). Unused outcomes
+    have probability 0. Transitions are also defined for states where the task is over, as in
+    Gymnasium, but must not be used for planning.
     """
 
     successor: NDArray[np.int32]  # (S, A, B)
@@ -244,7 +244,7 @@ class BoardSlice:
 
 @runtime_checkable
 class EnumerableDomain(Domain[S], Protocol[S]):
-    """A domain whose states can all be listed."""
+    """A domain with states that can be listed."""
 
     @property
     def n_states(self) -> int:
@@ -252,37 +252,37 @@ class EnumerableDomain(Domain[S], Protocol[S]):
 
     def index(self, state: S) -> int:
         """
-        Return the state's index, 0..n_states-1.
+        Return the index of a state, 0..n_states-1.
 
         :raises StateError: it is not a state of this domain.
         """
 
     def state_at(self, index: int) -> S:
         """
-        Return the state of an index.
+        Return the state at an index.
 
         :raises StateError: there is no such state.
         """
 
     def transitions(self) -> Transitions:
-        """Return the exact transitions; built once, then shared and read-only."""
+        """Return the exact transitions, built once, shared and read-only."""
 
     def feature_table(self) -> Rows:
         """Return (S, F): ``feature_values`` of every state; shared and read-only."""
 
     def start_states(self) -> NDArray[np.int32]:
-        """Return the indices that ``reset`` draws from, uniformly."""
+        """Return the indices of the start states; ``reset`` draws from them uniformly."""
 
     def over(self) -> Flags:
         """Return (S,): ``is_over`` of every state; shared and read-only."""
 
     def board_slices(self) -> list[BoardSlice]:
-        """Return a few layouts for figures of values and policies; by default none."""
+        """Return a few layouts for figures of values and policies; default: none."""
         return []
 
 
 def is_enumerable(domain: ActableDomain) -> TypeGuard[EnumerableDomain]:
-    """Return whether the domain's states can all be listed."""
+    """Return whether the states of a domain can be listed."""
     return isinstance(domain, EnumerableDomain)
 
 
@@ -303,7 +303,7 @@ def shown_values(
 
 def feature_columns(domain: ActableDomain, names: Sequence[str]) -> list[int]:
     """
-    Return the indices of features, in the domain's order whatever the order of ``names``.
+    Return the indices of features in the domain's order, independent of the order of ``names``.
 
     :raises DomainError: a name is not a feature of the domain.
     """

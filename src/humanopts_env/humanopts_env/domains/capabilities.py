@@ -1,20 +1,20 @@
 """
 Optional capabilities of domains, used by the learner and the teaching tools.
 
-A domain has a capability by having the method or attribute; nothing is registered.
+A domain has a capability if it has the method or attribute; nothing is registered.
 
-- ``HasBoard``: it has a board that can be drawn.
-- ``HasPlanningFeatures``: its games have features for planning alone.
-- ``HasPrimitiveColumns``: it names what plans with primitive actions see of its features.
-- ``HasSearchSpace``: it defines where subgoals of automatic options are searched for.
-- ``HasTeachingDefaults``: it names the options to teach.
-- ``HasBaselines``: it names the baselines of plans, and the variants of the game to compare in.
-- ``HasActionMask``: it says which actions can change something, if states cannot be listed.
-- ``HasStepEffects``: it describes the effect of a step.
-- ``HasExplanation``: it explains the game and the signs on the board.
-- ``HasFeatureGroups``: it groups its features, so that a person is asked about a group first.
+- ``HasBoard``: a board to draw.
+- ``HasPlanningFeatures``: games with features only for planning.
+- ``HasPrimitiveColumns``: the features used by plans with primitive actions.
+- ``HasSearchSpace``: the search space for subgoals of automatic options.
+- ``HasTeachingDefaults``: the options to teach.
+- ``HasBaselines``: the baselines of plans, and the variants of the game for comparisons.
+- ``HasActionMask``: the actions that can change something, if states cannot be listed.
+- ``HasStepEffects``: descriptions of the effects of steps.
+- ``HasExplanation``: an explanation of the game and the signs on the board.
+- ``HasFeatureGroups``: groups of features, so that a person is asked about a group first.
 
-``humanopts_env.testing`` tests each of them in every domain that has it.
+``humanopts_env.testing`` tests the capabilities of a domain.
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -35,14 +35,14 @@ class HasBoard(Protocol):
 
     def board(self, state: Any, shown: Collection[str] | None = None) -> Board:
         """
-        Return what is where in a state.
+        Return the board of a state.
 
-        :param shown: names of the features that may be revealed, and nothing else; None: all.
+        :param shown: names of the only features that may be revealed; None: all.
         """
 
 
 def board_of(domain: ActableDomain, state: Any, shown: Collection[str] | None = None) -> Board:
-    """Return the board of a state; a board without cells lists the features that are shown."""
+    """Return the board of a state; a board without cells lists the features to show."""
     if isinstance(domain, HasBoard):
         return domain.board(state, shown)
     return Board(notes=in_words(shown_values(domain, state, shown)))
@@ -52,7 +52,7 @@ def in_words(values: Mapping[str, str], drawn: Collection[str] = ()) -> tuple[st
     """
     Return features and their values in words.
 
-    :param drawn: names of those that are left out, since they can be seen on the board.
+    :param drawn: names of features to omit, since they are visible on the board.
     """
     return tuple(
         f'{name.replace("_", " ")}: {value}' for name, value in values.items() if name not in drawn
@@ -62,18 +62,18 @@ def in_words(values: Mapping[str, str], drawn: Collection[str] = ()) -> tuple[st
 @runtime_checkable
 class HasPlanningFeatures(Protocol):
     """
-    Games with features that planning needs and people are not asked about.
+    Games with features for planning, about which people are not asked.
 
     They have few values, so that abstract states are visited often.
     """
 
     def planning_features(self) -> NDArray[np.integer]:
-        """Return (N, P): their values, whole numbers from 0."""
+        """Return their values, (N, P), whole numbers from 0."""
 
 
 @runtime_checkable
 class HasPrimitiveColumns(Protocol):
-    """A domain that names the columns of abstract states for plans with primitive actions."""
+    """A domain that defines the columns of abstract states for plans with primitive actions."""
 
     primitive_columns: Sequence[str]  # features with bins, as in ``PlanRequest.columns``
 
@@ -81,9 +81,9 @@ class HasPrimitiveColumns(Protocol):
 @runtime_checkable
 class HasSearchSpace(Protocol):
     """
-    A domain that defines where subgoals are searched for.
+    A domain that defines the search space for subgoals.
 
-    In other domains with an enumerable state space, every state is a cell of its own.
+    In other enumerable domains, every state is a separate cell.
     """
 
     def search_space(self) -> SearchSpace:
@@ -92,32 +92,32 @@ class HasSearchSpace(Protocol):
 
 @dataclass(frozen=True)
 class TeachingDefaults:
-    """What is taught by default."""
+    """The options taught by default."""
 
-    options: tuple[str, ...] = ()  # names of the reference options that a demo teaches; empty: all
+    options: tuple[str, ...] = ()  # names of reference options taught in a demo; empty: all
 
 
 @runtime_checkable
 class HasTeachingDefaults(Protocol):
-    """A domain with teaching defaults of its own."""
+    """A domain with its own teaching defaults."""
 
     teaching: TeachingDefaults
 
 
 @dataclass(frozen=True)
 class Baselines:
-    """The baselines that plans are compared with."""
+    """The baselines of plans."""
 
     variants: Mapping[str, Mapping[str, Parameter]] = field(default_factory=dict)
     """Changed parameters of each variant of the game to compare in, by the variant's name."""
-    paper_options: tuple[str, ...] = ()  # names, for a plan with these options alone
+    paper_options: tuple[str, ...] = ()  # option names of the plan as in the paper
     heuristic: Callable[[Any], Ints] | None = None
     """A rule written by hand: returns the action (N,) in each of N ``Games``."""
 
 
 @runtime_checkable
 class HasBaselines(Protocol):
-    """A domain that names the baselines of plans."""
+    """A domain that defines the baselines of plans."""
 
     def baselines(self) -> Baselines:
         """Return the baselines in this variant of the game."""
@@ -125,18 +125,18 @@ class HasBaselines(Protocol):
 
 @runtime_checkable
 class HasActionMask(Protocol):
-    """A domain that says which actions can change something."""
+    """A domain that defines which actions can change something."""
 
     def action_mask(self, state: Any) -> NDArray[np.int8]:
-        """Return (A,): 1 for those that can."""
+        """Return the mask, (A,): 1 for actions that can change something."""
 
 
 @dataclass(frozen=True, slots=True)
 class StepEffect:
-    """What one step did, for the person who watches."""
+    """The effect of one step, in words."""
 
     text: str  # a few words without a full stop, such as "picked the passenger up"
-    changed: bool = True  # False: it had no effect, as far as the person's action goes
+    changed: bool = True  # False: the action itself had no effect
 
 
 @runtime_checkable
@@ -144,11 +144,11 @@ class HasStepEffects(Protocol):
     """A domain that describes the effect of a step."""
 
     def step_effect(self, state: Any, action: int, successor: Any) -> StepEffect:
-        """Return what a step from ``state`` did that led to ``successor``."""
+        """Return the effect of a step from ``state`` to ``successor``."""
 
 
 def step_effect(domain: ActableDomain, state: Any, action: int, successor: Any) -> StepEffect:
-    """Return the effect of a step; by default the name of its action."""
+    """Return the effect of a step; default: the name of its action."""
     if isinstance(domain, HasStepEffects):
         return domain.step_effect(state, action, successor)
     return plain_effect(domain, state, action, successor)
@@ -163,11 +163,11 @@ def plain_effect(domain: ActableDomain, state: Any, action: int, successor: Any)
 
 def move_effect(asked: str, went: str, *, free: bool = False) -> StepEffect:
     """
-    Return what a move in a grid did.
+    Return the effect of a move in a grid.
 
-    :param asked: the direction that was asked for.
-    :param went: the direction of the cell that was entered; empty: none was.
-    :param free: whether a cell could have been entered in the direction that was asked for.
+    :param asked: requested direction.
+    :param went: direction of the actual move; empty: no move.
+    :param free: whether the requested direction was free.
     """
     if not went:
         wall = 'slid into a wall' if free else 'wall'
@@ -177,21 +177,21 @@ def move_effect(asked: str, went: str, *, free: bool = False) -> StepEffect:
 
 @dataclass(frozen=True, slots=True)
 class FeatureGroup:
-    """Features of one thing."""
+    """Features of one object."""
 
     words: str  # completes "anything about ...": the ghosts
-    features: tuple[str, ...]  # their names, two or more
+    features: tuple[str, ...]  # names, two or more
 
 
 @runtime_checkable
 class HasFeatureGroups(Protocol):
     """A domain with many features: people are asked about groups of them first."""
 
-    feature_groups: Sequence[FeatureGroup]  # a feature is in one group at most
+    feature_groups: Sequence[FeatureGroup]  # each feature is in at most one group
 
 
 def feature_groups(domain: ActableDomain) -> Sequence[FeatureGroup]:
-    """Return the groups of a domain's features; empty where it has none."""
+    """Return the feature groups of a domain; empty if it has none."""
     return domain.feature_groups if isinstance(domain, HasFeatureGroups) else ()
 
 
@@ -199,10 +199,10 @@ def feature_groups(domain: ActableDomain) -> Sequence[FeatureGroup]:
 class HasExplanation(Protocol):
     """A domain that explains the game to a person."""
 
-    # Signs on the board, each with its meaning; the first sign is empty: what to do.
+    # Signs on the board with their meanings; the first sign is empty: what to do.
     explanation: Sequence[tuple[str, str]]
 
 
 def explanation(domain: ActableDomain) -> Sequence[tuple[str, str]]:
-    """Return the signs of a domain and their meanings; empty where it has no words for them."""
+    """Return the signs of a domain and their meanings; empty without an explanation."""
     return domain.explanation if isinstance(domain, HasExplanation) else ()

@@ -1,8 +1,8 @@
 """
-What every domain promises, as claims that are checked on a few of its states and steps.
+The contract of every domain, as claims that are checked on some of its states and steps.
 
-``make_domain`` checks the claims here on a domain of another package before a game of it is
-played; the tests of ``humanopts_env.testing`` check these claims and more, on many more states.
+``make_domain`` checks these claims for domains of other packages before a game is played; the
+tests of ``humanopts_env.testing`` check these and more claims on many more states.
 """
 
 from collections.abc import Callable, Iterable
@@ -31,8 +31,8 @@ import numpy as np
 
 NAME = re.compile(r'[a-z][a-z0-9_]*')
 NAMED_KEYS = {'up', 'down', 'left', 'right'}
-QUICK_STEPS = 60  # of the random walk before a game
-SECONDS = 0.025  # after which no more steps are taken
+QUICK_STEPS = 60  # steps of the random walk before a game
+SECONDS = 0.025  # time limit of the random walk
 MAX_STATES = 20_000  # the tables of larger domains are not checked before a game
 PARTS = dict.fromkeys(
     part
@@ -46,15 +46,15 @@ class ContractError(DomainError):
     """A domain breaks the contract; the text says which domain and what is wrong."""
 
 
-class Breach(AssertionError):  # noqa: N818 - a test fails by it; or it becomes a ContractError
-    """What a domain does against the contract, in words."""
+class Breach(AssertionError):  # noqa: N818 - fails a test, or becomes a ContractError
+    """A breach of the contract, in words."""
 
 
 def expect(kept: object, breach: str) -> None:
     """
-    Check one promise.
+    Check one claim.
 
-    :raises Breach: it is not kept.
+    :raises Breach: it does not hold.
     """
     if not kept:
         raise Breach(breach)
@@ -62,24 +62,24 @@ def expect(kept: object, breach: str) -> None:
 
 class Evidence:
     """
-    A domain, and the states and steps that claims about it are checked on.
+    A domain with the states and steps on which its claims are checked.
 
-    :ivar steps: of a random walk that begins anew after every end: state, action, outcome.
+    :ivar steps: steps of a random walk with restarts: state, action, outcome.
     """
 
     def __init__(
         self, domain: Domain, steps: int, samples: int = 0, seconds: float = math.inf
     ) -> None:
         """
-        Walk at random.
+        Take a random walk.
 
-        :param steps: of the walk, at most.
-        :param samples: number of states that are drawn besides.
-        :param seconds: after which no more steps are taken.
+        :param steps: maximum number of steps.
+        :param samples: number of additional sampled states.
+        :param seconds: time limit.
         """
         self.domain, self.samples = domain, samples
         self.steps: list[tuple[Any, int, Outcome[Any]]] = []
-        began, rng = time.process_time(), self.rng('walk')  # other programs take no time from it
+        began, rng = time.process_time(), self.rng('walk')  # unaffected by other programs
         state = domain.reset(rng)
         expect(not domain.is_over(state), f'it begins where the task is over: {state}')
         late = False
@@ -91,18 +91,18 @@ class Evidence:
             late = time.process_time() - began > seconds
 
     def rng(self, *purpose: str | int) -> np.random.Generator:
-        """Return a generator that draws the same at every call."""
+        """Return a generator with the same draws on every call."""
         return generator(0, 'contract', *purpose)
 
     @cached_property
     def states(self) -> list[Any]:
-        """The distinct states of the walk, with its ends, and the sampled ones."""
+        """The distinct states of the walk, including its ends, and the sampled states."""
         walked = [each for state, _, outcome in self.steps for each in (state, outcome.state)]
         sampled = self.domain.sample_states(self.rng('states'), self.samples)
         return list(dict.fromkeys([*walked, *sampled]))
 
     def where(self, state: Any, action: int) -> str:
-        """Return an action and its state in words."""
+        """Describe an action and its state."""
         return f'{self.domain.actions[action].name} in {self.domain.encode(state)!r}'
 
 
@@ -196,11 +196,11 @@ CLAIMS: tuple[Claim, ...] = (
 
 def check_domain(domain: Domain, name: str) -> None:
     """
-    Check by sampling that a domain satisfies the claims that a game relies on.
+    Check by sampling that a domain satisfies the claims required by a game.
 
-    It takes some hundredths of a second, so it finds gross errors only.
+    This takes a few hundredths of a second and finds only gross errors.
 
-    :param name: the name under which the domain is registered.
+    :param name: registered name of the domain.
     :raises ContractError: the domain breaks the contract, or raises an unexpected error.
     """
     try:
@@ -213,7 +213,7 @@ def check_domain(domain: Domain, name: str) -> None:
             claim(seen)
     except Breach as breach:
         raise ContractError(f'{name} breaks the contract of domains: {breach}') from None
-    except (Exception, SystemExit) as error:  # whatever a plug-in raises
+    except (Exception, SystemExit) as error:  # any error of a plug-in
         raise ContractError(
             f'{name} breaks the contract of domains: it raised {type(error).__name__}: {error}'
         ) from error
@@ -221,9 +221,9 @@ def check_domain(domain: Domain, name: str) -> None:
 
 def check_description(domain: ActableDomain) -> None:
     """
-    Check what a domain says of itself.
+    Check the description of a domain.
 
-    :raises ContractError: it cannot be used.
+    :raises ContractError: it is invalid.
     """
     try:
         _check_description(domain)
@@ -267,9 +267,9 @@ def _expect_distinct(texts: Iterable[str], breach: str) -> None:
 
 def check_values(domain: ActableDomain, rows: Rows, where: str) -> None:
     """
-    Check that features (N, F) are in their ranges.
+    Check the ranges of features (N, F).
 
-    :raises Breach: a value is not.
+    :raises Breach: a value is out of range.
     """
     for feature, column in zip(domain.features, rows.T):
         high = feature.low + feature.span

@@ -1,8 +1,8 @@
 """
-Domains that are known only by what they publish, such as a robot or a simulator on the graph.
+Domains known only by their messages, such as a robot or a simulator on the graph.
 
-They can be acted in. Code that needs rules, such as planning, calls ``simulated``, which raises an
-error for such a domain.
+Actions can be taken in them. Code that needs rules, such as planning, calls ``simulated``, which
+raises an error for such a domain.
 """
 
 from collections.abc import Mapping, Sequence
@@ -31,21 +31,21 @@ KIND_NUMBERS = {  # KIND_* of FeatureInfo.msg
 
 
 class NeedsRulesError(DomainError):
-    """A domain that can only be acted in has no rules for this; the text says for what."""
+    """The domain has no rules, which are needed here; the text says for what."""
 
 
 @dataclass(frozen=True, slots=True)
 class SeenState:
-    """A state as it was published."""
+    """A published state."""
 
-    text: str  # in a notation of the world's own
+    text: str  # in the world's own notation
     features: tuple[float, ...]
     over: bool = False  # the task is over
 
 
 @dataclass(frozen=True)
 class DescribedDomain(ActableDomain):
-    """A domain as ``domain_info`` describes it; its states are ``SeenState``."""
+    """A domain described by ``domain_info``; its states are ``SeenState``."""
 
     name: str
     parameters: Mapping[str, Parameter]
@@ -66,9 +66,9 @@ class DescribedDomain(ActableDomain):
 
 def described_domain(message: Any) -> DescribedDomain:
     """
-    Return what a ``DomainInfo`` describes, from rclpy or from a bag reader.
+    Decode the domain of a ``DomainInfo``, from rclpy or from a bag reader.
 
-    :raises DomainError: the description cannot be used.
+    :raises DomainError: the description is invalid.
     """
     kinds = {number: kind for kind, number in KIND_NUMBERS.items()}
     if strange := [f.name for f in message.features if f.kind not in kinds]:
@@ -89,7 +89,7 @@ def described_domain(message: Any) -> DescribedDomain:
 
 
 def can_simulate(domain: ActableDomain) -> TypeGuard[Domain]:
-    """Return whether the rules of a domain are known here, so that it can be simulated."""
+    """Return whether the rules of a domain are known, so that it can be simulated."""
     return not isinstance(domain, DescribedDomain)
 
 
@@ -97,8 +97,8 @@ def simulated(domain: ActableDomain, what: str) -> Domain:
     """
     Return a domain with its rules.
 
-    :param what: needs them, as the first words of the error: planning.
-    :raises NeedsRulesError: it can only be acted in.
+    :param what: user of the rules, the first words of the error, such as planning.
+    :raises NeedsRulesError: its rules are unknown.
     """
     if can_simulate(domain):
         return domain
@@ -111,10 +111,10 @@ def published_state(
     domain: ActableDomain, text: str, features: Sequence[float], *, over: bool = False
 ) -> Any:
     """
-    Return a state from what was published of it.
+    Return the state of a published text and features.
 
-    :param over: the task is over there.
-    :raises StateError: the rules of the domain are known, and the text is none of its states.
+    :param over: whether the task is over.
+    :raises StateError: the rules of the domain are known, and the text is not a state.
     """
     if can_simulate(domain):
         return domain.decode(text)

@@ -1,9 +1,8 @@
 """
-Gymnasium environments with a table as domains: ``gymnasium:ENV_ID``.
+Gymnasium environments with a transition table as domains: ``gymnasium:ENV_ID``.
 
 Everything is read from the environment's table ``P`` (P[state][action] lists probability,
-successor, reward and whether the task is over there), which Taxi, FrozenLake and CliffWalking
-have.
+successor, reward and whether the task is over), as in Taxi, FrozenLake and CliffWalking.
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -37,7 +36,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 START, GOAL, FLOOR, NEVER = 'S', 'G', DOT, HATCHED_BOX
-TILES = {  # name and colour of what a cell is; of floor only that it is empty
+TILES = {  # name and colour of each cell type; floor is empty
     START: ('start', GREEN),
     'F': ('ice', GREY),
     'H': ('hole', RED),
@@ -55,17 +54,17 @@ WAYS = {
 }
 DIRECTIONS = {(0, -1): 'left', (1, 0): 'down', (0, 1): 'right', (-1, 0): 'up'}
 ENTERED = {'H': 'fell into a hole', GOAL: 'reached the goal'}
-TAXI = taxi.Taxi()  # the same grid, whose states have the same numbers
+TAXI = taxi.Taxi()  # the same grid with the same state indices
 
 
 @dataclass(frozen=True)
 class View:
-    """How one environment is presented."""
+    """The presentation of one environment."""
 
     features: Sequence[Feature]
-    values: Sequence[Sequence[float]] | Rows  # of the features, by state; all distinct
+    values: Sequence[Sequence[float]] | Rows  # feature values by state; all distinct
     actions: tuple[Action, ...]
-    board: Callable[[int, Mapping[str, str]], Board]  # state, texts of the features that are shown
+    board: Callable[[int, Mapping[str, str]], Board]  # state, texts of the features to show
     slices: list[BoardSlice] = field(default_factory=list)
     effect: Callable[[int, int, int], StepEffect] | None = None  # state, action, successor
     text: Callable[[int], str] | None = None  # of a state; None: the texts of its features
@@ -75,7 +74,7 @@ def view_of(env: Any, name: str, table: Sequence[Any], starts: set[int], ends: s
     """
     Return the view of an environment: that of Taxi, of a grid, or of numbered states.
 
-    :raises DomainError: it has more actions than there are keys.
+    :raises DomainError: there are more actions than keys.
     """
     count = len(table)
     actions = _actions(env, name, len(table[0]))
@@ -114,7 +113,7 @@ def _actions(env: Any, name: str, count: int) -> tuple[Action, ...]:
 
 
 def _grid_view(actions: tuple[Action, ...], shape: tuple[int, int], tiles: list[str]) -> View:
-    """Return the view of a grid; in one with cells that are never entered, these are a cliff."""
+    """Return the view of a grid; cells that are never entered are a cliff."""
     rows, cols = shape
     ways = {name: step for step, name in DIRECTIONS.items()}
     fixed = [
@@ -149,7 +148,7 @@ def _grid_view(actions: tuple[Action, ...], shape: tuple[int, int], tiles: list[
 
 
 def _tiles(table: Sequence[Any], starts: set[int], ends: set[int]) -> NDArray[np.str_]:
-    """Return a character for each state: a start, an end, one that is entered, or never."""
+    """Return the type of each state as a character: start, end, entered or never entered."""
     entered = {to for row in table for entries in row for share, to, _, _ in entries if share > 0}
     return np.array(
         [
@@ -163,7 +162,7 @@ def _tiles(table: Sequence[Any], starts: set[int], ends: set[int]) -> NDArray[np
 
 
 def _picture(env: Any) -> Callable[[int, Mapping[str, str]], Board]:
-    """Return a function that shows the environment's own text, if it has one, and the state."""
+    """Return a function that shows the state and the environment's text rendering, if any."""
     drawn = 'ansi' in env.metadata.get('render_modes', ()) and hasattr(env, 's')
 
     def board(state: int, seen: Mapping[str, str]) -> Board:
@@ -177,29 +176,29 @@ def _picture(env: Any) -> Callable[[int, Mapping[str, str]], Board]:
 
 
 PREFIX = 'gymnasium:'
-GAMMA = 0.99  # Gymnasium has none
-MAX_STEPS = 1000  # where the environment has no limit of its own
-ROUNDING = 1e-6  # how far the probabilities of one action may be from 1 in sum
+GAMMA = 0.99  # not defined by Gymnasium
+MAX_STEPS = 1000  # if the environment has no limit
+ROUNDING = 1e-6  # largest deviation of the sum of an action's probabilities from 1
 Entry = tuple[float, int, float, bool]  # probability, successor, reward, over
 Table = list[list[list[Entry]]]  # by state, then action
 
 
 class GymnasiumDomain(TableDomain[int]):
     """
-    The domain of one environment; ``gymnasium_domain`` makes the class of each id.
+    The domain of one environment; ``gymnasium_domain`` creates the class of each id.
 
-    States are the observations 0..S-1. The parameters are the environment's own keyword arguments.
+    States are the observations 0..S-1. The parameters are the environment's keyword arguments.
     """
 
     env_id: ClassVar[str] = ''
 
     def __init__(self, **arguments: Any) -> None:
         """
-        Make the environment and read its table.
+        Create the environment and read its table.
 
-        :param arguments: of the environment, such as ``is_slippery``; JSON values only.
-        :raises DomainError: there is no such environment, it refuses the arguments, or it has no
-            table of all its rules.
+        :param arguments: arguments of the environment, such as ``is_slippery``; JSON values only.
+        :raises DomainError: the environment is unknown, refuses the arguments, or has no complete
+            table of its rules.
         """
         self.name = PREFIX + self.env_id
         made, again = (_make(self.name, self.env_id, arguments) for _ in range(2))
@@ -220,7 +219,7 @@ class GymnasiumDomain(TableDomain[int]):
         self.features, self.actions = self._view.features, self._view.actions
 
     def outcomes(self, state: int, action: int) -> Sequence[tuple[float, int, float]]:
-        """Return the entries of the table, the likeliest first; of equals the intended one."""
+        """Return the table entries, the most probable first; of equals, the intended one."""
         entries = [(share, to, gain) for share, to, gain, _ in self._table[state][action]]
         if len(entries) == 3:  # slippery grids list the intended outcome between two slips
             entries = [entries[1], entries[0], entries[2]]
@@ -235,7 +234,7 @@ class GymnasiumDomain(TableDomain[int]):
         return state in self._starts
 
     def reset(self, rng: np.random.Generator) -> int:
-        """Draw a start state as the environment does."""
+        """Draw a start state with the environment's probabilities."""
         states, shares = list(self._starts), np.array(list(self._starts.values()))
         return int(rng.choice(states, p=shares / shares.sum()))
 
@@ -259,7 +258,7 @@ class GymnasiumDomain(TableDomain[int]):
         return self._view.effect(state, action, successor)
 
     def board_slices(self) -> list[BoardSlice]:
-        """Return the layout of the grid; empty where the states form no grid."""
+        """Return the layout of the grid; empty if the states do not form a grid."""
         return self._view.slices
 
 
@@ -275,9 +274,9 @@ def _make(name: str, env_id: str, arguments: dict[str, Any]) -> Any:
     _check_arguments(name, env_id, arguments)
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter('ignore')  # about old versions: errors say what to do
+            warnings.simplefilter('ignore')  # about old versions; errors say what to do
             env = gymnasium.make(env_id, disable_env_checker=True, **arguments)
-    except Exception as error:  # whatever a foreign environment raises
+    except Exception as error:  # any error of a third-party environment
         raise DomainError(f'{name} cannot be made: {type(error).__name__}: {error}') from error
     if getattr(env.unwrapped, 'fickle_passenger', False):
         raise DomainError(
@@ -288,15 +287,15 @@ def _make(name: str, env_id: str, arguments: dict[str, Any]) -> Any:
 
 def _check_arguments(name: str, env_id: str, arguments: dict[str, Any]) -> None:
     """
-    Check arguments against the types of the environment's constructor, and of what is registered.
+    Check arguments against the types of the constructor and of the registered arguments.
 
-    :raises DomainError: one is unknown, or has another type.
+    :raises DomainError: an argument is unknown or has the wrong type.
     """
     try:
         spec = gymnasium.spec(env_id)
         entry = spec.entry_point
         constructor = load_env_creator(entry) if isinstance(entry, str) else entry
-    except Exception:  # whatever importing a foreign environment raises: making it says why
+    except Exception:  # import error: creation will report it
         return
     common = {'max_episode_steps'}  # of gymnasium.make
     own = {key: value for key, value in arguments.items() if key not in common}
@@ -357,7 +356,7 @@ def _end_states(name: str, table: Table, starts: set[int]) -> set[int]:
     """
     Return the states in which the task is over.
 
-    :raises DomainError: some transitions end the task in a state, and others go on from it.
+    :raises DomainError: some transitions end the task in a state, others continue from it.
     """
     entered, ended, waiting = set(starts), set(), list(starts)
     while waiting:

@@ -1,11 +1,11 @@
-"""The names of domains, found through Python entry points; nothing of a domain is imported."""
+"""The names of domains, found through Python entry points without importing the domains."""
 
 from functools import lru_cache
 from importlib.metadata import entry_points, EntryPoints
 import sys
 
 DOMAINS = 'humanopts.domains'
-GYMNASIUM = 'gymnasium:'  # before the id of a Gymnasium environment
+GYMNASIUM = 'gymnasium:'  # prefix of the id of a Gymnasium environment
 
 
 def domain_names() -> list[str]:
@@ -14,12 +14,12 @@ def domain_names() -> list[str]:
 
 
 def is_registered(name: str) -> bool:
-    """Return whether there is a domain of this name, or its name says where it comes from."""
+    """Return whether the name is registered or has the prefix of Gymnasium environments."""
     return name.startswith(GYMNASIUM) or name in registered(DOMAINS).names
 
 
 def registered(group: str) -> EntryPoints:
-    """Return the entry points of a group; packages are looked for once for each search path."""
+    """Return the entry points of a group; packages are searched once per search path."""
     return _registered(group, tuple(sys.path))
 
 

@@ -1,7 +1,7 @@
 """
-The parameters of a domain as people give them: read from text, and checked against their types.
+User-provided domain parameters: parsing from text, and checking of types.
 
-Types are those that the constructor declares: by its annotations, else by its defaults.
+Types are declared by the constructor: by its annotations, otherwise by its defaults.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -14,18 +14,18 @@ from humanopts_ros.limits import JsonError, parse_json, shown
 
 MAX_PARAMETERS = 10**6  # characters of the JSON text of a domain's parameters
 _PYTHON = {'True': True, 'False': False, 'None': None}
-# What a value may be, by the type of the default; ``type`` is that of inspect's "no default".
+# Accepted type by type of the default; ``type`` is the type of inspect's "no default".
 _OF_DEFAULT: dict[type, Any] = {int: float, tuple: list, type(None): Any, type: Any}
 _WORDS = {bool: 'true or false', int: 'a whole number', float: 'a number', str: 'a text'}
 
 
 def parameter_from_text(text: str) -> Any:
     """
-    Return the value of a parameter that was written on a command line.
+    Return the value of a parameter from the command line.
 
-    JSON and Python's True, False and None are values; everything else is a text.
+    JSON and Python's True, False and None are values; everything else is text.
 
-    :raises DomainError: it is JSON, and exceeds the limits of ``humanopts_ros.limits``.
+    :raises DomainError: it is JSON that exceeds the limits of ``humanopts_ros.limits``.
     """
     if text in _PYTHON:
         return _PYTHON[text]
@@ -50,15 +50,15 @@ def check_parameters(
     usual: Mapping[str, Any] | None = None,
 ) -> None:
     """
-    Refuse parameters that a constructor does not take, and values that are of another type.
+    Refuse parameters unknown to a constructor, and values of the wrong type.
 
-    :param name: of the domain.
-    :param usual: values in place of the constructor's defaults.
-    :raises DomainError: one is unknown, or of another type; the text says what it has to be.
+    :param name: name of the domain.
+    :param usual: values that replace the constructor's defaults.
+    :raises DomainError: a parameter is unknown or has the wrong type; the text says what is valid.
     """
     try:
         parameters = inspect.signature(constructor).parameters
-    except (TypeError, ValueError):  # written in C: it can only be tried
+    except (TypeError, ValueError):  # written in C: cannot be inspected
         return
     kinds = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
     declared = {key: each for key, each in parameters.items() if each.kind in kinds}
@@ -77,16 +77,16 @@ def check_parameters(
 
 
 def _hints(constructor: Callable[..., Any]) -> dict[str, Any]:
-    """Return the annotations of a constructor; none where they cannot be resolved."""
+    """Return the annotations of a constructor; empty if they cannot be resolved."""
     function = constructor.__init__ if inspect.isclass(constructor) else constructor
     try:
         return get_type_hints(function)
-    except Exception:  # whatever another package's annotations name
+    except Exception:  # any error in annotations of other packages
         return {}
 
 
 def _check_json(name: str, key: str, value: Any) -> None:
-    """Refuse what a bag could not keep."""
+    """Refuse values that cannot be stored in a bag."""
     try:
         parse_json(json.dumps(value), MAX_PARAMETERS)
     except (TypeError, ValueError, RecursionError) as error:
@@ -94,13 +94,13 @@ def _check_json(name: str, key: str, value: Any) -> None:
 
 
 def _check_type(name: str, key: str, value: Any, types: Sequence[Any]) -> None:
-    """Refuse a value that is not of the first of some types that JSON can have."""
+    """Refuse a value that does not have the first JSON type among some types."""
     from pydantic import PydanticUserError, TypeAdapter, ValidationError  # slow to import
 
     for kind in types:
         try:
             TypeAdapter(kind).validate_json(json.dumps(value), strict=True)
-        except (PydanticUserError, TypeError, NameError):  # no type of JSON, such as an array
+        except (PydanticUserError, TypeError, NameError):  # not a JSON type, such as an array
             continue
         except ValidationError:
             wanted = _WORDS.get(kind, f'of the type {inspect.formatannotation(kind)}')
@@ -113,7 +113,7 @@ def _check_type(name: str, key: str, value: Any, types: Sequence[Any]) -> None:
 
 def parameters_from_json(name: str, parameters: str) -> dict[str, Any]:
     """
-    Return the parameters of a domain, as messages carry them.
+    Decode the parameters of a domain from a message.
 
     :raises DomainError: they are not a JSON object.
     """

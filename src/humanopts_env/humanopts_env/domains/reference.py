@@ -1,7 +1,7 @@
 """
-Reference options: options that are known exactly from the rules of a game.
+Reference options: options known exactly from the rules of a game.
 
-Accuracy is measured against them, and the simulated teacher acts by them. Learning never uses
+They are the reference for accuracy and the policy of the simulated teacher. Learning never uses
 them.
 """
 
@@ -18,15 +18,15 @@ from numpy.typing import NDArray
 
 
 class ReferenceOption(Protocol):
-    """An option whose initiation set, policy and termination condition are known exactly."""
+    """An option with exactly known initiation set, policy and termination condition."""
 
     @property
     def name(self) -> str:
-        """The name that people use, lower case."""
+        """The name for people, lower case."""
 
     @property
     def features(self) -> tuple[str, ...]:
-        """The features that the option depends on, in the domain's order."""
+        """The relevant features, in the domain's order."""
 
     @property
     def definition(self) -> str:
@@ -52,7 +52,7 @@ class Judgement:
 
 
 class JudgedOption(ABC):
-    """A ``ReferenceOption`` that judges many states at once, and a single one in the same way."""
+    """A ``ReferenceOption`` that evaluates many states at once, and a single one as a batch."""
 
     @abstractmethod
     def judge_states(self, states: Sequence[Any]) -> Judgement:
@@ -76,7 +76,7 @@ class JudgedOption(ABC):
 
 
 def judge_states(option: ReferenceOption, states: Sequence[Any], n_actions: int) -> Judgement:
-    """Judge N states by a reference option: at once where it can, else one by one."""
+    """Evaluate N states with a reference option: in one batch if possible, else one by one."""
     if isinstance(option, JudgedOption):
         return option.judge_states(states)
     optimal = np.zeros((len(states), n_actions), dtype=np.bool_)
@@ -90,7 +90,7 @@ def judge_states(option: ReferenceOption, states: Sequence[Any], n_actions: int)
 
 
 def judge_games(option: ReferenceOption, games: Games) -> Judgement:
-    """Judge the states of N games by a reference option."""
+    """Evaluate the states of N games with a reference option."""
     if isinstance(option, JudgedOption):
         return option.judge_games(games)
     return judge_states(option, games.states(), len(games.domain.actions))
@@ -107,7 +107,7 @@ class TabularReferenceOption(JudgedOption):
     termination: Flags  # (S,)
     optimal: Flags  # (S, A), False outside the initiation set
     distance: NDArray[np.int32]  # (S,) steps to the end; -1 outside the initiation set
-    judged: Flags  # (S,) states that can be come to: learned I and beta are judged here
+    judged: Flags  # (S,) reachable states, for evaluating learned I and beta
     definition: str = ''  # in words
 
     def judge_states(self, states: Sequence[Any]) -> Judgement:

@@ -20,11 +20,11 @@ def make_domain(name: str, parameters: Mapping[str, Parameter] | None = None) ->
     """
     Build a registered domain, or the domain of a Gymnasium environment: ``gymnasium:ENV_ID``.
 
-    A domain of another package is checked by ``check_domain`` before it is returned.
+    Domains of other packages are checked by ``check_domain``.
 
-    :param parameters: keyword arguments of the domain; its defaults where missing.
-    :raises DomainError: there is no such domain, it does not take the parameters or their types,
-        it cannot be loaded, or it breaks the contract of domains.
+    :param parameters: keyword arguments of the domain; default if missing.
+    :raises DomainError: the domain is unknown, refuses the parameters or their types, cannot be
+        loaded, or breaks the contract of domains.
     """
     factory, ours = _factory(name)
     check_parameters(name, factory, parameters or {})
@@ -37,23 +37,23 @@ def make_domain(name: str, parameters: Mapping[str, Parameter] | None = None) ->
 
 def domain_from_json(name: str, parameters: str) -> Domain:
     """
-    Build a domain from its name and the JSON object of its parameters, as messages carry them.
+    Build a domain from its name and the JSON object of its parameters, as in messages.
 
-    :raises DomainError: as ``make_domain``, or the parameters are not a JSON object.
+    :raises DomainError: see ``make_domain``; or the parameters are not a JSON object.
     """
     return make_domain(name, parameters_from_json(name, parameters))
 
 
 def parameters_json(domain: ActableDomain) -> str:
-    """Return the domain's parameters as the JSON object that messages and files carry."""
+    """Return the domain's parameters as a JSON object for messages and files."""
     return json.dumps(dict(domain.parameters), sort_keys=True)
 
 
 def reference_options(domain: Domain) -> dict[str, ReferenceOption]:
     """
-    Return the domain's reference options by name; empty where it has none.
+    Return the domain's reference options by name; empty if it has none.
 
-    :raises DomainError: they cannot be loaded or made.
+    :raises DomainError: they cannot be loaded or created.
     """
     point = _entry_point(REFERENCE_OPTIONS, domain.name)
     if point is None:
@@ -63,7 +63,7 @@ def reference_options(domain: Domain) -> dict[str, ReferenceOption]:
 
 
 def _factory(name: str) -> tuple[Callable[..., Any], bool]:
-    """Return the factory of a domain, and whether it is in this package and needs no check."""
+    """Return the factory of a domain, and whether it is built in and needs no check."""
     if name.startswith(GYMNASIUM):
         from humanopts_env.domains.gymnasium_domain import gymnasium_domain  # imports Gymnasium
 
@@ -92,7 +92,7 @@ def _load(point: EntryPoint) -> Callable[..., Any]:
 
 @contextmanager
 def _explained(failed: str) -> Iterator[None]:
-    """Have whatever a plug-in raises say what failed."""
+    """Convert all errors of a plug-in to a ``DomainError`` that says what failed."""
     try:
         yield
     except DomainError:

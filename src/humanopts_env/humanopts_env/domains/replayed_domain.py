@@ -1,8 +1,8 @@
 """
-Worlds that change in place as domains: a state is a seed and the actions since the reset.
+Mutable worlds as domains: a state is a seed and the actions since the reset.
 
-A state is reached again by replay: reset with its seed, and take its actions. So such a world can
-be simulated, set to any state it was in, and played side by side, though it cannot be copied.
+A state is restored by replay: reset with its seed, then repeat its actions. So a world that cannot
+be copied can still be simulated, set to any previous state, and played in parallel.
 """
 
 from abc import ABC, abstractmethod
@@ -18,29 +18,29 @@ from humanopts_env.arrays import Floats
 from humanopts_env.domains.base import Domain, DomainError, Outcome, StateError
 import numpy as np
 
-SIGNS = string.digits + string.ascii_letters  # one for each action in a text
-MAX_WORLDS = 1024  # kept at once, more than a plan samples side by side
-MAX_WALK, GAP = 200, 10  # actions before a sampled state; states of a walk for each sampled one
+SIGNS = string.digits + string.ascii_letters  # one per action in a text
+MAX_WORLDS = 1024  # kept at the same time, more than a plan samples in parallel
+MAX_WALK, GAP = 200, 10  # actions before a sampled state; states of a walk per sampled one
 SEEDS = 10**9
 STATE = re.compile(r'seed (0|[1-9][0-9]{0,8}) actions (-|[0-9a-zA-Z]+)')
 
 
 class World(Protocol):
-    """A world that changes in place; all its chance follows from the seed of its reset."""
+    """A mutable world; the seed of its reset determines all random draws."""
 
     def reset(self, seed: int) -> None:
-        """Begin an episode, with nothing left of the one before."""
+        """Start an episode, with no traces of the previous one."""
 
     def step(self, action: int) -> tuple[float, bool]:
-        """Take one primitive action; return the reward, and whether the task is over."""
+        """Take one primitive action; return the reward and whether the task is over."""
 
     def features(self) -> Sequence[float]:
-        """Return the value of every feature now, as ``Feature`` describes it."""
+        """Return the current value of every feature, see ``Feature``."""
 
 
 @dataclass(frozen=True, slots=True)
 class History:
-    """A state of a world: what has been done in it, and what was seen after that."""
+    """A state of a world: the past actions and the resulting observation."""
 
     seed: int
     actions: tuple[int, ...]
@@ -50,13 +50,12 @@ class History:
 
 class ReplayedDomain(Domain[History], ABC):
     """
-    The domain of a world that changes in place.
+    The domain of a mutable world.
 
-    A subclass sets the attributes of ``Domain`` and writes ``make_world``. What happens after a
-    state is determined by its seed and actions, so ``step`` draws nothing: chance is in ``reset``.
+    A subclass sets the attributes of ``Domain`` and implements ``make_world``. The seed and the
+    actions of a state determine the future, so only ``reset`` draws random numbers, not ``step``.
 
-    Worlds are kept where they are, so that going on from there takes one step; a state that no
-    kept world is in is replayed.
+    Worlds are kept in their states, so that continuing takes one step; other states are replayed.
     """
 
     @abstractmethod
@@ -79,7 +78,7 @@ class ReplayedDomain(Domain[History], ABC):
         return state.over
 
     def can_follow(self, state: History, action: int, successor: History) -> bool:
-        """Return whether the successor's actions are those of the state and this one."""
+        """Return whether the successor's actions are those of the state plus this one."""
         done = state.seed, (*state.actions, action)
         return not state.over and (successor.seed, successor.actions) == done
 
@@ -104,7 +103,7 @@ class ReplayedDomain(Domain[History], ABC):
         return self._take(seed, actions[:-1], actions[-1]).state if actions else self._begin(seed)
 
     def sample_states(self, rng: np.random.Generator, count: int) -> list[History]:
-        """Draw states of random walks, about one in GAP of each, never over."""
+        """Draw states of random walks, about one in GAP states of each walk, never over."""
         found: list[History] = []
         while len(found) < count:
             seed = int(rng.integers(SEEDS))
@@ -127,7 +126,7 @@ class ReplayedDomain(Domain[History], ABC):
 
     @cached_property
     def _spare(self) -> list[World]:
-        """Worlds to begin episodes in, since making one may take long."""
+        """Worlds for new episodes, since creating one may be slow."""
         return []
 
     def _begun(self, seed: int) -> World:
@@ -143,9 +142,9 @@ class ReplayedDomain(Domain[History], ABC):
 
     def _take(self, seed: int, actions: tuple[int, ...], action: int) -> Outcome[History]:
         """
-        Take an action after others.
+        Take an action after previous actions.
 
-        :raises StateError: the task is over before it.
+        :raises StateError: the task is already over.
         """
         world = self._world_at(seed, actions)
         reward, over = world.step(action)
@@ -153,7 +152,7 @@ class ReplayedDomain(Domain[History], ABC):
         return Outcome(after, float(reward), after.over)
 
     def _world_at(self, seed: int, actions: tuple[int, ...]) -> World:
-        """Return the kept world that is there, which is kept no longer, or replay the actions."""
+        """Remove and return the kept world in this state, or replay the actions."""
         kept = self._worlds.pop((seed, actions), None)
         if kept is not None and not kept[1].over:
             return kept[0]
@@ -165,7 +164,7 @@ class ReplayedDomain(Domain[History], ABC):
         return world
 
     def _keep(self, world: World, seed: int, actions: tuple[int, ...], *, over: bool) -> History:
-        """Keep a world, and return its state."""
+        """Keep a world and return its state."""
         state = _history(world, seed, actions, over=over)
         self._worlds[seed, actions] = world, state
         if len(self._worlds) > MAX_WORLDS:

@@ -56,8 +56,8 @@ ACTIONS = (
     Action('right', 'right', 'walk one cell east'),
 )
 STEPS = ((-1, 0), (1, 0), (0, -1), (0, 1))  # rows, columns of each action
-INTENDED = 2 / 3  # probability of going as intended; the other three directions share the rest
-# The 104 cells that the agent can be in, and the others, by row and column.
+INTENDED = 2 / 3  # probability of the intended direction; the other three share the rest
+# The 104 cells of the agent, and the walls, by row and column.
 PLACES = [(r, c) for r, line in enumerate(LAYOUT) for c, sign in enumerate(line) if sign != '#']
 WALLS = tuple(
     (r, c) for r, line in enumerate(LAYOUT) for c, sign in enumerate(line) if sign == '#'
@@ -79,17 +79,17 @@ class Rooms(TableDomain[RoomsState]):
     """
     The four-room gridworld: 104 cells, four doorways ("hallways" in the paper).
 
-    A move goes as intended with probability 2/3 and in each other direction with 1/9; into a wall
-    it stays. Entering the goal is worth 1 and ends the task, all else is worth 0. Episodes begin
-    in any other cell.
+    A move goes in the intended direction with probability 2/3 and in each other direction with
+    1/9; moves into walls have no effect. Entering the goal has reward 1 and ends the task, all
+    other rewards are 0. Episodes start in any other cell.
     """
 
     def __init__(self, goal: str = 'G1') -> None:
         """
-        Make the rooms.
+        Create the rooms.
 
         :param goal: G1, the east doorway, or G2, a cell of the south-east room, as in the paper.
-        :raises DomainError: there is no such goal.
+        :raises DomainError: the goal is unknown.
         """
         check_choice('goal', goal, GOALS)
         super().__init__([RoomsState(*place) for place in PLACES])
@@ -105,7 +105,7 @@ class Rooms(TableDomain[RoomsState]):
     def outcomes(
         self, state: RoomsState, action: int
     ) -> Sequence[tuple[float, RoomsState, float]]:
-        """Return the four outcomes: as intended, then the other directions in action order."""
+        """Return the four outcomes: the intended one, then the others in action order."""
         slips = [other for other in range(4) if other != action]
         shares = (INTENDED, *[(1 - INTENDED) / 3] * 3)
         arrivals = [RoomsState(*neighbour((state.row, state.col), a)) for a in (action, *slips)]
@@ -116,7 +116,7 @@ class Rooms(TableDomain[RoomsState]):
         return state == self.goal
 
     def can_begin(self, state: RoomsState) -> bool:
-        """Return whether the agent is anywhere but at the goal."""
+        """Return whether the agent is not at the goal."""
         return state != self.goal
 
     def values_of(self, state: RoomsState) -> Sequence[int]:
@@ -141,7 +141,7 @@ class Rooms(TableDomain[RoomsState]):
         return Board(len(LAYOUT), len(LAYOUT[0]), WALLS, (), tuple(marks), notes, GREY)
 
     def step_effect(self, state: RoomsState, action: int, successor: RoomsState) -> StepEffect:
-        """Return what a step did: moves slip."""
+        """Return the effect of a step, which may have slipped."""
         place, after = (state.row, state.col), (successor.row, successor.col)
         step = after[0] - place[0], after[1] - place[1]
         went = ACTIONS[STEPS.index(step)].name if step in STEPS else ''
@@ -159,7 +159,7 @@ class Rooms(TableDomain[RoomsState]):
 
 
 def neighbour(place: Place, action: int) -> Place:
-    """Return the cell that an intended move leads to: beside ``place``, or ``place`` itself."""
+    """Return the target cell of an intended move: a neighbour of ``place``, or ``place``."""
     to = place[0] + STEPS[action][0], place[1] + STEPS[action][1]
     return to if to in OPEN else place
 

@@ -1,8 +1,8 @@
 """
-The eight hallway options of Rooms, exactly.
+The eight hallway options of Rooms as reference options.
 
 Sutton, Precup and Singh (1999), section 3: from anywhere in a room, or from its other doorway, an
-option walks to one of the room's two doorways, and it ends wherever it has left the room.
+option walks to one of the room's two doorways, and ends wherever it has left the room.
 """
 
 from humanopts_env.arrays import Flags
@@ -19,11 +19,11 @@ Mask = Flags
 
 def reference_options(domain: Domain) -> dict[str, TabularReferenceOption]:
     """
-    Return the hallway options by name: two for each room, whatever the goal.
+    Return the hallway options by name: two per room, independent of the goal.
 
-    The optimal actions are those with the highest expected gamma**k at the doorway that is walked
-    to, k steps away, where all other exits of the room are worth 0: shortest paths that avoid
-    slipping into the other doorway.
+    The optimal actions have the highest expected gamma**k for reaching the target doorway in k
+    steps, with value 0 for all other exits of the room: shortest paths that avoid slipping into
+    the other doorway.
     """
     options = [_build(domain, room, doorway) for room, doorway in _pairs(domain)]
     return {option.name: option for option in options}
@@ -69,7 +69,7 @@ def _build(domain: Domain, room: str, doorway: str) -> TabularReferenceOption:
 
 
 def _without_slips(table: Transitions) -> Transitions:
-    """Return the transitions if every move went as intended."""
+    """Return the transitions without slipping."""
     reward = table.reward[:, :, :1]
     return Transitions(
         table.successor[:, :, :1], np.ones(reward.shape), reward, table.terminated[:, :, :1]

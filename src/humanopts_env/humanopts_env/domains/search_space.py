@@ -1,10 +1,10 @@
 """
-The search space of subgoals: the states of the random tasks, and how visits are counted.
+The search space of subgoals: the states of the random tasks, and the counting of visits.
 
 S states, K cells, M situations. In every domain, visits are counted by the agent's cell. A step
 that changes a status (Taxi: whether the passenger is aboard) is an event. Initiation sets consist
-of situations: states that differ only in what no action can change (Taxi: which landmark is the
-destination) are one situation.
+of situations: states that differ only in constants of the episode (Taxi: the destination) belong
+to one situation.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -27,31 +27,31 @@ class SearchSpace:
     """The states of the random tasks, with the cell, status and situation of each."""
 
     transitions: Transitions
-    over: Flags  # (S,) the domain's own task is over
-    reached: Flags  # (S,) an episode can reach it
-    goals: Flags | None  # (S,) goals of the domain's own task; None: goals are drawn
+    over: Flags  # (S,) whether the domain's own task is over
+    reached: Flags  # (S,) whether an episode can reach the state
+    goals: Flags | None  # (S,) goals of the domain's own task; None: random goals
     cell: Ints  # (S,) 0..K-1
     cell_names: tuple[str, ...]
     status: Ints  # (S,) a change of the status is an event
     events: tuple[str, ...]  # name of the event that leads to each status; none: no events
     situation: Ints  # (S,) 0..M-1
     rows: Rows  # (S, F) the domain's features; only ``columns`` are meaningful
-    columns: tuple[int, ...]  # indices of the features that the options may depend on
+    columns: tuple[int, ...]  # indices of the features available to the options
     board: BoardSlice | None = None  # states laid out for a figure
 
     @cached_property
     def open(self) -> Flags:
-        """(S,): an episode can reach the state, and is not over there."""
+        """(S,): whether an episode can reach the state and is not over there."""
         return self.reached & ~self.over
 
     @cached_property
     def starts(self) -> Ints:
-        """The states in which tasks begin."""
+        """The start states of tasks."""
         return np.flatnonzero(self.open)
 
 
 def space_of_states(domain: EnumerableDomain) -> SearchSpace:
-    """Return the search space in which every state is a cell of its own, and goals are drawn."""
+    """Return the search space with random goals and every state as a separate cell."""
     return plain_space(
         domain.transitions(),
         domain.over(),
@@ -72,7 +72,7 @@ def plain_space(
     cell_names: Sequence[str],
     board: BoardSlice | None,
 ) -> SearchSpace:
-    """Return a search space without events: every state is its own cell; goals are drawn."""
+    """Return a search space without events, with random goals and every state as a cell."""
     states = np.arange(len(over))
     return SearchSpace(
         transitions=transitions,
@@ -101,16 +101,16 @@ def space_by_features(
     cell_name: Callable[[tuple[int, ...]], str] | None = None,
 ) -> SearchSpace:
     """
-    Return the search space that is defined by features of a domain.
+    Return the search space defined by features of a domain.
 
-    :param cell: features that hold the agent's position.
-    :param status: a feature; each change of its value is an event.
-    :param events: names of the events, by the text of the value that ``status`` changes to.
-    :param situation: all features but those that no action can change.
-    :param own_goals: True: the goals are those of the domain's own task (where the step that ends
-        it with the highest reward leads), which is right where they are random, or where little
-        can be undone; False: goals are drawn.
-    :param cell_name: returns the name of a cell from the values of its features; None: such as
+    :param cell: features of the agent's position.
+    :param status: feature; each change of its value is an event.
+    :param events: names of the events, by the text of the new value of ``status``.
+    :param situation: all features that an action can change.
+    :param own_goals: True: the goals of the domain's own task (states reached by a final step
+        with the highest reward), suitable if they are random or if few steps can be undone;
+        False: random goals.
+    :param cell_name: function from the feature values of a cell to its name; None: names such as
         ``cell 2,3``.
     :raises DomainError: the domain has no such feature.
     """
@@ -135,19 +135,19 @@ def space_by_features(
 
 
 def plain_cell_name(values: tuple[int, ...]) -> str:
-    """Return the name of a cell without a name of its own, such as ``cell 2,3``."""
+    """Return the default name of a cell, such as ``cell 2,3``."""
     return f'cell {",".join(map(str, values))}'
 
 
 def _groups(domain: EnumerableDomain, names: Sequence[str]) -> tuple[Ints, Ints]:
-    """Return the distinct values of some features, and (S,) the index of each state's values."""
+    """Return the distinct value combinations of features, and their index by state, (S,)."""
     rows = domain.feature_table()[:, feature_columns(domain, names)]
     values, group = np.unique(rows, axis=0, return_inverse=True)
     return values.astype(np.intp), group.ravel()
 
 
 def _best_ends(transitions: Transitions) -> Flags:
-    """Return (S,): whether a step that ends the task with the highest reward leads there."""
+    """Return (S,): whether a final step with the highest reward leads to the state."""
     ending = transitions.terminated & (transitions.probability > 0)
     best = ending & (transitions.reward == transitions.reward[ending].max())
     goals = np.zeros(len(transitions.successor), dtype=np.bool_)

@@ -1,4 +1,4 @@
-"""Base classes of enumerable domains: by tables, or by the rules of single states."""
+"""Base classes of enumerable domains, defined by tables or by the rules of single states."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
@@ -22,8 +22,8 @@ T = TypeVar('T')
 
 
 def built_once(build: Callable[[Any], T]) -> Callable[[Any], T]:
-    """Have a method without parameters build its result once for each object, and share it."""
-    name = f'_{build.__qualname__}'  # an overridden method has a result of its own
+    """Decorate a method without parameters: build its result once per object, and share it."""
+    name = f'_{build.__qualname__}'  # an overridden method has a separate result
 
     @wraps(build)
     def read(domain: Any) -> T:
@@ -40,13 +40,13 @@ class SharedTables(EnumerableDomain[S], ABC):
     """
     The methods of an ``EnumerableDomain`` that read its tables.
 
-    A subclass has each table as a method that is ``built_once``, whose arrays are read-only.
+    A subclass defines each table as a ``built_once`` method that returns read-only arrays.
     """
 
     @property
     @abstractmethod
     def _open(self) -> Ints:
-        """Indices of the states that an episode can pass through, never over."""
+        """Indices of the states reachable in an episode, never over."""
 
     def feature_values(self, state: S) -> Floats:
         values: Floats = self.feature_table()[self.index(state)]
@@ -78,7 +78,7 @@ class SharedTables(EnumerableDomain[S], ABC):
         return self.index(successor) in table.successor[number, action][possible]
 
     def sample_states(self, rng: np.random.Generator, count: int) -> list[S]:
-        """Draw states uniformly from those that an episode can pass through, never over."""
+        """Draw states uniformly from those reachable in an episode, never over."""
         return [self.state_at(int(number)) for number in rng.choice(self._open, count)]
 
     @cached_property
@@ -90,8 +90,8 @@ class TableDomain(SharedTables[S]):
     """
     An ``EnumerableDomain`` of up to some 100,000 states.
 
-    A subclass sets the attributes of ``Domain``, passes its states to ``__init__`` and writes the
-    abstract methods; all tables are built from these, each when it is first used.
+    A subclass sets the attributes of ``Domain``, passes its states to ``__init__`` and implements
+    the abstract methods; all tables are built from these on first use.
     """
 
     def __init__(self, states: Sequence[S]) -> None:
@@ -108,13 +108,13 @@ class TableDomain(SharedTables[S]):
         """
         Return the outcomes of an action: the probability, successor and reward of each.
 
-        This is called for every state, also where the task is over. Figures of the board draw the
+        This is called for every state, even if the task is over. Figures of the board draw the
         first outcome as the intended one.
         """
 
     @abstractmethod
     def encode(self, state: S) -> str:
-        """Return the state as one line; different for every state."""
+        """Return the state as one line, unique per state."""
 
     @abstractmethod
     def is_over(self, state: S) -> bool:
@@ -122,11 +122,11 @@ class TableDomain(SharedTables[S]):
 
     @abstractmethod
     def can_begin(self, state: S) -> bool:
-        """Return whether an episode can begin in ``state``; all such states are equally likely."""
+        """Return whether an episode can start in ``state``; start states are equally likely."""
 
     @abstractmethod
     def values_of(self, state: S) -> Sequence[float]:
-        """Return the value of every feature, as ``Feature`` describes it."""
+        """Return the value of every feature, see ``Feature``."""
 
     @property
     def n_states(self) -> int:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Scalar = TypeVar('Scalar', bound=np.generic)
-TIE = 1e-12  # actions whose values differ by less are equally good
+TIE = 1e-12  # smaller differences between action values are ties
 
 
 def read_only(array: NDArray[Scalar]) -> NDArray[Scalar]:
@@ -18,7 +18,7 @@ def read_only(array: NDArray[Scalar]) -> NDArray[Scalar]:
 
 
 def feature_column(domain: EnumerableDomain, name: str) -> Floats:
-    """Return (S,): the value of one feature in every state."""
+    """Return the value of one feature in every state, (S,)."""
     values: Floats = domain.feature_table()[:, feature_columns(domain, [name])[0]]
     return values
 
@@ -27,7 +27,7 @@ def reachable(domain: EnumerableDomain) -> Flags:
     """
     Return (S,): whether an episode can reach each state from the start states.
 
-    Nothing is reached through a state where the task is over.
+    Paths do not continue from states where the task is over.
     """
     transitions, over = domain.transitions(), domain.over()
     found = np.zeros(domain.n_states, dtype=np.bool_)
@@ -44,13 +44,13 @@ def distance_to(
     transitions: Transitions, goal: Flags, allowed: Flags
 ) -> tuple[NDArray[np.int32], Flags]:
     """
-    Find the shortest ways to a goal by breadth-first search backwards from it.
+    Find the shortest paths to a goal by backward breadth-first search.
 
-    :param transitions: of a deterministic domain.
+    :param transitions: transitions of a deterministic domain.
     :param goal: (S, A), the transitions that reach the goal, taken from allowed states only.
     :param allowed: (S,), the states that a path may visit before its last action.
-    :return: distance (S,), the fewest actions including the one that reaches the goal, -1 where
-        the state is not allowed or has no way; optimal (S, A), the actions of shortest ways.
+    :return: distance (S,), the fewest actions including the one that reaches the goal, -1 if the
+        state is not allowed or has no path; optimal (S, A), the actions of shortest paths.
     :raises ValueError: the transitions are not deterministic.
     """
     from scipy.sparse import csr_array  # slow to import
@@ -80,19 +80,21 @@ def best_ways(
     transitions: Transitions, goal: Flags, allowed: Flags, gamma: float
 ) -> tuple[Floats, Flags]:
     """
-    Find the best ways to a goal, with chance or without, by value iteration until nothing changes.
+    Find the best paths to a goal, stochastic or not, by value iteration until nothing changes.
 
     :param goal: (S, A, B), the outcomes that reach the goal.
-    :param allowed: (S,), the states that a way may visit between its first and its last step.
-    :param gamma: below 1; without chance, the best ways are the shortest.
-    :return: value (S,), the expected gamma**k of reaching the goal by the k-th action, of the best
-        way from each state, allowed or not; optimal (S, A), the first actions of best ways.
+    :param allowed: (S,), the states that a path may visit between its first and its last step.
+    :param gamma: discount, below 1; in deterministic domains, the best paths are the shortest.
+    :return: value (S,), the expected gamma**k of reaching the goal with the k-th action of the
+        best path from each state, allowed or not; optimal (S, A), the first actions of best paths.
     """
     n_states, chance = len(allowed), not transitions.deterministic
     goal_place, nowhere = n_states, n_states + 1  # after the states in ``worth``
     leads_to = np.where(allowed[transitions.successor], transitions.successor, nowhere)
     leads_to[goal] = goal_place
-    leads_to = np.ascontiguousarray(leads_to.transpose(2, 1, 0), dtype=np.intp)  # (B, A, S): quick
+    leads_to = np.ascontiguousarray(
+        leads_to.transpose(2, 1, 0), dtype=np.intp
+    )  # (B, A, S), fastest order
     probability = np.ascontiguousarray(transitions.probability.transpose(2, 1, 0))
     worth = np.zeros(n_states + 2)
     worth[goal_place] = 1.0
@@ -111,14 +113,14 @@ def best_ways(
         value[:] = best
 
 
-ROUNDING = 1e-9  # how far the probabilities of one action may be from 1 in sum
+ROUNDING = 1e-9  # largest deviation of the sum of an action's probabilities from 1
 
 
 def outcome_limits(transitions: Transitions) -> Floats:
     """
-    Return (S, A, B): the probability of each outcome or one before it.
+    Return the cumulative probabilities of the outcomes, (S, A, B).
 
-    The last outcome that can happen has 1 exactly, so rounding never leads to an unused one.
+    The last possible outcome has exactly 1, so rounding never selects an unused one.
     """
     limits = np.cumsum(transitions.probability, axis=2)
     limits[limits > 1 - ROUNDING] = 1.0
@@ -127,18 +129,18 @@ def outcome_limits(transitions: Transitions) -> Floats:
 
 def draw_outcomes(limits: Floats, state: Any, action: Any, number: Any) -> Ints:
     """
-    Return which of the B outcomes uniform numbers choose.
+    Return the indices of the outcomes, 0..B-1, selected by uniform numbers.
 
-    :param limits: from ``outcome_limits``.
+    :param limits: result of ``outcome_limits``.
     :param state: index or indices (N,), as ``action``.
-    :param number: in [0, 1), one or (N,).
+    :param number: uniform number or numbers (N,) in [0, 1).
     """
     chosen: Ints = (limits[state, action] <= np.asarray(number)[..., None]).sum(-1)
     return chosen
 
 
 class TabularSimulator:
-    """Takes steps in many games at once, by exact transitions."""
+    """Take steps in many games at once with exact transitions."""
 
     def __init__(self, transitions: Transitions, over: Flags) -> None:
         """
@@ -149,22 +151,22 @@ class TabularSimulator:
         self.transitions, self._over = transitions, over
         self._limits = None if transitions.deterministic else outcome_limits(transitions)
         tables = transitions.successor, transitions.reward, transitions.terminated
-        self._tables = [table.ravel() for table in tables]  # one look-up in each is quicker
+        self._tables = [table.ravel() for table in tables]  # flat: a single look-up is faster
 
     @property
     def deterministic(self) -> bool:
-        """Whether every action has one outcome, so that nothing is drawn."""
+        """Whether every action has one outcome, so that no random draws are needed."""
         return self._limits is None
 
     def draw(self, rng: np.random.Generator, count: int) -> Floats | None:
-        """Draw what chooses the outcomes of N steps; None: every action has one outcome."""
+        """Draw uniform numbers for the outcomes of N steps; None: deterministic."""
         return None if self._limits is None else rng.random(count)
 
     def step(self, state: Ints, action: Ints, drawn: Floats | None) -> tuple[Ints, Floats, Flags]:
         """
-        Return the next states, the rewards, and whether the task is over there, (N,).
+        Return the next states, the rewards, and whether the task is over, (N,) each.
 
-        :param drawn: (N,) from ``draw``.
+        :param drawn: (N,) result of ``draw``.
         """
         outcome: Ints | int = 0
         if self._limits is not None:

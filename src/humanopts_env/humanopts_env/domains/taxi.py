@@ -74,7 +74,7 @@ def blocked_moves(rows: int, cols: int) -> Flags:
 
 
 def taxi_features(rows: int, cols: int) -> tuple[Feature, ...]:
-    """Return the ten features; their value 0 is the north row, the west column, no or none."""
+    """Return the ten features; value 0 is the north row, the west column, no or none."""
     blocked = subset_names([action.name for action in ACTIONS[:4]])
     yes_no = ('no', 'yes')
     return (
@@ -104,7 +104,7 @@ EXPLANATION = (
     ('┃ ━', 'walls'),
 )
 LANDMARK_COLOURS = dict(zip(LANDMARKS, (RED, GREEN, ORANGE, BLUE)))
-NEEDS = {  # what must be on the board for other features than rows and columns to be seen there
+NEEDS = {  # marks that must be on the board to show a feature, except rows and columns
     'passenger_in_taxi': {'taxi'},
     'taxi_at_passenger': {'taxi', 'passenger'},
     'taxi_at_destination': {'taxi', 'destination'},
@@ -113,7 +113,7 @@ NEEDS = {  # what must be on the board for other features than rows and columns 
 
 
 MIN_SIDE, MAX_SIDE = 4, 1000  # rows and columns
-# What the participants of Subramanian, Isbell and Thomaz (2011) were asked to teach (section 7).
+# Options taught by the participants of Subramanian, Isbell and Thomaz (2011), section 7.
 DEMO_OPTIONS = ('go to passenger and pickup', 'go to destination and dropoff')
 STATE_TEXT = re.compile(
     r'taxi (\d{1,3}),(\d{1,3}) passenger (R|G|Y|B|aboard) destination (R|G|Y|B)'
@@ -122,7 +122,7 @@ STATE_TEXT = re.compile(
 
 @dataclass(frozen=True, slots=True)
 class TaxiState:
-    """Where the taxi, its passenger and the destination are."""
+    """Positions of the taxi, its passenger and the destination."""
 
     row: int  # 0 = north edge
     col: int  # 0 = west edge
@@ -144,7 +144,7 @@ class Taxi(SharedTables[TaxiState]):
 
     def __init__(self, rows: int = 5, cols: int = 5) -> None:
         """
-        Make a taxi grid.
+        Create a taxi grid.
 
         :raises DomainError: rows or cols is not a whole number from 4 to 1000.
         """
@@ -216,7 +216,7 @@ class Taxi(SharedTables[TaxiState]):
 
     @cached_property
     def _walls(self) -> tuple[Wall, ...]:
-        """The walls between cells, one for each side of a cell."""
+        """The walls between cells, one per side of a cell."""
         east = walls_east(self.rows, self.cols)[:, :-1]
         return tuple((row, col + 1, row + 1, col + 1) for row, col in np.argwhere(east).tolist())
 
@@ -253,7 +253,7 @@ class Taxi(SharedTables[TaxiState]):
         return move_effect(ACTIONS[action].name, went)
 
     def board_slices(self) -> list[BoardSlice]:
-        """Return the layouts with the passenger waiting at R and aboard, both bound for B."""
+        """Return the layouts with the passenger at R and aboard, with destination B."""
         cells = np.arange(self.rows * self.cols, dtype=np.int32).reshape(self.rows, self.cols)
         destination = LANDMARKS.index('B')
         return [
@@ -264,7 +264,7 @@ class Taxi(SharedTables[TaxiState]):
         ]
 
     def search_space(self) -> SearchSpace:
-        """Return the search space whose cells are the taxi's; pickups and dropoffs are events."""
+        """Return the search space with the taxi's cells; pickups and dropoffs are events."""
         landmarks = {c: name for name, c in landmark_cells(self.rows, self.cols).items()}
 
         def name(values: tuple[int, ...]) -> str:
@@ -302,7 +302,7 @@ class Taxi(SharedTables[TaxiState]):
         Return the exact transitions, B = 1.
 
         Rewards: 0 for a legal pickup, +1 for a dropoff at the destination, -1 otherwise. A dropoff
-        at another landmark lets the passenger out there; one in any other cell does nothing.
+        at another landmark leaves the passenger there; in any other cell it has no effect.
         """
         cell, passenger, destination = self._parts()
         index = np.arange(self.n_states, dtype=np.int32)

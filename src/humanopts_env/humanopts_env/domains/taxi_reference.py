@@ -1,9 +1,9 @@
 """
-The Taxi options that people named in the paper, exactly.
+The Taxi options of the paper as reference options.
 
 Subramanian, Isbell and Thomaz (2011), table 1. Each option follows shortest paths from its
 initiation set to its goal, and ends wherever it has left that set. States in which the task is
-over are in no initiation set.
+over are not in any initiation set.
 """
 
 from collections.abc import Container
@@ -21,7 +21,7 @@ Taxi = EnumerableDomain[TaxiState]
 def reference_options(
     domain: Taxi, names: Container[str] | None = None
 ) -> dict[str, TabularReferenceOption]:
-    """Return the Taxi options of the paper's table 1 by name; ``names``: only these of them."""
+    """Return the Taxi options of the paper's table 1 by name; ``names``: only these options."""
     transitions = domain.transitions()
     successor = transitions.successor[:, :, 0]
     reward, delivers = transitions.reward[:, :, 0], transitions.terminated[:, :, 0]
@@ -45,11 +45,11 @@ def reference_options(
         ends_episode: bool = False,
     ) -> None:
         """
-        Add an option, with the shortest paths to its goal within its initiation set.
+        Add an option with the shortest paths to its goal within its initiation set.
 
-        :param initiation: (S,); states that are over or not reachable leave it.
+        :param initiation: (S,); states that are over or not reachable are removed.
         :param goal: (S, A), the transitions that reach its goal.
-        :param ends_episode: whether one of them can.
+        :param ends_episode: whether one of these transitions can end the episode.
         """
         if names is not None and name not in names:
             return

@@ -1,1 +1,1 @@
-"""ROS nodes, and what they share. Only modules here and ``convert`` may import rclpy."""
+"""ROS nodes and their shared code. Only modules in this package may import rclpy."""

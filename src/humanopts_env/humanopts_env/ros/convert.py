@@ -31,7 +31,7 @@ _REFUSED = Codec(
 
 
 def domain_to_info(domain: ActableDomain) -> DomainInfo:
-    """Describe a domain; header, publisher_id and sequence are left to the publisher."""
+    """Describe a domain; the publisher sets header, publisher_id and sequence."""
     return DomainInfo(
         domain=domain.name,
         parameters=parameters_json(domain),
@@ -47,9 +47,9 @@ def domain_to_info(domain: ActableDomain) -> DomainInfo:
 
 def domain_from_info(info: DomainInfo) -> ActableDomain:
     """
-    Build the domain that the node game published: with its rules, if it is registered here.
+    Build the domain published by the node game: with its rules, if it is registered here.
 
-    :raises DomainError: its rules differ from those here, or the description cannot be used.
+    :raises DomainError: its rules differ from those here, or the description is invalid.
     """
     if not is_registered(info.domain):
         return described_domain(info)
@@ -71,5 +71,5 @@ def refusal_to_message(refused: Refused) -> ActionRefusal:
 
 
 def control_to_message(control: Control, pacing: Pacing) -> ControlState:
-    """Encode who holds control, and the pace of the machine."""
+    """Encode the control of the game and the pace of the machine."""
     return _CONTROL.encode(control, step_period=pacing.period, paused_by=pacing.paused_by)

@@ -1,4 +1,4 @@
-"""The node ``game``, which owns the game and takes one step for each accepted command."""
+"""The node ``game``, which owns the game and takes one step per accepted command."""
 
 from collections import deque
 from functools import partial
@@ -46,11 +46,11 @@ from rclpy.parameter import Parameter
 
 _RETRY_PERIOD = 1.0  # s between attempts to publish again
 _LEASE_PERIOD = 0.25  # s between checks of the leases
-_SHOW_PERIOD = 0.02  # s, least time between current states while the machine plays
+_SHOW_PERIOD = 0.02  # s, minimum time between current states while the machine plays
 
 
 class GameNode(NodeBase):
-    """Publishes the states of the game, and answers every command with a state or a refusal."""
+    """Publish the states of the game, and answer every command with a state or a refusal."""
 
     role: ClassVar[Role] = 'game'
 
@@ -87,14 +87,14 @@ class GameNode(NodeBase):
         self.create_subscription(NodeStatus, 'node_status', self._on_status, CURRENT)
 
     def on_ready(self) -> None:
-        """Publish the domain, and begin the first episode."""
+        """Publish the domain and start the first episode."""
         self._info.publish(domain_to_info(self._game.domain))
         self._send_control(self._game.control)
         self._game.reset('', self._seed, Source.MACHINE)
         self._send_transition(self._game.transition)
 
     def close(self) -> None:
-        """Leave the last state as the current one."""
+        """Publish the last state as the current one."""
         self._show()
 
     def _read_domain(self) -> Domain:
@@ -149,7 +149,7 @@ class GameNode(NodeBase):
         if reply.control is not None:
             self._send_control(reply.control)
             if request.hold:
-                self._send_results(self._pacing.due())  # what waits is refused at once
+                self._send_results(self._pacing.due())  # refuse a waiting command immediately
         return response
 
     def _on_set_pace(
@@ -169,7 +169,7 @@ class GameNode(NodeBase):
         return response
 
     def _on_step_period(self, period: float) -> None:
-        """Take the pace that was set as a parameter; who has the machine wait still does."""
+        """Use the pace set as a parameter; a pause continues."""
         if period != self._pacing.period:
             self._set_pace(period, self._pacing.paused_by)
 
@@ -195,7 +195,7 @@ class GameNode(NodeBase):
         self._release(self._lease.check(), self._pause_lease.check())
 
     def _release(self, control: str, pause: str) -> None:
-        """Free control, and end a pause, for a reason each; empty: it stays as it is."""
+        """Release control and end a pause, each with a reason; empty: unchanged."""
         if control and self._game.control.holder is Holder.PERSON:
             self._send_control(self._game.release(control))
         if pause and self._pacing.paused_by:
@@ -210,8 +210,8 @@ class GameNode(NodeBase):
         self._send(self._control, control_to_message(control, self._pacing))
 
     def _send_transition(self, transition: Transition) -> None:
-        """Publish a state; as the current one at once, unless the machine plays faster."""
-        message = transition_to_message(transition)  # each publisher numbers it when it sends it
+        """Publish a state; also as the current one, unless the machine plays too fast."""
+        message = transition_to_message(transition)  # each publisher adds its own sequence
         self._send(self._stream, message)
         self._unshown = message
         if transition.action_source is not Source.MACHINE or self._show_timer.is_canceled():
@@ -219,7 +219,7 @@ class GameNode(NodeBase):
             self._show_timer.reset()
 
     def _show(self) -> None:
-        """Publish the newest state as the current one; stop once there is none to publish."""
+        """Publish the newest state as the current one; stop the timer if there is none."""
         if self._unshown is None:
             self._show_timer.cancel()
         else:
@@ -227,13 +227,13 @@ class GameNode(NodeBase):
             self._unshown = None
 
     def _send(self, publisher: StampedPublisher[Any], message: Any) -> None:
-        """Publish a message, after those that already wait on its topic."""
+        """Publish a message after those already waiting on its topic."""
         self._unsent[publisher].append(message)
         if len(self._unsent[publisher]) == 1:
             self._push(publisher)
 
     def _push(self, publisher: StampedPublisher[Any]) -> None:
-        """Publish the waiting messages of a topic in order; pause the game while that fails."""
+        """Publish the waiting messages of a topic in order; pause the game on failure."""
         waiting = self._unsent[publisher]
         try:
             while waiting:
@@ -245,7 +245,7 @@ class GameNode(NodeBase):
                 self.set_status(NodeStatus.STATE_PAUSED, str(error))
 
     def _retry(self) -> None:
-        """Publish what could not be published, and go on once all of it is."""
+        """Publish the waiting messages, and resume the game once all are published."""
         if any(self._unsent.values()):
             for publisher in self._unsent:
                 self._push(publisher)

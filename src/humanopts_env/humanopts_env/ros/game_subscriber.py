@@ -1,4 +1,4 @@
-"""A node's view of the game in its namespace: only messages of the game itself are accepted."""
+"""A node's view of the game in its namespace: only messages from the game are accepted."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -25,8 +25,8 @@ from humanopts_ros.senders import is_next_game, signer
 from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
 
-_LOOK_PERIOD = 0.1  # s between looks at the graph while messages wait for it to list their game
-_LATE = 5.0  # s after which a publisher that is not listed as a game is reported
+_LOOK_PERIOD = 0.1  # s between checks of the graph while messages wait for their game
+_LATE = 5.0  # s until a publisher not listed as a game is reported
 _MAX_EARLY = 100  # waiting messages, and reported publishers
 _UNLISTED = 'no game on the graph has this publisher_id'
 T = TypeVar('T')
@@ -35,25 +35,25 @@ V = TypeVar('V')
 
 @dataclass(frozen=True, slots=True)
 class Observed:
-    """One state of the game that was checked against its rules."""
+    """One state of the game, checked against its rules."""
 
-    publisher_id: str  # of the game; another one after it was started again
+    publisher_id: str  # of the game; changes when the game is restarted
     transition: Transition
     state: Any  # decoded; None before the first episode
 
 
 class GameSubscriber:
     """
-    The game of a node's namespace, as it announces itself.
+    The game in a node's namespace, identified by its announcement.
 
-    A game states its id in the graph, whatever the name of its node; a message is the game's if it
-    carries this id. The game may be started again, under another id. A node of another name may
-    take its place once it is gone. Messages of a publisher that the graph does not list yet are
-    kept for a while. A message is refused if another publisher has sent it, if it announces
-    another game than the one that is known, or if it breaks the rules of the game.
+    A game publishes its id in the graph, whatever its node name; a message belongs to the game if
+    it carries this id. The game may be restarted with another id. A node with another name may
+    replace it once it is gone. Messages from a publisher that the graph does not list yet are kept
+    for a while. A message is refused if it comes from another publisher, announces another game
+    than the known one, or breaks the rules of the game.
 
-    :ivar domain: the rules; None: the game has not announced itself.
-    :ivar publisher_id: of the game; empty: it is not found yet.
+    :ivar domain: the rules; None: the game is not announced yet.
+    :ivar publisher_id: publisher id of the game; empty: not found yet.
     """
 
     def __init__(self, node: NodeBase, on_domain: Callable[[ActableDomain], object]) -> None:
@@ -65,10 +65,10 @@ class GameSubscriber:
         self.domain: ActableDomain | None = None
         self.publisher_id = ''
         self._node, self._on_domain = node, on_domain
-        # The newest early message of each topic and publisher, and the function that reads it
-        # again once the game and its rules are known.
+        # The newest early message per topic and publisher, and the function that reads it again
+        # once the game and its rules are known.
         self._early: dict[tuple[str, str], tuple[Any, Callable[[Any], object]]] = {}
-        # Since when publishers wait to be listed as a game, s; -inf: they were named as strangers.
+        # Start time of waiting for a publisher to be listed as a game, s; -inf: already reported.
         self._unlisted: dict[str, float] = {}
         self._look_timer = node.create_timer(_LOOK_PERIOD, self._look, autostart=False)
         self._domain_info = self.subscribe(
@@ -83,7 +83,7 @@ class GameSubscriber:
         use: Callable[[V], object],
         qos: QoSProfile = STREAM,
     ) -> Subscription:
-        """Subscribe to a topic of the game; ``read`` and ``use`` are as of ``NodeBase``."""
+        """Subscribe to a topic of the game; see ``NodeBase`` for ``read`` and ``use``."""
 
         def again(message: T) -> None:
             value = self._node.accepted(topic, read_of_game, message)
@@ -104,7 +104,7 @@ class GameSubscriber:
         """
         Subscribe to the states of the game on a topic.
 
-        :param use: called with each; where states come before the rules, with the last of these.
+        :param use: called with each state; of the states before the rules, with the last one.
         """
 
         def again(message: GameState) -> None:
@@ -121,7 +121,7 @@ class GameSubscriber:
         return self.subscribe(GameState, topic, read, use, qos)
 
     def newest(self) -> PolledValue[GameState, Observed]:
-        """Return the newest state for polling; it can be read once the rules are known."""
+        """Return the newest state for polling, readable once the rules are known."""
         return PolledValue(self._node, GameState, 'current_state', self.observe)
 
     def observe(self, message: GameState) -> Observed:
@@ -138,7 +138,7 @@ class GameSubscriber:
         return Observed(message.publisher_id, transition, state)
 
     def follow_control(self, use: Callable[[ControlState], object]) -> Subscription:
-        """Subscribe to who holds control, and to the pace of the machine."""
+        """Subscribe to the control of the game and the pace of the machine."""
 
         def read(message: ControlState) -> ControlState:
             if not 0.0 <= message.step_period <= MAX_PERIOD:
@@ -150,23 +150,23 @@ class GameSubscriber:
     def follow_refusals(
         self, use: Callable[[ActionRefusal], object], qos: QoSProfile = STREAM
     ) -> Subscription:
-        """Subscribe to the commands that the game refuses."""
+        """Subscribe to the refusals of the game."""
         return self.subscribe(ActionRefusal, 'action_refused', lambda message: message, use, qos)
 
     def unsubscribe(self) -> None:
-        """Stop following ``domain_info``."""
+        """Unsubscribe from ``domain_info``."""
         self._node.destroy_subscription(self._domain_info)
 
     @property
     def name(self) -> str:
-        """Name of the game's node, without its namespace; empty: it is not found yet."""
+        """Name of the game's node without its namespace; empty: not found yet."""
         return signer(self.publisher_id).rpartition('/')[2]
 
     def _is_game(self, publisher_id: str) -> bool:
         """
-        Return whether a message is from the game; False: the graph may list it as such later.
+        Return whether a message comes from the game; False: the graph may list it later.
 
-        :raises ValueError: it is from another publisher.
+        :raises ValueError: it comes from another publisher.
         """
         if publisher_id and publisher_id == self.publisher_id:
             return True

@@ -1,1 +1,1 @@
-"""Pac-Man: maze, rules (one game and many at once), features, drawing; reference options apart."""
+"""Pac-Man: maze, rules (one game and many at once), features, drawing and reference options."""

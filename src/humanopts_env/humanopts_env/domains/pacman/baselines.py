@@ -1,4 +1,4 @@
-"""The baselines of plans in Pac-Man, and the rule over its reference options written by hand."""
+"""The baselines of plans in Pac-Man, and a hand-written rule over its reference options."""
 
 from functools import partial
 from typing import TYPE_CHECKING
@@ -37,15 +37,15 @@ def pacman_baselines(domain: 'PacMan') -> Baselines:
 
 def hand_written_rule(options: dict[str, PacManOption], games: PacManGames) -> Ints:
     """
-    Return (N,): the first of the best moves of the option that the rule chooses.
+    Return the first of the best moves of the option chosen by the rule, (N,).
 
     The rule is: eat a scared ghost that can be caught in time, unless a dangerous one is near;
-    else, where a dangerous ghost is too near, go to a power pill that is nearer; else go to fruit
+    else, if a dangerous ghost is too near, go to a power pill that is nearer; else go to fruit
     that can be reached in time, unless a dangerous ghost is near; else avoid a ghost that is too
     near; else go to the closest food.
 
-    Of 23 places and conditions of the clause for fruit, this one scored best over both kinds of
-    ghosts in 1,000 games of a seed that no reported result uses.
+    Of 23 positions and conditions of the clause for fruit, this one scored best over both kinds
+    of ghosts in 1,000 games with a seed that is not used for any reported result.
     """
     batch = games.batch
     danger, prey, pill, fruit = (

@@ -1,4 +1,4 @@
-"""The maze as a board: all of a state, or only the features that may be revealed."""
+"""The maze as a board: a complete state, or only the features that may be revealed."""
 
 from collections.abc import Mapping
 
@@ -27,7 +27,7 @@ def board_of_state(maze: Maze, state: PacManState, lives: int) -> Board:
     """
     Return a board that shows everything.
 
-    :param lives: of a new game.
+    :param lives: number of lives of a new game.
     """
     marks = [Mark(maze.cells[state.pacman], PACMAN, 'pac-man', ORANGE)]
     for number, ghost in enumerate(state.ghosts):
@@ -62,7 +62,7 @@ def board_of_features(maze: Maze, values: Mapping[str, str]) -> Board:
     cells: dict[str, Cell] = {}
     for thing in ('pacman', *(f'ghost_{n + 1}' for n in range(len(maze.homes))), *list(looks)[1:]):
         place = [values.get(f'{thing}_{part}', '') for part in ('row', 'col')]
-        if all(part.isdecimal() for part in place):  # a thing that is not there has no number
+        if all(part.isdecimal() for part in place):  # an absent object has no number
             cells[thing] = int(place[0]), int(place[1])
     marks = []
     for thing, cell in cells.items():
@@ -77,7 +77,7 @@ def board_of_features(maze: Maze, values: Mapping[str, str]) -> Board:
 
 
 def _needs(feature: str) -> set[str]:
-    """Return the things that must be on the board for a feature to be seen there."""
+    """Return the objects that must be on the board to show a feature."""
     if feature == 'legal_moves':
         return {'pacman'}
     thing, _, part = feature.rpartition('_')
@@ -85,7 +85,7 @@ def _needs(feature: str) -> set[str]:
         return {thing}
     if part in ('direction', 'distance') and thing not in ('danger', 'prey'):
         return {'pacman', thing}
-    return {''}  # it cannot be seen
+    return {''}  # cannot be shown
 
 
 def _ghost(number: int, cell: Cell, scared: bool, more: str) -> Mark:

@@ -58,10 +58,10 @@ from numpy.typing import NDArray
 
 KEYS = ('up', 'left', 'right', 'down')  # in the order of MOVES
 MAX_LIVES, MAX_STEPS = 9, 1_000_000
-# The options that the participants of the paper taught (section 7), and one more.
+# The options taught by the paper's participants (section 7), and one more.
 DEMO_OPTIONS = (CLOSEST_FOOD, AVOID_GHOST, NEAREST_PILL, EAT_GHOST)
 DEMO_OPTIONS_WITH_FRUIT = (*DEMO_OPTIONS, TO_FRUIT)
-PRIMITIVE_COLUMNS = (  # for plans with primitive actions: what is near enough to matter
+PRIMITIVE_COLUMNS = (  # for plans with primitive actions: nearby objects
     *('legal_moves', 'food_direction', 'food_distance:2,3,5,9'),
     *('danger_direction', 'danger_distance:2,3,4,5,7'),
     *('prey_direction', 'prey_distance:3,6,13', 'pill_direction', 'pill_distance:3,9'),
@@ -73,7 +73,7 @@ class PacMan(Domain[PacManState]):
     """
     Pac-Man in any maze, a ``Domain``.
 
-    A move into a wall is allowed, and leaves Pac-Man where he is.
+    A move into a wall is allowed and has no effect.
     """
 
     def __init__(
@@ -85,18 +85,18 @@ class PacMan(Domain[PacManState]):
         features: str = ALL,
     ) -> None:
         """
-        Set up a maze.
+        Create the game.
 
         :param maze: the name of a maze in this package, the path of a file in Berkeley's notation,
-            or its text. ``parameters`` hold the name or the text, never a path, so that they make
-            the same maze on another machine.
-        :param ghosts: 'random', where dangerous ghosts move at random, or 'chase', where they
-            come towards Pac-Man with probability 0.8.
-        :param lives: at the beginning, 1 to 9.
-        :param max_steps: an episode is truncated after this many steps.
-        :param features: 'directions', all of them, or 'paper', those that the paper names. Only
+            or its text. ``parameters`` contain the name or the text, never a path, so that they
+            give the same maze on another machine.
+        :param ghosts: 'random': dangerous ghosts move at random; 'chase': they move towards
+            Pac-Man with probability 0.8.
+        :param lives: number of lives at the start, 1 to 9.
+        :param max_steps: maximum number of steps per episode; longer ones are truncated.
+        :param features: 'directions', all features, or 'paper', those named in the paper. Only
             the latter is in ``parameters``: files and bags without it have the former.
-        :raises MazeError: there is no such maze, or it cannot be played.
+        :raises MazeError: the maze is unknown or cannot be played.
         :raises DomainError: another parameter is out of range.
         """
         if not isinstance(maze, str):
@@ -123,11 +123,11 @@ class PacMan(Domain[PacManState]):
         self.actions: Sequence[Action] = tuple(
             Action(name, key, f'go one cell {name}') for name, key in zip(MOVES, KEYS)
         )
-        self.gamma = 0.985  # longer in sight than 0.97, with which plans score less
+        self.gamma = 0.985  # a longer horizon than 0.97, with which plans score less
         self.max_steps = max_steps
         self.explanation = EXPLANATION
         self.primitive_columns = PRIMITIVE_COLUMNS if features == ALL else ()
-        all_fruit = len(self.rules.maze.food) > max(FRUIT_AFTER)  # else it is there too seldom
+        all_fruit = len(self.rules.maze.food) > max(FRUIT_AFTER)  # otherwise fruit is too rare
         self.teaching = TeachingDefaults(DEMO_OPTIONS_WITH_FRUIT if all_fruit else DEMO_OPTIONS)
 
     def reset(self, rng: np.random.Generator) -> PacManState:
@@ -159,7 +159,7 @@ class PacMan(Domain[PacManState]):
         return values
 
     def listed(self, rows: Rows) -> Rows:
-        """Return the columns (N, F) of the domain's own features, from those of all."""
+        """Select the columns (N, F) of the domain's own features from those of all features."""
         return rows if self.has_all_features else rows[:, self._listed]
 
     def encode(self, state: PacManState) -> str:
@@ -169,7 +169,7 @@ class PacMan(Domain[PacManState]):
         return notation.decode(self.rules.maze, self.rules.lives, text)
 
     def sample_states(self, rng: np.random.Generator, count: int) -> list[PacManState]:
-        """Draw states from games that are played with several aims, never over."""
+        """Draw states from games played with several aims, never over."""
         return sample_games(self.rules, rng, count).states()
 
     def board(self, state: PacManState, shown: Collection[str] | None = None) -> Board:
@@ -178,7 +178,7 @@ class PacMan(Domain[PacManState]):
         return board_of_features(self.rules.maze, shown_values(self, state, shown))
 
     def step_effect(self, state: PacManState, action: int, successor: PacManState) -> StepEffect:
-        """Return what a step did: where Pac-Man went, what he ate, whether he lost a life."""
+        """Return the effect of a step: Pac-Man's move, his meals, and a lost life."""
         to = int(self.rules.paths.step[state.pacman, action])
         meals = [f'ate {MEALS[name]}' for name in eaten_names(successor.ate)]
         if successor.lives < state.lives:
@@ -193,7 +193,7 @@ class PacMan(Domain[PacManState]):
         return move_effect(MOVES[action], MOVES[action])
 
     def action_mask(self, state: PacManState) -> NDArray[np.int8]:
-        """Return (A,): 1 for the moves that no wall blocks."""
+        """Return the mask, (A,): 1 for moves not blocked by a wall."""
         mask: NDArray[np.int8] = HAS_MOVE[self.rules.paths.legal[state.pacman]].astype(np.int8)
         return mask
 

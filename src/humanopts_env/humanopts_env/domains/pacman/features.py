@@ -1,16 +1,17 @@
 """
-The features of Pac-Man, and the nearest thing of each kind, in many games at once.
+The features of Pac-Man, and the nearest object of each kind, in many games at once.
 
-"Nearest" is by steps of a shortest path; among several it is the first, row by row. A direction is
-the first move of a shortest path, the first in the order of moves where there are several. A thing
-that is absent (no pill is left, no ghost is scared) has the last value of row, column, direction
+"Nearest" refers to the steps of a shortest path; of several, it is the first, row by row. A
+direction is the first move of a shortest path; of several, the first in the order of moves. An
+absent object (no pill is left, no ghost is scared) has the last value of row, column, direction
 and distance, "none".
 
-There are two lists. Directions hand a policy over: the first move of a shortest path is what
-"go to the closest food" does, and a few demonstrations are enough to copy it; they mean the same
-in every maze. ``PAPER`` has what Subramanian, Isbell and Thomaz (2011, section 3) name: positions
-and how long ghosts are scared. A policy over positions has to be shown cell by cell, and belongs
-to one maze. What the last step ate is in both lists: no other feature shows that food was eaten.
+There are two lists. Directions give a policy away: "go to the closest food" takes the first move
+of a shortest path, and a few demonstrations suffice to copy it; directions have the same meaning
+in every maze. ``PAPER`` has the features named by Subramanian, Isbell and Thomaz (2011, section
+3): positions and the remaining scared time of ghosts. A policy over positions must be demonstrated
+cell by cell, and is specific to one maze. The meals of the last step are in both lists: no other
+feature shows that food was eaten.
 """
 
 from collections.abc import Sequence
@@ -26,17 +27,17 @@ import numpy as np
 
 DIRECTIONS = (*MOVES, 'here', 'none')
 NOWHERE = STAY + 1  # index of the last
-ALL, PAPER = 'directions', 'paper'  # lists of features
+ALL, PAPER = 'directions', 'paper'  # feature lists
 FEATURE_LISTS = (ALL, PAPER)
-THINGS = {  # prefix of feature names: what it is to a person
+THINGS = {  # prefix of feature names: words for people
     'food': 'the nearest food',
     'pill': 'the nearest power pill',
     'fruit': 'the fruit',
     'danger': 'the nearest dangerous ghost',
     'prey': 'the nearest scared ghost',
 }
-STEPS, NUMBER, FIRST = 16, 3, 7  # bits of a key: from where on steps and a number are; the first
-FEW = 9  # things, whose keys are compared one by one
+STEPS, NUMBER, FIRST = 16, 3, 7  # of a key: shifts of steps and number; mask of the move
+FEW = 9  # maximum number of objects with keys compared one by one
 
 
 def in_paper(name: str) -> bool:
@@ -72,7 +73,7 @@ def pacman_features(rules: Rules) -> tuple[Feature, ...]:
     )
 
 
-GROUPS = {  # in words: the beginnings of the names of their features
+GROUPS = {  # words: prefixes of feature names
     'Pac-Man': ('pacman_', 'legal_'),
     'the ghosts': ('ghost_', 'danger_', 'prey_'),
     'the food': ('food_',),
@@ -82,7 +83,7 @@ GROUPS = {  # in words: the beginnings of the names of their features
 
 
 def pacman_groups(features: Sequence[Feature]) -> tuple[FeatureGroup, ...]:
-    """Return the groups of the features that a game has."""
+    """Return the groups of the features of a game."""
     names = [feature.name for feature in features]
     groups = (
         FeatureGroup(words, tuple(name for name in names if name.startswith(beginnings)))
@@ -101,13 +102,13 @@ def _way(rules: Rules, name: str, words: str) -> list[Feature]:
 
 
 class FeatureReader:
-    """Computes all features of many games at once, with tables that it prepares for a maze."""
+    """Compute all features of many games at once, with precomputed tables of a maze."""
 
     def __init__(self, rules: Rules) -> None:
         self.rules = rules
         maze, paths, groups = rules.maze, rules.paths, len(rules.maze.homes)
-        count, none = len(maze.cells), paths.longest + 1  # the value of a distance to nothing
-        # Cell C is that of a thing that is absent.
+        count, none = len(maze.cells), paths.longest + 1  # the distance to an absent object
+        # Cell C is the cell of an absent object.
         self._place = np.array([*maze.cells, (maze.rows, maze.cols)], dtype=np.int32).T.copy()
         first = np.pad(FIRST_MOVE[paths.shortest], ((0, 0), (0, 1)), constant_values=NOWHERE)
         steps = np.pad(paths.distance.astype(np.int32), ((0, 0), (0, 1)), constant_values=none)
@@ -117,7 +118,7 @@ class FeatureReader:
         self._ghosts = (np.arange(groups, dtype=np.int32) << NUMBER)[:, None]
         self._food, self._pills = np.array([*maze.food, count]), np.array([*maze.pills, count])
         self._legal = paths.legal.astype(np.int32)
-        # features that are the row of each thing, and the direction; ghosts and then THINGS
+        # indices of the row and direction features of each object: ghosts, then THINGS
         rows = [2 + 5 * ghost for ghost in range(groups)]
         rows += [2 + 5 * groups + 4 * thing for thing in range(3)]
         self._rows = np.array(rows)
@@ -157,10 +158,10 @@ class FeatureReader:
 
 def nearest_key(keys: Keys, cells: Ints, taken: Keys) -> Keys:
     """
-    Return the key (..., N) of the nearest thing that is left.
+    Return the key of the nearest remaining object, (..., N).
 
     :param keys: (C, K + 1) of ``Tables``.
-    :param cells: (..., N) from where.
+    :param cells: (..., N) start cells.
     :param taken: (N, K + 1) marks of ``PacManBatch``.
     """
     if keys.shape[1] < FEW:
@@ -174,10 +175,10 @@ def nearest_key(keys: Keys, cells: Ints, taken: Keys) -> Keys:
 
 def steps_to(batch: PacManBatch, thing: str, cells: Ints) -> Ints:
     """
-    Return the steps (..., N) from cells to the nearest thing of a kind; ``far``: there is none.
+    Return the steps from cells to the nearest object of a kind, (..., N); ``far``: none.
 
     :param thing: one of ``THINGS``.
-    :param cells: (..., N).
+    :param cells: start cells, (..., N).
     """
     paths, tables = batch.rules.paths, batch.tables
     steps = np.full(cells.shape, paths.far, dtype=np.intp)
@@ -201,9 +202,9 @@ def steps_to(batch: PacManBatch, thing: str, cells: Ints) -> Ints:
 
 def steps_after(batch: PacManBatch, thing: str, wall: int) -> Ints:
     """
-    Return (N, 4): the steps to the nearest thing of a kind after each move.
+    Return the steps to the nearest object of a kind after each move, (N, 4).
 
-    :param wall: in place of the steps where a wall blocks the move.
+    :param wall: value for moves blocked by a wall.
     """
     paths = batch.rules.paths
     after = steps_to(batch, thing, paths.step[batch.pacman, :STAY].T).T
@@ -212,7 +213,7 @@ def steps_after(batch: PacManBatch, thing: str, wall: int) -> Ints:
 
 
 def fear_of_prey(batch: PacManBatch) -> Ints:
-    """Return (N,): the steps for which the nearest scared ghost is scared; 0: there is none."""
+    """Return the remaining scared steps of the nearest scared ghost, (N,); 0: none."""
     paths, scared = batch.rules.paths, batch.scared > 0
     steps = np.where(scared, paths.distance[batch.pacman, batch.ghosts], paths.far)
     nearest = scared & (steps == steps.min(axis=0, initial=paths.far))

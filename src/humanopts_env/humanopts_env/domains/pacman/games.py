@@ -3,9 +3,9 @@ Many games of Pac-Man at once: play, planning features, sampled states.
 
 Planning features are buckets of the distances, times and numbers that decide which option is worth
 starting. The "arrival" at a cell is the fewest steps in which a dangerous ghost can reach it. Such
-ghosts do not turn round unless they must, so one that has just passed arrives later than its
-distance suggests. The risk of an option is the arrival at the cell of its first step, where 1 may
-cost a life at once.
+ghosts only turn back if they must, so one that has just passed arrives later than its distance
+suggests. The risk of an option is the arrival at the cell of its first step; an arrival of 1 may
+immediately cost a life.
 """
 
 from collections.abc import Mapping
@@ -25,15 +25,15 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     from humanopts_env.domains.pacman.domain import PacMan
 
-AFAR = 1000  # distance of a thing that is absent or farther away
-MAX_PLAYED = 300  # steps before a sampled state
-CHANGES = 0.1  # probability of a new aim at a step
-AIMS = ('food', 'pill', 'prey', 'fruit')  # what Pac-Man may go to
+AFAR = 1000  # distance of an object that is absent or farther away
+MAX_PLAYED = 300  # maximum number of steps before a sampled state
+CHANGES = 0.1  # probability of a new aim per step
+AIMS = ('food', 'pill', 'prey', 'fruit')  # possible targets of Pac-Man
 WANTS = ('food', 'food', 'pill', 'prey', None)  # aims, each equally likely; None: random moves
 
 
 PLANNING_FEATURES = {  # numbers in buckets: value k holds ``edges[k - 1] <= number < edges[k]``
-    'danger': (2, 3, 4, 6, AFAR),  # arrival where Pac-Man is
+    'danger': (2, 3, 4, 6, AFAR),  # arrival at Pac-Man's cell
     'danger_to_food': (2, 3, 4, 6),  # arrival after the first step to the nearest food
     'danger_to_pill': (2, 3, 4),
     'danger_to_prey': (2, 3, 4),
@@ -98,7 +98,7 @@ class PacManGames:
         return self.batch.states()
 
     def outcomes(self) -> Mapping[str, NDArray[Any]]:
-        """Return whether the maze is cleared, and the lives that are left."""
+        """Return whether the maze is cleared, and the remaining lives."""
         return {'cleared': self.batch.food_left == 0, 'lives left': self.batch.lives}
 
     def planning_features(self) -> NDArray[np.int32]:
@@ -129,9 +129,9 @@ class PacManGames:
 @lru_cache(maxsize=8)
 def arrival_steps(paths: Paths) -> NDArray[np.int16]:
     """
-    Return the fewest steps in which a dangerous ghost can be in a cell, by dynamic programming.
+    Return the fewest steps for a dangerous ghost to reach a cell, by dynamic programming.
 
-    :return: (C, 5, C) from each cell with each heading to each cell; AFAR where it never can.
+    :return: (C, 5, C) from each cell with each heading to each cell; AFAR if unreachable.
     """
     cells = np.arange(len(paths.step))
     steps = np.full((len(cells), 5, len(cells)), AFAR, dtype=np.int16)
@@ -149,7 +149,7 @@ def arrival_steps(paths: Paths) -> NDArray[np.int16]:
 
 
 def _arrival(batch: PacManBatch, cells: Ints) -> NDArray[np.int16]:
-    """Return the fewest steps (K, N) in which a dangerous ghost can be in K cells (K, N)."""
+    """Return the fewest steps, (K, N), for a dangerous ghost to reach K cells, (K, N)."""
     steps = arrival_steps(batch.rules.paths)  # (C, 5, C)
     ghosts = (batch.ghosts * steps.shape[1] + batch.headings) * steps.shape[2]  # (G, N)
     soonest = steps.ravel().take(ghosts[:, None] + cells)  # (G, K, N)
@@ -160,18 +160,18 @@ def _arrival(batch: PacManBatch, cells: Ints) -> NDArray[np.int16]:
 
 def sample_games(rules: Rules, rng: np.random.Generator, count: int) -> PacManBatch:
     """
-    Draw states that games pass through, none of them over.
+    Draw states of games in progress, none of them over.
 
-    Each game is played for a number of steps drawn uniformly below MAX_PLAYED, and begins again
-    where it ends. Pac-Man has an aim for a while: he goes towards the nearest food, pill or scared
-    ghost, or moves at random, which he also does where his aim is not in the maze.
+    Each game is played for a number of steps drawn uniformly below MAX_PLAYED, and restarted when
+    it ends. Pac-Man keeps an aim for a while: he goes towards the nearest food, pill or scared
+    ghost, or moves at random, also if his aim is not in the maze.
 
     :param count: number of games.
     """
     length, want = rng.integers(MAX_PLAYED, size=count), rng.integers(len(WANTS), size=count)
     read, games = FeatureReader(rules), PacManBatch.begin(rules, count)
     directions = [read.names.index(f'{want}_direction') if want else -1 for want in WANTS]
-    order = np.argsort(length, kind='stable')  # games that are drawn first go first
+    order = np.argsort(length, kind='stable')  # shortest games first
     drawn = np.searchsorted(length[order], np.arange(MAX_PLAYED), side='right').tolist()
     for step in range(length.max(initial=-1) + 1):
         change = rng.random(count)

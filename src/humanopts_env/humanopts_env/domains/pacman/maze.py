@@ -29,11 +29,11 @@ class Maze:
     """
     A maze that can be played.
 
-    Cells are those that Pac-Man can reach, row by row; positions are indices into ``cells``. Floor
-    that Pac-Man cannot reach is not a cell.
+    Cells are the floor reachable by Pac-Man, row by row; positions are indices into ``cells``.
+    Unreachable floor is not a cell.
     """
 
-    text: str  # lines of one length, no space around them; alone decides equality
+    text: str  # lines of equal length, stripped; the only field used for equality
     rows: int = field(compare=False)  # inside the border
     cols: int = field(compare=False)
     cells: tuple[Cell, ...] = field(compare=False)
@@ -41,7 +41,7 @@ class Maze:
     homes: tuple[int, ...] = field(compare=False)  # of the ghosts
     food: tuple[int, ...] = field(compare=False)
     pills: tuple[int, ...] = field(compare=False)
-    from_middle: tuple[int, ...] = field(compare=False)  # indices of food, the nearest first
+    from_middle: tuple[int, ...] = field(compare=False)  # indices of food, nearest first
 
 
 def maze_names() -> list[str]:
@@ -55,7 +55,7 @@ def load_maze(source: str) -> Maze:
     Return a maze.
 
     :param source: the name of a maze in this package, the path of a file, or the text itself.
-    :raises MazeError: there is no such maze, or its text is not one.
+    :raises MazeError: the maze is unknown, or its text is not a maze.
     """
     if '\n' in source or source.startswith(WALL):
         return parse_maze(source)
@@ -63,7 +63,7 @@ def load_maze(source: str) -> Maze:
         return parse_maze((files('humanopts_env') / 'mazes' / f'{source}.lay').read_text('utf-8'))
     try:
         text = read_text(Path(source).expanduser())
-    except (FileError, RuntimeError) as error:  # RuntimeError: the home of ~ is not known
+    except (FileError, RuntimeError) as error:  # RuntimeError: ~ cannot be expanded
         raise MazeError(
             f'no maze {shown(source)!r}: it is not one of {", ".join(maze_names())}, '
             f'and cannot be used as a file ({error})'
@@ -78,9 +78,9 @@ def parse_maze(text: str) -> Maze:
     """
     Read a maze from its text.
 
-    :raises MazeError: lines of several lengths, an unknown character, an open border, too large,
-        not exactly one Pac-Man, no food, too many ghosts, or food, a pill or a ghost that Pac-Man
-        cannot reach.
+    :raises MazeError: unequal lines, an unknown character, an open border, too large, not exactly
+        one Pac-Man, no food, too many ghosts, or food, a pill or a ghost that Pac-Man cannot
+        reach.
     """
     lines = [line.strip() for line in text.strip().splitlines()]
     _check_shape(lines)
@@ -125,7 +125,7 @@ def parse_maze(text: str) -> Maze:
 
 
 def _check_shape(lines: list[str]) -> None:
-    """Check that the text is a rectangle of known characters within walls."""
+    """Check that the text is a rectangle of known characters enclosed by walls."""
     if not lines:
         raise MazeError('the maze is empty')
     known = {WALL, FOOD, PILL, PACMAN, GHOST, BLANK, *NUMBERED}
@@ -176,7 +176,7 @@ def _check_contents(found: dict[Cell, str], reached: set[Cell]) -> None:
 
 
 def _flood(open_cells: set[Cell], start: Cell) -> set[Cell]:
-    """Return all open cells that can be reached from a cell."""
+    """Return all open cells reachable from a cell."""
     reached, waiting = {start}, [start]
     while waiting:
         row, col = waiting.pop()

@@ -21,7 +21,7 @@ DELTAS = ((-1, 0), (0, -1), (0, 1), (1, 0))  # row, column
 STAY = 4
 Masks = NDArray[np.uint8]
 
-# (16, 4): whether a mask holds each move; (16,): its first move, STAY where it has none.
+# (16, 4): whether a mask contains each move; (16,): its first move, STAY if empty.
 HAS_MOVE = read_only((np.arange(16)[:, None] >> np.arange(4) & 1).astype(np.bool_))
 FIRST_MOVE = read_only(np.where(HAS_MOVE.any(axis=1), HAS_MOVE.argmax(axis=1), STAY))
 
@@ -30,8 +30,8 @@ class Paths:
     """
     Moves, distances and shortest paths of a maze, as shared and read-only arrays.
 
-    :ivar longest: number of steps between the two cells that are farthest apart.
-    :ivar far: the largest number of the type of ``distance``, for cells without a path.
+    :ivar longest: largest number of steps between two cells.
+    :ivar far: largest number of the dtype of ``distance``, for cells without a path.
     """
 
     def __init__(self, maze: Maze) -> None:
@@ -43,19 +43,19 @@ class Paths:
         after = distance[step[:, :STAY]]  # (C, 4, C): distance to each cell after each move
         nearer = passable[:, :, None] & (after < distance[:, None, :])
         allowed = _allowed(passable)
-        self.legal = read_only(_masks(passable))  # (C,) moves that no wall blocks
+        self.legal = read_only(_masks(passable))  # (C,) moves not blocked by a wall
         # (C, C) first moves of all shortest paths from one cell to another
         self.shortest = read_only(_masks(nearer))
-        # (C, 5) moves of a ghost by its heading; it turns back only where it must
+        # (C, 5) moves of a ghost by its heading; it turns back only if it must
         self.allowed = read_only(_masks(allowed.swapaxes(1, 2)))
-        # (C, 5, C) the allowed moves that lead nearest to a cell, and farthest from it
+        # (C, 5, C) the allowed moves with the smallest and with the largest distance to a cell
         self.towards = read_only(_best(after, allowed, nearest=True))
         self.away = read_only(_best(after, allowed, nearest=False))
         self.longest = int(distance.max())
         self.far = int(np.iinfo(distance.dtype).max)
 
 
-maze_paths = lru_cache(maxsize=16)(Paths)  # computed once for each maze
+maze_paths = lru_cache(maxsize=16)(Paths)  # computed once per maze
 
 
 def _steps(maze: Maze) -> Ints:
@@ -70,10 +70,10 @@ def _steps(maze: Maze) -> Ints:
 
 
 def _distances(step: Ints, passable: Flags) -> NDArray[np.unsignedinteger]:
-    """Return all distances, as bytes where these hold them and two numbers above."""
+    """Return all distances, as bytes if the distances and two larger numbers fit."""
     count = len(step)
     here, move = np.nonzero(passable)
-    # csgraph of SciPy 1.11 takes indices of 32 bits only
+    # csgraph of SciPy 1.11 only accepts 32-bit indices
     edges = here.astype(np.int32), step[here, move].astype(np.int32)
     graph = coo_array((np.ones(len(here)), edges), shape=(count, count))
     exact = shortest_path(graph.tocsr(), unweighted=True)

@@ -1,9 +1,9 @@
 """
-The Pac-Man options that people named in the paper, and one for the fruit, exactly.
+The Pac-Man options of the paper, and one for the fruit, as reference options.
 
 Subramanian, Isbell and Thomaz (2011), table 1, which has no option for the fruit. Options are
-judged in many games at once; one state is a batch of one. Where the game is over, none can start
-and all have ended.
+evaluated in many games at once; one state is a batch of one. When the game is over, no option can
+start and all have ended.
 """
 
 from collections.abc import Sequence
@@ -31,19 +31,19 @@ AVOID_GHOST = 'avoid ghost'
 NEAREST_PILL = 'go to the nearest power pellet'
 EAT_GHOST = 'eat the ghost'
 TO_FRUIT = 'go to the fruit'
-DANGER = 4  # steps within which a dangerous ghost is avoided
+DANGER = 4  # steps; nearer dangerous ghosts are avoided
 
 
 @dataclass(frozen=True, eq=False)
 class PacManOption(JudgedOption):
-    """A ``ReferenceOption`` of Pac-Man: go to the nearest thing of a kind, or away from it."""
+    """A ``ReferenceOption`` of Pac-Man: go to the nearest object of a kind, or away from it."""
 
     rules: Rules
     name: str
     features: tuple[str, ...]
     definition: str
     thing: str  # one of THINGS
-    meal: int  # it ends where this was eaten; 0: it goes away from the thing, while that is near
+    meal: int  # ends when this was eaten; 0: goes away from the object while it is near
 
     def judge_states(self, states: Sequence[PacManState]) -> Judgement:
         """Judge N states at once."""
@@ -54,7 +54,7 @@ class PacManOption(JudgedOption):
         return self.judge(games.batch)
 
     def judge(self, batch: PacManBatch) -> Judgement:
-        """Judge N games; it has ended where it cannot start, and where its meal was eaten."""
+        """Evaluate N games; the option has ended if it cannot start or its meal was eaten."""
         far = self.rules.paths.far
         steps = steps_to(batch, self.thing, batch.pacman)
         if self.meal:
@@ -67,8 +67,8 @@ class PacManOption(JudgedOption):
         return Judgement(starts, ~starts | (batch.ate & self.meal > 0), best & starts[:, None])
 
 
-# Name, definition, thing, meal, features, and the beginnings of their names where the domain has
-# positions only.
+# Name, definition, thing, meal, features, and the prefixes of features for a domain with positions
+# only.
 OPTIONS: tuple[tuple[str, str, str, int, tuple[str, ...], tuple[str, ...]], ...] = (
     (
         CLOSEST_FOOD,
@@ -118,7 +118,7 @@ OPTIONS: tuple[tuple[str, str, str, int, tuple[str, ...], tuple[str, ...]], ...]
 
 
 def reference_options(domain: 'PacMan') -> dict[str, PacManOption]:
-    """Return every Pac-Man option of the paper's table 1 by name, and the one for the fruit."""
+    """Return the Pac-Man options of the paper's table 1 by name, and the one for the fruit."""
     names = [feature.name for feature in domain.features]
     found = {}
     for name, definition, thing, meal, used, beginnings in OPTIONS:

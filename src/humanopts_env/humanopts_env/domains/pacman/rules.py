@@ -6,23 +6,23 @@ A step, in this order:
 1. Pac-Man and the ghosts move at the same time; the ghosts react to his cell before the move. A
    move into a wall has no effect.
 2. Pac-Man eats food, a pill or fruit in his cell.
-3. He meets the ghosts that are now in his cell, or have changed places with him. He eats the
-   scared ones; they are home at once, and dangerous. A dangerous one costs him a life, unless the
-   last food was just eaten: Pac-Man and all ghosts return to their first cells; food, pills and
-   fruit stay.
-4. The times of scared ghosts and of fruit go down by one step.
+3. He meets the ghosts that are now in his cell or have swapped cells with him. He eats the scared
+   ones; they are immediately home and dangerous. A dangerous one costs him a life, unless the last
+   food was just eaten: Pac-Man and all ghosts return to their start cells; food, pills and fruit
+   stay.
+4. The times of scared ghosts and of fruit decrease by one step.
 
 A pill scares all ghosts for 40 steps. They may turn back once, then move away from Pac-Man at half
-speed: in steps in which the time that is left is even. After the 30th and the 65th food, fruit
-lies for 60 steps in the cell of the remaining food that is nearest to the middle.
+speed: in steps with an even remaining time. After the 30th and the 65th food, fruit is in the cell
+of the remaining food nearest to the middle for 60 steps.
 
-All chance is in one draw for each ghost and step, a whole number below DRAWS, whether the ghost
+The only randomness is one draw per ghost and step, a whole number below DRAWS, whether the ghost
 moves or not. A chasing ghost follows a shortest path towards Pac-Man with draws below CHASE_DRAWS,
-and otherwise moves like a random one. Where k moves are equally good, the draw picks among them
-with equal shares.
+and otherwise moves like a random one. If k moves are equally good, the draw selects each of them
+with equal probability.
 
-N games, G ghosts, C cells, K food, P pills; one array for each part of the state. Rare events
-(meeting a ghost, eating a pill, fruit) are computed only for the games in which they happen.
+N games, G ghosts, C cells, K food, P pills; one array per part of the state. Rare events (meeting
+a ghost, eating a pill, fruit) are computed only for the games in which they happen.
 """
 
 from collections.abc import Sequence
@@ -51,13 +51,13 @@ Keys = NDArray[np.unsignedinteger]
 FOOD_POINTS, PILL_POINTS, FRUIT_POINTS, GHOST_POINTS = 10, 50, 100, 200
 ATE_FOOD, ATE_PILL, ATE_FRUIT, ATE_GHOST = 1, 2, 4, 8  # bits of PacManState.ate
 FRUIT_AFTER = (30, 65)  # food eaten
-DRAWS, CHASE_DRAWS = 60, 48  # 48 / 60 = 0.8; both, and their difference, divide by 1 to 4
+DRAWS, CHASE_DRAWS = 60, 48  # 48 / 60 = 0.8; both and their difference are divisible by 1 to 4
 GHOST_RULES = ('random', 'chase')
 ONE_GAME = np.zeros(1, dtype=np.intp)
 
 
 def _picks() -> NDArray[np.uint8]:
-    """Return (16, DRAWS): the move that a draw picks from a mask."""
+    """Return the move selected from a mask by a draw, (16, DRAWS)."""
     picks = np.full((16, DRAWS), STAY, dtype=np.uint8)
     for mask in range(1, 16):
         moves = np.flatnonzero(HAS_MOVE[mask])
@@ -78,21 +78,21 @@ class Tables:
         left = np.arange(food + 1)
         self.step = paths.step.ravel()  # (C * 5,) cell after a move
         self.allowed = paths.allowed.ravel()  # (C * 5,) moves of a ghost by cell and heading
-        self.towards = paths.towards.ravel()  # (C * 5 * C,) and by Pac-Man's cell
+        self.towards = paths.towards.ravel()  # (C * 5 * C,) also by Pac-Man's cell
         self.away = paths.away.ravel()
-        self.picks = PICKS.astype(np.intp).ravel()  # (16 * DRAWS,) move of a draw from a mask
+        self.picks = PICKS.astype(np.intp).ravel()  # (16 * DRAWS,) move by mask and draw
         # (C,) index in ``PacManBatch.taken`` of the food or pill in a cell; K: none
         self.item_at = np.full(len(maze.cells), food, dtype=np.intp)
         self.item_at[list(maze.food)] = range(food)
         self.item_at[list(maze.pills)] = range(food + 1, food + 1 + pills)
         self.is_food = self.item_at < food  # (C,) whether there is food in a cell
-        # (K + 1,) whether fruit is laid when so much food is left
+        # (K + 1,) whether fruit appears, by amount of food left
         self.lays_fruit = np.isin(food - left, FRUIT_AFTER) & (left > 0)
         # (K,) food by its distance from the middle, and its cells
         self.from_middle = np.array(maze.from_middle, dtype=np.intp)
         self.middle_cells = np.array(maze.food, dtype=np.intp)[self.from_middle]
         # A key is a distance and, in its lowest bits, the number of a food or pill, so that the
-        # least key tells both of the nearest one. (C, K + 1) and (C, P + 1) keys from each cell
+        # smallest key gives both for the nearest one. (C, K + 1) and (C, P + 1) keys by cell
         self.low_bits = (max(food, pills) + 1).bit_length()
         self.low = (1 << self.low_bits) - 1  # all of these bits
         small = np.iinfo(np.uint16).max >> self.low_bits >= paths.far
@@ -102,7 +102,7 @@ class Tables:
             keys[:, [*cells, -1]] | np.append(np.arange(len(cells), dtype=kind), kind(0))
             for cells in (maze.food, maze.pills)
         )
-        # (K + P + 2,) marks of one game in which nothing is left
+        # (K + P + 2,) marks of a game with nothing left
         self.all_taken = np.full(food + pills + 2, np.iinfo(kind).max, dtype=kind)
         self.nothing = self.all_taken[0] >> self.low_bits << self.low_bits  # above all keys
         self.all_taken[[food, -1]] = self.nothing | food, self.nothing | pills
@@ -114,7 +114,7 @@ class Tables:
 
 @dataclass(frozen=True)
 class Rules:
-    """One maze, and how its ghosts move."""
+    """One maze and the behaviour of its ghosts."""
 
     maze: Maze
     ghosts: str = 'random'  # one of GHOST_RULES
@@ -127,12 +127,12 @@ class Rules:
 
     @cached_property
     def tables(self) -> Tables:
-        """The maze laid out for steps of many games."""
+        """The tables of the maze for steps of many games."""
         return Tables(self.maze, self.paths)
 
     @property
     def chase_draws(self) -> int:
-        """The number below which a draw makes a dangerous ghost chase."""
+        """The threshold below which a draw makes a dangerous ghost chase."""
         return CHASE_DRAWS if self.ghosts == 'chase' else 0
 
     def start(self) -> PacManState:
@@ -152,19 +152,19 @@ class Rules:
 
     @cached_property
     def first_game(self) -> 'PacManBatch':
-        """A batch of one game that has just begun, which must not be changed."""
+        """A batch of one new game, which must not be changed."""
         return PacManBatch.from_states(self, [self.start()])
 
     def is_over(self, state: PacManState) -> bool:
-        """Return whether the food is all eaten, or the last life lost."""
+        """Return whether all food is eaten or the last life is lost."""
         return state.food == 0 or state.lives == 0
 
     def draws(self, rng: np.random.Generator) -> list[int]:
-        """Draw the chance of one step of one game, (G,)."""
+        """Draw the random numbers for one step of one game, (G,)."""
         return [int(rng.integers(DRAWS)) for _ in self.maze.homes]
 
     def batch_draws(self, rng: np.random.Generator, count: int) -> Ints:
-        """Draw the chance of one step of N games, (G, N)."""
+        """Draw the random numbers for one step of N games, (G, N)."""
         shape = len(self.maze.homes), count
         return rng.integers(DRAWS, size=shape, dtype=np.uint8).astype(np.intp)
 
@@ -172,7 +172,7 @@ class Rules:
         """
         Take one step from a state that is not over; the points are the difference in score.
 
-        :param draws: (G,) one number below DRAWS for each ghost.
+        :param draws: (G,) one number below DRAWS per ghost.
         """
         game = self.game_at(state).take(ONE_GAME)
         game.step(np.array([move]), np.array([draws], dtype=np.intp).T)
@@ -181,7 +181,7 @@ class Rules:
         return after
 
     def game_at(self, state: PacManState) -> 'PacManBatch':
-        """Return one game in a state, which must not be changed."""
+        """Return a batch of one game in a state, which must not be changed."""
         for after, game in self._latest:
             if after is state:
                 return game
@@ -212,23 +212,23 @@ class PacManBatch:
     """
     N games of the same rules.
 
-    Food and pills that are taken are marked with the largest number, others with 0, so that a
-    bitwise or with the keys of ``Tables`` keeps only the keys of what is left. Both have one more
-    entry, for cells without an item: its mark is between the keys and the largest number, and its
+    Taken food and pills are marked with the largest number, others with 0, so that a bitwise or
+    with the keys of ``Tables`` keeps only the keys of remaining items. Both have an additional
+    entry for cells without an item: its mark lies between the keys and the largest number, and its
     lowest bits are the entry's own number.
 
-    All arrays are rows and columns of two, ``numbers`` and ``taken``, and change in place.
+    All arrays are views of ``numbers`` and ``taken``, and change in place.
 
     :ivar pacman: (N,) cells.
     :ivar ghosts: (G, N) cells.
     :ivar headings: (G, N) last moves; STAY: none.
-    :ivar scared: (G, N) steps for which each ghost is still scared.
-    :ivar timers: (G + 1, N) ``scared`` and ``fruit``: what goes down by one in a step.
+    :ivar scared: (G, N) remaining scared steps of each ghost.
+    :ivar timers: (G + 1, N) ``scared`` and ``fruit``, which decrease by one per step.
     :ivar food_taken: (N, K + 1).
     :ivar pills_taken: (N, P + 1).
     :ivar food_left: (N,) number of food left.
-    :ivar fruit: (N,) steps for which the fruit is still there.
-    :ivar fruit_at: (N,) cell of the fruit; meaningless where there is none.
+    :ivar fruit: (N,) remaining steps of the fruit.
+    :ivar fruit_at: (N,) cell of the fruit; undefined without fruit.
     :ivar lives: (N,).
     :ivar score: (N,) points.
     :ivar ate: (N,) masks of the last step's meals.
@@ -236,7 +236,7 @@ class PacManBatch:
 
     def __init__(self, rules: Rules, numbers: Ints, taken: Keys) -> None:
         """
-        Take the arrays of games, which are changed from now on.
+        Take ownership of the arrays of games, which are modified in place.
 
         :param numbers: (7 + 3 * G, N) pacman, food_left, fruit_at, lives, score, ate; then G rows
             each of ghosts, headings and scared; then fruit.
@@ -255,7 +255,7 @@ class PacManBatch:
     @classmethod
     def begin(cls, rules: Rules, count: int = 1) -> 'PacManBatch':
         """
-        Begin games.
+        Start new games.
 
         :param count: number of games, N.
         """
@@ -288,7 +288,7 @@ class PacManBatch:
 
     @property
     def over(self) -> Flags:
-        """(N,) whether each game is over."""
+        """Whether each game is over, (N,)."""
         done: Flags = ~np.logical_and(self.food_left, self.lives)
         return done
 
@@ -317,16 +317,16 @@ class PacManBatch:
         return states
 
     def take(self, games: NDArray[Any]) -> 'PacManBatch':
-        """Return copies of chosen games: their indices (M,), in any order and number."""
+        """Return copies of chosen games by indices (M,), in any order, with repetitions."""
         taken = self.taken.take(games, axis=0)
         return PacManBatch(self.rules, self.numbers.take(games, axis=1), taken)
 
     def after(self, first: int) -> 'PacManBatch':
-        """Return the games from number ``first`` on, which change with these."""
+        """Return a view of the games starting with number ``first``."""
         return PacManBatch(self.rules, self.numbers[:, first:], self.taken[first:])
 
     def restart(self, games: NDArray[Any]) -> None:
-        """Begin chosen games again, by their indices (M,)."""
+        """Restart chosen games by indices (M,)."""
         self.numbers[:, games] = self.rules.first_game.numbers
         self.taken[games] = self.rules.first_game.taken
 
@@ -338,8 +338,8 @@ class PacManBatch:
         """
         Take one step in every game that is not over.
 
-        :param moves: (N,) of Pac-Man, 0..3.
-        :param draws: (G, N) from ``draws``.
+        :param moves: (N,) moves of Pac-Man, 0..3.
+        :param draws: (G, N) result of ``draws``.
         :return: (N,) points earned.
         """
         live = ~self.over
@@ -357,7 +357,7 @@ class PacManBatch:
         return points
 
     def _meet(self, met: Flags) -> None:
-        """Eat scared ghosts among those that Pac-Man meets (G, N); take lives for others."""
+        """Eat the scared ghosts that Pac-Man meets, (G, N); others cost a life."""
         if not met.any():
             return
         games = np.flatnonzero(met.any(axis=0))
@@ -397,7 +397,7 @@ class PacManBatch:
             self.headings[:, pill] = STAY
 
     def _eat_food(self, games: Ints) -> None:
-        """Eat food; when few enough is left, lay fruit on that nearest to the middle."""
+        """Eat food; at certain amounts left, put fruit on the food nearest to the middle."""
         tables = self.tables
         self.food_left[games] -= 1
         self.score[games] += FOOD_POINTS
@@ -406,7 +406,7 @@ class PacManBatch:
         if reached.size:
             there = self.taken.take(reached, axis=0).take(tables.from_middle, axis=1) == 0
             self.fruit_at[reached] = tables.middle_cells.take(there.argmax(axis=1))
-            self.fruit[reached] = FRUIT_STEPS + 1  # one is counted down in this step
+            self.fruit[reached] = FRUIT_STEPS + 1  # this step already counts down by one
 
     def move_ghosts(self, pacman: Ints, live: Flags, draws: NDArray[np.integer]) -> None:
         """Move the ghosts in reaction to Pac-Man's cell before the step."""

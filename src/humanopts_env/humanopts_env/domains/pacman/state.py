@@ -1,4 +1,4 @@
-"""One state of Pac-Man, and its notation as one line of text."""
+"""One state of Pac-Man and its notation as one line of text."""
 
 from dataclasses import dataclass
 import re
@@ -12,7 +12,7 @@ FRUIT_STEPS = 60
 EATEN = ('food', 'power pill', 'fruit', 'ghost')  # bits of ``PacManState.ate``
 HEADINGS = (*MOVES, 'none')
 NO_CELL = -1
-MAX_SCORE = 10**9  # of a state text that is decoded
+MAX_SCORE = 10**9  # in a decoded state text
 _GHOST = re.compile(rf'ghost (\d+),(\d+) heading ({"|".join(HEADINGS)}) scared (\d+)')
 _STATE = re.compile(
     r'pacman (\d+),(\d+)((?: ghost \S+ heading \S+ scared \d+)*) food ([0-9a-f]+) '
@@ -27,27 +27,27 @@ class Ghost:
     """One ghost."""
 
     cell: int
-    heading: int = STAY  # its last move; STAY: none, so that it may go in any direction
-    scared: int = 0  # steps for which Pac-Man can still eat it
+    heading: int = STAY  # its last move; STAY: none, so that it may move in any direction
+    scared: int = 0  # remaining steps in which Pac-Man can eat it
 
 
 @dataclass(frozen=True, slots=True)
 class PacManState:
-    """The whole state of a game; cells, food and pills are numbered as in the maze."""
+    """The complete state of a game; cells, food and pills are numbered as in the maze."""
 
     pacman: int  # cell
     ghosts: tuple[Ghost, ...]
-    food: int  # bit k: food k is there
-    pills: int  # bit k: pill k is there
-    fruit: int  # steps for which it is still there; 0: there is none
-    fruit_at: int  # its cell; NO_CELL: there is none
+    food: int  # bit k: food k is left
+    pills: int  # bit k: pill k is left
+    fruit: int  # remaining steps of the fruit; 0: none
+    fruit_at: int  # cell of the fruit; NO_CELL: none
     lives: int
     score: int  # points earned
     ate: int  # bit k: the last step ate EATEN[k]
 
 
 def encode(maze: Maze, state: PacManState) -> str:
-    """Return the state as one line; food as a hexadecimal mask, pills a digit each, last first."""
+    """Return the state as one line; food is a hexadecimal mask, pills are digits, last first."""
     ghosts = ''.join(
         f' ghost {_place(maze, ghost.cell)} heading {HEADINGS[ghost.heading]} '
         f'scared {ghost.scared}'
@@ -65,10 +65,10 @@ def encode(maze: Maze, state: PacManState) -> str:
 
 def decode(maze: Maze, lives: int, text: str) -> PacManState:
     """
-    Return the state that ``encode`` wrote.
+    Return the state from the text of ``encode``.
 
-    :param lives: the largest number of lives.
-    :raises StateError: the text is in another notation, or no state of this maze.
+    :param lives: maximum number of lives.
+    :raises StateError: the notation is wrong, or the text is not a state of this maze.
     """
     match = _STATE.fullmatch(text)
     if match is None or len(text) > 2000:
@@ -126,7 +126,7 @@ def _check(maze: Maze, lives: int, state: PacManState) -> None:
 
 
 def _cell(maze: Maze, row: str, col: str) -> int:
-    # Rows and columns are shorter, and int() refuses very long numbers.
+    # Rows and columns have fewer digits, and int() refuses very long numbers.
     place = (int(row[:4]), int(col[:4]))
     if place not in maze.cells:
         raise StateError(f'{row[:9]},{col[:9]} is not an open cell of the maze')
