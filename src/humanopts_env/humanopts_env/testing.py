@@ -452,9 +452,7 @@ class ReferenceContract:
         return reference_options(domain)
 
 
-@lru_cache(
-    maxsize=1
-)  # pytest creates an object per test, and runs the tests of a class in sequence
+@lru_cache(maxsize=1)  # one object per test; the tests of a class run in sequence
 def _evidence(suite: Callable[[], Any]) -> Any:
     made, domain = suite(), suite().make()
     if isinstance(made, ReferenceContract):

@@ -92,9 +92,7 @@ def best_ways(
     goal_place, nowhere = n_states, n_states + 1  # after the states in ``worth``
     leads_to = np.where(allowed[transitions.successor], transitions.successor, nowhere)
     leads_to[goal] = goal_place
-    leads_to = np.ascontiguousarray(
-        leads_to.transpose(2, 1, 0), dtype=np.intp
-    )  # (B, A, S), fastest order
+    leads_to = np.ascontiguousarray(leads_to.transpose(2, 1, 0), dtype=np.intp)  # (B, A, S): fast
     probability = np.ascontiguousarray(transitions.probability.transpose(2, 1, 0))
     worth = np.zeros(n_states + 2)
     worth[goal_place] = 1.0
