@@ -18,7 +18,7 @@ PLAN = 'human, 5 options, interrupted, 4-fold steps'
 
 
 def main() -> None:
-    """Print, for either kind of ghosts and each seed, what the plan scores more than the rule."""
+    """Print the gain in score of the plan over the rule, by kind of ghosts and seed."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('demo', type=Path, help='folder of a demo of Pac-Man')
     parser.add_argument('--seeds', type=int, nargs='+', default=[101, 102, 103, 104])
@@ -28,9 +28,9 @@ def main() -> None:
     options, damaged = load_options(given.demo / 'options')
     if damaged or len(options) != 5:
         parser.error(f'{given.demo / "options"} does not hold five whole options')
-    order = list(reference_options(make_domain('pacman')))  # in which the demo teaches
+    order = list(reference_options(make_domain('pacman')))  # teaching order of the demo
     options.sort(key=lambda option: order.index(option.name))
-    level = level_of_each(2 * len(given.seeds))  # the intervals hold for all lines at once
+    level = level_of_each(2 * len(given.seeds))  # simultaneous intervals for all lines
     for ghosts in ('random', 'chase'):
         domain = make_domain('pacman', {'ghosts': ghosts})
         ways = {way.name: way for way in every_baseline(domain, options, given.game_steps)}

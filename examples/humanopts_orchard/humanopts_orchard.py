@@ -10,7 +10,7 @@ WAYS = (*MOVES, 'none')
 
 
 class Field:
-    """What changes: where the picker and the apples are."""
+    """The mutable world: the positions of the picker and the apples."""
 
     def reset(self, seed: int) -> None:
         """Scatter the apples; the barn is in the north-west corner."""
@@ -20,7 +20,7 @@ class Field:
         self.basket = 0
 
     def step(self, action: int) -> tuple[float, bool]:
-        """Walk; the wind may turn the step. Picking and unloading happen on arrival."""
+        """Walk; the wind may change the direction. Picking and unloading happen on arrival."""
         if self.rng.random() < SLIP:
             action = int(self.rng.integers(len(MOVES)))
         down, right = list(MOVES.values())[action]
@@ -34,7 +34,7 @@ class Field:
         return 10.0 * delivered - 1.0, not self.apples and not self.basket
 
     def features(self) -> list[float]:
-        """Return the ways to the nearest apple and to the barn, and how full the basket is."""
+        """Return the directions of the nearest apple and the barn, and the load of the basket."""
         nearest = min(self.apples, key=self.distance, default=self.picker)
         return [self.way(nearest), self.way((0, 0)), self.basket]
 
@@ -42,7 +42,7 @@ class Field:
         return abs(cell[0] - self.picker[0]) + abs(cell[1] - self.picker[1])
 
     def way(self, cell: tuple[int, int]) -> int:
-        """Return the index of the first move of a shortest way: north or south first."""
+        """Return the index of the first move of a shortest path: north or south first."""
         down, right = cell[0] - self.picker[0], cell[1] - self.picker[1]
         return ((down > 0) if down else 2 + (right > 0)) if down or right else WAYS.index('none')
 

@@ -1,9 +1,9 @@
 """
-A robot that is taught as any game is: one rclpy node, which shares with humanopts only messages.
+A robot that is taught like a game: one rclpy node, which shares only messages with humanopts.
 
-It plays the part of a robot driver: a rover in a corridor of 10 m, with a charger at the west end.
-It can be acted in, and nothing else: no other node knows its rules, and no state can be set. At a
-reset, a person carries it to another place.
+It simulates a robot driver: a rover in a corridor of 10 m, with a charger at the west end. It only
+executes actions: no other node knows its rules, and no state can be set. At a reset, a person
+carries it to another place.
 """
 
 import json
@@ -52,7 +52,7 @@ ACTIONS = {
 
 
 class Rover(Node):
-    """Publishes its features and its state, and carries out actions."""
+    """Publish features and states, and execute actions."""
 
     def __init__(self) -> None:
         super().__init__('rover')
@@ -60,7 +60,7 @@ class Rover(Node):
         self._sequences: dict[str, int] = {}
         self._x, self._on, self._now = LENGTH, False, GameState()
         self._chance = random.Random(0)
-        # States its id on the graph, so that no other node can publish in its place.
+        # Publish the id on the graph, so that no other node can publish in its place.
         name, part = self.get_name(), self._id.partition('#')[2]
         self._mark = self.create_publisher(Empty, f'_game/{name}/_{part}', 1)
         self._out = {
@@ -86,7 +86,7 @@ class Rover(Node):
         self._out[topic].publish(message)
 
     def _show(self, **step) -> None:
-        """Publish the state, with the step that led to it."""
+        """Publish the state with the step that led to it."""
         state = json.dumps({'x': self._x, 'lamp': self._on})  # any text; only this node reads it
         self._now = GameState(state=state, features=[self._x, float(self._on)], **step)
         for topic in ('game_state', 'current_state'):
@@ -138,7 +138,7 @@ class Rover(Node):
 
 
 def main() -> None:
-    """Be there until the node is ended."""
+    """Run the node until it is shut down."""
     rclpy.init()
     try:
         rclpy.spin(Rover())

@@ -34,7 +34,7 @@ SWEEPS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 15, 20, 30)
 def learn_options(
     demonstrations: list[Demonstration], domain: EnumerableDomain
 ) -> list[LearnedOption]:
-    """Learn each option of the table, and print how well its demonstrations determine it."""
+    """Learn each option of the table, and print its criteria."""
     options = []
     for name in dict.fromkeys(demo.option_name for demo in demonstrations):
         shown = [demo for demo in demonstrations if demo.option_name == name]
@@ -50,7 +50,7 @@ def learn_options(
 
 
 def draw_option(axes: Any, domain: EnumerableDomain, option: LearnedOption) -> None:
-    """Draw the policy as arrows in the initiation set (grey), and where the option ends (red)."""
+    """Draw the policy as arrows, the initiation set (grey) and the end states (red)."""
     cells = domain.board_slices()[0].states  # (rows, cols) state indices; -1: a wall
     rows, floor = domain.feature_table(), cells >= 0
     starts, ends = option.can_start(rows), option.ends(rows)
@@ -70,7 +70,7 @@ def draw_option(axes: Any, domain: EnumerableDomain, option: LearnedOption) -> N
 def draw_sweeps(
     axes: Any, domain: EnumerableDomain, options: dict[str, list[LearnedOption]]
 ) -> None:
-    """Draw how value iteration gets on with each set of options."""
+    """Draw the progress of value iteration with each set of options."""
     for label, used in options.items():
         means = [plan(domain, used, max_sweeps=n).solution.values.mean() for n in SWEEPS]
         axes.plot(SWEEPS, means, marker='o', label=label)

@@ -1,1 +1,1 @@
-"""A domain of another author, played by humanopts without a change in it."""
+"""A third-party domain, which needs no changes in humanopts."""

@@ -2,7 +2,7 @@
 Greenhouse: carry water from the tap until no bed is dry.
 
 Tomatoes, beans and basil grow in three corners of a square house, and the tap is in the fourth.
-One can of water is enough for one bed; it can be poured at a dry bed only.
+One can of water is enough for one bed; it can only be poured at a dry bed.
 """
 
 from collections.abc import Collection, Sequence
@@ -37,12 +37,12 @@ ACTIONS = (
     Action('fill', 'f', 'fill the can at the tap'),
     Action('pour', 'p', 'water the dry bed here'),
 )
-STEPS = {0: (-1, 0), 1: (1, 0), 2: (0, -1), 3: (0, 1)}  # rows and columns of each walk
+STEPS = {0: (-1, 0), 1: (1, 0), 2: (0, -1), 3: (0, 1)}  # rows and columns by action
 FILL, POUR = 4, 5
 BEDS = ('tomatoes', 'beans', 'basil')
 NO_TAP = StepEffect('no tap here', changed=False)
 NO_DRY_BED = StepEffect('no dry bed here', changed=False)
-BED_MARKS = {  # kind, name and colour, by the text of the feature; None: it is not shown
+BED_MARKS = {  # kind, name and colour, by the text of the feature; None: not shown
     'yes': ('*', 'dry', RED),
     'no': ('♣', 'watered', GREEN),
     None: ('?', 'dry or watered', ''),
@@ -52,7 +52,7 @@ Cell = tuple[int, int]  # row, 0 = north; column, 0 = west
 
 @dataclass(frozen=True, slots=True)
 class GreenhouseState:
-    """Where the gardener is, and what has water."""
+    """The position of the gardener, and the water in the can and the beds."""
 
     row: int
     col: int
@@ -64,13 +64,13 @@ class Greenhouse(TableDomain[GreenhouseState]):
     """
     A square house of ``size`` x ``size`` cells.
 
-    Every step costs 1, and watering a dry bed earns 10. The task is over when no bed is dry; it
-    begins with the can empty and every bed dry, the gardener anywhere.
+    Every step costs 1, and watering a dry bed earns 10. The task starts with an empty can, dry beds
+    and the gardener anywhere; it is over when no bed is dry.
     """
 
     def __init__(self, size: int = 4) -> None:
         """
-        Make a greenhouse.
+        Create a greenhouse.
 
         :raises DomainError: size is not a whole number from 3 to 9.
         """
@@ -97,20 +97,20 @@ class Greenhouse(TableDomain[GreenhouseState]):
     def outcomes(
         self, state: GreenhouseState, action: int
     ) -> Sequence[tuple[float, GreenhouseState, float]]:
-        """Return the one outcome: what follows, and its reward."""
+        """Return the only outcome: the successor and its reward."""
         after = self._after(state, action)
         return [(1.0, after, 9.0 if sum(after.dry) < sum(state.dry) else -1.0)]
 
     def is_over(self, state: GreenhouseState) -> bool:
-        """Tell whether every bed has water."""
+        """Return whether every bed has water."""
         return not any(state.dry)
 
     def can_begin(self, state: GreenhouseState) -> bool:
-        """Tell whether the can is empty and every bed is dry."""
+        """Return whether the can is empty and every bed is dry."""
         return all(state.dry) and not state.full
 
     def values_of(self, state: GreenhouseState) -> Sequence[int]:
-        """Return row, column, whether the can is full and each bed is dry."""
+        """Return row, column, whether the can is full, and whether each bed is dry."""
         return state.row, state.col, int(state.full), *map(int, state.dry)
 
     def encode(self, state: GreenhouseState) -> str:
@@ -121,7 +121,7 @@ class Greenhouse(TableDomain[GreenhouseState]):
 
     def board(self, state: GreenhouseState, shown: Collection[str] | None = None) -> Board:
         """
-        Return what is where.
+        Return the board of a state.
 
         :param shown: names of the features that may be revealed; None: all.
         """
@@ -138,7 +138,7 @@ class Greenhouse(TableDomain[GreenhouseState]):
     def step_effect(
         self, state: GreenhouseState, action: int, successor: GreenhouseState
     ) -> StepEffect:
-        """Return what a step did."""
+        """Return the effect of a step."""
         if action in STEPS:
             moved = successor != state
             return move_effect(ACTIONS[action].name, ACTIONS[action].name if moved else '')
@@ -152,7 +152,7 @@ class Greenhouse(TableDomain[GreenhouseState]):
         return StepEffect(f'watered the {watered[0]}') if watered else NO_DRY_BED
 
     def board_slices(self) -> list[BoardSlice]:
-        """Return the layouts with the can empty and full, every bed dry."""
+        """Return the layouts with the can empty and full, and every bed dry."""
         shape = self.size, self.size, 2, 2 ** len(BEDS)
         states = np.arange(self.n_states, dtype=np.int32).reshape(shape)
         return [
@@ -161,7 +161,7 @@ class Greenhouse(TableDomain[GreenhouseState]):
         ]
 
     def search_space(self) -> SearchSpace:
-        """Return the search space whose cells are the gardener's; the can changes by events."""
+        """Return the search space with the gardener's cells; changes of the can are events."""
         return space_by_features(
             self,
             cell=('row', 'col'),
@@ -172,10 +172,10 @@ class Greenhouse(TableDomain[GreenhouseState]):
         )
 
     def baselines(self) -> Baselines:
-        """Return what plans are compared with: a rule written by hand."""
-        from humanopts_greenhouse.reference import reference_options  # it imports this module
+        """Return the baseline of plans: a hand-written rule."""
+        from humanopts_greenhouse.reference import reference_options  # avoids a circular import
 
-        options = reference_options(self).values()  # never can more than one of them start
+        options = reference_options(self).values()  # at most one of them can start
         optimal = np.any([option.optimal for option in options], axis=0)
         return Baselines(heuristic=lambda games: optimal[games.state].argmax(axis=1))
 

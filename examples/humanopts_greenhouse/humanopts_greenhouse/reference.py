@@ -1,4 +1,4 @@
-"""What an expert means by the options of the greenhouse, by shortest ways."""
+"""The reference options of the greenhouse, by shortest paths."""
 
 from humanopts_env.domains.base import EnumerableDomain
 from humanopts_env.domains.reference import TabularReferenceOption
@@ -47,10 +47,10 @@ def _option(
     goal: NDArray[np.bool_],
 ) -> TabularReferenceOption:
     """
-    Return an option that walks by shortest ways, and ends wherever it cannot start.
+    Return an option that follows shortest paths, and ends wherever it cannot start.
 
-    :param starts: (S,), where it can start while the task is not over.
-    :param goal: (S, A), the steps that it is meant to end with.
+    :param starts: (S,), whether it can start there while the task is not over.
+    :param goal: (S, A), the steps that reach its goal.
     """
     visited = reachable(domain)
     initiation = starts & visited & ~domain.over()

@@ -1,4 +1,4 @@
-"""The greenhouse keeps the contract of every domain, and plays as its rules say."""
+"""The greenhouse satisfies the contract of every domain and follows its rules."""
 
 from typing import Any
 
@@ -21,7 +21,7 @@ NORTH, SOUTH, WEST, EAST, FILL, POUR = range(6)
 
 
 class TestGreenhouse(DomainContract):
-    """The usual house."""
+    """The default house."""
 
     def make(self) -> Domain:
         """Return a new one."""
@@ -37,14 +37,14 @@ class TestSmallGreenhouse(DomainContract):
 
 
 class TestItsOptions(ReferenceContract):
-    """Whether or not the package is installed."""
+    """The options of the greenhouse, even if the package is not installed."""
 
     def make(self) -> Domain:
         """Return a new one."""
         return Greenhouse()
 
     def options(self, domain: Domain) -> dict[str, Any]:
-        """Return what the entry point names."""
+        """Return the options of the entry point."""
         return dict(reference_options(domain))
 
 
@@ -68,12 +68,12 @@ def after(text: str, action: int) -> tuple[str, float, bool]:
     ],
 )
 def test_steps(state: str, action: int, expected: tuple[str, float, bool]) -> None:
-    """By hand."""
+    """Expected results are computed by hand."""
     assert after(state, action) == expected
 
 
 def test_the_board() -> None:
-    """The gardener is in front of what is in the cell; what is not shown is unknown."""
+    """The gardener is drawn in front of the cell's content; hidden features are unknown."""
     state = HOUSE.decode('cell 3,0 can full dry tomatoes basil')
     lines = board_text(HOUSE.board(state)).splitlines()
     assert lines[1:5:3] == ['┃ * · · ♣┃', '┃☻T · · *┃']
@@ -92,7 +92,7 @@ def test_the_board() -> None:
     ],
 )
 def test_reference_options(name: str, state: str, distance: int, actions: set[str]) -> None:
-    """Counted on the board."""
+    """Distances are counted on the board."""
     option, start = reference_options(HOUSE)[name], HOUSE.decode(state)
     assert option.distance[HOUSE.index(start)] == distance
     assert {HOUSE.actions[a].name for a in option.optimal_actions(start)} == actions
@@ -100,13 +100,13 @@ def test_reference_options(name: str, state: str, distance: int, actions: set[st
 
 @pytest.mark.parametrize('size', [2, 10, 4.0, True, '4'])
 def test_sizes_that_are_none_are_refused(size: Any) -> None:
-    """With what would be one."""
+    """The error names the valid sizes."""
     with pytest.raises(DomainError, match='from 3 to 9'):
         Greenhouse(size)
 
 
 def test_subgoals_are_events_at_the_tap_and_the_beds() -> None:
-    """Automatic options fill the can and pour, as the search space of the greenhouse says."""
+    """Automatic options fill the can and pour, as defined by the search space."""
     config = Extraction(options=4, tasks=40, train_episodes=60, test_runs=3, option_episodes=60)
     found = find_options(HOUSE, 1, config)
     assert {option.target.event for option in found.options} <= {'fill', 'pour', ''}
@@ -114,7 +114,7 @@ def test_subgoals_are_events_at_the_tap_and_the_beds() -> None:
 
 
 def test_a_plan_with_options_plays_like_the_rule_written_by_hand() -> None:
-    """Both in many games at once; random moves are worse."""
+    """Both play many games at once; random moves score less."""
     options = options_from_references(HOUSE, reference_options(HOUSE).values())
     baselines = [
         Baseline('planned', PLAN, options, PlanRequest(HUMAN, game_steps=4000)),
@@ -140,7 +140,7 @@ def test_a_plan_with_options_plays_like_the_rule_written_by_hand() -> None:
     ],
 )
 def test_a_step_says_what_it_did(before: str, action: str, after: str, text: str) -> None:
-    """And that it had no effect where nothing changed."""
+    """An action without effect is described as such."""
     states = [HOUSE.decode(f'cell {state}') for state in (before, after)]
     index = [each.name for each in HOUSE.actions].index(action)
     assert HOUSE.can_follow(states[0], index, states[1])
