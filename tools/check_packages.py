@@ -24,7 +24,7 @@ KEYS = {
     'lazy_loader': 'python3-lazy-loader',
     'markupsafe': 'python3-jinja2',
     'matplotlib': 'python3-matplotlib',
-    'mcap': 'mcap-ros2-support',  # needs mcap, which has no key of its own
+    'mcap': 'mcap-ros2-support',  # needs mcap, which has no own key
     'mcap_ros2': 'mcap-ros2-support',
     'nicegui': 'python3-nicegui-pip',  # needs fastapi and uvicorn
     'numpy': 'python3-numpy',

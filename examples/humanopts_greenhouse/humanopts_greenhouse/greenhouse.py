@@ -64,8 +64,8 @@ class Greenhouse(TableDomain[GreenhouseState]):
     """
     A square house of ``size`` x ``size`` cells.
 
-    Every step costs 1, and watering a dry bed earns 10. The task starts with an empty can, dry beds
-    and the gardener anywhere; it is over when no bed is dry.
+    Every step costs 1, and watering a dry bed earns 10. The task starts with an empty can, three
+    dry beds and the gardener anywhere; it is over when no bed is dry.
     """
 
     def __init__(self, size: int = 4) -> None:

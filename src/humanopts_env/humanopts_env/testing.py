@@ -343,7 +343,7 @@ class OptionEvidence:
 
     @cached_property
     def judged(self) -> dict[str, Judgement]:
-        """The judgement of each option in the states."""
+        """The evaluation of each option in the states."""
         actions = len(self.domain.actions)
         return {
             name: judge_states(option, self.states, actions)

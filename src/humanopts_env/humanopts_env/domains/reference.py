@@ -56,10 +56,10 @@ class JudgedOption(ABC):
 
     @abstractmethod
     def judge_states(self, states: Sequence[Any]) -> Judgement:
-        """Judge N states."""
+        """Evaluate N states."""
 
     def judge_games(self, games: Any) -> Judgement:
-        """Judge the states of N ``Games``."""
+        """Evaluate the states of N ``Games``."""
         return self.judge_states(games.states())
 
     def can_start(self, state: Any) -> bool:
@@ -111,11 +111,11 @@ class TabularReferenceOption(JudgedOption):
     definition: str = ''  # in words
 
     def judge_states(self, states: Sequence[Any]) -> Judgement:
-        """Judge N states at once."""
+        """Evaluate N states in one batch."""
         return self._at(np.array([self.domain.index(state) for state in states], dtype=np.intp))
 
     def judge_games(self, games: Games) -> Judgement:
-        """Judge the states of N games."""
+        """Evaluate the states of N games."""
         if isinstance(games, TableGames):
             return self._at(games.state)
         return self.judge_states(games.states())

@@ -46,11 +46,11 @@ class PacManOption(JudgedOption):
     meal: int  # ends when this was eaten; 0: goes away from the object while it is near
 
     def judge_states(self, states: Sequence[PacManState]) -> Judgement:
-        """Judge N states at once."""
+        """Evaluate N states in one batch."""
         return self.judge(PacManBatch.from_states(self.rules, states))
 
     def judge_games(self, games: 'PacManGames') -> Judgement:
-        """Judge the states of N games."""
+        """Evaluate the states of N games."""
         return self.judge(games.batch)
 
     def judge(self, batch: PacManBatch) -> Judgement:
