@@ -4,7 +4,7 @@ Figure 2: accuracy of learned options by number of demonstrations (section 7.1).
 There are two measures of a policy. *Average return*, as in the paper, is the mean return of runs
 from states in the option's initiation set. *Policy accuracy* is the share of these states in which
 the learned policy takes one of the best actions. *Classification accuracy* of I and beta is the
-share of states classified like in the reference option.
+share of states classified as by the reference option.
 
 Pac-Man is taught with both of its feature lists: directions, which give the policy away, and
 positions, as in the paper.
