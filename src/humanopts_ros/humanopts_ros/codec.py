@@ -1,4 +1,4 @@
-"""Dataclasses as messages and back: fields of the same name are the same."""
+"""Conversion between dataclasses and messages, matching fields by name."""
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import fields
@@ -9,17 +9,17 @@ from typing import Any, cast, Generic, get_args, get_type_hints, TypeVar
 
 V = TypeVar('V')
 M = TypeVar('M')
-_STAMP = {'header', 'publisher_id', 'sequence'}  # that the publisher fills in
+_STAMP = {'header', 'publisher_id', 'sequence'}  # filled in by the publisher
 Convert = Callable[[Any], Any]
 
 
 class Codec(Generic[V, M]):
     """
-    Copies the values of one dataclass into messages of one type, and back.
+    Converts between a dataclass and a message type.
 
-    The member ``NAME`` of an enum in a field such as ``action_source`` is the constant
-    ``SOURCE_NAME`` of the message, by the last word of the field's name. A tuple is a sequence,
-    and None in a field of numbers is NaN.
+    The enum member ``NAME`` in a field such as ``action_source`` maps to the message constant
+    ``SOURCE_NAME``, where the prefix is the last word of the field name. Tuples map to sequences,
+    and None in a numeric field maps to NaN.
     """
 
     def __init__(
@@ -34,14 +34,14 @@ class Codec(Generic[V, M]):
         parts: Mapping[str, tuple[Convert, Convert]] | None = None,
     ) -> None:
         """
-        Compare the two.
+        Match the fields of the two types.
 
-        :param of_value: fields that only the dataclass has, each with a default to be decoded.
-        :param of_message: fields that only the message has, for the caller to fill in.
-        :param computed: properties of the dataclass that are fields of the message.
-        :param subset: the dataclass may have other fields and statuses as well.
-        :param parts: how to encode and decode each message of a sequence, by field.
-        :raises TypeError: another field, or the constant of an enum, is missing on one side.
+        :param of_value: fields only in the dataclass; their defaults are used when decoding.
+        :param of_message: fields only in the message, filled in by the caller.
+        :param computed: properties of the dataclass that are message fields.
+        :param subset: whether the dataclass may have additional fields and enum members.
+        :param parts: encoder and decoder for the elements of a sequence, by field.
+        :raises TypeError: any other field or an enum constant is missing on one side.
         """
         self._kind: type[V] = kind
         self._message = cast(Any, message)
@@ -75,9 +75,9 @@ class Codec(Generic[V, M]):
 
     def encode(self, value: V, /, **more: Any) -> M:
         """
-        Return a message.
+        Encode a value as a message.
 
-        :param more: the fields that only the message has; the others have their defaults.
+        :param more: fields that only the message has; the rest keep their defaults.
         """
         for name, convert in self._encode.items():
             field = getattr(value, name)
@@ -87,10 +87,10 @@ class Codec(Generic[V, M]):
 
     def decode(self, message: Any, /, **more: Any) -> V:
         """
-        Return the value of a message.
+        Decode a message.
 
-        :param more: fields that only the dataclass has; the others have their defaults.
-        :raises ValueError: a number is not a constant of its enum.
+        :param more: fields that only the dataclass has; the rest keep their defaults.
+        :raises ValueError: a number is not an enum constant.
         """
         for name, convert in self._decode.items():
             found = getattr(message, name)
@@ -105,7 +105,7 @@ def _each(kind: type, convert: Convert, values: Any) -> Any:
 def _enum_converts(
     enum: type[Enum], message: Any, name: str, subset: bool, optional: bool
 ) -> tuple[Convert, Convert]:
-    """Return the conversions of an enum's members to the constants of a message, and back."""
+    """Return the conversions between enum members and message constants."""
     prefix = f'{name.rpartition("_")[2].upper()}_'
     numbers: dict[Enum | None, int] = {
         member: number

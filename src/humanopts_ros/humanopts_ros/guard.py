@@ -1,4 +1,4 @@
-"""Guards the callbacks of a node: bad messages and errors are counted, logged, and survived."""
+"""Guarded callbacks: a node counts and logs invalid messages and errors, and continues."""
 
 from collections.abc import Callable
 import functools
@@ -10,15 +10,15 @@ from humanopts_ros.limits import shown
 from humanopts_ros.publisher import PublishError
 from rclpy.impl.rcutils_logger import RcutilsLogger
 
-_LOG_PERIOD = 1.0  # s between two lines in the log about the same topic or callback
+_LOG_PERIOD = 1.0  # s between log lines about the same topic or callback
 
 
 class Guard:
     """
-    Counts and logs what a node refuses and what fails in its callbacks.
+    Counts and logs refused messages and failed callbacks of a node.
 
-    :ivar refused: messages that could not be used and were dropped.
-    :ivar failed: unexpected errors in callbacks.
+    :ivar refused: number of invalid messages dropped.
+    :ivar failed: number of unexpected errors in callbacks.
     """
 
     def __init__(
@@ -29,21 +29,21 @@ class Guard:
         ends: tuple[type[Exception], ...] = (),
     ) -> None:
         """
-        Start with nothing refused.
+        Start with zero counts.
 
-        :param monotonic: the clock of the limit of the log's rate, s.
-        :param changed: called after ``remark`` has changed.
-        :param ends: errors that must end the node; they are re-raised.
+        :param monotonic: clock for limiting the log rate, s.
+        :param changed: callback invoked when ``remark`` has changed.
+        :param ends: exception types that must end the node; they are re-raised.
         """
         self._logger, self._monotonic, self._changed = logger, monotonic, changed
         self._ends = ends
-        self._next_line: dict[str, float] = {}  # when one may be logged, s, by topic or callback
+        self._next_line: dict[str, float] = {}  # s, earliest time by topic or callback
         self._last_refusal = self._last_failure = ''
         self.refused = self.failed = 0
 
     @property
     def remark(self) -> str:
-        """Summary of what was refused and what failed; empty: nothing."""
+        """A summary of refusals and errors; empty: none."""
         return '; '.join(
             f'{count} {what}{"s" if count > 1 else ""}{last}'
             for count, what, last in (
@@ -57,7 +57,7 @@ class Guard:
         """
         Count and log that a message was dropped.
 
-        :param sender: its publisher_id; empty: it has none.
+        :param sender: publisher_id of the message; empty: none.
         """
         self.refused += 1
         by = f' from {shown(sender, 80)}' if sender else ''
@@ -67,7 +67,7 @@ class Guard:
 
     def caught(self, where: str, error: Exception) -> str:
         """
-        Count and log an error of a callback with its traceback, and return its text.
+        Count and log a callback's error with its traceback, and return its message.
 
         An error that must end the node is re-raised.
         """
@@ -86,11 +86,11 @@ class Guard:
         self, callback: Callable[..., Any], failed: Callable[..., Any] | None = None
     ) -> Callable[..., Any]:
         """
-        Return a callback that raises only errors that must end the node.
+        Wrap a callback so that it raises only errors that must end the node.
 
-        :param callback: a function or a coroutine function; its result is returned.
-        :param failed: called with the text of the error and the arguments; returns the result
-            after an error. None: the result is None.
+        :param callback: function or coroutine function; its result is passed through.
+        :param failed: function that returns the result after an error, given the error message and
+            the arguments; None: the result is None.
         """
         where = getattr(callback, '__name__', None) or repr(callback)
 
@@ -119,7 +119,7 @@ class Guard:
         return guarded_function
 
     def _log(self, what: str, text: str) -> None:
-        """Log a line, at a limited rate for each topic or callback."""
+        """Log a line, rate-limited for each topic or callback."""
         now = self._monotonic()
         if now >= self._next_line.get(what, now):
             self._next_line[what] = now + _LOG_PERIOD

@@ -1,8 +1,8 @@
 """
-Limits of what comes from outside: messages, files and settings.
+Limits for external input: messages, files and settings.
 
-Code that reads them uses the functions here, so that nothing nested too deeply, too long or not
-finite gets any further, and nothing of it reaches a log or a terminal as it came.
+Code that reads external input uses these functions, so that deeply nested, oversized or non-finite
+values are rejected, and raw text never reaches a log or terminal.
 """
 
 from io import TextIOWrapper
@@ -13,24 +13,24 @@ from typing import Any
 from unicodedata import normalize
 
 MAX_JSON = 64 * 2**20  # characters of a JSON text, such as an option with its demonstrations
-MAX_DEPTH = 40  # levels of lists and objects in a JSON text
-MAX_INTEGER = 2**64  # integers in a JSON text are smaller, and greater than its negative
-MAX_WHOLE = 2**31 - 1  # whole numbers of demonstrations and options, which fit int32 arrays
-MAX_STATE = 20_000  # characters of a state of a game, in its domain's notation
-MAX_SHOWN = 400  # characters of a text from outside in a log, a status or an answer
+MAX_DEPTH = 40  # nesting levels of lists and objects in a JSON text
+MAX_INTEGER = 2**64  # exclusive bound on the magnitude of integers in a JSON text
+MAX_WHOLE = 2**31 - 1  # maximum integer in demonstrations and options; fits int32 arrays
+MAX_STATE = 20_000  # characters of a game state, in its domain's notation
+MAX_SHOWN = 400  # characters of an external text in a log, status or response
 
 
 class JsonError(ValueError):
-    """A text is not JSON that can be used; the text says why."""
+    """A text is not valid JSON within the limits; the message gives the reason."""
 
 
 def parse_json(text: str, limit: int = MAX_JSON) -> Any:
     """
-    Return the value of a JSON text within the limits above.
+    Parse a JSON text within the limits above.
 
-    :param limit: in characters.
-    :raises JsonError: it is longer, is not JSON, is nested too deeply, or holds a number that is
-        too large or not finite.
+    :param limit: maximum length in characters.
+    :raises JsonError: the text is too long, invalid or nested too deeply, or contains a number
+        that is too large or not finite.
     """
     if len(text) > limit:
         raise JsonError(f'it has {len(text):,} characters, and {limit:,} are allowed')
@@ -40,7 +40,7 @@ def parse_json(text: str, limit: int = MAX_JSON) -> Any:
         raise JsonError(_TOO_DEEP) from None
     except json.JSONDecodeError as error:
         raise JsonError(str(error)) from None
-    except ValueError:  # an integer of more digits than Python converts
+    except ValueError:  # an integer with too many digits for Python
         raise JsonError(_TOO_LARGE) from None
     check_json(value)
     return value
@@ -52,9 +52,9 @@ _TOO_LARGE = 'it holds an integer that is too large'
 
 def check_json(value: Any) -> None:
     """
-    Check depth and numbers of a parsed text, one level after the other.
+    Check the depth and the numbers of a parsed text, level by level.
 
-    :raises JsonError: as ``parse_json``.
+    :raises JsonError: as in ``parse_json``.
     """
     level, depth = [value], 0
     while level:
@@ -76,17 +76,17 @@ def check_json(value: Any) -> None:
 
 
 def composed(text: str) -> str:
-    """Return a text in Unicode's composed form (NFC): é is one character, however it was typed."""
+    """Return a text in Unicode composed form (NFC), in which é is a single character."""
     return normalize('NFC', text)
 
 
 def caseless(text: str) -> str:
-    """Return a text for comparisons in which neither case nor the form of letters counts."""
+    """Return a text for comparisons that ignore case and Unicode normalisation."""
     return normalize('NFC', normalize('NFD', text).casefold())
 
 
 def printable(text: str) -> str:
-    """Return a text for a terminal, with escapes for unprintable characters except line breaks."""
+    """Escape unprintable characters, except line breaks, for output on a terminal."""
     if text.isprintable():
         return text
     return ''.join(
@@ -97,16 +97,16 @@ def printable(text: str) -> str:
 
 def one_line(text: str) -> str:
     """
-    Return a text from outside in one printable line.
+    Return an external text as one printable line.
 
-    Nothing in it ends the line, moves the cursor or turns the direction of writing, so that none
-    of it looks like a line of ours.
+    The text cannot break the line, move the cursor or change the writing direction, so it cannot
+    imitate humanopts' own output.
     """
     return printable(text.replace('\n', ' '))
 
 
 def shown(text: str, limit: int = MAX_SHOWN) -> str:
-    """Return external text in one printable line; of a long text, the beginning and the end."""
+    """Return an external text as one printable line, shortened to its beginning and end."""
     if len(text) > limit:
         half = (limit - 5) // 2
         text = f'{text[:half]} ... {text[-half:]}'
@@ -116,9 +116,10 @@ def shown(text: str, limit: int = MAX_SHOWN) -> str:
 
 def accept_any_text() -> None:
     """
-    Let standard output take every text, and standard input give every byte, whatever the locale.
+    Let the standard streams accept any text in every locale.
 
-    To be called once where a process begins: what the locale does not have becomes an escape.
+    Call once at the start of a process. In output, characters that the locale lacks are escaped;
+    in input, invalid bytes are replaced.
     """
     for stream, errors in (
         (sys.stdin, 'replace'),

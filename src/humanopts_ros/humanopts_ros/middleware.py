@@ -1,8 +1,8 @@
 """
-Whether ROS can start with the settings of the shell; works without ROS.
+Checks of the ROS settings in the environment; works without ROS.
 
-What is wrong with them is said in one line, before anything is started: the middleware would end
-the process, ignore the setting, or find no other node and say nothing.
+Invalid settings are reported in one line before anything is started. Otherwise the middleware
+would abort the process, ignore the setting, or silently find no other node.
 """
 
 import ipaddress
@@ -14,17 +14,17 @@ import subprocess
 import sys
 from xml.etree import ElementTree
 
-LAUNCHER_PID = 'HUMANOPTS_LAUNCHER_PID'  # of the process that started a node; it ends with it
-INSTANCE = 'HUMANOPTS_INSTANCE'  # how the publisher_id of a node ends that a launcher started
-RESTARTS = 'HUMANOPTS_RESTARTS'  # times that the launcher has started the node again before
+LAUNCHER_PID = 'HUMANOPTS_LAUNCHER_PID'  # pid of the launcher; nodes exit with it
+INSTANCE = 'HUMANOPTS_INSTANCE'  # suffix of the publisher_id of a launched node
+RESTARTS = 'HUMANOPTS_RESTARTS'  # number of previous restarts by the launcher
 RANGE, PEERS = 'ROS_AUTOMATIC_DISCOVERY_RANGE', 'ROS_STATIC_PEERS'
 PROFILES = ('FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_DEFAULT_PROFILES_FILE')  # Jazzy reads [0]
 LAST_DOMAIN_ID = 232
 LOOPBACK = '127.0.0.1'
-_RANGES = 'LOCALHOST', 'SUBNET', 'SYSTEM_DEFAULT'  # in which nodes find each other
+_RANGES = 'LOCALHOST', 'SUBNET', 'SYSTEM_DEFAULT'  # ranges in which nodes find each other
 _RMW, _LOCALHOST_ONLY, _DOMAIN_ID = 'RMW_IMPLEMENTATION', 'ROS_LOCALHOST_ONLY', 'ROS_DOMAIN_ID'
 _INSTALLED = 'share/ament_index/resource_index/rmw_typesupport'
-_ANY_PORT = 7400  # nothing is sent to it
+_ANY_PORT = 7400  # no data is sent
 _LOADS_PROFILES = """
 import rclpy
 rclpy.init(domain_id=0)
@@ -32,18 +32,18 @@ rclpy.create_node('reads_profiles')
 """
 _FAULT = re.compile(r'XMLPARSER.* Error\S* (.+?) -> Function')
 _COLOUR = re.compile(r'\x1b\[[\d;]*m')
-_absent = ''  # what RMW_IMPLEMENTATION was set to, and is not installed
+_absent = ''  # value of RMW_IMPLEMENTATION, if not installed
 
 
 class MiddlewareError(RuntimeError):
-    """ROS cannot start with the settings of the shell; the text says which, and what to do."""
+    """ROS cannot start with the environment's settings; the message names setting and fix."""
 
 
 def set_aside_absent() -> None:
     """
-    Take a middleware that is not installed out of the environment, for ``check_settings``.
+    Remove a middleware that is not installed from the environment; ``check_settings`` reports it.
 
-    Otherwise the process ends where it imports rclpy.
+    Otherwise, importing rclpy would end the process.
     """
     global _absent
     chosen, there = os.environ.get(_RMW, ''), _installed()
@@ -52,8 +52,8 @@ def set_aside_absent() -> None:
 
 
 def _installed() -> list[str]:
-    """Return the middlewares that can be loaded; none: not known."""
-    # The wheels of ROS lie in the environment of Python, and load none but their own.
+    """Return the installed middlewares; empty: unknown."""
+    # ROS wheels live in the Python environment and load only their own middlewares.
     for prefix in (sys.prefix, *os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep)):
         found = Path(prefix, _INSTALLED)
         if prefix and found.is_dir():
@@ -63,10 +63,10 @@ def _installed() -> list[str]:
 
 def check_settings(*, thorough: bool = False) -> None:
     """
-    Check what the variables of the shell say of the middleware.
+    Check the environment variables that configure the middleware.
 
-    :param thorough: let Fast DDS read a file of profiles that the shell names: half a second.
-    :raises MiddlewareError: ROS cannot start with them, or no node would find another.
+    :param thorough: whether to let Fast DDS validate the user's profile file; takes half a second.
+    :raises MiddlewareError: ROS cannot start, or nodes would not find each other.
     """
     if _absent and not os.environ.get(_RMW):
         raise MiddlewareError(
@@ -78,7 +78,7 @@ def check_settings(*, thorough: bool = False) -> None:
         raise MiddlewareError(
             f'{_DOMAIN_ID} is {number!r}, and must be from 0 to {LAST_DOMAIN_ID}'
         )
-    if os.environ.pop(_LOCALHOST_ONLY, '') == '1':  # how ROS said it before Iron; it comes first
+    if os.environ.pop(_LOCALHOST_ONLY, '') == '1':  # used before ROS Iron; takes precedence
         os.environ[RANGE] = 'LOCALHOST'
         os.environ.pop(PEERS, None)
     chosen = os.environ.get(RANGE)
@@ -99,7 +99,7 @@ def check_settings(*, thorough: bool = False) -> None:
             )
     for name in PROFILES:
         if not os.environ.get(name):
-            os.environ.pop(name, None)  # Fast DDS would look for a file without a name
+            os.environ.pop(name, None)  # Fast DDS would look for a file with an empty name
             continue
         if Path(os.environ[name]).parent == Path(__file__).parent:
             continue
@@ -116,17 +116,17 @@ def check_settings(*, thorough: bool = False) -> None:
 
 
 def static_peers() -> list[str]:
-    """Return the other machines that the shell names."""
+    """Return the peers configured in the environment."""
     return [peer for each in os.environ.get(PEERS, '').split(';') if (peer := each.strip())]
 
 
 def stays_here() -> bool:
-    """Return whether the graph is to stay on this machine."""
+    """Return whether the graph is restricted to this machine."""
     return os.environ.get(RANGE) == 'LOCALHOST' and not static_peers()
 
 
 def address_towards(peer: str) -> str:
-    """Return this machine's address on the route to another; empty: no route."""
+    """Return this machine's address on the route to a peer; empty: no route."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
             probe.connect((peer, _ANY_PORT))
@@ -136,7 +136,7 @@ def address_towards(peer: str) -> str:
 
 
 def _fault_of_address(peer: str) -> str:
-    """Return what is wrong with the address or name of a machine; empty: nothing that lasts."""
+    """Return what is wrong with a machine's address or name; empty: nothing permanent."""
     try:
         if ipaddress.ip_address(peer).version != 4:
             return 'which is not an IPv4 address'
@@ -144,14 +144,14 @@ def _fault_of_address(peer: str) -> str:
         try:
             socket.getaddrinfo(peer, None, socket.AF_INET)
         except (OSError, UnicodeError) as error:
-            # Without a network no name is known; there may soon be one.
+            # Without a network, no name can be resolved; the network may come up soon.
             if not (isinstance(error, socket.gaierror) and error.errno == socket.EAI_AGAIN):
                 return 'which is not a known machine'
     return ''
 
 
 def _fault_of_profile(path: Path) -> str:
-    """Return why Fast DDS would ignore a file of profiles; empty: it would not."""
+    """Return why Fast DDS would ignore a profile file; empty: it would not."""
     if not path.is_file():
         return 'which is not a file'
     try:
@@ -165,7 +165,7 @@ def _fault_of_profile(path: Path) -> str:
 
 
 def _fault_that_fast_dds_finds() -> str:
-    """Return the first fault that Fast DDS finds in its file of profiles; empty: none."""
+    """Return the first error that Fast DDS reports for its profile file; empty: none."""
     said = subprocess.run(
         [sys.executable, '-c', _LOADS_PROFILES],
         env={**os.environ, RANGE: 'OFF'},

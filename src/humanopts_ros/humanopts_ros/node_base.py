@@ -1,4 +1,4 @@
-"""The base class of all nodes: parameters, recorded endpoints, readiness, waits, a clean end."""
+"""The base class of all nodes: parameters, recorded endpoints, readiness, waiting, shutdown."""
 
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -44,16 +44,16 @@ from std_msgs.msg import Empty
 
 RECORDER = 'recorder'
 SEEDS = (0, 2**62)
-PATIENCE = (0.1, 3600.0)  # s, of deadlines
-_RESULT_TIMEOUT = 10  # s that a finished goal's result is kept; each costs time in every status
-_LAST_ROUNDS = 10  # callbacks that are carried out for the last answers
-_DRAIN = 0.3  # s that readers have to take what was sent, before a node ends
+PATIENCE = (0.1, 3600.0)  # s, range of deadlines
+_RESULT_TIMEOUT = 10  # s to keep the result of a finished goal; kept goals slow down each status
+_LAST_ROUNDS = 10  # number of callbacks run to send the last responses
+_DRAIN = 0.3  # s, time for readers to receive pending messages before a node ends
 _PRESENCE_PERIOD = 1.0  # s between checks that the server of a request still exists
-_REMARK_PERIOD = 1.0  # s between statuses that differ in what was refused or failed only
-_REPEAT_PERIOD = 1.0  # s between looks for others that publish current values of a node
-_PROVISION = 5.0  # s that a request waits until the node is ready for it
-_LATE = 5.0  # s after which a node that still starts says what it waits for
-_CHECK_PERIOD = 0.02  # s between checks while a node starts or ends, or a coroutine waits
+_REMARK_PERIOD = 1.0  # s between statuses that differ only in refusals or errors
+_REPEAT_PERIOD = 1.0  # s between checks for competing publishers of a node's current values
+_PROVISION = 5.0  # s, maximum time a request waits until the node is ready
+_LATE = 5.0  # s after which a starting node reports what it is waiting for
+_CHECK_PERIOD = 0.02  # s between checks during startup, shutdown and waits of coroutines
 _STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 
 
@@ -61,17 +61,17 @@ T = TypeVar('T')
 V = TypeVar('V')
 D = TypeVar('D', bound=Any)  # a dataclass
 E = TypeVar('E', Service, Client)
-Range = tuple[float, float]  # least and largest value
+Range = tuple[float, float]  # minimum and maximum
 
 
 class StartError(RuntimeError):
-    """A node cannot start with these parameters; the text says which and why."""
+    """A node cannot start with these parameters; the message names the parameter and reason."""
 
 
 @contextmanager
 def starting_ros() -> Iterator[None]:
     """
-    Turn an error of rclpy into one line.
+    Convert an error of rclpy into a one-line MiddlewareError.
 
     :raises MiddlewareError: ROS cannot start.
     """
@@ -83,11 +83,11 @@ def starting_ros() -> Iterator[None]:
 
 def start_ros(args: list[str] | None = None, context: Context | None = None) -> None:
     """
-    Start ROS with the settings of the shell; the caller handles signals.
+    Start ROS with the environment's settings; signal handling is left to the caller.
 
-    :param args: of the command line.
-    :param context: None: that of the process.
-    :raises MiddlewareError: it cannot start.
+    :param args: command-line arguments.
+    :param context: rclpy context; None: the default context.
+    :raises MiddlewareError: ROS cannot start.
     """
     prepare_discovery()
     with starting_ros():
@@ -97,17 +97,17 @@ def start_ros(args: list[str] | None = None, context: Context | None = None) -> 
 
 class Waiting:
     """
-    Lets coroutines of a node wait for conditions.
+    Lets a node's coroutines wait for conditions.
 
-    The coroutines must be in a reentrant callback group. Open conditions are checked regularly;
-    ``check`` checks them at once.
+    The coroutines must be in a reentrant callback group. Pending conditions are checked
+    periodically; ``check`` checks them immediately.
     """
 
     def __init__(self, node: Node, monotonic: Callable[[], float]) -> None:
         """
-        Start with no condition.
+        Start without conditions.
 
-        :param monotonic: the clock of the deadlines, s.
+        :param monotonic: clock for deadlines, s.
         """
         self._node, self._monotonic = node, monotonic
         self._open: list[tuple[Future, Callable[[], bool], float]] = []
@@ -116,7 +116,7 @@ class Waiting:
         )
 
     def check(self) -> None:
-        """Wake the coroutines whose condition holds or whose deadline has passed."""
+        """Wake coroutines with a true condition or an expired deadline."""
         now = self._monotonic()
         still = []
         for entry in self._open:
@@ -126,16 +126,16 @@ class Waiting:
                     future.set_result(None)
                 else:
                     still.append(entry)
-            except Exception as error:  # for the coroutine that waits
+            except Exception as error:  # raised in the waiting coroutine
                 future.set_exception(error)
         self._open = still
         if not still:
             self._timer.cancel()
 
     async def until(self, condition: Callable[[], bool], seconds: float) -> bool:
-        """Wait until a condition holds; return whether it did in time."""
+        """Wait until a condition is true; return whether it became true in time."""
         deadline = self._monotonic() + seconds
-        while not condition():  # it may hold for a moment only, before the coroutine goes on
+        while not condition():  # may be false again when the coroutine resumes
             if self._monotonic() > deadline:
                 return False
             future = Future(executor=self._node.executor)
@@ -148,14 +148,14 @@ class Waiting:
 
 class NodeBase(Node):
     """
-    A node that publishes when it is ready.
+    A node that publishes its readiness.
 
-    The node is ready once ``waits_for`` returns None and, where a recorder is expected, the
-    recorder has matched every publisher, so that the first message is in the bag.
+    The node is ready when ``waits_for`` returns None and, if a recorder is expected, the recorder
+    has matched every publisher, so that the bag includes the first message.
 
-    Its callbacks are guarded: invalid messages are dropped and unexpected errors logged; both are
-    counted in the node's status, and the node continues. After an error, a service or an action
-    answers with a status and a text.
+    Callbacks are guarded: invalid messages are dropped and unexpected errors logged; both are
+    counted in the node's status, and the node continues. After an error, services and actions
+    respond with a status and a text.
     """
 
     role: ClassVar[Role] = 'node'
@@ -164,11 +164,11 @@ class NodeBase(Node):
         self, name: str, *, monotonic: Callable[[], float] = time.monotonic, **options: Any
     ) -> None:
         """
-        Declare the parameters that all nodes have, and publish that the node starts.
+        Declare the parameters common to all nodes, and publish that the node is starting.
 
-        :param monotonic: the clock of the node's deadlines, s.
-        :param options: as of rclpy's Node, such as context and namespace.
-        :raises StartError: a parameter is wrong.
+        :param monotonic: clock for the node's deadlines, s.
+        :param options: options of rclpy's Node, such as context and namespace.
+        :raises StartError: a parameter is invalid.
         :raises MiddlewareError: the middleware cannot join the graph.
         """
         ends = StartError, ExternalShutdownException
@@ -182,7 +182,7 @@ class NodeBase(Node):
         self._hidden: list[str] = []  # topics of services and actions
         self._repeated: list[StampedPublisher[Any]] = []
         self._repeat_timer = self.create_timer(_REPEAT_PERIOD, self._repeat, autostart=False)
-        self._on_change: dict[str, Callable[[Any], object]] = {}  # by name of a parameter
+        self._on_change: dict[str, Callable[[Any], object]] = {}  # by parameter name
         self.add_post_set_parameters_callback(self.guard.guarded(self._on_parameters))
         self._expect_recorder = self.setting(
             'expect_recorder', False, 'wait until the recorder has every publisher'
@@ -192,20 +192,20 @@ class NodeBase(Node):
             self._patterns('record_topics', 'topics to record beside those of the graph'),
             self._patterns('record_exclude', 'topics not to record'),
         )
-        # States which messages are this node's, before the first of them.
+        # Announce the publisher id before the first message.
         self.create_publisher(Empty, id_topic(self.publisher_id, self.role), LATCHED)
         self._restarts = int(os.environ.pop(RESTARTS, '0'))
         self._status = self.stamped_publisher(NodeStatus, 'node_status', LATCHED)
         self.ready = False
-        self.failed = False  # the process ends with status 1 although it was stopped normally
+        self.failed = False  # exit with status 1 even after a normal shutdown
         self._own_state, self._own_text = NodeStatus.STATE_STARTING, ''
         self._remark_timer = self.create_timer(
             _REMARK_PERIOD, self._on_remark_timer, autostart=False
         )
-        self._remark_sent = ''  # what the status says of refusals and errors
+        self._remark_sent = ''  # last published summary of refusals and errors
         self.set_status(NodeStatus.STATE_STARTING)
-        self.waiting = Waiting(self, monotonic)  # of this node's coroutines
-        # An error while the node starts ends it.
+        self.waiting = Waiting(self, monotonic)  # for this node's coroutines
+        # Not guarded: an error during startup ends the node.
         self._start_timer = super().create_timer(_CHECK_PERIOD, self._try_start, clock=_STEADY)
         self._begun = monotonic()
         self._start_fault: Exception | None = None
@@ -223,7 +223,7 @@ class NodeBase(Node):
     def create_timer(
         self, timer_period_sec: float, callback: Callable[..., Any], *args: Any, **options: Any
     ) -> Timer:
-        """Create a timer as rclpy does, with a guarded callback and on a steady clock."""
+        """Create a timer with a guarded callback and a steady clock."""
         guarded, options['clock'] = self.guard.guarded(callback), _STEADY
         return super().create_timer(timer_period_sec, guarded, *args, **options)
 
@@ -236,9 +236,9 @@ class NodeBase(Node):
         **options: Any,
     ) -> Subscription:
         """
-        Create a subscription as rclpy does, with a guarded callback.
+        Create a subscription with a guarded callback.
 
-        Where only one node may publish, by ``senders``, what others publish is refused.
+        If ``senders`` allows only one publisher, messages from other nodes are refused.
         """
         sender = sender_of(self.resolve_topic_name(topic), self.get_namespace())
 
@@ -255,7 +255,7 @@ class NodeBase(Node):
     def create_service(
         self, srv_type: Any, srv_name: str, callback: Callable[..., Any], **options: Any
     ) -> Service:
-        """Create a service as rclpy does, with a guarded callback that always answers."""
+        """Create a service with a guarded callback that always responds."""
 
         def failed(text: str, request: Any, response: Any) -> Any:
             return _failed(srv_type.Response(), text)
@@ -272,11 +272,11 @@ class NodeBase(Node):
         qos: QoSProfile = STREAM,
     ) -> Subscription:
         """
-        Subscribe to a topic and check its messages where they become values.
+        Subscribe to a topic and convert its messages to values.
 
-        :param read: returns the value of a message, or raises a ValueError that says why it
-            cannot be used; then the message is counted, named and dropped. None: it is of no use.
-        :param use: called with each value.
+        :param read: function that returns the value of a message, or None to ignore it; a
+            ValueError with a reason refuses the message.
+        :param use: callback for each value.
         """
 
         @functools.wraps(use)
@@ -289,7 +289,7 @@ class NodeBase(Node):
 
     @functools.cached_property
     def peers(self) -> Peers:
-        """The nodes of this namespace, from the first use on."""
+        """The nodes of this namespace, observed from the first access."""
         return Peers(self)
 
     def full_name(self, name: str) -> str:
@@ -301,7 +301,7 @@ class NodeBase(Node):
         return node_names(self)
 
     def accepted(self, topic: str, read: Callable[[T], V | None], message: T) -> V | None:
-        """Return the value of a message; None: it cannot be used, and is refused."""
+        """Return the value of a message; None: the message is refused or ignored."""
         try:
             return read(message)
         except ValueError as error:
@@ -309,7 +309,7 @@ class NodeBase(Node):
             return None
 
     def refuse(self, topic: str, message: Any, reason: object) -> None:
-        """Count, log and name in the status that a message, or a part of it, is dropped."""
+        """Drop a message or a part of it: count and log it, and report it in the status."""
         self.guard.refuse(topic, getattr(message, 'publisher_id', ''), reason)
 
     def setting(
@@ -324,11 +324,11 @@ class NodeBase(Node):
         """
         Declare a parameter and return its value.
 
-        :param between: the least and the largest value of a number; None: any.
-        :param among: the texts that are allowed; empty: any.
-        :param on_change: called with each value of the right type and range that is set
-            while the node runs; None: the parameter is read-only.
-        :raises StartError: the value given at start has the wrong type or is not allowed.
+        :param between: range of a number; None: any.
+        :param among: allowed texts; empty: any.
+        :param on_change: callback for each valid value set at runtime; None: the parameter is
+            read-only.
+        :raises StartError: the initial value has the wrong type or is not allowed.
         """
         descriptor = ParameterDescriptor(description=description, read_only=on_change is None)
         if between is not None:
@@ -353,12 +353,12 @@ class NodeBase(Node):
         self, defaults: D, descriptions: Mapping[str, str], between: Mapping[str, Range]
     ) -> D:
         """
-        Declare a parameter for each of some fields of a dataclass, and return their values in one.
+        Declare parameters for selected fields of a dataclass, and return it with their values.
 
-        :param defaults: the dataclass with the default values.
-        :param descriptions: by field.
-        :param between: the least and the largest value of some fields; of the others, any.
-        :raises StartError: as ``setting``.
+        :param defaults: dataclass instance with the default values.
+        :param descriptions: parameter descriptions by field.
+        :param between: ranges of some fields; other fields accept any value.
+        :raises StartError: as in ``setting``.
         """
         values = {
             name: self.setting(name, getattr(defaults, name), text, between.get(name))
@@ -376,10 +376,10 @@ class NodeBase(Node):
         repeated: bool = False,
     ) -> StampedPublisher[M]:
         """
-        Create a publisher of a message with header, publisher_id and sequence.
+        Create a publisher for messages with header, publisher_id and sequence.
 
-        :param on_matched: called whenever a subscription comes or goes.
-        :param repeated: publish the newest message again while others publish in its place.
+        :param on_matched: callback invoked when a subscription is matched or unmatched.
+        :param repeated: whether to republish the newest message while other publishers compete.
         """
         event = on_matched and self.guard.guarded(on_matched)
         publisher = StampedPublisher(self, self.publisher_id, kind, topic, qos, event)
@@ -401,14 +401,14 @@ class NodeBase(Node):
         callback: Callable[..., Any],
         group: CallbackGroup | None = None,
     ) -> Service:
-        """Create a service whose requests and responses are on the graph."""
+        """Create a service that publishes its requests and responses on the graph."""
         service = self.create_service(
             kind, name, callback, qos_profile=SERVICE, callback_group=group
         )
         return self._introspected(service, name)
 
     def recorded_client(self, kind: Any, name: str, group: CallbackGroup | None = None) -> Client:
-        """Create a client whose requests and responses are on the graph."""
+        """Create a client that publishes its requests and responses on the graph."""
         client = self.create_client(kind, name, qos_profile=SERVICE, callback_group=group)
         return self._introspected(client, name)
 
@@ -421,9 +421,9 @@ class NodeBase(Node):
         on_cancel: Callable[[ServerGoalHandle], object] = lambda handle: None,
     ) -> ActionServer:
         """
-        Create an action server that accepts every goal and every cancel.
+        Create an action server that accepts every goal and every cancel request.
 
-        :param on_cancel: called with the handle of the goal, just before the goal is canceling.
+        :param on_cancel: callback invoked with the goal handle just before the goal is canceled.
         """
         self._hidden += [f'{name}/_action/feedback', f'{name}/_action/status']
 
@@ -448,18 +448,18 @@ class NodeBase(Node):
         )
 
     def is_recorded(self, topic: str, recorders: int = 1) -> bool:
-        """Return whether that many recorders subscribe to a topic, or it is not to be recorded."""
+        """Return whether this many recorders subscribe to a topic, or it is not recorded."""
         if not self.selection.wants_own(self.resolve_topic_name(topic)):
             return True
         readers = self.get_subscriptions_info_by_topic(topic)
         return len([1 for reader in readers if reader.node_name == RECORDER]) >= recorders
 
     def records(self, publisher: StampedPublisher[Any], recorders: int = 1) -> bool:
-        """Return whether that many recorders subscribe, and their subscriptions are matched."""
+        """Return whether this many recorders have matched subscriptions."""
         return publisher.is_matched() and self.is_recorded(publisher.topic, recorders)
 
     def is_recorded_whole(self) -> bool:
-        """Return whether the recorder would get all that this node sends; True: none runs."""
+        """Return whether the recorder, if any, receives all of this node's messages."""
         return self._lacks_recorder() is None
 
     async def answer(
@@ -472,10 +472,10 @@ class NodeBase(Node):
         """
         Call a service from a coroutine.
 
-        A request that is sent before the server is found is lost, so this waits for the server.
+        A request sent before the server is discovered is lost, so this waits for the server.
 
-        :param lost: returns whether the server was started again since, and knows nothing of it.
-        :return: the response; None when there is none after ``seconds``, or the server is gone.
+        :param lost: function that returns whether the server has restarted and lost the request.
+        :return: the response; None: there is none after ``seconds``, or the server is gone.
         """
         if not await self.waiting.until(client.service_is_ready, min(seconds, _PRESENCE_PERIOD)):
             return None
@@ -485,27 +485,27 @@ class NodeBase(Node):
             if self.monotonic() >= deadline or lost() or not client.service_is_ready():
                 future.cancel()
 
-        group = ReentrantCallbackGroup()  # of its own: a group never forgets what was in it
+        group = ReentrantCallbackGroup()  # a new group: groups never release their members
         timer = self.create_timer(min(seconds, _PRESENCE_PERIOD), check, callback_group=group)
         try:
             return await future
         finally:
-            with suppress(InvalidHandle):  # where the node was destroyed meanwhile
+            with suppress(InvalidHandle):  # the node may have been destroyed
                 timer.cancel()
                 self.destroy_timer(timer)
                 client.remove_pending_request(future)
 
     async def provided(self) -> bool:
-        """Wait in a coroutine until ``waits_for`` returns None; return whether it did in time."""
+        """Wait until ``waits_for`` returns None; return whether this happened in time."""
         return await self.waiting.until(lambda: self.waits_for() is None, _PROVISION)
 
     def set_status(self, state: int, text: str = '') -> None:
         """
-        Publish the node's state, and what it has refused and what failed so far.
+        Publish the node's state and a summary of refusals and errors.
 
-        A failure to do so is only logged.
+        A failure to publish is only logged.
 
-        :param text: the cause in words; empty: none.
+        :param text: reason for the state; empty: none.
         """
         self._own_state, self._own_text, self._remark_sent = state, text, self.guard.remark
         whole = '; '.join(filter(None, (text, self._remark_sent)))
@@ -517,27 +517,27 @@ class NodeBase(Node):
             self.get_logger().error(str(error))
 
     def publish_status_again(self) -> None:
-        """Publish the node's state again, as a sign of life."""
+        """Republish the node's state as a heartbeat."""
         self.set_status(self._own_state, self._own_text)
 
     def waits_for(self) -> str | None:
-        """Return what the node still needs, in words; None: nothing. To be overridden."""
+        """Describe what the node is waiting for; None: nothing. To be overridden."""
         return None
 
     def on_ready(self) -> None:
-        """Run once the node is ready, such as to publish a first state. To be overridden."""
+        """Handle readiness, for example by publishing an initial state. To be overridden."""
 
     def serve(self, executor: Executor, stop: Callable[[], bool]) -> None:
-        """Run callbacks until ``stop`` returns True. To be overridden to read input."""
+        """Run callbacks until ``stop`` returns True. May be overridden to read input."""
         while not stop():
             self.turn(executor, 0.1)
 
     def turn(self, executor: Executor, seconds: float) -> None:
         """
-        Run one callback, once there is one.
+        Wait for one callback and run it.
 
-        Errors outside the guarded callbacks are of futures' callbacks, and of messages whose
-        bytes are not those of their type.
+        Errors outside the guarded callbacks come from callbacks of futures and from messages that
+        cannot be deserialised.
         """
         try:
             executor.spin_once(seconds)
@@ -547,7 +547,7 @@ class NodeBase(Node):
             self.guard.caught('the executor', error)
 
     def close(self) -> None:
-        """Finish work before the node ends. To be overridden."""
+        """Finish pending work before the node ends. To be overridden."""
 
     def finish(self, busy: Callable[[], bool], seconds: float) -> None:
         """Run callbacks until ``busy`` returns False and the responses are sent."""
@@ -559,7 +559,7 @@ class NodeBase(Node):
             self.turn(executor, 0.0)
 
     def drain(self) -> None:
-        """Wait a moment for the readers to take what was sent."""
+        """Wait briefly for the readers to receive pending messages."""
         deadline = time.monotonic() + _DRAIN
         for publisher in self._stamped:
             publisher.drain(max(0.0, deadline - time.monotonic()))
@@ -580,7 +580,7 @@ class NodeBase(Node):
                 self._on_change[parameter.name](parameter.value)
 
     def _publish_remark(self) -> None:
-        """Publish soon what was refused or failed, at a limited rate."""
+        """Publish refusals and errors, at a limited rate."""
         if self._remark_timer.is_canceled():
             self._remark_timer.reset()
             self.publish_status_again()
@@ -592,16 +592,16 @@ class NodeBase(Node):
             self.publish_status_again()
 
     def tell_time_set(self, seconds: float) -> None:
-        """Continue after a change of the system time, and log it; from any thread."""
+        """Handle and log a change of the system time; thread-safe."""
         if (executor := self.executor) is not None:
-            with suppress(InvalidHandle, AttributeError):  # it was shut down just now
+            with suppress(InvalidHandle, AttributeError):  # it may just have been shut down
                 executor.create_task(self.guard.guarded(self._on_time_set), seconds)
 
     def _on_time_set(self, seconds: float) -> None:
         if self.destroyed:
             return
         self.get_logger().warning(f'the time of day was set by {seconds:+.3f} s')
-        self.publish_status_again()  # what is sent wakes the middleware's own threads, too
+        self.publish_status_again()  # sending also wakes the middleware's threads
 
     def _try_start(self) -> None:
         try:
@@ -620,13 +620,13 @@ class NodeBase(Node):
             return
         self._start_timer.cancel()
         if self._expect_recorder:
-            self.drain()  # the first status, which the next one replaces
+            self.drain()  # the next status replaces the first one
         self.ready = True
         self.on_ready()
         self.set_status(NodeStatus.STATE_READY)
 
     def _lacks_recorder(self) -> str | None:
-        """Return which topic the recorder lacks, in words; None: it has all, or none runs."""
+        """Describe a topic that the recorder lacks; None: no topic, or no recorder is expected."""
         if not self._expect_recorder:
             return None
         lacking = chain(
@@ -639,9 +639,9 @@ class NodeBase(Node):
 
 def _failed(answer: Any, text: str) -> Any:
     """
-    Return an answer for work that an error has ended.
+    Return a response that reports an unexpected error.
 
-    Its status is STATUS_FAILED; where the type has none, 0, which is sent for nothing else.
+    The status is STATUS_FAILED, or 0 if the type lacks it; 0 is not used otherwise.
     """
     result = getattr(answer, 'result', answer)
     if hasattr(result, 'status') and hasattr(result, 'detail'):
@@ -651,7 +651,7 @@ def _failed(answer: Any, text: str) -> Any:
 
 
 def end_goal(handle: ServerGoalHandle, good: bool, canceled: bool) -> None:
-    """Set how a goal of an action ended: as wanted, canceled by its client, or neither."""
+    """Set the final state of an action goal: succeeded, canceled by the client, or aborted."""
     if good:
         handle.succeed()
     elif canceled:

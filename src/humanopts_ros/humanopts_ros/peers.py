@@ -1,4 +1,4 @@
-"""The nodes of a namespace: who is there, under which id, and in which state."""
+"""The nodes of a namespace: their names, publisher ids and states."""
 
 from collections import Counter
 from collections.abc import Callable
@@ -8,7 +8,7 @@ from humanopts_ros.qos import CURRENT
 from humanopts_ros.senders import Role, signer, stated_id
 from rclpy.node import Node
 
-_UNKNOWN = '_UNKNOWN_'  # in the name of a node of which only a topic or service is found yet
+_UNKNOWN = '_UNKNOWN_'  # in the name of a node of which only endpoints have been discovered
 
 
 def node_names(node: Node) -> list[str]:
@@ -18,7 +18,7 @@ def node_names(node: Node) -> list[str]:
 
 
 def publishers_of(node: Node, topic: str) -> list[str]:
-    """Return the full name of the node of each publisher of a topic, where it is known."""
+    """Return the full node name of each publisher of a topic, if known."""
     found = node.get_publishers_info_by_topic(topic)
     names = (f'{each.node_namespace.rstrip("/")}/{each.node_name}' for each in found)
     return [name for name in names if _UNKNOWN not in name]
@@ -26,9 +26,9 @@ def publishers_of(node: Node, topic: str) -> list[str]:
 
 def stated_ids(node: Node, *roles: Role) -> list[str]:
     """
-    Return the publisher ids that the nodes in the namespace of a node state in the graph.
+    Return the publisher ids announced in the graph by nodes in a node's namespace.
 
-    :param roles: of those nodes; none: any.
+    :param roles: roles of those nodes; empty: any.
     """
     namespace = node.get_namespace()
     return sorted(
@@ -36,21 +36,22 @@ def stated_ids(node: Node, *roles: Role) -> list[str]:
         for topic, _ in node.get_topic_names_and_types()
         for role in roles or ('node', 'game')
         if (publisher_id := stated_id(topic, namespace, role))
-        and node.count_publishers(topic)  # a mere subscriber states nothing
+        and node.count_publishers(topic)  # subscribers do not announce an id
     )
 
 
 class Peers:
     """
-    The newest status of each node of a namespace, and the number of its restarts.
+    The latest status and the restart count of each node in a namespace.
 
-    A status counts if the graph states its publisher_id. A process announces its endpoints in the
-    order of their creation, so a genuine id is stated before its first status arrives. A process
-    that was replaced by another one of the same name no longer counts.
+    A status is accepted if its publisher_id is announced in the graph. A process announces its
+    endpoints in order of creation, so a genuine id is announced before its first status arrives. A
+    process that was replaced by another one with the same name is ignored.
 
-    :ivar statuses: by name, without the namespace.
-    :ivar restarts: by name; a restart counts when the node begins, and when it is ready.
-    :ivar on_restart: each is called with the name whenever a restart counts, the second time
+    :ivar statuses: latest status by node name, without the namespace.
+    :ivar restarts: restart count by node name; incremented when the node starts and again when it
+        is ready.
+    :ivar on_restart: callbacks invoked with the node name at each increment; the second one
         because requests sent before the node was ready may be lost.
     """
 
@@ -60,23 +61,23 @@ class Peers:
         self.restarts: Counter[str] = Counter()
         self.on_restart: list[Callable[[str], object]] = []
         self._node = node
-        self._expected: dict[str, str] = {}  # the only publisher_id that counts, by name
+        self._expected: dict[str, str] = {}  # the only accepted publisher_id, by name
         self._replaced: set[str] = set()  # publisher ids
         self._starting: set[str] = set()  # restarted nodes that are not ready yet
         node.create_subscription(NodeStatus, 'node_status', self._on_status, CURRENT)
 
     def state(self, name: str) -> int:
-        """Return the state of a node; 0: it has published none."""
+        """Return the state of a node; 0: no status has been published."""
         return int(self.statuses[name].state) if name in self.statuses else 0
 
     def expect(self, publisher_id: str) -> None:
-        """Let a process that is about to start be the only one that counts under its name."""
+        """Accept only this process, which is about to start, under its name."""
         name = signer(publisher_id).rpartition('/')[2]
         self.forget(self._expected.get(name, ''))
         self._expected[name] = publisher_id
 
     def forget(self, publisher_id: str) -> None:
-        """Ignore a process that has ended."""
+        """Ignore a process from now on, because it has ended."""
         self._replaced.add(publisher_id)
         name = signer(publisher_id).rpartition('/')[2]
         if name in self.statuses and self.statuses[name].publisher_id == publisher_id:

@@ -1,4 +1,4 @@
-"""Subscriptions that no executor serves: the messages are taken on request."""
+"""Subscriptions that are polled instead of served by an executor."""
 
 from collections.abc import Callable
 from typing import Any, Generic, TypeVar
@@ -13,9 +13,9 @@ V = TypeVar('V')
 
 class Polled(CallbackGroup):
     """
-    Hides its subscriptions from executors; their queues are emptied on request.
+    A callback group that hides its subscriptions from executors, so that they can be polled.
 
-    An executor takes one message at a time and looks at every entity for each of them.
+    An executor takes one message at a time and checks every entity for each message.
     """
 
     def can_execute(self, entity: Any) -> bool:
@@ -29,13 +29,13 @@ class Polled(CallbackGroup):
 
 
 class PolledValue(Generic[T, V]):
-    """The newest message of a latched topic that changes more often than it is read."""
+    """The newest value of a latched topic that changes more often than it is read."""
 
     def __init__(self, node: NodeBase, kind: type[T], topic: str, read: Callable[[T], V]) -> None:
         """
         Subscribe.
 
-        :param read: as of ``NodeBase.subscribe``.
+        :param read: function as in ``NodeBase.subscribe``.
         """
         self._node, self._kind, self._topic, self._read = node, kind, topic, read
         self._subscription = node.create_subscription(
@@ -43,7 +43,7 @@ class PolledValue(Generic[T, V]):
         )
 
     def take(self) -> V | None:
-        """Return the newest value since the last call; None: there is no new one."""
+        """Return the newest value since the last call; None: no new value."""
         handle = self._subscription.handle
         with handle:
             taken = handle.take_message(self._kind, False)

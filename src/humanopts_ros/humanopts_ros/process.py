@@ -1,4 +1,4 @@
-"""A node as a process: signals, the launcher's end, and the exit status."""
+"""A node as a process: signals, launcher exit, and exit status."""
 
 from collections.abc import Callable
 import os
@@ -26,10 +26,10 @@ _PAUSED = (
 
 class _Stop:
     """
-    Set by SIGINT, SIGTERM or SIGHUP, when the launcher is gone, or when the process resumes after
-    SIGSTOP or SIGTSTP has stopped it for too long.
+    A stop condition, set by SIGINT, SIGTERM or SIGHUP, by the exit of the launcher, or if the
+    process was suspended by SIGSTOP or SIGTSTP for too long.
 
-    :ivar paused: how long that was, s; 0: it was not.
+    :ivar paused: duration of the suspension, s; 0: none.
     """
 
     def __init__(self) -> None:
@@ -61,15 +61,15 @@ def run_node(
     by_events: bool = False,
 ) -> int:
     """
-    Run a node until SIGINT, SIGTERM or SIGHUP, or until it was stopped for too long.
+    Run a node until SIGINT, SIGTERM or SIGHUP, or until it was suspended for too long.
 
-    The node is closed however it ends. An unexpected error is raised to the caller, so
-    that the traceback is shown and the exit status is 1.
+    The node is always closed. An unexpected error propagates to the caller, so that the traceback
+    is shown and the exit status is 1.
 
-    :param by_events: run on the ``EventsExecutor``, which answers about three times as fast; it is
-        experimental, and for nodes whose services are not coroutines.
-    :return: the process's exit status: 0 after a clean end, 2 when it cannot start, 1 when it
-        cannot go on.
+    :param by_events: whether to use the ``EventsExecutor``, which responds about three times as
+        fast; it is experimental and does not support services that are coroutines.
+    :return: exit status of the process: 0 after a clean shutdown, 2 if it cannot start, 1 if it
+        cannot continue.
     """
     accept_any_text()
     stop, give_back, served = _Stop(), workarounds.MemoryReturn(), threading.Event()
@@ -92,7 +92,7 @@ def run_node(
             workarounds.look_after_timers(node, served)
         try:
             node.serve(executor, ended)
-        finally:  # after any error too, so that its files are complete
+        finally:  # also after an error, so that its files are complete
             served.set()
             node.close()
         node.set_status(NodeStatus.STATE_STOPPING)

@@ -1,4 +1,4 @@
-"""Publishers that number and stamp their messages."""
+"""Publishers that stamp and number their messages."""
 
 from collections.abc import Callable
 import time
@@ -10,12 +10,12 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 
-if TYPE_CHECKING:  # 30 modules, for a type alone
+if TYPE_CHECKING:  # would import 30 modules for one type
     from std_msgs.msg import Header
 
 
 class Stamped(Protocol):
-    """A message with the three fields that every message of humanopts begins with."""
+    """A message with the three leading fields of every humanopts message."""
 
     header: 'Header'
     publisher_id: str
@@ -23,19 +23,19 @@ class Stamped(Protocol):
 
 
 M = TypeVar('M', bound=Stamped)
-_ACKNOWLEDGED_PERIOD = 0.002  # s between looks whether all that was sent was taken
+_ACKNOWLEDGED_PERIOD = 0.002  # s, polling period for acknowledgements
 
 
 class PublishError(RuntimeError):
-    """A message could not be sent; the text names the topic and the cause."""
+    """A message could not be sent; the error message names the topic and the cause."""
 
 
 class StampedPublisher(Generic[M]):
     """
     Publishes on one topic, filling in header, publisher_id and sequence.
 
-    :ivar sequence: of the last message that was sent; 0: none was sent.
-    :ivar newest: that message; None: none was sent.
+    :ivar sequence: sequence number of the last message sent; 0: none.
+    :ivar newest: last message sent; None: none.
     """
 
     def __init__(
@@ -57,15 +57,15 @@ class StampedPublisher(Generic[M]):
 
     @property
     def topic(self) -> str:
-        """Full name of the topic."""
+        """The full name of the topic."""
         return str(self._publisher.topic_name)
 
     def publish(self, message: M) -> None:
         """
-        Send the message.
+        Publish a message.
 
-        :raises PublishError: the middleware refused it, as it does when a reader that keeps
-            everything has stopped reading.
+        :raises PublishError: the middleware rejected the message, for example because a KEEP_ALL
+            reader has stalled.
         """
         message.publisher_id = self._publisher_id
         message.sequence = self.sequence + 1
@@ -81,25 +81,25 @@ class StampedPublisher(Generic[M]):
         self.newest = message
 
     def readers(self) -> list[str]:
-        """Return the name of the node of each subscription of the topic."""
+        """Return the node name of each subscription to the topic."""
         found = self._node.get_subscriptions_info_by_topic(self.topic)
         return [str(reader.node_name) for reader in found]
 
     def is_matched(self) -> bool:
-        """Return whether every subscription of the topic would get a message."""
+        """Return whether all subscriptions to the topic are matched."""
         return bool(self._publisher.get_subscription_count() >= len(self.readers()))
 
     def is_matched_by(self, node_name: str) -> bool:
-        """Return whether a node's subscription is matched, so that a message would arrive."""
+        """Return whether a node subscribes to the topic and all subscriptions are matched."""
         return self.is_matched() and node_name in self.readers()
 
     def drain(self, seconds: float) -> None:
-        """Wait until the readers have received what was sent."""
-        end = time.monotonic() + seconds  # a wait in the middleware ends by the time of day
+        """Wait until the readers have acknowledged all messages."""
+        end = time.monotonic() + seconds  # waits in the middleware depend on the system time
         while not self._publisher.wait_for_all_acked(Duration()) and time.monotonic() < end:
             time.sleep(_ACKNOWLEDGED_PERIOD)
 
 
 def without_source(error: Exception) -> str:
-    """Return the text of an error without the places in the source of rcl."""
+    """Return an error message without source locations in rcl."""
     return str(error).split(', at /')[0]

@@ -1,34 +1,34 @@
 """
-Which topics a bag holds, for the recorder and for the nodes that wait for it.
+The selection of recorded topics, for the recorder and for the nodes that wait for it.
 
-A bag holds its own graph: the topics, service events and action messages of its nodes, in exactly
-its namespace. Patterns add other topics, or leave some out.
+A bag contains its own graph: the topics, service events and action messages of its nodes, directly
+in its namespace. Patterns add or exclude topics.
 """
 
 from collections.abc import Callable, Collection, Sequence, Set
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 
-INTERFACES = 'humanopts_interfaces/'  # the package of the types of a graph
-SHARED = ('/rosout', '/parameter_events')  # of all nodes; those of the own nodes are recorded
-MAX_BYTES = 2**62  # largest allowed size of a file
-NEEDED = ('demonstrations', 'domain_info')  # topics that an offline evaluation needs
+INTERFACES = 'humanopts_interfaces/'  # package of the graph's message types
+SHARED = ('/rosout', '/parameter_events')  # shared by all nodes; only own messages are recorded
+MAX_BYTES = 2**62  # maximum size of a file
+NEEDED = ('demonstrations', 'domain_info')  # topics required for offline evaluation
 _ACTION_STATUS = '/_action/status'
 _HIDDEN = ('/_service_event', '/_action/feedback', _ACTION_STATUS)
 
 
 def prefix_of(namespace: str) -> str:
-    """Return what the full names in a namespace begin with."""
+    """Return the prefix of full names in a namespace."""
     return namespace.rstrip('/') + '/'
 
 
 def own_name(topic: str, namespace: str) -> str:
     """
-    Return the name of a topic, service or action that is directly in a namespace.
+    Return the name of a topic, service or action directly in a namespace.
 
-    :param topic: full name of the topic; service events and messages of actions count as the
-        service or action.
-    :return: its name in the namespace; empty: it is elsewhere, or deeper.
+    :param topic: full name of the topic; service events and action messages count as the service
+        or action.
+    :return: name in the namespace; empty: the topic is elsewhere or nested deeper.
     """
     prefix = prefix_of(namespace)
     if not topic.startswith(prefix):
@@ -49,13 +49,14 @@ def is_own(
     """
     Return whether a topic belongs to the graph of a namespace.
 
-    It does if it is directly in the namespace and has a type of ours, or if a node of the graph
-    publishes it there: with a type of ours, as the status of an action, or below its own name.
+    It does if it is directly in the namespace and has a humanopts type, or if a node of the graph
+    publishes it in the namespace: with a humanopts type, as an action status, or below its own
+    name.
 
-    :param kind: its type.
+    :param kind: type of the topic.
     :param own_nodes: full names of the nodes that publish their status in the namespace.
-    :param publishers: returns the full names of the nodes that publish the topic; called where
-        it matters only.
+    :param publishers: function that returns the full names of the topic's publishers; called only
+        if needed.
     """
     if not topic.startswith(prefix_of(namespace)):
         return False
@@ -71,35 +72,35 @@ def is_own(
 @dataclass(frozen=True)
 class Selection:
     """
-    The topics of a bag: those of the graph of a namespace, and those that patterns add.
+    The topics of a bag: those of the graph of a namespace, and those added by patterns.
 
-    A pattern is a shell glob (``*``, ``?``, ``[...]``; ``*`` goes past ``/``, too), for the whole
-    name of a topic or for what follows the namespace: ``lesson/*``.
+    A pattern is a shell glob (``*``, ``?``, ``[...]``; ``*`` also matches ``/``) for the full name
+    of a topic or for its name in the namespace: ``lesson/*``.
     """
 
     namespace: str = '/'
-    record: Sequence[str] = ()  # patterns of topics to record beside those of the graph
+    record: Sequence[str] = ()  # patterns of additional topics to record
     exclude: Sequence[str] = ()  # patterns of topics not to record; they take precedence
 
     def wants(self, topic: str, own: bool) -> bool:
         """
-        Return whether a topic, by its full name, is recorded.
+        Return whether a topic, given by its full name, is recorded.
 
-        :param own: it belongs to the graph, as ``is_own`` has it.
+        :param own: whether the topic belongs to the graph, according to ``is_own``.
         """
         return (own or self.adds(topic)) and not self._matches(topic, self.exclude)
 
     def adds(self, topic: str) -> bool:
-        """Return whether a pattern asks for a topic, whoever publishes it."""
+        """Return whether a pattern adds a topic, regardless of its publisher."""
         return self._matches(topic, self.record)
 
     def wants_own(self, topic: str) -> bool:
-        """Return whether a topic of a node of the graph is recorded, by its full name."""
+        """Return whether a topic of the graph, given by its full name, is recorded."""
         return self.wants(topic, topic.startswith(prefix_of(self.namespace)))
 
     @property
     def unevaluable(self) -> str:
-        """Why a bag cannot be evaluated, in words; empty: it can."""
+        """The reason why a bag cannot be evaluated; empty: it can."""
         lacking = [n for n in NEEDED if not self.wants_own(prefix_of(self.namespace) + n)]
         if not lacking:
             return ''

@@ -1,10 +1,10 @@
 """
-Which node may publish what: one rule for the nodes of a graph and for the readers of bags.
+The permitted publisher of each topic, for the nodes of a graph and for the readers of bags.
 
-A message names its publisher by an id such as ``/game#1a2b3c4d``: the full name of the node, and a
-part that changes when the node is started again. Any process may sign with any name, so each node
-states its id in the graph itself, by a publisher on ``_node/NAME/_PART``: a hidden topic that
-never carries a message. The game, which may have any name, has it on ``_game/NAME/_PART``.
+A message identifies its publisher by an id such as ``/game#1a2b3c4d``: the full name of the node
+and a part that changes with each restart. Since any process could use any name, each node also
+announces its id in the graph, by a publisher on ``_node/NAME/_PART``: a hidden topic that never
+carries a message. The game, which may have any name, uses ``_game/NAME/_PART``.
 """
 
 from collections.abc import Collection
@@ -27,24 +27,24 @@ _TOPICS = {
     ),
     'recorder': ('recorder_status',),
 }
-# The node that may publish on a topic, by the topic's name; on others, any node may.
+# The only permitted publisher by topic name; any node may publish on other topics.
 SENDERS = {topic: node for node, topics in _TOPICS.items() for topic in topics}
 
 
 def signer(publisher_id: str) -> str:
-    """Return the full name of the node that an id is of; empty: it is not an id."""
+    """Return the full name of the node in a publisher id; empty: the id is invalid."""
     name, mark, _ = publisher_id.partition('#')
     return name if mark else ''
 
 
 def id_topic(publisher_id: str, role: Role) -> str:
-    """Return the topic, relative to the namespace, by which a node states its id."""
+    """Return the topic, relative to the namespace, that announces a node's id."""
     name, _, part = publisher_id.rpartition('/')[2].partition('#')
     return f'_{role}/{name}/_{part}'
 
 
 def stated_id(topic: str, namespace: str, role: Role) -> str:
-    """Return the id that a topic, by its full name, states; empty: it states none here."""
+    """Return the id announced by a topic, given by its full name; empty: none here."""
     prefix = prefix_of(namespace)
     name, mark, part = topic.removeprefix(f'{prefix}_{role}/').partition('/_')
     return f'{prefix}{name}#{part}' if mark and topic.startswith(f'{prefix}_{role}/') else ''
@@ -52,12 +52,12 @@ def stated_id(topic: str, namespace: str, role: Role) -> str:
 
 def is_next_game(publisher_id: str, current: str, stated: Collection[str]) -> bool:
     """
-    Return whether a game takes the place of the current one.
+    Return whether a game replaces the current one.
 
-    A game that was started again does at once; another node once the current one is gone.
+    A restarted game does so immediately; another node only after the current game is gone.
 
-    :param current: id of the current game; empty: there is none yet.
-    :param stated: ids of all games on the graph.
+    :param current: id of the current game; empty: none yet.
+    :param stated: announced ids of all games on the graph.
     """
     again = signer(publisher_id) == signer(current)
     return publisher_id in stated and (again or current not in stated)
@@ -65,10 +65,10 @@ def is_next_game(publisher_id: str, current: str, stated: Collection[str]) -> bo
 
 def sender_of(topic: str, namespace: str) -> str:
     """
-    Return the full name of the node that may publish on a topic of a namespace.
+    Return the full name of the node that may publish on a topic in a namespace.
 
-    :param topic: its full name.
-    :return: empty: any node may, or it is a topic of the game.
+    :param topic: full name of the topic.
+    :return: full node name; empty: any node may publish, or it is a topic of the game.
     """
     node = SENDERS.get(own_name(topic, namespace), '')
     return prefix_of(namespace) + node if node else ''

@@ -1,8 +1,8 @@
 """
-Files that people write, and YAML within limits.
+Reading of user-supplied files, and of YAML within limits.
 
-Code that reads a file named by a person, a plan or a bag uses the functions here, so that neither
-a device, an endless file nor a text made to blow up can stop or end a command.
+Code that reads a file named by a user, a plan or a bag uses these functions, so that devices,
+endless files and maliciously expanding texts cannot block or crash a command.
 """
 
 from collections.abc import Iterable, Iterator
@@ -23,28 +23,28 @@ if TYPE_CHECKING:
 
 MAX_TEXT = 2**20  # bytes of a text file
 MAX_YAML = 4 * 2**20  # characters of a YAML text
-MAX_NODES = 200_000  # values of a YAML text, with those that aliases repeat
-_MAX_DIRECTIVES = 4  # lines that begin with %; libyaml compares each with all before it
+MAX_NODES = 200_000  # values of a YAML text, including those repeated by aliases
+_MAX_DIRECTIVES = 4  # lines that begin with %; libyaml compares all pairs of them
 _LOADER = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)
 _NUMBER = re.compile(r'-?((0|[1-9]\d{0,399})(\.\d*)?|\.\d+)([eE][-+]?\d+)?', re.ASCII)
 _WORDS: dict[str, bool | None] = {**yaml.SafeLoader.bool_values, '': None, '~': None, 'null': None}
 
 
 class FileError(ValueError):
-    """A file cannot be used; the text says why."""
+    """A file is unusable; the message gives the reason."""
 
 
 class YamlError(FileError):
-    """A text is not YAML that can be used; the text says where and why."""
+    """A YAML text is invalid or exceeds a limit; the message gives the location and reason."""
 
 
 def read_regular(path: Path, limit: int | None = None, flags: int = 0) -> bytes:
     """
-    Return the contents of a regular file; devices, pipes and folders are refused unread.
+    Return the contents of a regular file; reject devices, pipes and folders without reading.
 
-    :param limit: in bytes; None: no limit.
-    :param flags: of ``os.open``, besides those of reading.
-    :raises OSError: it cannot be read, is not a regular file, or is larger.
+    :param limit: maximum size in bytes; None: no limit.
+    :param flags: additional flags for ``os.open``.
+    :raises OSError: the file cannot be read, is not regular, or exceeds the limit.
     """
     handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC | flags)
     try:
@@ -61,23 +61,23 @@ def read_regular(path: Path, limit: int | None = None, flags: int = 0) -> bytes:
 
 def read_bytes(path: Path, limit: int = MAX_TEXT) -> bytes:
     """
-    Return the contents of a regular file that a person named.
+    Return the contents of a regular file named by the user.
 
-    :raises FileError: as ``read_regular``, or the path cannot be one.
+    :raises FileError: as in ``read_regular``, or the path is not a valid file name.
     """
     try:
         return read_regular(path, limit)
     except OSError as error:
         raise FileError(f'cannot read {_named(path)}: {error.strerror}') from error
-    except ValueError as error:  # a NUL, or a name that is not in the encoding of file names
+    except ValueError as error:  # a NUL, or a name that the file system cannot encode
         raise FileError(f'cannot read {_named(path)}: it is not a file name') from error
 
 
 def read_text(path: Path, limit: int = MAX_TEXT) -> str:
     """
-    Return the text of a regular file in UTF-8, without a byte order mark.
+    Return the text of a regular UTF-8 file, without a byte order mark.
 
-    :raises FileError: as ``read_bytes``, or it is not UTF-8.
+    :raises FileError: as in ``read_bytes``, or the file is not UTF-8.
     """
     try:
         text = read_bytes(path, limit).decode('utf-8-sig')
@@ -88,9 +88,9 @@ def read_text(path: Path, limit: int = MAX_TEXT) -> str:
 
 def read_yaml(path: Path, limit: int = MAX_TEXT) -> Any:
     """
-    Return the value of a YAML file, as ``parse_yaml`` does.
+    Parse a YAML file with ``parse_yaml``.
 
-    :raises FileError: it cannot be read, or is not YAML that can be used.
+    :raises FileError: the file cannot be read, or its YAML is invalid.
     """
     text = read_text(path, limit)
     try:
@@ -105,14 +105,14 @@ def _named(path: Path) -> str:
 
 def parse_yaml(text: str) -> Any:
     """
-    Return the value of a YAML text: dict, list, str, int, float, bool or None.
+    Parse a YAML text into dict, list, str, int, float, bool or None.
 
-    Keys are texts, as written. Numbers are decimal, as in JSON and YAML 1.2; dates and other
-    notations (010, 0x1F, 1_000, 12:30) are texts. Booleans are those of YAML 1.1: yes, no, on and
-    off too.
+    Keys are strings, as written. Numbers are decimal, as in JSON and YAML 1.2; dates and other
+    notations (010, 0x1F, 1_000, 12:30) are strings. Booleans are those of YAML 1.1, including yes,
+    no, on and off.
 
-    :raises YamlError: it is not YAML, exceeds a limit above, has two equal keys, merge keys (<<),
-        tags or several documents, or holds a number that is too large or not finite.
+    :raises YamlError: the text is invalid, exceeds a limit above, has duplicate keys, merge keys
+        (<<), tags or several documents, or contains a number that is too large or not finite.
     """
     if len(text) > MAX_YAML:
         raise YamlError(f'it has {len(text):,} characters, and {MAX_YAML:,} are allowed')
@@ -135,9 +135,9 @@ def parse_yaml(text: str) -> Any:
 
 def _check_events(text: str) -> None:
     """
-    Check depth, size and tags without recursion: the parser itself would overflow the C stack.
+    Check depth, size and tags without recursion, since the parser could overflow the C stack.
 
-    :raises YamlError: a limit is exceeded, or there is a tag.
+    :raises YamlError: a limit is exceeded, or the text contains a tag.
     """
     depth = 0
     for number, event in enumerate(yaml.parse(text, Loader=_LOADER)):
@@ -152,7 +152,7 @@ def _check_events(text: str) -> None:
 
 
 def _value(node: yaml.Node, depth: int, number: Iterator[int]) -> Any:
-    """Return the value of a node; depth and number grow with each value that an alias repeats."""
+    """Return the value of a node; values repeated by aliases count towards depth and number."""
     if depth > MAX_DEPTH:
         raise _refused(node, f'it is nested more than {MAX_DEPTH} levels deep')
     if next(number) > MAX_NODES:
@@ -184,9 +184,9 @@ def _place(mark: Any) -> str:
 
 def fault_in(error: 'ValidationError', known: Iterable[str] = ()) -> str:
     """
-    Return the first thing that is wrong with the values of a file, in one line.
+    Describe the first validation error of a file in one line.
 
-    :param known: keys that the file may have.
+    :param known: keys allowed in the file.
     """
     first = error.errors(include_url=False)[0]
     place = ' '.join(str(each + 1 if isinstance(each, int) else each) for each in first['loc'])

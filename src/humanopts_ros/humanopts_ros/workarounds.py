@@ -1,7 +1,7 @@
 """
-What humanopts does about faults of the middleware and the C library, each with its source.
+Workarounds for defects of the middleware and the C library, each with a reference.
 
-Nothing here imports ROS: what watches a node gets it from outside.
+This module does not import ROS; nodes are passed in by the caller.
 """
 
 from collections.abc import Callable
@@ -27,30 +27,29 @@ from humanopts_ros.middleware import (
 )
 import psutil
 
-# Discovery. With LOCALHOST Fast DDS sockets are bound to every interface, and nodes on the
-# network are heard: https://github.com/ros2/rmw_fastrtps/issues/821
-# Interfaces are looked at once, at the start: https://github.com/eProsima/Fast-DDS/issues/1880
+# Discovery. Even with LOCALHOST, Fast DDS binds its sockets to every interface and discovers nodes
+# on the network: https://github.com/ros2/rmw_fastrtps/issues/821
+# Interfaces are enumerated only at startup: https://github.com/eProsima/Fast-DDS/issues/1880
 
-READ_PROFILES = 'RMW_FASTRTPS_USE_QOS_FROM_XML'  # '1': what a profile says of memory, too
+READ_PROFILES = 'RMW_FASTRTPS_USE_QOS_FROM_XML'  # '1': also apply memory policies of profiles
 _READERS = 'jazzy', 'rmw_fastrtps_cpp'  # distribution and middleware that read both profiles
-_USUAL_PROFILES = Path('DEFAULT_FASTRTPS_PROFILES.xml')  # of the working folder: read, too
+_USUAL_PROFILES = Path('DEFAULT_FASTRTPS_PROFILES.xml')  # also read, from the working directory
 _NETWORK_WAIT = 10.0  # s
-_NETWORK_PERIOD = 0.05  # s between looks
+_NETWORK_PERIOD = 0.05  # s between checks
 
 
 def prepare_discovery() -> None:
     """
-    Make Fast DDS announce this process often and give memory back, unless the user has profiles.
+    Make Fast DDS announce this process often and release memory, unless the user has profiles.
 
-    Where the graph spans machines this waits for their network: a process announces the addresses
-    that it has when it joins the graph, and never others.
+    If the graph spans machines, wait for the network: a process announces only the addresses that
+    it has when it joins the graph.
 
-    Where the graph is to stay on this machine (LOCALHOST, and no peers elsewhere), sockets are
-    bound to the loopback interface by a profile, which says all that the range would, so the
-    range is set to change nothing of it. The range stays where another ROS or another
-    middleware may not read the profile.
+    If the graph is restricted to this machine (LOCALHOST without peers), a profile binds the
+    sockets to the loopback interface. The profile replaces the range, which is set to a neutral
+    value, unless another ROS distribution or middleware might not read the profile.
 
-    :raises MiddlewareError: ROS cannot start with the settings of the shell.
+    :raises MiddlewareError: ROS cannot start with the environment's settings.
     """
     check_settings()
     _await_network()
@@ -60,7 +59,7 @@ def prepare_discovery() -> None:
     )
     given = {os.environ[name] for name in PROFILES if name in os.environ}
     if given - {loopback} or (not given and _USUAL_PROFILES.exists()):
-        return  # profiles of the user; the loopback's are by the process that started this one
+        return  # user profiles; the loopback profile is inherited from the parent process
     stays = stays_here() and _reads_profiles()
     if stays:
         os.environ[RANGE] = 'SYSTEM_DEFAULT'
@@ -69,7 +68,7 @@ def prepare_discovery() -> None:
 
 
 def on_loopback() -> bool:
-    """Return whether this process's graph is known to be on the loopback interface alone."""
+    """Return whether this process's graph is known to use only the loopback interface."""
     mine = os.environ.get(PROFILES[0], '').endswith('loopback_discovery.xml')
     return mine and _reads_profiles()
 
@@ -80,7 +79,7 @@ def _reads_profiles() -> bool:
 
 
 def _await_network() -> None:
-    """Wait until this machine has addresses for the others, or say that it has none."""
+    """Wait until this machine has an address towards every peer; report those without."""
     deadline = time.monotonic() + _NETWORK_WAIT
     while absent := _absent_networks():
         if time.monotonic() > deadline:
@@ -95,11 +94,11 @@ def _await_network() -> None:
 
 
 def _absent_networks() -> list[str]:
-    """Return the other machines that no interface leads to which is up and has a carrier."""
+    """Return the peers that are not reachable through an interface with a carrier."""
     wanted = static_peers()
     if stays_here() or os.environ.get(RANGE) not in ('SUBNET', 'LOCALHOST'):
         return []
-    # An address and a route are there before the carrier, for a second or as long as no cable is.
+    # Address and route exist a second before the carrier, or even without a cable.
     stats = psutil.net_if_stats()
     own = {
         entry.address
@@ -113,20 +112,20 @@ def _absent_networks() -> list[str]:
     return [peer for peer in wanted if address_towards(peer) not in own]
 
 
-# The time of day. Fast DDS ends its waits by it: where it is set back, a wait for what does not
-# come lasts as much longer: https://github.com/ros2/ros2/issues/1080
+# System time. Fast DDS uses it for timeouts: if it is set back, timeouts are extended by the same
+# amount: https://github.com/ros2/ros2/issues/1080
 
 _SET = 1_000_000  # ns; smaller differences from the steady clock are ignored
-_READINGS = 5  # of which the quickest counts: the process may pause in any
-_TIME_PERIOD = 0.5  # s between looks at the time of day
+_READINGS = 5  # number of readings; the fastest is used, since the process may be preempted
+_TIME_PERIOD = 0.5  # s between checks of the system time
 
 
 class TimeOfDay:
     """
-    The time of day at the start, and by how much it was set since.
+    A detector of changes of the system time.
 
-    :ivar now: what it would be at the last look had it not been set, ns since the epoch.
-    :ivar ahead: by how much it was set until then, ns.
+    :ivar now: system time at the last check as if it had not been set, ns since the epoch.
+    :ivar ahead: total offset by which it had been set by then, ns.
     """
 
     def __init__(
@@ -135,17 +134,17 @@ class TimeOfDay:
         steady: Callable[[], int] = lambda: time.clock_gettime_ns(time.CLOCK_BOOTTIME),
     ) -> None:
         """
-        Begin with the time of day.
+        Start from the current system time.
 
-        :param time_of_day: ns since the epoch.
-        :param steady: ns since any time, by a clock that cannot be set; it goes on in a sleep.
+        :param time_of_day: system clock, ns since the epoch.
+        :param steady: steady clock with arbitrary origin, ns; continues during suspend.
         """
         self._time_of_day, self._steady = time_of_day, steady
         self.now, after = self._read()
         self._begun, self.ahead = self.now - after, 0
 
     def look(self) -> int:
-        """Return by how much the time of day was set since the last look, ns; mostly 0."""
+        """Return the offset by which the system time was set since the last check, ns."""
         time_of_day, after = self._read()
         self.now, before = self._begun + after, self.ahead
         if abs(time_of_day - self.now - before) > _SET:
@@ -153,7 +152,7 @@ class TimeOfDay:
         return self.ahead - before
 
     def _read(self) -> tuple[int, int]:
-        """Return the time of day and the steady time at the same moment, ns."""
+        """Return simultaneous readings of the system clock and the steady clock, ns."""
         steady, read = self._steady, self._time_of_day
         readings = [(steady(), read(), steady()) for _ in range(_READINGS)]
         _, time_of_day, after = min(readings, key=lambda reading: reading[2] - reading[0])
@@ -162,9 +161,9 @@ class TimeOfDay:
 
 def watch_time(node: Callable[[], Any]) -> None:
     """
-    Call ``tell_time_set`` of a node, in another thread, whenever the time of day is set.
+    Call ``tell_time_set`` of a node, from another thread, whenever the system time is set.
 
-    :param node: returns the node; None: it is gone.
+    :param node: function that returns the node; None: it is gone.
     """
 
     def watch() -> None:
@@ -176,49 +175,49 @@ def watch_time(node: Callable[[], Any]) -> None:
                 return
             if by := time_of_day.look():
                 watched.tell_time_set(by / 1e9)
-            del watched  # so that it is free while this sleeps
+            del watched  # hold no reference to the node while sleeping
 
     threading.Thread(target=watch, daemon=True).start()
 
 
-# The allocator. Readers of the middleware use much memory for a while, and glibc keeps what they
-# free: https://github.com/eProsima/Fast-DDS/issues/5180
+# Allocator. Readers of the middleware temporarily use a lot of memory, and glibc does not return
+# freed memory: https://github.com/eProsima/Fast-DDS/issues/5180
 
-_GIVING_BACK = 5.0  # s between two givings back of memory, which take 0.3 ms each
+_GIVING_BACK = 5.0  # s between calls of malloc_trim, which take 0.3 ms each
 
 
 class MemoryReturn:
-    """Gives memory that is free back to the operating system, now and then."""
+    """Periodically returns free memory to the operating system."""
 
     def __init__(self, monotonic: Callable[[], float] = time.monotonic) -> None:
         self._monotonic, self._due = monotonic, 0.0
-        self._trim = getattr(ctypes.CDLL(None), 'malloc_trim', None)  # of glibc
+        self._trim = getattr(ctypes.CDLL(None), 'malloc_trim', None)  # glibc only
 
     def __call__(self) -> None:
-        """Give memory back if it is time to; to be called often."""
+        """Return memory if the period has elapsed; call this frequently."""
         if self._trim is not None and (now := self._monotonic()) >= self._due:
             self._due = now + _GIVING_BACK
             self._trim(0)
 
 
-# Timers. While a callback blocks, as one that publishes to a reader which has stopped, an
-# EventsExecutor gathers many calls of one timer: https://github.com/ros2/rclcpp/issues/2771
-# In rclpy 7.1.5 each puts the next one off by a period, so that timers rest for minutes.
+# Timers. While a callback blocks, for example because it publishes to a stalled reader, an
+# EventsExecutor queues many calls of one timer: https://github.com/ros2/rclcpp/issues/2771
+# In rclpy 7.1.5, each queued call delays the next by one period, so timers pause for minutes.
 
-_TIMER_PERIOD = 0.5  # s between looks at timers
+_TIMER_PERIOD = 0.5  # s between checks of timers
 
 
 def reset_postponed(node: Any) -> None:
-    """Reset the timers of a node whose next call is further away than their period."""
+    """Reset a node's timers if their next call is more than one period away."""
     for timer in list(node.timers):
-        with suppress(RuntimeError):  # it was destroyed just now
-            left = timer.time_until_next_call()  # ns; None: it is cancelled
+        with suppress(RuntimeError):  # it may just have been destroyed
+            left = timer.time_until_next_call()  # ns; None: cancelled
             if left is not None and left > timer.timer_period_ns:
                 timer.reset()
 
 
 def look_after_timers(node: Any, ended: threading.Event) -> None:
-    """Reset postponed timers of a node, in another thread, until it has ended."""
+    """Reset delayed timers of a node, from another thread, until it has ended."""
 
     def look() -> None:
         while not ended.wait(_TIMER_PERIOD):
@@ -227,25 +226,24 @@ def look_after_timers(node: Any, ended: threading.Event) -> None:
     threading.Thread(target=look, daemon=True).start()
 
 
-# Leaving. Where participants leave at once, Fast DDS hangs now and then:
+# Shutdown. If participants leave at the same time, Fast DDS occasionally hangs:
 # https://github.com/eProsima/Fast-DDS/issues/6193
 
-_LEAVING = 5  # s to leave the graph
+_LEAVING = 5  # s, time limit for leaving the graph
 
 
 def limit_leaving(seconds: int | None = None) -> None:
     """
     Let SIGALRM end this process if it does not leave the graph in time.
 
-    The node is closed, and what it sent is taken by then.
+    By then the node is closed and its messages have been received.
 
-    :param seconds: 0: no more; None: the usual time.
+    :param seconds: time limit in s; 0: none; None: the default.
     """
     signal.alarm(_LEAVING if seconds is None else seconds)
 
 
-# Pauses. After 20 s without a sign of a process others forget it, and it forgets them, but not at
-# the same moment: then Fast DDS may never connect them again:
-# https://github.com/eProsima/Fast-DDS/issues/457
+# Suspension. After 20 s without contact, processes drop each other, but not simultaneously; then
+# Fast DDS may never reconnect them: https://github.com/eProsima/Fast-DDS/issues/457
 
-MAX_PAUSE = 15.0  # s that a process may be stopped
+MAX_PAUSE = 15.0  # s, maximum time that a process may be suspended

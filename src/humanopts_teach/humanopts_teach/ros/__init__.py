@@ -1,1 +1,1 @@
-"""The ROS nodes of teaching and recording."""
+"""The ROS nodes for teaching and recording."""

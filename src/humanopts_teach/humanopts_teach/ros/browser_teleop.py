@@ -1,4 +1,4 @@
-"""The nodes ``keyboard_teleop`` of all who teach in a browser, in one thread of its server."""
+"""The ``keyboard_teleop`` nodes of all browser participants, in one thread of the server."""
 
 from collections.abc import Callable, Mapping
 import threading
@@ -14,13 +14,13 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from rclpy.utilities import try_shutdown
 
-_IDLE_SECONDS = 0.1  # between looks at what is due where nothing happens
+_IDLE_SECONDS = 0.1  # polling period while idle
 _WAY_OUT = 'this page can be closed'
 Show = Callable[[ScreenView, int], object]
 
 
 class BrowserTeleopNode(TeleopNode):
-    """Shows the dialogue of one participant as frames, which the page draws."""
+    """Provides the dialogue of one participant as frames for the page."""
 
     def __init__(
         self,
@@ -32,8 +32,8 @@ class BrowserTeleopNode(TeleopNode):
         """
         Join the graph of a participant.
 
-        :param show: called with each frame and its number, in the thread of the nodes.
-        :param ended: called once when the person quits, or when an error ends the dialogue.
+        :param show: callback for each frame and its number, invoked in the node thread.
+        :param ended: callback invoked once, when the person quits or an error ends the dialogue.
         """
         given = [Parameter(name, value=value) for name, value in parameters.items()]
         super().__init__(namespace=namespace, parameter_overrides=given)
@@ -42,7 +42,7 @@ class BrowserTeleopNode(TeleopNode):
         self._said_end = False
 
     def turn_once(self) -> None:
-        """Do what is due; an error ends this dialogue and no other."""
+        """Process pending work; an error ends only this dialogue."""
         try:
             self.go_on()
             if self.frame_due():
@@ -56,25 +56,25 @@ class BrowserTeleopNode(TeleopNode):
 
 
 class TeleopThread:
-    """Runs the nodes of all participants, from one context of ROS."""
+    """Runs the nodes of all participants in one ROS context."""
 
     def __init__(self) -> None:
         start_ros(['--ros-args', '--disable-stdout-logs'])
         self._executor = SingleThreadedExecutor()
-        self._nodes: dict[BrowserTeleopNode, Callable[[], object] | None] = {}  # called when gone
+        self._nodes: dict[BrowserTeleopNode, Callable[[], object] | None] = {}  # close callbacks
         self._ending = False
         self._thread = threading.Thread(target=self._run, name='nodes')
         self._thread.start()
 
     def call(self, work: Callable[[], object]) -> None:
-        """Have something done in the thread of the nodes; from any thread."""
+        """Run a callback in the node thread; thread-safe."""
         self._executor.create_task(work)
 
     def open(self, made: Callable[[], BrowserTeleopNode], then: Callable[[Any], object]) -> None:
         """
-        Make a node in the thread of the nodes.
+        Create a node in the node thread.
 
-        :param then: called there with the node, or with the error that it could not be made.
+        :param then: callback invoked there with the node, or with the error that prevented it.
         """
 
         def make() -> None:
@@ -90,7 +90,7 @@ class TeleopThread:
         self.call(make)
 
     def close(self, node: BrowserTeleopNode, then: Callable[[], object]) -> None:
-        """Have a node make its last requests and leave the graph, and call ``then``."""
+        """Let a node send its last requests and leave the graph, then call ``then``."""
 
         def part() -> None:
             node.send_last_requests()
@@ -99,9 +99,9 @@ class TeleopThread:
         self.call(part)
 
     def stop(self) -> None:
-        """End the thread, and the context of ROS."""
+        """Stop the thread and shut down the ROS context."""
         self._ending = True
-        self._executor.wake()  # its wait may last if the time of day was set back
+        self._executor.wake()  # its wait may be long if the system time was set back
         self._thread.join()
         for node in self._nodes:
             node.destroy_node()

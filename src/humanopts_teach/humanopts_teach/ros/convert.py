@@ -1,4 +1,4 @@
-"""The services and actions of the graph as teaching values, and the state of the lesson."""
+"""Conversions between teaching values and the services, actions and messages of the graph."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -20,23 +20,23 @@ _DEMONSTRATIONS = {'demonstrations': (demonstration_to_message, demonstration_fr
 
 @dataclass(frozen=True)
 class Endpoint:
-    """A service or an action, and what it is asked."""
+    """A service or an action and the codecs of its messages."""
 
     kind: Any
     name: str
-    request: Codec[Any, Any]  # of its requests or goals
-    answer: Codec[Answer, Any] | None = None  # of its responses; None: it is an action
+    request: Codec[Any, Any]  # codec of requests or goals
+    answer: Codec[Answer, Any] | None = None  # codec of responses; None: an action
 
 
 def _service(
     request: type, name: str, *more: str, answers: tuple[str, ...] = (), kind: Any = None
 ) -> tuple[type, Endpoint]:
     """
-    Return a type of requests and their service.
+    Return a request type and its service.
 
-    :param more: fields that only the request message has.
-    :param answers: fields that only the response message has.
-    :param kind: type of the service; None: it has the name of the requests.
+    :param more: fields that exist only in the request message.
+    :param answers: fields that exist only in the response message.
+    :param kind: service type; None: the type named like the request.
     """
     service = kind or getattr(srv, request.__name__)
     asked: Codec[Any, Any] = Codec(request, service.Request, of_message=more)

@@ -1,7 +1,7 @@
 """
-The node ``diagnostics``: the states of nodes and recording on ``/diagnostics``, for ROS tools.
+The node ``diagnostics``: states of nodes and recording on ``/diagnostics``, for ROS tools.
 
-These tools read that topic whatever the namespace.
+These tools read that topic regardless of the namespace.
 """
 
 from functools import partial
@@ -26,7 +26,7 @@ _COUNTS = ('path', 'files', 'topics', 'messages', 'bytes', 'missing', 'lag')
 
 
 class DiagnosticsNode(NodeBase):
-    """Publishes the state of all nodes of its namespace once a second."""
+    """Publishes the states of all nodes of its namespace once per second."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__('diagnostics', **options)
@@ -49,9 +49,9 @@ class DiagnosticsNode(NodeBase):
 
 def of_node(status: NodeStatus, there: bool) -> DiagnosticStatus:
     """
-    Return what a node says of itself.
+    Return the diagnostic status of a node.
 
-    :param there: whether it is on the graph; one that is gone is stale.
+    :param there: whether the node is on the graph; a missing node is stale.
     """
     level, word = _LEVELS.get(status.state, (DiagnosticStatus.ERROR, 'unknown'))
     if not there and status.state != NodeStatus.STATE_STOPPING:
@@ -60,7 +60,7 @@ def of_node(status: NodeStatus, there: bool) -> DiagnosticStatus:
 
 
 def of_recording(name: str, status: RecorderStatus) -> DiagnosticStatus:
-    """Return the state of the recording."""
+    """Return the diagnostic status of the recording."""
     level, word = DiagnosticStatus.OK, 'recording'
     if status.behind or status.missing or not status.complete:
         level, word = DiagnosticStatus.WARN, 'not whole'

@@ -1,4 +1,4 @@
-"""One goal of an action: sent, accepted or not, and its result."""
+"""An action goal: acceptance and result as futures."""
 
 from collections.abc import Callable
 from typing import Any
@@ -9,17 +9,17 @@ from rclpy.task import Future
 
 class Goal:
     """
-    A goal that was sent.
+    A goal sent to an action server.
 
-    :ivar accepted: a future: whether the server takes it.
-    :ivar result: a future: the ``result`` of the action's result; never done where it is not
-        accepted, or its server has ended.
+    :ivar accepted: future: whether the server accepts the goal.
+    :ivar result: future: the ``result`` field of the action's result; never done if the goal is
+        rejected or the server has ended.
     """
 
     def __init__(
         self, client: ActionClient, goal: Any, on_feedback: Callable[[Any], object]
     ) -> None:
-        """Send it; the server is matched, or the goal would be lost."""
+        """Send the goal; the server must be matched, or the goal is lost."""
         self.accepted, self.result = Future(), Future()
         self._handle: Any = None
         sent = client.send_goal_async(
@@ -28,7 +28,7 @@ class Goal:
         sent.add_done_callback(self._on_answer)
 
     def cancel(self) -> Future:
-        """Ask the server to cancel it, once it is accepted; return the future of the answer."""
+        """Cancel the accepted goal and return the future of the response."""
         asked: Future = self._handle.cancel_goal_async()
         return asked
 

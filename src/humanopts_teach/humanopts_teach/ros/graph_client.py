@@ -1,4 +1,4 @@
-"""The command line's own node: sees that the graph is ready, and asks it for work."""
+"""The command line's node: waits until the graph is ready, and sends it requests."""
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -29,11 +29,11 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.utilities import try_shutdown
 
 LESSON, PLANNER = 'lesson', 'planner'
-_PATIENCE = 5.0  # s; a pause may pass, or another node is about to say or show its cause
-_LEASE = 20.0  # s that readers that were killed still hold up those who write to them
-_WORK_SECONDS = 600.0  # for a plan, or for episodes
-_NAMES_PERIOD = 1.0  # s between looks for other processes with names of this launch
-_ROUNDS = 100  # callbacks that are carried out to catch up; more than topics and statuses
+_PATIENCE = 5.0  # s; a pause may be temporary, or another node may report its cause
+_LEASE = 20.0  # s for which killed readers still block their writers
+_WORK_SECONDS = 600.0  # timeout for a plan or for episodes
+_NAMES_PERIOD = 1.0  # s between checks for other processes with names of this launch
+_ROUNDS = 100  # number of callbacks run to catch up; exceeds the number of topics and statuses
 _READY, _PAUSED = msg.NodeStatus.STATE_READY, msg.NodeStatus.STATE_PAUSED
 
 T = TypeVar('T')
@@ -43,14 +43,14 @@ class GraphClient(NodeBase):
     """
     Drives a launched graph from the command line's thread.
 
-    It knows the state of every node and the newest message of the latched topics. Every wait looks
-    after the processes and has a deadline; ``watch`` is called about twenty times a second
-    meanwhile: it checks the processes, and shows progress.
+    It tracks the state of every node and the latest message of each latched topic. Every wait has
+    a deadline and calls ``watch`` about twenty times per second, which checks the processes and
+    shows progress.
 
-    :ivar starting: whether the launch is not ready yet; then another process that has the name of
-        one of its nodes ends it. Nothing that comes later does.
-    :ivar report: called with a line about a process that has the name of a node of the launch.
-    :ivar feedback: of the action under way; None: none has come.
+    :ivar starting: whether the launch is still starting; during this time only, a foreign process
+        with the name of one of its nodes aborts it.
+    :ivar report: callback for a line about a foreign process with the name of a node.
+    :ivar feedback: latest feedback of the active action; None: none.
     """
 
     state: Observed | None = None
@@ -58,7 +58,7 @@ class GraphClient(NodeBase):
     lesson: msg.LessonState | None = None
     learning: msg.LearningStatus | None = None
     options: Sequence[LearnedOption] = ()
-    newest_option = msg.LearnedOption()  # the message that completed the options
+    newest_option = msg.LearnedOption()  # message that completed the options
     recorder: msg.RecorderStatus | None = None
 
     def __init__(
@@ -76,16 +76,16 @@ class GraphClient(NodeBase):
         super().__init__(CONDUCTOR)
         self.starting = True
         self.report: Callable[[str], object] = lambda line: None
-        self._own: dict[str, str] = {}  # node by publisher_id, of each process of this launch
-        self._reported: set[str] = set()  # other processes with such a name
-        self._names_at = 0.0  # when to look for these again, s
-        self._ends: Counter[str] = Counter()  # of own processes, by node
-        self._resent = 0  # sequence of the lesson's status from which all is in the newest bag
-        self._awaited: set[str] = set()  # nodes of this launch; others may be started again
+        self._own: dict[str, str] = {}  # node by publisher_id, for processes of this launch
+        self._reported: set[str] = set()  # reported foreign processes
+        self._names_at = 0.0  # s, time of the next check for them
+        self._ends: Counter[str] = Counter()  # exits of own processes, by node
+        self._resent = 0  # lesson status sequence from which the newest bag is complete
+        self._awaited: set[str] = set()  # required nodes of this launch
         self.feedback: Any = None
         self._record, self._bag = bool(parameters['expect_recorder']), bag
         self._watch = watch
-        self._fine = time.monotonic()  # when no node was paused last, or may be for a while, s
+        self._fine = time.monotonic()  # s, last time without pauses, or end of a grace period
         self._statuses = self.peers.statuses
         for kind, topic, name in (
             (msg.LessonState, 'lesson_state', 'lesson'),
@@ -117,12 +117,12 @@ class GraphClient(NodeBase):
         progress: Callable[[], object] = lambda: None,
     ) -> None:
         """
-        Serve the graph until ``done``.
+        Serve the graph until ``done`` returns True.
 
-        :param seconds: longest wait for ``done``, or for the next change of ``progress``.
-        :param what: what is waited for, to complete "gave up waiting for ...".
-        :param progress: anything that changes as long as the work goes on.
-        :raises LaunchError: a process died, a node cannot go on, or the time is over.
+        :param seconds: maximum wait for ``done`` or for the next change of ``progress``.
+        :param what: awaited event; completes "gave up waiting for ...".
+        :param progress: function whose result changes while work continues.
+        :raises LaunchError: a process died, a node cannot continue, or the wait timed out.
         """
         deadline = time.monotonic() + seconds
         looked, last = 0.0, progress()
@@ -143,10 +143,11 @@ class GraphClient(NodeBase):
 
     def wait_ready(self, names: list[str], seconds: float = 60.0) -> None:
         """
-        Wait until nodes and this one are ready and, if one runs, the recorder has every topic.
+        Wait until this and other nodes are ready and a recorder, if any, has every topic.
 
-        :param seconds: longest wait for the next change of what is missing.
-        :raises LaunchError: as ``wait``; the text says which nodes are missing.
+        :param names: names of the other nodes.
+        :param seconds: maximum wait for the next change of the missing nodes.
+        :raises LaunchError: as in ``wait``; the message lists the missing nodes.
         """
         nodes = [name.rpartition('/')[2] for name in names]
         self._awaited.update(nodes)
@@ -166,12 +167,12 @@ class GraphClient(NodeBase):
         self, action_set: str, episodes: int, seed: int, game_steps: int = 0
     ) -> msg.PlanResult:
         """
-        Plan with the newest options, and evaluate the plan.
+        Plan with the latest options and evaluate the plan.
 
-        :param episodes: to evaluate it on; 0: it is not evaluated.
-        :param seed: of all random draws.
-        :param game_steps: to sample from; 0: the default.
-        :raises LaunchError: it refused, failed or did not answer.
+        :param episodes: number of evaluation episodes; 0: no evaluation.
+        :param seed: seed of all random draws.
+        :param game_steps: number of game steps to sample; 0: the default.
+        :raises LaunchError: the planner refused, failed or did not respond.
         """
         goal = Plan.Goal(
             action_set=action_set,
@@ -191,10 +192,10 @@ class GraphClient(NodeBase):
         """
         Play episodes through the option server.
 
-        Where it has no plan, or not with the newest options, it plans first.
+        Plans first if there is no plan with the latest options.
 
-        :param game_steps: to sample that plan from; 0: the default.
-        :raises LaunchError: it refused, failed or did not answer.
+        :param game_steps: number of game steps to sample for that plan; 0: the default.
+        :raises LaunchError: the planner refused, failed or did not respond.
         """
         goal = RunPolicy.Goal(action_set=action_set, episodes=episodes, seed=seed)
         result: msg.PolicyResult = self._act(self._policy_client, goal, 'the episodes')
@@ -212,7 +213,7 @@ class GraphClient(NodeBase):
         return not self._resent or (there and self.peers.state(LESSON) == _READY)
 
     def learned(self) -> list[tuple[LearnedOption, msg.OptionStatus]]:
-        """Return every learned option and its status."""
+        """Return all learned options with their statuses."""
         entries = self.learning.options if self.learning is not None else ()
         status = {(entry.participant, entry.option_name): entry for entry in entries}
         return [
@@ -225,11 +226,11 @@ class GraphClient(NodeBase):
         """
         Serve the graph until an interrupt.
 
-        :param check: called all the while, to look after the processes.
-        :param report: called with a line when a node of the launch pauses, and when it goes on.
-        :raises LaunchError: from ``check``.
+        :param check: callback invoked continuously to monitor the processes.
+        :param report: callback for a line when a node of the launch pauses or resumes.
+        :raises LaunchError: raised by ``check``.
         """
-        paused: dict[str, str] = {}  # what was reported
+        paused: dict[str, str] = {}  # reported pauses
         while True:
             self.take(0.05)
             check()
@@ -243,7 +244,7 @@ class GraphClient(NodeBase):
                     report(f'{self.full_name(name)} goes on')
 
     def take(self, seconds: float) -> None:
-        """Process one message, once there is one."""
+        """Wait for one message and process it."""
         self.turn(self._executor, seconds)
 
     def catch_up(self) -> None:
@@ -252,7 +253,7 @@ class GraphClient(NodeBase):
             self.take(0.0)
 
     def unrecorded(self) -> str:
-        """Return why the bag is incomplete or nothing is recorded; empty: no reason is known."""
+        """Return why the bag is incomplete or nothing is recorded; empty: no known reason."""
         return self._stopped() or (shown(self.lesson.paused) if self.lesson is not None else '')
 
     def teacher_finished(self) -> bool:
@@ -261,9 +262,9 @@ class GraphClient(NodeBase):
 
     def knows_learned(self, option_name: str) -> bool:
         """
-        Return whether an option is finished, and all that was learned until then has come here.
+        Return whether an option is finished and its final learning results have arrived.
 
-        Messages of different nodes arrive in any order.
+        Messages of different nodes may arrive in any order.
         """
         lesson, learning = self.lesson, self.learning
         if lesson is None or learning is None:
@@ -277,7 +278,7 @@ class GraphClient(NodeBase):
         )
 
     def taught_so_far(self) -> tuple[object, int]:
-        """Return what changes during teaching: the newest step and learning status."""
+        """Return the progress of teaching: the latest step and learning status."""
         state, learning = self.state, self.learning
         return state, learning.sequence if learning else 0
 
@@ -296,26 +297,26 @@ class GraphClient(NodeBase):
 
     def retry(self, work: Callable[[], T]) -> T:
         """
-        Do work, and repeat it if it fails while a node is restarted.
+        Do work, and repeat it if it fails because a node is restarted.
 
-        :param work: raises a LaunchError where it fails.
-        :raises LaunchError: it failed although every node went on, or a node is given up.
+        :param work: function that raises a LaunchError on failure.
+        :raises LaunchError: the work failed without a restart, or a node cannot be restarted.
         """
         while True:
             before = self._ends.total()
             try:
                 return work()
             except LaunchError:
-                self._watch()  # a node may have ended just now
+                self._watch()  # a node may just have ended
                 if self._ends.total() == before:
                     raise
                 self.wait_ready(sorted(self._awaited))
 
     def note_start(self, name: str, instance: str) -> None:
         """
-        Note that a process of a node of this launch is about to be started.
+        Register a process of a node of this launch that is about to start.
 
-        :param instance: suffix of its publisher_id; only that process counts as the node.
+        :param instance: suffix of its publisher_id; only that process is accepted as the node.
         """
         publisher_id = f'{self.full_name(name)}#{instance}'
         self._own[publisher_id] = name
@@ -323,16 +324,16 @@ class GraphClient(NodeBase):
 
     def note_end(self, end: NodeExit, instance: str) -> None:
         """
-        Publish that a node ended; the next process of that name replaces it.
+        Publish that a node has ended; the next process with its name replaces it.
 
-        :param instance: suffix of its process's publisher_id; late statuses are ignored.
+        :param instance: suffix of the process's publisher_id; its late statuses are ignored.
         """
         self._ends[end.node] += end.again
         self._fine = time.monotonic() + _LEASE
         self.peers.forget(f'{self.full_name(end.node)}#{instance}')
-        if end.node == LESSON:  # the next one sends everything
+        if end.node == LESSON:  # the next lesson resends everything
             self._resent = min(self._resent, 1)
-        if end.node == RECORDER and LESSON in self._statuses:  # it pauses, and then goes on
+        if end.node == RECORDER and LESSON in self._statuses:  # the lesson pauses, then resumes
             lesson = self._statuses[LESSON]
             self._resent = lesson.sequence + (1 if lesson.state == _PAUSED else 2)
         self.get_logger().error(end.sentence)
@@ -342,17 +343,17 @@ class GraphClient(NodeBase):
         self.options, self.newest_option = options, newest
 
     def _text(self, name: str) -> str:
-        """Return the text of a node's status."""
+        """Return the status text of a node."""
         return one_line(self._statuses[name].text) if name in self._statuses else ''
 
     def _stopped(self) -> str:
-        """Return why the launch's recorder has stopped, and what is left; empty: it has not."""
+        """Return why the recorder has stopped, and how to read the bag; empty: it has not."""
         if self.peers.state(RECORDER) != _PAUSED:
             return ''
         return f'{self._text(RECORDER)}. The bag can be read: humanopts bag info {self._bag}'
 
     def _missing(self, names: Sequence[str]) -> list[str]:
-        """Return what a launch still waits for, with the text of each node's status."""
+        """Return the missing nodes of a launch, each with its status text."""
         lacking = [name for name in names if self.peers.state(name) != _READY]
         if not self.ready:
             lacking.append(CONDUCTOR)
@@ -369,7 +370,7 @@ class GraphClient(NodeBase):
         """
         Check whether a required node is paused.
 
-        :raises LaunchError: the recorder is, or another one is for too long.
+        :raises LaunchError: the recorder is paused, or another node for too long.
         """
         if stopped := self._stopped():
             raise LaunchError(stopped)
@@ -383,9 +384,9 @@ class GraphClient(NodeBase):
 
     def _check_names(self) -> None:
         """
-        Check for other processes with names of nodes of this launch.
+        Check for foreign processes with names of nodes of this launch.
 
-        :raises OccupiedError: one has while the launch starts.
+        :raises OccupiedError: one is found while the launch is starting.
         """
         now = time.monotonic()
         if not self.starting and now < self._names_at:

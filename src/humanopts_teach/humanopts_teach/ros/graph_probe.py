@@ -1,4 +1,4 @@
-"""Looks at a graph from outside, before a launch and for ``status``: it publishes nothing."""
+"""Inspects a graph without publishing, before a launch and for ``status``."""
 
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager, suppress
@@ -31,13 +31,13 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.task import Future
 
-_SEARCH = 1.5  # s in which nodes are found; less where all of a launch on this machine are
-_LOOK_PERIOD = 0.02  # s between looks for nodes
-_SETTLING = 0.3  # s from when every process here is found until its nodes surely are
-_REMOTE = 1.5  # s in which processes of other machines are found
-_LONGEST = 5.0  # s, where a process here is never found, as one that is stopped
-_LEAVING = 3.0  # s for nodes to leave whose launcher was killed
-_WINDOW = 1.2  # s for them to answer, and between the two looks from which rates are
+_SEARCH = 1.5  # s to discover nodes; ends early if all nodes of a local launch are found
+_LOOK_PERIOD = 0.02  # s between checks for nodes
+_SETTLING = 0.3  # s from the discovery of all local processes to that of their nodes
+_REMOTE = 1.5  # s to discover processes on other machines
+_LONGEST = 5.0  # s, limit if a local process is never discovered, such as a suspended one
+_LEAVING = 3.0  # s for nodes to leave after their launcher was killed
+_WINDOW = 1.2  # s for nodes to respond, and between the two samples for rates
 _RECORDER = Codec(
     RecorderReport,
     msg.RecorderStatus,
@@ -53,22 +53,22 @@ _STATES = {
 
 
 def probe_graph(namespace: str) -> GraphReport:
-    """Look at the nodes of a namespace in this ROS_DOMAIN_ID; takes about two seconds."""
+    """Inspect the nodes of a namespace in this ROS_DOMAIN_ID; takes about two seconds."""
     with _listener(namespace, 'status') as node:
         return _Probe(namespace, node).report()
 
 
 def check_free(namespace: str, names: Collection[str]) -> None:
     """
-    Check that nodes of a launch are not on the graph, whoever has started them.
+    Check that the nodes of a launch are not already on the graph.
 
-    The game may have any name: where one is to be started, no node may serve another there.
+    Since a game may have any name, launching a game requires that no other game is present.
 
-    It waits until every process of this ROS_DOMAIN_ID on this machine is found, and a moment for
-    those of other machines where the graph spans some.
+    Waits until every process of this ROS_DOMAIN_ID on this machine is discovered and, if the graph
+    spans machines, briefly for processes of other machines.
 
-    :param names: of the nodes, without the namespace.
-    :raises OccupiedError: some are there, and do not leave in a while.
+    :param names: node names, without the namespace.
+    :raises OccupiedError: some nodes are present and do not leave in time.
     """
     prepare_discovery()
     if on_loopback() and not _participants_here():
@@ -77,7 +77,7 @@ def check_free(namespace: str, names: Collection[str]) -> None:
     with _listener(namespace, 'newcomer') as node:
         began = now = time.monotonic()
         earliest = began if on_loopback() else began + _REMOTE
-        complete = leaving = 0.0  # since when all are found, and some are in the way; 0: not now
+        complete = leaving = 0.0  # s, start of these conditions; 0: not met
         while True:
             found = node_names(node)
             games = [*map(signer, stated_ids(node, 'game'))] if 'game' in names else []
@@ -100,10 +100,10 @@ def check_free(namespace: str, names: Collection[str]) -> None:
 
 def _participants_here() -> set[str]:
     """
-    Return the addresses on this machine where processes of this ROS_DOMAIN_ID hear of others.
+    Return the local discovery addresses of processes in this ROS_DOMAIN_ID.
 
-    The ports follow from the RTPS specification: 250 for each domain from 7400 on, and of those,
-    from the tenth on, two for each process.
+    The ports follow from the RTPS specification: 250 ports per domain, starting at 7400; from
+    offset 10, two ports per process.
     """
     first, found = 7400 + 250 * domain_id(), set[str]()
     for table in ('udp', 'udp6'):
@@ -120,14 +120,14 @@ def _participants_here() -> set[str]:
 
 
 def _n_processes(node: Node) -> int:
-    """Return how many processes a node has found, its own among them."""
+    """Return the number of processes a node has discovered, including its own."""
     found = node.get_publishers_info_by_topic('ros_discovery_info', no_mangle=True)
     return len({bytes(each.endpoint_gid[:12]) for each in found})
 
 
 @contextmanager
 def _listener(namespace: str, name: str) -> Iterator[Node]:
-    """Join the graph with a node that publishes nothing."""
+    """Join the graph with a node that does not publish."""
     context = Context()
     start_ros(context=context)
     try:
@@ -147,36 +147,36 @@ def _listener(namespace: str, name: str) -> Iterator[Node]:
 
 def _processes_of_launch(namespace: str) -> dict[str, psutil.Process | None]:
     """
-    Return the processes of the launches in a namespace on this machine.
+    Return the processes of launches in a namespace on this machine.
 
-    :return: by name of the node; None: it has ended and is to be started again.
+    :return: processes by node name; None: the process has ended and will be restarted.
     """
     holders = {name: who[0] for name in MODULES if (who := holder(namespace, name)) is not None}
     found: dict[str, psutil.Process | None] = dict.fromkeys(holders)
     for number in sorted(set(holders.values())):
-        with suppress(psutil.Error, ValueError):  # it ends just now, or is in another container
+        with suppress(psutil.Error, ValueError):  # it just ended, or is in another container
             launcher = psutil.Process(number)
             for process in launcher.children(recursive=True):
                 with suppress(psutil.Error):
-                    words = ' '.join(process.cmdline()).rstrip()  # of a fork: one, and empty ones
+                    words = ' '.join(process.cmdline()).rstrip()  # of a fork: one word and empty ones
                     name = Path(words.partition(f'{PARAMETERS} ')[2]).stem
-                    if name in MODULES:  # "ros2 launch" names its files otherwise
+                    if name in MODULES:  # "ros2 launch" uses other file names
                         found |= {name: process, CONDUCTOR: launcher}
     return found
 
 
 class _Probe:
-    """A node that listens, asks every other node for a parameter, and takes the time."""
+    """A listener that also measures how long each node takes to respond to a request."""
 
     def __init__(self, namespace: str, node: Node) -> None:
         self._namespace, self._node = namespace, node
         self._executor = SingleThreadedExecutor(context=node.context)
         self._executor.add_node(node)
         self._peers = Peers(node)
-        self._newest: dict[str, Any] = {}  # message by topic
+        self._newest: dict[str, Any] = {}  # latest message by topic
         self._games: set[str] = set()  # publisher ids
-        self._sent: dict[str, float] = {}  # when each node was asked, s
-        self._answers: dict[str, float] = {}  # s, by node
+        self._sent: dict[str, float] = {}  # s, time of the request by node
+        self._answers: dict[str, float] = {}  # s, response time by node
         self._processes = _processes_of_launch(namespace)
         for kind, topic in (
             (msg.RecorderStatus, 'recorder_status'),
@@ -187,7 +187,7 @@ class _Probe:
             self._node.create_subscription(kind, topic, partial(self._keep, topic), CURRENT)
 
     def report(self) -> GraphReport:
-        """Find the nodes, ask them, and look twice."""
+        """Discover the nodes, send requests, and sample the topics twice."""
         try:
             return self._report()
         finally:
@@ -227,7 +227,7 @@ class _Probe:
                 (rate('current_state', 'sequence') or 0.0) if 'current_state' in newest else None
             ),
             holder=newest.get('control', msg.ControlState()).holder_id,
-            # One that was killed stays on the graph for a while, but sends nothing.
+            # A killed game stays on the graph for a while but does not publish.
             games=[each for each in stated_ids(self._node, 'game') if each in self._games],
         )
 
@@ -237,7 +237,7 @@ class _Probe:
             self._executor.spin_once(min(left, 0.05))
 
     def _ask(self, clients: dict[str, Client]) -> bool:
-        """Ask the nodes that are found by now for a parameter; return whether all answered."""
+        """Send a request to each node found so far; return whether all have responded."""
         for name, client in clients.items():
             if name not in self._sent and client.service_is_ready():
                 self._sent[name] = time.monotonic()
@@ -249,7 +249,7 @@ class _Probe:
         self._answers[name] = time.monotonic() - self._sent[name]
 
     def _keep(self, topic: str, message: Any) -> None:
-        """Keep the newest message of the node that may publish on a topic."""
+        """Keep the latest message from the permitted publisher of a topic."""
         sender = sender_of(self._node.resolve_topic_name(topic), self._namespace)
         publisher_id = message.publisher_id
         games = stated_ids(self._node, 'game')
@@ -271,13 +271,13 @@ class _Probe:
                         'memory': process.memory_info().rss,
                         'threads': process.num_threads(),
                     }
-            except psutil.Error:  # it ended just now
+            except psutil.Error:  # it just ended
                 pass
         return NodeReport(
             name,
             _STATES.get(status.state, ''),
             self._answers.get(name),
-            name != CONDUCTOR,  # it serves the graph only while it waits
+            name != CONDUCTOR,  # the conductor responds only while it waits
             status.text,
             status.restarts,
             **found,
@@ -289,6 +289,6 @@ class _Probe:
             return None
         try:
             left = shutil.disk_usage(status.path).free
-        except OSError:  # it records on another machine
+        except OSError:  # the recorder runs on another machine
             left = None
         return _RECORDER.decode(status, rate=rate, disk_left=left)

@@ -15,14 +15,14 @@ _FAREWELL = 'Everything taught is saved; the same command takes it up again.'
 
 
 class KeyboardTeleopNode(TeleopNode):
-    """Owns the terminal."""
+    """The node that owns the terminal."""
 
     def serve(self, executor: Executor, stop: Callable[[], bool]) -> None:
-        """Serve the person until they quit, the terminal is gone, or the process is to end."""
+        """Serve the person until they quit, the terminal is closed, or the process must stop."""
         with Device(_FAREWELL) as device:
             while not (stop() or self.app.ended or device.closed):
                 self.turn(executor, POLL_SECONDS)
-                if not device.ours():  # suspended: what is held stays held
+                if not device.ours():  # suspended: control is kept
                     self.go_on()
                     continue
                 keys = device.read()

@@ -1,8 +1,8 @@
 """
 Teaching from a program: a client of the lesson and its game.
 
-The terminal and the simulated teacher are written on it. A program of your own is a coroutine
-that gets a client; ``run_with_lesson`` makes the node and runs the coroutine to its end.
+The terminal and the simulated teacher are based on it. A custom program is a coroutine that takes
+a client; ``run_with_lesson`` creates the node and runs the coroutine to completion.
 """
 
 from collections.abc import Callable, Coroutine, Mapping
@@ -47,23 +47,23 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.task import Future
 from rclpy.utilities import try_shutdown
 
-LESSON = 'lesson'  # name of the node
+LESSON = 'lesson'  # node name
 _OK = Answer(RequestStatus.OK, '')
 _LOST = Answer(
     RequestStatus.REFUSED,
     'a node was restarted meanwhile, or the lesson is in another session; check its state',
 )
 _PATIENCE = 30.0  # s
-_GIVE_BACK = 5.0  # s for game to take control back
-_RENEWAL = 0.5  # s between signs that this node goes on, while it holds control
+_GIVE_BACK = 5.0  # s, timeout for returning control to the game
+_RENEWAL = 0.5  # s between heartbeats while this node holds control
 
 
 class LessonClientError(RuntimeError):
-    """A lesson cannot go on as asked; the text says why."""
+    """A lesson cannot continue as requested; the message gives the reason."""
 
 
 class RefusedError(LessonClientError):
-    """The lesson or the game refused a request; ``answer`` has the status and the reason."""
+    """The lesson or the game refused a request; ``answer`` contains the status and the reason."""
 
     def __init__(self, what: str, answer: Answer) -> None:
         super().__init__(f'{what} was refused: {answer.detail}')
@@ -72,14 +72,14 @@ class RefusedError(LessonClientError):
 
 
 class NoAnswerError(LessonClientError):
-    """No answer came in time, or it had no effect; the text says what was waited for."""
+    """An answer or its effect did not arrive in time; the message names the awaited event."""
 
 
 class LessonClient:
     """
-    Teaches and drives like a person, and follows lesson and game.
+    A client that teaches and drives like a person, and tracks lesson and game.
 
-    :ivar world: the newest of what was published.
+    :ivar world: latest published state.
     """
 
     def __init__(
@@ -93,16 +93,16 @@ class LessonClient:
         """
         Create the clients, publishers and subscriptions on a node.
 
-        :param services: those that can be asked, beside ``set_control``.
-        :param patience: longest wait for one answer or one change, s.
-        :param on_news: called after ``domain``, ``lesson`` or ``game`` has changed.
+        :param services: available services in addition to ``set_control``.
+        :param patience: maximum wait for an answer or a change, s.
+        :param on_news: callback invoked when ``domain``, ``lesson`` or ``game`` has changed.
         """
         self.world = World(me=node.publisher_id)
         self._node = node
         self._patience = patience
         self._on_news = on_news
-        self._driven: list[tuple[Drive, int, Future]] = []  # with its sequence; not answered yet
-        self._asked: list[tuple[str, Future]] = []  # node and answer; not answered yet
+        self._driven: list[tuple[Drive, int, Future]] = []  # pending, with sequence
+        self._asked: list[tuple[str, Future]] = []  # pending, with the node
         self._services = {**services, **CONTROL_SERVICES}
         self._clients: dict[type, Client] = {
             kind: node.recorded_client(service.kind, service.name)
@@ -123,7 +123,7 @@ class LessonClient:
 
     @property
     def domain(self) -> ActableDomain | None:
-        """The rules of the game; None: nothing was published yet."""
+        """The rules of the game; None: not published yet."""
         return self.world.domain
 
     @property
@@ -133,11 +133,11 @@ class LessonClient:
 
     @property
     def game(self) -> Transition | None:
-        """The newest state of the game; None: nothing was published yet."""
+        """The latest state of the game; None: not published yet."""
         return self.world.game if self.world.game.episode else None
 
     def waits_for(self) -> str | None:
-        """Return the first topic or service that is not there yet; None: all are."""
+        """Return the first topic or service that is not available yet; None: all are."""
         for topic, found in (('domain_info', self.domain), ('lesson_state', self.lesson)):
             if found is None:
                 return topic
@@ -148,11 +148,11 @@ class LessonClient:
 
     async def ask(self, request: LessonRequest | Drive) -> Answer:
         """
-        Ask the lesson or drive, and wait until the published state shows the effect.
+        Send a request or an action, and wait until the published state shows its effect.
 
-        :raises RefusedError: it was not carried out, or its effect cannot be seen: a node was
-            restarted, or the lesson is in another session.
-        :raises NoAnswerError: there was no answer, or the state does not show it.
+        :raises RefusedError: the request was not carried out, or its effect cannot be observed
+            because a node was restarted or the lesson is in another session.
+        :raises NoAnswerError: there was no answer, or the state does not show the effect.
         """
         what = self.name_of(request)
         await self.until(lambda: self.is_ready(request), f'{what} to be there')
@@ -173,10 +173,10 @@ class LessonClient:
 
     async def drive(self, action: str) -> Transition:
         """
-        Take one primitive action in the current state, and return the state that it leads to.
+        Take one primitive action in the current state, and return the next state.
 
-        :raises RefusedError: game refused it.
-        :raises NoAnswerError: game did not answer, or has no state yet.
+        :raises RefusedError: the game refused the action.
+        :raises NoAnswerError: the game did not answer, or has no state yet.
         """
         if (game := self.game) is None:
             raise NoAnswerError('game has published no state yet')
@@ -185,7 +185,7 @@ class LessonClient:
         return self.game
 
     async def until_ready(self) -> bool:
-        """Wait until the learner is done; False: the lesson on the option is finished."""
+        """Wait until the learner is done; False: the option's lesson is finished."""
         await self.until(
             lambda: self.lesson is not None and self.lesson.phase is not Phase.LEARNING,
             'the learner',
@@ -193,14 +193,14 @@ class LessonClient:
         return self.lesson is not None and self.lesson.phase is Phase.READY
 
     async def give_back(self) -> bool:
-        """Let the machine drive again; False: game does not answer."""
+        """Return control to the machine; False: the game does not answer."""
         request = SetControl(hold=False)
         if not self.is_ready(request):
             return False
         return await self._node.waiting.until(self.send(request).done, _GIVE_BACK)
 
     def unsubscribe(self) -> None:
-        """Stop following the lesson and the game: nothing more will be asked."""
+        """Stop tracking the lesson and the game; no more requests may be sent."""
         self._game.unsubscribe()
         self._renewal.cancel()
         for subscription in self._subscriptions:
@@ -209,16 +209,16 @@ class LessonClient:
 
     async def until(self, condition: Callable[[], bool], what: str) -> None:
         """
-        Wait for a condition; it is looked at whenever something has changed.
+        Wait for a condition; it is checked at every change.
 
-        :param what: what is waited for, in words.
-        :raises NoAnswerError: it did not come about in time.
+        :param what: description of the awaited event.
+        :raises NoAnswerError: the condition did not become true in time.
         """
         if not await self._node.waiting.until(condition, self._patience):
             raise NoAnswerError(f'gave up after {self._patience:g} s of waiting for {what}')
 
     def is_ready(self, request: ServiceRequest | Drive) -> bool:
-        """Return whether the receiver is matched: a request sent before would be lost."""
+        """Return whether the receiver is matched; a request sent earlier would be lost."""
         if isinstance(request, Drive):
             return self._action.is_matched_by(self._game.name)
         return bool(self._clients[type(request)].service_is_ready())
@@ -227,8 +227,7 @@ class LessonClient:
         """
         Send a request without waiting; the future's result is the ``Answer``.
 
-        An action is answered when game has left the state that it was for, or has refused it.
-
+        An action is answered when the game has left the action's state or has refused the action.
         """
         answer = Future()
         if isinstance(request, Drive):
@@ -248,14 +247,14 @@ class LessonClient:
             message.source = srv.ResetGame.Request.SOURCE_PERSON
 
         def on_response(done: Future) -> None:
-            if answer.done():  # its server was started again
+            if answer.done():  # its server was restarted
                 return
             assert service.answer is not None, 'not an action'
             try:
                 found = service.answer.decode(done.result())
             except ValueError as error:
                 found = Answer(RequestStatus.UNKNOWN, str(error))
-            if isinstance(request, ListOptions):  # having none is an answer, too
+            if isinstance(request, ListOptions):  # an empty list is also an answer
                 found = replace(found, status=RequestStatus.OK)
             answer.set_result(found)
             self._node.waiting.check()
@@ -266,18 +265,18 @@ class LessonClient:
         return answer
 
     def name_of(self, request: ServiceRequest | Drive) -> str:
-        """Return the service of a request, or the action."""
+        """Return the service name of a request, or the action."""
         if isinstance(request, Drive):
             return f'action {request.action}'
         return str(self._clients[type(request)].srv_name)
 
     def _place(self) -> tuple[object, ...]:
-        """Return what changes where a request may have been lost: restarts, and the session."""
+        """Return a key that changes if a request may have been lost: restarts and the session."""
         restarts, lesson = self._node.peers.restarts, self.world.lesson
         return restarts[self._game.name], restarts[LESSON], lesson.participant, lesson.session
 
     def _on_restart(self, name: str) -> None:
-        """Answer the requests that a restarted node will never answer."""
+        """Answer pending requests that a restarted node has lost."""
         role = 'game' if name == self._game.name else name
         self._answer(lambda drive, _: role == 'game', _LOST)
         for asked, answer in self._asked:
@@ -298,7 +297,7 @@ class LessonClient:
         self._answer(lambda d, _: (d.episode, d.step) != (game.episode, game.step), _OK)
 
     def _on_control(self, control: msg.ControlState) -> None:
-        """Renew control, or the machine's pause, as long as it is this node's."""
+        """Renew control or the pause of the machine while this node holds it."""
         world = self.world
         world.holder, world.paused_by = control.holder_id, control.paused_by
         world.step_period = control.step_period
@@ -315,7 +314,7 @@ class LessonClient:
             self._answer(lambda _, sequence: sequence == message.command_sequence, refused)
 
     def _answer(self, concerns: Callable[[Drive, int], bool], answer: Answer) -> None:
-        """Answer the actions that were sent and that this answer concerns."""
+        """Resolve the pending actions that an answer concerns."""
         for driven in self._driven.copy():
             drive, sequence, future = driven
             if concerns(drive, sequence):
@@ -332,15 +331,15 @@ def run_with_lesson(
     program: Callable[[LessonClient], Coroutine[Any, Any, None]], name: str = 'program'
 ) -> None:
     """
-    Run a program on the graph of this shell, once lesson and game are there.
+    Run a program on the graph of this environment when lesson and game are available.
 
-    :param program: gets the client; what it raises is raised here.
-    :param name: of the program's node.
-    :raises MiddlewareError: ROS cannot start with the settings of the shell.
+    :param program: coroutine function that takes the client; its exceptions propagate.
+    :param name: name of the program's node.
+    :raises MiddlewareError: ROS cannot start with the environment's settings.
     """
     prepare_discovery()
     with starting_ros():
-        rclpy.init()  # Ctrl-C ends it
+        rclpy.init()  # Ctrl-C ends the program
     executor = SingleThreadedExecutor()
     node = NodeBase(name)
     client = LessonClient(node)

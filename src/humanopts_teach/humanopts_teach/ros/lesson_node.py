@@ -1,4 +1,4 @@
-"""The node ``lesson``: the teaching session behind services, its state and demonstrations out."""
+"""The node ``lesson``: offers the teaching session as services, and publishes its state."""
 
 from collections import deque
 from collections.abc import Awaitable, Callable
@@ -39,22 +39,22 @@ from humanopts_teach.lesson.store import DemonstrationStore, OpenSessionFile, St
 from humanopts_teach.ros.convert import Endpoint, LESSON_SERVICES, LESSON_STATE
 from rclpy.callback_groups import ReentrantCallbackGroup
 
-_NO_NAME_YET = '_NODE_NAME_UNKNOWN_'  # of a node that was found just now, as the middleware says
-_TICK = 0.1  # s between looks at deadlines
-_GAME_DEADLINE = 5.0  # s for game to answer, and for a state that was announced to arrive
+_NO_NAME_YET = '_NODE_NAME_UNKNOWN_'  # the middleware's placeholder for a newly discovered node
+_TICK = 0.1  # s between checks of deadlines
+_GAME_DEADLINE = 5.0  # s for the game to respond, and for an announced state to arrive
 _KEEPING = (Verdict.DONE, Verdict.NOT_HERE)
-_RESEND_DELAY = 0.5  # s from a learner's first status until its subscription is matched
+_RESEND_DELAY = 0.5  # s from a learner's first status until its subscription is surely matched
 
 
 class LessonNode(NodeBase):
-    """Serves one lesson; an answer or a demonstration is on disk before it is published."""
+    """Serves a lesson; answers and demonstrations are saved to disk before publication."""
 
     def __init__(self, **options: Any) -> None:
         """
         Open the folder of demonstrations, and wait for the rules of the game.
 
-        :param options: as of ``NodeBase``.
-        :raises StartError: a parameter or the folder cannot be used.
+        :param options: options of ``NodeBase``.
+        :raises StartError: a parameter or the folder is invalid.
         """
         super().__init__('lesson', **options)
         self._rules = self._read_rules()
@@ -77,18 +77,18 @@ class LessonNode(NodeBase):
         self._open_session = OpenSessionFile(Path(directory))
         for damage in self._store.damage:
             self.get_logger().warning(damage)
-        self._opened: Lesson | None = None  # once the game is known
+        self._opened: Lesson | None = None  # None until the game is known
         self._state_out = self.stamped_publisher(
             msg.LessonState, 'lesson_state', LATCHED, repeated=True
         )
         self._demonstrations_out = self.stamped_publisher(msg.Demonstration, 'demonstrations')
         self._unsent: deque[Demonstration] = deque()
-        self._shown: LessonView | None = None  # what was published last
+        self._shown: LessonView | None = None  # last published state
         self._recorders = Recorders(expected=self._expect_recorder)
-        self._unrecorded = ''  # why nothing is recorded now; empty: all is well
-        self._reported = ''  # why the lesson is paused, as in the node's status
-        self._learner = ''  # publisher_id of the learner that is known
-        self._asked_learner = 0.0  # time of the newest demonstration, s
+        self._unrecorded = ''  # reason why nothing is recorded; empty: recording works
+        self._reported = ''  # reason for the pause, as in the node's status
+        self._learner = ''  # publisher_id of the known learner
+        self._asked_learner = 0.0  # s, time of the latest demonstration
         self._reentrant = ReentrantCallbackGroup()
         self._reset = self.recorded_client(ResetGame, 'reset_game', self._reentrant)
         self._resend = self.create_timer(_RESEND_DELAY, self._send_again, autostart=False)
@@ -119,30 +119,30 @@ class LessonNode(NodeBase):
 
     @property
     def _lesson(self) -> Lesson:
-        """The lesson; what needs it is served or subscribed to once the game is known."""
+        """The lesson; its services and subscriptions exist only when the game is known."""
         assert self._opened is not None
         return self._opened
 
-    # The start and the end of the node.
+    # Startup and shutdown.
 
     def waits_for(self) -> str | None:
-        """Wait for the rules of the game and for its stream of states."""
+        """Wait for the rules of the game and its stream of states."""
         if self._opened is None:
             return 'domain_info'
         return None if self._game_states.get_publisher_count() else 'game_state'
 
     def on_ready(self) -> None:
-        """Publish all demonstrations again, and the state of the lesson."""
+        """Republish all demonstrations and the state of the lesson."""
         self._unsent.extend(self._lesson.demonstrations())
         self._show()
 
     def close(self) -> None:
-        """Let another lesson use the folder, and begin without a session."""
+        """Release the folder and close the session."""
         self._open_session.forget()
         self._store.close()
 
     def _on_domain(self, domain: ActableDomain) -> None:
-        """Begin the lesson, and serve and subscribe to what needs it."""
+        """Open the lesson and create its services and subscriptions."""
         self._opened = Lesson(
             domain,
             self._store,
@@ -169,7 +169,7 @@ class LessonNode(NodeBase):
         ):
             self.create_subscription(kind, topic, use, qos)
 
-    # What the person asks for.
+    # Requests of the person.
 
     def _handler(self, service: Endpoint) -> Callable[[Any, Any], Awaitable[Any]]:
         """Return the callback of a service."""
@@ -177,7 +177,7 @@ class LessonNode(NodeBase):
         async def handle(message: Any, response: Any) -> Any:
             request: LessonRequest = service.request.decode(message)
             if isinstance(request, EndDemonstration) and request.verdict in _KEEPING:
-                # States that the person saw may still be on their way.
+                # The state that the person saw may not have arrived yet.
                 seen = request.episode, request.step
                 await self.waiting.until(lambda: self._lesson.reached(*seen), _GAME_DEADLINE)
             answer = self._lesson.carry_out(request)
@@ -197,7 +197,7 @@ class LessonNode(NodeBase):
         return handle
 
     async def _begin(self, prepared: Answer) -> Answer:
-        """Have game begin the episode, and wait for its first state on the stream."""
+        """Start the episode in the game, and wait for its first state on the stream."""
         lesson, until = self._lesson, self.waiting.until
         no_game = RequestStatus.NO_GAME
         if not await until(self._game_is_there, _GAME_DEADLINE):
@@ -220,11 +220,11 @@ class LessonNode(NodeBase):
         return answer
 
     def _game_is_there(self) -> bool:
-        """Return whether game can be asked, and what it then publishes will be received."""
+        """Return whether the game is available and its states will be received."""
         matched = self._game_states.get_publisher_count() > 0
         return matched and bool(self._reset.service_is_ready())
 
-    # What game, the learner and the recorder publish.
+    # Messages from the game, the learner and the recorder.
 
     def _on_restart(self, name: str) -> None:
         if name == self._game.name and self._opened and self._opened.game_restarted():
@@ -239,14 +239,14 @@ class LessonNode(NodeBase):
         if receipt.status != receipt.STATUS_REFUSED:
             return
         if receipt.uuid == self._lesson.awaited:
-            self._learner = ''  # a full disk of its own, perhaps: sent again with the next
+            self._learner = ''  # perhaps its disk is full: resend at the next status
         self._lesson.learner_refused(receipt.uuid, receipt.detail)
         self._show()
 
     def _on_status(self, status: msg.LearningStatus) -> None:
         self._lesson.update_summaries([summary_from_message(option) for option in status.options])
         self._show()
-        if status.publisher_id != self._learner:  # a learner that may lack demonstrations
+        if status.publisher_id != self._learner:  # a new learner may lack demonstrations
             self._learner = status.publisher_id
             self._resend.reset()
 
@@ -268,11 +268,11 @@ class LessonNode(NodeBase):
         )
 
     def _check_recording(self) -> None:
-        """Pause while nothing is recorded, then publish everything again for the new bag."""
+        """Pause while nothing is recorded, then republish everything for the new bag."""
         fault = self._recorders.check(self._recorder_status.get_publisher_count() > 0)
         if self._unrecorded and not fault:
-            # Others may publish on the topic. A recorder that has stopped counts, too, and one
-            # whose name has not come yet: what is sent before it listens is not in its bag.
+            # Other nodes may publish on the topic. Also count stopped recorders and nodes without
+            # a known name: a bag misses messages sent before its recorder subscribes.
             there = self.get_publishers_info_by_topic('recorder_status')
             present = sum(each.node_name in (RECORDER, _NO_NAME_YET) for each in there)
             if not self.records(self._demonstrations_out, present):
@@ -281,7 +281,7 @@ class LessonNode(NodeBase):
         self._unrecorded = fault
 
     def _send_again(self) -> None:
-        """Send everything to a new learner, which drops duplicates."""
+        """Resend everything for a new learner, which drops duplicates."""
         self._resend.cancel()
         self._unsent.extend(self._lesson.demonstrations())
         self._show()
@@ -292,13 +292,13 @@ class LessonNode(NodeBase):
         late = self.monotonic() - self._asked_learner > self._learner_deadline
         if self._lesson.awaited and late:
             self._lesson.learner_silent()
-            self._learner = ''  # it may lack what was sent, once it publishes again
+            self._learner = ''  # it may lack demonstrations when it returns
         if self.ready:
             self._check_recording()
         self._show()
 
     def _show(self) -> None:
-        """Publish what is new; pause while that fails or nothing is recorded."""
+        """Publish changes; pause while publishing fails or nothing is recorded."""
         if not self.ready:
             return
         cause = self._unrecorded
@@ -311,7 +311,7 @@ class LessonNode(NodeBase):
         except PublishError as error:
             cause = str(error)
             self._lesson.pause(cause)
-            with suppress(PublishError):  # where it is not this that cannot be sent
+            with suppress(PublishError):  # may fail for the same reason
                 self._send_view()
         if cause != self._reported:
             self._reported = cause

@@ -1,4 +1,4 @@
-"""Receives every message of the graph as bytes, without an executor."""
+"""Reception of all messages of the graph as bytes, without an executor."""
 
 from collections.abc import Collection
 from dataclasses import dataclass
@@ -25,14 +25,14 @@ _QOS = (
     *('history', 'depth', 'reliability', 'durability', 'deadline', 'lifespan', 'liveliness'),
     *('liveliness_lease_duration', 'avoid_ros_namespace_conventions'),
 )
-_AT_ONCE = 2000  # messages taken from one topic before the next has its turn
+_AT_ONCE = 2000  # maximum number of messages taken from a topic before the next topic
 
 
 class Taken(NamedTuple):
-    """One message as it arrived."""
+    """A received message."""
 
-    received: int  # ns since the epoch, by a steady clock
-    sent: int  # ns since the epoch, by the middleware of the sender
+    received: int  # ns since the epoch, from a steady clock
+    sent: int  # ns since the epoch, from the sender's middleware
     topic: str
     data: bytes  # CDR
 
@@ -44,11 +44,11 @@ class TopicSubscription:
     topic: str
     type: str
     kind: Any  # message class
-    offers: list[dict[str, Any]]  # QoS of the publishers, as rosbag2's metadata has it
+    offers: list[dict[str, Any]]  # QoS of the publishers, in rosbag2's metadata format
     type_hash: str
     subscription: Subscription
-    profile: QoSProfile  # that is requested
-    publishers: int  # on the graph, when the QoS was last compared
+    profile: QoSProfile  # requested profile
+    publishers: int  # number of publishers when the QoS was last compared
 
     @property
     def latched(self) -> bool:
@@ -60,11 +60,11 @@ class RawSubscriber:
     """
     The subscriptions of a recorder.
 
-    All queued messages are taken together, many times a second, which costs less than a twentieth
-    of what an executor does with them.
+    All queued messages are taken together, many times per second, at less than a twentieth of an
+    executor's cost.
 
-    :ivar times: of the arrivals.
-    :ivar own_nodes: full names of the nodes that have stated their ids in the namespace.
+    :ivar times: arrival times.
+    :ivar own_nodes: full names of the nodes that have announced their ids in the namespace.
     """
 
     def __init__(self, node: Node, selection: Selection) -> None:
@@ -74,12 +74,12 @@ class RawSubscriber:
         self._group = Polled()
         self._subscriptions: dict[str, TopicSubscription] = {}
         self.own_nodes: set[str] = set()
-        self._left: list[Taken] = []  # from subscriptions that were replaced
-        self.unknown: dict[str, str] = {}  # type by topic, of topics that cannot be recorded
-        self.complete = False  # at the last look every publisher to record was matched
+        self._left: list[Taken] = []  # from replaced subscriptions
+        self.unknown: dict[str, str] = {}  # type by topic, for topics that cannot be recorded
+        self.complete = False  # whether all publishers to record were matched at the last check
 
     def discover(self) -> list[TopicSubscription]:
-        """Subscribe to what is new on the graph, as its publishers offer it; return that."""
+        """Subscribe to new topics with QoS compatible with their publishers; return them."""
         added: list[TopicSubscription] = []
         self.complete = True
         self.own_nodes.update(map(signer, stated_ids(self._node)))
@@ -110,7 +110,7 @@ class RawSubscriber:
         return self._selection.wants(topic, own)
 
     def take(self) -> list[Taken]:
-        """Return all that has arrived, in order of arrival."""
+        """Return all received messages, in order of arrival."""
         batch, self._left = self._left, []
         for each in self._subscriptions.values():
             batch += _take(each, each.subscription)
@@ -120,7 +120,7 @@ class RawSubscriber:
         return batch
 
     def _adapt(self, known: TopicSubscription, offers: Collection[TopicEndpointInfo]) -> None:
-        """Subscribe again if a new publisher offers less than is requested."""
+        """Resubscribe if a new publisher offers less than requested."""
         known.publishers = len(offers)
         profile = _common([known.profile, *(offer.qos_profile for offer in offers)])
         if profile != known.profile:
@@ -132,7 +132,7 @@ class RawSubscriber:
     def _subscribe(
         self, topic: str, kind: str, offers: Collection[TopicEndpointInfo]
     ) -> TopicSubscription | None:
-        """Subscribe to a topic; None: its type is not installed here."""
+        """Subscribe to a topic; None: its type is not installed."""
         try:
             loaded = load_type(kind)
         except (ImportError, AttributeError, ValueError):
@@ -158,7 +158,7 @@ class RawSubscriber:
 
 
 def _take(followed: TopicSubscription, subscription: Subscription) -> list[Taken]:
-    """Return what is queued in a subscription."""
+    """Return the queued messages of a subscription."""
     found = []
     handle = subscription.handle
     with handle:
@@ -175,11 +175,11 @@ def _take(followed: TopicSubscription, subscription: Subscription) -> list[Taken
 
 def load_type(name: str) -> Any:
     """
-    Return the class of a message type, also of the parts of services and actions.
+    Return the class of a message type, including the parts of services and actions.
 
-    :raises ImportError: its package is not installed here.
-    :raises AttributeError: the package has no such type.
-    :raises ValueError: it is not a type name.
+    :raises ImportError: the package is not installed.
+    :raises AttributeError: the package lacks the type.
+    :raises ValueError: the type name is invalid.
     """
     package, kind, own = name.split('/')
     module = import_module(f'{package}.{kind}')
@@ -192,7 +192,7 @@ def load_type(name: str) -> Any:
 
 
 def qos_to_plain(profile: QoSProfile) -> dict[str, Any]:
-    """Return a QoS profile as rosbag2's metadata has it."""
+    """Return a QoS profile in rosbag2's metadata format."""
     return {name: _plain(getattr(profile, name)) for name in _QOS}
 
 
@@ -204,7 +204,7 @@ def _plain(value: Any) -> Any:
 
 
 def _common(profiles: Collection[QoSProfile]) -> QoSProfile:
-    """Return what all profiles offer, to keep every message."""
+    """Return the strongest profile that all publishers offer, keeping all messages."""
     reliable = all(p.reliability == ReliabilityPolicy.RELIABLE for p in profiles)
     latched = all(p.durability == DurabilityPolicy.TRANSIENT_LOCAL for p in profiles)
     return QoSProfile(

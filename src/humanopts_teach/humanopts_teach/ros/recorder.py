@@ -1,4 +1,4 @@
-"""The node ``recorder``: writes everything on the graph to a bag."""
+"""The node ``recorder``: records the graph in a bag."""
 
 from collections import deque
 from collections.abc import Callable
@@ -45,22 +45,22 @@ from rclpy.executors import Executor
 from rclpy.serialization import deserialize_message
 
 _NS = 10**9
-_MAX_ATTACHED = 2**31  # bytes of a file that is kept in the bag
-_PERIOD, _IDLE_PERIOD = 0.02, 0.1  # s between takes while many messages come, and otherwise
-_MANY = 10  # messages in a take
-_DISCOVERY_PERIOD = 0.05  # s between looks at the graph while it is not all matched
-_MATCHED_PERIOD = 0.25  # s between these while it is
-_FLUSH_PERIOD = 0.25  # s; what a killed recorder loses at most
+_MAX_ATTACHED = 2**31  # maximum size of an attached file, bytes
+_PERIOD, _IDLE_PERIOD = 0.02, 0.1  # s between takes under load, and otherwise
+_MANY = 10  # number of messages in a take that counts as load
+_DISCOVERY_PERIOD = 0.05  # s between discoveries until all publishers are matched
+_MATCHED_PERIOD = 0.25  # s between discoveries after that
+_FLUSH_PERIOD = 0.25  # s; maximum loss if the recorder is killed
 _STATUS_PERIOD = 1.0  # s between statuses that differ only in their counts
-_QUIET = 0.1  # s without a message that end a recording
-_LINGER = 2.0  # s at most to wait for that
-LONGEST_WAIT = 0.5  # s; a recorder that lets a message wait longer does not keep up
-_MOST_MISSING = 2**64 - 1  # that a status can say
-_MOST_LOSSES = 100  # streams in a status
-_MOST_TEXT = 2000  # characters in a status
-_HELD = 0.5  # s that a log line waits for its node to be found
-_MAX_SHARED = 10_000  # log lines and the like that wait so
-_RECOVERY = 1.0  # s without such a message after which it keeps up again
+_QUIET = 0.1  # s without a message before a recording ends
+_LINGER = 2.0  # s, maximum wait for that
+LONGEST_WAIT = 0.5  # s; the recorder has fallen behind if a message waits longer
+_MOST_MISSING = 2**64 - 1  # maximum count in a status
+_MOST_LOSSES = 100  # maximum number of streams in a status
+_MOST_TEXT = 2000  # maximum number of characters in a status
+_HELD = 0.5  # s to hold a log message until its node is discovered
+_MAX_SHARED = 10_000  # maximum number of held messages
+_RECOVERY = 1.0  # s without delayed messages until the recorder has caught up
 _FACTS = TypeAdapter(dict[str, Any])
 _BEHIND = (
     f'the recorder does not keep up: messages wait for it longer than {LONGEST_WAIT} s; '
@@ -70,20 +70,20 @@ _BEHIND = (
 
 @dataclass
 class Lag:
-    """How long messages wait for a recorder; times are in seconds, by a monotonic clock."""
+    """The delay of messages before recording; times are in seconds, from a monotonic clock."""
 
-    _longest: float = 0.0  # wait since the last report
-    _late: float = -math.inf  # when a message was taken that had waited too long
-    _taken: float = math.inf  # when messages were last taken
+    _longest: float = 0.0  # longest delay since the last report
+    _late: float = -math.inf  # time of the last take with an excessive delay
+    _taken: float = math.inf  # time of the last take
 
     def add(self, now: float, waited: float) -> None:
         """
-        Count one taking of all messages that had arrived.
+        Register a take of all messages that have arrived.
 
-        A process that is stopped does not see when messages arrive, so a pause between two
-        takings that is too long counts as a wait.
+        A suspended process cannot observe arrivals, so an excessive pause between two takes counts
+        as a delay.
 
-        :param waited: since the first of them arrived; 0: none had.
+        :param waited: time since the first message arrived; 0: no messages.
         """
         pause = now - self._taken
         self._taken = now
@@ -93,23 +93,24 @@ class Lag:
             self._late = now
 
     def behind(self, now: float) -> bool:
-        """Return whether messages wait too long."""
+        """Return whether messages are delayed too long."""
         return now - self._late < _RECOVERY
 
     def take_longest(self) -> float:
-        """Return how long a message waited at most since the last report."""
+        """Return the longest delay since the last report, and reset it."""
         longest, self._longest = self._longest, 0.0
         return longest
 
 
 class Recorder(NodeBase):
     """
-    Records the graph of its namespace, service events and actions included, and what is asked for.
+    Records the graph of its namespace, including service events and actions, and selected topics.
 
-    Of the log and the changes of parameters, which all nodes share, it records those of its graph.
+    From the topics shared by all nodes (log, parameter events), only messages of its own graph are
+    recorded.
 
-    Where the bag cannot be written any more it reports so on ``recorder_status`` and goes on
-    taking messages, so that no publisher is held back.
+    If the bag can no longer be written, it reports this on ``recorder_status`` and continues to
+    take messages, so that publishers are not blocked.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -124,17 +125,17 @@ class Recorder(NodeBase):
         self._subscriber = RawSubscriber(self, self.selection)
         self._losses = LossCounter()
         self._lag = Lag()
-        self._numbered: dict[str, bool] = {}  # recorded topics: whether messages carry numbers
+        self._numbered: dict[str, bool] = {}  # recorded topics: whether messages are numbered
         self._latched: set[str] = set()  # recorded topics of current values
-        self._shared: deque[tuple[float, Taken]] = deque()  # waiting messages, and since when, s
-        self._games: list[str] = []  # publisher ids of the game, one for each start
-        self._complete = False  # every publisher was matched at the last two looks
-        self._stopped = ''  # why the recording has stopped; empty: it has not
+        self._shared: deque[tuple[float, Taken]] = deque()  # held messages, with start times, s
+        self._games: list[str] = []  # publisher ids of the game, one per start
+        self._complete = False  # all publishers were matched at the last two checks
+        self._stopped = ''  # reason why the recording has stopped; empty: it has not
         self._text = self.selection.unevaluable
         if self._text:
             self.get_logger().warning(self._text)
-        self._discover_at = self._flush_at = 0.0  # when each is due, s
-        self._unflushed = False  # whether there is a new topic that may not be on disk yet
+        self._discover_at = self._flush_at = 0.0  # s, due times
+        self._unflushed = False  # whether a new topic may not be on disk yet
         self._behind = False
         self._published: tuple[object, ...] = ()  # the significant part of the last status
         self._published_at = 0.0
@@ -142,18 +143,18 @@ class Recorder(NodeBase):
         self._timer = self.create_timer(_PERIOD, self._on_timer)
 
     def waits_for(self) -> str | None:
-        """Wait until every publisher is matched."""
+        """Wait until all publishers are matched."""
         return self._stopped or (None if self._complete else 'the publishers on the graph')
 
     def serve(self, executor: Executor, stop: Callable[[], bool]) -> None:
-        """Run callbacks until ``stop`` returns True and the nodes that it outlasts are gone."""
+        """Run callbacks until ``stop`` returns True and the nodes to outlast are gone."""
         super().serve(executor, stop)
         end = time.monotonic() + OUTLASTING
         while self._outlasts.intersection(self.nodes_there()) and time.monotonic() < end:
             self.turn(executor, _DISCOVERY_PERIOD)
 
     def close(self) -> None:
-        """Record the last messages and close the bag; fail if only that stops the recording."""
+        """Record the last messages and close the bag; set ``failed`` if this fails."""
         before = self._stopped
         end = time.monotonic() + _LINGER
         quiet = time.monotonic() + _QUIET
@@ -165,13 +166,13 @@ class Recorder(NodeBase):
         self._record([], held=0.0)
         self._attempt(self._attach)
         self._attempt(self._bag.close)
-        self.failed = self._stopped != before  # the status reaches no reader any more
+        self.failed = self._stopped != before  # a status would not reach readers any more
 
     def _begin(self) -> BagWriter:
         """
-        Begin the bag.
+        Create the bag.
 
-        :raises StartError: it cannot be begun there, or a parameter cannot be used.
+        :raises StartError: the bag cannot be created, or a parameter is invalid.
         """
         path = self.setting('path', '', 'directory of the bag; must not exist')
         go_on = self.setting(
@@ -212,7 +213,7 @@ class Recorder(NodeBase):
             self._bag.attach(name, data, kind, (changed, self._subscriber.times.now))
 
     def _on_timer(self) -> None:
-        """Record what has arrived, and look at the graph and flush the bag where it is time to."""
+        """Record received messages; run discovery and flush the bag when due."""
         batch, now = self._subscriber.take(), time.monotonic()
         waited = (self._subscriber.times.now - batch[0].received) / _NS if batch else 0.0
         self._lag.add(now, waited)
@@ -220,8 +221,8 @@ class Recorder(NodeBase):
         if now >= self._discover_at:
             self._discover()
             self._discover_at = now + (_MATCHED_PERIOD if self._complete else _DISCOVERY_PERIOD)
-        # A topic that is new is flushed with its first messages, so that the bag opens, however
-        # soon the recorder is killed.
+        # Flush a new topic with its first messages, so that the bag is readable even if the
+        # recorder is killed soon.
         if now >= self._flush_at or (batch and self._unflushed):
             self._flush_at, self._unflushed = now + _FLUSH_PERIOD, False
             self._attempt(self._bag.flush)
@@ -231,10 +232,10 @@ class Recorder(NodeBase):
             self._timer.timer_period_ns = period
 
     def _discover(self) -> None:
-        """Subscribe to what is new on the graph."""
+        """Subscribe to new topics on the graph."""
         before = self._subscriber.complete
         added = self._subscriber.discover()
-        self._complete = before and self._subscriber.complete  # the other side matched, too
+        self._complete = before and self._subscriber.complete  # also matched by the publishers
         self._unflushed |= bool(added)
         for subscription in added:
             self._attempt(partial(self._add_topic, subscription))
@@ -242,7 +243,7 @@ class Recorder(NodeBase):
         self._publish_status()
 
     def _find_game(self) -> None:
-        """Note in the bag which publisher is the game, as the other nodes see it."""
+        """Record in the bag which publisher is the game, by the same rule as other nodes."""
         stated = stated_ids(self, 'game')
         current = next(reversed(self._games), '')
         for publisher_id in stated:
@@ -252,7 +253,7 @@ class Recorder(NodeBase):
                 self._attempt(partial(self._bag.note, GAME, ids))
 
     def _add_topic(self, added: TopicSubscription) -> None:
-        """Add a topic to the bag, where its type is installed."""
+        """Add a topic to the bag if its type is installed."""
         try:
             schema = self._bag.add_topic(added.topic, added.type, added.offers, added.type_hash)
         except SchemaError as error:
@@ -264,9 +265,9 @@ class Recorder(NodeBase):
 
     def _record(self, batch: list[Taken], held: float = _HELD) -> None:
         """
-        Record messages, and of those on topics that all nodes share what the own nodes have said.
+        Record messages; on topics shared by all nodes, only those of the own nodes.
 
-        :param held: s that the latter wait, in which their node is found.
+        :param held: time in s to hold the latter until their node is discovered.
         """
         due, now = list[Taken](), time.monotonic()
         for taken in batch:
@@ -281,9 +282,9 @@ class Recorder(NodeBase):
         self._write(due)
 
     def _write(self, batch: list[Taken]) -> None:
-        """Write messages, and count what is missing."""
+        """Write messages and count missing ones."""
         for taken in batch:
-            if taken.topic not in self._numbered:  # its type is not installed here
+            if taken.topic not in self._numbered:  # its type is not installed
                 continue
             stamp = read_stamp(taken.data) if self._numbered[taken.topic] else None
             if stamp is not None:
@@ -297,7 +298,7 @@ class Recorder(NodeBase):
                     self._stop(error)
 
     def _attempt(self, write: Callable[[], object]) -> None:
-        """Write to the bag, unless the recording has stopped; stop it if that fails."""
+        """Write to the bag unless the recording has stopped; stop the recording on failure."""
         if not self._stopped:
             try:
                 write()
@@ -305,7 +306,7 @@ class Recorder(NodeBase):
                 self._stop(error)
 
     def _stop(self, error: BagWriteError) -> None:
-        """Stop the recording, and report why."""
+        """Stop the recording and report the reason."""
         if not self._stopped:
             self._stopped = f'recording stopped: {error}'
             self.get_logger().error(self._stopped)
@@ -313,7 +314,7 @@ class Recorder(NodeBase):
             self.set_status(NodeStatus.STATE_PAUSED, self._stopped)
 
     def _publish_status(self) -> None:
-        """Publish the state of the recording at every significant change and once a second."""
+        """Publish the recording's state at every significant change and once per second."""
         now = time.monotonic()
         if (behind := self._lag.behind(now)) != self._behind:
             self._behind = behind
@@ -333,7 +334,7 @@ class Recorder(NodeBase):
             self.get_logger().error(str(error))
 
     def _remark(self) -> str:
-        """Return what is not recorded, in words; empty: nothing."""
+        """Describe what is not recorded; empty: everything is recorded."""
         if self._complete and not self._numbered:
             return 'the patterns leave no topic to record'
         unknown = self._subscriber.unknown.items()
@@ -349,7 +350,7 @@ class Recorder(NodeBase):
             messages=self._bag.extent.messages,
             bytes=self._bag.bytes_written,
             complete=self._complete,
-            missing=min(self._losses.missing, _MOST_MISSING),  # numbers are what senders say
+            missing=min(self._losses.missing, _MOST_MISSING),  # senders choose the numbers
             losses=[
                 StreamLoss(
                     topic=stream.topic,
@@ -369,20 +370,20 @@ class Recorder(NodeBase):
 
 
 def _sender(taken: Taken) -> str:
-    """Return the full name of the node that a log line or a change of parameters is of."""
+    """Return the full name of the node that sent a log message or parameter event."""
     try:
         if taken.topic == '/rosout':
             return '/' + str(deserialize_message(taken.data, Log).name).replace('.', '/')
         return str(deserialize_message(taken.data, ParameterEvent).node)
-    except (RuntimeError, ValueError, MemoryError):  # no bytes of a message
+    except (RuntimeError, ValueError, MemoryError):  # not a valid message
         return ''
 
 
 def _facts(text: str) -> dict[str, str]:
     """
-    Read the facts that the recorder is given.
+    Parse the metadata facts.
 
-    :raises StartError: they are not a JSON object.
+    :raises StartError: the text is not a JSON object.
     """
     try:
         values = _FACTS.validate_json(text)

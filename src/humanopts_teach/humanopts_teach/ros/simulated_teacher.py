@@ -1,4 +1,4 @@
-"""The node ``simulated_teacher``: teaches over the graph as a person does."""
+"""The node ``simulated_teacher``: teaches over the graph like a person."""
 
 from functools import partial
 import sys
@@ -31,12 +31,12 @@ from humanopts_teach.ros.lesson_client import (
 )
 from rclpy.callback_groups import ReentrantCallbackGroup
 
-_TICK = 0.1  # s until something that was refused is tried again
-_REFUSALS = 3  # in a row, after which it gives up; it waits longer for a game that is silent
+_TICK = 0.1  # s until a refused request is retried
+_REFUSALS = 3  # consecutive refusals before giving up; an unresponsive game gets more time
 
 
 class SimulatedTeacherNode(NodeBase):
-    """Does one thing, and the next when it can see what came of it."""
+    """Performs one act at a time and waits for its effect before the next."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__('simulated_teacher', **options)
@@ -48,7 +48,7 @@ class SimulatedTeacherNode(NodeBase):
             PATIENCE,
         )
         self._teacher: SimulatedTeacher | None = None
-        self._first = True  # it has not done anything yet
+        self._first = True  # no act has been performed
         self._client = LessonClient(self, patience=self._deadline, on_news=self._meet)
 
     def waits_for(self) -> str | None:
@@ -56,8 +56,8 @@ class SimulatedTeacherNode(NodeBase):
         return self._client.waits_for()
 
     def on_ready(self) -> None:
-        """Begin to teach."""
-        # A task that is created and never begun would be a warning where the node ends at once.
+        """Start teaching."""
+        # A timer: a task that never starts would cause a warning if the node ends immediately.
         self._begin = self.create_timer(0.0, self._teach, callback_group=ReentrantCallbackGroup())
 
     def _read_settings(self) -> TeacherSettings:
@@ -83,7 +83,7 @@ class SimulatedTeacherNode(NodeBase):
         )
 
     def _meet(self) -> None:
-        """Get ready to teach, once the rules of the game are known."""
+        """Create the teacher when the rules of the game are known."""
         domain = self._client.domain
         if self._teacher is None and domain is not None:
             try:
@@ -93,7 +93,7 @@ class SimulatedTeacherNode(NodeBase):
                 raise StartError(str(error)) from error
 
     async def _teach(self) -> None:
-        """Teach everything, return control, and publish how it ended."""
+        """Teach everything, return control, and publish the outcome."""
         self._begin.cancel()
         cause, refused, answered = '', 0, self.monotonic()
         try:
@@ -111,7 +111,7 @@ class SimulatedTeacherNode(NodeBase):
                     await self.waiting.until(lambda: False, _TICK)
         except (TeacherError, LessonClientError) as error:
             cause = str(error)
-        except Exception as error:  # unexpected; the demo waits for the end
+        except Exception as error:  # unexpected; the demo waits for an outcome
             cause = self.guard.caught('teaching', error)
         if not await self._client.give_back():
             cause = cause or 'game does not take control back'
@@ -121,9 +121,9 @@ class SimulatedTeacherNode(NodeBase):
 
     async def _next_act(self) -> LessonRequest | Drive | Finish:
         """
-        Return what to do next, once there is anything to do.
+        Wait for and return the next act.
 
-        :raises NoAnswerError: nothing has changed in time.
+        :raises NoAnswerError: nothing changed in time.
         """
         client, teacher = self._client, self._teacher
         assert teacher is not None, 'the node waited for the game'
@@ -142,7 +142,7 @@ class SimulatedTeacherNode(NodeBase):
             await client.until(is_news, act.reason)
 
     def _left(self) -> EndDemonstration | None:
-        """Discard first what an earlier teacher has begun; None: nothing."""
+        """Return a request that discards an earlier teacher's demonstration; None: none."""
         lesson, first = self._client.lesson, self._first
         self._first = False
         if not first or lesson is None or lesson.phase is not Phase.DEMONSTRATING:

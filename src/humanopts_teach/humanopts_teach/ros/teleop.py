@@ -1,7 +1,7 @@
 """
-A person's node: passes requests of the dialogue to the graph, and its answers back.
+A person's node: sends requests of the dialogue to the graph and returns the answers.
 
-Services and actions of a driver go through ``LessonClient``, the goals of runs through ``Goal``.
+Service requests and driving actions use ``LessonClient``; goals of runs use ``Goal``.
 """
 
 from collections.abc import Callable
@@ -45,26 +45,26 @@ from humanopts_teach.study.record import OpenRecord, TOPIC
 from rclpy.action.client import ActionClient
 from rclpy.task import Future
 
-POLL_SECONDS = 0.015  # between looks at what a person does, and at what is due
-_PARTING_SECONDS = 1.0  # for the last requests
-_FRAME_SECONDS = 0.03  # least time between frames
-_SETTLING_SECONDS = 0.1  # longest wait of a frame for the answer to the last request
-_PRESENCE_SECONDS = 0.5  # between looks who is on the graph
-_START_SECONDS = 5.0  # before a node that has not come is called missing
-_NEEDED = {'game': 'current_state', 'lesson': 'lesson_state'}  # and what shows that they are there
+POLL_SECONDS = 0.015  # polling period for input and pending work
+_PARTING_SECONDS = 1.0  # timeout for the last requests
+_FRAME_SECONDS = 0.03  # minimum time between frames
+_SETTLING_SECONDS = 0.1  # maximum delay of a frame for the answer to the last request
+_PRESENCE_SECONDS = 0.5  # period of presence checks
+_START_SECONDS = 5.0  # time before an absent node is reported missing
+_NEEDED = {'game': 'current_state', 'lesson': 'lesson_state'}  # topics that prove presence
 _WELL = ('REACHED', 'EPISODE_OVER', 'CONVERGED', 'NOT_CONVERGED', 'DONE')
 
 
 class TeleopNode(NodeBase):
     """
-    A person's place on the graph; ``dialogue.app`` and its screens decide everything.
+    A person's node on the graph; all decisions are made by ``dialogue.app`` and its screens.
 
-    The owner passes keys to ``press``, calls ``go_on`` repeatedly, and draws when ``frame_due``
-    returns True.
+    The owner passes keys to ``press``, calls ``go_on`` repeatedly, and draws a frame when
+    ``frame_due`` returns True.
     """
 
     def __init__(self, **options: Any) -> None:
-        """Begin the dialogue; options are those of the base class."""
+        """Start the dialogue; the options are those of the base class."""
         super().__init__('keyboard_teleop', **options)
         participant = self.setting('participant', 'p1', 'code that is proposed to the person')
         ask = self.setting('ask_participant', True, 'ask who teaches; false: it is participant')
@@ -79,14 +79,14 @@ class TeleopNode(NodeBase):
             kind: ActionClient(self, action.kind, action.name, **ACTION)
             for kind, action in ACTIONS.items()
         }
-        self._goal: Goal | None = None  # of the run under way
+        self._goal: Goal | None = None  # goal of the active run
         self.peers.on_restart.append(self._on_restart)
-        self._held: Request | None = None  # its server is not there yet
+        self._held: Request | None = None  # request waiting for its server
         self._started = self._checked = time.monotonic()
         self._drawn = self._asked = 0.0
-        self._news = True  # something came in since the last frame
-        self._seen: object = None  # what the last frame showed
-        self.last_answers: list[Future] | None = None  # that are awaited; None: it goes on
+        self._news = True  # changes since the last frame
+        self._seen: object = None  # contents of the last frame
+        self.last_answers: list[Future] | None = None  # pending last answers; None: not ending
         self._parted_at = 0.0
         execution, running = attrgetter('execution'), attrgetter('option_name')
         for kind, topic, shown, read, qos in (
@@ -99,7 +99,7 @@ class TeleopNode(NodeBase):
         self.create_subscription(ActionCommand, 'action', self._on_action, DISPLAY)
 
     def _study(self, participant: str, seed: int) -> App | None:
-        """Return the dialogue of a study; None: this is not a study."""
+        """Return the dialogue of a study; None: no study."""
         parts = self.setting('study_parts', '', 'of a study, JSON; empty: no study')
         path = self.setting('study_record', '', 'file of the events of the participant')
         if not parts:
@@ -114,16 +114,16 @@ class TeleopNode(NodeBase):
 
     @property
     def busy(self) -> bool:
-        """Whether something is due soon: a frame, or the answer to a request."""
+        """Whether a frame or the answer to a request is pending."""
         return self._news or self.app.waits_for is not None or not self.ready
 
     def press(self, keys: list[str], frame: int | None = None) -> None:
-        """Take keys as ``App.type`` does."""
+        """Accept keys, as in ``App.type``."""
         self.app.type(keys, frame)
         self._news |= bool(keys)
 
     def go_on(self) -> None:
-        """Do what is due now."""
+        """Process pending work."""
         now = time.monotonic()
         request = self.app.advance(now) if self.ready else None
         if request is not None:
@@ -133,31 +133,31 @@ class TeleopNode(NodeBase):
         self._news |= self._seen != self.app.shown
 
     def frame_due(self) -> bool:
-        """Return whether to draw now: something has changed, and the last request is settled."""
+        """Return whether to draw: something has changed, and the last request is settled."""
         now = time.monotonic()
         unsettled = self.app.waits_for is not None and now - self._asked < _SETTLING_SECONDS
         return self._news and not unsettled and now - self._drawn > _FRAME_SECONDS
 
     def drawn(self) -> int:
-        """Note that the frame was drawn, and return its number."""
+        """Record that the frame was drawn, and return its number."""
         self._drawn, self._seen, self._news = time.monotonic(), self.app.shown, False
         return self.app.drawn()
 
     def send_last_requests(self) -> None:
-        """Send the last requests to the servers that are there."""
+        """Send the last requests to the available servers."""
         sent = [self._send_last(request) for request in self.app.last_requests()]
         self.last_answers = [future for future in sent if future is not None]
         self._parted_at = time.monotonic() + _PARTING_SECONDS
 
     @property
     def parted(self) -> bool:
-        """Whether the last requests are answered, or their deadline has passed."""
+        """Whether the last requests are answered or have timed out."""
         answers = self.last_answers
         late = time.monotonic() > self._parted_at
         return answers is not None and (late or all(future.done() for future in answers))
 
     def _send(self, request: Request | None) -> None:
-        """Send the request that is under way, or hold it until its server is there."""
+        """Send the pending request, or hold it until its server is available."""
         self._held = None
         if request is None or request is not self.app.waits_for:
             return
@@ -194,14 +194,14 @@ class TeleopNode(NodeBase):
             self.app.lost_server()
 
     def _send_last(self, request: Request) -> Future | None:
-        """Send one of the last requests; None: its server is gone."""
+        """Send one of the last requests and return its future; None: its server is gone."""
         if isinstance(request, CancelRun):
             return self._goal.cancel() if self._goal is not None else None
         assert not isinstance(request, ActionGoal), 'a terminal that ends begins nothing'
         return self._client.send(request) if self._client.is_ready(request) else None
 
     def _start(self, run: ActionGoal) -> None:
-        """Send the goal of a run; the app gets the answer once it is accepted or not."""
+        """Send the goal of a run; the app receives an answer when it is accepted or rejected."""
         message = ACTIONS[type(run)].request.encode(run)
         if isinstance(run, RunOption):
             message.episode, message.step = self._world.game.episode, self._world.game.step
@@ -214,7 +214,7 @@ class TeleopNode(NodeBase):
             if not done.result():
                 text = f'{server(run)} did not take the request.'
                 self._answer(run, Answer(RequestStatus.REFUSED, text))
-            elif self.app.waits_for is not run:  # the app has given up on it
+            elif self.app.waits_for is not run:  # the app has given up
                 goal.cancel()
             else:
                 self._goal = goal
@@ -231,13 +231,13 @@ class TeleopNode(NodeBase):
         goal.accepted.add_done_callback(on_accepted)
 
     def _on_restart(self, name: str) -> None:
-        """End a run whose server was restarted."""
+        """End the active run if its server was restarted."""
         if self.app.run is not None and server(self.app.run) == name:
             self._goal = None
             self.app.lost_server()
 
     def _on_action(self, message: ActionCommand) -> None:
-        """Keep the options of the two newest actions: one may wait while the other is shown."""
+        """Keep the options of the two latest actions: one may be pending while one is shown."""
         before = list(self._world.acted.items())[:1]
         newest = {(message.publisher_id, message.sequence): message.option_name}
         self._world.acted = newest | dict(before)
@@ -247,14 +247,14 @@ class TeleopNode(NodeBase):
         self._news = True
 
     def _show(self, shown: str, read: Callable[[Any], object], message: Any) -> None:
-        """Show what a message holds, in one field of the world."""
+        """Store a value from a message in a field of the world."""
         setattr(self._world, shown, read(message))
         self._news = True
 
 
 def published_record(node: NodeBase, path: Path, participant: str) -> OpenRecord:
     """
-    Return the record of a participant; a node publishes each of its new events.
+    Open the record of a participant so that a node publishes each new event.
 
     :raises OSError: the record cannot be read.
     """
@@ -271,7 +271,7 @@ def _summaries(message: LearningStatus) -> list[OptionSummary]:
 
 
 def _uncovered(result: PlanResult) -> list[tuple[str, float]] | None:
-    """Return the states that the options do not cover; None: not known."""
+    """Return the states that the options do not cover; None: unknown."""
     if not result.coverage_known:
         return None
     steps = zip(result.single_step_states, result.single_step_gains)
@@ -280,9 +280,9 @@ def _uncovered(result: PlanResult) -> list[tuple[str, float]] | None:
 
 def result_text(result: Any, i_drive: bool) -> tuple[bool, str]:
     """
-    Return whether a run went well, and how it ended in words.
+    Return whether a run was successful, and a description of its end.
 
-    :param i_drive: whether this terminal holds control now.
+    :param i_drive: whether this terminal is in control.
     """
     kind, status = type(result), result.status
     well = [getattr(kind, f'STATUS_{name}', None) for name in _WELL]

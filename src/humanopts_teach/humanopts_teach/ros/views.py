@@ -1,7 +1,7 @@
 """
 The node ``views``: the game for RViz, Foxglove and other viewers of ROS.
 
-``scene.py`` says what is drawn, for any domain.
+``scene.py`` defines the drawing for all domains.
 """
 
 from collections.abc import Iterator, Sequence
@@ -38,15 +38,15 @@ from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
 FRAME = 'humanopts'  # below the namespace
-_PERIOD = 0.05  # s between looks at the game, and least time between two drawings
-_OCCUPIED = 100  # of OccupancyGrid
-_ALONE = (Kind.BALL, Kind.BOX, Kind.TEXT)  # at the pose of the marker
-_HEIGHTS = {'values': -0.1, 'board': 0.0}  # z of layers, m; the others lie above the board
+_PERIOD = 0.05  # s, polling period of the game and minimum time between drawings
+_OCCUPIED = 100  # value in OccupancyGrid
+_ALONE = (Kind.BALL, Kind.BOX, Kind.TEXT)  # kinds placed at the pose of the marker
+_HEIGHTS = {'values': -0.1, 'board': 0.0}  # z of layers, m; other layers are above the board
 _THIN = 0.05  # m
 
 
 class ViewsNode(NodeBase):
-    """Publishes the board, what is on it, the option that runs, and the values of a plan."""
+    """Publishes the board with its marks, the running option, and the values of a plan."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__('views', **options)
@@ -56,8 +56,8 @@ class ViewsNode(NodeBase):
         self._game = GameSubscriber(self, self._begin)
         self._newest = self._game.newest()
         self._state: Observed | None = None
-        self._run = '', ''  # id and words of the option run under way
-        self._plan: PlanValues | None = None  # the newest whose states are those of the game
+        self._run = '', ''  # id and name of the active option run
+        self._plan: PlanValues | None = None  # latest plan over the states of the game
         self._layouts: Sequence[BoardSlice] = ()
         self._changed = False
         self.create_subscription(OptionGoal, 'option_goals', self._on_goal, DISPLAY)
@@ -67,7 +67,7 @@ class ViewsNode(NodeBase):
         self._timer = self.create_timer(_PERIOD, self._draw_newest, autostart=False)
 
     def waits_for(self) -> str | None:
-        """Return what the node waits for: the domain of the game."""
+        """Wait for the domain of the game."""
         return None if self._game.domain else 'domain_info'
 
     def _begin(self, domain: ActableDomain) -> None:
@@ -75,7 +75,7 @@ class ViewsNode(NodeBase):
         if can_simulate(domain):
             first = domain.reset(
                 generator(0, 'views')
-            )  # all states have the same blocks and walls
+            )  # blocks and walls are the same in all states
             self._board.publish(self._grid(board_of(domain, first)))
         self._timer.reset()
 
@@ -93,7 +93,7 @@ class ViewsNode(NodeBase):
         self._changed = True
 
     def _draw_newest(self) -> None:
-        """Draw the newest state, where anything has changed."""
+        """Draw the latest state if anything has changed."""
         if (newest := self._newest.take()) is not None:
             self._state = newest
         elif not self._changed:
@@ -102,7 +102,7 @@ class ViewsNode(NodeBase):
         self._markers.publish(MarkerArray(markers=list(self._drawn())))
 
     def _drawn(self) -> Iterator[Marker]:
-        """Yield what replaces all markers."""
+        """Yield markers that replace all previous ones."""
         yield self._marker(action=Marker.DELETEALL)
         for number, shape in enumerate(self._shapes()):
             yield self._encoded(number, shape)
@@ -140,7 +140,7 @@ class ViewsNode(NodeBase):
         return marker
 
     def _encoded(self, number: int, shape: Shape) -> Marker:
-        """Encode a shape; number: unique among those of one drawing."""
+        """Encode a shape as a marker; the number is unique within a drawing."""
         z = _HEIGHTS.get(shape.layer, 0.2)
         points = [Point(x=x, y=y, z=z) for x, y in shape.points]
         colours = [ColorRGBA(r=r, g=g, b=b, a=1.0) for r, g, b in shape.colours]
@@ -156,7 +156,7 @@ class ViewsNode(NodeBase):
             marker.points = points
             marker.colors = colours if len(colours) > 1 else []
         if shape.kind is Kind.LINES:
-            marker.scale = Vector3(x=width)  # the others are not used
+            marker.scale = Vector3(x=width)  # other components are unused
         return marker
 
 
