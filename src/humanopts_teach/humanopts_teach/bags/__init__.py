@@ -1,17 +1,17 @@
 """
-Bags, written and read without ROS, and their errors.
+Reading and writing of bags without ROS, and the errors of bags.
 
-The text of an error says what is wrong and, if possible, what to do.
+An error message describes the problem and, if possible, a solution.
 """
 
 
 class BagError(ValueError):
-    """A bag cannot be read, or does not hold what was asked for."""
+    """A bag cannot be read, or lacks the requested contents."""
 
 
 class BagWriteError(OSError):
-    """A bag cannot be created or continued; what was written before stays readable."""
+    """A bag cannot be created or continued; data already written stays readable."""
 
 
 class SchemaError(LookupError):
-    """No definition of a type is installed."""
+    """The definition of a type is not installed."""

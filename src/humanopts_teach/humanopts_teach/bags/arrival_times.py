@@ -5,33 +5,33 @@ from humanopts_ros.workarounds import TimeOfDay
 
 class ArrivalTimes:
     """
-    Arrival times that start at the time of day and increase steadily, ns since the epoch.
+    Arrival times that start at the system time and increase steadily, ns since the epoch.
 
-    The middleware stamps an arriving message with the time of day. A change of the clock is
-    detected at the next look. A message that arrived between two looks was stamped before or
-    after the change: usually only one of the two interpretations is between the looks. A message
-    left over from earlier fits neither, and gets the time of the earlier look.
+    The middleware stamps each arriving message with the system time. A clock change is detected at
+    the next check. A message that arrived between two checks was stamped before or after the
+    change: usually only one of these interpretations lies between the checks. An older message
+    fits neither, and gets the time of the earlier check.
 
-    :ivar now: at the last look.
+    :ivar now: time of the last check.
     """
 
     def __init__(self, time_of_day: TimeOfDay) -> None:
         self._time_of_day = time_of_day
         self.now = self._looked_before = time_of_day.now
-        self._ahead_before = 0  # offset of the time of day at that look, ns
-        self._newest: dict[str, int] = {}  # by topic
+        self._ahead_before = 0  # ns, offset of the system time at that check
+        self._newest: dict[str, int] = {}  # latest arrival by topic
 
     def look(self) -> None:
-        """Detect changes of the time of day; call it just after taking messages."""
+        """Detect changes of the system time; call this just after taking messages."""
         self._looked_before, self._ahead_before = self.now, self._time_of_day.ahead
         self._time_of_day.look()
         self.now = self._time_of_day.now
 
     def of(self, topic: str, received: int) -> int:
         """
-        Return the arrival time of a message, at or after those taken earlier from its topic.
+        Return the arrival time of a message, never earlier than previous ones of its topic.
 
-        :param received: its time of day, ns since the epoch.
+        :param received: system time stamp of the message, ns since the epoch.
         """
         arrived = received - self._time_of_day.ahead
         if not self._looked_before <= arrived <= self.now:

@@ -1,4 +1,4 @@
-"""Find what is damaged or missing in a bag, and write a new bag of the rest."""
+"""Check a bag for damage and loss, and write a new bag with the readable rest."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -22,12 +22,12 @@ from humanopts_teach.bags.sequence_numbers import (
 from humanopts_teach.bags.writer import BagWriter, NAMESPACE, RECORD, SELF
 from humanopts_teach.text_table import table
 
-RECORDER = '(recorder)'  # shown as publisher if only the recorder numbers messages
-UNNUMBERED = '(none)'  # shown if messages have no numbers, so loss cannot be counted
+RECORDER = '(recorder)'  # shown as the publisher if only the recorder numbers messages
+UNNUMBERED = '(none)'  # shown if messages have no numbers, so losses cannot be counted
 
 
 class MessageCounter:
-    """Counts the messages of a bag: by topic, by time, and by their publishers' numbers."""
+    """Counts the messages of a bag by topic, time and publishers' sequence numbers."""
 
     def __init__(self, bag: Bag) -> None:
         self.counts: Counter[str] = Counter()  # by topic
@@ -35,12 +35,12 @@ class MessageCounter:
         self.losses = LossCounter()
         self.stamped = {t.name for t in bag.topics.values() if is_stamped(t.schema)}
         self._latched = {t.name for t in bag.topics.values() if t.latched}
-        namespace = bag.facts.get(NAMESPACE)  # None: it is of another program
+        namespace = bag.facts.get(NAMESPACE)  # None: recorded by another program
         self._own = {t for t in bag.topics if namespace is None or own_name(t, namespace)}
         self._bag = bag
 
     def add(self, recorded: Recorded) -> bool:
-        """Count a message; return whether it counts: it decodes, and its node may publish it."""
+        """Count a message; return whether it is decodable and its publisher is permitted."""
         topic, stamp = recorded.topic, None
         self.counts[topic] += 1
         self.extent.add(recorded.log_time)
@@ -49,7 +49,7 @@ class MessageCounter:
             if stamp is None:
                 self._bag.note(f'a message on {topic} does not decode')
                 return False
-            if self._bag.is_foreign(recorded):  # its numbers may be forged
+            if self._bag.is_foreign(recorded):  # its sequence numbers may be forged
                 return False
         elif self._bag.numbered:
             stamp = Stamp(RECORDER, recorded.sequence)
@@ -64,15 +64,15 @@ class Check:
     """The result of a check."""
 
     path: str
-    messages: int  # that can be read
-    recording: bool  # it is being recorded, and was read as far as it was on the disk
-    damage: Sequence[str]  # of the files, in words
+    messages: int  # number of readable messages
+    recording: bool  # the bag is being recorded, and was read up to its state on disk
+    damage: Sequence[str]  # descriptions of damage to the files
     streams: Sequence[Stream]
-    left_out: Sequence[str] = ()  # messages of nodes that may not publish there, in words
+    left_out: Sequence[str] = ()  # descriptions of messages from nodes that may not publish there
 
     @property
     def findings(self) -> list[str]:
-        """Everything that is wrong, in words; empty: the bag is whole, or whole so far."""
+        """Descriptions of all defects; empty: the bag is complete, or complete so far."""
         found = list(self.damage)
         for name, text in (
             ('missing', 'messages were sent and are missing'),
@@ -86,11 +86,11 @@ class Check:
 
     @property
     def whole(self) -> bool:
-        """Whether nothing is wrong."""
+        """Whether the bag has no defects."""
         return not self.findings
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the check as JSON data."""
+        """Return the result as JSON data."""
         return {
             **vars(self),
             'streams': [stream.to_dict() for stream in self.streams],
@@ -99,7 +99,7 @@ class Check:
         }
 
     def to_text(self) -> str:
-        """Return the check as text for a person."""
+        """Return the result as human-readable text."""
         verdict = 'damaged or incomplete' if self.findings else 'whole: nothing is missing'
         if self.recording:
             verdict = f'being recorded, and so far {verdict}'
@@ -111,18 +111,18 @@ class Check:
 
 def check_bag(bag: Bag) -> Check:
     """
-    Read a bag once and compare it with its checksums, numbers and metadata.yaml.
+    Read a bag once and verify checksums, sequence numbers and metadata.yaml.
 
-    While it is being recorded, metadata.yaml is older than the messages, and not compared.
-    Messages without a publisher's number are counted by those of our recorder. The check holds a
-    few chunks, the index and one attached file in memory.
+    In a bag that is being recorded, metadata.yaml is older than the messages and is not compared.
+    Messages without publishers' sequence numbers are counted by the recorder's numbers. The check
+    keeps a few chunks, the index and one attached file in memory.
     """
     bag.compare_bytes()
     counter = MessageCounter(bag)
     for recorded in bag.messages():
         counter.add(recorded)
     for _ in bag.attached():
-        pass  # damage is noted
+        pass  # iteration records damage
     counts, extent = counter.counts, counter.extent
     for topic in bag.topics.values():
         if topic.messages != counts[topic.name]:
@@ -130,7 +130,7 @@ def check_bag(bag: Bag) -> Check:
     metadata = None if bag.growing else bag.information
     if metadata is not None and metadata.message_count != extent.messages:
         bag.note(f'{FILE} lists {metadata.message_count} messages; {extent.messages} were read')
-    elif metadata is not None:  # else the rest differs too, as in a recording that was not closed
+    elif metadata is not None:  # else the rest differs too, as in an unclosed recording
         listed = {
             t.topic_metadata.name: t.message_count for t in metadata.topics_with_message_count
         }
@@ -154,19 +154,19 @@ def check_bag(bag: Bag) -> Check:
     return Check(str(bag.path), extent.messages, bag.growing, damage, streams, bag.strangers)
 
 
-REPAIR = 'humanopts_repair'  # name of the MCAP metadata record that describes a repair
+REPAIR = 'humanopts_repair'  # MCAP metadata record that describes a repair
 
 
 def repair(bag: Bag, out: Path) -> int:
     """
-    Write what can be read of a bag as a new one, and leave the old one alone.
+    Write the readable contents of a bag to a new bag; the old bag is not modified.
 
-    Messages keep their bytes, times and order, and the numbers that our recorder gave them.
+    Messages keep their bytes, times and order, and the numbers assigned by the recorder.
 
     :param out: folder of the new bag; must not exist.
     :return: number of messages written.
     :raises BagError: the new bag would be inside the old one.
-    :raises BagWriteError: ``out`` exists, or cannot be written.
+    :raises BagWriteError: ``out`` exists or cannot be written.
     """
     if out.resolve().is_relative_to(bag.path.resolve()):
         raise BagError(f'{out} is inside {bag.path}, which a repair leaves alone; name another')

@@ -1,4 +1,4 @@
-"""The contents of a bag: its domain, demonstrations, episodes, and who acted in them."""
+"""The contents of a bag: domain, demonstrations, episodes and their actors."""
 
 from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
@@ -23,10 +23,10 @@ from humanopts_teach.bags.sequence_numbers import has_step, read_stamp
 
 def read_demonstrations(bag: Bag) -> list[Demonstration]:
     """
-    Return the demonstrations in a bag as they were published, repetitions included.
+    Return the demonstrations in a bag as published, including repetitions.
 
-    One of another game is left out, and one of an unknown kind, which ``bag.damage`` notes.
-    ``check_demonstration`` decides whether the others can be used.
+    Demonstrations of other games or of an unknown kind are omitted; the latter are reported in
+    ``bag.damage``. ``check_demonstration`` decides whether the others are valid.
 
     :raises BagError: the bag has no topic of demonstrations.
     """
@@ -38,9 +38,9 @@ def read_demonstrations(bag: Bag) -> list[Demonstration]:
 
 def demonstration_decoder(bag: Bag) -> Callable[[Recorded], Demonstration | None]:
     """
-    Return a function that decodes a demonstration of the game that was played.
+    Return a function that decodes demonstrations of the recorded game.
 
-    As in learners, one of another game is left out, and its result is None.
+    Like learners, it ignores demonstrations of other games and returns None for them.
     """
     played = domains_played(bag)
     known = [(name, _parsed(parameters)) for name, parameters in played]
@@ -59,7 +59,7 @@ def demonstration_decoder(bag: Bag) -> Callable[[Recorded], Demonstration | None
 
 
 def _parsed(parameters: str) -> Any:
-    """Return the parameters of a game; None: they cannot be read, which is reported elsewhere."""
+    """Return the parameters of a game; None: invalid, which is reported elsewhere."""
     try:
         return parse_json(parameters)
     except ValueError:
@@ -68,9 +68,9 @@ def _parsed(parameters: str) -> Any:
 
 def domains_played(bag: Bag) -> list[tuple[str, str]]:
     """
-    Return name and parameters (JSON) of the domains that were played, sorted.
+    Return the names and parameters (JSON) of the recorded domains, sorted.
 
-    As for the nodes of the graph, what a process announces first is its game.
+    As for the nodes of the graph, the first announcement of a process determines its game.
     """
     first: dict[str, tuple[str, str]] = {}  # by publisher_id
     played = set[tuple[str, str]]()
@@ -79,7 +79,7 @@ def domains_played(bag: Bag) -> list[tuple[str, str]]:
         game = recorded.convert(lambda info: (info.domain, info.parameters))
         stamp = read_stamp(recorded.data)
         if game is not None and stamp is not None:
-            # Programs that do not sign may announce several.
+            # Programs without publisher ids may announce several games.
             played.add(first.setdefault(stamp.publisher_id, game) if stamp.publisher_id else game)
             announced.append((recorded, game))
     for recorded, game in announced:
@@ -94,9 +94,9 @@ def _named(games: Collection[tuple[str, str]]) -> str:
 
 def read_domain(bag: Bag) -> Domain[Any]:
     """
-    Return the domain that was played.
+    Return the recorded domain.
 
-    :raises BagError: the bag names no domain, or several, or one that is not installed here.
+    :raises BagError: the bag names no domain, several, or one that is not installed.
     """
     try:
         return domain_from_json(*_played(bag))
@@ -106,9 +106,9 @@ def read_domain(bag: Bag) -> Domain[Any]:
 
 def read_description(bag: Bag) -> ActableDomain:
     """
-    Return the domain that was played, even if only the bag describes it.
+    Return the recorded domain, even if it is described only in the bag.
 
-    :raises BagError: the bag names no domain, or several, or it cannot be used.
+    :raises BagError: the bag names no domain, several, or an invalid one.
     """
     name, _ = _played(bag)
     if is_registered(name):
@@ -122,9 +122,9 @@ def read_description(bag: Bag) -> ActableDomain:
 
 def _played(bag: Bag) -> tuple[str, str]:
     """
-    Return name and parameters (JSON) of the domain that was played.
+    Return the name and parameters (JSON) of the recorded domain.
 
-    :raises BagError: the bag names none, or several.
+    :raises BagError: the bag names no domain, or several.
     """
     played = domains_played(bag)
     if not played:
@@ -135,7 +135,7 @@ def _played(bag: Bag) -> tuple[str, str]:
     return played[0]
 
 
-STATE_COPY = 'current_state'  # the latched topic that repeats the last state
+STATE_COPY = 'current_state'  # latched topic that repeats the last state
 
 
 @dataclass(frozen=True)
@@ -143,9 +143,9 @@ class Episode:
     """
     The recorded states of one episode, in order.
 
-    :ivar publisher_id: of the game.
-    :ivar times: log times of the first and the last message, ns.
-    :ivar read: decodes the transitions.
+    :ivar publisher_id: publisher id of the game.
+    :ivar times: log times of the first and last message, ns.
+    :ivar read: function that decodes the transitions.
     """
 
     topic: str
@@ -156,12 +156,12 @@ class Episode:
 
     @property
     def key(self) -> tuple[str, str, int]:
-        """What no other episode of the bag has."""
+        """The unique key of the episode in the bag."""
         return self.topic, self.publisher_id, self.number
 
     @cached_property
     def transitions(self) -> tuple[Transition, ...]:
-        """The transitions that can be decoded, in order."""
+        """The decodable transitions, in order."""
         return tuple(self.read())
 
     @property
@@ -171,14 +171,14 @@ class Episode:
 
     @property
     def complete(self) -> bool:
-        """Whether it was recorded from its first state to its end without a gap."""
+        """Whether the episode was recorded from its first state to its end without gaps."""
         if not self.transitions or self.has_gaps:
             return False
         return self.transitions[-1].terminated or self.transitions[-1].truncated
 
 
 def state_topics(bag: Bag) -> set[str]:
-    """Return the topics of game states, without those that repeat the last state."""
+    """Return the topics of game states, except those that repeat the last state."""
     states = [name for name in bag.of_type(GAME_STATE) if name.rpartition('/')[2] != STATE_COPY]
     topics = {name for name in states if has_step(bag.topics[name].schema)}
     for name in sorted({*states} - topics):
@@ -188,9 +188,9 @@ def state_topics(bag: Bag) -> set[str]:
 
 def _group_episodes(bag: Bag, between: tuple[int, int] = ALWAYS) -> Iterator[Episode]:
     """
-    Yield each episode, decoded on demand, once its game begins a later one or the bag ends.
+    Yield each episode when its game begins a later one or the bag ends, decoded on demand.
 
-    Messages of an episode that come after that are left out.
+    Later messages of the episode are omitted.
     """
 
     def episode(game: tuple[str, str], number: int, states: dict[int, Recorded]) -> Episode:
@@ -225,9 +225,9 @@ def _group_episodes(bag: Bag, between: tuple[int, int] = ALWAYS) -> Iterator[Epi
 
 def read_episodes(bag: Bag, between: tuple[int, int] = ALWAYS) -> Iterator[Episode]:
     """
-    Yield the episodes of a bag when they are over, the last one of every game at the end.
+    Yield the episodes of a bag when they are over, and the last one of each game at the end.
 
-    :param between: log times that are read, ns.
+    :param between: range of log times to read, ns.
     """
     return (each for each in _group_episodes(bag, between) if any(True for _ in each.read()))
 
@@ -236,7 +236,7 @@ def find_episodes(bag: Bag) -> list[Episode]:
     """
     Return the episodes of ``read_episodes``, in that order, without their transitions.
 
-    They are read from the bag on demand, which raises ``BagError`` if that has become impossible.
+    Transitions are read from the bag on demand; this raises ``BagError`` if no longer possible.
     """
 
     def again(key: tuple[str, str, int], times: tuple[int, int]) -> Iterable[Transition]:
@@ -252,15 +252,15 @@ def find_episodes(bag: Bag) -> list[Episode]:
 
 
 ACTION_COMMAND = f'{INTERFACES}msg/ActionCommand'
-AROUND = 10 * 10**9  # ns before and after an episode, searched for its commands
-Actors = dict[tuple[str, int], str]  # option by publisher and sequence number of a command
+AROUND = 10 * 10**9  # ns before and after an episode to search for its commands
+Actors = dict[tuple[str, int], str]  # option by a command's publisher id and sequence number
 
 
 def read_actors(bag: Bag, episode: Episode | None = None) -> Actors:
     """
-    Return which option sent each command.
+    Return the option that sent each command.
 
-    :param episode: sent in or around this episode; None: in the whole bag.
+    :param episode: episode of the commands; None: all commands in the bag.
     """
     first, last = (0, ALWAYS[1]) if episode is None else episode.times
     commands = bag.converted(
@@ -274,10 +274,10 @@ def read_actors(bag: Bag, episode: Episode | None = None) -> Actors:
 
 
 def actor_of(transition: Transition, actors: Actors) -> str:
-    """Return the option or action:NAME whose action led to a transition; empty: a person."""
+    """Return the option or action:NAME that caused a transition; empty: a person."""
     return actors.get((transition.action_publisher_id, transition.action_sequence), '')
 
 
 def source_of(transition: Transition) -> str:
-    """Return who chose the action of a transition, in a word; empty: no action led to it."""
+    """Return the source of a transition's action in one word; empty: no action."""
     return '' if transition.action_source is Source.NONE else transition.action_source.name.lower()

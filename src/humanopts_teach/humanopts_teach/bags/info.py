@@ -1,4 +1,4 @@
-"""The facts about a bag, read in one pass: people, options, runs, plans, episodes and loss."""
+"""A summary of a bag, read in one pass: people, options, runs, plans, episodes and losses."""
 
 from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
@@ -21,7 +21,7 @@ from humanopts_teach.bags.schemas import constants
 from humanopts_teach.bags.sequence_numbers import read_stamp, Stream
 from humanopts_teach.text_table import table
 
-_MAX_ROWS = 50  # streams with losses in a text
+_MAX_ROWS = 50  # maximum number of streams with losses in the text
 _STATUS = f'{INTERFACES}msg/LearningStatus'
 PLAN_RESULT = f'{INTERFACES}msg/PlanResult'
 _POLICY_RESULT = f'{INTERFACES}msg/PolicyResult'
@@ -39,13 +39,13 @@ class TopicRow:
     name: str
     type: str
     messages: int
-    publishers: int | None = None  # that number their messages; None: the messages have no numbers
-    lost: int | None = None  # by gaps in the numbers; None: unknown
+    publishers: int | None = None  # number of publishers; None: messages have no numbers
+    lost: int | None = None  # according to gaps in the numbers; None: unknown
 
 
 @dataclass(frozen=True)
 class OptionRow:
-    """One option of one participant, from its demonstrations."""
+    """An option of a participant, summarised from its demonstrations."""
 
     participant: str
     option: str
@@ -53,10 +53,10 @@ class OptionRow:
     features: tuple[str, ...]
     demonstrations: int
     not_here: int
-    withdrawn: int  # not counted in the other fields
-    steps: int  # of all demonstrations
-    seconds: float  # of the person's time, for all demonstrations
-    criteria_met: bool  # by the last learning status
+    withdrawn: int  # excluded from the other fields
+    steps: int  # total of all demonstrations
+    seconds: float  # total time of the person for all demonstrations
+    criteria_met: bool  # according to the last learning status
 
     @classmethod
     def of(cls, demos: Sequence[Demonstration], criteria_met: bool) -> 'OptionRow':
@@ -80,15 +80,15 @@ class OptionRow:
 
 @dataclass(frozen=True)
 class CriterionRow:
-    """A criterion of an option after a demonstration, by the learning status."""
+    """A criterion of an option after a demonstration, from the learning status."""
 
     participant: str
     option: str
     criterion: str  # return, initiation or termination
     seconds: float = field(compare=False)  # from the start of the bag
-    demonstrations: int  # so far
-    not_here: int  # "not here" answers so far
-    threshold: float | None  # None: unknown so far
+    demonstrations: int  # number so far
+    not_here: int  # number of "not here" answers so far
+    threshold: float | None  # None: not known yet
     value: float | None  # None: not yet measurable
     met: bool
 
@@ -104,40 +104,40 @@ class Attached:
 
 @dataclass(frozen=True)
 class BagInfo:
-    """The facts about a bag."""
+    """The summary of a bag."""
 
     path: str
-    recording: bool  # it is being recorded; what follows is so far
+    recording: bool  # the bag is being recorded; the other fields are preliminary
     damage: Sequence[str]
-    left_out: Sequence[str]  # messages that do not count: they are not of the graph
-    start: int  # of the first message, ns since the epoch
-    duration: int  # to the last message, ns
+    left_out: Sequence[str]  # omitted messages that do not belong to the graph
+    start: int  # time of the first message, ns since the epoch
+    duration: int  # time from the first to the last message, ns
     messages: int
-    missing: int  # messages that were sent and are not in the bag
-    files: int  # MCAP files
-    bytes: int  # size of the MCAP files
-    facts: Mapping[str, str]  # of the recorder
+    missing: int  # number of lost messages
+    files: int  # number of MCAP files
+    bytes: int  # total size of the MCAP files
+    facts: Mapping[str, str]  # facts of the recorder
     attached: Sequence[Attached]
     domains: Sequence[str]  # name and parameters
-    participants: Sequence[str]  # who taught or opened a lesson, sorted
+    participants: Sequence[str]  # participants who taught or opened a lesson, sorted
     sessions: Sequence[str]  # sorted
     topics: Sequence[TopicRow]
     options: Sequence[OptionRow]
     criteria: Sequence[CriterionRow]  # in order of time, at each change
     results: Mapping[str, Mapping[str, int]]  # option runs, plans and policy runs, by status
-    interruptions: int  # options that policies stopped, since another was worth more
-    execution_changes: int  # of policies while they ran
+    interruptions: int  # options interrupted by policies because another was worth more
+    execution_changes: int  # changes of arbitration during policy runs
     episodes: int
-    episodes_ended: int  # that were recorded to their end
+    episodes_ended: int  # episodes recorded to their end
     streams: Sequence[Stream]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the facts as JSON data."""
+        """Return the summary as JSON data."""
         streams = [stream.to_dict() for stream in self.streams]
         return asdict(replace(self, streams=())) | {'streams': streams}
 
     def to_text(self) -> str:
-        """Return the facts as text for a person."""
+        """Return the summary as human-readable text."""
         start = datetime.fromtimestamp(self.start / 1e9, UTC).strftime('%Y-%m-%d %H:%M:%S UTC')
         head = [
             ('bag', self.path),
@@ -164,7 +164,7 @@ class BagInfo:
         histories = defaultdict[tuple[str, str, str], list[CriterionRow]](list)
         for row in self.criteria:
             histories[row.participant, row.option, row.criterion].append(row)
-        # When a criterion was first met, and its last value.
+        # For each criterion, the first time it was met and its last value.
         criteria = dict.fromkeys(
             row
             for rows in histories.values()
@@ -196,7 +196,7 @@ class BagInfo:
 
 
 def _columns(rows: Iterable[Any], names: str) -> str:
-    """Return some attributes of rows as a table."""
+    """Return selected attributes of rows as a table."""
     return table(
         [
             {name.replace('_', ' '): _cell(getattr(row, name)) for name in names.split()}
@@ -212,15 +212,15 @@ def _cell(value: object) -> object:
 
 
 def option_rows(bag: Bag) -> Sequence[OptionRow]:
-    """Return the options that were taught."""
+    """Return the taught options."""
     return summarise(bag, bag.of_type(DEMONSTRATION) + bag.of_type(_STATUS)).options
 
 
 def summarise(bag: Bag, topics: Collection[str] | None = None) -> BagInfo:
     """
-    Read a bag once and return the facts about it.
+    Read a bag once and return its summary.
 
-    :param topics: that are read; None: all.
+    :param topics: topics to read; None: all.
     """
     counter, states, decode = MessageCounter(bag), state_topics(bag), demonstration_decoder(bag)
     own = {name for name in bag.topics if own_name(name, bag.namespace)}

@@ -1,8 +1,8 @@
 """
-One MCAP file: its topics, chunks, attachments and metadata, as the ``mcap`` package reads them.
+One MCAP file: its topics, chunks, attachments and metadata, as read by the ``mcap`` package.
 
-A file is read by its index. One without, as a killed recorder leaves it, is scanned up to the
-first record that the package cannot read. A chunk that does not match its checksum is left out.
+A file is read through its index. A file without an index, as left by a killed recorder, is scanned
+up to the first record that the package cannot read. Chunks with wrong checksums are skipped.
 """
 
 from collections import Counter
@@ -37,16 +37,16 @@ from mcap.summary import Summary
 from mcap.writer import MCAP0_MAGIC
 import zstandard
 
-ReadCallback = Callable[[int, int], object]  # takes how much is read, and of how much
+ReadCallback = Callable[[int, int], object]  # takes the amount read and the total
 _SQLITE, _ROS_1 = b'SQLite format 3\0', b'#ROSBAG V'
-_HEAD = 9  # bytes of a record before its content: opcode and length
+_HEAD = 9  # bytes of a record's header: opcode and length
 ALWAYS = (0, 2**64)  # first and last log time
-# What damaged bytes make the ``mcap`` package raise.
+# Exceptions that the ``mcap`` package raises for damaged bytes.
 DAMAGE = (
     McapError,
     zstandard.ZstdError,
     struct.error,
-    ValueError,  # checksums and text that is not UTF-8, too
+    ValueError,  # includes wrong checksums and invalid UTF-8
     KeyError,
     OSError,
     MemoryError,
@@ -59,11 +59,11 @@ class McapFile:
     """
     The contents of one MCAP file.
 
-    :ivar growing: it is being written, so a missing end is not damage.
-    :ivar summary: schemas, channels, and the places of chunks and attachments.
-    :ivar counts: messages by channel id.
-    :ivar loose: messages outside chunks, which some programs write.
-    :ivar damage: what is wrong with the file, in words.
+    :ivar growing: the file is being written, so a missing end is not damage.
+    :ivar summary: schemas, channels, and locations of chunks and attachments.
+    :ivar counts: number of messages by channel id.
+    :ivar loose: messages outside chunks, written by some programs.
+    :ivar damage: descriptions of damage.
     """
 
     path: Path
@@ -75,19 +75,19 @@ class McapFile:
     damage: list[str] = field(default_factory=list)
 
     def note(self, damage: str) -> None:
-        """Keep what is wrong with the file."""
+        """Record a description of damage."""
         self.damage.append(f'{self.path.name}: {damage}')
 
     def describes(self, channel_id: int) -> bool:
-        """Return whether topic and type of a channel's messages are known."""
+        """Return whether the topic and type of a channel are known."""
         channel = self.summary.channels.get(channel_id)
         return channel is not None and channel.schema_id in {0, *self.summary.schemas}
 
     def chunks(self, channels: Container[int], between: tuple[int, int]) -> Iterator[ChunkIndex]:
         """
-        Yield the chunks that may hold messages of some channels.
+        Yield the chunks that may contain messages of some channels.
 
-        :param channels: ids.
+        :param channels: channel ids.
         :param between: first and last log time, ns.
         """
         for chunk in self.summary.chunk_indexes:
@@ -97,7 +97,7 @@ class McapFile:
                 yield chunk
 
     def read(self, index: ChunkIndex) -> list[Message]:
-        """Return the messages of a chunk; one of ``DAMAGE`` is raised if it is damaged."""
+        """Return the messages of a chunk; a damaged chunk raises one of ``DAMAGE``."""
         with self.path.open('rb') as stream:
             stream.seek(index.chunk_start_offset)
             limit = index.chunk_length
@@ -116,17 +116,17 @@ class McapFile:
 
 
 def ignore_progress(*_: object) -> None:
-    """Show no progress."""
+    """No-op: ignore progress."""
 
 
 def open_file(
     path: Path, on_read: ReadCallback = ignore_progress, *, growing: bool = False
 ) -> McapFile:
     """
-    Read what a file holds.
+    Open a file and read its index, or scan it.
 
-    :param on_read: is called while a file without an index is scanned.
-    :param growing: the file is being written.
+    :param on_read: progress callback for scanning a file without an index.
+    :param growing: whether the file is being written.
     :raises BagError: the file cannot be read, is empty, or is not an MCAP file.
     """
     try:
@@ -149,7 +149,7 @@ def open_file(
 
 
 def _format_of(path: Path, head: bytes) -> str:
-    """Say what a file is, by its first bytes, and how to make an MCAP file of it."""
+    """Describe the format of a file from its first bytes, and how to convert it to MCAP."""
     if not head:
         return 'empty'
     for suffix, (_, magic) in COMPRESSED.items():
@@ -164,9 +164,9 @@ def _format_of(path: Path, head: bytes) -> str:
 
 def _read_summary(file: McapFile, stream: BinaryIO) -> bool:
     """
-    Read the index at the end of a file; False: it has none, or not all of one.
+    Read the index at the end of a file; False: it is missing or incomplete.
 
-    It is compared with its checksum, which the ``mcap`` package does not do.
+    Verifies its checksum, which the ``mcap`` package does not.
     """
     stream.seek(_HEAD - FOOTER_SIZE - MAGIC_SIZE, SEEK_END)
     footer = Footer.read(ReadDataStream(stream))
@@ -187,19 +187,19 @@ def _read_summary(file: McapFile, stream: BinaryIO) -> bool:
 
 
 def _scan(file: McapFile, stream: BinaryIO, on_read: ReadCallback) -> bool:
-    """Read a file without an index up to its end, or to damage; return whether it has an end."""
+    """Scan a file without an index up to its end or damage; return whether it has an end."""
     size, at, closed = stream.seek(0, SEEK_END), MAGIC_SIZE, False
     stream.seek(0)
     reader = StreamReader(stream, emit_chunks=True, record_size_limit=size)
     try:
         for record in reader.records:
-            if isinstance(record, DataEnd):  # what follows is the damaged index
+            if isinstance(record, DataEnd):  # followed by the damaged index
                 closed = True
                 break
             _add(file, record, at, stream.tell())
             at = stream.tell()
             on_read(at, size)
-    except (EndOfFile, RecordLengthLimitExceeded, struct.error):  # fewer bytes than it says
+    except (EndOfFile, RecordLengthLimitExceeded, struct.error):  # truncated record
         if not file.growing:
             cut = f'is cut short in the record at byte {at} of {size}'
             file.note(f'it {cut if at < size else "was not closed: it ends without an index"}')
@@ -212,7 +212,7 @@ def _scan(file: McapFile, stream: BinaryIO, on_read: ReadCallback) -> bool:
 
 
 def _add(file: McapFile, record: object, start: int, end: int) -> None:
-    """Keep what a record between two offsets says."""
+    """Add the contents of a record between two offsets."""
     summary = file.summary
     if isinstance(record, Schema):
         summary.schemas.setdefault(record.id, record)
@@ -245,7 +245,7 @@ def _add(file: McapFile, record: object, start: int, end: int) -> None:
                 compressed_size=len(record.data),
                 message_end_time=record.message_end_time,
                 message_index_length=0,
-                message_index_offsets={},  # unknown: of any channel
+                message_index_offsets={},  # unknown: may contain any channel
                 message_start_time=record.message_start_time,
                 uncompressed_size=record.uncompressed_size,
             )
@@ -253,7 +253,7 @@ def _add(file: McapFile, record: object, start: int, end: int) -> None:
 
 
 def check_bytes(path: Path, on_read: ReadCallback = ignore_progress) -> str:
-    """Compare all bytes of a closed file with its checksum; return what is wrong."""
+    """Verify the checksums of a closed file; return a description of damage, or empty."""
     size = path.stat().st_size
     with path.open('rb') as stream:
         try:
@@ -268,14 +268,14 @@ def read_attachment(path: Path, index: AttachmentIndex) -> Attachment:
     """
     Return an attached file with its times.
 
-    :raises BagError: it is damaged.
+    :raises BagError: the attachment is damaged.
     """
     with path.open('rb') as stream:
         try:
             stream.seek(index.offset + _HEAD)
             content = stream.read(index.length - _HEAD)
             if zlib.crc32(content[:-4]) != int.from_bytes(content[-4:], 'little'):
-                raise ValueError('it does not match its checksum')  # mcap does not compare
+                raise ValueError('it does not match its checksum')  # not verified by mcap
             found: Attachment = Attachment.read(ReadDataStream(BytesIO(content)))
             return found
         except DAMAGE as error:

@@ -1,4 +1,4 @@
-"""The origin of a recording: versions of software, and the files to keep with it."""
+"""The provenance of a recording: software versions, and files to attach."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
@@ -19,7 +19,7 @@ _PACKAGES = {
 
 
 def software() -> dict[str, str]:
-    """Return the versions of the packages that affect learning, and the lock file's SHA-256."""
+    """Return the versions of packages that affect learning, and the lock file's SHA-256."""
     facts = dict.fromkeys(_PACKAGES, UNKNOWN)
     for name, package in _PACKAGES.items():
         with suppress(PackageNotFoundError):
@@ -29,7 +29,7 @@ def software() -> dict[str, str]:
 
 
 def lock_hash(places: Sequence[Path]) -> str:
-    """Return the SHA-256 of the lock file of the checkout among some folders."""
+    """Return the SHA-256 of the lock file in the first folder that is a checkout."""
     for place in places:
         with suppress(OSError):
             if (place / 'src' / 'humanopts_teach').is_dir():
@@ -39,7 +39,7 @@ def lock_hash(places: Sequence[Path]) -> str:
 
 def attachments(paths: Sequence[Path]) -> Iterator[tuple[str, Path]]:
     """
-    Yield files to keep in a bag, each with its name in it: ``options/p1/go-to-goal.json``.
+    Yield the files to attach to a bag, with names such as ``options/p1/go-to-goal.json``.
 
     :param paths: files, and folders with .json files; missing paths are skipped.
     """

@@ -1,4 +1,4 @@
-"""Open bags, and read the graph in them: only the messages that its nodes would accept."""
+"""Opening of bags, and reading of the messages that the nodes of their graph would accept."""
 
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -17,7 +17,7 @@ from humanopts_teach.bags.sequence_numbers import read_stamp
 from humanopts_teach.bags.writer import GAME, GAME_IDS, is_being_written, NAMESPACE, RECORD
 
 BEING_RECORDED = 'the bag is being recorded: this is what it holds so far'
-MAX_LEFT_OUT = 100  # kinds of messages that are left out, by topic and sender
+MAX_LEFT_OUT = 100  # maximum number of kinds of omitted messages, by topic and sender
 DEMONSTRATION = f'{INTERFACES}msg/Demonstration'
 DOMAIN_INFO = f'{INTERFACES}msg/DomainInfo'
 GAME_STATE = f'{INTERFACES}msg/GameState'
@@ -27,9 +27,9 @@ T = TypeVar('T')
 
 class Bag(Recording):
     """
-    A recording, and the graph in it that is read.
+    A recording and the selected graph in it.
 
-    :ivar chosen: the namespace that the caller chose; empty: the bag's own.
+    :ivar chosen: namespace chosen by the caller; empty: the bag's own.
     """
 
     chosen = ''
@@ -37,7 +37,7 @@ class Bag(Recording):
     def __init__(self, *recording: Any) -> None:
         super().__init__(*recording)
         self._allowed: dict[str, tuple[str, ...]] = {}  # by topic; see ``_allowed_on``
-        # Messages that do not count, by topic and reason: how many, and the place of the newest.
+        # Omitted messages by topic and reason: count, and position of the newest one.
         self._left_out: dict[tuple[str, str], tuple[int, tuple[int, int]]] = {}
 
     @property
@@ -50,9 +50,9 @@ class Bag(Recording):
     @cached_property
     def namespace(self) -> str:
         """
-        The namespace of the graph that is read; a bag of another program may hold several.
+        The namespace of the selected graph; bags of other programs may contain several graphs.
 
-        :raises BagError: there is none of that name, or there are several and none is chosen.
+        :raises BagError: the chosen graph does not exist, or there are several and none is chosen.
         """
         found, own = self.namespaces, self.facts.get(NAMESPACE, '')
         if self.chosen and self.chosen not in found:
@@ -67,21 +67,21 @@ class Bag(Recording):
 
     @property
     def reads_own(self) -> bool:
-        """Whether the graph that is read is the recorder's own, as far as is known."""
+        """Whether the selected graph is the recorder's own, as far as known."""
         return self.namespace == self.facts.get(NAMESPACE, self.namespace)
 
     @property
     def graph_facts(self) -> dict[str, str]:
-        """The facts about the graph that is read: of another than the recorder's, none."""
+        """The facts about the selected graph; empty if it is not the recorder's own."""
         return self.facts if self.reads_own else {}
 
     @cached_property
     def game_ids(self) -> tuple[str, ...]:
         """
-        The publisher ids of the game, one after each start of it; none: unknown.
+        The publisher ids of the game, one per start; empty: unknown.
 
-        Our recorder keeps those of its graph. In other graphs, the game is the node that announced
-        a game and published most states.
+        The humanopts recorder stores the ids of its graph. In other graphs, the game is the node
+        that announced a game and published the most states.
         """
         kept = self.metadata.get(GAME, {}) if self.reads_own else {}
         try:
@@ -104,12 +104,12 @@ class Bag(Recording):
         by_node = Counter[str]()
         for each in games:
             by_node[signer(each)] += states[each]
-        # Of equal ones, the first in the bag; without a signature, any node may be the game.
+        # In a tie, the first in the bag wins; without publisher ids, any node may be the game.
         best = max(by_node, key=by_node.__getitem__, default='')
         return tuple(each for each in games if best and signer(each) == best)
 
     def of_type(self, type_name: str) -> list[str]:
-        """Return the names of the topics of a type in the bag's namespace, sorted."""
+        """Return the topic names of a type in the bag's namespace, sorted."""
         return [
             topic.name
             for topic in self.topics.values()
@@ -117,30 +117,30 @@ class Bag(Recording):
         ]
 
     def genuine(self, type_name: str, between: tuple[int, int] = ALWAYS) -> Iterator[Recorded]:
-        """Yield the messages of a type that count, in order of log time."""
+        """Yield the genuine messages of a type, in order of log time."""
         return filter(self.is_genuine, self.messages(self.of_type(type_name), between))
 
     def converted(
         self, type_name: str, convert: Callable[[Any], T], between: tuple[int, int] = ALWAYS
     ) -> Iterator[T]:
-        """Yield what ``convert`` makes of the messages of a type, where it can, in order."""
+        """Yield the converted genuine messages of a type, in order, without failed conversions."""
         found = (recorded.convert(convert) for recorded in self.genuine(type_name, between))
         return (each for each in found if each is not None)
 
     def is_genuine(self, recorded: Recorded) -> bool:
         """
-        Return whether a message counts: the nodes of the graph would accept it.
+        Return whether the nodes of the graph would accept a message.
 
-        It is in the bag's namespace, and from the node that may publish there. ``left_out`` lists
-        the others.
+        Such a message is in the bag's namespace and comes from the permitted publisher. Others are
+        listed in ``left_out``.
         """
         return not self.is_foreign(recorded) and own_name(recorded.topic, self.namespace) != ''
 
     def is_foreign(self, recorded: Recorded) -> bool:
         """
-        Return whether a message is from a node that may not publish on its topic.
+        Return whether a message comes from a node that may not publish on its topic.
 
-        If the bag holds several graphs and none is chosen, no message is known to be foreign.
+        If the bag contains several graphs and none is chosen, no message counts as foreign.
         """
         if recorded.topic not in self._allowed:
             self._allowed[recorded.topic] = self._allowed_on(recorded.topic)
@@ -160,7 +160,7 @@ class Bag(Recording):
         """
         Return the nodes, or publisher ids of the game, that may publish on a topic.
 
-        ``()``: any may, or it is a topic of another graph.
+        Empty: any node may publish, or the topic belongs to another graph.
         """
         try:
             name = own_name(topic, self.namespace)
@@ -170,7 +170,7 @@ class Bag(Recording):
         return self.game_ids if name in GAME_TOPICS else (owner,) if owner else ()
 
     def leave_out(self, recorded: Recorded, why: str) -> None:
-        """Count a message that does not count, once, however often the bag is read."""
+        """Register an omitted message, once even if the bag is read several times."""
         stamp = read_stamp(recorded.data)
         sender = shown(stamp.publisher_id, 80) if stamp else ''
         key = recorded.topic, f'from {sender or "no node"}, {why}'
@@ -182,7 +182,7 @@ class Bag(Recording):
 
     @property
     def strangers(self) -> list[str]:
-        """Messages that do not count because of their publisher, in words."""
+        """Descriptions of messages omitted because of their publisher."""
         return [
             f'{count} message{"s"[: count > 1]} on {topic}: {why}'
             for (topic, why), (count, _) in self._left_out.items()
@@ -190,14 +190,14 @@ class Bag(Recording):
 
     @property
     def left_out(self) -> list[str]:
-        """Messages that do not count, in words, as far as the bag was read."""
+        """Descriptions of all omitted messages read so far."""
         others = [name for name in self.namespaces if name != self.namespace]
         graphs = f'the graph of {", ".join(others)}: the graph of {self.namespace} is read'
         return [*([graphs] if others else []), *self.strangers]
 
     @property
     def notes(self) -> list[str]:
-        """Warnings for the reader: a running recording, messages left out, damage."""
+        """Warnings for the user: a running recording, omitted messages, damage."""
         return [
             *([BEING_RECORDED] if self.growing else []),
             *(f'left out: {text}' for text in self.left_out),
@@ -211,21 +211,21 @@ def open_bag(
     """
     Open a rosbag2 directory or an MCAP file.
 
-    A file that was cut short or not closed is opened with its whole chunks; ``Bag.damage`` then
-    describes the damage. A file being recorded is opened with what is on the disk so far.
+    From a truncated or unclosed file, the complete chunks are read, and ``Bag.damage`` describes
+    the damage. A file being recorded is opened with its current contents on disk.
 
-    :param on_read: is called with the amounts read and in all, in every pass over the bag; the
-        first pass finds the messages of a file without an index.
-    :param namespace: of the graph to read, if the bag holds several; empty: the bag's own.
-    :raises BagError: the bag does not exist, is empty, is in another format, or holds no
-        humanopts topics and is not from our recorder.
+    :param on_read: progress callback, given the amount read and the total, for every pass over the
+        bag; the first pass scans files without an index.
+    :param namespace: namespace of the graph, if the bag contains several; empty: the bag's own.
+    :raises BagError: the bag does not exist, is empty, is in another format, or has no humanopts
+        topics and was not written by the humanopts recorder.
     """
     path = Path(path)
     paths, information, damage = find_files(path)
     files, errors = [], []
     for file in paths:
         try:
-            growing = is_being_written(file)  # asked before reading: it may be closed meanwhile
+            growing = is_being_written(file)  # checked first: it may be closed soon
             files.append(open_file(file, on_read, growing=growing))
         except BagError as error:
             errors.append(error)
@@ -233,7 +233,7 @@ def open_bag(
         raise errors[0]
     bag = Bag(path, files, information, [*damage, *map(str, errors)])
     bag.chosen = namespace
-    if not bag.topics and RECORD not in bag.metadata:  # ours may have been killed at once
+    if not bag.topics and RECORD not in bag.metadata:  # our recorder may have been killed early
         raise BagError(f'{path} holds no messages{"; ".join(["", *bag.damage.splitlines()])}')
     if bag.topics and NAMESPACE not in bag.facts:
         if not any(topic.type.startswith(INTERFACES) for topic in bag.topics.values()):

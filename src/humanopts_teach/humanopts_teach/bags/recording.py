@@ -1,4 +1,4 @@
-"""The messages, topics and files of a bag, whichever program wrote it, whole or damaged."""
+"""The messages, topics and files of a bag from any program, even if damaged."""
 
 from bisect import bisect_right
 from collections.abc import Callable, Collection, Iterator
@@ -21,34 +21,35 @@ from humanopts_teach.bags.schemas import Decoder, make_decoder
 from humanopts_teach.bags.writer import RECORD
 from mcap.records import Attachment, AttachmentIndex, ChunkIndex, Message
 
-MAX_NOTES = 1000  # kinds of damage that are kept
-_UNDECODABLE = (*DAMAGE, IndexError, TypeError, AttributeError)  # what bytes of another type raise
+MAX_NOTES = 1000  # maximum number of damage descriptions
+_UNDECODABLE = (*DAMAGE, IndexError, TypeError, AttributeError)  # raised for undecodable bytes
 T = TypeVar('T')
 
 
 class Recorded(NamedTuple):
-    """One message of a bag."""
+    """A recorded message."""
 
     topic: str
     type: str
-    log_time: int  # when it was received, ns since the epoch
-    publish_time: int  # when it was sent, ns since the epoch
-    sequence: int  # as the program that wrote the file numbered it; see ``Recording.numbered``
+    log_time: int  # time of reception, ns since the epoch
+    publish_time: int  # time of sending, ns since the epoch
+    sequence: int  # number assigned by the recording program; see ``Recording.numbered``
     data: bytes  # CDR, as received
     recording: 'Recording'
 
     @property
     def message(self) -> Any:
-        """The decoded message; None if its bytes are damaged, which is noted."""
+        """The decoded message; None if damaged, which is recorded."""
         return self.convert(lambda message: message)
 
     def convert(self, convert: Callable[[Any], T]) -> T | None:
         """
-        Decode the message, and make something of it.
+        Decode and convert the message.
 
-        :param convert: may raise ValueError if a value is wrong, and AttributeError if the
-            recorded type lacks a field.
-        :return: None if either is impossible, which is noted as damage.
+        :param convert: conversion; may raise ValueError for an invalid value and AttributeError
+            if the recorded type lacks a field.
+        :return: converted message; None if decoding or conversion fails, which is recorded as
+            damage.
         """
         try:
             message = self.recording.decoder(self.topic)(self.data)
@@ -65,14 +66,14 @@ class Recorded(NamedTuple):
 
 class Recording:
     """
-    A recording that was opened; it can be read any number of times.
+    An open recording, which can be read any number of times.
 
-    :ivar information: metadata.yaml; None if it is missing or damaged.
-    :ivar on_read: called in every pass.
-    :ivar metadata: the MCAP metadata records by name.
-    :ivar growing: it was being recorded when it was opened; it holds what was written by then.
-    :ivar numbered: our recorder wrote the bag, which numbers the messages of a topic from 1.
-    :ivar topics: the topics by name, sorted.
+    :ivar information: contents of metadata.yaml; None if missing or damaged.
+    :ivar on_read: progress callback of every pass.
+    :ivar metadata: MCAP metadata records by name.
+    :ivar growing: the bag was being recorded when opened; later messages are not included.
+    :ivar numbered: the humanopts recorder wrote the bag and numbered each topic's messages from 1.
+    :ivar topics: topics by name, sorted.
     """
 
     def __init__(
@@ -92,7 +93,7 @@ class Recording:
             if file.metadata.get(RECORD, self.facts) != self.facts:
                 self.note(f'{file.path.name} has other facts than the last file')
         kept = information and information.custom_data
-        if kept and self.numbered and kept != self.facts:  # other tools leave them out
+        if kept and self.numbered and kept != self.facts:  # other tools omit them
             self.note(f'{FILE} and the record {RECORD} differ: one of them is damaged')
 
     @property
@@ -102,30 +103,30 @@ class Recording:
 
     @property
     def damage(self) -> str:
-        """Damage found so far, a line each; empty: none."""
+        """The damage found so far, one line each; empty: none."""
         return '\n'.join(self._damage)
 
     def note(self, damage: str) -> None:
-        """Keep a description of damage, once."""
+        """Record a description of damage, once."""
         self._damage[damage if len(self._damage) < MAX_NOTES else 'and more of the kind'] = None
 
     @property
     def facts(self) -> dict[str, str]:
-        """The facts that our recorder was given to keep, by name."""
+        """The facts stored by the humanopts recorder, by name."""
         return self.metadata.get(RECORD, {})
 
     @property
     def n_messages(self) -> int:
-        """Number of messages that can be read."""
+        """The number of readable messages."""
         return sum(topic.messages for topic in self.topics.values())
 
     @property
     def attachments(self) -> list[AttachmentIndex]:
-        """Name, size and type of the attached files."""
+        """The names, sizes and types of the attached files."""
         return [index for file in self._files for index in file.summary.attachment_indexes]
 
     def attached(self) -> Iterator[Attachment]:
-        """Yield the attached files that are whole; the others are noted."""
+        """Yield the intact attached files; record damage of the others."""
         for file in self._files:
             for index in file.summary.attachment_indexes:
                 try:
@@ -134,9 +135,9 @@ class Recording:
                     self.note(str(error))
 
     def compare_bytes(self) -> None:
-        """Compare every file with its checksum; differences are noted."""
+        """Verify the checksums of all files; record differences as damage."""
         for file in self._files:
-            closed = not (file.growing or file.damage)  # else it has no checksum
+            closed = not (file.growing or file.damage)  # otherwise it has no checksum
             if closed and (fault := check_bytes(file.path, self.on_read)):
                 self.note(f'{file.path.name}: {fault}')
 
@@ -146,9 +147,9 @@ class Recording:
         """
         Yield messages in order of log time.
 
-        Chunks that overlap in time are held in memory together.
+        Chunks that overlap in time are kept in memory together.
 
-        :param topics: names; None: all.
+        :param topics: topic names; None: all.
         :param between: first and last log time, ns.
         """
 
@@ -195,7 +196,7 @@ class Recording:
         return self._decoders[topic]
 
     def _find_topics(self) -> dict[str, Topic]:
-        """Return the topics of the files, sorted by name; note those of several types."""
+        """Return the topics of the files, sorted by name; report conflicting types as damage."""
         found: dict[str, Topic] = {}
         for file in self._files:
             for channel in file.summary.channels.values():

@@ -21,19 +21,19 @@ import yaml
 
 FILE = 'metadata.yaml'
 ROOT = 'rosbag2_bagfile_information'
-_NEVER = 2**63 - 1  # starting time of a bag without messages, as rosbag2 writes it
-_TRANSIENT_LOCAL = ('transient_local', 1)  # by name, or by number before rosbag2's version 9
+_NEVER = 2**63 - 1  # starting time of a bag without messages, as in rosbag2
+_TRANSIENT_LOCAL = ('transient_local', 1)  # name, or number before rosbag2 version 9
 
 
 class _Dumper(getattr(yaml, 'CSafeDumper', yaml.SafeDumper)):  # type: ignore[misc]
-    """Writes equal parts in full, not as references."""
+    """A YAML dumper that writes repeated parts in full instead of as aliases."""
 
     def ignore_aliases(self, data: Any) -> bool:
         return True
 
 
 def dump(values: Any) -> str:
-    """Return plain values as YAML."""
+    """Serialise plain values as YAML."""
     return str(yaml.dump(values, Dumper=_Dumper, sort_keys=False, default_flow_style=False))
 
 
@@ -43,35 +43,35 @@ class Topic:
 
     name: str
     type: str  # such as humanopts_interfaces/msg/GameState
-    schema: str  # its ros2msg definition, complete
+    schema: str  # complete ros2msg definition
     qos: str  # offered profiles, YAML; empty: unknown
     type_hash: str  # RIHS01_...; empty: unknown
     messages: int = 0
 
     @property
     def latched(self) -> bool:
-        """Whether every publisher offered the last value to late subscribers (transient local)."""
+        """Whether all publishers offered the last value to late subscribers (transient local)."""
         offered = [profile.get('durability') for profile in profiles(self.qos)]
         return bool(offered) and all(each in _TRANSIENT_LOCAL for each in offered)
 
 
 @dataclass
 class Extent:
-    """Number and times of the messages in a bag or in one of its files."""
+    """The number and times of the messages in a bag or in one of its files."""
 
     messages: int = 0
     first: int = _NEVER  # earliest log time, ns
     last: int = 0  # latest log time, ns
 
     def add(self, log_time: int) -> None:
-        """Count one message."""
+        """Add one message."""
         self.messages += 1
         self.first = min(self.first, log_time)
         self.last = max(self.last, log_time)
 
     @property
     def times(self) -> dict[str, dict[str, int]]:
-        """Start and duration, as in metadata.yaml."""
+        """The start and duration, as in metadata.yaml."""
         return {
             'duration': {'nanoseconds': max(0, self.last - self.first)},
             'starting_time': {'nanoseconds_since_epoch': self.first},
@@ -79,7 +79,7 @@ class Extent:
 
 
 def whole_extent(parts: Iterable[Extent]) -> Extent:
-    """Return the extent of several files together."""
+    """Return the combined extent of several files."""
     whole = Extent()
     for part in parts:
         whole.messages += part.messages
@@ -94,8 +94,8 @@ def bag_information(
     """
     Return the values of metadata.yaml below ``ROOT``.
 
-    :param files: by name within the directory, in order.
-    :param custom: the recorder's facts.
+    :param files: extents by file name within the directory, in order.
+    :param custom: facts of the recorder.
     """
     whole = whole_extent(files.values())
     return {
@@ -116,7 +116,7 @@ def bag_information(
             }
             for topic in topics
         ],
-        'compression_format': '',  # of whole files or messages; the chunks have their own
+        'compression_format': '',  # of whole files or messages; chunks are compressed separately
         'compression_mode': '',
         'relative_file_paths': list(files),
         'files': [
@@ -130,7 +130,7 @@ def bag_information(
 
 @lru_cache
 def profiles(text: str) -> list[dict[str, Any]]:
-    """Return QoS profiles from YAML; none if it is damaged."""
+    """Parse QoS profiles from YAML; empty if damaged."""
     try:
         found = parse_yaml(text)
     except YamlError:
@@ -167,8 +167,8 @@ def find_files(path: Path) -> tuple[list[Path], Information | None, list[str]]:
     """
     Find the files of a bag.
 
-    :return: the files in order; the metadata, None if it is missing or damaged; faults of both.
-    :raises BagError: the path does not exist, or there is no MCAP file.
+    :return: files in order; metadata, None if missing or damaged; descriptions of faults in both.
+    :raises BagError: the path does not exist, or contains no MCAP file.
     """
     if path.is_file():
         return [path], None, []
@@ -204,13 +204,13 @@ def find_files(path: Path) -> tuple[list[Path], Information | None, list[str]]:
 
 
 class Compression(NamedTuple):
-    """A format of compressed files."""
+    """A compression format of files."""
 
     command: str
     magic: bytes
 
 
-COMPRESSED = {  # by suffix
+COMPRESSED = {  # by file suffix
     '.zst': Compression('zstd', b'\x28\xb5\x2f\xfd'),
     '.zstd': Compression('zstd', b'\x28\xb5\x2f\xfd'),
     '.gz': Compression('gzip', b'\x1f\x8b'),
@@ -222,7 +222,7 @@ COMPRESSED = {  # by suffix
 
 def _refuse(path: Path) -> NoReturn:
     """
-    Say what a folder without MCAP files holds, and how to convert it.
+    Raise an error that describes a folder without MCAP files and how to convert it.
 
     :raises BagError: always.
     """
@@ -240,7 +240,7 @@ def _refuse(path: Path) -> NoReturn:
 
 
 def convert(path: Path) -> str:
-    """Say how to convert a bag that another program wrote."""
+    """Explain how to convert a bag written by another program."""
     new = path.with_name(f'{path.resolve().name}-mcap')
     return (
         'pip install rosbags, and convert it: '
@@ -250,9 +250,9 @@ def convert(path: Path) -> str:
 
 def decompress(path: Path, suffix: str) -> str:
     """
-    Say how to decompress a file.
+    Explain how to decompress a file.
 
-    :param suffix: the key of its format in ``COMPRESSED``.
+    :param suffix: key of its format in ``COMPRESSED``.
     """
     new = path.with_suffix('') if path.suffix in COMPRESSED else path.with_name(f'new-{path.name}')
     tool = COMPRESSED[suffix].command

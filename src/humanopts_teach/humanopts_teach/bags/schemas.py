@@ -1,8 +1,8 @@
 """
-Message definitions (ros2msg), each complete with the definitions that it depends on, and decoders.
+Message definitions (ros2msg), each with all its dependencies, and decoders.
 
-Definitions come from the .msg, .srv and .action files that every ROS 2 package installs, since the
-generated classes lose constants, defaults and comments.
+Definitions come from the installed .msg, .srv and .action files of ROS 2 packages, since generated
+classes lose constants, defaults and comments.
 """
 
 from collections.abc import Callable, Iterator
@@ -22,7 +22,7 @@ _PRIMITIVE = {'bool', 'byte', 'char', 'float32', 'float64', 'string', 'wstring'}
 }
 _UUID = 'unique_identifier_msgs/UUID goal_id\n'
 _CONSTANT = re.compile(r'\s*[a-z0-9]+\s+([A-Z][A-Z0-9_]*)\s*=\s*(-?\d+)\b')
-# Messages that ROS 2 derives from a service or an action, beside its sections. P is package/Name.
+# Messages that ROS 2 derives from a service or action besides its sections; P is package/Name.
 _DERIVED = {
     '_FeedbackMessage': f'{_UUID}P_Feedback feedback\n',
     '_SendGoal_Request': f'{_UUID}P_Goal goal\n',
@@ -40,18 +40,19 @@ _SECTIONS = {'srv': ('_Request', '_Response'), 'action': ('_Goal', '_Result', '_
 
 def find_schema(type_name: str) -> str:
     """
-    Return the definition of a type and of all types that it depends on, each once, as one text.
+    Return the definition of a type and of all its dependencies, each once, as one text.
 
-    :param type_name: package/msg/Name, package/srv/Name_Event, package/action/Name_Feedback
-        and so on.
-    :raises SchemaError: one of the types is not in a folder of AMENT_PREFIX_PATH, the first of
-        which wins, or is not a type name.
+    The first match in AMENT_PREFIX_PATH is used.
+
+    :param type_name: type name such as package/msg/Name, package/srv/Name_Event or
+        package/action/Name_Feedback.
+    :raises SchemaError: a type is not in AMENT_PREFIX_PATH, or its name is invalid.
     """
     paths = os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep)
     prefixes = tuple(Path(path) for path in paths if path)
     texts: dict[str, str] = {}
     queue = [type_name]
-    for wanted in queue:  # which grows
+    for wanted in queue:  # grows during iteration
         if wanted not in texts:
             texts[wanted] = _definition(wanted, prefixes)
             queue += _dependencies(wanted, texts[wanted])
@@ -80,8 +81,8 @@ def _definition(type_name: str, prefixes: tuple[Path, ...]) -> str:
         return text
     if suffix in _SECTIONS[kind]:
         section = re.split(r'^---[ \t]*\n', text, flags=re.M)[_SECTIONS[kind].index(suffix)]
-        # Readers look for a bare name in the folder of the type that uses it, and sections are
-        # in another folder than messages.
+        # Readers resolve a bare name in the folder of the type that uses it, but sections and
+        # messages are in different folders.
         for bare in (field for field, _ in field_lines(section)):
             if '/' not in bare and _base(bare) not in _PRIMITIVE:
                 section = re.sub(
@@ -102,7 +103,7 @@ def constants(schema: str, prefix: str) -> dict[int, str]:
     """
     Return the names of a message's integer constants by value.
 
-    :param prefix: start of the wanted names, such as STATUS_, which is removed from them.
+    :param prefix: prefix of the constants, such as STATUS_, which is removed from the names.
     """
     found = map(_CONSTANT.match, schema.split(SEPARATOR, 1)[0].splitlines())
     names = {int(match[2]): match[1] for match in found if match and match[1].startswith(prefix)}
@@ -110,32 +111,32 @@ def constants(schema: str, prefix: str) -> dict[int, str]:
 
 
 def field_lines(schema: str) -> list[tuple[str, str]]:
-    """Return (type, name) of the fields of the first definition in ``schema``, in order."""
+    """Return (type, name) of each field of the first definition in ``schema``, in order."""
     own = re.sub('#.*', '', schema.split(SEPARATOR, 1)[0])
     found = re.findall(r'^[ \t]*(\S+)[ \t]+(\w+)[ \t]*(=?)', own, re.M)
     return [(kind, name) for kind, name, constant in found if not constant]
 
 
 def _dependencies(type_name: str, text: str) -> Iterator[str]:
-    """Yield the full names of the types of the fields in ``text``."""
+    """Yield the full type names of the fields in ``text``."""
     package, kind, _ = type_name.split('/')
     for field_type, _ in field_lines(text):
         owner, _, name = _base(field_type).rpartition('/')
         if owner or name not in _PRIMITIVE:
-            folder = kind if '_' in name else 'msg'  # parts of services and actions have a _
+            folder = kind if '_' in name else 'msg'  # parts of services and actions contain _
             yield f'{owner.removesuffix("/msg") or package}/{folder}/{name}'
 
 
 Decoder = Callable[[bytes], Any]
-_TYPE = re.compile(r'^(\s*(?:MSG:\s+)?(?:\w+/)+)(\w+)', re.M)  # that a line begins with
-_CHAR = re.compile(r'^(\s*)char\b', re.M)  # unsigned in ROS 2, which mcap_ros2 does not know
+_TYPE = re.compile(r'^(\s*(?:MSG:\s+)?(?:\w+/)+)(\w+)', re.M)  # at the start of a line
+_CHAR = re.compile(r'^(\s*)char\b', re.M)  # unsigned in ROS 2, unlike in mcap_ros2
 
 
 def make_decoder(type_name: str, schema: str) -> Decoder:
     """
     Return a function that decodes a message into an object with its fields.
 
-    mcap_ros2 refuses names of types with a _, as parts of services and actions have.
+    mcap_ros2 rejects type names that contain _, as in parts of services and actions.
 
     :raises BagError: the schema is not a message definition.
     """
@@ -149,5 +150,5 @@ def make_decoder(type_name: str, schema: str) -> Decoder:
         decoder = DecoderFactory().decoder_for('cdr', record)
     except Exception as error:
         raise BagError(f'the definition of {type_name} in the bag is damaged: {error}') from error
-    assert decoder is not None  # it is None for other encodings
+    assert decoder is not None  # None only for other encodings
     return decoder

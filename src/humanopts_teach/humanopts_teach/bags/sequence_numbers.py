@@ -1,4 +1,4 @@
-"""Message loss, measured by the publisher and sequence number that every humanopts message has."""
+"""Message loss, measured by the publisher id and sequence number of humanopts messages."""
 
 from bisect import bisect_right
 from collections.abc import Iterator
@@ -15,17 +15,17 @@ _FIELDS = [
     ('uint32', 'episode'),
     ('uint32', 'step'),
 ]
-_ORIGIN = 4  # CDR aligns from after the encapsulation header
+_ORIGIN = 4  # CDR alignment starts after the encapsulation header
 _FRAME_ID = _ORIGIN + 8  # after header.stamp
 
 
 class Stamp(NamedTuple):
-    """The publisher of a message, and its number among the publisher's messages on a topic."""
+    """The publisher of a message and its sequence number on the topic."""
 
     publisher_id: str
     sequence: int  # 1, 2, 3, ...
     episode: int = 0  # 0: none, or not read
-    step: int = 0  # of the episode
+    step: int = 0  # step of the episode
 
 
 def is_stamped(schema: str) -> bool:
@@ -40,9 +40,9 @@ def has_step(schema: str) -> bool:
 
 def read_stamp(data: bytes, *, with_step: bool = False) -> Stamp | None:
     """
-    Return the stamp of a CDR message of a type that ``is_stamped``; None if it is damaged.
+    Return the stamp of a CDR message of a stamped type; None if damaged.
 
-    :param with_step: also read episode and step, of a type that ``has_step``.
+    :param with_step: also read episode and step, if ``has_step`` is True for the type.
     """
     try:
         order = '<' if data[1] & 1 else '>'
@@ -61,7 +61,7 @@ def _align(offset: int, size: int) -> int:
 
 
 MAX_GAPS = 10_000
-MAX_STREAMS = 10_000  # counted separately: the names of publishers may be forged
+MAX_STREAMS = 10_000  # limits memory, since publisher ids may be forged
 _COUNTS = ('topic', 'publisher', 'sent', 'recorded', 'missing', 'replaced', 'repeated', 'late')
 
 
@@ -70,18 +70,18 @@ class Stream:
     """
     The messages of one publisher on one topic.
 
-    Numbers begin at 1, so messages sent before the first recorded one count as missing, except in
-    another graph, which may have started earlier. Messages sent after the last recorded one are
-    unknown. The last ``MAX_GAPS`` gaps are kept: a message that fills an older gap counts as a
-    repetition, so the number missing is never too low.
+    Numbers start at 1, so messages before the first recorded one count as missing, except in other
+    graphs, which may have started earlier. Messages after the last recorded one are unknown. Only
+    the last ``MAX_GAPS`` gaps are kept: a message that fills an older gap counts as repeated, so
+    the number of missing messages is never underestimated.
     """
 
     topic: str = ''
     publisher: str = ''
-    latched: bool = False  # current values: a newer one may replace one that is not yet sent
-    own: bool = True  # of the recorded graph
-    first: int = 0  # smallest number recorded; 0: none yet
-    sent: int = 0  # largest number recorded
+    latched: bool = False  # current values: newer ones may replace unsent ones
+    own: bool = True  # belongs to the recorded graph
+    first: int = 0  # smallest recorded number; 0: none yet
+    sent: int = 0  # largest recorded number
     recorded: int = 0  # without repetitions
     repeated: int = 0
     late: int = 0  # recorded after a larger number
@@ -109,13 +109,13 @@ class Stream:
 
     @property
     def missing(self) -> int:
-        """Number of messages that were sent and lost."""
+        """The number of lost messages."""
         before = 0 if self.own else max(0, self.first - 1)
         return 0 if self.latched else self.sent - before - self.recorded
 
     @property
     def replaced(self) -> int:
-        """Number of current values that newer ones replaced before they were received."""
+        """The number of current values replaced by newer ones before reception."""
         return self.sent - self.recorded if self.latched else 0
 
     def to_dict(self) -> dict[str, str | int]:
@@ -124,7 +124,7 @@ class Stream:
 
 
 class LossCounter:
-    """Streams by topic and publisher, at most ``MAX_STREAMS``; further publishers are ignored."""
+    """Streams by topic and publisher, up to ``MAX_STREAMS``; further publishers are ignored."""
 
     def __init__(self) -> None:
         self._streams: dict[tuple[str, str], Stream] = {}
@@ -133,8 +133,9 @@ class LossCounter:
         """
         Count one message.
 
-        :param latched: the topic has current values; as for ``own``, the first message decides.
-        :param own: the topic belongs to the recorded graph.
+        :param latched: whether the topic carries current values; as for ``own``, only the first
+            message's setting is used.
+        :param own: whether the topic belongs to the recorded graph.
         """
         key = topic, stamp.publisher_id
         if key not in self._streams and len(self._streams) < MAX_STREAMS:
@@ -144,7 +145,7 @@ class LossCounter:
 
     @property
     def missing(self) -> int:
-        """Number of messages that were sent and lost."""
+        """The total number of lost messages."""
         return sum(stream.missing for stream in self._streams.values())
 
     def __iter__(self) -> Iterator[Stream]:

@@ -1,4 +1,4 @@
-"""Writes a rosbag2 directory: MCAP files (profile ros2) and metadata.yaml."""
+"""Writing of rosbag2 directories: MCAP files (profile ros2) and metadata.yaml."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, suppress
@@ -24,37 +24,37 @@ from humanopts_teach.bags.schemas import find_schema
 from mcap.writer import CompressionType, Writer
 
 CHUNK_BYTES = 256 * 1024
-LIBRARY = 'humanopts'  # the program that wrote the file, in its header
-RECORD = 'humanopts'  # name of the MCAP metadata record with the recorder's facts
-NAMESPACE = 'namespace'  # name of the fact that says which graph was recorded
-GAME = 'humanopts_game'  # name of the record with the publisher ids of the game ...
+LIBRARY = 'humanopts'  # name of the writing program, in the file header
+RECORD = 'humanopts'  # MCAP metadata record with the recorder's facts
+NAMESPACE = 'namespace'  # fact with the namespace of the recorded graph
+GAME = 'humanopts_game'  # metadata record with the publisher ids of the game ...
 GAME_IDS = 'publisher_ids'  # ... as a JSON list under this key
-SELF = 'rosbag2'  # name of the record with a copy of metadata.yaml ...
+SELF = 'rosbag2'  # metadata record with a copy of metadata.yaml ...
 SELF_TEXT = 'serialized_metadata'  # ... under this key
 
 
 class _File:
     """
-    One MCAP file being written, unbuffered.
+    An MCAP file being written, unbuffered.
 
-    A record that does not fit on the disk is removed, so that the file stays readable; after that
-    nothing more is written. The file gets its name once its header is on the disk, so that no
-    reader finds it empty. It is locked until it is closed, a write fails, or its process ends;
-    ``is_being_written`` tests that lock.
+    A record that does not fit on the disk is removed, so that the file stays readable; nothing is
+    written after that. The file gets its final name when its header is on disk, so that readers
+    never see it empty. It is locked until it is closed, a write fails, or the process ends;
+    ``is_being_written`` tests this lock.
     """
 
     def __init__(self, path: Path, facts: Mapping[str, str]) -> None:
         """
         Create the file.
 
-        :param facts: kept in the metadata record ``humanopts``.
-        :raises OSError: it exists or cannot be created, or the disk is full.
+        :param facts: facts for the metadata record ``humanopts``.
+        :raises OSError: the file exists or cannot be created, or the disk is full.
         """
         self.name = path.name
         self.size = 0  # bytes
         self.extent = Extent()
-        self.channels: dict[str, int] = {}  # ids by topic
-        self.schemas: dict[str, int] = {}  # ids by type
+        self.channels: dict[str, int] = {}  # channel ids by topic
+        self.schemas: dict[str, int] = {}  # schema ids by type
         self._failure = ''
         self._finished = False
         self._path = path.with_name(f'{path.name}.new')
@@ -77,9 +77,9 @@ class _File:
 
     def write(self, data: bytes) -> None:
         """
-        Append whole records, for the ``mcap`` package.
+        Append complete records; called by the ``mcap`` package.
 
-        :raises BagWriteError: the disk is full, or the file cannot be written any more.
+        :raises BagWriteError: the disk is full, or the file can no longer be written.
         """
         if self._failure:
             raise BagWriteError(self._failure)
@@ -93,18 +93,18 @@ class _File:
         self.size += len(data)
 
     def tell(self) -> int:
-        """Return the size of the file, for the ``mcap`` package."""
+        """Return the size of the file; called by the ``mcap`` package."""
         return self.size
 
     def flush(self) -> None:
-        """Do nothing: the operating system has everything that was written."""
+        """No-op: writes are unbuffered."""
 
     def finish(self, information: Any) -> None:
         """
-        Write the index and statistics, and close the file; only once.
+        Write the index and statistics and close the file; repeated calls do nothing.
 
-        :param information: the values of metadata.yaml.
-        :raises BagWriteError: the disk is full or the file cannot be written.
+        :param information: contents of metadata.yaml.
+        :raises BagWriteError: the disk is full, or the file cannot be written.
         """
         if self._finished:
             return
@@ -113,30 +113,30 @@ class _File:
             self.writer.flush()
             self.writer.add_metadata(SELF, {SELF_TEXT: dump(information)})
             self.writer.finish()
-            self.writer = None  # its index takes memory
+            self.writer = None  # frees the memory of its index
         finally:
             os.close(self._handle)
 
     def discard(self) -> None:
-        """Remove the file."""
+        """Close and remove the file."""
         os.close(self._handle)
         with suppress(OSError):
             self._path.unlink()
 
     def _lock(self, how: int) -> None:
-        with suppress(OSError):  # some network file systems have no locks
+        with suppress(OSError):  # some network file systems do not support locks
             fcntl.flock(self._handle, how | fcntl.LOCK_NB)
 
 
 def is_being_written(path: Path) -> bool:
-    """Return whether a recorder of this machine has a file open for writing."""
+    """Return whether a recorder on this machine has the file open for writing."""
     try:
         with path.open('rb') as file:
             fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except BlockingIOError:
         return True
     except OSError:
-        pass  # it cannot be opened or locked, so no writer is known
+        pass  # the file cannot be opened or locked, so no writer is known
     return False
 
 
@@ -150,7 +150,7 @@ def parts(bag: Path) -> list[Path]:
     """
     Return the existing bags of a recording, in order: ``bag``, ``bag-2``, ``bag-3``.
 
-    A restarted recorder starts the next one, and leaves the previous one unchanged.
+    A restarted recorder creates the next bag and leaves the previous ones unchanged.
     """
     return list(takewhile(Path.exists, _names(bag)))
 
@@ -162,10 +162,10 @@ def next_part(bag: Path) -> Path:
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits of a file, after which the next one begins; 0: none."""
+    """Limits after which a new file is started; 0: none."""
 
-    bytes: int = 0  # size of a file, without the present chunk and the index
-    seconds: float = 0.0  # after the first message in the file
+    bytes: int = 0  # size of a file, without the current chunk and the index
+    seconds: float = 0.0  # duration since the first message in the file
 
 
 NO_LIMITS = Limits()
@@ -173,13 +173,13 @@ NO_LIMITS = Limits()
 
 class BagWriter(AbstractContextManager['BagWriter']):
     """
-    Writes a bag.
+    A writer of a bag.
 
-    ``flush`` hands every message so far to the operating system as whole chunks: a process that
-    is killed loses only later messages.
+    ``flush`` passes all messages so far to the operating system as complete chunks, so that a
+    killed process loses only later messages.
 
     Every method that writes raises ``BagWriteError`` if the disk is full or a file cannot be
-    written; after that nothing more is written.
+    written; nothing is written after that.
     """
 
     def __init__(
@@ -188,16 +188,16 @@ class BagWriter(AbstractContextManager['BagWriter']):
         """
         Create a bag.
 
-        :param path: its directory; must not exist.
-        :param facts: settings and versions, kept in the MCAP metadata record ``humanopts``.
-        :param limits: of each file.
-        :raises BagWriteError: the directory exists, or cannot be created.
+        :param path: directory of the bag; must not exist.
+        :param facts: settings and versions for the MCAP metadata record ``humanopts``.
+        :param limits: limits of each file.
+        :raises BagWriteError: the directory exists or cannot be created.
         """
         self.path = Path(path)
-        self.topics: dict[str, Topic] = {}  # every topic that was added, with its message count
+        self.topics: dict[str, Topic] = {}  # all topics with message counts
         self._facts = dict(facts or {})
         self._limits = limits
-        self._described = -1  # topics in metadata.yaml
+        self._described = -1  # number of topics in metadata.yaml
         self._closed = False
         try:
             self.path.mkdir(parents=True)
@@ -213,17 +213,17 @@ class BagWriter(AbstractContextManager['BagWriter']):
 
     @property
     def bytes_written(self) -> int:
-        """Size of the MCAP files."""
+        """The total size of the MCAP files in bytes."""
         return sum(file.size for file in self._files)
 
     @property
     def n_files(self) -> int:
-        """Number of MCAP files."""
+        """The number of MCAP files."""
         return len(self._files)
 
     @property
     def extent(self) -> Extent:
-        """Number and times of the messages."""
+        """The number and times of the messages."""
         return whole_extent(file.extent for file in self._files)
 
     def add_topic(
@@ -235,18 +235,18 @@ class BagWriter(AbstractContextManager['BagWriter']):
         schema: str | None = None,
     ) -> str:
         """
-        Add a topic, unless it was added before.
+        Add a topic, unless it already exists.
 
-        :param type_name: such as humanopts_interfaces/msg/GameState.
-        :param qos: the profiles that its publishers offer, keys as in rosbag2's metadata.
-        :param type_hash: RIHS01_..., if it is known; kept for messages only.
-        :param schema: definition of the type (ros2msg); None: the one installed here.
-        :return: the schema.
-        :raises SchemaError: the type is not installed here.
+        :param type_name: type such as humanopts_interfaces/msg/GameState.
+        :param qos: profiles offered by its publishers, with keys as in rosbag2's metadata.
+        :param type_hash: RIHS01_..., if known; stored for messages only.
+        :param schema: definition of the type (ros2msg); None: the installed one.
+        :return: schema.
+        :raises SchemaError: the type is not installed.
         """
         if name not in self.topics:
             if '/msg/' not in type_name:
-                type_hash = ''  # rosbags 0.11 opens no bag with that of an event or feedback
+                type_hash = ''  # rosbags 0.11 cannot open bags with hashes of events or feedback
             profiles = dump([dict(profile) for profile in qos]) if qos else ''
             schema = find_schema(type_name) if schema is None else schema
             self.topics[name] = Topic(name, type_name, schema, profiles, type_hash)
@@ -264,10 +264,10 @@ class BagWriter(AbstractContextManager['BagWriter']):
         """
         Add one message.
 
-        :param data: the CDR bytes as received.
-        :param log_time: when it was received, ns since the epoch.
-        :param publish_time: when it was sent; None: unknown, so ``log_time``.
-        :param sequence: its number; None: the next one of its topic.
+        :param data: CDR bytes as received.
+        :param log_time: time of reception, ns since the epoch.
+        :param publish_time: time of sending, ns since the epoch; None: unknown, use ``log_time``.
+        :param sequence: sequence number; None: the next number of the topic.
         """
         file, limits = self._files[-1], self._limits
         age = log_time - file.extent.first
@@ -291,9 +291,9 @@ class BagWriter(AbstractContextManager['BagWriter']):
         times: tuple[int, int] | None = None,
     ) -> None:
         """
-        Keep a file in the bag.
+        Attach a file to the bag.
 
-        :param times: when the file was made and recorded, ns; None: that of the last message.
+        :param times: times of creation and recording, ns; None: time of the last message.
         """
         made, recorded = times or (self.extent.last, self.extent.last)
         writer = self._files[-1].writer
@@ -301,17 +301,17 @@ class BagWriter(AbstractContextManager['BagWriter']):
         writer.add_attachment(made, recorded, name, media_type, data)
 
     def note(self, name: str, values: Mapping[str, str]) -> None:
-        """Keep facts in an MCAP metadata record."""
+        """Store facts in an MCAP metadata record."""
         self._files[-1].writer.add_metadata(name, dict(values))
 
     def flush(self) -> None:
-        """Write the present chunk, and metadata.yaml if it lacks a topic."""
+        """Write the current chunk, and metadata.yaml if it lacks a topic."""
         self._files[-1].writer.flush()
         if self._described != len(self.topics):
             self._describe(self._information())
 
     def close(self) -> None:
-        """Write index, statistics and metadata.yaml; later calls do nothing."""
+        """Write the index, statistics and metadata.yaml; repeated calls do nothing."""
         if not self._closed:
             self._closed = True
             information = self._information()
@@ -322,7 +322,7 @@ class BagWriter(AbstractContextManager['BagWriter']):
         self.close()
 
     def _channel(self, topic: Topic) -> int:
-        """Return the id of a topic in the present file; describe it there if necessary."""
+        """Return the channel id of a topic in the current file; register it if necessary."""
         file = self._files[-1]
         if topic.name not in file.channels:
             if topic.type not in file.schemas:
@@ -336,7 +336,7 @@ class BagWriter(AbstractContextManager['BagWriter']):
         return file.channels[topic.name]
 
     def _split(self) -> None:
-        """Create the next file and finish this one."""
+        """Create the next file and finish the current one."""
         self._begin_file()
         information = self._information()
         try:
@@ -344,7 +344,7 @@ class BagWriter(AbstractContextManager['BagWriter']):
         except BagWriteError:
             self._files.pop().discard()
             raise
-        self._describe(information)  # on failure the new file stays: the old takes nothing more
+        self._describe(information)  # on failure the new file is kept: the old one is finished
 
     def _begin_file(self) -> None:
         path = self.path / f'{self.path.resolve().name}_{len(self._files)}.mcap'
@@ -356,7 +356,7 @@ class BagWriter(AbstractContextManager['BagWriter']):
             raise BagWriteError(f'cannot write in {self.path}: {error.strerror}') from error
 
     def _information(self) -> Any:
-        """Return the values of metadata.yaml."""
+        """Return the contents of metadata.yaml."""
         extents = {file.name: file.extent for file in self._files}
         return bag_information(extents, self.topics.values(), self._facts)
 

@@ -1,1 +1,1 @@
-"""Bags in forms that other tools read."""
+"""Export of bags to formats of other tools."""

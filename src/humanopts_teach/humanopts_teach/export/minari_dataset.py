@@ -1,4 +1,4 @@
-"""Episodes of a bag as a Minari dataset, which steps through our Gymnasium environments."""
+"""Export of episodes as a Minari dataset that uses the humanopts Gymnasium environments."""
 
 from hashlib import sha256
 import os
@@ -15,32 +15,33 @@ from humanopts_teach.bags.reader import Bag
 from humanopts_teach.export.tables import ExportError
 import numpy as np
 
-FOLDER = 'MINARI_DATASETS_PATH'  # where Minari looks for datasets
-MAX_NAME = 64  # characters of a bag's name in the id of its dataset
+FOLDER = 'MINARI_DATASETS_PATH'  # variable with Minari's dataset folder
+MAX_NAME = 64  # maximum number of characters of a bag's name in its dataset id
 _RESET_EVENT = 'humanopts_interfaces/srv/ResetGame_Event'
-_REQUEST, _RESPONSE = 1, 2  # ServiceEventInfo: REQUEST_RECEIVED, RESPONSE_SENT; of the server
-Requests = dict[tuple[int, str], Any]  # to reset_game, by number and first state of the episode
+_REQUEST, _RESPONSE = 1, 2  # server events in ServiceEventInfo: REQUEST_RECEIVED, RESPONSE_SENT
+Requests = dict[tuple[int, str], Any]  # reset_game requests by episode number and first state
 
 
 def write_dataset(bag: Bag, out: Path) -> tuple[str, int]:
     """
-    Write the episodes that were recorded from their first state without a gap.
+    Write the episodes recorded from their first state without gaps.
 
-    Each carries ``options`` for ``reset``: with them, and the recorded actions, our environment
-    gives the recorded observations, rewards and ends again. An episode that was broken off, as a
-    completed demonstration is, is truncated in its last step: Minari knows no other end.
+    Each episode stores ``options`` for ``reset``: with these and the recorded actions, the
+    environment reproduces the recorded observations, rewards and ends. An episode that was cut
+    short, such as a completed demonstration, is truncated at its last step, since Minari has no
+    other kind of end.
 
-    A dataset that cannot be written whole is removed.
+    An incomplete dataset is removed.
 
-    :param out: folder of Minari's datasets, from now on in this process.
-    :return: id of the dataset, and its number of episodes; ``Bag.damage`` says what is left out.
-    :raises BagError: the bag does not say which domain was played, or it is not installed.
+    :param out: folder of Minari's datasets; also set for the rest of this process.
+    :return: dataset id and number of episodes; omitted episodes are listed in ``Bag.damage``.
+    :raises BagError: the bag does not name its domain, or the domain is not installed.
     :raises ExportError: Minari is not installed, there is nothing to write, or the dataset exists.
     """
     try:
         import minari
         from minari.data_collector import EpisodeBuffer
-        import pyarrow  # noqa: F401, what Minari stores with
+        import pyarrow  # noqa: F401, Minari's storage backend
     except ImportError as error:
         raise ExportError(
             'a Minari dataset needs minari, which is not installed: pip install "minari[arrow]"'
@@ -63,10 +64,10 @@ def write_dataset(bag: Bag, out: Path) -> tuple[str, int]:
         f'Recorded episodes of {domain.name}. Begin each with '
         'env.reset(options=dataset.storage.get_episode_metadata([id])["options"]).'
     )
-    os.environ[FOLDER] = os.path.abspath(out)  # Minari cannot write in a relative one
+    os.environ[FOLDER] = os.path.abspath(out)  # Minari cannot write to a relative path
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter('ignore', UserWarning)  # that no author is named, and the like
+            warnings.simplefilter('ignore', UserWarning)  # such as missing authors
             minari.create_dataset_from_buffers(
                 name, buffers, env=spec, data_format='arrow', description=description
             )
@@ -82,9 +83,9 @@ def write_dataset(bag: Bag, out: Path) -> tuple[str, int]:
 
 def dataset_name(domain: Domain[Any], bag: Path) -> str:
     """
-    Return the id of a bag's dataset, which no bag of another name has.
+    Return the dataset id of a bag, unique for each bag name.
 
-    Minari takes letters, digits, - and _; a name with other characters gets a digest.
+    Minari accepts letters, digits, - and _; other names get a digest.
     """
     name = bag.resolve().name.removesuffix('.mcap')
     of_domain, of_bag = (
@@ -97,8 +98,8 @@ def dataset_name(domain: Domain[Any], bag: Path) -> str:
 
 
 def _reset_requests(bag: Bag) -> Requests:
-    """Return the requests to reset_game that began episodes, where they were recorded."""
-    waiting: dict[tuple[Any, ...], Any] = {}  # the response names the episode
+    """Return the recorded reset_game requests that started episodes."""
+    waiting: dict[tuple[Any, ...], Any] = {}  # requests without a response so far
     found: Requests = {}
     for event in bag.converted(_RESET_EVENT, lambda event: event):
         call = tuple(event.info.client_gid), event.info.sequence_number
@@ -111,17 +112,17 @@ def _reset_requests(bag: Bag) -> Requests:
 
 
 def _reset_options(requests: Requests, episode: Episode) -> dict[str, Any]:
-    """Return the options of ``reset`` that repeat an episode: its start and its random draws."""
+    """Return the ``reset`` options that reproduce an episode's start and random draws."""
     first = episode.transitions[0].state
     request = requests.get((episode.number, first))
-    if request is None:  # it was not recorded, so random draws cannot be repeated
+    if request is None:  # not recorded, so random draws cannot be reproduced
         return {'state': first}
     start = {'state': request.start_state} if request.start_state else {}
     return {**start, 'game_seed': request.seed}
 
 
 def _columns(env: Any, episode: Episode) -> dict[str, Any]:
-    """Return observations (T + 1), and actions, rewards and ends (T)."""
+    """Return observations (T + 1) and actions, rewards and ends (T)."""
     domain: Domain[Any] = env.domain
     _, *taken = episode.transitions
     truncations = [each.truncated for each in taken]

@@ -1,7 +1,7 @@
 """
-A bag as files: tables of steps, demonstrations, options and plans, and attached files.
+Export of a bag as files: tables of steps, demonstrations, options and plans, and attachments.
 
-Rows are written while the bag is read, so that even a long one takes little memory.
+Rows are written while the bag is read, so that even long bags need little memory.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -30,9 +30,9 @@ from humanopts_teach.bags.info import option_rows, OptionRow, PLAN_RESULT
 from humanopts_teach.bags.reader import Bag, DEMONSTRATION
 from humanopts_teach.bags.schemas import constants
 
-BATCH = 20_000  # rows of a Parquet file that are held in memory
-FEATURE_PREFIX = 'feature:'  # before the name of a feature, in the name of a column
-# The columns before and after the features of a step, and those of the outcomes of a plan.
+BATCH = 20_000  # number of rows per batch of a Parquet file
+FEATURE_PREFIX = 'feature:'  # prefix of feature names in column names
+# Columns before and after the features of a step, and columns for the outcomes of a plan.
 _STEP = {'episode': int, 'game': str, 'game_episode': int, 'step': int, 'state': str}
 _MOVE = {'action': str, 'reward': float, 'terminated': bool, 'truncated': bool}
 _ACTOR = dict.fromkeys(('source', 'option'), str)
@@ -41,16 +41,16 @@ Columns = Mapping[str, type]  # int, float, bool or str, which includes lists as
 
 
 class ExportError(ValueError):
-    """A bag cannot be exported as asked; the text says why."""
+    """A bag cannot be exported as requested; the message gives the reason."""
 
 
 @dataclass(frozen=True)
 class Table:
     """
-    A table; each row is read when it is written.
+    A table with lazily read rows.
 
-    :ivar columns: types by name.
-    :ivar rows: plain values in the order of the columns; None: unknown.
+    :ivar columns: column types by name.
+    :ivar rows: plain values in column order; None: unknown.
     """
 
     columns: Columns
@@ -61,7 +61,7 @@ def bag_tables(bag: Bag) -> dict[str, Table]:
     """
     Return the tables steps, demonstrations, options and plans.
 
-    :raises BagError: the bag does not say which domain was played.
+    :raises BagError: the bag does not name its domain.
     """
     domain = read_description(bag)
     features: Columns = {
@@ -91,7 +91,7 @@ def _columns(kind: type) -> dict[str, type]:
 
 
 def _steps(bag: Bag, domain: ActableDomain) -> Iterator[Sequence[Any]]:
-    """Yield a row for each recorded state and the step that led to it, features in words."""
+    """Yield a row for each recorded state and the preceding step, with features in words."""
     actors, words = read_actors(bag), [cache(partial(_word, each)) for each in domain.features]
     for number, episode in enumerate(read_episodes(bag), start=1):
         for at in episode.transitions:
@@ -134,10 +134,10 @@ def write_tables(
     """
     Write a file for each table; unknown values are empty.
 
-    :param kind: csv, which is UTF-8 with a head, or parquet.
-    :param excel: write a byte order mark into CSV.
-    :raises ExportError: pyarrow is not installed, and Parquet needs it.
-    :raises OSError: the folder cannot be written to.
+    :param kind: format: csv (UTF-8 with a header row) or parquet.
+    :param excel: whether to write a byte order mark in CSV files.
+    :raises ExportError: pyarrow, required for Parquet, is not installed.
+    :raises OSError: the folder cannot be written.
     """
     if kind == 'parquet' and find_spec('pyarrow') is None:
         raise ExportError('Parquet needs pyarrow, which is not installed: pip install pyarrow')
@@ -165,7 +165,7 @@ def _write_parquet(table: Table, path: Path) -> None:
 
 
 def _plain(values: Iterable[Any]) -> list[Any]:
-    """Return lists as JSON, and None in place of NaN, in lists too."""
+    """Convert lists to JSON and NaN to None, also within lists."""
     known = map(_known, values)
     return [json.dumps(v, ensure_ascii=False) if isinstance(v, list) else v for v in known]
 
@@ -178,11 +178,11 @@ def _known(value: Any) -> Any:
 
 def write_attached(bag: Bag, out: Path) -> list[Path]:
     """
-    Write every attached file that is whole into a folder, under its name.
+    Write every intact attached file to a folder, under its own name.
 
-    :raises ExportError: no file is attached, none is whole, or one has a name that leads out of
-        the folder or exists there.
-    :raises OSError: the folder cannot be written to.
+    :raises ExportError: there are no attachments, none is intact, or a name leads outside the
+        folder or already exists there.
+    :raises OSError: the folder cannot be written.
     """
     if not bag.attachments:
         raise ExportError(f'{bag.path} has no attached files')
