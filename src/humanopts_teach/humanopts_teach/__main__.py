@@ -1,4 +1,4 @@
-"""``python -m humanopts_teach``: an entry point whose forked processes need no imports."""
+"""``python -m humanopts_teach``: entry point; forked processes do not import it again."""
 
 import gc
 import sys

@@ -234,7 +234,7 @@ def read_episodes(bag: Bag, between: tuple[int, int] = ALWAYS) -> Iterator[Episo
 
 def find_episodes(bag: Bag) -> list[Episode]:
     """
-    Return the episodes of ``read_episodes``, in that order, without their transitions.
+    Return the episodes of ``read_episodes`` in the same order, without their transitions.
 
     Transitions are read from the bag on demand; this raises ``BagError`` if no longer possible.
     """

@@ -1,1 +1,1 @@
-"""The dialogue with a person as pages in a browser; NiceGUI is imported where they are served."""
+"""The dialogue with a person as pages in a browser; NiceGUI is imported only to serve them."""

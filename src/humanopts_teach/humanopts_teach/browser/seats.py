@@ -28,7 +28,7 @@ Press = Callable[[list[str], int], None]  # keys, and the number of the frame sh
 
 def another_fits(available: int, total: int, taken: Sequence[int], games: int) -> bool:
     """
-    Return whether another game fits into memory; the first one always does.
+    Return whether another game fits in memory; the first one always does.
 
     :param available: available memory in bytes, without swapping.
     :param total: total memory in bytes.

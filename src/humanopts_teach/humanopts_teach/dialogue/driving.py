@@ -1,4 +1,4 @@
-"""Screens in which the game is played: by the person, by a taught option, by a plan."""
+"""Screens for playing the game: by the person, a taught option or a plan."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, KW_ONLY
@@ -58,7 +58,7 @@ def pace(app: App) -> list[Command]:
 
 
 def pace_line(world: World) -> Line:
-    """Return the speed of the machine in words."""
+    """Return a line that describes the machine's speed."""
     if world.paused_by:
         return Line('The machine is paused.', Tone.WARNING)
     limit = f'At most one step every {world.step_period:g} s.'
@@ -121,11 +121,11 @@ class PlayScreen(Screen):
         return []
 
     def mode(self, app: App) -> Iterator[Line]:
-        """Yield how the machine plays."""
+        """Yield lines that describe how the machine plays."""
         yield from ()
 
     def running(self, app: App) -> Iterator[Line]:
-        """Yield what the machine is running."""
+        """Yield lines that describe what the machine is running."""
         yield from ()
 
     def new_start(self, app: App) -> Request:

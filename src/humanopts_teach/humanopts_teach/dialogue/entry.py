@@ -1,4 +1,4 @@
-"""Screens in which the person reads, types or chooses something."""
+"""Generic screens: texts, questions, text fields and lists."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field

@@ -23,7 +23,7 @@ class Tone(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """A sentence or a few words."""
+    """A line of text."""
 
     text: str
     tone: Tone = Tone.PLAIN
@@ -43,7 +43,7 @@ class TypedText:
 
 @dataclass(frozen=True, slots=True)
 class Choices:
-    """A list to choose from."""
+    """A list of items, one of which is selected."""
 
     items: Sequence[tuple[str, str]]  # text and note
     at: int  # index of the selected item
@@ -51,7 +51,7 @@ class Choices:
 
 @dataclass(frozen=True, slots=True)
 class KeyList:
-    """Keys and what they do, one per row."""
+    """Keys and their descriptions, one per row."""
 
     rows: Sequence[tuple[str, str]]
 
@@ -85,7 +85,7 @@ class Criteria:
 
 @dataclass(frozen=True, slots=True)
 class Page:
-    """A page to read."""
+    """A page of text."""
 
     text: str  # Markdown
 

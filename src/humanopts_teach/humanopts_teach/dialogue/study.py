@@ -207,7 +207,7 @@ def _refuse(app: App) -> None:
 
 
 def _button(rank: int, most: int) -> TextScreen:
-    """Return the screen that asks for a button, as in section 4 of the paper."""
+    """Return the screen that asks for a button suggestion, as in section 4 of the paper."""
 
     def submit(text: str, app: App) -> None:
         assert isinstance(app, StudyApp)

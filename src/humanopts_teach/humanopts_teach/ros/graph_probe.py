@@ -158,7 +158,7 @@ def _processes_of_launch(namespace: str) -> dict[str, psutil.Process | None]:
             launcher = psutil.Process(number)
             for process in launcher.children(recursive=True):
                 with suppress(psutil.Error):
-                    words = ' '.join(process.cmdline()).rstrip()  # of a fork: one, and empty ones
+                    words = ' '.join(process.cmdline()).rstrip()  # a fork has one nonempty word
                     name = Path(words.partition(f'{PARAMETERS} ')[2]).stem
                     if name in MODULES:  # "ros2 launch" uses other file names
                         found |= {name: process, CONDUCTOR: launcher}

@@ -1,5 +1,5 @@
 """
-The node ``views``: the game for RViz, Foxglove and other viewers of ROS.
+The node ``views``: the game for RViz, Foxglove and other ROS viewers.
 
 ``scene.py`` defines the drawing for all domains.
 """
