@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 LEAF = -1  # value of left, right and feature in a leaf
+MANY_ROWS = 100  # rows per node above which a tree is evaluated node by node
 
 
 class TreeError(ValueError):
@@ -58,17 +59,20 @@ class Encoder:
         self._one_hot = np.array([[value is not None] for value in values], dtype=np.bool_)
         self._wanted = np.array([[value or 0] for value in values], dtype=np.float64)
 
-    def __call__(self, rows: Rows) -> NDArray[np.float32]:
+    def __call__(self, rows: Rows, tested: Ints | slice = slice(None)) -> NDArray[np.float32]:
         """
         Return the encoded features.
 
         :param rows: (N, F), all features of the domain.
+        :param tested: indices of the encoded features to compute; the others are undefined.
         :return: (N, C), column-major, which suits the traversal of large trees.
         """
-        picked = rows.T[self._index]
-        if self._one_hot.any():
-            picked = np.where(self._one_hot, picked == self._wanted, picked)
-        return picked.astype(np.float32).T
+        picked, one_hot = rows.T[self._index[tested]], self._one_hot[tested]
+        if one_hot.any():
+            picked = np.where(one_hot, picked == self._wanted[tested], picked)
+        encoded = np.empty((len(self._index), len(rows)), dtype=np.float32)
+        encoded[tested] = picked
+        return encoded.T
 
 
 def encode_rows(encoding: Sequence[EncodedFeature], rows: Rows) -> NDArray[np.float32]:
@@ -133,12 +137,23 @@ class Tree:
         if X.ndim != 2 or X.shape[1] != self.n_features:
             raise TreeError(f'the tree takes rows of {self.n_features} features, not {X.shape}')
         values, node = X.astype(np.float32, copy=False), np.zeros(len(X), dtype=np.intp)
+        if len(X) > MANY_ROWS * len(self.left):  # node by node, with all rows of a node at once
+            inside = {0: np.arange(len(X))}
+            for at in range(len(self.left)):
+                rows = inside.pop(at)
+                if self.left[at] == LEAF:
+                    node[rows] = at
+                    continue
+                right = values[:, self.feature[at]][rows] > self.threshold[at]
+                inside[int(self.left[at])] = rows[~right]
+                inside[int(self.right[at])] = rows[right]
+            return node
         rows = np.arange(len(X) if len(self.left) > 1 else 0)
         while rows.size:
-            at = node[rows]
-            goes_right = values[rows, self.feature[at]] > self.threshold[at]
-            node[rows] = at = np.where(goes_right, self.right[at], self.left[at])
-            rows = rows[self.left[at] != LEAF]
+            level = node[rows]
+            goes_right = values[rows, self.feature[level]] > self.threshold[level]
+            node[rows] = level = np.where(goes_right, self.right[level], self.left[level])
+            rows = rows[self.left[level] != LEAF]
         return node
 
     def probabilities(self, X: NDArray[np.float32]) -> Floats:
@@ -162,6 +177,11 @@ class Tree:
         for node in np.flatnonzero(self.left != LEAF):
             level[[self.left[node], self.right[node]]] = level[node] + 1
         return int(level.max())
+
+    @cached_property
+    def tested(self) -> Ints:
+        """Indices of the encoded features that the tree tests, ascending."""
+        return np.unique(self.feature[self.left != LEAF]).astype(np.intp)
 
     @cached_property
     def shares(self) -> Floats:

@@ -116,19 +116,19 @@ class LearnedOption:
 
     def action_probabilities(self, rows: Rows) -> Floats:
         """Return (N, A): pi of every action in each of the N states."""
-        return self.policy.probabilities(self._encode_for_policy(rows))
+        return self.policy.probabilities(self._encode_for_policy(rows, self.policy.tested))
 
     def initiation_probability(self, rows: Rows) -> Floats:
         """Return (N,): the share of members of I among the examples in each state's leaf."""
-        return self.initiation.probability_of(MEMBER, self._encode(rows))
+        return self.initiation.probability_of(MEMBER, self._encode(rows, self.initiation.tested))
 
     def termination_probability(self, rows: Rows) -> Floats:
         """Return (N,): beta of each state."""
-        return self.termination.probability_of(MEMBER, self._encode(rows))
+        return self.termination.probability_of(MEMBER, self._encode(rows, self.termination.tested))
 
     def action(self, rows: Rows) -> Ints:
         """Return (N,): the most likely action; on ties, the lowest index."""
-        return self.policy.likeliest(self._encode_for_policy(rows))
+        return self.policy.likeliest(self._encode_for_policy(rows, self.policy.tested))
 
     def can_start(self, rows: Rows) -> Flags:
         """Return (N,): whether each state is in the initiation set."""

@@ -24,6 +24,7 @@ from humanopts_env.domains.pacman.paths import FIRST_MOVE, HAS_MOVE, MOVES, STAY
 from humanopts_env.domains.pacman.rules import Keys, PacManBatch, Rules
 from humanopts_env.domains.pacman.state import EATEN, SCARED_STEPS
 import numpy as np
+from numpy.typing import NDArray
 
 DIRECTIONS = (*MOVES, 'here', 'none')
 NOWHERE = STAY + 1  # index of the last
@@ -131,6 +132,25 @@ class FeatureReader:
 
     def __call__(self, batch: PacManBatch) -> Rows:
         """Return the features of every game, (N, F)."""
+        groups, (cells, ways) = len(batch.ghosts), self._ways(batch)
+        out = np.empty((len(self.names), len(batch)))
+        out[:2] = self._place.take(batch.pacman, axis=1)
+        for axis in range(2):
+            out[self._rows + axis] = self._place[axis].take(cells)
+        out[self._directions] = ways & FIRST
+        out[self._directions + 1] = ways >> STEPS
+        out[self._rows[:groups] + 4] = batch.scared
+        out[-2] = batch.ate
+        out[-1] = self._legal.take(batch.pacman)
+        return out.T
+
+    def first_moves(self, batch: PacManBatch) -> NDArray[np.int32]:
+        """Return (T, N): the direction of each of ``THINGS``."""
+        moves: NDArray[np.int32] = self._ways(batch)[1][len(batch.ghosts) :] & FIRST
+        return moves
+
+    def _ways(self, batch: PacManBatch) -> tuple[Ints, NDArray[np.int32]]:
+        """Return the cells (G + 3, N) and the keys (G + T, N) of ghosts and ``THINGS``."""
         here, tables, groups = batch.pacman, batch.tables, len(batch.ghosts)
         food = nearest_key(tables.food, here, batch.food_taken)
         pill = nearest_key(tables.pills, here, batch.pills_taken)
@@ -144,16 +164,7 @@ class FeatureReader:
         scared, ghosts = batch.scared > 0, ways[:groups] | self._ghosts
         for thing, chosen in ((-2, ~scared), (-1, scared)):
             ways[thing] = np.where(chosen, ghosts, self._no_way).min(axis=0, initial=self._no_way)
-        out = np.empty((len(self.names), len(batch)))
-        out[:2] = self._place.take(here, axis=1)
-        for axis in range(2):
-            out[self._rows + axis] = self._place[axis].take(cells)
-        out[self._directions] = ways & FIRST
-        out[self._directions + 1] = ways >> STEPS
-        out[self._rows[:groups] + 4] = batch.scared
-        out[-2] = batch.ate
-        out[-1] = self._legal.take(here)
-        return out.T
+        return cells, ways
 
 
 def nearest_key(keys: Keys, cells: Ints, taken: Keys) -> Keys:
@@ -164,12 +175,12 @@ def nearest_key(keys: Keys, cells: Ints, taken: Keys) -> Keys:
     :param cells: (..., N) start cells.
     :param taken: (N, K + 1) marks of ``PacManBatch``.
     """
-    if keys.shape[1] < FEW:
-        left = np.stack([key.take(cells) | mark for key, mark in zip(keys.T, taken.T)], axis=-1)
-    else:
-        left = keys.take(cells, axis=0)
-        np.bitwise_or(left, taken, out=left)
-    least: Keys = left.min(axis=-1)
+    if keys.shape[1] < FEW:  # rows of keys are short: a column at a time
+        left = keys.T.take(cells, axis=1)
+        marks = taken.T if cells.ndim == 1 else taken.T[:, None]
+        return np.bitwise_or(left, marks, out=left).min(axis=0)
+    left = keys.take(cells, axis=0)
+    least: Keys = np.bitwise_or(left, taken, out=left).min(axis=-1)
     return least
 
 

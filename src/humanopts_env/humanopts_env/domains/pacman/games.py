@@ -13,7 +13,12 @@ from functools import lru_cache
 from typing import Any, TYPE_CHECKING
 
 from humanopts_env.arrays import Flags, Ints, Rows
-from humanopts_env.domains.pacman.features import fear_of_prey, FeatureReader, steps_after
+from humanopts_env.domains.pacman.features import (
+    fear_of_prey,
+    FeatureReader,
+    steps_after,
+    THINGS,
+)
 from humanopts_env.domains.pacman.paths import HAS_MOVE, MOVES, Paths, STAY
 from humanopts_env.domains.pacman.rules import PacManBatch, Rules
 from humanopts_env.domains.pacman.state import PacManState
@@ -170,7 +175,7 @@ def sample_games(rules: Rules, rng: np.random.Generator, count: int) -> PacManBa
     """
     length, want = rng.integers(MAX_PLAYED, size=count), rng.integers(len(WANTS), size=count)
     read, games = FeatureReader(rules), PacManBatch.begin(rules, count)
-    directions = [read.names.index(f'{want}_direction') if want else -1 for want in WANTS]
+    things = [list(THINGS).index(want) if want else -1 for want in WANTS]
     order = np.argsort(length, kind='stable')  # shortest games first
     drawn = np.searchsorted(length[order], np.arange(MAX_PLAYED), side='right').tolist()
     for step in range(length.max(initial=-1) + 1):
@@ -179,8 +184,8 @@ def sample_games(rules: Rules, rng: np.random.Generator, count: int) -> PacManBa
         at_random = rng.integers(len(MOVES), size=count)
         draws = rules.batch_draws(rng, count)
         batch, playing = games.after(drawn[step]), order[drawn[step] :]
-        rows, at = read(batch), np.take(directions, want.take(playing))
-        move = rows[np.arange(len(rows)), at].astype(np.intp)
+        at = np.take(things, want.take(playing))
+        move = read.first_moves(batch)[at, np.arange(len(at))].astype(np.intp)
         move = np.where((at >= 0) & (move < len(MOVES)), move, at_random.take(playing))
         batch.step(move, draws[:, playing])
         over = batch.over.nonzero()[0]
