@@ -25,7 +25,7 @@ def bench_steps(benchmark: Any, domain: str, features: bool, together: bool) -> 
     benchmark.pedantic(step, rounds=50 if together else 3, warmup_rounds=1)
 
 
-def _side_by_side(domain: Domain[Any], features: bool) -> Callable[[], None]:
+def _side_by_side(domain: Domain, features: bool) -> Callable[[], None]:
     """Return a function that takes one step in each game."""
     rng = generator(1, 'benchmark', 'games')
     games = new_games(domain, STEPS, rng)
@@ -39,7 +39,7 @@ def _side_by_side(domain: Domain[Any], features: bool) -> Callable[[], None]:
     return step
 
 
-def _one_game(domain: Domain[Any], features: bool) -> Callable[[], None]:
+def _one_game(domain: Domain, features: bool) -> Callable[[], None]:
     """Return a function that takes all steps in one game."""
     rng = generator(1, 'benchmark', 'game')
 

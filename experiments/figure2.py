@@ -161,7 +161,7 @@ def learn_again(parameters: Mapping[str, Any]) -> Rows:
 
 def point_rows(
     lesson: Sequence[LearnedOption],
-    domain: Domain[Any],
+    domain: Domain,
     name: str,
     who: tuple[str, str, str],
     seconds: float,

@@ -130,7 +130,7 @@ def read_bag_lessons(path: Path) -> list[BagLesson]:
     return lessons
 
 
-def taught_in(bag: Bag, domain: Domain[Any]) -> dict[tuple[str, str], list[Demonstration]]:
+def taught_in(bag: Bag, domain: Domain) -> dict[tuple[str, str], list[Demonstration]]:
     """Return the demonstrations used by ``bag eval``, by participant and option."""
     groups, _ = usable_demonstrations(read_demonstrations(bag), domain)
     return groups
@@ -194,7 +194,7 @@ def owner_seed(parameters: Mapping[str, Any], *key: str) -> int:
 
 
 def options_of(
-    owner: Mapping[str, Any], domain: Domain[Any], names: Sequence[str] = ()
+    owner: Mapping[str, Any], domain: Domain, names: Sequence[str] = ()
 ) -> OwnedOptions:
     """
     Return the options of one owner; simulated people teach until the criteria are met.

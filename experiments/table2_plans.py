@@ -204,7 +204,7 @@ def _row(kind: str, budget: int, returns: Returns, plan: AnyPlan | None = None) 
 
 
 def play_by_chance(
-    domain: Domain[Any],
+    domain: Domain,
     options: Sequence[Any],
     games: int,
     rng: np.random.Generator,
@@ -234,7 +234,7 @@ def _seed_for(seed: int, purpose: str, number: int = 0) -> int:
 
 
 def plan_exactly(
-    domain: EnumerableDomain[Any],
+    domain: EnumerableDomain,
     variant: Variant,
     options: Sequence[LearnedOption | TabularOption],
 ) -> Iterator[dict[str, Any]]:
@@ -265,7 +265,7 @@ def plan_exactly(
 
 
 def plan_from_samples(
-    domain: Domain[Any],
+    domain: Domain,
     variant: Variant,
     options: Sequence[LearnedOption],
     plans: int,

@@ -30,7 +30,7 @@ Chooser = Callable[[int, Any], str | None]  # (actions taken, state) to the next
 
 
 def show(
-    domain: Domain[Any], start: Any, choose: Chooser, rng: np.random.Generator, **fields: Any
+    domain: Domain, start: Any, choose: Chooser, rng: np.random.Generator, **fields: Any
 ) -> Demonstration:
     """
     Show an option from a state; "not here" where nothing is chosen.
@@ -68,7 +68,7 @@ def walk(
     actions: Sequence[str] | Chooser,
     option: str,
     features: Sequence[str],
-    domain: Domain[Any] = TAXI,
+    domain: Domain = TAXI,
     **fields: Any,
 ) -> Demonstration:
     """Show an option from a state by actions; "not here" where there are none."""
@@ -79,7 +79,7 @@ def walk(
     return show(domain, domain.decode(start), choose, rng, **fields)
 
 
-def by_reference(option: str, domain: Domain[Any]) -> Chooser:
+def by_reference(option: str, domain: Domain) -> Chooser:
     """Return the choices of a person who takes the first of the best actions."""
     reference = reference_options(domain)[option]
 
@@ -91,7 +91,7 @@ def by_reference(option: str, domain: Domain[Any]) -> Chooser:
     return choose
 
 
-def expert(option: str, count: int, domain: Domain[Any] = TAXI, **fields: Any) -> list[Any]:
+def expert(option: str, count: int, domain: Domain = TAXI, **fields: Any) -> list[Any]:
     """Show an option of the reference by shortest ways from random states."""
     reference, choose = reference_options(domain)[option], by_reference(option, domain)
     rng = generator(7, 'scripted expert', option)
@@ -114,7 +114,7 @@ def taught(participant: str = 'p1') -> tuple[LearnedOption, ...]:
     )
 
 
-def taught_pacman(domain: Domain[Any]) -> list[LearnedOption]:
+def taught_pacman(domain: Domain) -> list[LearnedOption]:
     """Return three options of the paper in a maze, learned well enough to play."""
     return [
         learn_option(expert(name, 40, domain), domain, 0)

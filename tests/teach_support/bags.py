@@ -104,7 +104,7 @@ def numbered(sequence: int, publisher: str = '/game#1') -> GameState:
     return GameState(publisher_id=publisher, sequence=sequence, state='s')
 
 
-def play(domain: Domain[Any], actions: list[str]) -> list[Transition]:
+def play(domain: Domain, actions: list[str]) -> list[Transition]:
     """Play one episode."""
     game = Game(domain)
     first = game.reset('', 3, Source.MACHINE).transition

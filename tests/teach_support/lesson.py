@@ -69,7 +69,7 @@ class Table:
         *,
         budget: int = 5,
         seed: int = 0,
-        domain: Domain[Any] = TAXI,
+        domain: Domain = TAXI,
         method: str = TREES,
         starts: type[SeededStarts] = Starts,
     ) -> None:

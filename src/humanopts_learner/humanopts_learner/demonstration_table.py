@@ -57,7 +57,7 @@ _FLAG = TypeAdapter(bool).validate_python  # true, yes, on, 1, and their opposit
 
 def demonstrations_from_table(
     table: 'pd.DataFrame | Path | str',
-    domain: Domain[Any],
+    domain: Domain,
     option_name: str = '',
     features: Sequence[str] | None = None,
     participant: str = 'anonymous',
@@ -167,7 +167,7 @@ def _rows(table: 'pd.DataFrame | Path | str') -> 'pd.DataFrame':
     return text
 
 
-def _check_columns(columns: Sequence[str], domain: Domain[Any]) -> None:
+def _check_columns(columns: Sequence[str], domain: Domain) -> None:
     """
     Check the names of the columns.
 
@@ -243,7 +243,7 @@ def _can_start_at_end(steps: 'pd.DataFrame') -> bool:
     return bool(flags.iloc[-1])
 
 
-def _states(steps: 'pd.DataFrame', domain: Domain[Any]) -> list[Any]:
+def _states(steps: 'pd.DataFrame', domain: Domain) -> list[Any]:
     """
     Return the states of one demonstration, from their notation or from their features.
 

@@ -154,7 +154,7 @@ _OPTIONAL = {
 
 
 def make_demonstration(
-    domain: Domain[Any],
+    domain: Domain,
     option_name: str,
     states: Sequence[Any],
     actions: Sequence[str] = (),
@@ -207,7 +207,7 @@ def make_demonstration(
     return named
 
 
-def _rewards(domain: Domain[Any], states: Sequence[Any], actions: Sequence[str]) -> list[float]:
+def _rewards(domain: Domain, states: Sequence[Any], actions: Sequence[str]) -> list[float]:
     """Return the reward of each step by the rules; 0 if the step violates them."""
     if actions and not is_enumerable(domain):
         raise DemonstrationError(f'the states of {domain.name} cannot all be listed: give rewards')

@@ -107,7 +107,7 @@ class Arbiter:
         self,
         values: OptionValues,
         execution: Arbitration,
-        domain: Domain[Any],
+        domain: Domain,
         options: Mapping[str, RunnableOption],
     ) -> None:
         """

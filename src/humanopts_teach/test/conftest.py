@@ -3,7 +3,6 @@
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from graph_support.scripted import by_reference, show
 from humanopts_env.domains.base import Domain
@@ -24,7 +23,7 @@ EATING = (
 
 
 def demonstrate(
-    domain: Domain[Any], option: str, count: int, seed: int = 7, participant: str = 'p1'
+    domain: Domain, option: str, count: int, seed: int = 7, participant: str = 'p1'
 ) -> list[Demonstration]:
     """Show an option from random states, as an expert with fixed preferences would."""
     rng = generator(seed, 'scripted teacher', option)
@@ -46,13 +45,13 @@ def demonstrate(
 
 
 @pytest.fixture(scope='session')
-def taxi() -> Domain[Any]:
+def taxi() -> Domain:
     """The 5 x 5 taxi."""
     return make_domain('taxi')
 
 
 @pytest.fixture(scope='session')
-def taxi_lesson(taxi: Domain[Any]) -> list[Demonstration]:
+def taxi_lesson(taxi: Domain) -> list[Demonstration]:
     """A short lesson of two options."""
     return [demo for option in TAUGHT for demo in demonstrate(taxi, option, 12)]
 
@@ -64,13 +63,13 @@ def pacman_lesson() -> list[Demonstration]:
 
 
 @pytest.fixture(scope='session')
-def yard() -> Domain[Any]:
+def yard() -> Domain:
     """Pac-Man in a small maze, with short games."""
     return make_domain('pacman', {'maze': 'yard', 'max_steps': 60})
 
 
 @pytest.fixture(scope='session')
-def yard_lesson(yard: Domain[Any]) -> list[Demonstration]:
+def yard_lesson(yard: Domain) -> list[Demonstration]:
     """A short lesson of four options."""
     return [demo for option in EATING for demo in demonstrate(yard, option, 12)]
 

@@ -34,7 +34,7 @@ from teach_support.bags import numbered, play, write_messages
 
 
 def test_demonstrations_come_back_equal_except_for_those_of_unknown_kind(
-    tmp_path: Path, taxi: Domain[Any], taxi_lesson: list[Demonstration]
+    tmp_path: Path, taxi: Domain, taxi_lesson: list[Demonstration]
 ) -> None:
     messages = [demonstration_to_message(demo) for demo in [taxi_lesson[0], *taxi_lesson]]
     messages[0].kind = 0
@@ -71,7 +71,7 @@ def test_the_domain_comes_back_with_its_parameters_or_the_reason_is_named(tmp_pa
             read_domain(bag)
 
 
-def test_episodes_come_back_in_order_and_once(tmp_path: Path, taxi: Domain[Any]) -> None:
+def test_episodes_come_back_in_order_and_once(tmp_path: Path, taxi: Domain) -> None:
     transitions = play(taxi, ['north', 'east', 'south'])
     entries = [
         (topic, transition_to_message(transition))
@@ -110,7 +110,7 @@ def test_a_stream_counts_like_a_set(numbers: list[int]) -> None:
 
 
 def test_the_last_episode_is_of_the_chosen_game_even_where_two_count_alike(
-    tmp_path: Path, taxi: Domain[Any]
+    tmp_path: Path, taxi: Domain
 ) -> None:
     refused = OptionResult(option_name='unknown', status=OptionResult.STATUS_UNKNOWN_OPTION)
     entries: list[tuple[str, Any]] = [('/left/option_results', refused)]
@@ -130,7 +130,7 @@ def test_the_last_episode_is_of_the_chosen_game_even_where_two_count_alike(
 
 
 def test_the_last_episode_of_modules_names_the_module_of_each_step(
-    tmp_path: Path, taxi: Domain[Any]
+    tmp_path: Path, taxi: Domain
 ) -> None:
     states = [
         transition_to_message(transition) for transition in play(taxi, ['south', 'west', 'west'])
@@ -152,7 +152,7 @@ def test_the_last_episode_of_modules_names_the_module_of_each_step(
 
 
 def test_messages_of_another_definition_are_left_out_and_noted(
-    tmp_path: Path, taxi: Domain[Any], taxi_lesson: list[Demonstration]
+    tmp_path: Path, taxi: Domain, taxi_lesson: list[Demonstration]
 ) -> None:
     bag = write_messages(
         tmp_path / 'bag',
@@ -174,7 +174,7 @@ def test_messages_of_another_definition_are_left_out_and_noted(
     assert len(bag.damage.splitlines()) >= 4
 
 
-def games(taxi: Domain[Any]) -> list[tuple[str, GameState]]:
+def games(taxi: Domain) -> list[tuple[str, GameState]]:
     """Return the states of three episodes, the second left, and of a game that came later."""
     entries = []
     for publisher, number, length in (
@@ -192,7 +192,7 @@ def games(taxi: Domain[Any]) -> list[tuple[str, GameState]]:
 
 
 def test_episodes_that_cannot_be_read_and_late_states_are_left_out(
-    tmp_path: Path, taxi: Domain[Any]
+    tmp_path: Path, taxi: Domain
 ) -> None:
     entries = games(taxi)
     for _, state in entries[3:5]:
@@ -207,7 +207,7 @@ def test_episodes_that_cannot_be_read_and_late_states_are_left_out(
     assert 'after a later episode are left out' in bag.damage
 
 
-def forged(taxi: Domain[Any], publisher: str) -> list[tuple[str, Any]]:
+def forged(taxi: Domain, publisher: str) -> list[tuple[str, Any]]:
     """Return a game of Taxi that is announced, as is a game by another publisher."""
     other, mine = domain_to_info(make_domain('rooms')), domain_to_info(taxi)
     other.publisher_id, other.sequence = publisher, 1
@@ -227,7 +227,7 @@ def forged(taxi: Domain[Any], publisher: str) -> list[tuple[str, Any]]:
     ],
 )
 def test_a_game_that_another_node_announced_does_not_count_in_a_bag_of_another_program(
-    tmp_path: Path, taxi: Domain[Any], publisher: str, words: str
+    tmp_path: Path, taxi: Domain, publisher: str, words: str
 ) -> None:
     entries = forged(taxi, publisher)
     if publisher == '/game#1':  # what a process announces first is its game
@@ -241,7 +241,7 @@ def test_a_game_that_another_node_announced_does_not_count_in_a_bag_of_another_p
 
 @pytest.mark.parametrize('kept', ['[' * 100_000, '{}', '[]'])
 def test_a_damaged_record_of_the_game_is_said_and_the_bag_is_read(
-    tmp_path: Path, taxi: Domain[Any], kept: str
+    tmp_path: Path, taxi: Domain, kept: str
 ) -> None:
     opened = write_messages(tmp_path / 'bag', forged(taxi, '/stranger#1'))
     opened.metadata[GAME] = {GAME_IDS: kept}

@@ -32,7 +32,7 @@ BATCH = 25  # mutated bags in one test
 @pytest.fixture(scope='module')
 def lessons(
     tmp_path_factory: pytest.TempPathFactory,
-    taxi: Domain[Any],
+    taxi: Domain,
     taxi_lesson: Sequence[Demonstration],
 ) -> list[Path]:
     """A whole bag of a small lesson in some 20 chunks, and the same in several files."""

@@ -67,7 +67,7 @@ def test_the_text_is_short_with_long_names_and_many_streams(tmp_path: Path) -> N
 
 
 def test_the_summary_counts_what_was_taught_and_done(
-    tmp_path: Path, taxi: Domain[Any], taxi_lesson: list[Demonstration]
+    tmp_path: Path, taxi: Domain, taxi_lesson: list[Demonstration]
 ) -> None:
     option = OptionStatus(option_name=PICKUP, participant='p1', criteria_met=True)
     wrong = replace(taxi_lesson[0], uuid='taken back')

@@ -24,7 +24,7 @@ from teach_support.bags import play, write_messages
 pytestmark = pytest.mark.heavy
 
 
-def lesson(domain: Domain[Any], size: int) -> Iterator[tuple[str, Any]]:
+def lesson(domain: Domain, size: int) -> Iterator[tuple[str, Any]]:
     """Yield a lesson of 20 episodes, with values of options that do not compress, of a size."""
     chance = generator(1, 'values that do not compress')
     yield '/domain_info', domain_to_info(domain)
@@ -61,7 +61,7 @@ def drain(rows: Any) -> None:
 )
 def test_reading_holds_a_few_chunks_however_long_the_bag_is(
     tmp_path: Path,
-    taxi: Domain[Any],
+    taxi: Domain,
     taxi_lesson: list[Demonstration],
     period: int,
     limits: Limits,
@@ -83,7 +83,7 @@ def test_reading_holds_a_few_chunks_however_long_the_bag_is(
 
 
 @pytest.mark.parametrize('indexed', [True, False])
-def test_every_pass_reports_its_progress(tmp_path: Path, taxi: Domain[Any], indexed: bool) -> None:
+def test_every_pass_reports_its_progress(tmp_path: Path, taxi: Domain, indexed: bool) -> None:
     write_messages(tmp_path / 'bag', lesson(taxi, 4_000_000), period=10**6)
     (file,) = (tmp_path / 'bag').glob('*.mcap')
     if not indexed:

@@ -288,7 +288,7 @@ def test_who_is_displaced_asks_nothing_of_the_others_lesson_and_gives_control_ba
     assert desk.asked == [SetPace(0.0, paused=False), SetControl(hold=False)]
 
 
-def test_a_long_list_is_shown_a_page_at_a_time(taxi: Domain[Any]) -> None:
+def test_a_long_list_is_shown_a_page_at_a_time(taxi: Domain) -> None:
     app, picked = App(opening('p1')), list[int]()
     app.world.domain = taxi
     app.screen = ListScreen('Many', [Item(f'item {n}', '', lambda app, n=n: picked.append(n))

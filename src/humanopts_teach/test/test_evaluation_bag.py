@@ -76,7 +76,7 @@ def record(
 
 
 def record_lesson(
-    path: Path, domain: Domain[Any], demos: Lesson, facts: dict[str, str] | None = None
+    path: Path, domain: Domain, demos: Lesson, facts: dict[str, str] | None = None
 ) -> Path:
     """Write a bag of a lesson."""
     return record(path, [domain_to_info(domain), *map(demonstration_to_message, demos)], facts)
@@ -90,7 +90,7 @@ def progress() -> list[tuple[float, float]]:
 
 @pytest.fixture(scope='module')
 def evaluation(
-    taxi: Domain[Any], taxi_lesson: Lesson, progress: list[tuple[float, float]]
+    taxi: Domain, taxi_lesson: Lesson, progress: list[tuple[float, float]]
 ) -> BagEvaluation:
     """The lesson, evaluated."""
     return evaluate(
@@ -111,7 +111,7 @@ def numbers(evaluation: BagEvaluation) -> list[dict[str, Any]]:
 
 @pytest.mark.heavy
 def test_order_repetitions_withdrawn_and_foreign_demonstrations_change_no_number(
-    taxi: Domain[Any], first: Lesson, evaluation: BagEvaluation
+    taxi: Domain, first: Lesson, evaluation: BagEvaluation
 ) -> None:
     wrong = replace(first[3], uuid=str(uuid.uuid4()), can_start_at_end=True, number=1000)
     back, stray = (
@@ -148,7 +148,7 @@ def test_an_evaluation_has_learning_curves_and_plans(
 
 
 @pytest.mark.heavy
-def test_people_are_evaluated_apart(taxi: Domain[Any], first: Lesson) -> None:
+def test_people_are_evaluated_apart(taxi: Domain, first: Lesson) -> None:
     other = [
         replace(demo, participant='p2', uuid=str(uuid.uuid5(uuid.NAMESPACE_OID, demo.uuid)))
         for demo in first
@@ -159,7 +159,7 @@ def test_people_are_evaluated_apart(taxi: Domain[Any], first: Lesson) -> None:
 
 
 def test_nothing_to_learn_from_is_an_error_that_says_so(
-    taxi: Domain[Any], taxi_lesson: Lesson, tmp_path: Path
+    taxi: Domain, taxi_lesson: Lesson, tmp_path: Path
 ) -> None:
     refused = [demo for demo in taxi_lesson if demo.kind is Kind.NOT_HERE]
     with pytest.raises(EvaluationError, match=r'no demonstration to learn from.*not here'):
@@ -224,7 +224,7 @@ def test_options_learned_again_are_compared_with_their_files(
 
 
 def test_a_bag_says_that_its_option_files_are_reproduced(
-    tmp_path: Path, taxi: Domain[Any], taxi_lesson: Lesson, evaluation: BagEvaluation
+    tmp_path: Path, taxi: Domain, taxi_lesson: Lesson, evaluation: BagEvaluation
 ) -> None:
     (file, _) = files_of(evaluation, taxi_lesson).values()
     shown = [demo for demo in taxi_lesson if demo.option_name == file['name']]
@@ -251,7 +251,7 @@ def test_a_bag_says_that_its_option_files_are_reproduced(
 )
 def test_what_cannot_be_done_is_refused_before_the_work(
     tmp_path: Path,
-    taxi: Domain[Any],
+    taxi: Domain,
     capsys: pytest.CaptureFixture[str],
     asked: list[str],
     reason: str,
@@ -265,7 +265,7 @@ def test_what_cannot_be_done_is_refused_before_the_work(
 
 @pytest.mark.heavy
 def test_a_state_that_is_none_of_the_domain_is_an_error_of_the_report(
-    tmp_path: Path, taxi: Domain[Any], taxi_lesson: Lesson, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, taxi: Domain, taxi_lesson: Lesson, capsys: pytest.CaptureFixture[str]
 ) -> None:
     messages = [
         domain_to_info(taxi),
@@ -281,7 +281,7 @@ def test_a_state_that_is_none_of_the_domain_is_an_error_of_the_report(
 
 @pytest.mark.heavy
 def test_a_bag_gives_the_numbers_of_its_demonstrations_exactly(
-    tmp_path: Path, taxi: Domain[Any], taxi_lesson: Lesson, first: Lesson
+    tmp_path: Path, taxi: Domain, taxi_lesson: Lesson, first: Lesson
 ) -> None:
     found = evaluate_bag(record_lesson(tmp_path / 'bag', taxi, taxi_lesson))
     assert found.settings == RECORDED
@@ -290,7 +290,7 @@ def test_a_bag_gives_the_numbers_of_its_demonstrations_exactly(
 
 
 def test_a_bag_without_facts_is_evaluated_with_defaults_and_says_so(
-    tmp_path: Path, taxi: Domain[Any], first: Lesson
+    tmp_path: Path, taxi: Domain, first: Lesson
 ) -> None:
     found = evaluate_bag(record_lesson(tmp_path / 'bag', taxi, first[:6], facts={}))
     assert found.settings == EvaluationSettings()
@@ -301,7 +301,7 @@ DEEP = '[' * 100_000
 
 
 def test_deep_json_in_a_bag_is_named_and_the_rest_is_evaluated(
-    taxi: Domain[Any], taxi_lesson: Lesson, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    taxi: Domain, taxi_lesson: Lesson, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     known = taxi_lesson[:12]
     deep = [replace(known[0], uuid=str(uuid.uuid4()), domain_parameters=DEEP)]
@@ -318,7 +318,7 @@ def test_deep_json_in_a_bag_is_named_and_the_rest_is_evaluated(
 
 
 def test_no_escape_sequence_in_a_name_reaches_the_terminal(
-    taxi: Domain[Any], taxi_lesson: Lesson, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    taxi: Domain, taxi_lesson: Lesson, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     named = [
         replace(d, option_name='go\x1b[2J', participant='p\x1b]0;x\x07') for d in taxi_lesson[:9]
@@ -336,7 +336,7 @@ def test_no_escape_sequence_in_a_name_reaches_the_terminal(
 
 @pytest.mark.parametrize('count', [1, 12])
 def test_a_message_and_the_summary_it_carried_give_the_same_row(
-    taxi: Domain[Any], first: Lesson, count: int
+    taxi: Domain, first: Lesson, count: int
 ) -> None:
     shown = first[:count]
     option, summary = learn_option(shown, taxi, 3), judge(shown, taxi, Thresholds(), 3)
@@ -352,7 +352,7 @@ def test_a_message_and_the_summary_it_carried_give_the_same_row(
 
 
 def test_a_difference_names_what_differs_and_both_values(
-    taxi: Domain[Any], taxi_lesson: Lesson
+    taxi: Domain, taxi_lesson: Lesson
 ) -> None:
     offline = evaluate(taxi_lesson, taxi, EvaluationSettings(seed=3))
     options, plans = offline.option_table, offline.plan_table

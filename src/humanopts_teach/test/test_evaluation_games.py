@@ -3,7 +3,6 @@
 from dataclasses import replace
 import json
 import re
-from typing import Any
 
 from humanopts_env.domains.base import Domain
 from humanopts_env.domains.pacman.baselines import PAPER_OPTIONS
@@ -54,13 +53,13 @@ POLICIES = {  # of the yard, where four options were taught: kind, and number of
 
 
 @pytest.fixture(scope='module')
-def brief() -> Domain[Any]:
+def brief() -> Domain:
     """The same game, which is over after a few steps."""
     return make_domain('pacman', {'maze': 'yard', 'max_steps': 15})
 
 
 @pytest.fixture(scope='module')
-def evaluation(yard: Domain[Any], yard_lesson: list[Demonstration]) -> BagEvaluation:
+def evaluation(yard: Domain, yard_lesson: list[Demonstration]) -> BagEvaluation:
     """Four options, taught a little."""
     return evaluate(
         yard_lesson, yard, EvaluationSettings(seed=SEED, game_steps=STEPS), episodes=GAMES
@@ -81,7 +80,7 @@ def reported() -> list[tuple[str, float]]:
 
 @pytest.fixture(scope='module')
 def games(
-    brief: Domain[Any], options: list[LearnedOption], reported: list[tuple[str, float]]
+    brief: Domain, options: list[LearnedOption], reported: list[tuple[str, float]]
 ) -> pd.DataFrame:
     """The results of all policies, from two processes."""
     return evaluate_games(
@@ -105,7 +104,7 @@ def test_plans_of_a_bag_are_sampled_and_judged(evaluation: BagEvaluation) -> Non
 
 
 def test_a_plan_of_a_bag_has_the_row_that_it_would_have_if_it_were_made_again(
-    yard: Domain[Any], evaluation: BagEvaluation, options: list[LearnedOption]
+    yard: Domain, evaluation: BagEvaluation, options: list[LearnedOption]
 ) -> None:
     human = evaluation.plans['human']
     way = Baseline('', PLAN, options, PlanRequest(HUMAN, game_steps=STEPS))
@@ -132,7 +131,7 @@ def test_the_papers_and_our_policies_play_in_both_settings(
 
 
 def test_a_policy_has_the_row_that_another_process_gives(
-    brief: Domain[Any], options: list[LearnedOption], games: pd.DataFrame
+    brief: Domain, options: list[LearnedOption], games: pd.DataFrame
 ) -> None:
     chase = make_domain('pacman', {**brief.parameters, 'ghosts': 'chase'})
     scores = games.set_index(['setting', 'name'])['scores']
@@ -141,7 +140,7 @@ def test_a_policy_has_the_row_that_another_process_gives(
         assert np.array_equal(again, scores['ghosts=chase', way.name])
 
 
-def test_a_watcher_can_end_it(brief: Domain[Any], options: list[LearnedOption]) -> None:
+def test_a_watcher_can_end_it(brief: Domain, options: list[LearnedOption]) -> None:
     reported: list[float] = []
 
     def stop(done: float, total: float, text: str) -> None:
@@ -226,7 +225,7 @@ def test_options_go_along_to_other_parameters_but_not_to_other_features() -> Non
         play_baseline(Rooms(), Baseline('rule', RULE), 1)
 
 
-def test_a_long_episode_is_shown_by_the_ends_of_runs(yard: Domain[Any]) -> None:
+def test_a_long_episode_is_shown_by_the_ends_of_runs(yard: Domain) -> None:
     """Runs of three steps, each worth 3 points."""
     state = yard.encode(yard.sample_states(generator(1, 'film'), 1)[0])
     steps = [

@@ -31,7 +31,7 @@ STEPS = 30
 
 
 def entries(
-    domain: Domain[Any], episodes: int, demos: list[Demonstration]
+    domain: Domain, episodes: int, demos: list[Demonstration]
 ) -> Iterator[tuple[str, Any]]:
     """Yield (topic, message) of some episodes with random actions by two modules."""
     yield '/domain_info', domain_to_info(domain)
@@ -65,7 +65,7 @@ def entries(
 
 def record(
     path: Path,
-    domain: Domain[Any],
+    domain: Domain,
     episodes: int,
     demos: list[Demonstration] | None = None,
     keep: Callable[[Any], bool] = lambda message: True,
@@ -86,7 +86,7 @@ def frames(bag: Bag) -> dict[str, pd.DataFrame]:
 @pytest.fixture(scope='module')
 def bag(
     tmp_path_factory: pytest.TempPathFactory,
-    taxi: Domain[Any],
+    taxi: Domain,
     taxi_lesson: list[Demonstration],
 ) -> Bag:
     """Two demonstrations, three episodes and a plan."""
@@ -94,7 +94,7 @@ def bag(
 
 
 def test_tables_hold_what_was_recorded(
-    bag: Bag, taxi: Domain[Any], taxi_lesson: list[Demonstration]
+    bag: Bag, taxi: Domain, taxi_lesson: list[Demonstration]
 ) -> None:
     tables = frames(bag)
     steps, demos, plans = (tables[name] for name in ('steps', 'demonstrations', 'plans'))
@@ -137,7 +137,7 @@ def test_the_bag_of_a_robot_is_exported_by_its_description(tmp_path: Path) -> No
 
 @pytest.mark.parametrize('features', [[999.0], [0.5], []])
 def test_values_that_features_do_not_have_are_left_empty_and_noted(
-    tmp_path: Path, taxi: Domain[Any], features: list[float]
+    tmp_path: Path, taxi: Domain, features: list[float]
 ) -> None:
     def spoil(message: Any) -> bool:
         if isinstance(message, GameState) and message.step == 3:
@@ -206,7 +206,7 @@ def test_episodes_of_a_minari_dataset_step_through_our_environments(
 
 
 def test_episodes_with_gaps_are_left_out_and_counted_and_others_have_an_end(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, minari: Any, taxi: Domain[Any]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, minari: Any, taxi: Domain
 ) -> None:
     """No request is recorded, a step of the first episode is lost, and the third is broken off."""
 
@@ -230,7 +230,7 @@ def test_episodes_with_gaps_are_left_out_and_counted_and_others_have_an_end(
 
 
 def test_bags_of_different_names_have_different_datasets_that_minari_finds(
-    taxi: Domain[Any],
+    taxi: Domain,
 ) -> None:
     bags = ('up-2026_11', '2026.01.02', '2026-01-02', '!!!', '???', 'a b', 'a-b', 'ü', 'x' * 200)
     names = [dataset_name(taxi, Path('runs') / name) for name in bags]
@@ -242,7 +242,7 @@ def test_bags_of_different_names_have_different_datasets_that_minari_finds(
 
 
 def test_a_dataset_that_cannot_be_written_leaves_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, minari: Any, taxi: Domain[Any]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, minari: Any, taxi: Domain
 ) -> None:
     recorded = record(tmp_path / 'b', taxi, 2)
 

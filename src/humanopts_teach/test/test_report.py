@@ -53,7 +53,7 @@ TOPICS = (
 
 
 @pytest.fixture(scope='module')
-def evaluation(taxi: Domain[Any], taxi_lesson: list[Demonstration]) -> BagEvaluation:
+def evaluation(taxi: Domain, taxi_lesson: list[Demonstration]) -> BagEvaluation:
     """A short lesson, evaluated."""
     return evaluate(taxi_lesson, taxi, SETTINGS)
 
@@ -224,9 +224,7 @@ def test_what_options_lose_is_that_within_episodes(
     assert (texts[found], words in found) == (good, True), found
 
 
-def test_rules_say_when_an_option_starts_and_ends(
-    taxi: Domain[Any], evaluation: BagEvaluation
-) -> None:
+def test_rules_say_when_an_option_starts_and_ends(taxi: Domain, evaluation: BagEvaluation) -> None:
     initiation, termination, policy = option_rules(evaluation.options[0].option, taxi)
     assert 'passenger in taxi is yes: may not start' in initiation.text
     assert 'passenger in taxi is no: goes on' in termination.text
@@ -269,7 +267,7 @@ def test_every_demonstration_is_in_the_table_once_with_what_became_of_it(
 
 
 def test_the_page_has_demonstrations_references_and_intervals(
-    brief: BagEvaluation, brief_page: str, taxi: Domain[Any], taxi_lesson: list[Demonstration]
+    brief: BagEvaluation, brief_page: str, taxi: Domain, taxi_lesson: list[Demonstration]
 ) -> None:
     page, option = brief_page, brief.options[0]
     assert f'<summary>{len(taxi_lesson)} demonstrations' in page
@@ -323,7 +321,7 @@ def test_people_are_compared_by_option_and_by_their_plans(evaluation: BagEvaluat
     assert 'id="people"' in render_report(ReportData('Taxi', undrawn(two)))
 
 
-def test_the_strip_shows_what_ran_and_only_the_board(taxi: Domain[Any]) -> None:
+def test_the_strip_shows_what_ran_and_only_the_board(taxi: Domain) -> None:
     pictures = episode_strip(taxi, FRAMES).pictures
     assert [(picture.action, picture.reward) for picture in pictures] == [
         ('', ''),

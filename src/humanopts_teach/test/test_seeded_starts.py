@@ -38,7 +38,7 @@ def history(shown: Sequence[Demonstration], features: Sequence[Any]) -> OptionHi
     return found
 
 
-def starts(domain: Domain[Any], text: str = '', **rules: Any) -> SeededStarts:
+def starts(domain: Domain, text: str = '', **rules: Any) -> SeededStarts:
     """Return the start states of a lesson to which the learner has published an option."""
     found = SeededStarts(domain, LessonRules(**rules))
     if text:
@@ -75,7 +75,7 @@ def test_it_counts_what_the_newest_option_was_learned_from(
 
 @pytest.mark.parametrize('strategy', ['coverage', 'failures'])
 def test_a_sample_that_is_drawn_ahead_changes_no_start_state(
-    yard: Domain[Any], yard_lesson: list[Demonstration], strategy: str
+    yard: Domain, yard_lesson: list[Demonstration], strategy: str
 ) -> None:
     shown = [demo for demo in yard_lesson if demo.option_name == yard_lesson[0].option_name][:6]
     text = option_to_json(learn_option(shown[:2], yard, 0), [])

@@ -331,7 +331,7 @@ SITTINGS = [  # first part, before the page; keys, and seconds after a plus
 ]
 
 
-def test_each_part_is_shown_and_recorded(tmp_path: Path, taxi: Domain[Any]) -> None:
+def test_each_part_is_shown_and_recorded(tmp_path: Path, taxi: Domain) -> None:
     """Time is looked at each second; a part that was left continues where it was."""
     lines = []
     for number, (first, sittings) in enumerate(SITTINGS):
@@ -364,7 +364,7 @@ def test_each_part_is_shown_and_recorded(tmp_path: Path, taxi: Domain[Any]) -> N
 
 
 def test_a_crash_takes_no_more_of_the_time_at_a_part_than_five_seconds(
-    tmp_path: Path, taxi: Domain[Any]
+    tmp_path: Path, taxi: Domain
 ) -> None:
     path, now = tmp_path / 'a.jsonl', 0.0
     app = StudyApp(
@@ -381,7 +381,7 @@ def test_a_crash_takes_no_more_of_the_time_at_a_part_than_five_seconds(
 
 
 def test_teaching_that_another_person_has_taken_over_ends_without_a_request_to_their_lesson(
-    tmp_path: Path, taxi: Domain[Any]
+    tmp_path: Path, taxi: Domain
 ) -> None:
     app = StudyApp(
         [PARTS_OF['teach'], PAGE], OpenRecord(tmp_path / 'a.jsonl'), 'p1', World(), seed=1

@@ -46,7 +46,7 @@ def shown(who: str, name: str, uuid: str, **fields: Any) -> tuple[str, Demonstra
 
 
 @pytest.fixture
-def bags(tmp_path: Path, taxi: Domain[Any]) -> list[str]:
+def bags(tmp_path: Path, taxi: Domain) -> list[str]:
     """Two bags of Taxi with four people, and one of Pac-Man."""
     first = [
         ('/domain_info', domain_to_info(taxi)),
@@ -74,7 +74,7 @@ def event(seconds: float, what: str, **values: Any) -> tuple[str, StudyEvent]:
 
 
 def test_buttons_of_a_part_that_was_begun_again_in_the_next_bag_count_no_longer(
-    tmp_path: Path, taxi: Domain[Any], capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, taxi: Domain, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for n, name in enumerate(('fetch', 'wave')):
         began = event(10.0 * n, 'part began', kind='buttons')

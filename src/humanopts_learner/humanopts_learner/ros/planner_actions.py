@@ -126,7 +126,7 @@ class GoalServer:
         """Return an empty result for a refused goal."""
         raise NotImplementedError
 
-    async def work(self, handle: ServerGoalHandle, domain: Domain[Any], result: Any) -> Any:
+    async def work(self, handle: ServerGoalHandle, domain: Domain, result: Any) -> Any:
         """
         Execute a goal, and return its result.
 
@@ -204,7 +204,7 @@ class PlanServer(GoalServer):
         return PLAN_RESULT.encode(PlanSummary(goal.action_set))
 
     async def work(
-        self, handle: ServerGoalHandle, domain: Domain[Any], result: PlanResult
+        self, handle: ServerGoalHandle, domain: Domain, result: PlanResult
     ) -> PlanResult:
         goal, state = handle.request, self._state
         wanted = goal.options_sequence
@@ -263,7 +263,7 @@ class ExtractionServer(GoalServer):
         return ExtractionResult(participant=goal.participant or f'{MACHINE}1')
 
     async def work(
-        self, handle: ServerGoalHandle, domain: Domain[Any], result: ExtractionResult
+        self, handle: ServerGoalHandle, domain: Domain, result: ExtractionResult
     ) -> ExtractionResult:
         goal, participant = handle.request, result.participant
         how = Extraction(

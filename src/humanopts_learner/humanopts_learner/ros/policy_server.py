@@ -91,7 +91,7 @@ class PolicyServer(GoalServer):
         )
 
     async def work(
-        self, handle: ServerGoalHandle, domain: Domain[Any], result: PolicyResult
+        self, handle: ServerGoalHandle, domain: Domain, result: PolicyResult
     ) -> PolicyResult:
         goal = handle.request
         execution = execution_named(goal.execution)

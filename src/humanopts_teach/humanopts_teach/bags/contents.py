@@ -92,7 +92,7 @@ def _named(games: Collection[tuple[str, str]]) -> str:
     return ', '.join(map(' '.join, sorted(games)))
 
 
-def read_domain(bag: Bag) -> Domain[Any]:
+def read_domain(bag: Bag) -> Domain:
     """
     Return the recorded domain.
 

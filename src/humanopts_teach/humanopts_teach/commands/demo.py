@@ -132,7 +132,7 @@ def run_demo(
 
 def _plan_and_play(
     running: Session,
-    domain: Domain[Any],
+    domain: Domain,
     taught: Sequence[tuple[LearnedOption, Any]],
     episodes: int,
     judged: int,

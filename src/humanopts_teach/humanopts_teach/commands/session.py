@@ -206,7 +206,7 @@ class Session:
         return 1 if restarts or self.unclean else 0
 
 
-def taught_options(domain: Domain[Any]) -> tuple[str, ...]:
+def taught_options(domain: Domain) -> tuple[str, ...]:
     """Return the options to teach: those that the domain suggests, or all that are known."""
     known = tuple(reference_options(domain))
     if not known:

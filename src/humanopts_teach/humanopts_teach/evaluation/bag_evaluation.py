@@ -104,7 +104,7 @@ class BagEvaluation:
     :ivar demonstrations: all demonstrations, including withdrawn and omitted ones.
     """
 
-    domain: Domain[Any]
+    domain: Domain
     settings: EvaluationSettings
     options: tuple[OptionEvaluation, ...]
     plans: Mapping[str, PlanEvaluation]
@@ -165,7 +165,7 @@ class BagEvaluation:
         }
 
 
-def judged_by(domain: Domain[Any]) -> int:
+def judged_by(domain: Domain) -> int:
     """Return the default number of episodes for evaluating a plan."""
     return EPISODES if is_enumerable(domain) else GAMES
 
@@ -204,7 +204,7 @@ def evaluate_bag(
 
 def evaluate(
     demonstrations: Sequence[Demonstration],
-    domain: Domain[Any],
+    domain: Domain,
     settings: EvaluationSettings,
     warnings: Sequence[str] = (),
     progress: ProgressCallback = ignore_progress,
@@ -249,7 +249,7 @@ def evaluate(
 
 
 def usable_demonstrations(
-    demonstrations: Sequence[Demonstration], domain: Domain[Any]
+    demonstrations: Sequence[Demonstration], domain: Domain
 ) -> tuple[dict[Key, list[Demonstration]], list[str]]:
     """Group the demonstrations by option; also return a sentence on each omission."""
     good, notes = [], []
@@ -268,7 +268,7 @@ def usable_demonstrations(
 
 
 def _learning_curve(
-    demos: Sequence[Demonstration], domain: Domain[Any], settings: EvaluationSettings
+    demos: Sequence[Demonstration], domain: Domain, settings: EvaluationSettings
 ) -> OptionEvaluation:
     """Relearn an option after every demonstration, starting with the first trajectory."""
     first = next(i for i, demo in enumerate(demos, start=1) if demo.kind is Kind.TRAJECTORY)
@@ -283,7 +283,7 @@ def _learning_curve(
 
 def _evaluate_plan(
     taught: Sequence[Sequence[Demonstration]],
-    domain: Domain[Any],
+    domain: Domain,
     request: PlanRequest,
     episodes: int,
 ) -> tuple[AnyPlan, Performance] | PlanError:
@@ -358,7 +358,7 @@ def _named(key: Key) -> str:
     return f'{key[1]!r} by {key[0]}'
 
 
-def check_games(domain: Domain[Any]) -> None:
+def check_games(domain: Domain) -> None:
     """
     Check that plans can be compared in many games.
 

@@ -89,12 +89,12 @@ def games_to_dict(games: 'pd.DataFrame') -> dict[str, Any]:
     return {'rows': records(games[[*COLUMNS]]), 'gains': records(gains(games))}
 
 
-def baselines_of(domain: Domain[Any]) -> Baselines:
+def baselines_of(domain: Domain) -> Baselines:
     """Return the baselines of a domain; empty if it defines none."""
     return domain.baselines() if isinstance(domain, HasBaselines) else Baselines()
 
 
-def carried_over(option: LearnedOption, domain: Domain[Any]) -> LearnedOption:
+def carried_over(option: LearnedOption, domain: Domain) -> LearnedOption:
     """
     Adapt an option learned with other parameters of the same game to this domain.
 
@@ -109,7 +109,7 @@ def carried_over(option: LearnedOption, domain: Domain[Any]) -> LearnedOption:
 
 
 def play_baseline(
-    domain: Domain[Any],
+    domain: Domain,
     baseline: Baseline,
     seed: int,
     games: int = GAMES,
@@ -186,9 +186,7 @@ class Moves:
         return np.ones(len(option), dtype=np.bool_)
 
 
-def every_baseline(
-    domain: Domain[Any], options: Sequence[LearnedOption], steps: int
-) -> list[Baseline]:
+def every_baseline(domain: Domain, options: Sequence[LearnedOption], steps: int) -> list[Baseline]:
     """
     Return the policies to compare in one variant of the game.
 
@@ -213,7 +211,7 @@ def every_baseline(
 
 
 def evaluate_games(
-    domain: Domain[Any],
+    domain: Domain,
     options: Sequence[LearnedOption],
     seed: int,
     games: int = GAMES,

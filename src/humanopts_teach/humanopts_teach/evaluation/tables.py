@@ -110,7 +110,7 @@ def rows_of(frame: Any) -> Iterator[Any]:
     yield from frame.itertuples()
 
 
-def accuracies(option: LearnedOption, domain: Domain[Any]) -> dict[str, float | None]:
+def accuracies(option: LearnedOption, domain: Domain) -> dict[str, float | None]:
     """Return the accuracies of policy, I and beta by column; None if unknown."""
     names = [name for name in OPTIONS if 'accuracy' in name]
     reference = reference_options(domain).get(option.name)
@@ -126,7 +126,7 @@ def accuracies(option: LearnedOption, domain: Domain[Any]) -> dict[str, float | 
 def option_row(
     summary: OptionSummary,
     option: LearnedOption,
-    domain: Domain[Any],
+    domain: Domain,
     seconds: float = math.nan,
 ) -> dict[str, Any]:
     """

@@ -81,7 +81,7 @@ def write_dataset(bag: Bag, out: Path) -> tuple[str, int]:
     return name, len(whole)
 
 
-def dataset_name(domain: Domain[Any], bag: Path) -> str:
+def dataset_name(domain: Domain, bag: Path) -> str:
     """
     Return the dataset id of a bag, unique for each bag name.
 
@@ -123,7 +123,7 @@ def _reset_options(requests: Requests, episode: Episode) -> dict[str, Any]:
 
 def _columns(env: Any, episode: Episode) -> dict[str, Any]:
     """Return observations (T + 1) and actions, rewards and ends (T)."""
-    domain: Domain[Any] = env.domain
+    domain: Domain = env.domain
     _, *taken = episode.transitions
     truncations = [each.truncated for each in taken]
     truncations[-1] |= not taken[-1].terminated

@@ -9,7 +9,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 import tempfile
-from typing import Any
 
 from humanopts_env.domains.base import Domain
 from humanopts_env.game import Accepted, Command, Game, Source, Transition
@@ -66,7 +65,7 @@ class Taught:
 
 
 def teach(
-    domain: Domain[Any],
+    domain: Domain,
     teacher: TeacherSettings,
     rules: LessonRules | None = None,
     enough: Enough | None = None,

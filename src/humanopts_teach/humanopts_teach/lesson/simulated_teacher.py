@@ -19,7 +19,6 @@ the same seed gives the same demonstrations, regardless of other events on the g
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 from humanopts_env.domains.base import Domain
 from humanopts_env.domains.registry import reference_options
@@ -79,7 +78,7 @@ Act = LessonRequest | Drive | Wait | Finish
 class SimulatedTeacher:
     """Decides on the next action, from the state of the lesson and the game."""
 
-    def __init__(self, domain: Domain[Any], settings: TeacherSettings) -> None:
+    def __init__(self, domain: Domain, settings: TeacherSettings) -> None:
         """
         Prepare to teach.
 

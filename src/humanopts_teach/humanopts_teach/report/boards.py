@@ -49,7 +49,7 @@ def board_figures(plans: Mapping[str, ExactPlan], name: str) -> list[tuple[str, 
     ]
 
 
-def geometry(domain: Domain[Any], layout: BoardSlice) -> Board:
+def geometry(domain: Domain, layout: BoardSlice) -> Board:
     """Return the blocks and walls around the cells of a layout."""
     rows, cols = layout.states.shape
     board = board_of(domain, domain.reset(generator(0, 'board')), ())

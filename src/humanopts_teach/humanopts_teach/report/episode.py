@@ -98,7 +98,7 @@ class Strip:
     width: float  # of a board, rem
 
 
-def episode_strip(domain: Domain[Any], frames: Sequence[Frame]) -> Strip:
+def episode_strip(domain: Domain, frames: Sequence[Frame]) -> Strip:
     """
     Draw an episode: every step of a short one, the ends of runs of a long one.
 

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 import math
-from typing import Any
 
 from humanopts_env.domains.base import Domain, FeatureKind
 from humanopts_learner.options.decision_tree import EncodedFeature, LEAF, Tree
@@ -25,7 +24,7 @@ class TreeRules:
     open: bool
 
 
-def option_rules(option: LearnedOption, domain: Domain[Any]) -> list[TreeRules]:
+def option_rules(option: LearnedOption, domain: Domain) -> list[TreeRules]:
     """Return the three trees of an option, the policy last."""
     trees: dict[str, tuple[Tree, Sequence[str], Sequence[EncodedFeature]]] = {
         'initiation': (option.initiation, MEMBERS['initiation'], option.encoding),
@@ -42,7 +41,7 @@ def option_rules(option: LearnedOption, domain: Domain[Any]) -> list[TreeRules]:
 
 
 def tree_lines(
-    tree: Tree, classes: Sequence[str], encoding: Sequence[EncodedFeature], domain: Domain[Any]
+    tree: Tree, classes: Sequence[str], encoding: Sequence[EncodedFeature], domain: Domain
 ) -> list[str]:
     """
     Return the tree as indented lines, one per branch.
@@ -68,7 +67,7 @@ def tree_lines(
     return below(0, '')
 
 
-def _test(column: EncodedFeature, threshold: float, domain: Domain[Any]) -> tuple[str, str]:
+def _test(column: EncodedFeature, threshold: float, domain: Domain) -> tuple[str, str]:
     """Return the test in words: above the threshold (right branch), and otherwise (left)."""
     name = column.feature.replace('_', ' ')
     feature = domain.features[column.index]

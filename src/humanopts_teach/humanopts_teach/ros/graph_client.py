@@ -54,7 +54,7 @@ class GraphClient(NodeBase):
     """
 
     state: Observed | None = None
-    domain: Domain[Any] | None = None
+    domain: Domain | None = None
     lesson: msg.LessonState | None = None
     learning: msg.LearningStatus | None = None
     options: Sequence[LearnedOption] = ()

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterator, Sequence
 import math
-from typing import Any
 
 from humanopts_env.domains.base import Domain
 from humanopts_env.domains.capabilities import board_of
@@ -33,7 +32,7 @@ class Replay:
 
     def __init__(
         self,
-        domain: Domain[Any],
+        domain: Domain,
         episodes: Sequence[Episode],
         actors_of: Callable[[Episode], Actors],
         index: int = 0,
