@@ -178,9 +178,10 @@ def nearest_key(keys: Keys, cells: Ints, taken: Keys) -> Keys:
     if keys.shape[1] < FEW:  # rows of keys are short: a column at a time
         left = keys.T.take(cells, axis=1)
         marks = taken.T if cells.ndim == 1 else taken.T[:, None]
-        return np.bitwise_or(left, marks, out=left).min(axis=0)
-    left = keys.take(cells, axis=0)
-    least: Keys = np.bitwise_or(left, taken, out=left).min(axis=-1)
+        least: Keys = np.bitwise_or(left, marks, out=left).min(axis=0)
+    else:
+        left = keys.take(cells, axis=0)
+        least = np.bitwise_or(left, taken, out=left).min(axis=-1)
     return least
 
 
