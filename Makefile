@@ -20,7 +20,7 @@ CHECKED := conftest.py src experiments benchmarks tests tools examples
 WITH_ROS := root=$(CURDIR); . tools/environment.sh; ROS_PYTHON_CHECK_FIELDS=1
 # Four processes, each with one test file at a time: some compute while others wait for graphs.
 SIDE_BY_SIDE := OMP_NUM_THREADS=1 $(VENV)/bin/python -m pytest \
-  -n 4 --dist loadfile --no-loadscope-reorder
+  -n 6 --dist loadfile --no-loadscope-reorder
 # Tests that compute with the oldest packages; make test-floor only imports everything else.
 FLOOR := src/humanopts_env src/humanopts_learner $(foreach name,evaluation export table1, \
   $(wildcard src/humanopts_teach/test/test_$(name)*.py))
@@ -37,7 +37,7 @@ export COLCON_HOME := $(CURDIR)/build/colcon
 
 help:
 	@echo 'make demo    let a simulated teacher teach two options for Taxi; plan, play, report (OUT=, SEED=)'
-	@echo 'make test    run the tests, four at a time (ARGS=); those without a graph come first'
+	@echo 'make test    run the tests, six at a time (ARGS=); those without a graph come first'
 	@echo 'make test-quick  run the quick tests of pure code; make test-slow  those that take minutes'
 	@echo 'make test-whole  run tests of whole commands: the demo of Pac-Man, studies, dying nodes'
 	@echo 'make test-floor  run tests of pure code with the oldest supported packages'

@@ -35,6 +35,7 @@ LONGEST = (  # files, the longest first
     'test_keyboard_teleop.py',
     'test_launcher.py',
     'test_recorder.py',
+    'test_side_by_side.py',
 )
 
 
