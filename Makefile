@@ -18,7 +18,7 @@ PURE := $(shell find src -name '*.py' -path '*/humanopts_*/humanopts_*') \
   $(wildcard experiments/*.py benchmarks/*.py)
 CHECKED := conftest.py src experiments benchmarks tests tools examples
 WITH_ROS := root=$(CURDIR); . tools/environment.sh; ROS_PYTHON_CHECK_FIELDS=1
-# Four processes, each with one test file at a time: some compute while others wait for graphs.
+# Six processes, each with one test file at a time: some compute while others wait for graphs.
 SIDE_BY_SIDE := OMP_NUM_THREADS=1 $(VENV)/bin/python -m pytest \
   -n 6 --dist loadfile --no-loadscope-reorder
 # Tests that compute with the oldest packages; make test-floor only imports everything else.
