@@ -283,9 +283,9 @@ def test_a_server_that_is_found_after_the_call_still_answers(live: Graph) -> Non
     live.node.create_service(Trigger, 'late', answer)
     live.until(late.done, 'the answer')
     assert late.result().message == 'here'
-    nobody = ask('nobody', 0.2)
-    live.until(nobody.done, 'the end of its wait')
-    assert nobody.result() is None
+    unanswered = ask('nobody', 0.2)
+    live.until(unanswered.done, 'the end of its wait')
+    assert unanswered.result() is None
 
 
 def test_a_burst_of_calls_loses_no_request_and_no_answer(live: Graph) -> None:

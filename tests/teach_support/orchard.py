@@ -30,7 +30,7 @@ class Walk:
     features: tuple[str, ...]
     column: int
     baskets: range
-    definition: str = 'Starts where it is of use; goes the way that it is told; ends on arrival.'
+    definition: str = 'Starts where it is useful; moves in the given direction; ends on arrival.'
 
     def can_start(self, state: History) -> bool:
         way = state.features[self.column]

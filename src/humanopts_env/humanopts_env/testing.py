@@ -445,6 +445,7 @@ class ReferenceContract:
 
     def make(self) -> Domain:
         """Return a new instance of the domain of the options."""
+        # not abstract, as in DomainContract
         raise NotImplementedError('make() must return the domain whose options are tested')
 
     def options(self, domain: Domain) -> Mapping[str, ReferenceOption]:

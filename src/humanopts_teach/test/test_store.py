@@ -167,7 +167,7 @@ OpenSessionFile(Path(sys.argv[1])).keep('p1', 's1')
 
 def test_only_a_process_of_the_same_parent_goes_on_with_what_was_open(tmp_path: Path) -> None:
     place = OpenSessionFile(tmp_path)
-    os.mkfifo(tmp_path / OPEN_SESSION)  # nobody will ever write into it
+    os.mkfifo(tmp_path / OPEN_SESSION)  # no process writes to it
     assert place.left() is None
     for session in ('s1', 's2'):
         place.keep('p1', session)

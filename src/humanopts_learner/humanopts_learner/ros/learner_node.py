@@ -29,7 +29,7 @@ class LearnerNode(NodeBase):
         self._directory = Path(
             self.setting('directory', 'options', 'folder of option files and of the data set')
         )
-        self._seed = self.setting('seed', 0, 'of every random draw', SEEDS)
+        self._seed = self.setting('seed', 0, 'seed of all random draws', SEEDS)
         delta = self.setting(
             'return_delta',
             math.nan,

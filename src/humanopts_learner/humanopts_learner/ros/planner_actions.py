@@ -1,5 +1,6 @@
 """The planner's actions: common action server, planning, and search for options."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 import concurrent.futures
 from concurrent.futures import ThreadPoolExecutor
@@ -101,7 +102,7 @@ class GoalError(Exception):
         self.status = status
 
 
-class GoalServer:
+class GoalServer(ABC):
     """
     An action server for one goal at a time, which publishes goals and results, even of refusals.
 
@@ -122,10 +123,11 @@ class GoalServer:
         self._results = node.stamped_publisher(self.result_kind, f'{self.topics}_results')
         node.recorded_action(self.kind, self.name, self._execute, group, self.on_cancel)
 
+    @abstractmethod
     def blank(self, goal: Any) -> Any:
         """Return an empty result for a refused goal."""
-        raise NotImplementedError
 
+    @abstractmethod
     async def work(self, handle: ServerGoalHandle, domain: Domain, result: Any) -> Any:
         """
         Execute a goal, and return its result.
@@ -133,7 +135,6 @@ class GoalServer:
         :param result: result of ``blank``, to be filled in; also used if an error is raised.
         :raises GoalError: the goal ends early; PlanError, DomainError: it cannot be executed.
         """
-        raise NotImplementedError
 
     def on_cancel(self, handle: ServerGoalHandle) -> None:
         """Handle a cancel request, just before the goal state becomes canceling."""

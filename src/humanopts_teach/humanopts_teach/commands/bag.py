@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from humanopts_teach.terminal.device import Device
     from humanopts_teach.terminal.replay import Replay
 
-_LONGEST_WAIT = 0.2  # s until a resize of the window is noticed
+_MAX_WAIT = 0.2  # s until a resize of the window is noticed
 
 app = typer.Typer(**PLAIN, cls=CommandGroup, subcommand_metavar='COMMAND ...')
 BagArgument = Annotated[Path, typer.Argument(metavar='BAG', help='a rosbag2 folder or .mcap file')]
@@ -333,11 +333,11 @@ def _play(replay: 'Replay', device: 'Device') -> None:
     shown = time.monotonic()
     while not replay.over and not device.closed:
         if not device.ours():  # suspended
-            time.sleep(_LONGEST_WAIT)
+            time.sleep(_MAX_WAIT)
             continue
         device.draw(replay.frame)
         due = shown + replay.seconds - time.monotonic()
-        device.wait(min(max(due, 0.0), _LONGEST_WAIT) if replay.running else _LONGEST_WAIT)
+        device.wait(min(max(due, 0.0), _MAX_WAIT) if replay.running else _MAX_WAIT)
         for key in device.read():
             if key == SUSPEND:
                 device.suspend()

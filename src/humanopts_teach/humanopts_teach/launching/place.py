@@ -39,7 +39,7 @@ def holder(namespace: str, node: str) -> tuple[int, str] | None:
     """
     Return who has launched a node in a namespace, on this machine.
 
-    :return: the process, 0 if it is in another container, and its user; None: nobody.
+    :return: the process, 0 if it is in another container, and its user; None: none.
     """
     return _holder(_address(_graph(namespace), node))
 

@@ -103,16 +103,16 @@ class LessonNode(NodeBase):
     def _read_rules(self) -> LessonRules:
         what, default = f'of start states: {", ".join(STRATEGIES)}', LessonRules().strategy
         strategy = self.setting('strategy', default, what, among=STRATEGIES)
-        what = 'how options are learned, where the person asks for no other: trees or goal'
+        what = 'default learning method of a new option: trees or goal'
         method = self.setting('learn', LessonRules().method, what, among=tuple(METHODS))
         return self.settings(
             LessonRules(strategy, method=method),
             {
-                'budget': 'demonstrations that are asked for at most for one option',
-                'seed': 'of every random draw',
-                'until_no_failures': 'with strategy failures: once the criteria hold, go on while '
-                'the learned option fails from a state (from more than a tenth, where states are '
-                'sampled)',
+                'budget': 'maximum number of start states per option',
+                'seed': 'seed of all random draws',
+                'until_no_failures': 'with the strategy failures: when the criteria hold, continue '
+                'while the learned option fails from any state (from more than a tenth, if states '
+                'are sampled)',
             },
             {'budget': (1, 1_000_000), 'seed': SEEDS},
         )

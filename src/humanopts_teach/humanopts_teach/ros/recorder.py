@@ -54,7 +54,7 @@ _FLUSH_PERIOD = 0.25  # s; maximum loss if the recorder is killed
 _STATUS_PERIOD = 1.0  # s between statuses that differ only in their counts
 _QUIET = 0.1  # s without a message before a recording ends
 _LINGER = 2.0  # s, maximum wait for that
-LONGEST_WAIT = 0.5  # s; the recorder has fallen behind if a message waits longer
+MAX_WAIT = 0.5  # s; the recorder has fallen behind if a message waits longer
 _MOST_MISSING = 2**64 - 1  # maximum count in a status
 _MOST_LOSSES = 100  # maximum number of streams in a status
 _MOST_TEXT = 2000  # maximum number of characters in a status
@@ -63,7 +63,7 @@ _MAX_SHARED = 10_000  # maximum number of held messages
 _RECOVERY = 1.0  # s without delayed messages until the recorder has caught up
 _FACTS = TypeAdapter(dict[str, Any])
 _BEHIND = (
-    f'the recorder does not keep up: messages wait for it longer than {LONGEST_WAIT} s; '
+    f'the recorder does not keep up: messages wait for it longer than {MAX_WAIT} s; '
     'end other programs, or leave topics out'
 )
 
@@ -87,9 +87,9 @@ class Lag:
         """
         pause = now - self._taken
         self._taken = now
-        waited = max(waited, pause if pause > LONGEST_WAIT else 0.0)
+        waited = max(waited, pause if pause > MAX_WAIT else 0.0)
         self._longest = max(self._longest, waited)
-        if waited > LONGEST_WAIT:
+        if waited > MAX_WAIT:
             self._late = now
 
     def behind(self, now: float) -> bool:

@@ -72,7 +72,7 @@ class SimulatedTeacherNode(NodeBase):
                 'extra_feature_rate': 'probability of a needless yes for each feature, below 1',
                 'own_habits': 'prefer actions in an order drawn for the participant',
                 'step_limit': 'steps after which a demonstration is discarded',
-                'seed': 'of every random draw',
+                'seed': 'seed of all random draws',
             },
             {
                 'error_rate': share,
