@@ -136,7 +136,7 @@ class GoalServer(ABC):
         :raises GoalError: the goal ends early; PlanError, DomainError: it cannot be executed.
         """
 
-    def on_cancel(self, handle: ServerGoalHandle) -> None:
+    def on_cancel(self, handle: ServerGoalHandle) -> None:  # noqa: B027 - an optional hook
         """Handle a cancel request, just before the goal state becomes canceling."""
 
     async def _execute(self, handle: ServerGoalHandle) -> Any:

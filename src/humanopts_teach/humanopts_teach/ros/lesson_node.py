@@ -110,9 +110,9 @@ class LessonNode(NodeBase):
             {
                 'budget': 'maximum number of start states per option',
                 'seed': 'seed of all random draws',
-                'until_no_failures': 'with the strategy failures: when the criteria hold, continue '
-                'while the learned option fails from any state (from more than a tenth, if states '
-                'are sampled)',
+                'until_no_failures': 'with the strategy failures: when the criteria hold, '
+                'continue while the learned option fails from any state (from more than a tenth, '
+                'if states are sampled)',
             },
             {'budget': (1, 1_000_000), 'seed': SEEDS},
         )
