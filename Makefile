@@ -104,7 +104,7 @@ checked:
 	@$(TWO_STEPS) build/.packages
 
 demo: setup
-	@./humanopts demo --domain taxi --out $(OUT) --seed $(SEED)
+	@./humanopts demo taxi --out $(OUT) --seed $(SEED)
 
 test: checked $(VENV)/.compiled
 	@$(WITH_ROS) $(SIDE_BY_SIDE) -m 'not slow and not whole and not chromium and not hosts' $(ARGS)

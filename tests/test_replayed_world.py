@@ -108,6 +108,16 @@ def test_going_on_takes_one_step_and_going_back_as_many_as_it_took() -> None:
     assert len(domain._worlds) <= MAX_WORLDS
 
 
+def test_the_world_in_a_state_can_be_looked_at_even_after_others_were_played() -> None:
+    domain, rng = CountedOrchard(), generator(0, 'look')
+    first = domain.reset(rng)
+    second = domain.step(first, 3, rng).state
+    for state in (first, second, first):
+        looked = domain.world(state)
+        assert looked is domain.world(state)
+        assert tuple(looked.features()) == state.features
+
+
 def test_a_game_is_begun_in_any_state_that_was_played() -> None:
     game = Game(Orchard())
     assert game.reset('', 3, Source.MACHINE).transition is not None

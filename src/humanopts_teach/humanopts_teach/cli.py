@@ -112,7 +112,8 @@ def humanopts(
 @app.command(cls=DomainCommand)
 @with_options
 def demo(
-    domain: str = 'taxi',
+    domain: Annotated[str, typer.Argument(metavar='DOMAIN')] = 'taxi',
+    option_domain: Annotated[str, typer.Option('--domain', hidden=True)] = '',
     episodes: Annotated[
         int | None,
         option('N', 'number of live episodes; default: 100, or 5 with sampled plans', whole(1)),
@@ -142,7 +143,7 @@ def demo(
     prepare()
     from humanopts_teach.commands.demo import run_demo
 
-    return run_demo(domain, launch, episodes, games, game_steps or 0, error_rate)
+    return run_demo(option_domain or domain, launch, episodes, games, game_steps or 0, error_rate)
 
 
 def up_setup(

@@ -102,6 +102,13 @@ class ReplayedDomain(Domain[History], ABC):
             return kept[1]
         return self._take(seed, actions[:-1], actions[-1]).state if actions else self._begin(seed)
 
+    def world(self, state: History) -> World:
+        """Return a world in a state, to look at only: it must not be stepped or reset."""
+        key = state.seed, state.actions
+        if key not in self._worlds:
+            self.decode(self.encode(state))  # replays it
+        return self._worlds[key][0]
+
     def sample_states(self, rng: np.random.Generator, count: int) -> list[History]:
         """Draw states of random walks, about one in GAP states of each walk, never over."""
         found: list[History] = []
