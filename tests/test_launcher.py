@@ -18,10 +18,9 @@ from graph_support.live import GAME, Graph, module_of, RECORDER
 from humanopts_interfaces.msg import (
     LearnedOption,
     LearningStatus,
-    LessonState,
     NodeStatus,
-    OptionStatus,
 )
+from humanopts_learner.summary import OptionSummary
 from humanopts_ros.qos import CURRENT
 from humanopts_teach.bags.reader import open_bag
 from humanopts_teach.cli import main
@@ -29,7 +28,8 @@ from humanopts_teach.launching import LaunchError
 from humanopts_teach.launching.forks import prepare
 from humanopts_teach.launching.launcher import Launcher
 from humanopts_teach.launching.processes import ProcessSpec, Value
-from humanopts_teach.ros.graph_client import GraphClient
+from humanopts_teach.lesson.requests import LessonView, Phase, UNKNOWN
+from humanopts_teach.ros.conductor import Conductor
 import psutil
 import pytest
 
@@ -189,7 +189,7 @@ def test_a_bag_that_is_short_is_told_though_another_recorder_took_over(
     said: list[str] = []
     first = live.start(RECORDER, path=tmp_path / 'first', max_seconds=0.2)
     parameters = {'expect_recorder': True}
-    conductor = GraphClient('/', parameters, tmp_path / 'first', watch=live.spin)
+    conductor = Conductor('/', parameters, tmp_path / 'first', watch=live.spin)
     conductor.note_start('recorder', first.publisher_id.partition('#')[2])
     conductor.report = said.append
     try:
@@ -328,34 +328,28 @@ def test_what_was_learned_is_known_once_all_of_it_has_come_in_any_order(
     domain_id: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv('ROS_DOMAIN_ID', str(domain_id))
-    whose = {'participant': 'p01', 'option_name': 'go'}
 
-    def told(phase: int, sequence: int, uuid: str) -> dict[str, Any]:
-        learned = [OptionStatus(**whose, last_uuid=uuid)]
-        by = {'publisher_id': 'learner', 'sequence': sequence}
-        return {
-            'lesson': LessonState(phase=phase, last_uuid='second', **whose),
-            'newest_option': LearnedOption(**by),
-            'learning': LearningStatus(
-                publisher_id='learner', options=learned, options_sequence=sequence
-            ),
-        }
+    conductor = Conductor('/', {'expect_recorder': False}, tmp_path, watch=lambda: None)
+    client, world = conductor.client, conductor.client.world
 
-    early = told(LessonState.PHASE_LEARNING, 1, 'first')
-    news = told(LessonState.PHASE_FINISHED, 2, 'second')
-    conductor = GraphClient('/', {'expect_recorder': False}, tmp_path, watch=lambda: None)
+    def receive(topic: str, phase: Phase, sequence: int, uuid: str) -> None:
+        if topic == 'lesson_state':
+            world.lesson = LessonView(phase, 'p01', option_name='go', last_uuid='second')
+        elif topic == 'learned_options':
+            conductor.newest_option = LearnedOption(publisher_id='learner', sequence=sequence)
+        else:
+            client.learning = LearningStatus(publisher_id='learner', options_sequence=sequence)
+            world.summaries = [OptionSummary('go', 'p01', last_uuid=uuid)]
+
+    topics = 'lesson_state', 'learned_options', 'learning_status'
     try:
-        for last in itertools.permutations(news):
-            for name, empty in (
-                ('lesson', None),
-                ('learning', None),
-                ('newest_option', LearnedOption()),
-            ):
-                setattr(conductor, name, empty)
-            for kept in (early, news):
-                for name in last:
+        for order in itertools.permutations(topics):
+            world.lesson, world.summaries, client.learning = UNKNOWN, [], None
+            conductor.newest_option = LearnedOption()
+            for values in ((Phase.LEARNING, 1, 'first'), (Phase.FINISHED, 2, 'second')):
+                for topic in order:
                     assert not conductor.knows_learned('go')
-                    setattr(conductor, name, kept[name])
+                    receive(topic, *values)
             assert conductor.knows_learned('go')
             assert not conductor.knows_learned('another option')
     finally:

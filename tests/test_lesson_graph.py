@@ -384,7 +384,7 @@ PAGE = Path(__file__).parents[1] / 'docs' / 'how-to' / 'call-the-services.md'
 # What is refused before the program of the documentation runs, and after it.
 BEFORE = """
 from humanopts_teach.lesson.requests import BeginDemonstration, OpenSession, RequestStatus
-from humanopts_teach.ros.lesson_client import RefusedError, run_with_lesson
+from humanopts_teach.ros.graph_client import RefusedError, run_with_lesson
 
 
 async def teach(client):
@@ -397,7 +397,7 @@ async def teach(client):
     except RefusedError as error:
         print(error)
     await client.ask(OpenSession('p1', 's1'))
-    print(client.lesson.participant, client.lesson.session)
+    print(client.world.lesson.participant, client.world.lesson.session)
 
 
 run_with_lesson(teach)

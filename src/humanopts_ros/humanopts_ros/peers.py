@@ -73,15 +73,20 @@ class Peers:
     def expect(self, publisher_id: str) -> None:
         """Accept only this process, which is about to start, under its name."""
         name = signer(publisher_id).rpartition('/')[2]
-        self.forget(self._expected.get(name, ''))
+        if name in self._expected:
+            self.forget(self._expected[name])
         self._expected[name] = publisher_id
 
     def forget(self, publisher_id: str) -> None:
-        """Ignore a process from now on, because it has ended."""
-        self._replaced.add(publisher_id)
+        """Ignore a process from now on, because it has ended; this counts as a restart."""
+        if publisher_id in self._replaced:
+            return
         name = signer(publisher_id).rpartition('/')[2]
         if name in self.statuses and self.statuses[name].publisher_id == publisher_id:
             del self.statuses[name]
+        self._replaced.add(publisher_id)
+        self._starting.add(name)
+        self._count(name)
 
     def _on_status(self, status: NodeStatus) -> None:
         path, publisher_id = status.node, status.publisher_id
@@ -106,6 +111,9 @@ class Peers:
         if ready:
             self._starting.remove(name)
         if again or ready:
-            self.restarts[name] += 1
-            for call in self.on_restart:
-                call(name)
+            self._count(name)
+
+    def _count(self, name: str) -> None:
+        self.restarts[name] += 1
+        for call in self.on_restart:
+            call(name)

@@ -101,13 +101,13 @@ def show(
     ],
 )
 def test_each_phase_has_its_act(lesson: LessonView, act: object) -> None:
-    assert teacher().next_act(lesson, None) == act
+    assert teacher().next_act(lesson, Transition()) == act
 
 
 def test_it_finishes_when_every_option_is_taught() -> None:
     by, finished = teacher(), replace(LESSON, phase=Phase.FINISHED)
-    by.next_act(finished, None)
-    assert by.next_act(replace(finished, option_name=DROPOFF), None) == Finish()
+    by.next_act(finished, Transition())
+    assert by.next_act(replace(finished, option_name=DROPOFF), Transition()) == Finish()
 
 
 def test_it_says_not_here_where_the_option_cannot_start_and_else_shows_a_shortest_way() -> None:

@@ -6,7 +6,6 @@ from functools import partial
 from pathlib import Path
 import sys
 import threading
-from typing import Any
 
 from humanopts_env.domains.base import Domain, is_enumerable
 from humanopts_env.domains.registry import make_domain
@@ -16,6 +15,7 @@ from humanopts_learner.planning.request import (
     PlanRequest,
     PRIMITIVE,
 )
+from humanopts_learner.summary import OptionSummary
 from humanopts_ros.limits import one_line
 from humanopts_teach.bags import BagError
 from humanopts_teach.bags.info import TopicRow
@@ -133,15 +133,12 @@ def run_demo(
 def _plan_and_play(
     running: Session,
     domain: Domain,
-    taught: Sequence[tuple[LearnedOption, Any]],
+    taught: Sequence[tuple[LearnedOption, OptionSummary]],
     episodes: int,
     judged: int,
     progress: DemoProgress,
 ) -> Live:
-    from humanopts_learner.ros.convert import (  # slow to import
-        plan_from_message,
-        summary_from_message,
-    )
+    from humanopts_learner.ros.convert import plan_from_message  # slow to import
 
     def import_report() -> None:  # which would take a second later
         if is_enumerable(domain):  # this process learns the options again
@@ -149,9 +146,7 @@ def _plan_and_play(
         from humanopts_teach.report import write  # noqa: F401
 
     graph, setup = running.graph, running.setup
-    options = [
-        option_row(summary_from_message(status), option, domain) for option, status in taught
-    ]
+    options = [option_row(summary, option, domain) for option, summary in taught]
     progress.stage('planning')
     plans = [
         graph.retry(partial(graph.plan, name, judged, setup.seed, setup.game_steps))

@@ -5,10 +5,9 @@ from typing import Any
 
 from humanopts_env.colours import GREEN
 from humanopts_env.domains.capabilities import board_of
-from humanopts_learner.ros.convert import summary_from_message
 from humanopts_learner.summary import OptionSummary
 from humanopts_ros.limits import printable
-from humanopts_teach.ros.graph_client import GraphClient
+from humanopts_teach.ros.conductor import Conductor
 from humanopts_teach.terminal.drawing import board_texts
 from rich.console import Console, Group
 from rich.live import Live
@@ -57,14 +56,12 @@ class DemoProgress:
         if not self._console.is_terminal:
             self._say(text, f'{done / total:4.0%} {text}')
 
-    def __call__(self, graph: GraphClient) -> None:
+    def __call__(self, graph: Conductor) -> None:
         """Show the graph's current values."""
         board: Sequence[Any] = ()
-        if graph.domain is not None and graph.state is not None:
-            board = board_texts(board_of(graph.domain, graph.state.state))
-        options = [
-            summary_from_message(m) for m in (graph.learning.options if graph.learning else ())
-        ]
+        world, options = graph.client.world, graph.client.world.summaries
+        if world.domain is not None and graph.state is not None:
+            board = board_texts(board_of(world.domain, graph.state.state))
         lines = [f'{option.option_name}: {_criteria_words(option)}' for option in options]
         if not self._console.is_terminal:
             if board:

@@ -42,7 +42,7 @@ from humanopts_teach.launching.processes import (
 )
 from humanopts_teach.launching.restarts import MOST, NodeExit
 from humanopts_teach.lesson.store import similar_code
-from humanopts_teach.ros.graph_client import GraphClient
+from humanopts_teach.ros.conductor import Conductor
 from humanopts_teach.ros.graph_probe import check_free
 from humanopts_teach.study.record import SimilarCodeError
 
@@ -122,7 +122,7 @@ class Session:
 
     setup: Setup
     launcher: Launcher
-    graph: GraphClient
+    graph: Conductor
     interrupts: Interrupts
     unclean: list[str] = field(default_factory=list)  # nodes that failed while stopping, in words
 
@@ -282,7 +282,7 @@ def place(
 @contextmanager
 def session(
     setup: Setup,
-    progress: Callable[[GraphClient], object] = lambda _: None,
+    progress: Callable[[Conductor], object] = lambda _: None,
     report: Callable[[str], object] = print_line,
     restarts: int = MOST,
     *,
@@ -318,7 +318,7 @@ def session(
     ):
         check_folder(setup, new=new)
         interrupts.check()
-        graph = GraphClient(setup.namespace, common_parameters(setup), setup.bag, watch=watch)
+        graph = Conductor(setup.namespace, common_parameters(setup), setup.bag, watch=watch)
         running = Session(setup, launcher, graph, interrupts)
 
         def on_end(end: NodeExit, instance: str) -> None:

@@ -7,7 +7,6 @@ from typing import Any
 
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.seeding import generator
-from humanopts_learner.ros.convert import summary_from_message
 from humanopts_learner.summary import OptionSummary
 from humanopts_ros.limits import one_line
 from humanopts_teach.command_line import LaunchOptions
@@ -98,7 +97,7 @@ class Study:
 
                     def teach(running: Session = running) -> list[OptionSummary]:
                         wait_until_taught(running)
-                        return [summary_from_message(each) for _, each in running.graph.learned()]
+                        return [summary for _, summary in running.graph.learned()]
 
                     record = published_record(running.graph, participant.path, code)
                     recorded = running.graph.is_recorded_whole

@@ -81,7 +81,7 @@ def teach(
     rules = rules or LessonRules()
     seconds, cut_short = 0.0, ''
     game, person = Game(domain), SimulatedTeacher(domain, teacher)
-    newest: Transition | None = None
+    newest = Transition()
     options: dict[str, LearnedOption] = {}
     summaries: dict[str, OptionSummary] = {}  # by option
 
@@ -136,9 +136,10 @@ def teach(
             if not answer.carried_out:
                 raise LessonError(answer.detail)
             if isinstance(act, BeginDemonstration):
-                newest = game.reset(answer.state, answer.seed, Source.PERSON).transition
-                if newest is None:
+                begun = game.reset(answer.state, answer.seed, Source.PERSON).transition
+                if begun is None:
                     raise LessonError(f'the game does not begin in {answer.state}')
+                newest = begun
                 lesson.began(newest.episode, newest.state)
                 lesson.add_transition(newest)
             if answer.demonstration is not None:

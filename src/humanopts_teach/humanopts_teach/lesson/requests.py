@@ -210,7 +210,9 @@ class PlanOptions:
     action_set: str
     participant: str
     seed: int
-    evaluation_episodes: int = 20  # for evaluation of the plan
+    evaluation_episodes: int = 20  # 0: no evaluation
+    game_steps: int = 0  # to sample; 0: the default
+    options_sequence: int = 0  # of the LearnedOption to wait for; 0: none
 
 
 @dataclass(frozen=True, slots=True)

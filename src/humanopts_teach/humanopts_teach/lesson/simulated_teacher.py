@@ -106,11 +106,11 @@ class SimulatedTeacher:
         own = settings.own_habits
         self._order = self._generator('habits').permutation(count) if own else np.arange(count)
 
-    def next_act(self, lesson: LessonView, game: Transition | None) -> Act:
+    def next_act(self, lesson: LessonView, game: Transition) -> Act:
         """
         Return the next action; call once per action carried out.
 
-        :param game: newest state of the game; None: not received yet.
+        :param game: newest state of the game; episode 0: not received yet.
         :raises TeacherError: it cannot demonstrate the option from the start state.
         """
         act = self._wanted(lesson, game)
@@ -120,7 +120,7 @@ class SimulatedTeacher:
             return Wait(f'the lesson to resume; it is paused: {lesson.paused}')
         return act
 
-    def _wanted(self, lesson: LessonView, game: Transition | None) -> Act:
+    def _wanted(self, lesson: LessonView, game: Transition) -> Act:
         settings = self._settings
         if (lesson.participant, lesson.session) != (settings.participant, settings.session):
             return OpenSession(settings.participant, settings.session)
@@ -148,8 +148,8 @@ class SimulatedTeacher:
         rng = self._generator('extra_feature', option_name, feature)
         return bool(rng.random() < self._settings.extra_feature_rate)
 
-    def _demonstrate(self, lesson: LessonView, game: Transition | None) -> Act:
-        if game is None or game.episode != lesson.episode:
+    def _demonstrate(self, lesson: LessonView, game: Transition) -> Act:
+        if game.episode != lesson.episode:
             return Wait('the first state of the demonstration')
         number = lesson.n_demonstrations + lesson.n_not_here + 1
         if self._tried != (lesson.option_name, number):

@@ -12,20 +12,18 @@ from humanopts_teach.lesson import requests
 from humanopts_teach.lesson.requests import Answer, Drive, LessonView
 
 LESSON_STATE = Codec(LessonView, msg.LessonState)
-DRIVE = Codec(Drive, msg.ActionCommand, of_message=['source', 'option_name'])
-
 
 _DEMONSTRATIONS = {'demonstrations': (demonstration_to_message, demonstration_from_message)}
 
 
 @dataclass(frozen=True)
 class Endpoint:
-    """A service or an action and the codecs of its messages."""
+    """A service, an action or a topic of commands, and the codecs of its messages."""
 
     kind: Any
     name: str
-    request: Codec[Any, Any]  # codec of requests or goals
-    answer: Codec[Answer, Any] | None = None  # codec of responses; None: an action
+    request: Codec[Any, Any]  # codec of requests, goals or commands
+    answer: Codec[Answer, Any] | None = None  # codec of responses; None: no service
 
 
 def _service(
@@ -59,7 +57,12 @@ LESSON_SERVICES: Mapping[type, Endpoint] = dict(
         (requests.ChangeOption, 'change_option'),
     )
 )
-CONTROL_SERVICES = dict([_service(requests.SetControl, 'set_control', 'holder_id')])
+_DRIVE = Codec(Drive, msg.ActionCommand, of_message=['source', 'option_name'])
+TEACHING: Mapping[type, Endpoint] = {
+    **LESSON_SERVICES,
+    **dict([_service(requests.SetControl, 'set_control', 'holder_id')]),
+    Drive: Endpoint(msg.ActionCommand, 'action', _DRIVE),
+}
 TERMINAL_SERVICES = dict(
     [
         _service(requests.SetPace, 'set_pace', 'holder_id'),
@@ -73,7 +76,7 @@ TERMINAL_SERVICES = dict(
     ]
 )
 _OF_RUNS = 'max_steps', 'episode', 'step', 'execution', 'plan_id'
-_OF_PLANS = 'options', 'gamma', 'tolerance', 'max_sweeps', 'game_steps', 'options_sequence'
+_OF_PLANS = 'options', 'gamma', 'tolerance', 'max_sweeps'
 ACTIONS: Mapping[type, Endpoint] = {
     request: Endpoint(kind, name, Codec(request, kind.Goal, of_message=more))
     for request, kind, name, more in (

@@ -1,405 +1,448 @@
-"""The command line's node: waits until the graph is ready, and sends it requests."""
+"""
+The client of a graph: calls its services and actions, drives its game, and tracks its state.
 
-from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
-from functools import partial
-import json
-from pathlib import Path
-import time
-from typing import Any, TypeVar
+The terminal, the simulated teacher and the command line are based on it. A custom program is a
+coroutine that takes a client; ``run_with_lesson`` creates the node and runs the coroutine to
+completion.
+"""
 
-from humanopts_env.domains.base import Domain
+from collections.abc import Callable, Coroutine, Mapping
+from dataclasses import replace
+from typing import Any
+
+from humanopts_env.domains.base import ActableDomain
+from humanopts_env.game import Transition
 from humanopts_env.ros.game_subscriber import GameSubscriber, Observed
-from humanopts_interfaces import msg
-from humanopts_interfaces.action import Plan, RunPolicy
-from humanopts_learner.options.learned_option import LearnedOption
-from humanopts_learner.ros.learned_options import OptionSubscriber
-from humanopts_ros.limits import one_line, shown
-from humanopts_ros.node_base import NodeBase, start_ros
-from humanopts_ros.peers import stated_ids
-from humanopts_ros.qos import ACTION, CURRENT
-from humanopts_ros.senders import signer
-from humanopts_teach.launching import CONDUCTOR, LaunchError, OccupiedError, RECORDER
-from humanopts_teach.launching.processes import Value
-from humanopts_teach.launching.restarts import NodeExit
-from humanopts_teach.lesson.simulated_teacher import FINISHED
-from humanopts_teach.ros.goals import Goal
+from humanopts_interfaces import msg, srv
+from humanopts_learner.ros.convert import summary_from_message
+from humanopts_ros.node_base import NodeBase, starting_ros
+from humanopts_ros.publisher import PublishError
+from humanopts_ros.qos import ACTION, CURRENT, DISPLAY
+from humanopts_ros.workarounds import prepare_discovery
+from humanopts_teach.lesson.requests import (
+    ActionGoal,
+    Answer,
+    Drive,
+    LessonView,
+    ListOptions,
+    NewEpisode,
+    Phase,
+    RequestStatus,
+    RunOption,
+    server,
+    ServiceRequest,
+    SetControl,
+    SetPace,
+    settled,
+    UNKNOWN,
+    World,
+)
+from humanopts_teach.ros.convert import Endpoint, LESSON_STATE, TEACHING
+import rclpy
 from rclpy.action.client import ActionClient
+from rclpy.client import Client
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.task import Future
 from rclpy.utilities import try_shutdown
 
-LESSON, PLANNER = 'lesson', 'planner'
-_PATIENCE = 5.0  # s; a pause may be temporary, or another node may report its cause
-_LEASE = 20.0  # s for which killed readers still block their writers
-_WORK_SECONDS = 600.0  # timeout for a plan or for episodes
-_NAMES_PERIOD = 1.0  # s between checks for other processes with names of this launch
-_ROUNDS = 100  # number of callbacks run to catch up; exceeds the number of topics and statuses
-_READY, _PAUSED = msg.NodeStatus.STATE_READY, msg.NodeStatus.STATE_PAUSED
+LESSON = 'lesson'  # node name
+_OK = Answer(RequestStatus.OK, '')
+_LOST = Answer(
+    RequestStatus.REFUSED,
+    'a node was restarted meanwhile, or the lesson is in another session; check its state',
+)
+_REJECTED = Answer(RequestStatus.REFUSED, 'the server rejected the goal')
+_PATIENCE = 30.0  # s
+_RENEWAL = 0.5  # s between heartbeats while this node holds control
 
-T = TypeVar('T')
+
+class ClientError(RuntimeError):
+    """The graph did not do what was requested; the message gives the reason."""
 
 
-class GraphClient(NodeBase):
+class RefusedError(ClientError):
+    """A node refused a request; ``answer`` contains the status and the reason."""
+
+    def __init__(self, what: str, answer: Answer) -> None:
+        super().__init__(f'{what} was refused: {answer.detail}')
+        self.what = what
+        self.answer = answer
+
+
+class NoAnswerError(ClientError):
+    """An answer or its effect did not arrive in time; the message names the awaited event."""
+
+
+class Goal:
     """
-    Drives a launched graph from the command line's thread.
+    A goal sent to an action server.
 
-    It tracks the state of every node and the latest message of each latched topic. Every wait has
-    a deadline and calls ``watch`` about twenty times per second, which checks the processes and
-    shows progress.
-
-    :ivar starting: whether the launch is still starting; during this time only, a foreign process
-        with the name of one of its nodes aborts it.
-    :ivar report: callback for a line about a foreign process with the name of a node.
-    :ivar feedback: latest feedback of the active action; None: none.
+    :ivar accepted: future ``Answer``: whether the server accepts the goal.
+    :ivar result: future ``result`` field of the action's result; None: the server was restarted.
+        Never done if the goal is rejected.
     """
 
-    state: Observed | None = None
-    domain: Domain | None = None
-    lesson: msg.LessonState | None = None
-    learning: msg.LearningStatus | None = None
-    options: Sequence[LearnedOption] = ()
-    newest_option = msg.LearnedOption()  # message that completed the options
-    recorder: msg.RecorderStatus | None = None
+    def __init__(
+        self, client: ActionClient, message: Any, on_feedback: Callable[[Any], object]
+    ) -> None:
+        """Send the goal; the server must be matched, or the goal is lost."""
+        self.accepted, self.result = Future(), Future()
+        self._handle: Any = None
+        sent = client.send_goal_async(
+            message, feedback_callback=lambda message: on_feedback(message.feedback)
+        )
+        sent.add_done_callback(self._on_answer)
+
+    def cancel(self) -> Future:
+        """Cancel the accepted goal and return the future of the response."""
+        response: Future = self._handle.cancel_goal_async()
+        return response
+
+    def lose(self) -> None:
+        """Answer what is pending, because the server was restarted."""
+        for future, lost in (self.accepted, _LOST), (self.result, None):
+            if not future.done():
+                future.set_result(lost)
+
+    def _on_answer(self, done: Future) -> None:
+        self._handle = done.result()
+        if self.accepted.done():
+            return
+        if self._handle.accepted:
+            self._handle.get_result_async().add_done_callback(self._on_result)
+        self.accepted.set_result(_OK if self._handle.accepted else _REJECTED)
+
+    def _on_result(self, done: Future) -> None:
+        if not self.result.done():
+            self.result.set_result(done.result().result.result)
+
+
+class GraphClient:
+    """
+    A client that sends requests, and tracks the game, the lesson and the learner.
+
+    :ivar world: latest published state.
+    :ivar learning: latest learning status; None: not received yet.
+    """
 
     def __init__(
         self,
-        namespace: str,
-        parameters: Mapping[str, Value],
-        bag: Path,
+        node: NodeBase,
+        endpoints: Mapping[type, Endpoint] = TEACHING,
         *,
-        watch: Callable[[], None],
+        patience: float = _PATIENCE,
+        on_news: Callable[[], None] = lambda: None,
     ) -> None:
-        arguments = ['--ros-args', '-r', f'__ns:={namespace}', '--disable-stdout-logs']
-        for name, value in parameters.items():
-            arguments += ['-p', f'{name}:={json.dumps(value)}']
-        start_ros(arguments)
-        super().__init__(CONDUCTOR)
-        self.starting = True
-        self.report: Callable[[str], object] = lambda line: None
-        self._own: dict[str, str] = {}  # node by publisher_id, for processes of this launch
-        self._reported: set[str] = set()  # reported foreign processes
-        self._names_at = 0.0  # s, time of the next check for them
-        self._ends: Counter[str] = Counter()  # exits of own processes, by node
-        self._resent = 0  # lesson status sequence from which the newest bag is complete
-        self._awaited: set[str] = set()  # required nodes of this launch
-        self.feedback: Any = None
-        self._record, self._bag = bool(parameters['expect_recorder']), bag
-        self._watch = watch
-        self._fine = time.monotonic()  # s, last time without pauses, or end of a grace period
-        self._statuses = self.peers.statuses
-        for kind, topic, name in (
-            (msg.LessonState, 'lesson_state', 'lesson'),
-            (msg.LearningStatus, 'learning_status', 'learning'),
-            (msg.RecorderStatus, 'recorder_status', 'recorder'),
-        ):
-            self.create_subscription(kind, topic, partial(setattr, self, name), CURRENT)
-        OptionSubscriber(self, 'learned_options', self._keep_options)
-        game = GameSubscriber(self, partial(setattr, self, 'domain'))
-        self._current_state = game.newest()
-        self._plan_client = ActionClient(self, Plan, 'plan', **ACTION)
-        self._policy_client = ActionClient(self, RunPolicy, 'run_policy', **ACTION)
-        self._executor = SingleThreadedExecutor()
-        self._executor.add_node(self)
+        """
+        Create the clients, publishers and subscriptions on a node.
 
-    def close(self) -> None:
-        """Leave the graph."""
-        self.set_status(msg.NodeStatus.STATE_STOPPING)
-        self.drain()
-        self._executor.shutdown()
-        self.destroy_node()
-        try_shutdown()
+        :param endpoints: by type of request; a client without ``Drive`` does not follow the steps
+            of the game.
+        :param patience: maximum wait for an answer or a change, s.
+        :param on_news: callback invoked when the published state has changed.
+        """
+        self.world = World(me=node.publisher_id)
+        self.learning: msg.LearningStatus | None = None
+        self._node = node
+        self._endpoints = endpoints
+        self._patience = patience
+        self._on_news = on_news
+        # Requests without an answer; the number is the sequence of an action command.
+        self._pending: dict[Future, tuple[ServiceRequest | Drive, int]] = {}
+        self._goals: list[tuple[str, Goal]] = []  # by server
+        self._services: dict[type, Client] = {}
+        self._actions: dict[type, ActionClient] = {}
+        for kind, endpoint in endpoints.items():
+            if endpoint.answer is not None:
+                self._services[kind] = node.recorded_client(endpoint.kind, endpoint.name)
+            elif kind is not Drive:
+                self._actions[kind] = ActionClient(node, endpoint.kind, endpoint.name, **ACTION)
+        self.game_topics = GameSubscriber(node, self._on_domain)
+        node.peers.on_restart.append(self._on_restart)
+        self._subscriptions = [
+            node.subscribe(
+                msg.LessonState, 'lesson_state', LESSON_STATE.decode, self._on_lesson, CURRENT
+            ),
+            node.create_subscription(
+                msg.LearningStatus, 'learning_status', self._on_learning, CURRENT
+            ),
+        ]
+        self._renewal = node.create_timer(_RENEWAL, node.publish_status_again, autostart=False)
+        if Drive in endpoints:
+            self._action = node.stamped_publisher(msg.ActionCommand, endpoints[Drive].name)
+            self._subscriptions += [
+                self.game_topics.follow('current_state', self._on_game, CURRENT),
+                self.game_topics.follow_control(self._on_control),
+                self.game_topics.follow_refusals(self._on_refusal, DISPLAY),
+            ]
 
-    def wait(
+    def waits_for(self) -> str | None:
+        """Return the first topic or service that is not available yet; None: all are."""
+        if self.world.domain is None:
+            return 'domain_info'
+        if self.world.lesson is UNKNOWN:
+            return 'lesson_state'
+        absent = (kind for kind in self._endpoints if not self.is_ready(kind))
+        return next((self._endpoints[kind].name for kind in absent), None)
+
+    async def ask(self, request: ServiceRequest | Drive) -> Answer:
+        """
+        Send a request or an action, and wait until the published state shows its effect.
+
+        :raises RefusedError: the request was not carried out, or its effect cannot be observed
+            because a node was restarted or the lesson is in another session.
+        :raises NoAnswerError: there was no answer, or the state does not show the effect.
+        """
+        what = await self._found(request)
+        future, before = self.send(request), self._place()
+        await self.until(future.done, f'an answer of {what}')
+        answer: Answer = future.result()
+        if not answer.carried_out:
+            raise RefusedError(what, answer)
+
+        def shown() -> bool:
+            return settled(request, answer, self.world)
+
+        await self.until(lambda: shown() or self._place() != before, f'the effect of {what}')
+        if not shown():
+            raise RefusedError(what, _LOST)
+        return answer
+
+    async def run(
         self,
-        done: Callable[[], bool],
+        goal: ActionGoal,
         seconds: float,
-        what: str,
-        progress: Callable[[], object] = lambda: None,
+        on_feedback: Callable[[Any], object] = lambda feedback: None,
+    ) -> Any:
+        """
+        Run an action to its end, and return its result.
+
+        :param seconds: maximum duration.
+        :param on_feedback: callback for each feedback message.
+        :raises RefusedError: the server rejected the goal, or was restarted.
+        :raises NoAnswerError: there was no answer, or no result in time.
+        """
+        what = await self._found(goal)
+        sent = self.start(goal, on_feedback)
+        await self.until(sent.accepted.done, f'an answer of {what}')
+        answer: Answer = sent.accepted.result()
+        if answer.ok:
+            await self.until(sent.result.done, f'the end of {what}', seconds)
+            if (result := sent.result.result()) is not None:
+                return result
+            answer = _LOST
+        raise RefusedError(what, answer)
+
+    async def drive(self, action: str) -> Transition:
+        """
+        Take one primitive action in the current state, and return the next state.
+
+        :raises RefusedError: the game refused the action.
+        :raises NoAnswerError: the game did not answer.
+        """
+        game = self.world.game
+        await self.ask(Drive(action, game.episode, game.step))
+        return self.world.game
+
+    async def until_ready(self) -> bool:
+        """Wait until the learner is done; False: the option's lesson is finished."""
+        await self.until(lambda: self.world.lesson.phase is not Phase.LEARNING, 'the learner')
+        return self.world.lesson.phase is Phase.READY
+
+    def unsubscribe(self) -> None:
+        """Stop tracking the graph and renewing control; no more requests may be sent."""
+        self.game_topics.unsubscribe()
+        self._renewal.cancel()
+        for subscription in self._subscriptions:
+            self._node.destroy_subscription(subscription)
+        self._subscriptions.clear()
+
+    async def until(
+        self, condition: Callable[[], bool], what: str, seconds: float | None = None
     ) -> None:
         """
-        Serve the graph until ``done`` returns True.
+        Wait for a condition; it is checked at every change.
 
-        :param seconds: maximum wait for ``done`` or for the next change of ``progress``.
-        :param what: awaited event; completes "gave up waiting for ...".
-        :param progress: function whose result changes while work continues.
-        :raises LaunchError: a process died, a node cannot continue, or the wait timed out.
+        :param what: description of the awaited event.
+        :param seconds: maximum wait; None: the client's patience.
+        :raises NoAnswerError: the condition did not become true in time.
         """
-        deadline = time.monotonic() + seconds
-        looked, last = 0.0, progress()
-        while not done():
-            now = time.monotonic()
-            if now - looked > 0.05:
-                looked = now
-                if self.domain is not None:
-                    self.state = self._current_state.take() or self.state
-                self._watch()
-                self._check_names()
-                self._check_paused()
-            if (newest := progress()) != last:
-                last, deadline = newest, now + seconds
-            if now > deadline:
-                raise LaunchError(f'gave up waiting for {what} after {seconds:.0f} s')
-            self.take(0.05)
+        seconds = self._patience if seconds is None else seconds
+        if not await self._node.waiting.until(condition, seconds):
+            raise NoAnswerError(f'gave up after {seconds:g} s of waiting for {what}')
 
-    def wait_ready(self, names: list[str], seconds: float = 60.0) -> None:
+    def is_ready(self, kind: type) -> bool:
         """
-        Wait until this and other nodes are ready and a recorder, if any, has every topic.
+        Return whether a receiver is matched; a request sent earlier would be lost.
 
-        :param names: names of the other nodes.
-        :param seconds: maximum wait for the next change of the missing nodes.
-        :raises LaunchError: as in ``wait``; the message lists the missing nodes.
+        :param kind: type of request.
         """
-        nodes = [name.rpartition('/')[2] for name in names]
-        self._awaited.update(nodes)
-        try:
-            self.wait(
-                lambda: not self._missing(nodes),
-                seconds,
-                'a change of the nodes',
-                lambda: self._missing(nodes),
-            )
-        except LaunchError as error:
-            if not (missing := self._missing(nodes)):
-                raise
-            raise LaunchError(f'{error}; not ready: {", ".join(missing)}') from error
+        if kind is Drive:
+            return self._action.is_matched_by(self.game_topics.name)
+        if kind in self._actions:
+            return bool(self._actions[kind].server_is_ready())
+        return bool(self._services[kind].service_is_ready())
 
-    def plan(
-        self, action_set: str, episodes: int, seed: int, game_steps: int = 0
-    ) -> msg.PlanResult:
+    def send(self, request: ServiceRequest | Drive) -> Future:
         """
-        Plan with the latest options and evaluate the plan.
+        Send a request without waiting; the future's result is the ``Answer``.
 
-        :param episodes: number of evaluation episodes; 0: no evaluation.
-        :param seed: seed of all random draws.
-        :param game_steps: number of game steps to sample; 0: the default.
-        :raises LaunchError: the planner refused, failed or did not respond.
+        An action is answered when the game has left the action's state or has refused the action.
         """
-        goal = Plan.Goal(
-            action_set=action_set,
-            evaluation_episodes=episodes,
-            seed=seed,
-            game_steps=game_steps,
-            options_sequence=self.newest_option.sequence,
-        )
-        result: msg.PlanResult = self._act(self._plan_client, goal, f'the {action_set} plan')
-        if result.status not in (result.STATUS_CONVERGED, result.STATUS_NOT_CONVERGED):
-            raise LaunchError(f'planning with {action_set} failed: {shown(result.detail)}')
-        return result
-
-    def play(
-        self, action_set: str, episodes: int, seed: int, game_steps: int = 0
-    ) -> msg.PolicyResult:
-        """
-        Play episodes through the option server.
-
-        Plans first if there is no plan with the latest options.
-
-        :param game_steps: number of game steps to sample for that plan; 0: the default.
-        :raises LaunchError: the planner refused, failed or did not respond.
-        """
-        goal = RunPolicy.Goal(action_set=action_set, episodes=episodes, seed=seed)
-        result: msg.PolicyResult = self._act(self._policy_client, goal, 'the episodes')
-        if result.status == result.STATUS_NO_PLAN:
-            self.plan(action_set, 0, seed, game_steps)
-            result = self._act(self._policy_client, goal, 'the episodes')
-        if result.status != msg.PolicyResult.STATUS_DONE:
-            raise LaunchError(f'playing by the {action_set} plan failed: {shown(result.detail)}')
-        return result
-
-    def all_recorded(self) -> bool:
-        """Return whether a restarted recorder has received all demonstrations."""
-        lesson = self._statuses.get(LESSON)
-        there = lesson is not None and lesson.sequence >= self._resent
-        return not self._resent or (there and self.peers.state(LESSON) == _READY)
-
-    def learned(self) -> list[tuple[LearnedOption, msg.OptionStatus]]:
-        """Return all learned options with their statuses."""
-        entries = self.learning.options if self.learning is not None else ()
-        status = {(entry.participant, entry.option_name): entry for entry in entries}
-        return [
-            (option, status[option.participant, option.name])
-            for option in self.options
-            if (option.participant, option.name) in status
-        ]
-
-    def stay(self, check: Callable[[], None], report: Callable[[str], None]) -> None:
-        """
-        Serve the graph until an interrupt.
-
-        :param check: callback invoked continuously to monitor the processes.
-        :param report: callback for a line when a node of the launch pauses or resumes.
-        :raises LaunchError: raised by ``check``.
-        """
-        paused: dict[str, str] = {}  # reported pauses
-        while True:
-            self.take(0.05)
-            check()
-            self._check_names()
-            for name in sorted({*self._own.values()}):
-                state, text = self.peers.state(name), self._text(name)
-                if state == _PAUSED and text != paused.get(name):
-                    paused[name] = text
-                    report(f'{self.full_name(name)} is paused: {text}')
-                elif state == _READY and paused.pop(name, None) is not None:
-                    report(f'{self.full_name(name)} goes on')
-
-    def take(self, seconds: float) -> None:
-        """Wait for one message and process it."""
-        self.turn(self._executor, seconds)
-
-    def catch_up(self) -> None:
-        """Process the messages that arrived in the meantime."""
-        for _ in range(_ROUNDS):
-            self.take(0.0)
-
-    def unrecorded(self) -> str:
-        """Return why the bag is incomplete or nothing is recorded; empty: no known reason."""
-        return self._stopped() or (shown(self.lesson.paused) if self.lesson is not None else '')
-
-    def teacher_finished(self) -> bool:
-        """Return whether the simulated teacher has taught everything."""
-        return self._text('simulated_teacher').startswith(FINISHED)
-
-    def knows_learned(self, option_name: str) -> bool:
-        """
-        Return whether an option is finished and its final learning results have arrived.
-
-        Messages of different nodes may arrive in any order.
-        """
-        lesson, learning = self.lesson, self.learning
-        if lesson is None or learning is None:
-            return False
-        newest = (option_name, lesson.participant, lesson.last_uuid)
-        return (
-            (lesson.phase, lesson.option_name) == (lesson.PHASE_FINISHED, option_name)
-            and newest in [(o.option_name, o.participant, o.last_uuid) for o in learning.options]
-            and learning.publisher_id == self.newest_option.publisher_id
-            and learning.options_sequence <= self.newest_option.sequence
-        )
-
-    def taught_so_far(self) -> tuple[object, int]:
-        """Return the progress of teaching: the latest step and learning status."""
-        state, learning = self.state, self.learning
-        return state, learning.sequence if learning else 0
-
-    def _act(self, client: ActionClient, goal: Any, what: str) -> Any:
-        """Send a goal, wait, and return the ``result`` field of the action's result."""
-        self.wait(client.server_is_ready, 10.0, 'the planner')
-        sent = Goal(client, goal, partial(setattr, self, 'feedback'))
-        self.wait(sent.accepted.done, 10.0, f'the planner to accept {what}')
-        if not sent.accepted.result():
-            raise LaunchError(f'the planner refused {what}')
-        before, result = self._ends[PLANNER], sent.result
-        self.wait(lambda: result.done() or self._ends[PLANNER] != before, _WORK_SECONDS, what)
-        if not result.done():
-            raise LaunchError(f'the planner ended before {what}')
-        return result.result()
-
-    def retry(self, work: Callable[[], T]) -> T:
-        """
-        Do work, and repeat it if it fails because a node is restarted.
-
-        :param work: function that raises a LaunchError on failure.
-        :raises LaunchError: the work failed without a restart, or a node cannot be restarted.
-        """
-        while True:
-            before = self._ends.total()
+        answer, endpoint = Future(), self._endpoints[type(request)]
+        if isinstance(request, Drive):
+            person = msg.ActionCommand.SOURCE_PERSON
             try:
-                return work()
-            except LaunchError:
-                self._watch()  # a node may just have ended
-                if self._ends.total() == before:
-                    raise
-                self.wait_ready(sorted(self._awaited))
+                self._action.publish(endpoint.request.encode(request, source=person))
+            except PublishError as error:
+                answer.set_result(Answer(RequestStatus.REFUSED, str(error)))
+            else:
+                self._pending[answer] = request, self._action.sequence
+            return answer
+        message = endpoint.request.encode(request)
+        if isinstance(request, SetControl | SetPace):
+            message.holder_id = self._node.publisher_id
+        elif isinstance(request, NewEpisode):
+            message.source = srv.ResetGame.Request.SOURCE_PERSON
 
-    def note_start(self, name: str, instance: str) -> None:
+        def on_response(done: Future) -> None:
+            if self._pending.pop(answer, None) is None:  # its server was restarted
+                return
+            assert endpoint.answer is not None, 'a service'
+            try:
+                found = endpoint.answer.decode(done.result())
+            except ValueError as error:
+                found = Answer(RequestStatus.UNKNOWN, str(error))
+            if isinstance(request, ListOptions):  # an empty list is also an answer
+                found = replace(found, status=RequestStatus.OK)
+            answer.set_result(found)
+            self._node.waiting.check()
+
+        self._pending[answer] = request, 0
+        self._services[type(request)].call_async(message).add_done_callback(on_response)
+        return answer
+
+    def start(self, goal: ActionGoal, on_feedback: Callable[[Any], object]) -> Goal:
         """
-        Register a process of a node of this launch that is about to start.
+        Send the goal of an action without waiting.
 
-        :param instance: suffix of its publisher_id; only that process is accepted as the node.
+        :param on_feedback: callback for each feedback message.
         """
-        publisher_id = f'{self.full_name(name)}#{instance}'
-        self._own[publisher_id] = name
-        self.peers.expect(publisher_id)
+        message = self._endpoints[type(goal)].request.encode(goal)
+        if isinstance(goal, RunOption):
+            message.episode, message.step = self.world.game.episode, self.world.game.step
+        sent = Goal(self._actions[type(goal)], message, on_feedback)
+        self._goals = [known for known in self._goals if not known[1].result.done()]
+        self._goals.append((server(goal), sent))
+        return sent
 
-    def note_end(self, end: NodeExit, instance: str) -> None:
-        """
-        Publish that a node has ended; the next process with its name replaces it.
+    async def _found(self, request: ServiceRequest | Drive | ActionGoal) -> str:
+        """Wait for the receiver of a request, and return a description of the request."""
+        name = self._endpoints[type(request)].name
+        what = f'{name} {request.action}' if isinstance(request, Drive) else name
+        await self.until(lambda: self.is_ready(type(request)), f'{what} to be available')
+        return what
 
-        :param instance: suffix of the process's publisher_id; its late statuses are ignored.
-        """
-        self._ends[end.node] += end.again
-        self._fine = time.monotonic() + _LEASE
-        self.peers.forget(f'{self.full_name(end.node)}#{instance}')
-        if end.node == LESSON:  # the next lesson resends everything
-            self._resent = min(self._resent, 1)
-        if end.node == RECORDER and LESSON in self._statuses:  # the lesson pauses, then resumes
-            lesson = self._statuses[LESSON]
-            self._resent = lesson.sequence + (1 if lesson.state == _PAUSED else 2)
-        self.get_logger().error(end.sentence)
-        self.set_status(_READY, end.sentence)
+    def _place(self) -> tuple[object, ...]:
+        """Return a key that changes if a request may have been lost: restarts and the session."""
+        restarts, lesson = self._node.peers.restarts, self.world.lesson
+        return (
+            restarts[self.game_topics.name],
+            restarts[LESSON],
+            lesson.participant,
+            lesson.session,
+        )
 
-    def _keep_options(self, options: list[LearnedOption], newest: msg.LearnedOption) -> None:
-        self.options, self.newest_option = options, newest
+    def _on_restart(self, name: str) -> None:
+        """Answer pending requests that a restarted node has lost."""
+        role = 'game' if name == self.game_topics.name else name
+        self._answer(lambda request, _: server(request) == role, _LOST)
+        for served_by, goal in self._goals:
+            if served_by == role:
+                goal.lose()
 
-    def _text(self, name: str) -> str:
-        """Return the status text of a node."""
-        return one_line(self._statuses[name].text) if name in self._statuses else ''
+    def _on_domain(self, domain: ActableDomain) -> None:
+        self.world.domain = domain
+        self._changed()
 
-    def _stopped(self) -> str:
-        """Return why the recorder has stopped, and how to read the bag; empty: it has not."""
-        if self.peers.state(RECORDER) != _PAUSED:
-            return ''
-        return f'{self._text(RECORDER)}. The bag can be read: humanopts bag info {self._bag}'
+    def _on_lesson(self, lesson: LessonView) -> None:
+        self.world.lesson = lesson
+        self._changed()
 
-    def _missing(self, names: Sequence[str]) -> list[str]:
-        """Return the missing nodes of a launch, each with its status text."""
-        lacking = [name for name in names if self.peers.state(name) != _READY]
-        if not self.ready:
-            lacking.append(CONDUCTOR)
-        missing = [
-            self.full_name(name) + (f' ({text})' if (text := self._text(name)) else '')
-            for name in lacking
-        ]
-        complete = self.recorder is not None and self.recorder.complete
-        if self._record and not missing and not complete:
-            missing.append('the recorder has not got every topic')
-        return missing
+    def _on_learning(self, learning: msg.LearningStatus) -> None:
+        self.learning = learning
+        self.world.summaries = [*map(summary_from_message, learning.options)]
+        self._changed()
 
-    def _check_paused(self) -> None:
-        """
-        Check whether a required node is paused.
+    def _on_game(self, observed: Observed) -> None:
+        game = observed.transition
+        self.world.update_game(game)
 
-        :raises LaunchError: the recorder is paused, or another node for too long.
-        """
-        if stopped := self._stopped():
-            raise LaunchError(stopped)
-        now = time.monotonic()
-        paused = [name for name in self._awaited if self.peers.state(name) == _PAUSED]
-        if not paused:
-            self._fine = max(self._fine, now)
-        elif now - self._fine > _PATIENCE:
-            name = paused[0]
-            raise LaunchError(f'{self.full_name(name)} cannot go on: {self._text(name)}')
+        def has_left(request: ServiceRequest | Drive, _: int) -> bool:
+            here = game.episode, game.step
+            return isinstance(request, Drive) and (request.episode, request.step) != here
 
-    def _check_names(self) -> None:
-        """
-        Check for foreign processes with names of nodes of this launch.
+        self._answer(has_left, _OK)
 
-        :raises OccupiedError: one is found while the launch is starting.
-        """
-        now = time.monotonic()
-        if not self.starting and now < self._names_at:
-            return
-        self._names_at = now + _NAMES_PERIOD
-        names = {*map(signer, self._own)}
-        others = {each for each in stated_ids(self) if signer(each) in names} - self._own.keys()
-        found = sorted({*map(signer, others)} - self._reported)
-        if found and self.starting:
-            raise OccupiedError(
-                f'{", ".join(found)} runs already in this ROS_DOMAIN_ID and namespace; stop it, '
-                'or choose another --namespace or ROS_DOMAIN_ID'
-            )
-        self._reported.update(found)
-        for name in found:
-            self.report(f'another process runs {name} in this ROS_DOMAIN_ID and namespace; end it')
+    def _on_control(self, control: msg.ControlState) -> None:
+        """Renew control or the pause of the machine while this node holds it."""
+        world = self.world
+        world.holder, world.paused_by = control.holder_id, control.paused_by
+        world.step_period = control.step_period
+        if world.me in (world.holder, world.paused_by):
+            self._node.publish_status_again()
+            self._renewal.reset()
+        else:
+            self._renewal.cancel()
+        self._changed()
+
+    def _on_refusal(self, message: msg.ActionRefusal) -> None:
+        if message.command_publisher_id == self._node.publisher_id:
+            refused = Answer(RequestStatus.REFUSED, message.detail)
+            self._answer(lambda _, sequence: sequence == message.command_sequence, refused)
+
+    def _answer(
+        self, concerns: Callable[[ServiceRequest | Drive, int], bool], answer: Answer
+    ) -> None:
+        """Resolve the pending requests that an answer concerns."""
+        for future, pending in [*self._pending.items()]:
+            if concerns(*pending):
+                del self._pending[future]
+                future.set_result(answer)
+        self._changed()
+
+    def _changed(self) -> None:
+        self._on_news()
+        self._node.waiting.check()
+
+
+def run_with_lesson(
+    program: Callable[[GraphClient], Coroutine[Any, Any, None]], name: str = 'program'
+) -> None:
+    """
+    Run a program on the graph of this environment when lesson and game are available.
+
+    :param program: coroutine function that takes the client; its exceptions propagate.
+    :param name: name of the program's node.
+    :raises MiddlewareError: ROS cannot start with the environment's settings.
+    """
+    prepare_discovery()
+    with starting_ros():
+        rclpy.init()  # Ctrl-C ends the program
+    executor = SingleThreadedExecutor()
+    node = NodeBase(name)
+    client = GraphClient(node)
+
+    async def main() -> None:
+        await client.until(lambda: client.waits_for() is None, 'the lesson and the game')
+        await program(client)
+
+    try:
+        executor.add_node(node)
+        task = executor.create_task(main)
+        executor.spin_until_future_complete(task)
+        task.result()
+    finally:
+        executor.shutdown()
+        node.destroy_node()
+        try_shutdown()

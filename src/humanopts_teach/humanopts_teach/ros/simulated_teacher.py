@@ -14,6 +14,7 @@ from humanopts_teach.lesson.requests import (
     LessonRequest,
     Phase,
     RequestStatus,
+    SetControl,
     Verdict,
 )
 from humanopts_teach.lesson.simulated_teacher import (
@@ -24,11 +25,7 @@ from humanopts_teach.lesson.simulated_teacher import (
     TeacherSettings,
     Wait,
 )
-from humanopts_teach.ros.lesson_client import (
-    LessonClient,
-    LessonClientError,
-    RefusedError,
-)
+from humanopts_teach.ros.graph_client import ClientError, GraphClient, RefusedError
 from rclpy.callback_groups import ReentrantCallbackGroup
 
 _TICK = 0.1  # s until a refused request is retried
@@ -49,7 +46,7 @@ class SimulatedTeacherNode(NodeBase):
         )
         self._teacher: SimulatedTeacher | None = None
         self._first = True  # no act has been performed
-        self._client = LessonClient(self, patience=self._deadline, on_news=self._meet)
+        self._client = GraphClient(self, patience=self._deadline, on_news=self._meet)
 
     def waits_for(self) -> str | None:
         """Wait for the rules, the lesson and its services."""
@@ -84,7 +81,7 @@ class SimulatedTeacherNode(NodeBase):
 
     def _meet(self) -> None:
         """Create the teacher when the rules of the game are known."""
-        domain = self._client.domain
+        domain = self._client.world.domain
         if self._teacher is None and domain is not None:
             try:
                 with_rules = simulated(domain, 'the simulated teacher')
@@ -109,13 +106,13 @@ class SimulatedTeacherNode(NodeBase):
                         cause = f'{error.what} was refused {_REFUSALS} times: {detail}'
                         break
                     await self.waiting.until(lambda: False, _TICK)
-        except (TeacherError, LessonClientError) as error:
+            else:
+                await self._client.ask(SetControl(hold=False))
+        except (TeacherError, ClientError) as error:
             cause = str(error)
         except Exception as error:  # unexpected; the demo waits for an outcome
             cause = self.guard.caught('teaching', error)
-        if not await self._client.give_back():
-            cause = cause or 'game does not take control back'
-        self._client.unsubscribe()
+        self._client.unsubscribe()  # control that is not renewed returns to the machine
         state = NodeStatus.STATE_PAUSED if cause else NodeStatus.STATE_READY
         self.set_status(state, cause or FINISHED)
 
@@ -130,22 +127,21 @@ class SimulatedTeacherNode(NodeBase):
         if (left := self._left()) is not None:
             return left
         while True:
-            lesson, game = client.lesson, client.game
-            assert lesson is not None, 'the node waited for the lesson'
+            lesson, game = client.world.lesson, client.world.game
             act = teacher.next_act(lesson, game)
             if not isinstance(act, Wait):
                 return act
 
             def is_news(seen: tuple[object, object] = (lesson, game)) -> bool:
-                return (client.lesson, client.game) != seen
+                return (client.world.lesson, client.world.game) != seen
 
             await client.until(is_news, act.reason)
 
     def _left(self) -> EndDemonstration | None:
         """Return a request that discards an earlier teacher's demonstration; None: none."""
-        lesson, first = self._client.lesson, self._first
+        lesson, first = self._client.world.lesson, self._first
         self._first = False
-        if not first or lesson is None or lesson.phase is not Phase.DEMONSTRATING:
+        if not first or lesson.phase is not Phase.DEMONSTRATING:
             return None
         return EndDemonstration(Verdict.DISCARD, lesson.episode, 0)
 

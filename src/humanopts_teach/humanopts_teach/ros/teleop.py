@@ -1,7 +1,7 @@
 """
 A person's node: sends requests of the dialogue to the graph and returns the answers.
 
-Service requests and driving actions use ``LessonClient``; goals of runs use ``Goal``.
+All requests are sent by a ``GraphClient``.
 """
 
 from collections.abc import Callable
@@ -15,16 +15,13 @@ from humanopts_interfaces import action as actions
 from humanopts_interfaces.msg import (
     ActionCommand,
     ExecutionState,
-    LearningStatus,
     OptionGoal,
     OptionResult,
     PlanResult,
     StudyEvent,
 )
-from humanopts_learner.ros.convert import summary_from_message
-from humanopts_learner.summary import OptionSummary
 from humanopts_ros.node_base import NodeBase, SEEDS
-from humanopts_ros.qos import ACTION, CURRENT, DISPLAY, STREAM
+from humanopts_ros.qos import CURRENT, DISPLAY, STREAM
 from humanopts_teach.dialogue.app import App
 from humanopts_teach.dialogue.menu import opening
 from humanopts_teach.dialogue.study import StudyApp
@@ -34,15 +31,11 @@ from humanopts_teach.lesson.requests import (
     CancelRun,
     Request,
     RequestStatus,
-    RunOption,
-    server,
 )
-from humanopts_teach.ros.convert import ACTIONS, LESSON_SERVICES, TERMINAL_SERVICES
-from humanopts_teach.ros.goals import Goal
-from humanopts_teach.ros.lesson_client import LessonClient
+from humanopts_teach.ros.convert import ACTIONS, TEACHING, TERMINAL_SERVICES
+from humanopts_teach.ros.graph_client import Goal, GraphClient
 from humanopts_teach.study.plan import PARTS
 from humanopts_teach.study.record import OpenRecord, TOPIC
-from rclpy.action.client import ActionClient
 from rclpy.task import Future
 
 POLL_SECONDS = 0.015  # polling period for input and pending work
@@ -69,18 +62,13 @@ class TeleopNode(NodeBase):
         participant = self.setting('participant', 'p1', 'code that is proposed to the person')
         ask = self.setting('ask_participant', True, 'ask who teaches; false: it is participant')
         seed = self.setting('seed', 0, 'of the start states of free play and of plans', SEEDS)
-        services = {**LESSON_SERVICES, **TERMINAL_SERVICES}
-        self._client = LessonClient(self, services, on_news=self._on_news)
+        endpoints = {**TEACHING, **TERMINAL_SERVICES, **ACTIONS}
+        self._client = GraphClient(self, endpoints, on_news=self._on_news)
         self._world = self._client.world
         self.app = self._study(participant, seed) or App(
             opening(participant, ask=ask), self._world, seed=seed
         )
-        self._actions = {
-            kind: ActionClient(self, action.kind, action.name, **ACTION)
-            for kind, action in ACTIONS.items()
-        }
         self._goal: Goal | None = None  # goal of the active run
-        self.peers.on_restart.append(self._on_restart)
         self._held: Request | None = None  # request waiting for its server
         self._started = self._checked = time.monotonic()
         self._drawn = self._asked = 0.0
@@ -90,7 +78,6 @@ class TeleopNode(NodeBase):
         self._parted_at = 0.0
         execution, running = attrgetter('execution'), attrgetter('option_name')
         for kind, topic, shown, read, qos in (
-            (LearningStatus, 'learning_status', 'summaries', _summaries, CURRENT),
             (ExecutionState, 'execution', 'execution', execution, CURRENT),
             (OptionGoal, 'option_goals', 'running', running, DISPLAY),
         ):
@@ -164,19 +151,13 @@ class TeleopNode(NodeBase):
         if isinstance(request, CancelRun):
             self._send_last(request)
             self._answer(request, Answer(RequestStatus.OK, ''))
-        elif not self._is_ready(request):
+        elif not self._client.is_ready(type(request)):
             self._held = request
         elif isinstance(request, ActionGoal):
             self._start(request)
         else:
             sent = self._client.send(request)
             sent.add_done_callback(lambda done: self._answer(request, done.result()))
-
-    def _is_ready(self, request: Request) -> bool:
-        if isinstance(request, ActionGoal):
-            return bool(self._actions[type(request)].server_is_ready())
-        assert not isinstance(request, CancelRun), 'the server of the run is there, or gone'
-        return self._client.is_ready(request)
 
     def _answer(self, request: Request, answer: Answer) -> None:
         self.app.replied(request, answer, time.monotonic())
@@ -190,7 +171,7 @@ class TeleopNode(NodeBase):
             self._world.missing = tuple(
                 node for node, topic in _NEEDED.items() if not self.count_publishers(topic)
             )
-        if self.app.run is not None and not self._is_ready(self.app.run):
+        if self.app.run is not None and not self._client.is_ready(type(self.app.run)):
             self.app.lost_server()
 
     def _send_last(self, request: Request) -> Future | None:
@@ -198,43 +179,36 @@ class TeleopNode(NodeBase):
         if isinstance(request, CancelRun):
             return self._goal.cancel() if self._goal is not None else None
         assert not isinstance(request, ActionGoal), 'a terminal that ends begins nothing'
-        return self._client.send(request) if self._client.is_ready(request) else None
+        return self._client.send(request) if self._client.is_ready(type(request)) else None
 
     def _start(self, run: ActionGoal) -> None:
         """Send the goal of a run; the app receives an answer when it is accepted or rejected."""
-        message = ACTIONS[type(run)].request.encode(run)
-        if isinstance(run, RunOption):
-            message.episode, message.step = self._world.game.episode, self._world.game.step
 
         def on_feedback(feedback: Any) -> None:
             if self.app.run is run:
                 self.app.run_text = _progress_text(feedback)
 
         def on_accepted(done: Future) -> None:
-            if not done.result():
-                text = f'{server(run)} did not take the request.'
-                self._answer(run, Answer(RequestStatus.REFUSED, text))
-            elif self.app.waits_for is not run:  # the app has given up
+            answer: Answer = done.result()
+            if answer.ok and self.app.waits_for is not run:  # the app has given up
                 goal.cancel()
-            else:
-                self._goal = goal
-                self._answer(run, Answer(RequestStatus.OK, ''))
-                goal.result.add_done_callback(on_result)
+                return
+            self._goal = goal if answer.ok else None
+            self._answer(run, answer)
 
         def on_result(done: Future) -> None:
             self._goal, result = None, done.result()
+            if result is None:
+                if self.app.run is run:
+                    self.app.lost_server()
+                return
             if isinstance(result, PlanResult):
                 self._world.uncovered = _uncovered(result)
             self.app.run_ended(run, *result_text(result, self._world.i_drive))
 
-        goal = Goal(self._actions[type(run)], message, on_feedback)
+        goal = self._client.start(run, on_feedback)
         goal.accepted.add_done_callback(on_accepted)
-
-    def _on_restart(self, name: str) -> None:
-        """End the active run if its server was restarted."""
-        if self.app.run is not None and server(self.app.run) == name:
-            self._goal = None
-            self.app.lost_server()
+        goal.result.add_done_callback(on_result)
 
     def _on_action(self, message: ActionCommand) -> None:
         """Keep the options of the two latest actions: one may be pending while one is shown."""
@@ -264,10 +238,6 @@ def published_record(node: NodeBase, path: Path, participant: str) -> OpenRecord
         publisher.publish(StudyEvent(participant=participant, event=line))
 
     return OpenRecord(path, publish)
-
-
-def _summaries(message: LearningStatus) -> list[OptionSummary]:
-    return [summary_from_message(status) for status in message.options]
 
 
 def _uncovered(result: PlanResult) -> list[tuple[str, float]] | None:
