@@ -16,6 +16,7 @@ from .domains.replayed_domain import ReplayedDomain, World
 from .domains.table_domain import TableDomain
 from .games import games_at, new_games
 from .gym_env import DomainEnv
+from .options_env import OptionsEnv
 from .seeding import generator
 
 __all__ = [
@@ -26,6 +27,7 @@ __all__ = [
     'EnumerableDomain',
     'Feature',
     'FeatureKind',
+    'OptionsEnv',
     'Outcome',
     'ReferenceOption',
     'ReplayedDomain',

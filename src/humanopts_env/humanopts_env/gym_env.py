@@ -87,6 +87,14 @@ class DomainEnv(gymnasium.Env[Any, Any]):
             return self.domain.index(state)
         return self.domain.feature_values(state).astype(self.observation_space.dtype)
 
+    def features(self) -> Floats:
+        """
+        Return the current value of every feature of the domain, (F,).
+
+        :raises ResetNeeded: no episode was started.
+        """
+        return self.domain.feature_values(self._state('features'))
+
     def action_mask(self, state: Any) -> Mask:
         """Return (A,): 1 for the actions that can change something."""
         if isinstance(self.domain, HasActionMask):

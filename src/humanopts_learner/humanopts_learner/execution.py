@@ -13,6 +13,7 @@ from typing import Any, Generic, Protocol, Self, TypeVar
 
 from humanopts_env.arrays import Flags, Floats, Ints, Rows
 from humanopts_env.games import Chance, chance_of, Games, Steps
+from humanopts_env.option import runs_end
 from humanopts_learner.option import Option
 import numpy as np
 from numpy.typing import NDArray
@@ -153,7 +154,7 @@ class Execution(Generic[S]):
         self._age += 1
         reached = seen.ends(self.option)
         limits = self._of_option.take(self.option) if self._of_game is None else self._of_game
-        ended = reached | steps.over | cut_off | (self._ran >= limits)
+        ended = runs_end(reached, steps.over | cut_off, self._ran, limits)
         stopped = self.policy.stops(seen, self.option)
         stopped = np.zeros_like(ended) if stopped is None else stopped & ~ended
         at = np.flatnonzero(ended | stopped)

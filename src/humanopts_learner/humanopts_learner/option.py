@@ -5,6 +5,7 @@ from enum import Enum
 from typing import Protocol, runtime_checkable
 
 from humanopts_env.arrays import Flags, Floats, Ints, Rows
+from humanopts_env.option import Option as Option  # the protocol of all options
 import numpy as np
 
 
@@ -13,31 +14,6 @@ class Mode(Enum):
 
     GREEDY = 'greedy'  # most likely action; ends where beta >= 0.5
     SAMPLED = 'sampled'  # random draws
-
-
-class Option(Protocol):
-    """
-    An option, evaluated on rows (N, F) of all features of its domain.
-
-    Learned options, primitive actions, reference options and automatic options implement it.
-    """
-
-    @property
-    def name(self) -> str:
-        """Name, unique among options used together."""
-
-    @property
-    def max_steps(self) -> int:
-        """Maximum number of steps per run, 1 or more."""
-
-    def can_start(self, rows: Rows) -> Flags:
-        """Return (N,): whether each state is in the initiation set I."""
-
-    def action(self, rows: Rows) -> Ints:
-        """Return (N,): the action that pi takes in each state."""
-
-    def ends(self, rows: Rows) -> Flags:
-        """Return (N,): whether the option ends in each state; ignored before the first step."""
 
 
 @runtime_checkable

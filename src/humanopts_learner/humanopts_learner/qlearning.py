@@ -1,5 +1,5 @@
 """
-SMDP Q-learning and intra-option Q-learning, with many learners in parallel.
+SMDP Q-learning and intra-option Q-learning: many learners in parallel, or one in an environment.
 
 R. S. Sutton, D. Precup and S. Singh (1999), "Between MDPs and semi-MDPs". SMDP Q-learning (section
 3.2; "macro Q-learning" for options that cannot be interrupted) updates an option when it ends
@@ -15,9 +15,11 @@ same action, with U(s', o) = Q(s', o) if o continues and max Q(s', .) if it ends
 Intra-option learning ignores the step limits of options, which depend on more than the state.
 """
 
+from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
+from typing import TYPE_CHECKING
 
 from humanopts_env.arrays import Flags, Floats, Ints
 from humanopts_env.domains.base import EnumerableDomain
@@ -27,6 +29,9 @@ from humanopts_learner.execution import draw_among, Execution, Policy, Runs
 from humanopts_learner.options.learned_option import OptionTable, SeenStates
 from humanopts_learner.planning.request import PlanError
 import numpy as np
+
+if TYPE_CHECKING:
+    from humanopts_env.options_env import OptionsEnv
 
 MIN_RATE, MAX_RATE = 0.05, 1.0  # range of candidate learning rates
 MIN_EXPLORE, MAX_EXPLORE = 0.005, 0.3  # range of candidate exploration rates
@@ -231,6 +236,68 @@ def learn_in_step(
         Learning(steps[i:k], returns[i:k], learners.values[i:k, :, : len(group.options.names)])
         for group, i, k in zip(groups, first, first[1:])
     ]
+
+
+@dataclass(frozen=True)
+class Episodes:
+    """Results of E episodes in an environment."""
+
+    steps: Ints  # (E,) primitive steps
+    returns: Floats  # (E,) undiscounted
+    terminated: Flags  # (E,); otherwise truncated
+
+
+@dataclass
+class EnvLearner:
+    """
+    A tabular SMDP Q-learner with options as actions.
+
+    :ivar columns: indices of the features that are its state; continuous ones make no table.
+    :ivar values: (O,) by state, the values of chosen features.
+    """
+
+    env: 'OptionsEnv'
+    columns: Sequence[int]
+    rates: Rates = Rates()
+    values: dict[tuple[float, ...], Floats] = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Initialize all values to 0."""
+        count = len(self.env.option_names)
+        self.values = defaultdict(lambda: np.zeros(count))
+
+    def play(self, episodes: int, seed: int, *, learn: bool) -> Episodes:
+        """
+        Play episodes; with learning epsilon-greedily, else greedily. Ties are broken at random.
+
+        :param seed: also of the resets, so that other seeds begin other episodes.
+        """
+        rng = generator(seed, 'qlearning', 'env')
+        steps, returns = np.zeros(episodes, dtype=np.intp), np.zeros(episodes)
+        terminated = np.zeros(episodes, dtype=np.bool_)
+        for episode in range(episodes):
+            _, info = self.env.reset(seed=int(rng.integers(2**31)))
+            here, over = self._state(), False
+            while not over:
+                known = np.where(info['action_mask'], self.values[here], -np.inf)
+                explores = learn and rng.random() < self.rates.explore
+                among = known > -np.inf if explores else known == known.max()
+                option = int(draw_among(among[None], rng)[0])
+                _, reward, terminated[episode], truncated, info = self.env.step(option)
+                there, over = self._state(), terminated[episode] or truncated
+                if learn:
+                    ahead = self.values[there][info['action_mask'] == 1].max()
+                    goal = reward + info['discount'] * ahead
+                    self.values[here][option] += self.rates.learning_rate * (
+                        goal - self.values[here][option]
+                    )
+                steps[episode] += info['duration']
+                returns[episode] += info['undiscounted']
+                here = there
+        return Episodes(steps, returns, terminated)
+
+    def _state(self) -> tuple[float, ...]:
+        return tuple(self.env.features()[list(self.columns)].tolist())
 
 
 def drawn_rates(seed: int, count: int) -> list[Rates]:

@@ -1,0 +1,162 @@
+"""Options as the actions of a Gymnasium environment, for learners of any library."""
+
+from collections.abc import Callable, Sequence
+from copy import deepcopy
+from typing import Any
+
+import gymnasium
+from gymnasium.utils import RecordConstructorArgs
+from humanopts_env.arrays import Flags, Floats
+from humanopts_env.domains.base import Domain, DomainError
+from humanopts_env.domains.names import GYMNASIUM
+from humanopts_env.domains.registry import make_domain
+from humanopts_env.gym_env import DomainEnv
+from humanopts_env.option import Option, runs_end
+import numpy as np
+
+MAX_REFUSALS = 100  # in an episode
+REFUSED = 'refused'
+
+
+class OptionsEnv(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
+    """
+    An environment in which an action runs an option to its end (a semi-Markov decision process).
+
+    The reward of a run of k steps is its discounted return, the sum of gamma**i * r[i]. An option
+    that cannot start is refused and takes no step. An episode that is over or truncated ends the
+    run. It is also truncated where no option can start, and after 100 refusals.
+
+    ``info`` has, besides that of the last step:
+
+    ==================  ======================================================================
+    ``duration``        k, the number of primitive steps; 0: refused
+    ``discount``        gamma**k, the weight of the value of the next state; 0 if terminated
+    ``undiscounted``    the sum of the rewards
+    ``option_end``      ``reached`` (the termination condition holds), ``terminated``,
+                        ``truncated``, ``max_steps`` or ``refused``
+    ``action_mask``     (O,) 1 for the options that can start, for ``action_space.sample(mask)``
+    ==================  ======================================================================
+
+    After ``reset``, ``info`` has ``action_mask`` alone of these.
+
+    :ivar gamma: discount per primitive step.
+    :ivar option_names: (O,) of the options, and of the primitive actions as ``action:NAME``.
+    """
+
+    def __init__(
+        self,
+        env: gymnasium.Env[Any, Any],
+        options: Sequence[Option],
+        primitives: bool = False,
+        gamma: float | None = None,
+    ) -> None:
+        """
+        Replace the actions by options.
+
+        :param options: options of the domain of the environment, such as learned ones; action n
+            runs the n-th.
+        :param primitives: whether the primitive actions follow the options as further actions.
+        :param gamma: discount per primitive step; None: that of the domain.
+        :raises DomainError: the primitive actions are not ``Discrete``, or there are no actions.
+        """
+        RecordConstructorArgs.__init__(
+            self, options=options, primitives=primitives, gamma=gamma, _disable_deepcopy=True
+        )
+        super().__init__(env)
+        if not isinstance(env.action_space, gymnasium.spaces.Discrete):
+            raise DomainError(f'options choose among numbered actions, not {env.action_space}')
+        domain, self._feature_values = _features_of(env)
+        self.gamma = domain.gamma if gamma is None else gamma
+        self._options = tuple(options)
+        self._first_action = int(env.action_space.start)
+        actions = [f'action:{action.name}' for action in domain.actions] if primitives else []
+        self.option_names = (*(option.name for option in options), *actions)
+        if not self.option_names:
+            raise DomainError('there are no options, and the primitive actions are left out')
+        self.action_space = gymnasium.spaces.Discrete(len(self.option_names))
+
+    def features(self) -> Floats:
+        """Return the current value of every feature, (F,): what the options depend on."""
+        return self._feature_values()
+
+    def action_masks(self) -> Flags:
+        """
+        Return (O,): whether each option can start; all True if none can.
+
+        The name is that of sb3-contrib. Where no option can start the episode is over, and a mask
+        must leave a choice.
+        """
+        mask = self._startable()
+        return mask if mask.any() else ~mask
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Start an episode."""
+        observation, info = self.env.reset(seed=seed, options=options)
+        self._observation, self._refusals = deepcopy(observation), 0
+        return observation, {**info, 'action_mask': self.action_masks().astype(np.int8)}
+
+    def step(self, action: int) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """Run an option to its end."""
+        before = self._startable()
+        if not before[action]:
+            self._refusals += 1
+            given_up = self._refusals >= MAX_REFUSALS or not before.any()
+            refusal = self._info(REFUSED, 0, 0.0, terminated=False)
+            return deepcopy(self._observation), 0.0, False, given_up, refusal
+        option = self._options[action] if action < len(self._options) else None
+        primitive = self._first_action + int(action) - len(self._options)
+        steps, discounted, undiscounted, ended = 0, 0.0, 0.0, False
+        while not ended:
+            taken = primitive
+            if option is not None:
+                taken = self._first_action + int(option.action(self.features()[None])[0])
+            observation, reward, terminated, truncated, info = self.env.step(taken)
+            discounted += self.gamma**steps * float(reward)
+            undiscounted += float(reward)
+            steps += 1
+            reached, ended = True, True
+            if option is not None:
+                ends = option.ends(self.features()[None])
+                reached = bool(ends[0])
+                ended = bool(runs_end(ends, terminated or truncated, steps, option.max_steps)[0])
+        ends_by = {'reached': reached, 'terminated': terminated, 'truncated': truncated}
+        end = next((name for name, holds in ends_by.items() if holds), 'max_steps')
+        self._observation = deepcopy(observation)
+        stuck = not terminated and not self._startable().any()
+        info = {**info, **self._info(end, steps, undiscounted, terminated=terminated)}
+        return observation, discounted, terminated, truncated or stuck, info
+
+    def _startable(self) -> Flags:
+        row, mask = self.features()[None], np.ones(len(self.option_names), dtype=np.bool_)
+        for number, option in enumerate(self._options):
+            mask[number] = option.can_start(row)[0]
+        return mask
+
+    def _info(
+        self, end: str, steps: int, undiscounted: float, *, terminated: bool
+    ) -> dict[str, Any]:
+        return {
+            'duration': steps,
+            'discount': 0.0 if terminated else self.gamma**steps,
+            'undiscounted': undiscounted,
+            'option_end': end,
+            'action_mask': self.action_masks().astype(np.int8),
+        }
+
+
+def _features_of(env: gymnasium.Env[Any, Any]) -> tuple[Domain, Callable[[], Floats]]:
+    """
+    Return the domain of an environment, and a function that returns its current features, (F,).
+
+    :raises DomainError: the environment was not made by ``gymnasium.make``, or cannot be a domain.
+    """
+    inner: Any = env.unwrapped
+    if isinstance(inner, DomainEnv):
+        return inner.domain, inner.features
+    if env.spec is None:
+        raise DomainError(f'{inner} has no id: make it with gymnasium.make')
+    arguments = {name: value for name, value in env.spec.kwargs.items() if name != 'render_mode'}
+    domain = make_domain(f'{GYMNASIUM}{env.spec.id}', arguments)
+    return domain, lambda: domain.feature_values(inner.s)
