@@ -37,11 +37,8 @@ def main() -> None:
         learner = EnvLearner(env, columns)
         for first in range(0, given.episodes, 10):
             played = learner.play(10, given.seed + first, learn=True)
-            steps = played.steps.mean()
-            solved = int(played.terminated.sum())
-            print(
-                f'episodes {first + 1} to {first + 10}: {solved} of 10 solved, {steps:.0f} steps'
-            )
+            solved, steps = played.terminated.sum(), played.steps.mean()
+            print(f'after {first + 10} episodes: {solved} of 10 solved in {steps:.0f} steps')
 
 
 if __name__ == '__main__':
