@@ -6,12 +6,14 @@ loop around it: rollouts, held-out returns, accuracy, start states and evaluatio
 different options and policies.
 """
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any, Generic, Protocol, Self, TypeVar
 
 from humanopts_env.arrays import Flags, Floats, Ints, Rows
+from humanopts_env.domains.base import ActableDomain, FeatureKind
 from humanopts_env.games import Chance, chance_of, Games, Steps
 from humanopts_env.option import runs_end
 from humanopts_learner.option import Option
@@ -19,6 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 NONE = -1  # no option running: a choice is due
+RANDOM_MOVES = 3  # maximum number of random moves when a run repeats itself; minimum: 1
+REPEATED = 2  # a run repeats itself at this multiple of the visits in a demonstration
+RESOLUTION = 1000  # equal intervals of a continuous feature; values in one count as equal
 
 
 class Seen(Protocol):
@@ -81,6 +86,93 @@ class Fixed(Policy[Seen]):
         return self.option.take(games)
 
 
+def looks_of(rows: Rows, domain: ActableDomain) -> list[bytes]:
+    """Return one key per row (N, F); rows that look the same have equal keys."""
+    continuous = [feature.kind is FeatureKind.CONTINUOUS for feature in domain.features]
+    spans = [feature.span for feature in domain.features]
+    scale = np.where(continuous, RESOLUTION / np.array(spans), 1.0)
+    return [row.tobytes() for row in np.floor(rows * scale).astype(np.int64)]
+
+
+class Loops:
+    """
+    Detects runs that repeat themselves, and breaks them by random moves.
+
+    Features need not determine the state: they stay the same on a walk across an open field, and
+    they come again where chance pushes back. So a run repeats itself where its features look the
+    same more often than in any demonstration of its option, by the factor ``REPEATED``. It then
+    takes one to ``RANDOM_MOVES`` random moves, and continues.
+    """
+
+    def __init__(
+        self,
+        domain: ActableDomain,
+        most_visits: Ints,
+        count: int,
+        rng: np.random.Generator | None,
+    ) -> None:
+        """
+        Start without runs.
+
+        :param most_visits: (O,) how often the features look the same in a demonstration of each
+            option; 0: its runs never count as repeating themselves.
+        :param count: number of games, N.
+        :param rng: generator of the random moves; None: runs that repeat themselves end.
+        """
+        self._domain, self._rng = domain, rng
+        self._most = REPEATED * most_visits
+        self._visits: list[Counter[bytes]] = [Counter() for _ in range(count)]
+        self._left = np.zeros(count, dtype=np.intp)
+        self.moves = np.zeros(count, dtype=np.intp)  # (N,) random moves of the newest run
+        self.stuck = np.full(count, NONE)  # (N,) its length when it first repeated itself, or NONE
+
+    def begin(self, games: Ints) -> None:
+        """Forget the runs of some games (M,), which begin new ones."""
+        self.moves[games] = self._left[games] = 0
+        self.stuck[games] = NONE
+        for game in games.tolist():
+            self._visits[game].clear()
+
+    def act(self, actions: Ints) -> Ints:
+        """Return the actions (N,), with random ones in games that repeat themselves."""
+        moved = self._left > 0
+        if self._rng is None or not moved.any():
+            return actions
+        self.moves += moved
+        self._left -= moved
+        drawn = self._rng.integers(len(self._domain.actions), size=len(actions))
+        return np.where(moved, drawn, actions)
+
+    def observe(self, rows: Rows, option: Ints, ran: Ints) -> Flags:
+        """
+        Count the visits after a step.
+
+        :param rows: (N, F) features.
+        :param option: (N,) running options.
+        :param ran: (N,) lengths of the runs.
+        :return: (N,) whether a run repeats itself and so ends here.
+        """
+        most, found = self._most.take(option), np.zeros(len(rows), dtype=np.bool_)
+        at = np.flatnonzero((self._left == 0) & (most > 0))
+        for game, look in zip(at.tolist(), looks_of(rows.take(at, axis=0), self._domain)):
+            visits = self._visits[game]
+            visits[look] += 1
+            if visits[look] >= most[game]:
+                found[game] = True
+                visits.clear()
+        self.stuck = np.where(found & (self.stuck == NONE), ran, self.stuck)
+        if self._rng is None:
+            return found
+        self._left[found] = self._rng.integers(1, RANDOM_MOVES + 1, found.sum())
+        return np.zeros_like(found)
+
+    def keep(self, chosen: Ints) -> None:
+        """Keep only the selected games (M,)."""
+        self._left, self.moves = self._left.take(chosen), self.moves.take(chosen)
+        self.stuck = self.stuck.take(chosen)
+        self._visits = [self._visits[game] for game in chosen.tolist()]
+
+
 @dataclass(frozen=True)
 class Runs:
     """R runs of options in N games, in order of completion."""
@@ -94,6 +186,8 @@ class Runs:
     reached: Flags  # (R,) the termination condition holds
     over: Flags  # (R,) the task is over
     stopped: Flags  # (R,) the policy stopped it
+    random_moves: Ints  # (R,) taken because the run repeated itself
+    stuck: Ints  # (R,) game step at which it first repeated itself; ``NONE``: it did not
 
 
 class Execution(Generic[S]):
@@ -101,10 +195,12 @@ class Execution(Generic[S]):
     Runs one option at a time in each of N games.
 
     A run ends when the termination condition holds, which is checked only after a step; when the
-    task is over; after ``max_steps``; or when the policy stops it.
+    task is over; after ``max_steps``; or when the policy stops it. A run that repeats itself takes
+    random moves, or ends, if ``Loops`` are given.
 
     :ivar games: (N,) game numbers.
     :ivar option: (N,) indices of the running options; ``NONE``: a choice is due.
+    :ivar loops: what happens to runs that repeat themselves; None: nothing.
     :ivar decided: (M,) indices among the N games of the latest choices.
     :ivar total: (N,) sum of r[i] of the newest run of each game.
     :ivar discounted: (N,) sum of gamma**i * r[i] of the newest run of each game.
@@ -117,6 +213,7 @@ class Execution(Generic[S]):
         count: int,
         gamma: float = 1.0,
         limits: Ints | None = None,
+        loops: Loops | None = None,
     ) -> None:
         """
         Start with no option running.
@@ -124,8 +221,9 @@ class Execution(Generic[S]):
         :param count: number of games, N.
         :param gamma: discount per primitive step.
         :param limits: (N,) maximum number of steps per run in each game; None: the options' own.
+        :param loops: see the attribute.
         """
-        self.policy, self._gamma = policy, gamma
+        self.policy, self._gamma, self.loops = policy, gamma, loops
         self._of_option, self._of_game = options.limits, limits
         self.games = self.decided = np.arange(count)
         self.option = np.full(count, NONE, dtype=np.intp)
@@ -139,14 +237,20 @@ class Execution(Generic[S]):
             among = seen if len(due) == len(self.option) else seen.take(due)
             self.option[due] = self.policy.choose(among, self.games.take(due))
             self._ran[due], self.total[due], self.discounted[due] = 0, 0.0, 0.0
-        return seen.action(self.option)
+            if self.loops is not None:
+                self.loops.begin(due)
+        actions = seen.action(self.option)
+        return actions if self.loops is None else self.loops.act(actions)
 
-    def observe(self, seen: S, steps: Steps, cut_off: Flags | bool = False) -> Runs:
+    def observe(
+        self, seen: S, steps: Steps, cut_off: Flags | bool = False, rows: Rows | None = None
+    ) -> Runs:
         """
         Record the outcome of the actions, and return the runs that ended.
 
         :param seen: observation after the step.
         :param cut_off: (N,) whether each game ends here for another reason.
+        :param rows: (N, F) features after the step; needed with ``Loops``.
         """
         self.total += steps.reward
         self.discounted += self._gamma**self._ran * steps.reward
@@ -157,6 +261,12 @@ class Execution(Generic[S]):
         ended = runs_end(reached, steps.over | cut_off, self._ran, limits)
         stopped = self.policy.stops(seen, self.option)
         stopped = np.zeros_like(ended) if stopped is None else stopped & ~ended
+        moves, stuck = np.zeros_like(self._ran), np.full_like(self._ran, NONE)
+        if self.loops is not None:
+            assert rows is not None
+            ended = ended | self.loops.observe(rows, self.option, self._ran)
+            moves, stuck = self.loops.moves, self.loops.stuck
+            stuck = np.where(stuck == NONE, NONE, self._age - self._ran + stuck)
         at = np.flatnonzero(ended | stopped)
         runs = Runs(
             self.games.take(at),
@@ -168,6 +278,8 @@ class Execution(Generic[S]):
             reached.take(at),
             steps.over.take(at),
             stopped.take(at),
+            moves.take(at),
+            stuck.take(at),
         )
         self.option[at] = NONE
         return runs
@@ -180,6 +292,8 @@ class Execution(Generic[S]):
         self.discounted = self.discounted.take(chosen)
         if self._of_game is not None:
             self._of_game = self._of_game.take(chosen)
+        if self.loops is not None:
+            self.loops.keep(chosen)
 
 
 @dataclass(frozen=True)
@@ -209,6 +323,7 @@ def play(
     gamma: float = 1.0,
     limits: Ints | None = None,
     once: bool = False,
+    loops: Loops | None = None,
     on_step: Callable[[int, Execution[S], S], object] | None = None,
 ) -> Played:
     """
@@ -220,11 +335,12 @@ def play(
     :param gamma: discount per primitive step.
     :param limits: (N,) maximum number of steps per run in each game; None: the options' own.
     :param once: end each game with its first run.
+    :param loops: what happens to runs that repeat themselves; None: nothing.
     :param on_step: called in every step, after the choices, with the step number; its exceptions
         propagate.
     """
     outcomes = {name: values.copy() for name, values in games.outcomes().items()}
-    execution, parts = Execution(options, policy, len(games), gamma, limits), []
+    execution, parts = Execution(options, policy, len(games), gamma, limits, loops), []
     done = games.over()
     over = done.copy()
     seen = options.see(games)
@@ -242,7 +358,8 @@ def play(
             on_step(step, execution, seen)
         steps = games.step(actions, chance)
         seen = options.see(games)
-        parts.append(execution.observe(seen, steps, step + 1 == max_steps))
+        rows = games.features() if loops is not None else None
+        parts.append(execution.observe(seen, steps, step + 1 == max_steps, rows))
         over[execution.games] = steps.over
         done = steps.over | (execution.option == NONE) if once else steps.over
     for name, values in games.outcomes().items():

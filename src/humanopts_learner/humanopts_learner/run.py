@@ -18,7 +18,7 @@ from humanopts_env.games import Steps
 from humanopts_learner.execution import Execution, Fixed, RowOptions, SeenRows
 from humanopts_learner.library import RunnableOption
 from humanopts_learner.option import DrawnOption, Option
-from humanopts_learner.options.learned_option import LearnedOption
+from humanopts_learner.options.learned_option import LearnedOption, loops_of
 from humanopts_learner.options.rollout import is_deterministic
 from humanopts_learner.planning.action_set import ActionSet
 from humanopts_learner.planning.interruption import arbitrate, interruptions, OptionValues
@@ -72,6 +72,7 @@ class RunResult:
     episode: int = 0
     first_step: int = 0
     step_count: int = 0  # k
+    random_moves: int = 0  # taken because the run repeated itself
     total_reward: float = 0.0  # sum of r[i], i = 0..k-1
     discounted_return: float = 0.0  # sum of gamma**i * r[i]
     final_state: str = ''  # in the domain's notation
@@ -196,6 +197,7 @@ class Run:
         *,
         arbiter: Arbiter | None = None,
         rng: np.random.Generator | None = None,
+        unstick: np.random.Generator | None = None,
     ) -> None:
         """
         Begin in a state of the game.
@@ -205,6 +207,8 @@ class Run:
         :param max_steps: maximum number of steps; 0: the option's limit, or the domain's for
             modules.
         :param rng: generator for sampled decisions; None: decisions are greedy.
+        :param unstick: generator of random moves where a run of the option repeats itself; None:
+            it takes none, and neither do modules or sampled decisions.
         :raises RefusedError: it cannot run from here, or modules would have no step limit.
         """
         self.name = '' if option is None else option.name
@@ -220,7 +224,9 @@ class Run:
             assert arbiter is not None
             option = arbiter.modules[0]
         self.acting = option
-        self._execution = Execution(RowOptions([self]), Fixed(_ONE), 1, domain.gamma)
+        checked = unstick is not None and rng is None and not self._modular
+        loops = loops_of(domain, [option], 1, unstick) if checked else None
+        self._execution = Execution(RowOptions([self]), Fixed(_ONE), 1, domain.gamma, loops=loops)
         self._acted: Counter[str] = Counter()
         self._terminated = self._truncated = False
         self._path: list[Any] = []  # states in which the run acted
@@ -242,6 +248,12 @@ class Run:
     def step_count(self) -> int:
         """Number of steps taken so far."""
         return len(self._path)
+
+    @property
+    def random_moves(self) -> int:
+        """Number of random moves so far, because the run repeated itself."""
+        loops = self._execution.loops
+        return 0 if loops is None else int(loops.moves[0])
 
     @property
     def total_reward(self) -> float:
@@ -278,7 +290,8 @@ class Run:
         self.state, self._terminated, self._truncated = state, terminated, truncated
         self._acted[self.acting.name] += 1
         steps = Steps(np.array([reward]), np.array([terminated]))
-        ended = self._execution.observe(self._seen(), steps, truncated)
+        seen = self._seen()
+        ended = self._execution.observe(seen, steps, truncated, seen.rows)
         if ended.reached.any():
             return self.end(RunStatus.REACHED)
         if terminated or truncated:
@@ -305,6 +318,7 @@ class Run:
             episode=self._position[0],
             first_step=self._position[1],
             step_count=self.step_count,
+            random_moves=self.random_moves,
             total_reward=self.total_reward,
             discounted_return=float(self._execution.discounted[0]),
             final_state=self.domain.encode(self.state),

@@ -136,6 +136,7 @@ class PlanSummary:
     mean_return_high: float = math.nan
     mean_discounted_return: float = math.nan
     fallbacks: int = 0  # primitive actions taken because no option could start
+    random_moves: int = 0  # taken because an option repeated itself
     outcomes: Mapping[str, Interval] = field(default_factory=dict)  # reported by the domain
 
 

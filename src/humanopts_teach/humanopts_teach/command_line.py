@@ -182,6 +182,14 @@ class LaunchOptions:
         int,
         option('N', 'largest number of start states shown per option', whole(1)),
     ] = BUDGET
+    unstick: Annotated[
+        bool,
+        flag(
+            ' /--no-unstick',
+            'no random moves when an option repeats itself; without this, it then takes one to '
+            'three, in worlds that are restored by replay',
+        ),
+    ] = True
     return_delta: Annotated[
         float | None,
         option(

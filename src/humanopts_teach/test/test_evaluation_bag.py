@@ -356,7 +356,7 @@ def test_a_difference_names_what_differs_and_both_values(
 ) -> None:
     offline = evaluate(taxi_lesson, taxi, EvaluationSettings(seed=3))
     options, plans = offline.option_table, offline.plan_table
-    live = Live(options, plans, PlayedEpisodes(1, 1, 0, -10.0))
+    live = Live(options, plans, PlayedEpisodes(1, 1, 0, 0, -10.0))
     assert differences(live, offline) == []
     slower = plans.assign(model_seconds=plans['model_seconds'] + 1.0)
     assert differences(replace(live, plans=slower), offline) == []

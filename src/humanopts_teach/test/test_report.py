@@ -87,7 +87,7 @@ def undrawn(evaluation: BagEvaluation) -> BagEvaluation:
 @pytest.fixture(scope='module')
 def data(evaluation: BagEvaluation) -> ReportData:
     """Everything that a report can show."""
-    played = PlayedEpisodes(100, 100, 0, -11.375)
+    played = PlayedEpisodes(100, 100, 0, 0, -11.375)
     live = Live(evaluation.option_table, evaluation.plan_table, played)
     return ReportData('Taxi, taught', evaluation, live, FRAMES, TOPICS, {'bag': 'demo/bag'})
 

@@ -44,6 +44,8 @@ def option_to_json(option: LearnedOption, demonstrations: Sequence[Demonstration
     values = {field.name: getattr(option, field.name) for field in fields(option)}
     if option.method == TREES:
         del values['method'], values['policy_encoding']
+    if not option.most_visits:
+        del values['most_visits']
     values['domain_parameters'] = json.loads(option.domain_parameters)
     values |= {part: _tree_data(values.pop(part)) for part in PARTS}
     for key in ('encoding', 'policy_encoding'):

@@ -7,6 +7,7 @@ positive in end states and in "not here" states, because an option may continue 
 start (Sutton, Precup and Singh 1999, section 2), and negative in the other states of a trajectory.
 """
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -15,6 +16,7 @@ from itertools import compress
 from humanopts_env.arrays import Flags, Rows
 from humanopts_env.domains.base import ActableDomain, action_index, is_enumerable
 from humanopts_env.domains.registry import parameters_json
+from humanopts_env.domains.replayed_domain import ReplayedDomain
 from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import (
     Demonstration,
@@ -23,6 +25,7 @@ from humanopts_learner.demonstrations import (
     Kind,
     TREES,
 )
+from humanopts_learner.execution import looks_of
 from humanopts_learner.options.decision_tree import (
     encode_rows,
     EncodedFeature,
@@ -196,8 +199,16 @@ def fit_option(data: Dataset, domain: ActableDomain, seed: int) -> LearnedOption
         n_not_here=len(data.demonstrations) - trajectories,
         max_steps=domain.max_steps or MAX_STEPS,
         uuids=tuple(demo.uuid for demo in data.demonstrations),
+        most_visits=_most_visits(data, domain) if isinstance(domain, ReplayedDomain) else 0,
     )
     return option if data.method == TREES else _with_planned_policy(option, data, domain)
+
+
+def _most_visits(data: Dataset, domain: ActableDomain) -> int:
+    """Return how often the features look the same in any one demonstration."""
+    return max(
+        max(Counter(looks_of(demo.feature_rows, domain)).values()) for demo in data.trajectories
+    )
 
 
 def _with_planned_policy(

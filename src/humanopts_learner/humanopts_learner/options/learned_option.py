@@ -11,7 +11,7 @@ from humanopts_env.domains.reference import ReferenceOption, TabularReferenceOpt
 from humanopts_env.domains.registry import parameters_json
 from humanopts_env.games import Games, TableGames
 from humanopts_learner.demonstrations import Count, METHODS, Text, TREES
-from humanopts_learner.execution import draw_among
+from humanopts_learner.execution import draw_among, Loops
 from humanopts_learner.option import Option
 from humanopts_learner.options.decision_tree import (
     encode_rows,
@@ -63,6 +63,7 @@ class LearnedOption:
     uuids: tuple[Text, ...]  # training demonstrations and "not here" answers
     method: Text = TREES  # learning method, one of METHODS
     policy_encoding: tuple[EncodedFeature, ...] = ()  # for the policy; empty: as for I and beta
+    most_visits: Count = 0  # to rows that look the same in a demonstration; 0: see ``Loops``
 
     def __post_init__(self) -> None:
         """Check that the trees fit the actions and the features."""
@@ -137,6 +138,26 @@ class LearnedOption:
     def ends(self, rows: Rows) -> Flags:
         """Return (N,): whether the option ends in each state; ignored before its first step."""
         return self.termination_probability(rows) >= HALF
+
+
+def loops_of(
+    domain: ActableDomain,
+    options: Sequence[Option],
+    count: int,
+    rng: np.random.Generator | None,
+    n_actions: int = 0,
+) -> Loops | None:
+    """
+    Return what happens to runs of options that repeat themselves.
+
+    :param options: options by index.
+    :param count: number of games.
+    :param rng: as in ``Loops``.
+    :param n_actions: number of primitive actions, which follow the options.
+    :return: None: no option was taught in a domain in which runs are checked.
+    """
+    most = [each.most_visits if isinstance(each, LearnedOption) else 0 for each in options]
+    return Loops(domain, np.array(most + [0] * n_actions), count, rng) if any(most) else None
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,9 +14,9 @@ from humanopts_env.domains.base import Domain
 from humanopts_env.domains.capabilities import HasPrimitiveColumns
 from humanopts_env.games import Games, games_at
 from humanopts_learner.demonstrations import PRIMITIVE_PREFIX
-from humanopts_learner.execution import draw_among, Policy
+from humanopts_learner.execution import draw_among, Loops, Policy
 from humanopts_learner.option import Option, StochasticOption
-from humanopts_learner.options.learned_option import SeenStates
+from humanopts_learner.options.learned_option import loops_of, SeenStates
 from humanopts_learner.planning.abstraction import Abstraction, Codes
 from humanopts_learner.planning.request import OPTIONS_ONLY, PRIMITIVE
 import numpy as np
@@ -139,6 +139,10 @@ class ActionSet:
         if at.size:
             fallback[at] = n_options + self._fallback(rows[at], wanted[at])
         return Observation(states, startable, wanted, ending, fallback, n_options)
+
+    def loops(self, count: int, rng: np.random.Generator) -> Loops | None:
+        """Return what happens to runs that repeat themselves, in N games; see ``loops_of``."""
+        return loops_of(self.domain, self.options, count, rng, self.n_actions)
 
     @property
     def modelled(self) -> tuple[str, ...]:

@@ -60,6 +60,7 @@ class Returns:
     successes: Flags  # (E,) task completed, not cut off
     decisions: Ints  # (E,) number of options begun
     fallbacks: Ints  # (E,) primitive actions taken because no option could start
+    random_moves: Ints  # (E,) taken because an option repeated itself
     outcomes: Mapping[str, NDArray[Any]] = field(default_factory=dict)
     """(E,) each: other results that the domain reports of its games; exact: none."""
 
@@ -68,9 +69,10 @@ class Returns:
         """Return the results of episodes; ``first_fallback`` as in ``PolicyPlan``."""
         runs, by_game = played.runs, played.by_game
         ones = np.ones(len(runs.game))
-        steps, decisions, fallbacks = (
+        fallback = runs.option >= first_fallback
+        steps, decisions, fallbacks, random_moves = (
             by_game(values).astype(np.intp)
-            for values in (runs.steps, ones, runs.option >= first_fallback)
+            for values in (runs.steps, ones, fallback, runs.random_moves)
         )
         return cls(
             total=by_game(runs.total),
@@ -79,6 +81,7 @@ class Returns:
             successes=played.over,
             decisions=decisions,
             fallbacks=fallbacks,
+            random_moves=random_moves,
             outcomes=played.outcomes,
         )
 

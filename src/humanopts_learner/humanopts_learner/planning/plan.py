@@ -93,6 +93,7 @@ class Performance:
     discounted: Interval
     decisions: int  # number of options begun
     fallbacks: int  # primitive actions among them, because no option could start
+    random_moves: int  # because an option repeated itself
     outcomes: Mapping[str, Interval]  # other results reported by the domain; exact: none
     totals: Floats = field(compare=False, repr=False)  # (E,) undiscounted return per episode
 
@@ -123,6 +124,7 @@ def judge_plan(
         discounted=Interval.of(returns.discounted),
         decisions=int(returns.decisions.sum()),
         fallbacks=int(returns.fallbacks.sum()),
+        random_moves=int(returns.random_moves.sum()),
         outcomes={name: Interval.of(values) for name, values in returns.outcomes.items()},
         totals=returns.total,
     )
@@ -158,5 +160,6 @@ def summarise_plan(plan: AnyPlan, judged: Performance | None = None) -> PlanSumm
         mean_return_high=judged.total.high,
         mean_discounted_return=judged.discounted.mean,
         fallbacks=judged.fallbacks,
+        random_moves=judged.random_moves,
         outcomes=judged.outcomes,
     )

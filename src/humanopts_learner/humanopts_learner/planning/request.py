@@ -128,6 +128,7 @@ class PlanRequest:
     seed: int = 0  # of the samples
     sampling: Sampling = Sampling()
     columns: tuple[str, ...] = ()  # of sampled abstract states, as in ``Abstraction``
+    unstick: bool = True  # whether sampled runs that repeat themselves take random moves
     execution: Arbitration = Arbitration.RUN_TO_END
     """
     How the policy so far is executed while sampling, from the second round on. Where options are

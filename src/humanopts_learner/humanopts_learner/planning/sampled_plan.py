@@ -164,6 +164,7 @@ class SampledPlan(PolicyPlan):
 
     actions: ActionSet
     policy: GreedyPolicy  # executed as while sampling
+    unstick: bool  # whether runs that repeat themselves take random moves
 
     def _best(self, state: Any) -> int:
         return int(self.policy.best(self.actions.observe_state(state))[0])
@@ -182,7 +183,8 @@ class SampledPlan(PolicyPlan):
         :param progress: called with the stage evaluation.
         """
         policy = replace(self.policy, execution=execution or self.policy.execution)
-        return play_games(self.actions, policy, self.gamma, seed, episodes, progress)
+        parts = self.actions, policy, self.gamma, seed, episodes, progress
+        return play_games(*parts, unstick=self.unstick)
 
 
 def play_games(
@@ -192,12 +194,15 @@ def play_games(
     seed: int,
     episodes: int,
     progress: Progress = ignore_progress,
+    *,
+    unstick: bool = True,
 ) -> Returns:
     """
     Play games from the start of the task by a policy.
 
     :param episodes: number of episodes, E; the random draws of each depend on E.
     :param progress: called with the stage evaluation; its exceptions propagate.
+    :param unstick: whether runs that repeat themselves take random moves.
     :raises PlanError: the domain has no step limit, or ``episodes`` is below 1.
     """
     domain = actions.domain
@@ -210,7 +215,8 @@ def play_games(
         progress('evaluation', step / limit, 0, math.nan)
 
     games = new_games(domain, episodes, rng)
-    played = play(games, actions, policy, rng, limit, gamma=gamma, on_step=on_step)
+    loops = actions.loops(episodes, generator(seed, 'random moves')) if unstick else None
+    played = play(games, actions, policy, rng, limit, gamma=gamma, loops=loops, on_step=on_step)
     return Returns.of(played, gamma, actions.first_fallback)
 
 
@@ -233,7 +239,7 @@ def make_sampled_plan(
     counts = SampleCounts(actions.modelled, n_choices)
     rng = generator(asked.seed, 'sampled_plan', asked.action_set)
     n_games = min(config.n_games, asked.game_steps // config.game_steps)
-    sampler = Sampler(actions, counts, n_games, asked.gamma, rng)
+    sampler = Sampler(actions, counts, n_games, asked.gamma, rng, asked.unstick)
     part = asked.game_steps // config.rounds
     policy: Policy[Observation] = AnyOption(rng)
     game_steps, model_seconds, sweep_seconds = 0, 0.0, 0.0
@@ -275,6 +281,7 @@ def make_sampled_plan(
         actions=actions,
         solution=replace(found, values=found.values[order], best=found.best[order]),
         policy=greedy,
+        unstick=asked.unstick,
         game_steps=game_steps,
         model_seconds=model_seconds,
         sweep_seconds=sweep_seconds,

@@ -139,8 +139,14 @@ class Sampler:
         n_games: int,
         gamma: float,
         rng: np.random.Generator,
+        unstick: bool = False,
     ) -> None:
-        """Begin games at the start of the task."""
+        """
+        Begin games at the start of the task.
+
+        :param unstick: whether runs that repeat themselves take random moves.
+        """
+        self._unstick = unstick
         self._actions, self._counts, self._gamma, self._rng = actions, counts, gamma, rng
         self._limit = actions.domain.max_steps or np.iinfo(np.intp).max
         self._games = new_games(actions.domain, n_games, rng)
@@ -160,7 +166,8 @@ class Sampler:
         n_games = len(self._age)
         left, done = steps // n_games, 0
         while left:
-            execution, recorded = Execution(self._actions, policy, n_games), []
+            loops = self._actions.loops(n_games, self._rng) if self._unstick else None
+            execution, recorded = Execution(self._actions, policy, n_games, loops=loops), []
             for _ in range(min(left, max(BLOCK // n_games, 1))):
                 recorded.append(self._step(execution))
                 done += n_games
@@ -187,7 +194,8 @@ class Sampler:
             self._games.reset(np.flatnonzero(last), self._rng)
             self._age[last] = 0
         self._seen = self._actions.see(self._games)
-        execution.observe(self._seen, steps, cut_off)
+        rows = None if execution.loops is None else self._games.features()
+        execution.observe(self._seen, steps, cut_off, rows)
         model = np.where(inside, option, option + fallback)
         # The successor is irrelevant if a game is over.
         after, ended = (left or self._seen).states, execution.option == NONE

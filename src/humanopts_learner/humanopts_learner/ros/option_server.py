@@ -57,10 +57,16 @@ class OptionServerNode(NodeBase):
             PATIENCE,
             on_change=self._on_deadline,
         )
+        unstick = self.setting(
+            'unstick',
+            True,
+            'whether a run that repeats itself takes one to three random moves, in a world that '
+            'is restored by replay',
+        )
         self._options: dict[str, list[LearnedOption]] = {}  # by topic
         self._results = self.stamped_publisher(OptionResult, 'option_results')
         game = GameSubscriber(self, self._on_domain)
-        self._runner = Runner(self, game, Mode(mode), seed, deadline)
+        self._runner = Runner(self, game, Mode(mode), seed, deadline, unstick=unstick)
         for topic in (_LEARNED, 'automatic_options'):
             OptionSubscriber(self, topic, partial(self._on_options, topic))
         group = ReentrantCallbackGroup()

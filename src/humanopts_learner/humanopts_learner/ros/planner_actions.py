@@ -66,6 +66,7 @@ class MadePlan:
 class PlannerState:
     """The state of the planner; lists of options are replaced, never modified."""
 
+    unstick: bool = True  # as in ``PlanRequest``
     domain: ActableDomain | None = None
     taught: list[LearnedOption] = field(default_factory=list)
     taught_sequence: int = 0  # of the message that completed the options
@@ -217,7 +218,8 @@ class PlanServer(GoalServer):
         known = state.options(goal.action_set)
         options = select_options(known, goal.action_set, goal.participant, goal.options)
         numbers = goal.gamma, goal.tolerance, goal.max_sweeps, goal.game_steps, goal.seed
-        request = PlanRequest(goal.action_set, *numbers).in_force(domain, options)
+        request = PlanRequest(goal.action_set, *numbers, unstick=state.unstick)
+        request = request.in_force(domain, options)
         result.plan_id = plan_id = str(uuid.uuid4())
         self._goals.publish(
             PlanGoal(

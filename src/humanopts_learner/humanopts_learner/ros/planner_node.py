@@ -24,7 +24,12 @@ class PlannerNode(NodeBase):
 
     def __init__(self, **options: Any) -> None:
         super().__init__(PLANNER, **options)
-        self._state = PlannerState()
+        unstick = self.setting(
+            'unstick',
+            True,
+            'whether sampled runs that repeat themselves take one to three random moves',
+        )
+        self._state = PlannerState(unstick=unstick)
         GameSubscriber(self, self._on_domain)
         OptionSubscriber(self, 'learned_options', self._on_options)
         shared = self, ReentrantCallbackGroup(), self._state

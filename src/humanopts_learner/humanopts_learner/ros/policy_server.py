@@ -201,6 +201,7 @@ class PolicyServer(GoalServer):
                 zip(ran.acted_names, ran.acted_steps),
             )
             result.fallbacks += sum(steps for each, steps in acted if each in fallback)
+            result.random_moves += ran.random_moves
             result.interruptions += ran.status == ran.STATUS_STOPPED_BY_PLAN
             total += ran.total_reward
             discounted += plan.gamma**step * ran.discounted_return

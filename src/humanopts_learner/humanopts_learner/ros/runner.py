@@ -149,15 +149,24 @@ class Runner:
     """
 
     def __init__(
-        self, node: NodeBase, game: GameSubscriber, mode: Mode, seed: int, patience: float
+        self,
+        node: NodeBase,
+        game: GameSubscriber,
+        mode: Mode,
+        seed: int,
+        patience: float,
+        *,
+        unstick: bool,
     ) -> None:
         """
         Subscribe to the states of the game.
 
         :param seed: random seed of draws in sampled mode.
         :param patience: see the attribute.
+        :param unstick: whether runs that repeat themselves take random moves.
         """
         self._node, self._mode, self._seed, self.patience = node, mode, seed, patience
+        self._unstick = unstick
         self._policy = PolicySubscriber(node)
         self.library: OptionLibrary | None = None
         self._state: Observed | None = None
@@ -279,7 +288,7 @@ class Runner:
         if not state.transition.open:
             raise RefusedError(RunStatus.NO_EPISODE, 'the episode has ended')
         named = execution not in MODULAR
-        rng = generator(self._seed, 'run', goal.option_name or execution, *here)
+        key = goal.option_name or execution, *here
         return Run(
             library.resolve(goal.option_name, goal.participant) if named else None,
             library.domain,
@@ -287,7 +296,8 @@ class Runner:
             here,
             goal.max_steps,
             arbiter=self._policy.arbiter(execution, library) if arbitrated else None,
-            rng=rng if self._mode is Mode.SAMPLED else None,
+            rng=generator(self._seed, 'run', *key) if self._mode is Mode.SAMPLED else None,
+            unstick=generator(self._seed, 'random moves', *key) if self._unstick else None,
         )
 
     async def _wait(self, request: RunRequest, condition: Callable[[], bool]) -> bool:

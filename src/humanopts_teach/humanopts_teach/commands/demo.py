@@ -159,7 +159,11 @@ def _plan_and_play(
     graph.wait(graph.all_recorded, NEWS_SECONDS, 'what was shown to be in the newest bag')
     importing.join()
     execution = PlayedEpisodes(
-        played.episodes, played.successes, played.fallbacks, played.mean_return
+        played.episodes,
+        played.successes,
+        played.fallbacks,
+        played.random_moves,
+        played.mean_return,
     )
     planned = [plan_row(plan_from_message(result)) for result in plans]
     return Live(table(OPTIONS, options), table(PLANS, planned), execution)
@@ -197,9 +201,10 @@ def _print_results(live: Live, evaluation: BagEvaluation) -> None:
             f'mean return {row.mean_return:.2f}'
             + (f', over all starts {exact[name]:.2f}' if name in exact else '')
         )
+    moves = f', {played.random_moves} random moves' if played.random_moves else ''
     print(
         f'{played.successes} of {played.episodes} episodes done by running options, '
-        f'{played.fallbacks} fallbacks, mean return {played.mean_return:.2f}'
+        f'{played.fallbacks} fallbacks{moves}, mean return {played.mean_return:.2f}'
     )
     for games in evaluation.games.values():
         print('\n'.join(games_text(games)))

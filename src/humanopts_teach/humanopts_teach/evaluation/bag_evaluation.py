@@ -228,7 +228,12 @@ def evaluate(
         work.append((call, f'{name}: {len(demos)} demonstrations', len(demos)))
     for person, action_set in requests:
         taught = [demos for (taught_by, _), demos in groups.items() if taught_by == person]
-        request = PlanRequest(action_set, game_steps=settings.game_steps, seed=settings.seed)
+        request = PlanRequest(
+            action_set,
+            game_steps=settings.game_steps,
+            seed=settings.seed,
+            unstick=settings.unstick,
+        )
         plan = partial(_evaluate_plan, taught, domain, request, episodes or judged_by(domain))
         work.append((plan, f'planning with {action_set} actions', math.inf))
     progress(0, len(work), f'{len(demonstrations)} demonstrations')

@@ -24,6 +24,7 @@ class EvaluationSettings:
     teacher_error_rate: Annotated[float, Field(ge=0, le=1)] | None = None  # None: a person taught
     budget: NonNegativeInt = BUDGET  # maximum number of start states per option
     game_steps: NonNegativeInt = 0  # per plan; 0: the planner's default
+    unstick: bool = True  # whether options that repeat themselves take random moves
 
     def to_dict(self) -> dict[str, Any]:
         """Return the settings as JSON data, without game steps, which each plan contains."""
@@ -39,7 +40,7 @@ def settings_from_facts(facts: Mapping[str, str]) -> tuple[EvaluationSettings, l
     settings, assumed = EvaluationSettings(), []
     limits = [each.name for each in fields(Thresholds)]
     names = ['seed', *limits, 'strategy', 'budget', 'teacher_error_rate']
-    for name in [*names, *({'game_steps'} & {*facts})]:
+    for name in [*names, *({'game_steps', 'unstick'} & {*facts})]:
         usual = getattr(settings.thresholds if name in limits else settings, name)
         try:
             text = facts[name]

@@ -28,6 +28,7 @@ class PlayedEpisodes:
     episodes: int
     successes: int  # episodes that ended with the task done
     fallbacks: int  # primitive actions taken because no option was available
+    random_moves: int  # taken because an option repeated itself
     mean_return: float | None  # undiscounted
 
 

@@ -60,6 +60,7 @@ LIVE_PLANS = {  # known while a plan is made
     'mean_return_high': 'float64',  # 95 % interval
     'mean_discounted_return': 'float64',  # reward units
     'fallbacks': 'int64',  # primitive actions taken because no option could start
+    'random_moves': 'int64',  # taken because an option repeated itself
     'outcomes': 'object',  # mean, low and high of each outcome of the domain, by name
 }
 SECONDS = ('table_seconds', 'model_seconds', 'sweep_seconds')  # planning time

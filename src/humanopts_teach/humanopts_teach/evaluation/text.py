@@ -168,4 +168,5 @@ def _plan(name: Any, row: 'pd.Series') -> dict[str, str]:
         '95 % interval': f'{number(row.mean_return_low)} to {number(row.mean_return_high)}',
         'all starts': number(row.exact_mean_return),
         'discounted': number(row.mean_discounted_return),
+        **({'random moves': str(row.random_moves)} if row.game_steps else {}),
     }

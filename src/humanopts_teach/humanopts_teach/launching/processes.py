@@ -170,7 +170,9 @@ def _own_parameters(setup: Setup) -> dict[str, dict[str, Value]]:
             'options_directory': str(setup.options),
             'seed': setup.seed,
             'no_progress_seconds': _PATIENCE + (setup.step_period or 0.0),
+            'unstick': setup.unstick,
         },
+        'planner': {'unstick': setup.unstick},
         'simulated_teacher': {
             'options': list(setup.taught),
             'participant': setup.participant,
@@ -197,6 +199,8 @@ def recorded_facts(setup: Setup) -> dict[str, str]:
         'budget': str(setup.budget),
         'teacher_error_rate': repr(setup.teacher_error_rate if setup.taught else None),
     }
+    if not setup.unstick:
+        facts['unstick'] = 'False'
     if setup.game_steps:
         facts['game_steps'] = str(setup.game_steps)
     if setup.taught or setup.keyboard:

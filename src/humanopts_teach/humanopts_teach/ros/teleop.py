@@ -273,6 +273,7 @@ def result_text(result: Any, i_drive: bool) -> tuple[bool, str]:
 def _counts(result: Any) -> str:
     if isinstance(result, OptionResult):
         steps = f'{result.step_count} step{"" if result.step_count == 1 else "s"}'
+        steps += f', {result.random_moves} of them random' if result.random_moves else ''
         return f'{steps}, reward {result.total_reward:g}'
     if isinstance(result, PlanResult):
         seconds = result.table_seconds + result.model_seconds + result.sweep_seconds
@@ -281,7 +282,8 @@ def _counts(result: Any) -> str:
     played = done if result.episodes else 'no episode was played to its end'
     mean = f', mean return {result.mean_return:.2f}' if result.episodes else ''
     stops = f', {result.interruptions} options stopped' if result.interruptions else ''
-    return f'{played}, {result.fallbacks} fallbacks{stops}{mean}'
+    moves = f', {result.random_moves} random moves' if result.random_moves else ''
+    return f'{played}, {result.fallbacks} fallbacks{moves}{stops}{mean}'
 
 
 def _progress_text(feedback: Any) -> str:
