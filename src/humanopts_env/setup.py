@@ -24,5 +24,8 @@ setup(
             'rooms = humanopts_env.domains.rooms_reference:reference_options',
             'taxi = humanopts_env.domains.taxi_reference:reference_options',
         ],
+        'humanopts.features': [
+            'minigrid = humanopts_env.domains.minigrid_features:features',
+        ],
     },
 )

@@ -8,6 +8,7 @@ successor, reward and whether the task is over), as in Taxi, FrozenLake and Clif
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
+import importlib
 import re
 import string
 from typing import Any, ClassVar
@@ -178,9 +179,14 @@ def _picture(env: Any) -> Callable[[int, Mapping[str, str]], Board]:
 PREFIX = 'gymnasium:'
 GAMMA = 0.99  # not defined by Gymnasium
 MAX_STEPS = 1000  # if the environment has no limit
+PACKAGES = {'MiniGrid-': 'minigrid', 'BabyAI-': 'minigrid'}  # that register ids, by their start
 ROUNDING = 1e-6  # largest deviation of the sum of an action's probabilities from 1
 Entry = tuple[float, int, float, bool]  # probability, successor, reward, over
 Table = list[list[list[Entry]]]  # by state, then action
+
+
+class NoTableError(DomainError):
+    """The environment has no table of its transitions."""
 
 
 class GymnasiumDomain(TableDomain[int]):
@@ -201,9 +207,10 @@ class GymnasiumDomain(TableDomain[int]):
             table of its rules.
         """
         self.name = PREFIX + self.env_id
-        made, again = (_make(self.name, self.env_id, arguments) for _ in range(2))
+        made = make_env(self.name, self.env_id, arguments)
         env = made.unwrapped
         self._table = _read_table(self.name, env)
+        again = make_env(self.name, self.env_id, arguments)
         if _read_table(self.name, again.unwrapped) != self._table:
             raise DomainError(
                 f'{self.name} is another game each time that it is made with these arguments, '
@@ -268,24 +275,36 @@ def gymnasium_domain(env_id: str) -> type[GymnasiumDomain]:
     return type('GymnasiumDomain', (GymnasiumDomain,), {'env_id': env_id})
 
 
-def _make(name: str, env_id: str, arguments: dict[str, Any]) -> Any:
+def make_env(
+    name: str, env_id: str, arguments: Mapping[str, Any], render_mode: str | None = None
+) -> Any:
+    """
+    Create an environment.
+
+    :param name: of its domain, for errors.
+    :raises DomainError: it is unknown, refuses the arguments, or raises an error.
+    """
     if 'render_mode' in arguments:
-        raise DomainError(f'{name} is drawn as text: leave render_mode out')
-    _check_arguments(name, env_id, arguments)
+        raise DomainError(f'{name} is drawn as it can be: leave render_mode out')
+    package = next((PACKAGES[key] for key in PACKAGES if env_id.startswith(key)), '')
+    mode: dict[str, Any] = {} if render_mode is None else {'render_mode': render_mode}
     try:
         with warnings.catch_warnings():
             warnings.simplefilter('ignore')  # about old versions; errors say what to do
-            env = gymnasium.make(env_id, disable_env_checker=True, **arguments)
+            if package:
+                importlib.import_module(package)
+            _check_arguments(name, env_id, arguments)
+            return gymnasium.make(env_id, disable_env_checker=True, **mode, **arguments)
+    except DomainError:
+        raise
+    except ModuleNotFoundError as error:
+        missing = package or error.name or env_id
+        raise DomainError(f'{name} needs the package {missing}: pip install {missing}') from error
     except Exception as error:  # any error of a third-party environment
         raise DomainError(f'{name} cannot be made: {type(error).__name__}: {error}') from error
-    if getattr(env.unwrapped, 'fickle_passenger', False):
-        raise DomainError(
-            f'{name} with fickle_passenger changes the destination outside its table'
-        )
-    return env
 
 
-def _check_arguments(name: str, env_id: str, arguments: dict[str, Any]) -> None:
+def _check_arguments(name: str, env_id: str, arguments: Mapping[str, Any]) -> None:
     """
     Check arguments against the types of the constructor and of the registered arguments.
 
@@ -306,9 +325,10 @@ def _check_arguments(name: str, env_id: str, arguments: dict[str, Any]) -> None:
 
 def _read_table(name: str, env: Any) -> Table:
     if not hasattr(env, 'P'):
+        raise NoTableError(f'{name} has no table of transitions (P), as FrozenLake or Taxi have')
+    if getattr(env, 'fickle_passenger', False):
         raise DomainError(
-            f'{name} has no table of transitions (P), as FrozenLake or Taxi have; only '
-            'environments with one can be domains'
+            f'{name} with fickle_passenger changes the destination outside its table'
         )
     for space in (env.observation_space, env.action_space):
         if not isinstance(space, gymnasium.spaces.Discrete) or space.start != 0:

@@ -65,9 +65,11 @@ def reference_options(domain: Domain) -> dict[str, ReferenceOption]:
 def _factory(name: str) -> tuple[Callable[..., Any], bool]:
     """Return the factory of a domain, and whether it is built in and needs no check."""
     if name.startswith(GYMNASIUM):
-        from humanopts_env.domains.gymnasium_domain import gymnasium_domain  # imports Gymnasium
+        from humanopts_env.domains.gymnasium_replayed import (
+            domain_of_environment,
+        )  # slow to import
 
-        return gymnasium_domain(name.removeprefix(GYMNASIUM)), False
+        return domain_of_environment(name.removeprefix(GYMNASIUM)), False
     point = _entry_point(DOMAINS, name)
     if point is None:
         known = ', '.join([*domain_names(), f'{GYMNASIUM}ENV_ID'])

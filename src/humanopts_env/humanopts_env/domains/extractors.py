@@ -1,0 +1,468 @@
+"""
+Features of an environment: read from its observations, or by a function of a researcher.
+
+An extractor is a function ``features(env) -> Mapping[str, value]`` in a file or a module. Values
+are bools, numbers, texts, members of an Enum, or None. Beside it, the module may have ``RANGES``
+(of each feature, by name), ``QUESTIONS`` (completing "Does OPTION depend on ...?") and ``ACTIONS``
+(the names of the actions, or their descriptions by name). A range is
+
+- ``(0.0, 14.2)`` or ``(0.0, 14.2, 'm')``: numbers, with a unit,
+- ``(0, 9)`` or ``(0, 9, 'none')``: whole numbers, and None if there is a text,
+- ``('wall', 'free')``: texts.
+
+``RANGES`` may be a function of the environment. Ranges that are not declared are measured, see
+``measured_range``.
+"""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import Enum
+from functools import partial
+import importlib
+import importlib.util
+import math
+import numbers
+import operator
+from pathlib import Path
+import re
+from typing import Any
+
+from gymnasium import spaces
+from humanopts_env.domains.base import DomainError, Feature, FeatureKind
+from humanopts_env.domains.check import NAME
+from humanopts_env.domains.names import registered
+import numpy as np
+
+EXTRACTORS = 'humanopts.features'  # group of entry points
+OBSERVATION = 'observation'  # name of the features read from the observation space
+MAX_NUMBERS = 64  # in a Box that is not an image
+MAX_NOMINAL = 20  # values of a Discrete that is not ordered
+YES_NO = ('no', 'yes')
+OTHER = 'other'  # a text that was not seen when the range was measured
+WIDER = 2.0  # a measured range is wider than the values seen by at least this factor
+Read = Callable[[Any, Any], Sequence[float]]  # environment, observation
+Samples = Iterable[tuple[Any, Any]]  # environments, which change, and their observations
+
+
+@dataclass(frozen=True)
+class Extractor:
+    """Features, and how they are read from the environment and its observation."""
+
+    name: str  # as a parameter of the domain
+    features: tuple[Feature, ...]
+    read: Read
+    ranges: dict[str, list[Any]] = field(default_factory=dict)  # those that were measured
+    actions: Mapping[str, str] = field(
+        default_factory=dict
+    )  # descriptions by name; empty: default
+
+
+# Features of the documented observations of Gymnasium, by the name of the environment.
+
+OBSERVATIONS = {
+    'CartPole': (
+        Feature.continuous('cart_position', 'where the cart is', -4.8, 4.8, 'm'),
+        Feature.continuous('cart_speed', 'how fast the cart moves', -4, 4, 'm/s'),
+        Feature.continuous('pole_angle', 'how far the pole leans', -0.42, 0.42, 'rad'),
+        Feature.continuous('pole_speed', 'how fast the pole turns', -5, 5, 'rad/s'),
+    ),
+    'MountainCar': (
+        Feature.continuous('position', 'where the car is', -1.2, 0.6),
+        Feature.continuous('speed', 'how fast the car moves', -0.07, 0.07),
+    ),
+    'Acrobot': (
+        Feature.continuous('cos_1', 'the cosine of the angle of the first link', -1, 1),
+        Feature.continuous('sin_1', 'the sine of the angle of the first link', -1, 1),
+        Feature.continuous('cos_2', 'the cosine of the angle between the links', -1, 1),
+        Feature.continuous('sin_2', 'the sine of the angle between the links', -1, 1),
+        Feature.continuous('speed_1', 'how fast the first link turns', -12.6, 12.6, 'rad/s'),
+        Feature.continuous('speed_2', 'how fast the second link turns', -28.3, 28.3, 'rad/s'),
+    ),
+    'LunarLander': (
+        Feature.continuous('x', 'how far right of the pad the lander is', -2.5, 2.5),
+        Feature.continuous('y', 'how high the lander is', -2.5, 2.5),
+        Feature.continuous('x_speed', 'how fast the lander moves to the right', -10, 10),
+        Feature.continuous('y_speed', 'how fast the lander rises', -10, 10),
+        Feature.continuous('angle', 'how far the lander leans to the left', -6.3, 6.3, 'rad'),
+        Feature.continuous('angular_speed', 'how fast the lander turns to the left', -10, 10),
+        Feature.nominal('left_leg', 'whether the left leg touches the ground', YES_NO),
+        Feature.nominal('right_leg', 'whether the right leg touches the ground', YES_NO),
+    ),
+}
+ACTIONS = {
+    'CartPole': ('push_left', 'push_right'),
+    'MountainCar': ('push_left', 'coast', 'push_right'),
+    'Acrobot': ('torque_minus', 'torque_zero', 'torque_plus'),
+    'LunarLander': ('nothing', 'fire_left', 'fire_main', 'fire_right'),
+}
+
+
+def question_of(name: str) -> str:
+    """Return the question about a feature without its own: it completes "Does it depend on"."""
+    return f'what {name} is'
+
+
+def observed(
+    name: str, known: str, space: Any, ranges: Mapping[str, Any], samples: Iterable[Any]
+) -> Extractor:
+    """
+    Return features read from observations.
+
+    :param name: of the domain, for errors.
+    :param known: name of the environment, a key of ``OBSERVATIONS`` if it is documented.
+    :param space: observation space.
+    :param ranges: of features with infinite bounds; missing ones are measured.
+    :param samples: observations to measure with, read only if needed.
+    :raises DomainError: the space has images or parts without features.
+    """
+    found = OBSERVATIONS.get(known)
+    if found is not None and isinstance(space, spaces.Box) and space.shape == (len(found),):
+        low, high = bounds(found)
+        return Extractor(OBSERVATION, found, lambda _, seen: clipped(seen, low, high))
+    parts = list(_parts(name, space, ''))
+    if not parts:
+        raise DomainError(f'{name} has no observations that can be features; {_ADVICE}')
+    features = [feature for part in parts for feature in part[0]]
+    names = [feature.name for feature in features]
+    endless = [f for f in features if f.kind is FeatureKind.CONTINUOUS and not _finite(f)]
+    measured = {f.name: ranges[f.name] for f in endless if f.name in ranges}
+    if len(measured) < len(endless):
+        rows = np.array([_numbers(parts, seen) for seen in samples])
+        for feature in endless:
+            column = rows[:, names.index(feature.name)]
+            measured.setdefault(feature.name, measured_range(column.tolist()))
+    made = tuple(
+        feature_in(name, f.name, {**measured, **ranges}[f.name], f.question)
+        if f.name in measured or f.name in ranges
+        else f
+        for f in features
+    )
+    low, high = bounds(made)
+    return Extractor(
+        OBSERVATION, made, lambda _, seen: clipped(_numbers(parts, seen), low, high), measured
+    )
+
+
+Part = tuple[list[Feature], Callable[[Any], Any]]  # features, and their numbers in an observation
+_ADVICE = 'write an extractor, a function features(env), and give it with --features FILE.py:NAME'
+
+
+def _parts(name: str, space: Any, key: str) -> Iterable[Part]:
+    """Return the parts of a space, each with its features; texts have none."""
+    word = key or 'observation'
+    if isinstance(space, spaces.Dict | spaces.Tuple):
+        inner = space.spaces.items() if isinstance(space, spaces.Dict) else enumerate(space.spaces)
+        for each, part in inner:
+            long = f'{key}_{each}' if key else str(each)
+            for features, numbers_of in _parts(name, part, long):
+                yield features, partial(_part_of, each, numbers_of)
+    elif isinstance(space, spaces.Discrete):
+        first = int(space.start)
+        yield [_discrete(word, int(space.n), first)], lambda seen: [int(seen) - first]
+    elif isinstance(space, spaces.MultiDiscrete):
+        counts, firsts = np.ravel(space.nvec), np.ravel(space.start)
+        pairs = zip(counts.tolist(), firsts.tolist())
+        features = [_discrete(f'{word}_{n}', *pair) for n, pair in enumerate(pairs)]
+        yield features, lambda seen: np.ravel(seen) - firsts
+    elif isinstance(space, spaces.MultiBinary):
+        count = int(np.prod(space.shape))
+        names = [_name(f'{word}_{n}') for n in range(count)]
+        yield [Feature.nominal(each, question_of(each), YES_NO) for each in names], np.ravel
+    elif isinstance(space, spaces.Box):
+        count = int(np.prod(space.shape))
+        if count > MAX_NUMBERS or (len(space.shape) > 1 and space.dtype == np.uint8):
+            shape = ' x '.join(map(str, space.shape))
+            raise DomainError(
+                f'{name} has observations of {shape} numbers ({word}), which are no features; '
+                f'{_ADVICE}'
+            )
+        places = [''] if count == 1 else [f'_{n}' for n in range(count)]
+        names = [_name(f'{word}{place}') for place in places]
+        limits = zip(names, np.ravel(space.low).tolist(), np.ravel(space.high).tolist())
+        yield (
+            [Feature.continuous(n, question_of(n), low, high) for n, low, high in limits],
+            np.ravel,
+        )
+    elif not isinstance(space, spaces.Text):
+        kind = type(space).__name__
+        raise DomainError(f'{name} has observations of the kind {kind} ({word}); {_ADVICE}')
+
+
+def _part_of(key: Any, numbers_of: Callable[[Any], Any], seen: Any) -> Any:
+    return numbers_of(seen[key])
+
+
+def _discrete(word: str, count: int, first: int) -> Feature:
+    """Return a feature of ``count`` numbers: unordered if there are few of them."""
+    kind = FeatureKind.NOMINAL if count <= MAX_NOMINAL else FeatureKind.ORDINAL
+    name = _name(word)
+    return Feature(name, question_of(name), kind, tuple(map(str, range(first, first + count))))
+
+
+def _name(key: str) -> str:
+    """Return a feature name made of a key of a space."""
+    word = re.sub(r'\W+', '_', key.lower()).strip('_')
+    return word if NAME.fullmatch(word) else f'observation_{word}'
+
+
+def _numbers(parts: Iterable[Part], seen: Any) -> list[float]:
+    return [float(each) for _, numbers_of in parts for each in numbers_of(seen)]
+
+
+def _finite(feature: Feature) -> bool:
+    """Return whether the range is finite; the largest float32 stands for infinity in Gymnasium."""
+    return max(abs(feature.low), abs(feature.high)) < 1e30
+
+
+def bounds(features: Iterable[Feature]) -> tuple[list[float], list[float]]:
+    """Return the lowest and the highest value of each feature."""
+    pairs = [
+        (f.low, f.high) if f.kind is FeatureKind.CONTINUOUS else (0, len(f.values) - 1)
+        for f in features
+    ]
+    return [low for low, _ in pairs], [high for _, high in pairs]
+
+
+def clipped(
+    values: Iterable[float], lowest: Iterable[float], highest: Iterable[float]
+) -> list[float]:
+    """Return numbers within their bounds, as Python's own; nan remains nan."""
+    return [
+        float(low if value < low else high if value > high else value)
+        for value, low, high in zip(values, lowest, highest, strict=True)
+    ]
+
+
+# Ranges.
+
+
+def measured_range(values: Sequence[Any]) -> list[Any]:
+    """
+    Return a range from values that were seen.
+
+    Numbers have at least twice the range seen, up to 1, 2 or 5 times a power of ten, so that a few
+    episodes more or less give the same range. Texts are those seen, and other.
+    """
+    if any(isinstance(value, str) for value in values):
+        return [*sorted({value for value in values if value is not None}), OTHER]
+    low, high = (_round_up(WIDER * max(0.0, side)) for side in (-min(values), max(values)))
+    return [-low if low else 0.0, high or (0.0 if low else 1.0)]
+
+
+def _round_up(size: float) -> float:
+    """Return the next number that is 1, 2 or 5 times a power of ten; 0 for 0."""
+    if not size:
+        return 0.0
+    power = 10.0 ** math.floor(math.log10(size))
+    return float(f'{next(n for n in (1, 2, 5, 10) if n * power >= size * (1 - 1e-9)) * power:.6g}')
+
+
+def feature_in(name: str, key: str, declared: Any, question: str) -> Feature:
+    """
+    Return the feature with a declared range.
+
+    :param name: of the domain, for errors.
+    :raises DomainError: it is not a range.
+    """
+    if isinstance(declared, Feature):
+        return declared
+    given = list(declared) if isinstance(declared, Sequence | range) else []
+    if isinstance(declared, range) and given:
+        given = [given[0], given[-1]]
+    if len(given) > 1 and all(isinstance(each, str) for each in given):
+        return Feature.nominal(key, question, given)
+    if len(given) in (2, 3) and all(isinstance(each, str) for each in given[2:]):
+        low, high = given[:2]
+        if type(low) is int and type(high) is int and low < high:
+            texts = tuple(map(str, range(low, high + 1)))
+            return Feature(key, question, FeatureKind.ORDINAL, (*texts, *given[2:]))
+        if all(isinstance(each, int | float) for each in (low, high)) and low < high:
+            return Feature.continuous(key, question, float(low), float(high), *given[2:])
+    raise DomainError(
+        f'{name}: the range of {key} is {declared!r}, and one reads (0.0, 1.5), (0.0, 1.5, "m"), '
+        '(0, 9), (0, 9, "none") or ("wall", "free")'
+    )
+
+
+# Functions.
+
+
+def find_extractor(
+    name: str, given: str, env: Any, ranges: Mapping[str, Any], samples: Callable[[], Samples]
+) -> Extractor:
+    """
+    Return the features of an environment.
+
+    :param name: of the domain, for errors.
+    :param given: ``FILE.py:NAME``, ``MODULE:NAME``, the name of an entry point, or ``observation``
+        (the default without an entry point that is named like the package of the environment).
+    :param ranges: overrides those declared and measured.
+    :param samples: states of random walks; the first is read in any case.
+    :raises DomainError: the extractor cannot be loaded or used; the text says why.
+    """
+    points = {point.name: point for point in registered(EXTRACTORS)}
+    packages = [kind.__module__.partition('.')[0] for kind in type(env.unwrapped).__mro__]
+    key = given or next(filter(points.__contains__, packages), OBSERVATION)
+    if key == OBSERVATION:
+        return observed(
+            name, env.spec.name, env.observation_space, ranges, (seen for _, seen in samples())
+        )
+    if key in points:
+        module, function = _loaded(name, *points[key].value.split(':'))
+    elif ':' in key:
+        place, _, function_name = key.rpartition(':')
+        if place.endswith('.py'):
+            place = str(Path(place).expanduser().absolute())
+            key = f'{place}:{function_name}'
+        module, function = _loaded(name, place, function_name)
+    else:
+        known = ', '.join([OBSERVATION, *sorted(points)])
+        raise DomainError(f'{name}: no features {key!r}; give FILE.py:NAME, or one of {known}')
+    return _extractor(name, key, module, function, env.unwrapped, ranges, samples)
+
+
+def _loaded(name: str, place: str, function_name: str) -> tuple[Any, Callable[[Any], Any]]:
+    """Return a module and its extractor."""
+    try:
+        if place.endswith('.py'):
+            spec = importlib.util.spec_from_file_location(Path(place).stem, place)
+            assert spec is not None
+            assert spec.loader is not None
+            module = importlib.util.module_from_spec(spec)
+            spec.loader.exec_module(module)
+        else:
+            module = importlib.import_module(place)
+    except (Exception, SystemExit) as error:
+        raise DomainError(
+            f'{name}: the features of {place} cannot be loaded: {type(error).__name__}: {error}'
+        ) from error
+    if not callable(function := getattr(module, function_name, None)):
+        raise DomainError(f'{name}: {place} has no function {function_name}')
+    return module, function
+
+
+def _extractor(
+    name: str,
+    key: str,
+    module: Any,
+    function: Callable[[Any], Any],
+    env: Any,
+    given: Mapping[str, Any],
+    samples: Callable[[], Samples],
+) -> Extractor:
+    """Return the features of a function, with the ranges declared beside it."""
+    declared = getattr(module, 'RANGES', {})
+    walk = iter(samples())
+    first = values_of(function, next(walk)[0])
+    ranges = {**(declared(env) if callable(declared) else declared), **given}
+    questions = getattr(module, 'QUESTIONS', {})
+    for what, names in (('RANGES', ranges), ('QUESTIONS', questions)):
+        if unknown := [each for each in names if each not in first]:
+            raise DomainError(
+                f'{name}: {what} has {unknown[0]!r}, which is not a feature of {key}; it has '
+                f'{", ".join(first)}'
+            )
+    measured = {each: ranges[each] for each in given if each in first}
+    if missing := [each for each in first if each not in ranges]:
+        seen = [first, *(values_of(function, env, first) for env, _ in walk)]
+        for each in missing:
+            measured[each] = _measured(name, each, [values[each] for values in seen])
+    features = tuple(
+        feature_in(
+            name, each, {**ranges, **measured}[each], questions.get(each) or question_of(each)
+        )
+        for each in first
+    )
+    coders = [(feature.name, _coder(feature)) for feature in features]
+
+    def read(env: Any, _: Any) -> list[float]:
+        values = values_of(function, env, first)
+        return [code(values[each]) for each, code in coders]
+
+    actions = getattr(module, 'ACTIONS', {})
+    if not isinstance(actions, Mapping):
+        actions = {each: each.replace('_', ' ') for each in actions}
+    return Extractor(key, features, read, measured, actions)
+
+
+def values_of(
+    function: Callable[[Any], Any], env: Any, names: Mapping[str, Any] | None = None
+) -> Mapping[str, Any]:
+    """
+    Return what an extractor returns.
+
+    :param names: the names it returned before; None: any.
+    :raises ValueError: it is no mapping, or has other names.
+    """
+    values = function(env)
+    if not isinstance(values, Mapping) or not values:
+        raise ValueError(f'it returned {values!r}, not the values of features by name')
+    if names is None:
+        if bad := [each for each in values if not NAME.fullmatch(str(each))]:
+            raise ValueError(f'the name {bad[0]!r} is not like agent_row, in lower case')
+        return dict(values)
+    if values.keys() != names.keys():
+        changed = ', '.join(map(str, sorted(values.keys() ^ names.keys())))
+        raise ValueError(f'it returns other names than before: {changed}')
+    return values
+
+
+def _measured(name: str, key: str, values: list[Any]) -> list[Any]:
+    """Return the range of values that were seen."""
+    if all(isinstance(value, bool | np.bool_) for value in values):
+        return [*YES_NO]
+    values = [value.name.lower() if isinstance(value, Enum) else value for value in values]
+    wrong = [v for v in values if not isinstance(v, str | numbers.Real | np.bool_ | None)]
+    if wrong:
+        raise DomainError(
+            f'{name}: the feature {key} is of the type {type(wrong[0]).__name__}; return each of '
+            'its numbers as a feature of its own, a plain number, text or bool'
+        )
+    texts = any(isinstance(value, str) for value in values)
+    if not texts and None in values:
+        raise DomainError(
+            f'{name}: the feature {key} is None in some states: declare its range, such as '
+            f"RANGES = {{'{key}': (0, 9, 'none')}}"
+        )
+    if not texts and not all(math.isfinite(value) for value in values):
+        raise DomainError(f'{name}: the feature {key} is {max(values)} in some states')
+    return measured_range(['none' if value is None else value for value in values])
+
+
+def _coder(feature: Feature) -> Callable[[Any], float]:
+    """Return the function from a value to its number; numbers out of range are clipped."""
+    texts = feature.values
+    if feature.kind is FeatureKind.CONTINUOUS:
+        low, high = feature.low, feature.high
+
+        def number(value: Any) -> float:
+            if not isinstance(value, numbers.Real | np.bool_):
+                raise ValueError(f'{feature.name} is {value!r}, not a number')
+            found = float(value)
+            return low if found < low else high if found > high else found
+
+        return number
+    counts = [text.lstrip('-').isdigit() for text in texts]
+    if all(counts[:-1]) and counts[0]:
+        first, last = int(texts[0]), len(texts) - (1 if counts[-1] else 2)
+
+        def whole(value: Any) -> float:
+            if value is None and not counts[-1]:
+                return last + 1.0
+            return float(min(max(operator.index(value) - first, 0), last))
+
+        return whole
+    table: dict[Any, float] = {text: float(n) for n, text in enumerate(texts)}
+    if texts == YES_NO:
+        table |= {False: 0.0, True: 1.0}
+
+    def text(value: Any) -> float:
+        found = table.get(value)
+        if found is None:
+            word = value.name.lower() if isinstance(value, Enum) else str(value).lower()
+            found = table.get(word, table.get(OTHER))
+        if found is None:
+            raise ValueError(f'{feature.name} is {value!r}, and its range is {texts}')
+        return found
+
+    return text

@@ -1,0 +1,317 @@
+"""
+Gymnasium environments without a table as domains: a state is a seed and the actions since reset.
+
+Any registered environment with a ``Discrete`` action space can be played. Its features are read
+from its observations or by an extractor, see ``extractors``.
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import cache, partial
+from itertools import groupby
+import math
+import os
+import string
+import time
+from typing import Any, ClassVar
+
+from gymnasium import spaces
+from humanopts_env.domains.base import Action, Domain, DomainError
+from humanopts_env.domains.capabilities import FeatureGroup
+from humanopts_env.domains.extractors import ACTIONS, Extractor, find_extractor
+from humanopts_env.domains.gymnasium_domain import (
+    GAMMA,
+    gymnasium_domain,
+    make_env,
+    MAX_STEPS,
+    NoTableError,
+    PREFIX,
+)
+from humanopts_env.domains.replayed_domain import ReplayedDomain, SIGNS
+from humanopts_env.seeding import generator
+import numpy as np
+from numpy.typing import NDArray
+
+# pygame, which draws most environments, opens no window and no sound device.
+for _name, _value in {
+    'SDL_VIDEODRIVER': 'dummy',
+    'SDL_AUDIODRIVER': 'dummy',
+    'PYGAME_HIDE_SUPPORT_PROMPT': '1',
+}.items():
+    os.environ.setdefault(_name, _value)
+
+WALKS, WALK = 4, 50  # random walks to measure ranges, and their steps
+REPLAYED = 20  # steps of the walk that is repeated to check that the seed determines the episode
+MAX_SECONDS, SLACK = 0.5, 2.0  # of one step, since a replay takes many; in addition to some steps
+FEW = 8  # features about which people are asked one by one
+WORDS_OF_KEYS = {
+    'left': 'left west minus',
+    'right': 'right east plus',
+    'up': 'up north forward main faster accelerate',
+    'down': 'down south backward back nothing noop idle coast wait zero slower brake',
+}
+
+
+class EnvironmentWorld:
+    """A Gymnasium environment as a ``World``; nothing that it returns is kept without a copy."""
+
+    def __init__(self, name: str, env: Any, extractor: Extractor) -> None:
+        """
+        Wrap an environment.
+
+        :param name: of the domain, for errors.
+        """
+        self.name, self.env, self._extractor = name, env, extractor
+        self._first = int(env.action_space.start)
+        self._inner, self._seen = env.unwrapped, None
+
+    def reset(self, seed: int) -> None:
+        """
+        Start an episode.
+
+        :raises DomainError: the environment raised an error.
+        """
+        try:
+            self._seen, _ = self.env.reset(seed=seed)
+        except Exception as error:
+            raise self._failed('the environment', error) from error
+
+    def step(self, action: int) -> tuple[float, bool]:
+        """
+        Take an action; return the reward and whether the episode has terminated.
+
+        A truncation by the environment is ignored: ``max_steps`` of the domain truncates.
+
+        :raises DomainError: the environment raised an error.
+        """
+        try:
+            self._seen, reward, terminated, _, _ = self.env.step(self._first + action)
+            return float(reward), bool(terminated)
+        except Exception as error:
+            raise self._failed('the environment', error) from error
+
+    def features(self) -> Sequence[float]:
+        """
+        Return the value of every feature.
+
+        :raises DomainError: the extractor raised an error, or a value is not a number.
+        """
+        try:
+            values = self._extractor.read(self._inner, self._seen)
+        except Exception as error:
+            raise self._failed(f'the features {self._extractor.name}', error) from error
+        if any(map(math.isnan, values)):
+            names = [feature.name for feature in self._extractor.features]
+            lost = ', '.join(name for name, value in zip(names, values) if math.isnan(value))
+            raise DomainError(
+                f'{self.name}: the features {self._extractor.name} failed: {lost} is nan'
+            )
+        return values
+
+    def picture(self) -> NDArray[np.uint8] | str | None:
+        """
+        Return the rendering: an image (H, W, 3), a text, or None if there is none.
+
+        :raises DomainError: the environment raised an error.
+        """
+        if self.env.render_mode is None:
+            return None
+        try:
+            drawn = self.env.render()
+        except Exception as error:
+            raise self._failed('the picture', error) from error
+        return drawn if isinstance(drawn, str) else np.array(drawn, dtype=np.uint8)
+
+    def _failed(self, what: str, error: Exception) -> DomainError:
+        return DomainError(f'{self.name}: {what} failed: {type(error).__name__}: {error}')
+
+
+class ReplayedEnvironment(ReplayedDomain):
+    """
+    The domain of one environment; ``replayed_environment`` creates the class of each id.
+
+    Its parameters are the environment's keyword arguments, ``features`` and measured ``ranges``.
+    """
+
+    env_id: ClassVar[str] = ''
+
+    def __init__(
+        self, *, features: str = '', ranges: Mapping[str, Any] | None = None, **arguments: Any
+    ) -> None:
+        """
+        Create the environment and find its features.
+
+        :param features: see ``find_extractor``.
+        :param ranges: ranges of features by name; those that are missing are declared or measured.
+        :param arguments: arguments of the environment; JSON values only.
+        :raises DomainError: the environment is unknown, refuses the arguments, has no discrete
+            actions, cannot be replayed, or its features cannot be used.
+        """
+        self.name = PREFIX + self.env_id
+        self._arguments = arguments
+        env = make_env(self.name, self.env_id, arguments)
+        if not isinstance(env.action_space, spaces.Discrete):
+            raise DomainError(
+                f'{self.name} has the actions {env.action_space}, and only environments with '
+                'Discrete actions can be taught; wrap it, or choose a variant with such actions'
+            )
+        modes = env.metadata.get('render_modes') or ()
+        self._drawn = next((mode for mode in ('rgb_array', 'ansi') if mode in modes), None)
+        try:
+            self._extractor = find_extractor(
+                self.name, features, env, ranges or {}, partial(_walks, self.name, env)
+            )
+        except DomainError:
+            raise
+        except Exception as error:
+            raise DomainError(
+                f'{self.name} or its features {features} failed: {type(error).__name__}: {error}'
+            ) from error
+        measured = self._extractor.ranges
+        self.parameters: dict[str, Any] = {**arguments, 'features': self._extractor.name}
+        if measured:
+            self.parameters['ranges'] = measured
+        self.features = self._extractor.features
+        self.actions = named_actions(self.name, env, self._extractor.actions)
+        self.gamma = GAMMA
+        own = getattr(env.unwrapped, 'max_steps', None)  # of MiniGrid, for one
+        self.max_steps = env.spec.max_episode_steps or (
+            own if isinstance(own, int) and own > 0 else MAX_STEPS
+        )
+        self.feature_groups = groups_of([feature.name for feature in self.features])
+        _check_replay(self)
+
+    def make_world(self) -> EnvironmentWorld:
+        """Return a new environment."""
+        return EnvironmentWorld(self.name, self._made(), self._extractor)
+
+    def _made(self) -> Any:
+        return make_env(self.name, self.env_id, self._arguments, self._drawn)
+
+
+@cache
+def replayed_environment(env_id: str) -> type[ReplayedEnvironment]:
+    """Return the domain of one environment id, such as ``MiniGrid-DoorKey-8x8-v0``."""
+    return type('ReplayedEnvironment', (ReplayedEnvironment,), {'env_id': env_id})
+
+
+@cache
+def domain_of_environment(env_id: str) -> Callable[..., Domain]:
+    """
+    Return the constructor of the domain of an environment.
+
+    It is read from the environment's table if there is one and ``features`` are not given;
+    otherwise it is replayed.
+    """
+
+    def make(**arguments: Any) -> Domain:
+        if 'features' not in arguments:
+            try:
+                return gymnasium_domain(env_id)(**arguments)
+            except NoTableError:
+                pass
+        return replayed_environment(env_id)(**arguments)
+
+    return make
+
+
+def named_actions(name: str, env: Any, given: Mapping[str, str]) -> tuple[Action, ...]:
+    """
+    Return the actions of an environment.
+
+    They are named by the extractor, for documented environments here, by the environment's
+    ``get_action_meanings``, or numbered.
+
+    :raises DomainError: there are more actions than keys, or than names.
+    """
+    count, inner = int(env.action_space.n), env.unwrapped
+    if count > len(SIGNS):
+        raise DomainError(f'{name} has {count} actions, and there are keys for {len(SIGNS)}')
+    if given and len(given) < count:
+        raise DomainError(f'{name} has {count} actions, and ACTIONS names {len(given)}')
+    names: Iterable[str] = given or ACTIONS.get(env.spec.name, ())
+    if not names and hasattr(inner, 'get_action_meanings'):
+        names = [str(each).lower().replace(' ', '_') for each in inner.get_action_meanings()]
+    names = [*names][:count] or [f'action_{number}' for number in range(count)]
+    taken: set[str] = set()
+    actions = []
+    for each in names:
+        words = each.split('_')
+        wanted = [key for key, of in WORDS_OF_KEYS.items() if set(words) & set(of.split())]
+        letters = words[-1] + ''.join(words) + string.digits + string.ascii_letters
+        key = next(key for key in (*wanted, *letters) if key not in taken)
+        taken.add(key)
+        actions.append(Action(each, key, given.get(each, each.replace('_', ' '))))
+    return tuple(actions)
+
+
+def groups_of(names: Sequence[str]) -> list[FeatureGroup]:
+    """Return the groups of many features: those of one object, such as key_row and key_path."""
+    objects = groupby(sorted(names), key=lambda name: name.rpartition('_')[0])
+    groups = [(thing, [*members]) for thing, members in objects]
+    return [
+        FeatureGroup(f'the {thing.replace("_", " ")}', tuple(members))
+        for thing, members in groups
+        if thing and len(members) > 1 and len(names) > FEW
+    ]
+
+
+def _walks(name: str, env: Any) -> Iterator[tuple[Any, Any]]:
+    """Take random walks; yield the environment and its observation after each step."""
+    steps, began = 0, time.perf_counter()
+    for seed in range(WALKS):
+        seen, _ = env.reset(seed=seed)
+        yield env.unwrapped, seen
+        for action in generator(seed, 'walk').integers(int(env.action_space.n), size=WALK):
+            seen, _, terminated, _, _ = env.step(int(env.action_space.start + action))
+            yield env.unwrapped, seen
+            steps += 1
+            _check_pace(name, began, steps)
+            if terminated:
+                break
+
+
+def _check_pace(name: str, began: float, steps: int) -> None:
+    """
+    Check the time of some steps; the first may take longer.
+
+    :raises DomainError: they are slow.
+    """
+    seconds = time.perf_counter() - began
+    if seconds > SLACK + MAX_SECONDS * steps:
+        raise DomainError(
+            f'{name} took {seconds:.1f} s for {steps} steps, and a state is restored by repeating '
+            f'all of its steps: make them faster than {MAX_SECONDS} s'
+        )
+
+
+def _check_replay(domain: ReplayedEnvironment) -> None:
+    """
+    Check that seed and actions determine an episode: repeat it later, and in another environment.
+
+    :raises DomainError: something differs, or steps are slow.
+    """
+    names = ['the reward', 'the end', *(feature.name for feature in domain.features)]
+    actions = generator(0, 'replay').integers(len(domain.actions), size=REPLAYED).tolist()
+    world = domain.make_world()
+    episodes: list[list[list[float]]] = []
+    for played in (world, domain.make_world()):
+        for seed in (0, 1, 0):
+            began = time.perf_counter()
+            played.reset(seed)
+            rows = [[0.0, 0.0, *played.features()]]
+            for step, action in enumerate(actions, start=1):
+                reward, over = played.step(action)
+                rows.append([reward, over, *played.features()])
+                _check_pace(domain.name, began, step)
+                if over:
+                    break
+            episodes += [rows] if seed == 0 else []
+    for again in episodes[1:]:
+        for step, (first, second) in enumerate(zip(episodes[0], again)):
+            for what, one, two in zip(names, first, second):
+                if one != two:
+                    raise DomainError(
+                        f'{domain.name} is not determined by its seed: after {step} equal '
+                        f'actions, {what} was {one} once and {two} later; draw all random numbers '
+                        'from self.np_random'
+                    )
