@@ -40,6 +40,32 @@ def stated_ids(node: Node, *roles: Role) -> list[str]:
     )
 
 
+class GameIdentity:
+    """
+    The publisher id of the game in a node's namespace, whatever its node name.
+
+    A restarted game replaces the current one immediately; another node only after the current game
+    is gone from the graph. The announced ids decide, as in ``Peers``.
+
+    :ivar publisher_id: id of the current game; empty: not found yet.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self.publisher_id = ''
+        self._node = node
+
+    def accepts(self, publisher_id: str) -> bool:
+        """Return whether a message comes from the game, which may be a new one."""
+        if publisher_id and publisher_id == self.publisher_id:
+            return True
+        games = stated_ids(self._node, 'game')
+        again = signer(publisher_id) == signer(self.publisher_id)
+        if publisher_id not in games or not (again or self.publisher_id not in games):
+            return False
+        self.publisher_id = publisher_id
+        return True
+
+
 class Peers:
     """
     The latest status and the restart count of each node in a namespace.

@@ -7,7 +7,6 @@ announces its id in the graph, by a publisher on ``_node/NAME/_PART``: a hidden 
 carries a message. The game, which may have any name, uses ``_game/NAME/_PART``.
 """
 
-from collections.abc import Collection
 from typing import Literal
 
 from humanopts_ros.recording import own_name, prefix_of
@@ -48,19 +47,6 @@ def stated_id(topic: str, namespace: str, role: Role) -> str:
     prefix = prefix_of(namespace)
     name, mark, part = topic.removeprefix(f'{prefix}_{role}/').partition('/_')
     return f'{prefix}{name}#{part}' if mark and topic.startswith(f'{prefix}_{role}/') else ''
-
-
-def is_next_game(publisher_id: str, current: str, stated: Collection[str]) -> bool:
-    """
-    Return whether a game replaces the current one.
-
-    A restarted game does so immediately; another node only after the current game is gone.
-
-    :param current: id of the current game; empty: none yet.
-    :param stated: announced ids of all games on the graph.
-    """
-    again = signer(publisher_id) == signer(current)
-    return publisher_id in stated and (again or current not in stated)
 
 
 def sender_of(topic: str, namespace: str) -> str:

@@ -17,12 +17,11 @@ from typing import Any
 from humanopts_interfaces.msg import NodeStatus, RecorderStatus, StreamLoss
 from humanopts_ros.limits import shown
 from humanopts_ros.node_base import NodeBase, StartError
-from humanopts_ros.peers import stated_ids
+from humanopts_ros.peers import GameIdentity, stated_ids
 from humanopts_ros.process import run_node
 from humanopts_ros.publisher import PublishError
 from humanopts_ros.qos import LATCHED
 from humanopts_ros.recording import MAX_BYTES, own_name, SHARED
-from humanopts_ros.senders import is_next_game
 from humanopts_ros.text_files import fault_in, FileError, read_bytes
 from humanopts_teach.bags import BagWriteError, SchemaError
 from humanopts_teach.bags.provenance import attachments, software
@@ -128,6 +127,7 @@ class Recorder(NodeBase):
         self._numbered: dict[str, bool] = {}  # recorded topics: whether messages are numbered
         self._latched: set[str] = set()  # recorded topics of current values
         self._shared: deque[tuple[float, Taken]] = deque()  # held messages, with start times, s
+        self._game = GameIdentity(self)
         self._games: list[str] = []  # publisher ids of the game, one per start
         self._complete = False  # all publishers were matched at the last two checks
         self._stopped = ''  # reason why the recording has stopped; empty: it has not
@@ -244,11 +244,9 @@ class Recorder(NodeBase):
 
     def _find_game(self) -> None:
         """Record in the bag which publisher is the game, by the same rule as other nodes."""
-        stated = stated_ids(self, 'game')
-        current = next(reversed(self._games), '')
-        for publisher_id in stated:
-            if publisher_id not in self._games and is_next_game(publisher_id, current, stated):
-                self._games.append(current := publisher_id)
+        for publisher_id in stated_ids(self, 'game'):
+            if publisher_id not in self._games and self._game.accepts(publisher_id):
+                self._games.append(publisher_id)
                 ids = {GAME_IDS: json.dumps(self._games)}
                 self._attempt(partial(self._bag.note, GAME, ids))
 
