@@ -30,6 +30,7 @@ KEYS = {
     'numpy': 'python3-numpy',
     'markdown_it': 'python3-markdown-it',
     'pandas': 'python3-pandas',
+    'PIL': 'python3-pil',
     'prompt_toolkit': 'python3-prompt-toolkit',
     'psutil': 'python3-psutil',
     'pydantic': 'python3-pydantic-pip',
@@ -44,7 +45,12 @@ KEYS = {
     'yaml': 'python3-yaml',
     'zstandard': 'python3-zstandard',
 }
-FLOOR_KEYS = {'markdown-it-py': 'markdown-it', 'pyyaml': 'yaml', 'scikit-learn': 'sklearn'}
+FLOOR_KEYS = {
+    'markdown-it-py': 'markdown-it',
+    'pillow': 'pil',
+    'pyyaml': 'yaml',
+    'scikit-learn': 'sklearn',
+}
 OPTIONAL = {'distributed', 'minari', 'numba', 'pyarrow', 'quantecon'}  # used if installed
 UNIMPORTED = {'std_msgs', 'launch', 'launch_ros'}  # used by messages and launch files
 SYSTEMS = ('debian', 'ubuntu')  # need a rule in our list

@@ -14,6 +14,7 @@ setup(
         'matplotlib>=3.6.3',
         'numpy>=1.26.4',
         'pandas>=2.1.4',
+        'pillow>=10.2.0',
         'prompt-toolkit>=3.0.43',
         'psutil>=5.9.8',
         'pyyaml>=6.0.1',

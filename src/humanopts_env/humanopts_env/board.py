@@ -8,11 +8,12 @@ Cells are (row, column), row 0 in the north and column 0 in the west. The corner
 cells has the row and column of the cell south-east of it. The frame around all cells is implied.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import groupby, product
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 # Marks drawn as shapes in pictures; all others are letters.
 PERSON, BOX, OPEN_BOX, HATCHED_BOX, FLAG, BALL, DOT = '☻■□▒⚑●·'
@@ -25,6 +26,7 @@ _UP, _DOWN, _LEFT, _RIGHT = 1, 2, 4, 8
 Cell = tuple[int, int]
 Wall = tuple[int, int, int, int]  # row and column of one corner, then of the other
 Sign = tuple[str, str]  # a character and its rich style
+Image = NDArray[np.uint8]  # (height, width, 3): red, green, blue
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +52,12 @@ class Board:
     colour: str = ''  # of blocks and walls
     dotted: bool = True  # draw a dot in each empty cell, so that cells are easy to count
     picture: str = ''  # text drawing of a world without cells
+    image: Image | None = field(default=None, compare=False)  # image of a world without cells
+
+    @property
+    def drawn(self) -> bool:
+        """Whether there are cells or a picture, and not only notes."""
+        return bool(self.rows or self.picture) or self.image is not None
 
     def edges(self) -> tuple[Wall, ...]:
         """Return the sides of the frame and all walls."""

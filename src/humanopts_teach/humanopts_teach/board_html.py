@@ -1,7 +1,9 @@
-"""Rendering of a board as HTML: an SVG image and its caption."""
+"""Rendering of a board as HTML: an SVG or PNG image and its caption."""
 
+from base64 import b64encode
 from functools import cache
 import html
+from io import BytesIO
 
 from humanopts_env.board import (
     BALL,
@@ -11,11 +13,13 @@ from humanopts_env.board import (
     DOT,
     FLAG,
     HATCHED_BOX,
+    Image,
     Mark,
     OPEN_BOX,
     PERSON,
     runs,
 )
+from PIL import Image as Pillow
 from rich.color import ColorSystem
 from rich.style import Style
 
@@ -34,7 +38,13 @@ _SHAPES = {
 
 
 def board_html(board: Board) -> str:
-    """Return the board as an SVG image; the style sheet sets the colours of its classes."""
+    """
+    Return the board as an image, with no reference to another file.
+
+    The style sheet sets the colours of the classes of an SVG image.
+    """
+    if board.image is not None:
+        return _png(board.image)
     if not board.rows:
         return f'<pre class="board">{html.escape(board.picture)}</pre>' if board.picture else ''
     width, height, walls = board.cols * CELL, board.rows * CELL, style_classes(board.colour)
@@ -55,6 +65,17 @@ def board_html(board: Board) -> str:
     return (
         f'<svg class="board" role="img" aria-label="the board" '
         f'viewBox="-3 -3 {width + 6} {height + 6}">{"".join(drawn)}</svg>'
+    )
+
+
+def _png(image: Image) -> str:
+    """Return an image as an element; its pixels are as they are drawn."""
+    height, width, _ = image.shape
+    file = BytesIO()
+    Pillow.fromarray(image).save(file, 'PNG')
+    return (
+        f'<img class="board" alt="the world" width="{width}" height="{height}" decoding="sync" '
+        f'src="data:image/png;base64,{b64encode(file.getvalue()).decode()}"/>'
     )
 
 

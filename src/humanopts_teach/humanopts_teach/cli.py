@@ -11,7 +11,7 @@ from importlib.metadata import version
 from importlib.util import find_spec
 import os
 import sys
-from typing import Annotated, Any, TYPE_CHECKING
+from typing import Annotated, Any, Literal, TYPE_CHECKING
 
 from humanopts_ros.limits import accept_any_text, one_line, printable
 from humanopts_teach.command_line import (
@@ -202,6 +202,10 @@ def teach(
             show_default=False,
         ),
     ] = '',
+    picture: Annotated[
+        Literal['yes', 'no'],
+        typer.Option(help='no: show only a table of features, since a picture cannot hide any'),
+    ] = 'yes',
     *,
     pages: PageOptions,
     only: OnlyOption = '',
@@ -241,6 +245,7 @@ def teach(
         participant=participant or 'p1',
         ask_participant=not participant,
         keyboard=True,
+        pictures=picture == 'yes',
         step_period=WATCHED,
         only=only,
     )

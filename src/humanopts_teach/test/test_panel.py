@@ -90,9 +90,9 @@ def test_without_rules_the_features_of_the_state_are_listed(app: App) -> None:
     app.world.domain = DescribedDomain('rover', {}, [far], actions, 0.9, 100)
     app.world.game = Transition(2, 0, 'anything', features=(3.14159,))
     app.world.lesson = replace(app.world.lesson, chosen_features=('far',))
-    assert block(app, Features) == Features([('far', '3.142 m')], '')
-    assert frame(app, 80, 24)[1].startswith('far: 3.142 m')
-    assert '<span>far: 3.142 m</span>' in parts(view(app))['board']
+    assert block(app, Features) == Features([('far', '3.142 m')], in_rows=True)
+    assert 'far 3.142 m' in frame(app, 80, 24)
+    assert '<li><span>far</span> <b class="news">3.142 m</b></li>' in parts(view(app))['panel']
 
 
 @pytest.mark.parametrize(

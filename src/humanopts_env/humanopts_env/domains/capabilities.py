@@ -4,6 +4,7 @@ Optional capabilities of domains, used by the learner and the teaching tools.
 A domain has a capability if it has the method or attribute; nothing is registered.
 
 - ``HasBoard``: a board to draw.
+- ``HasPicture``: a picture of a state that cannot hide features.
 - ``HasPlanningFeatures``: games with features only for planning.
 - ``HasPrimitiveColumns``: the features used by plans with primitive actions.
 - ``HasSearchSpace``: the search space for subgoals of automatic options.
@@ -18,11 +19,11 @@ A domain has a capability if it has the method or attribute; nothing is register
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol, runtime_checkable
 
 from humanopts_env.arrays import Ints
-from humanopts_env.board import Board
+from humanopts_env.board import Board, Image
 from humanopts_env.domains.base import ActableDomain, Parameter, shown_values
 from humanopts_env.domains.search_space import SearchSpace
 import numpy as np
@@ -46,6 +47,36 @@ def board_of(domain: ActableDomain, state: Any, shown: Collection[str] | None = 
     if isinstance(domain, HasBoard):
         return domain.board(state, shown)
     return Board(notes=in_words(shown_values(domain, state, shown)))
+
+
+@runtime_checkable
+class HasPicture(Protocol):
+    """A domain with a picture of each state, which may reveal every feature."""
+
+    def picture(self, state: Any) -> Image | str | None:
+        """Return an image, (H, W, 3) uint8, or a text drawing; None: there is no picture."""
+
+
+def pictured_board_of(
+    domain: ActableDomain, state: Any, shown: Collection[str] | None = None
+) -> Board:
+    """
+    Return the board of a state for a person: with its picture, if it has one.
+
+    A picture takes time, so only processes that draw call this.
+
+    :param shown: as in ``board_of``; the picture ignores it.
+    """
+    board = board_of(domain, state, shown)
+    if not isinstance(domain, HasPicture):
+        return board
+    try:
+        picture = domain.picture(state)
+    except Exception as error:  # of code that is not ours; the features are shown without it
+        picture = f'no picture: {error}'
+    if picture is None or isinstance(picture, str):
+        return replace(board, picture=picture or '')
+    return replace(board, image=picture)
 
 
 def in_words(values: Mapping[str, str], drawn: Collection[str] = ()) -> tuple[str, ...]:

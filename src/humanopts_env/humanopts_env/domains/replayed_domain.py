@@ -12,9 +12,10 @@ from dataclasses import dataclass
 from functools import cached_property
 import re
 import string
-from typing import Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from humanopts_env.arrays import Floats
+from humanopts_env.board import Image
 from humanopts_env.domains.base import Domain, DomainError, Outcome, StateError
 import numpy as np
 
@@ -36,6 +37,14 @@ class World(Protocol):
 
     def features(self) -> Sequence[float]:
         """Return the current value of every feature, see ``Feature``."""
+
+
+@runtime_checkable
+class DrawnWorld(World, Protocol):
+    """A world that can be drawn, without a window and without changing it."""
+
+    def picture(self) -> Any:
+        """Return an image, (H, W, 3) uint8, a text drawing, or None."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,6 +117,21 @@ class ReplayedDomain(Domain[History], ABC):
         if key not in self._worlds:
             self.decode(self.encode(state))  # replays it
         return self._worlds[key][0]
+
+    def picture(self, state: History) -> Image | str | None:
+        """
+        Return the picture that the world draws of a state; None: it draws none.
+
+        :raises DomainError: what it draws is neither a text nor an image.
+        """
+        world = self.world(state)
+        drawn = world.picture() if isinstance(world, DrawnWorld) else None
+        if drawn is None or isinstance(drawn, str):
+            return drawn
+        image = np.array(drawn)
+        if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8 or not image.size:
+            raise DomainError(f'{self.name} draws {image.dtype} {image.shape}, not an RGB image')
+        return image
 
     def sample_states(self, rng: np.random.Generator, count: int) -> list[History]:
         """Draw states of random walks, about one in GAP states of each walk, never over."""

@@ -9,7 +9,6 @@ from functools import cache
 from importlib.resources import files
 from typing import Any
 
-from humanopts_env.board import Board
 from humanopts_teach.board_html import board_html, notes_html
 from humanopts_teach.dialogue.entry import MAX_CHARACTERS, PAGE
 from humanopts_teach.dialogue.keys import BACKSPACE, DOWN, ENTER, INTERRUPT, label, LEFT, UP
@@ -59,7 +58,7 @@ def parts(view: ScreenView) -> dict[str, str]:
     :raises jinja2.UndefinedError: the template does not support a block of the panel.
     """
     made, blocks, board = _macros(), [*view.panel.beside, *view.panel.below], ''
-    if view.board not in (None, Board()):
+    if view.board is not None:
         board = made.board(board_html(view.board), notes_html(view.board))
     found = (
         made.head(view),

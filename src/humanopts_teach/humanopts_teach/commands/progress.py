@@ -1,19 +1,21 @@
 """What a demo shows while it runs: the board, the lesson, the criteria."""
 
-from collections.abc import Sequence
 from typing import Any
 
+from humanopts_env.board import board_text
 from humanopts_env.colours import GREEN
-from humanopts_env.domains.capabilities import board_of
+from humanopts_env.domains.capabilities import board_of, pictured_board_of
 from humanopts_learner.summary import OptionSummary
 from humanopts_ros.limits import printable
 from humanopts_teach.ros.conductor import Conductor
+from humanopts_teach.terminal.device import usable_colours
 from humanopts_teach.terminal.drawing import board_texts
 from rich.console import Console, Group
 from rich.live import Live
 from rich.text import Text
 
 _LINE_EVERY = 10  # demonstrations between lines, without a terminal
+_OTHER_ROWS = 4  # of the picture, besides the board and the options
 
 
 class DemoProgress:
@@ -58,19 +60,22 @@ class DemoProgress:
 
     def __call__(self, graph: Conductor) -> None:
         """Show the graph's current values."""
-        board: Sequence[Any] = ()
         world, options = graph.client.world, graph.client.world.summaries
-        if world.domain is not None and graph.state is not None:
-            board = board_texts(board_of(world.domain, graph.state.state))
         lines = [f'{option.option_name}: {_criteria_words(option)}' for option in options]
         if not self._console.is_terminal:
-            if board:
-                self._say('first state', 'the first state:', *board)
+            if world.domain is not None and graph.state is not None:
+                first = board_text(board_of(world.domain, graph.state.state))
+                self._say('first state', 'the first state:', Text(first))
             for option, line in zip(options, lines):
                 tens = (option.n_demonstrations + option.n_not_here) // _LINE_EVERY
                 self._say(f'{option.option_name} {tens} {option.criteria_met}', line)
             return
-        parts: list[Any] = [Text(f'\n{self._stage}', style='bold'), *board]
+        parts: list[Any] = [Text(f'\n{self._stage}', style='bold')]
+        if world.domain is not None and graph.state is not None:
+            width, height = self._console.size
+            board = pictured_board_of(world.domain, graph.state.state)
+            rows, colours = height - len(lines) - _OTHER_ROWS, usable_colours(self._console)
+            parts += board_texts(board, width, rows, colours)
         parts += [Text(s, GREEN if o.criteria_met else '') for o, s in zip(options, lines)]
         if hasattr(played := graph.feedback, 'fallbacks'):
             counts = (

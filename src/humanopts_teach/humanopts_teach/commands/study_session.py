@@ -170,7 +170,11 @@ class Study:
             parameter=[*condition.parameters.items()],
             namespace=self.namespace,
         )
-        own: dict[str, Any] = {'keyboard': True, 'step_period': WATCHED}
+        own: dict[str, Any] = {
+            'keyboard': True,
+            'pictures': condition.picture,
+            'step_period': WATCHED,
+        }
         if not left:
             domain = make_domain(condition.domain, dict(condition.parameters))
             own = {'taught': taught_options(domain), 'teacher_error_rate': _ERROR_RATE}

@@ -146,6 +146,7 @@ class App:
         self.groups = QuestionGroups()
         self.can_start_again: dict[str, bool] = {}  # latest setting of each option
         self.ended = False
+        self.pictures = True  # show the world; False: only a table of its features
         self.way_out = 'Ctrl-C quits'  # advice to the person when nodes are missing
         self._frame = 0  # number of the latest frame
         self._seen: dict[int, _Seen] = {}  # by frame number

@@ -58,10 +58,12 @@ class KeyList:
 
 @dataclass(frozen=True, slots=True)
 class Features:
-    """The features that the option depends on."""
+    """The features that the option depends on, or all features."""
 
     shown: Sequence[tuple[str, str]]  # name and value; the value is empty outside demonstrations
-    hidden: str  # description of the hidden features; empty: none
+    hidden: str = ''  # what is said about the other features; empty: there are none
+    title: str = 'depends on'
+    in_rows: bool = False  # one per row, since no board shows them
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,5 +120,5 @@ class ScreenView:
     said: Line = GAP
     keys: Sequence[Key] = ()
     paused: str = ''  # reason why teaching is paused; empty: not paused
-    board: Board | None = None  # None: the screen has no board
+    board: Board | None = None  # None: nothing is drawn
     plays: bool = False  # whether the game is being played

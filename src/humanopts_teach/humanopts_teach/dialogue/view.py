@@ -1,23 +1,36 @@
 """The view of a dialogue: the current screen and the elements common to all screens."""
 
+from dataclasses import replace
+
 from humanopts_env.board import Board
-from humanopts_env.domains.capabilities import board_of
+from humanopts_env.domains.base import shown_values
+from humanopts_env.domains.capabilities import pictured_board_of
 from humanopts_env.domains.described import can_simulate, published_state
 from humanopts_teach.dialogue.app import App
 from humanopts_teach.dialogue.keys import key_table, label
-from humanopts_teach.dialogue.panel import Key, Line, Panel, ScreenView, Tone
+from humanopts_teach.dialogue.panel import Features, Key, Line, Panel, ScreenView, Tone
 from humanopts_teach.lesson.requests import Phase
 
+_SEEN = 'the picture shows more, which the option does not see'
+_NO_PICTURE = Line('No picture: it needs a terminal with colours.', Tone.QUIET)
 _ALL_FEATURES = {Phase.NO_SESSION, Phase.NO_OPTION, Phase.ASKING}  # phases that hide no features
 
 
-def view(app: App) -> ScreenView:
-    """Return the current view."""
+def view(app: App, *, images: bool = True) -> ScreenView:
+    """
+    Return the current view.
+
+    :param images: whether images can be shown; False: the screen says that they cannot.
+    """
     screen, world = app.screen, app.world
-    known = world.domain is not None
+    board, panel = Board(), Panel((Line('Waiting for the game ...'),))
+    if world.domain is not None:
+        panel = screen.panel(app)
+        if screen.shows_board:
+            board, panel = _drawn(app, panel, images)
     return ScreenView(
         _head(app),
-        screen.panel(app) if known else Panel((Line('Waiting for the game ...'),)),
+        panel,
         _said(app),
         [
             Key(key, label(key) if each.label is None else each.label, each.words)
@@ -25,7 +38,7 @@ def view(app: App) -> ScreenView:
             if each.do is not None
         ],
         world.lesson.paused,
-        _board(app) if known and screen.shows_board else None,
+        board if board.drawn else None,
         screen.plays(app),
     )
 
@@ -53,12 +66,30 @@ def _said(app: App) -> Line:
     return Line(app.world.lesson.text if app.screen.answers_lesson else '', Tone.GOOD)
 
 
-def _board(app: App) -> Board:
-    """Return the board; without rules, only the current state of a domain can be drawn."""
+def _drawn(app: App, panel: Panel, images: bool) -> tuple[Board, Panel]:
+    """
+    Return the board, and the panel with a table of features if the board has no cells.
+
+    Without rules, only the current state of a domain can be drawn.
+    """
     domain, game, lesson = app.domain, app.world.game, app.world.lesson
     state = app.screen.state or game.state
     if not state or not (can_simulate(domain) or state == game.state):
-        return Board()
+        return Board(), panel
     hides = app.screen.hides_features and lesson.phase not in _ALL_FEATURES
-    shown = published_state(domain, state, game.features)
-    return board_of(domain, shown, lesson.chosen_features if hides else None)
+    here = published_state(domain, state, game.features)
+    shown = lesson.chosen_features if hides else None
+    board = pictured_board_of(domain, here, shown) if app.pictures else Board()
+    if board.rows:
+        return board, panel
+    if board.image is not None and not images:
+        board, panel = Board(), replace(panel, below=(*panel.below, _NO_PICTURE))
+    values = shown_values(domain, here, shown).items()
+    table = Features([(name.replace('_', ' '), value) for name, value in values], in_rows=True)
+    board, blocks = replace(board, notes=()), list(panel.beside)
+    for number, block in enumerate(blocks):
+        if isinstance(block, Features):
+            hidden = _SEEN if block.hidden and board.drawn else block.hidden
+            blocks[number] = replace(table, hidden=hidden)
+            return board, replace(panel, beside=blocks)
+    return board, replace(panel, below=(*panel.below, replace(table, title='features')))

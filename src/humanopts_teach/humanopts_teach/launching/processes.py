@@ -55,6 +55,7 @@ class Setup(LaunchOptions):
     taught: tuple[str, ...] = ()  # options that a simulated teacher teaches; empty: no teacher
     teacher_error_rate: float = 0.0
     keyboard: bool = False
+    pictures: bool = True  # people see the world; False: only its features
     record: bool = True
     game_steps: int = 0  # steps that the command samples plans from; 0: the default
     bag_name: str = 'bag'
@@ -182,6 +183,7 @@ def _own_parameters(setup: Setup) -> dict[str, dict[str, Value]]:
         'keyboard_teleop': {
             'participant': setup.participant,
             'ask_participant': setup.ask_participant,
+            'pictures': setup.pictures,
             'seed': setup.seed,
             **(study if setup.study else {}),
         },
@@ -205,6 +207,8 @@ def recorded_facts(setup: Setup) -> dict[str, str]:
         facts['game_steps'] = str(setup.game_steps)
     if setup.taught or setup.keyboard:
         facts['participant'] = setup.participant
+    if not setup.pictures:
+        facts['picture'] = 'no'
     if setup.study:
         facts |= {'study': setup.study, 'condition': setup.condition}
     return facts

@@ -6,7 +6,7 @@ from typing import Any
 
 from humanopts_env.board import signs
 from humanopts_env.domains.base import Domain
-from humanopts_env.domains.capabilities import board_of
+from humanopts_env.domains.capabilities import pictured_board_of
 from humanopts_learner.demonstrations import PRIMITIVE_PREFIX
 from humanopts_teach.bags.contents import (
     actor_of,
@@ -109,7 +109,7 @@ def episode_strip(domain: Domain, frames: Sequence[Frame]) -> Strip:
     ends = list(range(len(frames))) if whole else _ends(frames)
     last = MAX_PICTURES - FIRST
     shown = [*ends[:FIRST], *ends[-last:]] if len(ends) > MAX_PICTURES else ends
-    boards = [board_of(domain, domain.decode(frames[number].state)) for number in shown]
+    boards = [pictured_board_of(domain, domain.decode(frames[number].state)) for number in shown]
     pictures = []
     for before, number, board in zip([-1, *shown], shown, boards):
         frame, steps = frames[number], frames[before + 1 : number + 1]

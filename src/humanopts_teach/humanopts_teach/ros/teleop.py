@@ -68,6 +68,7 @@ class TeleopNode(NodeBase):
         self.app = self._study(participant, seed) or App(
             opening(participant, ask=ask), self._world, seed=seed
         )
+        self.app.pictures = self.setting('pictures', True, 'show the world; false: only features')
         self._goal: Goal | None = None  # goal of the active run
         self._held: Request | None = None  # request waiting for its server
         self._started = self._checked = time.monotonic()

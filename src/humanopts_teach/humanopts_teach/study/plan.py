@@ -158,6 +158,7 @@ class Condition(_Values):
     learn: Text = METHOD
     strategy: Text = STRATEGY
     budget: Annotated[int, Field(ge=1, lt=2**31)] = BUDGET
+    picture: bool = True  # False: participants see only a table of features
     page: Given = None  # Markdown file, shown first
     free_play: Minutes = 0.0
     buttons: Whole = 0  # maximum number of buttons to suggest; 0 omits the part

@@ -1,26 +1,34 @@
 """Rendering of the screen as lines of text."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from io import StringIO
 from typing import Literal
 
-from humanopts_env.board import Board, caption, runs, signs
+from humanopts_env.board import Board, caption, Image, runs, signs
 from humanopts_env.colours import GREEN, ORANGE, RED, TEAL
 from humanopts_ros.limits import one_line
 from humanopts_teach.dialogue import panel
 from humanopts_teach.dialogue.app import App
 from humanopts_teach.dialogue.entry import PAGE
 from humanopts_teach.dialogue.view import view
+import numpy as np
+from PIL import Image as Pillow
 from rich.cells import cell_len, set_cell_size
+from rich.color import Color
+from rich.columns import Columns
 from rich.console import Console, ConsoleOptions, Group, RenderableType
 from rich.padding import Padding
 from rich.segment import Segment
+from rich.style import Style
 from rich.table import Table
 from rich.text import Text
 
 SMALLEST = (70, 20)  # columns, rows
 _WIDE_BESIDE = 50  # minimum columns next to the board to place the whole panel there
 _ROOMY = 24  # rows; taller screens have a gap below the header
+_UPPER_HALF = '▀'  # its foreground is the upper of two pixels, its background the lower one
+_COLOUR_BITS = 0xF8  # of each colour of a pixel, so that neighbours are often equal
 Colours = Literal['auto', 'standard', '256', 'truecolor', 'windows']
 KEY = f'bold {TEAL}'  # style of key labels
 STYLES = {
@@ -44,8 +52,8 @@ def frame(app: App, width: int, height: int, colours: Colours | None = None) -> 
             f'This window has {width} x {height} characters, and {SMALLEST[0]} x {SMALLEST[1]} '
             'are needed: please make it larger. (Ctrl-C quits; everything taught is saved.)'
         )
-        return framed([Text(words)], [], width, height, colours)
-    shown = view(app)
+        return framed([Text(words)], lambda rows: Text(), [], width, height, colours)
+    shown = view(app, images=colours is not None)
     top: list[RenderableType] = [title(' · '.join(shown.head), width)]
     if shown.paused:
         why = Text.assemble(('PAUSED: ', 'bold'), one_line(shown.paused), overflow='ellipsis')
@@ -53,10 +61,10 @@ def frame(app: App, width: int, height: int, colours: Colours | None = None) -> 
         top.append(Padding(why, (0, 1), style=f'color(231) on {RED}'))
     if height > _ROOMY:
         top.append(Text())
-    top.append(_middle(shown, width))
     keys = [(key.label, key.words) for key in shown.keys if key.label]
     foot = [Text('─' * width, 'dim'), drawn(shown.said), *key_bar(keys, width)]
-    return framed(top, foot, width, height, colours)
+    middle = partial(_middle, shown, width, colours)
+    return framed(top, middle, foot, width, height, colours)
 
 
 def title(words: str, width: int) -> Text:
@@ -66,14 +74,20 @@ def title(words: str, width: int) -> Text:
 
 def framed(
     top: Sequence[RenderableType],
+    middle: Callable[[int], RenderableType],
     foot: Sequence[RenderableType],
     width: int,
     height: int,
     colours: Colours | None,
 ) -> list[str]:
-    """Return ``height`` lines: the top, truncated if too long, and the foot below it."""
+    """
+    Return ``height`` lines: top and middle, truncated if too long, and the foot below them.
+
+    :param middle: returns the middle for a number of rows, which an image fills.
+    """
     upper, lower = (_lines_of(Group(*part), width, colours) for part in (top, foot))
     room = height - len(lower)
+    upper += _lines_of(Group(middle(room - len(upper))), width, colours)
     if len(upper) > room:
         upper = [*upper[: max(room - 1, 0)], '... (a higher window shows more)']
     return (upper + [''] * room)[:room] + lower
@@ -110,35 +124,71 @@ class _Printable:
             yield Segment(plain, style, control)
 
 
-def _middle(view: panel.ScreenView, width: int) -> RenderableType:
+def _middle(
+    view: panel.ScreenView, width: int, colours: Colours | None, rows: int
+) -> RenderableType:
     beside, below = (Group(*map(drawn, part)) for part in (view.panel.beside, view.panel.below))
     if view.board is None:
-        return beside
-    board, notes = board_texts(view.board)
+        return Group(beside, below)
+    board, notes = board_texts(view.board, width // 2, rows, colours)
     board_width = max(cell_len(line) for line in board.plain.split('\n'))
     table = Table.grid(padding=(0, 3, 0, 0), expand=True)
     table.add_column(width=board_width, no_wrap=True)
     table.add_column(ratio=1)
-    if width - board_width < _WIDE_BESIDE:
+    if view.board.rows and width - board_width < _WIDE_BESIDE:
         table.add_row(board, beside)
         return Group(table, notes, below)
     table.add_row(board, Group(beside, below))
     return Group(table, notes)
 
 
-def board_texts(board: Board) -> tuple[Text, Text]:
+def board_texts(
+    board: Board, width: int, height: int, colours: Colours | None
+) -> tuple[Text, Text]:
     """
-    Return a coloured board and the lines below it, which may be wider.
+    Return a coloured board or an image, and the lines below it, which may be wider.
 
     A domain without a drawing shows a list of its features instead of a board.
+
+    :param width: columns available to an image; ``height``: rows, including the lines below.
+    :param colours: None: images cannot be drawn.
     """
+    image = board.image if colours is not None else None
     drawn, below = signs(board), caption(board)
-    if not drawn:
+    if not drawn and image is None:
         drawn, below = caption(board, width=0), []
     board_text, notes = (
         Text('\n').join(Text.assemble(*runs(line)) for line in lines) for lines in (drawn, below)
     )
+    if image is not None:
+        board_text = half_blocks(image, width, max(height - len(below), 1))
     return board_text, notes
+
+
+def half_blocks(image: Image, width: int, height: int) -> Text:
+    """
+    Return an image as lines of half blocks, as large as fits.
+
+    A character shows two pixels, one above the other; as it is about twice as high as wide, they
+    are square. The colour of a pixel is the mean of its area.
+
+    :param width: columns, at least 1; ``height``: rows, at least 1.
+    """
+    rows, columns, _ = image.shape
+    scale = min(width / columns, 2 * height / rows)
+    across, down = max(1, round(scale * columns)), max(1, round(scale * rows / 2))
+    small = Pillow.fromarray(image).resize((across, 2 * down), Pillow.Resampling.BOX)
+    pairs = np.asarray(small).reshape(down, 2, across, 3) & _COLOUR_BITS
+    lines = []
+    for upper, lower in pairs:
+        changes = (upper[1:] != upper[:-1]) | (lower[1:] != lower[:-1])
+        ends = [*(np.flatnonzero(changes.any(axis=1)) + 1).tolist(), across]
+        line = Text()
+        for start, end in zip([0, *ends], ends):
+            front, back = (Color.from_rgb(*half[start].tolist()) for half in (upper, lower))
+            line.append(_UPPER_HALF * (end - start), Style(color=front, bgcolor=back))
+        lines.append(line)
+    return Text('\n').join(lines)
 
 
 def drawn(block: panel.Block) -> RenderableType:
@@ -153,8 +203,10 @@ def drawn(block: panel.Block) -> RenderableType:
             return Text.assemble(*((one_line(piece.text), _style(piece)) for piece in pieces))
         case panel.TypedText(text):
             return Text.assemble('> ', (text, 'bold'), ('█', TEAL), overflow='fold')
-        case panel.Features(shown, hidden):
-            parts: list[str | tuple[str, str]] = [('depends on: ', 'dim')]
+        case panel.Features(shown, hidden, title, in_rows):
+            if in_rows:
+                return _feature_rows(block)
+            parts: list[str | tuple[str, str]] = [(f'{title}: ', 'dim')]
             for number, (name, value) in enumerate(shown):
                 parts += [(', ' if number else '', 'dim'), name]
                 parts.append((f' {value}' if value else '', f'bold {TEAL}'))
@@ -179,6 +231,18 @@ def drawn(block: panel.Block) -> RenderableType:
                 item = (one_line(f'{number + 1} {words}'), 'bold' if chosen else '')
                 table.add_row(mark, Text.assemble(item, (one_line(f'  {note}'), 'dim')))
     return table
+
+
+def _feature_rows(features: panel.Features) -> RenderableType:
+    """Return names and values as a table, in as many columns as fit."""
+    width = max((cell_len(name) for name, _ in features.shown), default=0)
+    rows = [
+        Text.assemble(set_cell_size(name, width), ' ', (value, f'bold {TEAL}'), no_wrap=True)
+        for name, value in features.shown
+    ]
+    title, hidden = (Text(words, 'dim') for words in (f'{features.title}:', features.hidden))
+    table = Columns(rows, padding=(0, 3), equal=True, column_first=True)
+    return Group(title, table, *([hidden] if features.hidden else []))
 
 
 def _style(line: panel.Line) -> str:

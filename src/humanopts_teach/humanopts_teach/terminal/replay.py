@@ -2,14 +2,17 @@
 
 from collections.abc import Callable, Iterator, Sequence
 import math
+from typing import Any
 
+from humanopts_env.board import board_text
 from humanopts_env.domains.base import Domain
-from humanopts_env.domains.capabilities import board_of
+from humanopts_env.domains.capabilities import board_of, pictured_board_of
 from humanopts_env.game import effect_between
 from humanopts_ros.limits import one_line
 from humanopts_teach.bags.contents import actor_of, Actors, Episode, source_of
 from humanopts_teach.dialogue.keys import END_OF_FILE, ESCAPE, INTERRUPT, LEFT, RIGHT, SPACE
 from humanopts_teach.terminal.drawing import board_texts, Colours, framed, key_bar, title
+from rich.console import Group
 from rich.text import Text
 
 STEP_SECONDS = 0.5  # duration of a step at speed 1
@@ -88,16 +91,21 @@ class Replay:
         """Return the screen as ``height`` lines of at most ``width`` cells."""
         how = f'speed {self.speed:g}' if self.running else 'paused'
         head = title(f'humanopts · {self._domain.name} · {how}', width)
-        top = [head, Text(), *self._board(), Text(), Text(self._words(), 'bold')]
+
+        def middle(rows: int) -> Group:
+            board = pictured_board_of(self._domain, self._state)
+            parts = board_texts(board, width, rows - 2, colours)
+            return Group(*parts, Text(), Text(self._words(), 'bold'))
+
         keys = [Text('─' * width, 'dim'), *key_bar(_KEYS, width)]
-        return framed(top, keys if height >= _ROOM_FOR_KEYS else [], width, height, colours)
+        foot = keys if height >= _ROOM_FOR_KEYS else []
+        return framed([head, Text()], middle, foot, width, height, colours)
 
     def plain(self) -> Iterator[str]:
         """Yield each step of the episode as text."""
         for step in range(self._last + 1):
             self._step = step
-            board, notes = (part.plain for part in self._board())
-            yield '\n'.join([self._words(), board, *([notes] if notes else []), ''])
+            yield '\n'.join([self._words(), board_text(board_of(self._domain, self._state)), ''])
 
     def _go(self, step: int) -> None:
         self._step = min(max(step, 0), self._last)
@@ -114,9 +122,9 @@ class Replay:
             self._begin(index)
             self.running = True
 
-    def _board(self) -> tuple[Text, Text]:
-        state = self._episode.transitions[self._step].state
-        return board_texts(board_of(self._domain, self._domain.decode(state)))
+    @property
+    def _state(self) -> Any:
+        return self._domain.decode(self._episode.transitions[self._step].state)
 
     def _words(self) -> str:
         """Return the position, the actor, the action and its reward."""

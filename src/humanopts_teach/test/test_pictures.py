@@ -1,0 +1,180 @@
+"""Worlds that draw themselves: in terminals and on pages, beside a table of features."""
+
+from base64 import b64decode
+from collections.abc import Iterator
+from dataclasses import replace
+from io import BytesIO
+from pathlib import Path
+import re
+
+from humanopts_env.board import Board
+from humanopts_env.domains.capabilities import board_of, pictured_board_of
+from humanopts_env.seeding import generator
+from humanopts_teach.board_html import board_html
+from humanopts_teach.browser.markup import parts
+from humanopts_teach.dialogue.panel import Features
+from humanopts_teach.dialogue.view import view
+from humanopts_teach.terminal.drawing import board_texts, frame, half_blocks
+import numpy as np
+from PIL import Image as Pillow
+import pytest
+from rich.color import Color
+from teach_support.desk import Desk
+from teach_support.orchard import Field, Orchard
+
+RED, BLUE, BLACK = (248, 0, 0), (0, 0, 248), (0, 0, 0)
+SIDE = 8  # pixels of a cell
+
+
+class DrawnField(Field):
+    """A field that draws the picker in red; it always returns the same array."""
+
+    canvas = np.zeros((8 * SIDE, 8 * SIDE, 3), dtype=np.uint8)
+
+    def picture(self) -> object:
+        top, left = (SIDE * part for part in self.picker)
+        self.canvas[:] = 0
+        self.canvas[top : top + SIDE, left : left + SIDE] = RED
+        return self.canvas
+
+
+class DrawnOrchard(Orchard):
+    def make_world(self) -> Field:
+        return DrawnField()
+
+
+def drawn_by(picture: object) -> Orchard:
+    """Return an orchard in a world with another picture; an exception is raised."""
+
+    class Other(Field):
+        def picture(self) -> object:
+            if isinstance(picture, Exception):
+                raise picture
+            return picture
+
+    class OtherOrchard(Orchard):
+        def make_world(self) -> Field:
+            return Other()
+
+    return OtherOrchard()
+
+
+@pytest.fixture
+def desk(tmp_path: Path) -> Iterator[Desk]:
+    """Somebody who demonstrates in the orchard, by one of its three features."""
+    desk = Desk(DrawnOrchard(), tmp_path)
+    yield desk.teach('fill', ['apple_direction'], '').press('left')
+    desk.store.close()
+
+
+def test_a_half_block_is_two_pixels_and_each_the_mean_of_its_area() -> None:
+    image = np.array([[RED, BLUE], [BLUE, BLUE], [RED, BLACK], [RED, BLACK]], dtype=np.uint8)
+    text = half_blocks(image, 80, 2)
+    assert text.plain == '▀▀\n▀▀'
+    found = [(span.style.color, span.style.bgcolor) for span in text.spans]  # type: ignore[union-attr]
+    wanted = [(RED, BLUE), (BLUE, BLUE), (RED, RED), (BLACK, BLACK)]
+    assert found == [(Color.from_rgb(*a), Color.from_rgb(*b)) for a, b in wanted]
+    (span,) = half_blocks(image[:2], 1, 9).spans
+    assert (span.style.color, span.style.bgcolor) == (  # type: ignore[union-attr]
+        Color.from_rgb(120, 0, 120),
+        Color.from_rgb(0, 0, 248),
+    )
+
+
+@pytest.mark.parametrize('size', [(64, 64), (400, 600), (600, 100), (1, 1)])
+@pytest.mark.parametrize('room', [(40, 19), (60, 10), (70, 40)])
+def test_an_image_fills_its_room_and_keeps_its_shape(
+    size: tuple[int, int], room: tuple[int, int]
+) -> None:
+    rows = half_blocks(np.zeros((*size, 3), np.uint8), *room).plain.split('\n')
+    width, height = len(rows[0]), len(rows)
+    assert (width <= room[0], height <= room[1]) == (True, True)
+    assert width == room[0] or height == room[1]
+    assert width == pytest.approx(2 * height * size[1] / size[0], abs=2)
+    assert half_blocks(np.zeros((*size, 3), np.uint8), 1, 1).plain == '▀'
+
+
+def test_a_lesson_shows_the_picture_and_a_table_and_says_that_it_shows_more(desk: Desk) -> None:
+    shown = view(desk.app)
+    assert shown.board is not None
+    assert shown.board.image is not None
+    (table,) = [block for block in shown.panel.beside if isinstance(block, Features)]
+    game = desk.game.transition
+    way = desk.app.domain.features[0].text(game.features[0])
+    assert table.shown == [('apple direction', way)]
+    assert table.hidden == 'the picture shows more, which the option does not see'
+    lines = frame(desk.app, 80, 24, 'truecolor')
+    assert sum('▀' in line for line in lines) == 18
+    assert re.search(r'apple direction .*' + way, '\n'.join(lines))
+
+
+def test_before_any_are_chosen_all_features_are_in_the_table(desk: Desk) -> None:
+    desk.press('escape', 'enter')
+    (table,) = [block for block in view(desk.app).panel.below if isinstance(block, Features)]
+    names = [feature.name.replace('_', ' ') for feature in desk.app.domain.features]
+    assert ([name for name, _ in table.shown], table.title) == (names, 'features')
+
+
+def test_a_terminal_without_colours_says_that_it_shows_no_picture(desk: Desk) -> None:
+    screen = desk.sees()
+    assert 'No picture: it needs a terminal with colours.' in screen
+    assert 'all else is hidden' in screen
+    assert '▀' not in screen
+
+
+def test_without_pictures_only_the_chosen_features_are_seen(desk: Desk, tmp_path: Path) -> None:
+    desk.app.pictures = False
+    assert view(desk.app).board is None
+    assert '<img' not in ''.join(parts(view(desk.app)).values())
+    screen = '\n'.join(frame(desk.app, 80, 24, 'truecolor'))
+    assert 'all else is hidden' in screen
+    assert 'picture' not in screen
+
+
+def test_a_page_has_every_pixel(desk: Desk) -> None:
+    board = view(desk.app).board
+    assert board is not None
+    found = re.search(r'src="data:image/png;base64,([^"]+)"', parts(view(desk.app))['board'])
+    assert found is not None
+    pixels = np.asarray(Pillow.open(BytesIO(b64decode(found[1]))))
+    assert np.array_equal(pixels, np.asarray(board.image))
+
+
+def test_every_state_is_drawn_as_it_was_and_drawing_changes_none() -> None:
+    domain, rng = DrawnOrchard(), generator(0, 'pictures')
+    state = domain.reset(rng)
+    states = [state]
+    images = [domain.picture(state)]
+    while not state.over:
+        state = domain.step(state, int(rng.integers(4)), rng).state
+        states.append(state)
+        images.append(domain.picture(state))
+    again = DrawnOrchard()
+    for number in (len(states) - 1, 0, len(states) // 2):
+        state = states[number]
+        assert np.array_equal(np.asarray(again.picture(state)), np.asarray(images[number]))
+        assert again.decode(domain.encode(state)) == state
+    assert not np.array_equal(np.asarray(images[0]), np.asarray(images[-1]))
+
+
+def test_a_text_is_drawn_as_it_is_and_a_failure_is_shown_instead_of_the_picture() -> None:
+    def drawn(picture: object) -> Board:
+        domain = drawn_by(picture)
+        return pictured_board_of(domain, domain.reset(generator(0, 'text')))
+
+    assert drawn('a <b>\nc').picture == 'a <b>\nc'
+    assert not drawn(None).drawn
+    assert drawn(RuntimeError('no pygame')).picture == 'no picture: no pygame'
+    assert drawn(np.zeros((2, 2), np.uint8)).picture == (
+        'no picture: orchard draws uint8 (2, 2), not an RGB image'
+    )
+
+
+def test_a_picture_is_no_part_of_the_board_that_hides_features() -> None:
+    domain = drawn_by(RuntimeError('drawn'))
+    state = domain.reset(generator(0, 'hidden'))
+    board = board_of(domain, state, ['basket'])
+    assert board == Board(notes=('basket: 0',))
+    listed, _ = board_texts(replace(board, image=DrawnField.canvas), 40, 10, None)
+    assert listed.plain == 'basket: 0'
+    assert board_html(board) == ''
