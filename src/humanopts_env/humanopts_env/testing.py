@@ -24,7 +24,6 @@ from humanopts_env import colours
 from humanopts_env.board import board_text
 from humanopts_env.domains.base import (
     Domain,
-    feature_columns,
     is_enumerable,
 )
 from humanopts_env.domains.capabilities import (
@@ -39,6 +38,7 @@ from humanopts_env.domains.capabilities import (
     step_effect,
 )
 from humanopts_env.domains.check import Breach, CLAIMS, Evidence, refuses
+from humanopts_env.domains.formulas import feature_columns, stacked
 from humanopts_env.domains.reference import judge_states, Judgement, ReferenceOption
 from humanopts_env.domains.registry import reference_options
 from humanopts_env.games import games_at, new_games, StateGames
@@ -353,12 +353,12 @@ class OptionEvidence:
 
 def each_has_a_name_a_definition_and_features_in_order(seen: OptionEvidence) -> None:
     assert seen.options, 'there are no reference options'
-    names = [feature.name for feature in seen.domain.features]
     for name, option in seen.options.items():
         good = option.name == name == name.strip().lower() != ''
         assert good, f'{name!r} is not the lower-case name {option.name!r}'
         assert option.definition.endswith('.'), f'the definition of {name} is not a sentence'
-        chosen = [names[column] for column in feature_columns(seen.domain, option.features)]
+        columns = feature_columns(seen.domain, option.features)
+        chosen = [column.feature.name for column in columns]
         assert list(option.features) == chosen != [], f'the features of {name} are out of order'
     if isinstance(seen.domain, HasTeachingDefaults):
         unknown = set(seen.domain.teaching.options) - set(seen.options)
@@ -377,11 +377,11 @@ def each_acts_where_it_can_start_and_has_ended_elsewhere(seen: OptionEvidence) -
 def its_features_determine_where_each_starts_and_ends(seen: OptionEvidence) -> None:
     rows = np.array([seen.domain.feature_values(state) for state in seen.states])
     for name, option in seen.options.items():
-        columns = feature_columns(seen.domain, option.features)
+        values = stacked(feature_columns(seen.domain, option.features), rows)
         answers: dict[tuple[float, ...], tuple[bool, bool]] = {}
         said = seen.judged[name]
         pairs = zip(said.initiation.tolist(), said.termination.tolist())
-        for row, answer in zip(rows[:, columns].tolist(), pairs):
+        for row, answer in zip(values.tolist(), pairs):
             same = answers.setdefault(tuple(row), answer) == answer
             assert same, f'{name} starts or ends otherwise where its features are {row}'
 

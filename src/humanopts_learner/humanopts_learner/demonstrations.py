@@ -16,10 +16,10 @@ from humanopts_env.domains.base import (
     action_index,
     Domain,
     DomainError,
-    feature_columns,
     is_enumerable,
 )
 from humanopts_env.domains.described import can_simulate
+from humanopts_env.domains.formulas import feature_columns
 from humanopts_env.domains.parameters import MAX_PARAMETERS
 from humanopts_env.domains.registry import parameters_json
 from humanopts_env.game import check_features

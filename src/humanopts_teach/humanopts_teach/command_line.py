@@ -178,6 +178,13 @@ class LaunchOptions:
             'an end like those shown, where all states can be listed'
         ),
     ] = METHOD
+    derive: Annotated[
+        list[str],
+        option(
+            'FORMULA',
+            'ask about a derived feature too, such as "taxi_row - passenger_row"; may be repeated',
+        ),
+    ] = field(default_factory=list)
     budget: Annotated[
         int,
         option('N', 'largest number of start states shown per option', whole(1)),

@@ -301,19 +301,6 @@ def shown_values(
     }
 
 
-def feature_columns(domain: ActableDomain, names: Sequence[str]) -> list[int]:
-    """
-    Return the indices of features in the domain's order, independent of the order of ``names``.
-
-    :raises DomainError: a name is not a feature of the domain.
-    """
-    known = [feature.name for feature in domain.features]
-    for name in names:
-        if name not in known:
-            raise DomainError(f'{domain.name} has no feature {name!r}; it has {", ".join(known)}')
-    return [column for column, name in enumerate(known) if name in set(names)]
-
-
 def action_index(domain: ActableDomain, name: str) -> int:
     """
     Return the index of an action.

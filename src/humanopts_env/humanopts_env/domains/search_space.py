@@ -12,12 +12,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from humanopts_env.arrays import Flags, Ints, Rows
-from humanopts_env.domains.base import (
-    BoardSlice,
-    EnumerableDomain,
-    feature_columns,
-    Transitions,
-)
+from humanopts_env.domains.base import BoardSlice, EnumerableDomain, Transitions
+from humanopts_env.domains.formulas import feature_columns, stacked
 from humanopts_env.domains.tabular import reachable
 import numpy as np
 
@@ -125,8 +121,8 @@ def space_by_features(
         goals=_best_ends(transitions) if own_goals else None,
         cell=numbers,
         cell_names=tuple(name(tuple(values)) for values in cells.tolist()),
-        status=domain.feature_table()[:, column].astype(np.intp),
-        events=tuple(events[value] for value in domain.features[column].values),
+        status=column.values(domain.feature_table()).astype(np.intp),
+        events=tuple(events[value] for value in column.feature.values),
         situation=_groups(domain, situation)[1],
         rows=domain.feature_table(),
         columns=tuple(range(len(domain.features))),
@@ -141,7 +137,7 @@ def plain_cell_name(values: tuple[int, ...]) -> str:
 
 def _groups(domain: EnumerableDomain, names: Sequence[str]) -> tuple[Ints, Ints]:
     """Return the distinct value combinations of features, and their index by state, (S,)."""
-    rows = domain.feature_table()[:, feature_columns(domain, names)]
+    rows = stacked(feature_columns(domain, names), domain.feature_table())
     values, group = np.unique(rows, axis=0, return_inverse=True)
     return values.astype(np.intp), group.ravel()
 

@@ -3,7 +3,8 @@
 from typing import Any, TypeVar
 
 from humanopts_env.arrays import Flags, Floats, Ints
-from humanopts_env.domains.base import EnumerableDomain, feature_columns, Transitions
+from humanopts_env.domains.base import EnumerableDomain, Transitions
+from humanopts_env.domains.formulas import feature_columns
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,8 +20,7 @@ def read_only(array: NDArray[Scalar]) -> NDArray[Scalar]:
 
 def feature_column(domain: EnumerableDomain, name: str) -> Floats:
     """Return the value of one feature in every state, (S,)."""
-    values: Floats = domain.feature_table()[:, feature_columns(domain, [name])[0]]
-    return values
+    return feature_columns(domain, [name])[0].values(domain.feature_table())
 
 
 def reachable(domain: EnumerableDomain) -> Flags:

@@ -13,6 +13,7 @@ from math import factorial, prod
 
 from humanopts_env.arrays import Rows
 from humanopts_env.domains.base import ActableDomain, Feature, FeatureKind
+from humanopts_env.domains.formulas import FeatureColumn, stacked
 from humanopts_learner.demonstrations import Demonstration, Kind, TREES
 from humanopts_learner.options.learn import Dataset, Examples, make_dataset
 import numpy as np
@@ -61,14 +62,14 @@ def find_conflicts(data: Dataset, domain: ActableDomain) -> tuple[tuple[str, ...
     found = [
         conflict
         for examples, words, may_slip in _parts(data)
-        for conflict in _conflicts(examples, data.chosen, domain, words, may_slip)
+        for conflict in _conflicts(examples, data.chosen, words, may_slip)
     ]
     found.sort(key=lambda conflict: -len(conflict.labels))
     structural = [conflict for conflict in found if conflict.structural]
     separated = {
         feature.name: sum(conflict.separated_by(index, feature) for conflict in structural)
         for index, feature in enumerate(domain.features)
-        if index not in data.chosen
+        if feature.name not in data.features
     }
     best = max(separated, key=lambda name: separated[name], default='')
     suggested = best if 2 * separated.get(best, 0) > len(structural) else ''
@@ -105,7 +106,7 @@ def contradiction(
     for examples, words, is_action in [others[0], ends] if starts_first else [ends, *others]:
         if is_action and data.method != TREES:
             continue
-        keys = list(map(tuple, examples.rows[:, chosen].astype(np.float32).tolist()))
+        keys = list(map(tuple, stacked(chosen, examples.rows).astype(np.float32).tolist()))
         shown = list(zip(keys, examples.labels.tolist(), examples.source.tolist()))
         before = {key: (label, source) for key, label, source in shown if source < last}
         agreed = {(key, label) for key, label, source in shown if source < last}
@@ -119,7 +120,7 @@ def contradiction(
             row = examples.rows[at]
             demo = data.demonstrations[number]
             text = (
-                f'{_situation(row, chosen, domain)}: now {words[label]}, '
+                f'{_situation(row, chosen)}: now {words[label]}, '
                 f'in demonstration {demo.number} {words[other]}'
             )
             return Contradiction(text, demo, newest.features.index(tuple(row.tolist())))
@@ -135,12 +136,11 @@ def _parts(data: Dataset) -> Iterator[tuple[Examples, Sequence[str], bool]]:
 
 def _conflicts(
     examples: Examples,
-    chosen: Sequence[int],
-    domain: ActableDomain,
+    chosen: Sequence[FeatureColumn],
     words: Sequence[str],
     may_slip: bool,
 ) -> list[_Conflict]:
-    seen = examples.rows[:, chosen].astype(np.float32)  # precision of the trees
+    seen = stacked(chosen, examples.rows).astype(np.float32)  # precision of the trees
     _, group = np.unique(seen, axis=0, return_inverse=True)
     pairs = np.unique(np.stack([group.ravel(), examples.labels]), axis=1)[0]
     found = []
@@ -149,14 +149,12 @@ def _conflicts(
         rows, labels = examples.rows[alike], examples.labels[alike]
         counts = Counter(labels.tolist()).most_common()
         answers = ', '.join(f'{words[label]} ({count}x)' for label, count in counts)
-        text = f'{_situation(rows[0], chosen, domain)}: {answers}'
+        text = f'{_situation(rows[0], chosen)}: {answers}'
         found.append(_Conflict(rows, labels, text, not may_slip or counts[1][1] > SLIP))
     return found
 
 
-def _situation(row: Rows, chosen: Sequence[int], domain: ActableDomain) -> str:
-    features = [domain.features[index] for index in chosen]
+def _situation(row: Rows, chosen: Sequence[FeatureColumn]) -> str:
     return ', '.join(
-        f'{feature.name.replace("_", " ")} {feature.text(row[index])}'
-        for index, feature in zip(chosen, features)
+        f'{column.feature.name.replace("_", " ")} {column.text(row)}' for column in chosen
     )

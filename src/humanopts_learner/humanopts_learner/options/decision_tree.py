@@ -9,13 +9,17 @@ imported when the first tree is fitted.
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
+from typing import Annotated
 
 from humanopts_env.arrays import Floats, Ints, Rows
-from humanopts_env.domains.base import ActableDomain, feature_columns, FeatureKind
+from humanopts_env.domains.base import ActableDomain, FeatureKind
+from humanopts_env.domains.formulas import column_values, feature_columns
 from humanopts_learner.demonstrations import Count, Text
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
+Formula = Annotated[Text, Field(pattern=r'x\[')]
 LEAF = -1  # value of left, right and feature in a leaf
 MANY_ROWS = 100  # rows per node above which a tree is evaluated node by node
 
@@ -29,7 +33,7 @@ class EncodedFeature:
     """One input of a tree: a feature, or whether a nominal feature has a value."""
 
     feature: Text
-    index: Count  # of the feature in the domain
+    index: Count | Formula  # of the feature in the domain; derived: formula over such indices
     value: Count | None = None  # None: the feature itself; otherwise 1 at this value, else 0
 
 
@@ -40,8 +44,8 @@ def feature_encoding(domain: ActableDomain, features: Sequence[str]) -> tuple[En
     :raises DomainError: a name is not a feature of the domain.
     """
     encoding: list[EncodedFeature] = []
-    for index in feature_columns(domain, features):
-        feature = domain.features[index]
+    for column in feature_columns(domain, features):
+        feature, index = column.feature, column.source
         if feature.kind is FeatureKind.NOMINAL:
             values = range(len(feature.values))
             encoding += [EncodedFeature(feature.name, index, value) for value in values]
@@ -55,7 +59,13 @@ class Encoder:
 
     def __init__(self, encoding: Sequence[EncodedFeature]) -> None:
         values = [encoded.value for encoded in encoding]
-        self._index = np.array([encoded.index for encoded in encoding], dtype=np.intp)
+        index = [encoded.index for encoded in encoding]
+        self._formulas = list(dict.fromkeys(each for each in index if isinstance(each, str)))
+        # Values of formulas are appended to the rows, so that their indices count from the end.
+        at = {formula: k - len(self._formulas) for k, formula in enumerate(self._formulas)}
+        self._index = np.array(
+            [at[each] if isinstance(each, str) else each for each in index], dtype=np.intp
+        )
         self._one_hot = np.array([[value is not None] for value in values], dtype=np.bool_)
         self._wanted = np.array([[value or 0] for value in values], dtype=np.float64)
 
@@ -67,6 +77,8 @@ class Encoder:
         :param tested: indices of the encoded features to compute; the others are undefined.
         :return: (N, C), column-major, which suits the traversal of large trees.
         """
+        if self._formulas:
+            rows = np.column_stack([rows, *(column_values(f, rows) for f in self._formulas)])
         picked, one_hot = rows.T[self._index[tested]], self._one_hot[tested]
         if one_hot.any():
             picked = np.where(one_hot, picked == self._wanted[tested], picked)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from humanopts_env.arrays import Flags, Floats, Rows
 from humanopts_env.domains.base import EnumerableDomain
+from humanopts_env.domains.formulas import feature_columns, stacked
 from humanopts_env.domains.tabular import distance_to, reachable
 from humanopts_learner.demonstrations import Demonstration, GOAL, Kind
 from humanopts_learner.options.decision_tree import encode_rows
@@ -139,9 +140,9 @@ def _shown(
     demonstrations: Sequence[Demonstration],
 ) -> tuple[NDArray[np.int64], Flags]:
     """Return the number of demonstrations per state and the demonstrated ends, (S,) each."""
-    chosen = sorted({encoded.index for encoded in option.encoding})
-    table = domain.feature_table()[:, chosen]
-    rows = np.concatenate([demo.feature_rows[:, chosen] for demo in demonstrations])
+    chosen = feature_columns(domain, option.features)
+    table = stacked(chosen, domain.feature_table())
+    rows = stacked(chosen, np.concatenate([demo.feature_rows for demo in demonstrations]))
     lengths = [len(demo.states) for demo in demonstrations]
     source = np.repeat(np.arange(len(demonstrations)), lengths)
     _, inverse = np.unique(np.concatenate([table, rows]), axis=0, return_inverse=True)

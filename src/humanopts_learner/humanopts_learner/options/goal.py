@@ -17,6 +17,7 @@ from dataclasses import dataclass
 
 from humanopts_env.arrays import Flags, Floats, Ints
 from humanopts_env.domains.base import action_index, EnumerableDomain
+from humanopts_env.domains.formulas import FeatureColumn, stacked
 from humanopts_env.domains.tabular import best_ways, TIE
 from humanopts_learner.demonstrations import Demonstration
 import numpy as np
@@ -36,14 +37,14 @@ class Ways:
 def ways_to_goal(
     domain: EnumerableDomain,
     trajectories: Sequence[Demonstration],
-    chosen: Sequence[int],
+    chosen: Sequence[FeatureColumn],
     termination: Flags,
 ) -> Ways:
     """
     Plan the paths of an option.
 
     :param trajectories: demonstrations of the option, one or more.
-    :param chosen: indices of the chosen features.
+    :param chosen: the chosen features.
     :param termination: (S,) whether beta holds.
     """
     table, stops = domain.transitions(), termination | domain.over()
@@ -63,7 +64,7 @@ def ways_to_goal(
             value[fresh], optimal[fresh] = found.value[fresh], found.optimal[fresh]
         return Ways(value, optimal)
 
-    looks = np.column_stack([domain.over(), domain.feature_table()[:, chosen]])
+    looks = np.column_stack([domain.over(), stacked(chosen, domain.feature_table())])
     starts, ends = (
         np.array([domain.index(domain.decode(demo.states[at])) for demo in trajectories])
         for at in (0, -1)
@@ -83,7 +84,7 @@ def ways_to_goal(
 def preferred_actions(
     domain: EnumerableDomain,
     trajectories: Sequence[Demonstration],
-    chosen: Sequence[int],
+    chosen: Sequence[FeatureColumn],
     ways: Ways,
 ) -> Ints:
     """
@@ -91,10 +92,10 @@ def preferred_actions(
 
     A demonstrated action counts in all states with equal chosen features.
     """
-    shown = np.concatenate([demo.feature_rows[:-1, chosen] for demo in trajectories])
+    shown = stacked(chosen, np.concatenate([demo.feature_rows[:-1] for demo in trajectories]))
     names = [name for demo in trajectories for name in demo.actions]
     actions = np.array([action_index(domain, name) for name in names])
-    table = domain.feature_table()[:, chosen]
+    table = stacked(chosen, domain.feature_table())
     _, group = np.unique(np.concatenate([table, shown]), axis=0, return_inverse=True)
     of_state, of_step = np.split(group.ravel(), [len(table)])
     times = np.zeros((group.max() + 1, len(domain.actions)), dtype=np.intp)

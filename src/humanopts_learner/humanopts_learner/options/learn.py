@@ -15,6 +15,7 @@ from itertools import compress
 
 from humanopts_env.arrays import Flags, Rows
 from humanopts_env.domains.base import ActableDomain, action_index, is_enumerable
+from humanopts_env.domains.formulas import feature_columns, FeatureColumn, stacked
 from humanopts_env.domains.registry import parameters_json
 from humanopts_env.domains.replayed_domain import ReplayedDomain
 from humanopts_env.seeding import generator
@@ -67,14 +68,14 @@ class Dataset:
 
     demonstrations: tuple[Demonstration, ...]  # (D,) distinct, sorted by number
     actions: tuple[str, ...]  # of the domain
-    features: tuple[str, ...]  # chosen with the newest demonstration
-    encoding: tuple[EncodedFeature, ...]  # of the chosen features
+    chosen: tuple[FeatureColumn, ...]  # features chosen with the newest demonstration
+    encoding: tuple[EncodedFeature, ...]  # of these features
     method: str = TREES  # chosen with the newest demonstration
 
     @property
-    def chosen(self) -> list[int]:
-        """The indices of the chosen features."""
-        return sorted({encoded.index for encoded in self.encoding})
+    def features(self) -> tuple[str, ...]:
+        """The names of the chosen features."""
+        return tuple(column.feature.name for column in self.chosen)
 
     @property
     def trajectories(self) -> list[Demonstration]:
@@ -122,11 +123,15 @@ class Dataset:
         Termination is checked only after a step, so a start is not an example against an end with
         equal chosen features.
         """
-        chosen, labelled = self.chosen, []
-        ends = {tuple(demo.feature_rows[-1, chosen]) for demo in self.trajectories}
+        labelled = []
+
+        def seen(demo: Demonstration, state: int) -> tuple[float, ...]:
+            return tuple(stacked(self.chosen, demo.feature_rows[[state]])[0].tolist())
+
+        ends = {seen(demo, -1) for demo in self.trajectories}
         for demo in self.demonstrations:
             labels = [0] * len(demo.actions) + [MEMBER]
-            looks_like_end = tuple(demo.feature_rows[0, chosen]) in ends
+            looks_like_end = seen(demo, 0) in ends
             first = int(looks_like_end and len(labels) > 1)
             labelled.append((demo.feature_rows[first:], labels[first:]))
         return Examples.of(labelled)
@@ -158,7 +163,7 @@ def make_dataset(demonstrations: Sequence[Demonstration], domain: ActableDomain)
     return Dataset(
         tuple(demos),
         tuple(action.name for action in domain.actions),
-        tuple(f.name for f in domain.features if f.name in newest.chosen_features),
+        tuple(feature_columns(domain, newest.chosen_features)),
         feature_encoding(domain, newest.chosen_features),
         newest.method,
     )

@@ -14,7 +14,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from humanopts_env.arrays import Flags, Floats, Rows
-from humanopts_env.domains.base import Domain, EnumerableDomain, FeatureKind, is_enumerable
+from humanopts_env.domains.base import Domain, EnumerableDomain, is_enumerable
+from humanopts_env.domains.formulas import feature_columns
 from humanopts_env.domains.tabular import reachable
 from humanopts_env.games import feature_rows
 from humanopts_learner.demonstrations import Demonstration, Kind
@@ -158,9 +159,10 @@ def _farthest(
     Ordinal and continuous features differ by 0..1; nominal ones by 0 or 1, split equally between
     two encoded features.
     """
-    encoding = feature_encoding(domain, demonstrations[-1].chosen_features)
-    features = [domain.features[encoded.index] for encoded in encoding]
-    scale = [0.5 if f.kind is FeatureKind.NOMINAL else 1 / f.span for f in features]
+    chosen = demonstrations[-1].chosen_features
+    encoding = feature_encoding(domain, chosen)
+    spans = {each.feature.name: each.feature.span for each in feature_columns(domain, chosen)}
+    scale = [0.5 if each.value is not None else 1 / spans[each.feature] for each in encoding]
     shown = np.unique(np.concatenate([demo.feature_rows for demo in demonstrations]), axis=0)
     here, there = (
         encode_rows(encoding, r) * np.array(scale) for r in (feature_rows(domain, states), shown)

@@ -11,8 +11,9 @@ from collections.abc import Sequence
 from functools import cache
 
 from humanopts_env.arrays import Flags, Ints, Rows
-from humanopts_env.domains.base import Domain, DomainError, feature_columns, FeatureKind
+from humanopts_env.domains.base import Domain, DomainError, FeatureKind
 from humanopts_env.domains.capabilities import HasPlanningFeatures
+from humanopts_env.domains.formulas import feature_columns
 from humanopts_env.games import Games, TableGames
 from humanopts_env.seeding import generator
 from humanopts_learner.planning.request import PlanError
@@ -35,13 +36,13 @@ class Column:
     def __init__(self, text: str, domain: Domain) -> None:
         name, _, numbers = text.partition(':')
         try:
-            self.index = feature_columns(domain, [name])[0]
+            self._column = feature_columns(domain, [name])[0]
             self.edges = np.array([float(number) for number in numbers.split(',') if numbers])
         except (DomainError, ValueError) as error:
             raise PlanError(f'column {text!r}: {error}') from error
         if not (np.isfinite(self.edges).all() and (np.diff(self.edges) > 0).all()):
             raise PlanError(f'column {text!r}: its numbers do not ascend')
-        feature = domain.features[self.index]
+        feature = self._column.feature
         if feature.kind is FeatureKind.CONTINUOUS and not self.edges.size:
             middle = feature.low + feature.span / 2
             raise PlanError(
@@ -51,7 +52,7 @@ class Column:
 
     def bins(self, rows: Rows) -> Ints:
         """Return the bin of each row (N, F), (N,)."""
-        values = rows[:, self.index]
+        values = self._column.values(rows)
         if self.edges.size:
             return self.edges.searchsorted(values, side='right')
         return values.astype(np.intp)

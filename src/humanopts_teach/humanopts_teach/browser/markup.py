@@ -11,7 +11,7 @@ from typing import Any
 
 from humanopts_teach.board_html import board_html, notes_html
 from humanopts_teach.dialogue.entry import MAX_CHARACTERS, PAGE
-from humanopts_teach.dialogue.keys import BACKSPACE, DOWN, ENTER, INTERRUPT, label, LEFT, UP
+from humanopts_teach.dialogue.keys import BACKSPACE, DOWN, ENTER, INTERRUPT, label, RIGHT, UP
 from humanopts_teach.dialogue.panel import (
     Block,
     Choices,
@@ -74,8 +74,10 @@ def _keys(keys: Sequence[Key], blocks: Sequence[Block]) -> tuple[list[Key], list
     """Return the arrow pad, the main buttons next to it, and all other buttons."""
     kinds, known = {type(block) for block in blocks}, {each.key: each for each in keys}
     elsewhere = {INTERRUPT, *((ENTER, BACKSPACE) if TypedText in kinds else ())}
-    if Choices in kinds:  # items are clicked directly, unless there are steps to browse
-        elsewhere |= {*'123456789', *(() if LEFT in known else (ENTER, UP, DOWN))}
+    if Choices in kinds and RIGHT not in known:  # items are clicked directly
+        elsewhere |= {ENTER, UP, DOWN}
+    if Choices in kinds:
+        elsewhere |= {*'123456789'}
     shown = [
         each._replace(label=_PAD.get(each.key, label(each.key)))
         for each in keys
@@ -91,8 +93,8 @@ def _keys(keys: Sequence[Key], blocks: Sequence[Block]) -> tuple[list[Key], list
 
 def _picking(choices: Choices, number: int) -> list[str]:
     """Return the keys that select an item by the shortest path."""
-    if number // PAGE == choices.at // PAGE:
+    if not choices.key and number // PAGE == choices.at // PAGE:
         return [str(number % PAGE + 1)]
     count = len(choices.items)
     down, up = (number - choices.at) % count, (choices.at - number) % count
-    return [*([DOWN] * down if down <= up else [UP] * up), ENTER]
+    return [*([DOWN] * down if down <= up else [UP] * up), choices.key or ENTER]

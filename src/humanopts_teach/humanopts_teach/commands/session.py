@@ -14,6 +14,7 @@ from typing import Any
 
 from humanopts_env.domains.base import Domain
 from humanopts_env.domains.capabilities import HasTeachingDefaults
+from humanopts_env.domains.formulas import derive
 from humanopts_env.domains.names import is_registered
 from humanopts_env.domains.registry import make_domain, reference_options
 from humanopts_learner.demonstrations import check_method
@@ -72,7 +73,10 @@ def setup_from(
         setup = Setup(domain=domain, **{**own, **given, 'directory': directory})
         only = node_names(setup.only)
         if is_registered(domain) or not only or 'game' in only:  # else the game is elsewhere
-            check_method(setup.learn, make_domain(domain, setup.domain_parameters))
+            game = make_domain(domain, setup.domain_parameters)
+            check_method(setup.learn, game)
+            for formula in setup.derive:
+                derive(game, formula)
         processes(setup)
     topics = Selection(setup.namespace, setup.record_topics, setup.record_exclude)
     if setup.record and (lacking := topics.unevaluable):

@@ -30,7 +30,7 @@ def end(app: App) -> None:
 
 
 QUIT = Command('qQ', 'quit', end, 'quit; everything taught is saved for the next time')
-_INTERRUPT = Command([keys.INTERRUPT], 'quit', end, 'quit at once')  # handled in ``App.type``
+INTERRUPT = Command([keys.INTERRUPT], 'quit', end, 'quit at once')  # handled in ``App.type``
 
 
 @dataclass
@@ -90,7 +90,7 @@ def with_help(
     """
 
     def show(app: App) -> None:
-        table = keys.key_table([*(explained or commands), helping, _INTERRUPT])
+        table = keys.key_table([*(explained or commands), helping, INTERRUPT])
         rows = [
             (keys.label(key), each.help or each.words)
             for key, each in table.items()
@@ -136,7 +136,7 @@ class TextScreen(Screen):
             Command([keys.BACKSPACE], 'erase', self._erase if self.typed else None),
             Command([keys.CLEAR], 'erase all', self._clear, label=''),
             Command([keys.ESCAPE], self.back_words, self.back),
-            _INTERRUPT,
+            INTERRUPT,
         ]
 
     def other_key(self, key: str, app: App) -> None:

@@ -3,8 +3,10 @@
 from collections.abc import Iterator
 import math
 
+from humanopts_env.arrays import Floats
 from humanopts_env.domains.capabilities import feature_groups
 from humanopts_env.domains.described import published_state
+from humanopts_env.domains.formulas import feature_columns
 from humanopts_learner.demonstrations import GOAL, METHODS
 from humanopts_learner.options.conflicts import NO_START
 from humanopts_learner.options.judge import fewest, likely_range
@@ -28,7 +30,7 @@ from humanopts_teach.lesson.requests import LessonView, Phase
 def question_panel(app: App) -> Panel:
     """Return the open question, its number, and the answers so far."""
     lesson = app.world.lesson
-    names = [feature.name for feature in app.domain.features]
+    names = [*(feature.name for feature in app.domain.features), *lesson.derived_features]
     number = names.index(lesson.question_feature) + 1 if lesson.question_feature in names else 0
     text, which = lesson.question, f'question {number} of {lesson.questions_total}'
     group = app.groups.open_group(app.domain, lesson)
@@ -104,19 +106,18 @@ def _position(app: App) -> Line:
 def _features(app: App) -> Features:
     """Return the features the option depends on, with their values in the displayed state."""
     domain, game, lesson = app.domain, app.world.game, app.world.lesson
-    values: list[float] = []
+    row: Floats | None = None
     if game.state and lesson.phase is Phase.DEMONSTRATING:
-        state = published_state(domain, game.state, game.features)
-        values = domain.feature_values(state).tolist()
+        row = domain.feature_values(published_state(domain, game.state, game.features))
     shown = [
-        (_plain(feature.name), feature.text(values[index]) if values else '')
-        for index, feature in enumerate(domain.features)
-        if feature.name in lesson.chosen_features
+        (_plain(column.feature.name), '' if row is None else column.text(row))
+        for column in feature_columns(domain, lesson.chosen_features)
     ]
     groups = feature_groups(domain)
     unseen = [g.words for g in groups if not set(lesson.chosen_features) & set(g.features)]
     hidden = f'hidden: {", ".join(unseen)}' if unseen else 'all else is hidden'
-    return Features(shown, hidden if len(shown) < len(domain.features) else '')
+    hides = {feature.name for feature in domain.features} - {*lesson.chosen_features}
+    return Features(shown, hidden if hides else '')
 
 
 def _criterion(criterion: Criterion) -> CriterionRow:

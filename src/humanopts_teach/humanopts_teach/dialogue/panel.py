@@ -47,6 +47,7 @@ class Choices:
 
     items: Sequence[tuple[str, str]]  # text and note
     at: int  # index of the selected item
+    key: str = ''  # key that chooses the selected item; empty: Enter, or the number of any item
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,6 +10,7 @@ from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.options.rollout import is_deterministic
 from humanopts_teach.dialogue.app import App, Screen
+from humanopts_teach.dialogue.combine import CombineScreen
 from humanopts_teach.dialogue.driving import pace
 from humanopts_teach.dialogue.entry import confirm, end, Item, ListScreen, QUIT, with_help
 from humanopts_teach.dialogue.keys import (
@@ -143,7 +144,13 @@ class LessonScreen(Screen):
                     *(*learned, questions),
                 ]
             case Phase.ASKING:
-                commands += [*self._answers(app), self._previous(app)]
+                combine = Command(
+                    'c',
+                    'combine features',
+                    lambda app: app.show(CombineScreen(self.again)),
+                    'make a new feature from others, such as their difference',
+                )
+                commands += [*self._answers(app), self._previous(app), combine]
             case Phase.READY:
                 space = Command([SPACE], 'begin', self._begin, label='')
                 commands += [begin, space, *learned, self._previous(app), questions]
@@ -189,7 +196,7 @@ class LessonScreen(Screen):
         if earlier:
             words = f'as before: {"yes" if asked & earlier else "no"}'
             answers.append(Command([ENTER], words, before))
-        if _can_skip(lesson):
+        if _can_skip(lesson) and not _is_derived(lesson):
             words = 'all others as before' if earlier else 'no to all others'
             answers.append(Command('o', words, self._skip))
         return answers
@@ -239,7 +246,7 @@ class LessonScreen(Screen):
                 self.delete = ''
         elif lesson.phase is Phase.ASKING:
             reply = app.groups.reply(app.domain, lesson)
-            if self.rest and _can_skip(lesson):
+            if self.rest and _can_skip(lesson) and not _is_derived(lesson):
                 reply = lesson.question_feature in lesson.earlier_features
             if reply is not None:
                 answer = AnswerQuestion(lesson.question_id, reply)
@@ -416,6 +423,11 @@ def _in_words(demo: Demonstration) -> tuple[str, str]:
 
 def _can_skip(lesson: LessonView) -> bool:
     return bool(lesson.chosen_features or lesson.earlier_features)
+
+
+def _is_derived(lesson: LessonView) -> bool:
+    """Return whether the question is about a feature of the person, which is always asked."""
+    return lesson.question_feature in lesson.derived_features
 
 
 def _can_start_again(app: App) -> bool:

@@ -1,18 +1,21 @@
 """The sessions and options of one participant, rebuilt from the entries of the lesson."""
 
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 
 from humanopts_env.domains.base import ActableDomain, Feature
+from humanopts_env.domains.formulas import derive, FormulaError
 from humanopts_env.domains.registry import parameters_json
 from humanopts_learner.demonstrations import Demonstration, Kind
-from humanopts_teach.lesson.store import Entry
+from humanopts_teach.lesson.store import Entry, LessonEvent
 
 
 class OptionHistory:
     """
     The answers and demonstrations of one option.
 
-    There is one question per feature; if all are answered with no, they are asked again.
+    There is one question per feature; if all are answered with no, they are asked again. A derived
+    feature that is added later is asked about in addition.
 
     :ivar answers: answers by feature.
     :ivar earlier: features chosen before the questions were asked again.
@@ -42,7 +45,7 @@ class OptionHistory:
 
     @property
     def chosen(self) -> tuple[str, ...]:
-        """Features answered with yes, in the domain's order."""
+        """Features answered with yes, in the order of the questions."""
         return tuple(f.name for f in self._features if self.answers.get(f.name))
 
     @property
@@ -90,6 +93,7 @@ class History:
     :ivar key: domain name and parameters, as in the entries; entries of other domains are ignored.
     :ivar sessions: last option of each session; empty: none yet.
     :ivar n_answers: number of answers given and withdrawn.
+    :ivar features: features asked about: those of the domain, then the participant's derived ones.
     """
 
     def __init__(
@@ -101,7 +105,8 @@ class History:
         self.sessions: dict[str, str] = {}
         self.n_answers = 0
         self._numbers: dict[str, int] = {}  # next demonstration number of deleted options
-        self._features = domain.features
+        self.features = [*domain.features]
+        self._domain = domain
         for entry in entries:
             self.add(entry)
 
@@ -109,6 +114,11 @@ class History:
         """Return the number of an option's next demonstration; numbers are never reused."""
         option = self.options.get(option_name)
         return option.number if option is not None else self._numbers.get(option_name, 1)
+
+    @property
+    def derived(self) -> tuple[str, ...]:
+        """The names of the participant's derived features."""
+        return tuple(each.name for each in self.features[len(self._domain.features) :])
 
     def add(self, entry: Entry) -> None:
         """Add an entry."""
@@ -118,6 +128,10 @@ class History:
         name, kind = entry.option_name, getattr(entry, 'entry', '')
         if kind == 'session':
             return
+        if isinstance(entry, LessonEvent) and kind == 'feature':
+            with suppress(FormulaError):  # of another version of the game: no longer asked about
+                self.features.append(derive(self._domain, entry.feature).feature)
+            return
         if kind == 'option deleted':
             self._numbers[name] = self.number(name)
             self.options.pop(name, None)
@@ -126,5 +140,5 @@ class History:
             self.sessions[entry.session] = name
         self.n_answers += kind in ('answer', 'answer taken back')
         self.options.setdefault(
-            name, OptionHistory(self.participant, name, self._features, self.number(name))
+            name, OptionHistory(self.participant, name, self.features, self.number(name))
         ).add(entry)

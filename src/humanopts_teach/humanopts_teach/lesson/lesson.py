@@ -13,6 +13,7 @@ from typing import Any
 
 from humanopts_env.domains.base import ActableDomain, DomainError
 from humanopts_env.domains.described import can_simulate
+from humanopts_env.domains.formulas import derive, FormulaError
 from humanopts_env.game import Source, Transition
 from humanopts_learner.demonstrations import (
     check_demonstration,
@@ -56,6 +57,7 @@ from humanopts_teach.lesson.store import (
     StoreError,
 )
 
+MAX_DERIVED = 100  # derived features of a participant
 _ALL_NO = 'All answers were no, but an option depends on something: please answer again.'
 _UNRECORDED = 'on disk but not in this recording; the next recording will have it'
 _OVER, _AT_LIMIT = 'The task is over.', 'The episode is at its step limit.'
@@ -151,6 +153,7 @@ class Lesson:
             session=self._session,
             budget=rules.budget,
             strategy=rules.strategy,
+            derived_features=self._history.derived,
             paused=self._paused,
             text=' '.join(filter(None, (self._notice, self._advice(phase)))),
         )
@@ -173,7 +176,7 @@ class Lesson:
         return replace(
             view,
             option_name=option.name,
-            questions_total=len(self._domain.features),
+            questions_total=len(self._history.features),
             chosen_features=option.chosen,
             method=self._method(option),
             n_demonstrations=option.n_trajectories,
@@ -470,11 +473,32 @@ class Lesson:
             check_method(method or self._starts.rules.method, self._domain)
         except DemonstrationError as error:
             raise RefusalError(RequestStatus.BAD_METHOD, str(error)) from error
+        derived = self._new_features(request.derived_features)
         again = request.ask_again
-        self._write(self._event('option', name, ask_again=again, method=request.method))
+        self._write(
+            *(self._event('feature', '', feature=feature) for feature in derived),
+            self._event('option', name, ask_again=again, method=request.method),
+        )
         self._turn_to(self._history.options[name])
         text = f'{"begun" if known is None else "going on with"}: {name}'
+        if derived:
+            text += f'; it is also asked about {", ".join(derived)}'
         return _ok(text, resumed=known is not None)
+
+    def _new_features(self, requested: Sequence[str]) -> list[str]:
+        """Return the derived features that the participant does not have yet, by name."""
+        found: list[str] = []
+        for text in (*self._starts.rules.derive, *requested):
+            try:
+                name = derive(self._domain, text).feature.name
+            except FormulaError as error:
+                raise RefusalError(RequestStatus.BAD_FEATURE, str(error)) from error
+            if name not in (*self._history.derived, *found):
+                found.append(name)
+        if len(self._history.derived) + len(found) > MAX_DERIVED:
+            detail = f'{MAX_DERIVED} derived features are the most'
+            raise RefusalError(RequestStatus.BAD_FEATURE, detail)
+        return found
 
     def _turn_to(self, option: OptionHistory | None) -> None:
         if option is not self._option:

@@ -42,6 +42,7 @@ class RequestStatus(Enum):
 
     UNKNOWN = 'unknown'
     OK = 'ok'
+    BAD_FEATURE = 'bad feature'
     BAD_METHOD = 'bad method'
     BAD_NAME = 'bad name'
     BAD_PERIOD = 'bad period'
@@ -85,6 +86,7 @@ class DefineOption:
     name: str
     ask_again: bool = False  # ask the feature questions again
     method: str = ''  # learning method for future demonstrations; empty: unchanged
+    derived_features: tuple[str, ...] = ()  # formulas to add as features of the participant
 
 
 @dataclass(frozen=True, slots=True)
@@ -309,6 +311,7 @@ class LessonView:
     question: str = ''
     question_feature: str = ''
     questions_total: int = 0
+    derived_features: tuple[str, ...] = ()  # formulas added as features of the participant
     chosen_features: tuple[str, ...] = ()
     earlier_features: tuple[str, ...] = ()  # before the questions were asked again
     n_demonstrations: int = 0
@@ -401,8 +404,8 @@ def settled(request: Request, answer: Answer, world: World) -> bool:
             return game.episode >= answer.episode
         case OpenSession(participant, session):
             return lesson.participant == participant and session in ('', lesson.session)
-        case DefineOption(name):
-            return lesson.option_name == name
+        case DefineOption(name, derived_features=derived):
+            return lesson.option_name == name and {*derived} <= {*lesson.derived_features}
         case AnswerQuestion(question_id):
             return lesson.question_id != question_id
         case BeginDemonstration():

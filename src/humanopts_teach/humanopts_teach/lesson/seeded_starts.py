@@ -22,13 +22,14 @@ MAX_PARSED = 8  # cached option objects, which take far more memory than their t
 
 @dataclass(frozen=True, slots=True)
 class LessonRules:
-    """Rules for drawing start states, and for ending the lesson on an option."""
+    """Rules for questions, for drawing start states, and for ending the lesson on an option."""
 
     strategy: str = STRATEGY  # one of the learner's ``STRATEGIES``
     budget: int = BUDGET  # maximum demonstrations per option, including "not here" answers
     seed: int = 0
     until_no_failures: bool = True  # with ``failures``: continue while the learned option fails
     method: str = METHOD  # default learning method, one of ``METHODS``
+    derive: tuple[str, ...] = ()  # derived features of every participant, as formulas
 
 
 class SeededStarts:

@@ -130,7 +130,11 @@ class SimulatedTeacher:
         if not left:
             return Finish()
         if lesson.option_name != left[0]:
-            return DefineOption(left[0])
+            # A feature of a reference option that the domain lacks is derived.
+            known = {feature.name for feature in self._domain.features}
+            features = self._references[left[0]].features
+            derived = tuple(name for name in features if name not in known)
+            return DefineOption(left[0], derived_features=derived)
         if lesson.phase is Phase.ASKING:
             return AnswerQuestion(
                 lesson.question_id, self.depends_on(left[0], lesson.question_feature)

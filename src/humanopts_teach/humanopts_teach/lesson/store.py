@@ -43,15 +43,15 @@ class EntryError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class LessonEvent:
-    """An event in a lesson; all kinds except the first name an option."""
+    """An event in a lesson; all kinds except the first two name an option."""
 
-    entry: Literal['session', 'option', 'answer', 'answer taken back', 'option deleted']
+    entry: Literal['session', 'feature', 'option', 'answer', 'answer taken back', 'option deleted']
     domain: str
     domain_parameters: str  # JSON object
     participant: str
     session: str
     option_name: Annotated[str, AfterValidator(composed)] = ''
-    feature: str = ''  # of the question
+    feature: str = ''  # of the question; with "feature": the derived feature that is added
     yes: bool = False  # the answer
     ask_again: bool = False  # with "option": discard earlier answers
     method: str = ''  # with "option": requested learning method; empty: none

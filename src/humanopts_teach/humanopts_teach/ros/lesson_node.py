@@ -105,8 +105,10 @@ class LessonNode(NodeBase):
         strategy = self.setting('strategy', default, what, among=STRATEGIES)
         what = 'default learning method of a new option: trees or goal'
         method = self.setting('learn', LessonRules().method, what, among=tuple(METHODS))
+        what = 'formulas over features, added as features of every participant'
+        formulas = self.setting('derive', [''], what)
         return self.settings(
-            LessonRules(strategy, method=method),
+            LessonRules(strategy, method=method, derive=tuple(filter(None, formulas or ()))),
             {
                 'budget': 'maximum number of start states per option',
                 'seed': 'seed of all random draws',

@@ -13,6 +13,7 @@ from pathlib import Path
 import re
 from typing import Annotated, Any, ClassVar, Self, TypeVar
 
+from humanopts_env.domains.formulas import derive
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import check_method
@@ -156,6 +157,7 @@ class Condition(_Values):
     domain: Text
     parameters: dict[str, Any] = {}
     learn: Text = METHOD
+    derive: tuple[Text, ...] = ()  # formulas, asked about like the features of the game
     strategy: Text = STRATEGY
     budget: Annotated[int, Field(ge=1, lt=2**31)] = BUDGET
     picture: bool = True  # False: participants see only a table of features
@@ -331,6 +333,8 @@ def _playable(conditions: Iterable[Condition]) -> Iterable[Condition]:
         try:
             game = made(each.domain, json.dumps(each.parameters))
             check_method(each.learn, game)
+            for formula in each.derive:
+                derive(game, formula)
             if each.strategy not in STRATEGIES:
                 raise ValueError(f'strategy: use one of {", ".join(STRATEGIES)}')
         except ValueError as error:

@@ -222,13 +222,14 @@ def drawn(block: panel.Block) -> RenderableType:
                 style = STYLES[row.tone]
                 name = Text.assemble((row.mark, style), f' {row.name}')
                 table.add_row(name, Text(row.now, style), Text(row.needs, 'dim'))
-        case panel.Choices(items, at):
+        case panel.Choices(items, at, key):
             table = Table.grid()
             first = at - at % PAGE
             for number, (words, note) in enumerate(items[first : first + PAGE]):
                 chosen = first + number == at
                 mark = Text('> ' if chosen else '  ', KEY, no_wrap=True)
-                item = (one_line(f'{number + 1} {words}'), 'bold' if chosen else '')
+                words = words if key else f'{number + 1} {words}'
+                item = one_line(words), 'bold' if chosen else ''
                 table.add_row(mark, Text.assemble(item, (one_line(f'  {note}'), 'dim')))
     return table
 

@@ -17,7 +17,6 @@ from humanopts_env.domains.base import (
     Domain,
     DomainError,
     Feature,
-    feature_columns,
     Outcome,
     Parameter,
     shown_values,
@@ -206,7 +205,8 @@ class PacMan(Domain[PacManState]):
         transitions = Transitions(
             moves, np.ones(moves.shape), np.zeros(moves.shape), np.zeros(moves.shape, np.bool_)
         )
-        columns = feature_columns(self, ('pacman_row', 'pacman_col'))
+        places = ('pacman_row', 'pacman_col')
+        columns = [k for k, feature in enumerate(self.features) if feature.name in places]
         rows = np.zeros((len(maze.cells), len(self.features)))
         rows[:, columns] = maze.cells
         cells = np.full((maze.rows, maze.cols), -1, dtype=np.int32)

@@ -1,0 +1,155 @@
+"""The screen on which a person combines features into a new one, and sees its value at once."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+import re
+from typing import NamedTuple
+
+from humanopts_env.domains.base import FeatureKind
+from humanopts_env.domains.formulas import derive, FormulaError, MAX_LENGTH
+from humanopts_teach.dialogue import keys
+from humanopts_teach.dialogue.app import App, Screen
+from humanopts_teach.dialogue.entry import INTERRUPT, PAGE
+from humanopts_teach.dialogue.keys import Command, Do
+from humanopts_teach.dialogue.panel import Block, Choices, GAP, Line, Panel, Tone
+from humanopts_teach.lesson.requests import DefineOption
+import numpy as np
+
+# What is typed before, between and after the features that the person chooses.
+_KINDS = {
+    'difference': ('', ' - ', ''),
+    'distance': ('hypot(', ', ', ')'),
+    'angle': ('atan2(', ', ', ')'),
+    'comparison with a number': ('', ' > '),
+    'equality': ('', ' == '),
+}
+_EXAMPLES = ('a - b', 'hypot(a, b)', 'atan2(a, b)', 'a > 0.5', "a == b, a == 'text'")
+_UNFINISHED = re.compile(r'(^|[-+*/<>=!(,])\s*$')  # a feature or a value must follow
+_WORD = re.compile(r'[A-Za-z_]\w*$')
+_COMPARED = re.compile(r'(\w+) *[<>=!]=? *$')
+
+
+class _Item(NamedTuple):
+    """A proposal to continue the formula."""
+
+    text: str
+    note: str
+    typed: str  # the formula then
+    rest: tuple[str, ...]
+
+
+@dataclass
+class CombineScreen(Screen):
+    """
+    A formula, typed or put together from a list, with its value in the current state.
+
+    :ivar rest: what will be typed after each of the next features that are chosen.
+    :ivar at: index of the selected proposal.
+    """
+
+    back: Do
+    typed: str = ''
+    rest: tuple[str, ...] = ()
+    at: int = 0
+
+    def panel(self, app: App) -> Panel:
+        name, news = self._formula(app)
+        blocks: list[Block] = [
+            Line('A new feature from others', strong=True),
+            GAP,
+            Line(f'> {self.typed}█', strong=True),
+            Line(news, Tone.NEWS if name else Tone.QUIET),
+            GAP,
+        ]
+        if items := self._items(app):
+            blocks.append(Choices([(item.text, item.note) for item in items], self.at, keys.RIGHT))
+        if len(items) > PAGE:
+            blocks.append(Line(f'{self.at + 1} of {len(items)}', Tone.QUIET))
+        return Panel(blocks)
+
+    def commands(self, app: App) -> Sequence[Command]:
+        name, _ = self._formula(app)
+        items, enter = self._items(app), None
+
+        def go(step: int) -> Do | None:
+            def move(app: App) -> None:
+                self.at = (self.at + step) % len(items)
+
+            return move if len(items) > 1 else None
+
+        def choose(app: App) -> None:
+            self._type(*items[self.at][2:])
+
+        def add(app: App) -> None:
+            request = DefineOption(app.world.lesson.option_name, derived_features=(name,))
+            app.ask(request, then=lambda answer: self.back(app))
+
+        if name:
+            enter = add
+        elif items and _UNFINISHED.search(self.typed):
+            enter = choose
+        return [
+            Command([keys.UP], 'move', go(-1), label='↑ ↓'),
+            Command([keys.DOWN], 'move down', go(1), label=''),
+            Command([keys.RIGHT], 'choose', choose if items else None),
+            Command([keys.ENTER], 'add it' if name else 'choose', enter),
+            Command([keys.BACKSPACE], 'erase', self._erase if self.typed else None),
+            Command([keys.CLEAR], 'erase all', lambda app: self._type(''), label=''),
+            Command([keys.ESCAPE], 'cancel', self.back),
+            INTERRUPT,
+        ]
+
+    def other_key(self, key: str, app: App) -> None:
+        if len(key) == 1 and key.isprintable() and len(self.typed) < MAX_LENGTH:
+            self._type(self.typed + key, self.rest)
+
+    def _erase(self, app: App) -> None:
+        self._type(self.typed[:-1], self.rest)
+
+    def _type(self, typed: str, rest: tuple[str, ...] = ()) -> None:
+        self.typed, self.rest, self.at = typed, rest if typed else (), 0
+
+    def _formula(self, app: App) -> tuple[str, str]:
+        """Return the name of the feature, and its value and range; or '' and what is missing."""
+        if not self.typed.strip():
+            return '', 'Choose how to combine features, or type a formula.'
+        try:
+            column = derive(app.domain, self.typed)
+        except FormulaError as error:
+            return '', '' if _UNFINISHED.search(self.typed) else f'{error}.'
+        feature = column.feature
+        if feature.name in app.world.lesson.derived_features:
+            return '', f'{feature.name} is already a feature.'
+        row = app.world.game.features
+        value = f'now {column.text(np.array(row))}' if row else 'no state yet'
+        if feature.kind is FeatureKind.CONTINUOUS:
+            value += f', between {feature.low:.4g} and {feature.high:.4g}'
+        return feature.name, value
+
+    def _items(self, app: App) -> list[_Item]:
+        """Return ways to combine features, values to compare with, and features."""
+        if not self.typed:
+            return [
+                _Item(kind, example, pieces[0], pieces[1:])
+                for (kind, pieces), example in zip(_KINDS.items(), _EXAMPLES)
+            ]
+        row = app.world.game.features
+        now = [f.text(value) for f, value in zip(app.domain.features, row)]
+        values = dict(zip([feature.name for feature in app.domain.features], now))
+        word = _WORD.search(self.typed)
+        begun = word[0] if word else ''
+        before, rest = self.typed.removesuffix(begun), self.rest or ('',)
+        found = [
+            _Item(feature.name, values.get(feature.name, ''), feature.name + rest[0], rest[1:])
+            for feature in app.domain.features
+            if feature.name.startswith(begun)
+        ]
+        compared = _COMPARED.search(self.typed)
+        for feature in app.domain.features:
+            if compared is None or feature.name != compared[1]:
+                continue
+            texts = [repr(text) for text in feature.values]
+            if not texts and row:
+                texts = values[feature.name].split()[:1]  # without the unit
+            found = [*(_Item(text, '', text, ()) for text in texts), *found]
+        return [item._replace(typed=before + item.typed) for item in found]
