@@ -80,7 +80,8 @@ class Feature:
         cls, name: str, question: str, low: float, high: float, unit: str = ''
     ) -> 'Feature':
         """Return a feature of the real numbers from ``low`` to ``high``."""
-        return cls(name, question, FeatureKind.CONTINUOUS, (), unit, low, high)
+        # messages have floats: a whole number would be sent as another one
+        return cls(name, question, FeatureKind.CONTINUOUS, (), unit, float(low), float(high))
 
     def has(self, value: float) -> bool:
         """Return whether a value is valid."""

@@ -8,7 +8,7 @@ from humanopts_env.domains.capabilities import pictured_board_of
 from humanopts_env.domains.described import can_simulate, published_state
 from humanopts_teach.dialogue.app import App
 from humanopts_teach.dialogue.keys import key_table, label
-from humanopts_teach.dialogue.panel import Features, Key, Line, Panel, ScreenView, Tone
+from humanopts_teach.dialogue.panel import Features, GAP, Key, Line, Panel, ScreenView, Tone
 from humanopts_teach.lesson.requests import Phase
 
 _SEEN = 'the picture shows more, which the option does not see'
@@ -92,4 +92,4 @@ def _drawn(app: App, panel: Panel, images: bool) -> tuple[Board, Panel]:
             hidden = _SEEN if block.hidden and board.drawn else block.hidden
             blocks[number] = replace(table, hidden=hidden)
             return board, replace(panel, beside=blocks)
-    return board, replace(panel, below=(*panel.below, replace(table, title='features')))
+    return board, replace(panel, below=(*panel.below, GAP, replace(table, title='features')))
