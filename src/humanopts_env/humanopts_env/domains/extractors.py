@@ -11,7 +11,8 @@ are bools, numbers, texts, members of an Enum, or None. Beside it, the module ma
 - ``('wall', 'free')``: texts.
 
 ``RANGES`` may be a function of the environment. Ranges that are not declared are measured, see
-``measured_range``.
+``measured_range``. A function ``PREPARE`` is called with each new environment, for instance to
+turn off observations that are slow and not used.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -52,9 +53,8 @@ class Extractor:
     features: tuple[Feature, ...]
     read: Read
     ranges: dict[str, list[Any]] = field(default_factory=dict)  # those that were measured
-    actions: Mapping[str, str] = field(
-        default_factory=dict
-    )  # descriptions by name; empty: default
+    actions: Mapping[str, str] = field(default_factory=dict)  # descriptions by name
+    prepare: Callable[[Any], object] = bool  # called with each new environment
 
 
 # Features of the documented observations of Gymnasium, by the name of the environment.
@@ -382,7 +382,7 @@ def _extractor(
     actions = getattr(module, 'ACTIONS', {})
     if not isinstance(actions, Mapping):
         actions = {each: each.replace('_', ' ') for each in actions}
-    return Extractor(key, features, read, measured, actions)
+    return Extractor(key, features, read, measured, actions, getattr(module, 'PREPARE', bool))
 
 
 def values_of(

@@ -51,16 +51,46 @@ WORDS_OF_KEYS = {
 }
 
 
+class Painter:
+    """
+    Draws states of an environment in another one, which follows: many are slower when drawn.
+
+    LunarLander, for one, is ten times slower, since its engines emit particles.
+    """
+
+    def __init__(self, make: Callable[[], Any]) -> None:
+        """Draw with the environment that is made at the first drawing."""
+        self._make, self._env, self._seed = make, None, -1
+        self._done: list[int] = []  # actions
+
+    def draw(self, seed: int, actions: Sequence[int]) -> NDArray[np.uint8] | str | None:
+        """Return the rendering after some actions, and continue from there the next time."""
+        env = self._env = self._env or self._make()
+        if env.render_mode is None:
+            return None
+        known = len(self._done)
+        if seed != self._seed or self._done != actions[:known]:
+            env.reset(seed=seed)
+            known = 0
+        self._seed = -1  # until all steps are taken
+        for action in actions[known:]:
+            env.step(action)
+        self._seed, self._done = seed, list(actions)
+        drawn = env.render()
+        return drawn if isinstance(drawn, str) else np.array(drawn, dtype=np.uint8)
+
+
 class EnvironmentWorld:
     """A Gymnasium environment as a ``World``; nothing that it returns is kept without a copy."""
 
-    def __init__(self, name: str, env: Any, extractor: Extractor) -> None:
+    def __init__(self, name: str, env: Any, extractor: Extractor, painter: Painter) -> None:
         """
         Wrap an environment.
 
         :param name: of the domain, for errors.
         """
-        self.name, self.env, self._extractor = name, env, extractor
+        self.name, self.env, self._extractor, self._painter = name, env, extractor, painter
+        self._seed, self._actions = -1, list[int]()
         self._first = int(env.action_space.start)
         self._inner, self._seen = env.unwrapped, None
 
@@ -72,6 +102,7 @@ class EnvironmentWorld:
         """
         try:
             self._seen, _ = self.env.reset(seed=seed)
+            self._seed, self._actions = seed, []
         except Exception as error:
             raise self._failed('the environment', error) from error
 
@@ -84,7 +115,8 @@ class EnvironmentWorld:
         :raises DomainError: the environment raised an error.
         """
         try:
-            self._seen, reward, terminated, _, _ = self.env.step(self._first + action)
+            self._actions.append(self._first + action)
+            self._seen, reward, terminated, _, _ = self.env.step(self._actions[-1])
             return float(reward), bool(terminated)
         except Exception as error:
             raise self._failed('the environment', error) from error
@@ -113,13 +145,10 @@ class EnvironmentWorld:
 
         :raises DomainError: the environment raised an error.
         """
-        if self.env.render_mode is None:
-            return None
         try:
-            drawn = self.env.render()
+            return self._painter.draw(self._seed, self._actions)
         except Exception as error:
             raise self._failed('the picture', error) from error
-        return drawn if isinstance(drawn, str) else np.array(drawn, dtype=np.uint8)
 
     def _failed(self, what: str, error: Exception) -> DomainError:
         return DomainError(f'{self.name}: {what} failed: {type(error).__name__}: {error}')
@@ -155,7 +184,8 @@ class ReplayedEnvironment(ReplayedDomain):
                 'Discrete actions can be taught; wrap it, or choose a variant with such actions'
             )
         modes = env.metadata.get('render_modes') or ()
-        self._drawn = next((mode for mode in ('rgb_array', 'ansi') if mode in modes), None)
+        drawn = next((mode for mode in ('rgb_array', 'ansi') if mode in modes), None)
+        self._painter = Painter(partial(make_env, self.name, self.env_id, arguments, drawn))
         try:
             self._extractor = find_extractor(
                 self.name, features, env, ranges or {}, partial(_walks, self.name, env)
@@ -182,10 +212,9 @@ class ReplayedEnvironment(ReplayedDomain):
 
     def make_world(self) -> EnvironmentWorld:
         """Return a new environment."""
-        return EnvironmentWorld(self.name, self._made(), self._extractor)
-
-    def _made(self) -> Any:
-        return make_env(self.name, self.env_id, self._arguments, self._drawn)
+        env = make_env(self.name, self.env_id, self._arguments)
+        self._extractor.prepare(env.unwrapped)
+        return EnvironmentWorld(self.name, env, self._extractor, self._painter)
 
 
 @cache

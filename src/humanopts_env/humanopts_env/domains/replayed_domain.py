@@ -7,17 +7,19 @@ be copied can still be simulated, set to any previous state, and played in paral
 
 from abc import ABC, abstractmethod
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 import re
 import string
 from typing import Any, Protocol, runtime_checkable
 
-from humanopts_env.arrays import Floats
+from humanopts_env.arrays import Flags, Floats, Ints, Rows
 from humanopts_env.board import Image
 from humanopts_env.domains.base import Domain, DomainError, Outcome, StateError
+from humanopts_env.games import Chance, Steps
 import numpy as np
+from numpy.typing import NDArray
 
 SIGNS = string.digits + string.ascii_letters  # one per action in a text
 MAX_WORLDS = 1024  # kept at the same time, more than a plan samples in parallel
@@ -65,6 +67,7 @@ class ReplayedDomain(Domain[History], ABC):
     actions of a state determine the future, so only ``reset`` draws random numbers, not ``step``.
 
     Worlds are kept in their states, so that continuing takes one step; other states are replayed.
+    Many games side by side step their worlds without keeping a state for each step.
     """
 
     @abstractmethod
@@ -150,6 +153,10 @@ class ReplayedDomain(Domain[History], ABC):
             self._spare.append(world)
         return [found[place] for place in rng.permutation(len(found))[:count]]
 
+    def games(self, states: Sequence[History]) -> 'ReplayedGames':
+        """Return games in given states."""
+        return ReplayedGames(self, states)
+
     @cached_property
     def _worlds(self) -> OrderedDict[tuple[int, tuple[int, ...]], tuple[World, History]]:
         """Worlds and their states by seed and actions, the newest last."""
@@ -202,6 +209,73 @@ class ReplayedDomain(Domain[History], ABC):
             _, (oldest, _) = self._worlds.popitem(last=False)
             self._spare.append(oldest)
         return state
+
+
+class ReplayedGames:
+    """Games in worlds; the world of a game is restored when the game takes its next step."""
+
+    def __init__(self, domain: ReplayedDomain, states: Sequence[History]) -> None:
+        """Start in given states."""
+        self.domain = domain
+        self._worlds: list[World | None] = [None] * len(states)
+        self._seeds = [state.seed for state in states]
+        self._actions = [list(state.actions) for state in states]
+        self._rows = [state.features for state in states]
+        self._over = np.array([state.over for state in states], dtype=np.bool_)
+
+    def __len__(self) -> int:
+        return len(self._seeds)
+
+    def features(self) -> Rows:
+        shape = len(self), len(self.domain.features)
+        return np.array(self._rows, dtype=np.float64).reshape(shape)
+
+    def over(self) -> Flags:
+        return self._over.copy()
+
+    def step(self, actions: Ints, chance: Chance) -> Steps:
+        reward, taken = np.zeros(len(self)), actions.tolist()
+        for game in np.flatnonzero(~self._over).tolist():
+            world = self._worlds[game]
+            if world is None:
+                world = self.domain._world_at(self._seeds[game], tuple(self._actions[game]))
+                self._worlds[game] = world
+            reward[game], over = world.step(taken[game])
+            self._actions[game].append(taken[game])
+            self._rows[game] = tuple(map(float, world.features()))
+            if over:
+                self._over[game] = True
+                self._release(game)
+        return Steps(reward, self.over())
+
+    def reset(self, games: Ints, chance: np.random.Generator) -> None:
+        for game in games.tolist():
+            self._release(game)
+            self._seeds[game] = seed = int(chance.integers(SEEDS))
+            self._worlds[game] = world = self.domain._begun(seed)
+            self._actions[game], self._over[game] = [], False
+            self._rows[game] = tuple(map(float, world.features()))
+
+    def take(self, games: Ints) -> 'ReplayedGames':
+        states = self.states()
+        return ReplayedGames(self.domain, [states[game] for game in games.tolist()])
+
+    def states(self) -> list[History]:
+        return [
+            History(seed, tuple(actions), row, over)
+            for seed, actions, row, over in zip(
+                self._seeds, self._actions, self._rows, self._over.tolist()
+            )
+        ]
+
+    def outcomes(self) -> Mapping[str, NDArray[Any]]:
+        return {}
+
+    def _release(self, game: int) -> None:
+        """Return a game's world, which other games may use."""
+        world, self._worlds[game] = self._worlds[game], None
+        if world is not None:
+            self.domain._spare.append(world)
 
 
 def _history(world: World, seed: int, actions: tuple[int, ...], *, over: bool = False) -> History:
