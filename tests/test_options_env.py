@@ -14,6 +14,7 @@ from gymnasium.utils.env_checker import check_env
 from humanopts_env import OptionsEnv
 from humanopts_env.arrays import Flags, Ints, Rows
 from humanopts_env.domains.base import DomainError
+from humanopts_env.domains.formulas import feature_columns
 from humanopts_env.domains.registry import make_domain, reference_options
 from humanopts_env.games import games_at
 from humanopts_env.options_env import MAX_REFUSALS
@@ -185,10 +186,10 @@ def test_q_learning_completes_the_task_with_options_that_were_taught(
     taught: Sequence[LearnedOption],
 ) -> None:
     """The best plan needs 13 steps on the mean; the primitive actions know nothing by then."""
-    played = {}
+    domain, played = make_domain('taxi'), {}
     for options in (taught, []):
         env = OptionsEnv(gymnasium.make('humanopts/Taxi-v0'), options, primitives=not options)
-        learner = EnvLearner(env, range(len(make_domain('taxi').features)))
+        learner = EnvLearner(env, feature_columns(domain, [each.name for each in domain.features]))
         learner.play(50, 1, learn=True)
         played[len(options)] = learner.play(50, 2, learn=False)
     with_options, primitive = played.values()

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import gymnasium
 from humanopts_env import OptionsEnv
-from humanopts_env.domains.base import feature_columns
+from humanopts_env.domains.formulas import feature_columns
 from humanopts_env.domains.registry import domain_from_json
 from humanopts_learner.options.files import load_options
 from humanopts_learner.qlearning import EnvLearner

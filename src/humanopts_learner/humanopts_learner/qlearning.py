@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING
 
 from humanopts_env.arrays import Flags, Floats, Ints
 from humanopts_env.domains.base import EnumerableDomain
+from humanopts_env.domains.formulas import FeatureColumn, stacked
 from humanopts_env.games import Steps, TableGames
 from humanopts_env.seeding import generator
 from humanopts_learner.execution import draw_among, Execution, Policy, Runs
@@ -252,12 +253,12 @@ class EnvLearner:
     """
     A tabular SMDP Q-learner with options as actions.
 
-    :ivar columns: indices of the features that are its state; continuous ones make no table.
+    :ivar columns: features that are its state; continuous ones make no table.
     :ivar values: (O,) by state, the values of chosen features.
     """
 
     env: 'OptionsEnv'
-    columns: Sequence[int]
+    columns: Sequence[FeatureColumn]
     rates: Rates = Rates()
     values: dict[tuple[float, ...], Floats] = field(init=False)
 
@@ -297,7 +298,7 @@ class EnvLearner:
         return Episodes(steps, returns, terminated)
 
     def _state(self) -> tuple[float, ...]:
-        return tuple(self.env.features()[list(self.columns)].tolist())
+        return tuple(stacked(self.columns, self.env.features()[None])[0].tolist())
 
 
 def drawn_rates(seed: int, count: int) -> list[Rates]:

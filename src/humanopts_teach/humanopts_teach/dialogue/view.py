@@ -3,9 +3,9 @@
 from dataclasses import replace
 
 from humanopts_env.board import Board
-from humanopts_env.domains.base import shown_values
 from humanopts_env.domains.capabilities import pictured_board_of
 from humanopts_env.domains.described import can_simulate, published_state
+from humanopts_env.domains.formulas import feature_columns
 from humanopts_teach.dialogue.app import App
 from humanopts_teach.dialogue.keys import key_table, label
 from humanopts_teach.dialogue.panel import Features, GAP, Key, Line, Panel, ScreenView, Tone
@@ -84,8 +84,11 @@ def _drawn(app: App, panel: Panel, images: bool) -> tuple[Board, Panel]:
         return board, panel
     if board.image is not None and not images:
         board, panel = Board(), replace(panel, below=(*panel.below, _NO_PICTURE))
-    values = shown_values(domain, here, shown).items()
-    table = Features([(name.replace('_', ' '), value) for name, value in values], in_rows=True)
+    every = [*(each.name for each in domain.features), *lesson.derived_features]
+    columns = feature_columns(domain, every if shown is None else shown)
+    row = domain.feature_values(here)
+    values = [(each.feature.name.replace('_', ' '), each.text(row)) for each in columns]
+    table = Features(values, in_rows=True)
     board, blocks = replace(board, notes=()), list(panel.beside)
     for number, block in enumerate(blocks):
         if isinstance(block, Features):
