@@ -6,7 +6,7 @@ them.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-class ReferenceOption(Protocol):
+class ReferenceOption(Hashable, Protocol):
     """An option with exactly known initiation set, policy and termination condition."""
 
     @property

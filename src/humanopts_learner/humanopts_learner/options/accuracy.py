@@ -16,26 +16,24 @@ Each part is measured where it is used:
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Any, Generic, TypeVar
+from typing import Any
 
 from humanopts_env.arrays import Flags, Ints, Rows
 from humanopts_env.domains.base import Domain, EnumerableDomain, is_enumerable
 from humanopts_env.domains.reference import (
     judge_games,
-    judge_states,
     Judgement,
     ReferenceOption,
     TabularReferenceOption,
 )
 from humanopts_env.domains.registry import parameters_json
-from humanopts_env.games import Chance, feature_rows, Games, games_at
+from humanopts_env.games import Chance, Games, games_at
 from humanopts_env.seeding import generator
 from humanopts_learner.execution import Fixed, play
 from humanopts_learner.options.learned_option import LearnedOption
 from humanopts_learner.options.rollout import is_deterministic
 import numpy as np
 
-T = TypeVar('T')
 SAMPLE = 2000  # number of states, if they cannot be listed
 RUNS = 400  # maximum number of runs per average return
 MAX_RUN_STEPS = 100
@@ -157,7 +155,7 @@ def _answers(domain: Domain, reference: ReferenceOption) -> _Answers:
     if is_enumerable(domain) and isinstance(reference, TabularReferenceOption):
         return _of_all_states(domain, reference)
     game = _Keyed((domain.name, parameters_json(domain)), domain)
-    return _of_a_sample(game, _Keyed(id(reference), reference))
+    return _of_a_sample(game, reference)
 
 
 def _of_all_states(domain: EnumerableDomain, reference: TabularReferenceOption) -> _Answers:
@@ -181,41 +179,38 @@ def _of_all_states(domain: EnumerableDomain, reference: TabularReferenceOption) 
 
 
 @dataclass(frozen=True)
-class _Keyed(Generic[T]):
-    """An argument of a cached function, compared by its key."""
+class _Keyed:
+    """A domain as an argument of a cached function, compared by its key."""
 
     key: Hashable
-    value: T = field(compare=False)  # kept alive, so that an id() in the key stays unique
+    value: Domain = field(compare=False)
 
 
 @lru_cache(maxsize=4)
-def _sample(game: _Keyed[Domain]) -> tuple[list[Any], Rows]:
-    """Return ``SAMPLE`` non-terminal states from all parts of the game, and their features."""
+def _sample(game: _Keyed) -> Games:
+    """Return ``SAMPLE`` games in non-terminal states from all parts of the game."""
     states = game.value.sample_states(generator(0, 'accuracy', 'states', game.value.name), SAMPLE)
-    return states, feature_rows(game.value, states)
+    return games_at(game.value, states)
 
 
 @lru_cache(maxsize=32)
-def _of_a_sample(game: _Keyed[Domain], meaning: _Keyed[ReferenceOption]) -> _Answers:
+def _of_a_sample(game: _Keyed, reference: ReferenceOption) -> _Answers:
     """Return answers for a sample, with ends added by one optimal step from acting states."""
-    domain, reference, count = game.value, meaning.value, len(game.value.actions)
-    states, rows = _sample(game)
-    said = judge_states(reference, states, count)
+    domain, games = game.value, _sample(game)
+    rows, said = games.features(), judge_games(reference, games)
     acts = said.initiation
+    after = games.take(np.flatnonzero(acts))
+    starts = after.take(np.arange(min(len(after), RUNS))).states()
     rng = generator(0, 'accuracy', 'steps', domain.name, reference.name)
-    after = [
-        domain.step(states[number], int(said.optimal[number].argmax()), rng).state
-        for number in np.flatnonzero(acts)
-    ]
-    then = judge_states(reference, after, count)
+    after.step(said.optimal[acts].argmax(axis=1), [rng] * len(after))
+    then = judge_games(reference, after)
     left = ~then.initiation
-    ends = [state for state, is_out in zip(after, left) if is_out]
     return _Answers(
-        [states[number] for number in np.flatnonzero(acts)[:RUNS]],
+        starts,
         rows[acts],
         said.optimal[acts],
         rows,
         said.initiation,
-        np.concatenate((rows[acts], feature_rows(domain, ends))),
+        np.concatenate((rows[acts], after.features()[left])),
         np.concatenate((said.termination[acts], then.termination[left])),
     )

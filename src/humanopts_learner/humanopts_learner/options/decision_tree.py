@@ -9,7 +9,7 @@ imported when the first tree is fitted.
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import Annotated
+from typing import Annotated, Any
 
 from humanopts_env.arrays import Floats, Ints, Rows
 from humanopts_env.domains.base import ActableDomain, FeatureKind
@@ -21,7 +21,7 @@ from pydantic import Field
 
 Formula = Annotated[Text, Field(pattern=r'x\[')]
 LEAF = -1  # value of left, right and feature in a leaf
-MANY_ROWS = 100  # rows per node above which a tree is evaluated node by node
+FEW_NODES = 25  # up to which all tests of a tree take less time than the paths of the rows
 
 
 class TreeError(ValueError):
@@ -148,19 +148,14 @@ class Tree:
         """Return (N,): the leaf of each row of X (N, C)."""
         if X.ndim != 2 or X.shape[1] != self.n_features:
             raise TreeError(f'the tree takes rows of {self.n_features} features, not {X.shape}')
-        values, node = X.astype(np.float32, copy=False), np.zeros(len(X), dtype=np.intp)
-        if len(X) > MANY_ROWS * len(self.left):  # node by node, with all rows of a node at once
-            inside = {0: np.arange(len(X))}
-            for at in range(len(self.left)):
-                rows = inside.pop(at)
-                if self.left[at] == LEAF:
-                    node[rows] = at
-                    continue
-                right = values[:, self.feature[at]][rows] > self.threshold[at]
-                inside[int(self.left[at])] = rows[~right]
-                inside[int(self.right[at])] = rows[right]
-            return node
-        rows = np.arange(len(X) if len(self.left) > 1 else 0)
+        values = X.astype(np.float32, copy=False)
+        if len(self.left) <= FEW_NODES:  # from the last node to the root, with all rows at once
+            leaf: list[Any] = [*range(len(self.left))]
+            for at, left, right, feature, threshold in self._tests:
+                leaf[at] = np.where(values[:, feature] > threshold, leaf[right], leaf[left])
+            return np.full(len(X), leaf[0])
+        node = np.zeros(len(X), dtype=np.intp)
+        rows = np.arange(len(X))
         while rows.size:
             level = node[rows]
             goes_right = values[rows, self.feature[level]] > self.threshold[level]
@@ -189,6 +184,13 @@ class Tree:
         for node in np.flatnonzero(self.left != LEAF):
             level[[self.left[node], self.right[node]]] = level[node] + 1
         return int(level.max())
+
+    @cached_property
+    def _tests(self) -> list[tuple[Any, ...]]:
+        """Node, left, right, feature and threshold of each test, children before parents."""
+        parts = (part.tolist() for part in (self.left, self.right, self.feature))
+        tests = zip(range(len(self.left)), *parts, self.threshold)  # not rounded to float32
+        return [test for test in tests if test[1] != LEAF][::-1]
 
     @cached_property
     def tested(self) -> Ints:

@@ -17,7 +17,7 @@ from humanopts_env.games import new_games
 from humanopts_env.seeding import generator
 from humanopts_learner.execution import play, Policy
 from humanopts_learner.option import Option
-from humanopts_learner.planning.abstraction import Codes
+from humanopts_learner.planning.abstraction import StateRows
 from humanopts_learner.planning.action_set import ActionSet, AnyOption, Observation
 from humanopts_learner.planning.exact_plan import PolicyPlan, Returns, sweep_progress
 from humanopts_learner.planning.interruption import arbitrate, interruptions, OptionValues
@@ -63,7 +63,7 @@ class GreedyPolicy(Policy[Observation]):
 
     def choose(self, seen: Observation, games: Ints) -> Ints:
         """Return the next option in each game; with modules, the one that acts for one step."""
-        row = self._row(seen)
+        row = self._row(seen.states)
         option_values = self._option_values(seen, row)
         option = self._best(seen, option_values)
         if self.execution not in MODULAR:
@@ -77,7 +77,7 @@ class GreedyPolicy(Policy[Observation]):
 
     def best(self, seen: Observation) -> Ints:
         """Return (N,): the option with the highest value, regardless of the execution."""
-        return self._best(seen, self._option_values(seen, self._row(seen)))
+        return self._best(seen, self._option_values(seen, self._row(seen.states)))
 
     def stops(self, seen: Observation, option: Ints) -> Flags | None:
         """Return (N,): whether each game's option is stopped; modules run for one step."""
@@ -88,7 +88,7 @@ class GreedyPolicy(Policy[Observation]):
             return stopped
         running = np.flatnonzero((option >= 0) & (option < self.actions.first_fallback))
         seen = seen.take(running)
-        row = self._row(seen)
+        row = self._row(seen.states)
         best, its = self._option_values(seen, row), option[running]
         at = np.arange(len(running)), its
         worth = np.where(seen.startable[at], best[at], self._continuation_values[row, its])
@@ -107,9 +107,9 @@ class GreedyPolicy(Policy[Observation]):
         return option
 
     @cached_property
-    def _codes(self) -> Codes:
-        """The state codes (K,), and a dummy code, since unknown states map to the last row."""
-        return np.append(self.values.states, 0)
+    def _row(self) -> StateRows:
+        """The table row of each state; unknown states have the last row, -1."""
+        return StateRows(self.values.states)
 
     @cached_property
     def _values(self) -> Floats:
@@ -120,12 +120,6 @@ class GreedyPolicy(Policy[Observation]):
     def _continuation_values(self) -> Floats:
         values = self.values.continuation_values
         return np.pad(values, ((0, 1), (0, 0)), constant_values=-np.inf)
-
-    def _row(self, seen: Observation) -> Ints:
-        """Return (N,): the table row of each game's state."""
-        place = self.values.states.searchsorted(seen.states)
-        unknown = self._codes.take(place) != seen.states
-        return np.where(unknown, len(self.values.states), place)
 
     def _option_values(self, seen: Observation, row: Ints) -> Floats:
         """Return option values (N, O); -inf: the option cannot start, or is unknown."""

@@ -15,7 +15,7 @@ from typing import Any
 from humanopts_env.arrays import Floats
 from humanopts_env.games import new_games
 from humanopts_learner.execution import Execution, NONE, Policy
-from humanopts_learner.planning.abstraction import Codes
+from humanopts_learner.planning.abstraction import Codes, StateRows
 from humanopts_learner.planning.action_set import ActionSet, Observation
 from humanopts_learner.planning.models import MultiTimeModel, SparseRows
 import numpy as np
@@ -59,9 +59,12 @@ class SampleCounts:
         """Add samples of known or new states."""
         old, (count, _) = len(self.states), self._count.shape
         codes = np.concatenate([samples.state, samples.successor])
-        self.states = np.append(self.states, np.setdiff1d(codes, self.states))
-        size, order = len(self.states), np.argsort(self.states)
-        state, successor = np.split(order[self.states.searchsorted(codes, sorter=order)], 2)
+        row = StateRows(self.states)(codes)
+        fresh = row < 0
+        new, row[fresh] = np.unique(codes[fresh], return_inverse=True)
+        row[fresh] += old
+        self.states = np.append(self.states, new)
+        size, (state, successor) = len(self.states), np.split(row, 2)
         pair, wider = samples.option * size + state, ((0, 0), (0, size - old))
 
         def total(known: Floats, weights: Floats | None = None) -> Floats:

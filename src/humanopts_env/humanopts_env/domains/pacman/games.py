@@ -89,7 +89,7 @@ class PacManGames:
             draws = self.batch.draws(chance)
         else:
             each = [self.batch.rules.draws(rng) for rng in chance]
-            draws = np.array(each, dtype=np.intp).reshape(len(each), -1).T
+            draws = np.array(each, dtype=np.intp).reshape(self.batch.ghosts.shape[::-1]).T
         return Steps(self.batch.step(actions, draws).astype(np.float64), self.batch.over)
 
     def reset(self, games: Ints, chance: np.random.Generator) -> None:

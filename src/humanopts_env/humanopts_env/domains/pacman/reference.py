@@ -34,7 +34,7 @@ TO_FRUIT = 'go to the fruit'
 DANGER = 4  # steps; nearer dangerous ghosts are avoided
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class PacManOption(JudgedOption):
     """A ``ReferenceOption`` of Pac-Man: go to the nearest object of a kind, or away from it."""
 
