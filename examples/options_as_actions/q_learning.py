@@ -29,8 +29,8 @@ def main() -> None:
     if damaged or not options:
         parser.error(f'{given.folder / "options"} has no options, or damaged ones')
     domain = domain_from_json(options[0].domain, options[0].domain_parameters)
-    names = dict.fromkeys(name for option in options for name in option.features)
-    columns = feature_columns(domain, tuple(names))  # the table is over what the options depend on
+    names = {name for option in options for name in option.features}
+    columns = feature_columns(domain, names)  # the table is over what the options depend on
     for chosen in (options, []):
         env = OptionsEnv(gymnasium.make(given.env), chosen, primitives=not chosen)
         print(f'actions: {", ".join(env.option_names)}')

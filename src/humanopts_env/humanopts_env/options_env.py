@@ -2,12 +2,13 @@
 
 from collections.abc import Callable, Sequence
 from copy import deepcopy
+from functools import partial
 from typing import Any
 
 import gymnasium
 from gymnasium.utils import RecordConstructorArgs
 from humanopts_env.arrays import Flags, Floats
-from humanopts_env.domains.base import Domain, DomainError
+from humanopts_env.domains.base import Domain, DomainError, is_enumerable
 from humanopts_env.domains.names import GYMNASIUM
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.gym_env import DomainEnv
@@ -49,6 +50,7 @@ class OptionsEnv(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         options: Sequence[Option],
         primitives: bool = False,
         gamma: float | None = None,
+        features: str = '',
     ) -> None:
         """
         Replace the actions by options.
@@ -57,15 +59,15 @@ class OptionsEnv(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
             runs the n-th.
         :param primitives: whether the primitive actions follow the options as further actions.
         :param gamma: discount per primitive step; None: that of the domain.
+        :param features: extractor, as the parameter of ``gymnasium:ID``; empty: the default.
         :raises DomainError: the primitive actions are not ``Discrete``, or there are no actions.
         """
-        RecordConstructorArgs.__init__(
-            self, options=options, primitives=primitives, gamma=gamma, _disable_deepcopy=True
-        )
+        given = {'options': options, 'primitives': primitives, 'gamma': gamma}
+        RecordConstructorArgs.__init__(self, **given, features=features, _disable_deepcopy=True)
         super().__init__(env)
         if not isinstance(env.action_space, gymnasium.spaces.Discrete):
             raise DomainError(f'options choose among numbered actions, not {env.action_space}')
-        domain, self._feature_values = _features_of(env)
+        domain, self._feature_values = _features_of(env, features)
         self.gamma = domain.gamma if gamma is None else gamma
         self._options = tuple(options)
         self._first_action = int(env.action_space.start)
@@ -77,7 +79,7 @@ class OptionsEnv(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
 
     def features(self) -> Floats:
         """Return the current value of every feature, (F,): what the options depend on."""
-        return self._feature_values()
+        return self._feature_values(self._observation)
 
     def action_masks(self) -> Flags:
         """
@@ -113,6 +115,7 @@ class OptionsEnv(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
             if option is not None:
                 taken = self._first_action + int(option.action(self.features()[None])[0])
             observation, reward, terminated, truncated, info = self.env.step(taken)
+            self._observation = deepcopy(observation)
             discounted += self.gamma**steps * float(reward)
             undiscounted += float(reward)
             steps += 1
@@ -123,7 +126,6 @@ class OptionsEnv(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
                 ended = bool(runs_end(ends, terminated or truncated, steps, option.max_steps)[0])
         ends_by = {'reached': reached, 'terminated': terminated, 'truncated': truncated}
         end = next((name for name, holds in ends_by.items() if holds), 'max_steps')
-        self._observation = deepcopy(observation)
         stuck = not terminated and not self._startable().any()
         info = {**info, **self._info(end, steps, undiscounted, terminated=terminated)}
         return observation, discounted, terminated, truncated or stuck, info
@@ -146,17 +148,22 @@ class OptionsEnv(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         }
 
 
-def _features_of(env: gymnasium.Env[Any, Any]) -> tuple[Domain, Callable[[], Floats]]:
+def _features_of(
+    env: gymnasium.Env[Any, Any], features: str
+) -> tuple[Domain, Callable[[Any], Floats]]:
     """
-    Return the domain of an environment, and a function that returns its current features, (F,).
+    Return the domain of an environment, and a function from an observation to the features (F,).
 
     :raises DomainError: the environment was not made by ``gymnasium.make``, or cannot be a domain.
     """
     inner: Any = env.unwrapped
     if isinstance(inner, DomainEnv):
-        return inner.domain, inner.features
+        return inner.domain, lambda _: inner.features()
     if env.spec is None:
         raise DomainError(f'{inner} has no id: make it with gymnasium.make')
     arguments = {name: value for name, value in env.spec.kwargs.items() if name != 'render_mode'}
-    domain = make_domain(f'{GYMNASIUM}{env.spec.id}', arguments)
-    return domain, lambda: domain.feature_values(inner.s)
+    extractor = {'features': features} if features else {}
+    domain: Any = make_domain(f'{GYMNASIUM}{env.spec.id}', {**arguments, **extractor})
+    if is_enumerable(domain):
+        return domain, lambda _: domain.feature_values(inner.s)
+    return domain, partial(domain.read_features, inner)

@@ -15,6 +15,7 @@ import time
 from typing import Any, ClassVar
 
 from gymnasium import spaces
+from humanopts_env.arrays import Floats
 from humanopts_env.domains.base import Action, Domain, DomainError
 from humanopts_env.domains.capabilities import FeatureGroup
 from humanopts_env.domains.extractors import ACTIONS, Extractor, find_extractor
@@ -215,6 +216,14 @@ class ReplayedEnvironment(ReplayedDomain):
         env = make_env(self.name, self.env_id, self._arguments)
         self._extractor.prepare(env.unwrapped)
         return EnvironmentWorld(self.name, env, self._extractor, self._painter)
+
+    def read_features(self, env: Any, observation: Any) -> Floats:
+        """
+        Return the features (F,) of an environment of this id that another program steps.
+
+        :param env: the environment without wrappers.
+        """
+        return np.array(self._extractor.read(env, observation), dtype=np.float64)
 
 
 @cache
