@@ -20,6 +20,7 @@ setup(
             'taxi = humanopts_env.domains.taxi:Taxi',
         ],
         'humanopts.reference_options': [
+            'gymnasium = humanopts_env.domains.gymnasium_reference:reference_options',
             'pacman = humanopts_env.domains.pacman.reference:reference_options',
             'rooms = humanopts_env.domains.rooms_reference:reference_options',
             'taxi = humanopts_env.domains.taxi_reference:reference_options',

@@ -403,9 +403,9 @@ def _run(domain: Domain, option: ReferenceOption, states: Sequence[Any], which: 
         after = [domain.step(*each, rng) for each in zip(states, actions)]
         said = judge_states(option, [outcome.state for outcome in after], count)
         over = np.array([outcome.terminated for outcome in after])
-        went_on = over & (said.initiation | ~said.termination)
-        assert not went_on.any(), f'{option.name} goes on where the task is over'
-        states = [outcome.state for outcome, ends in zip(after, said.termination) if not ends]
+        assert not (over & said.initiation).any(), f'{option.name} goes on where the task is over'
+        ended = over | said.termination
+        states = [outcome.state for outcome, ends in zip(after, ended) if not ends]
         if not states:
             return
     raise Breach(f'{option.name} never ends from where {domain.encode(states[0])!r} is reached')
@@ -416,7 +416,8 @@ def one_state_is_judged_as_many_are(seen: OptionEvidence) -> None:
         said = seen.judged[name]
         for n in range(0, len(seen.states), max(1, len(seen.states) // ONE_BY_ONE)):
             state = seen.states[n]
-            one: Any = option.can_start(state), option.ends(state), option.optimal_actions(state)
+            best = tuple(sorted(option.optimal_actions(state)))
+            one: Any = option.can_start(state), option.ends(state), best
             many = said.initiation[n], said.termination[n], tuple(np.flatnonzero(said.optimal[n]))
             where = seen.domain.encode(state)
             assert one == many, f'{name} is judged otherwise among many states: {where!r}'

@@ -93,7 +93,8 @@ class EnvironmentWorld:
         self.name, self.env, self._extractor, self._painter = name, env, extractor, painter
         self._seed, self._actions = -1, list[int]()
         self._first = int(env.action_space.start)
-        self._inner, self._seen = env.unwrapped, None
+        self._inner = env.unwrapped
+        self.observation: Any = None  # the newest
 
     def reset(self, seed: int) -> None:
         """
@@ -102,7 +103,7 @@ class EnvironmentWorld:
         :raises DomainError: the environment raised an error.
         """
         try:
-            self._seen, _ = self.env.reset(seed=seed)
+            self.observation, _ = self.env.reset(seed=seed)
             self._seed, self._actions = seed, []
         except Exception as error:
             raise self._failed('the environment', error) from error
@@ -117,7 +118,7 @@ class EnvironmentWorld:
         """
         try:
             self._actions.append(self._first + action)
-            self._seen, reward, terminated, _, _ = self.env.step(self._actions[-1])
+            self.observation, reward, terminated, _, _ = self.env.step(self._actions[-1])
             return float(reward), bool(terminated)
         except Exception as error:
             raise self._failed('the environment', error) from error
@@ -129,7 +130,7 @@ class EnvironmentWorld:
         :raises DomainError: the extractor raised an error, or a value is not a number.
         """
         try:
-            values = self._extractor.read(self._inner, self._seen)
+            values = self._extractor.read(self._inner, self.observation)
         except Exception as error:
             raise self._failed(f'the features {self._extractor.name}', error) from error
         if any(map(math.isnan, values)):

@@ -231,7 +231,7 @@ def way(walkable: bytes, width: int, target: int, pose: int) -> tuple[int, int]:
     :return: moves, and LEFT, RIGHT, FORWARD, THERE or NOWHERE; the number of cells times 4, and
         NOWHERE, if there is no path.
     """
-    moves = _moves_to(walkable, width, target)
+    moves = moves_to(walkable, width, target)
     here = moves[pose]
     if here <= 0:
         return (0, THERE) if here == 0 else (len(moves), NOWHERE)
@@ -244,7 +244,7 @@ def way(walkable: bytes, width: int, target: int, pose: int) -> tuple[int, int]:
 
 
 @lru_cache(maxsize=10_000)
-def _moves_to(walkable: bytes, width: int, target: int) -> list[int]:
+def moves_to(walkable: bytes, width: int, target: int) -> list[int]:
     """Return the number of moves from each pose until the target is in front; -1: no path."""
     ahead = [right + width * down for right, down in STEPS]
     moves = [-1] * (4 * len(walkable))

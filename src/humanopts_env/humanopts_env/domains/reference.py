@@ -6,7 +6,7 @@ them.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Hashable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -36,10 +36,14 @@ class ReferenceOption(Hashable, Protocol):
         """Return whether the state is in the initiation set."""
 
     def ends(self, state: Any) -> bool:
-        """Return whether the termination condition holds."""
+        """Return whether the termination condition holds; False where the task is over before."""
 
     def optimal_actions(self, state: Any) -> tuple[int, ...]:
-        """Return every action on a shortest path to the end; empty outside the initiation set."""
+        """
+        Return every action on a shortest path to the end, the usual one first.
+
+        Empty outside the initiation set.
+        """
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,3 +126,14 @@ class TabularReferenceOption(JudgedOption):
 
     def _at(self, states: Ints) -> Judgement:
         return Judgement(self.initiation[states], self.termination[states], self.optimal[states])
+
+
+@dataclass(frozen=True)
+class Rule:
+    """What an option does, in terms of an environment and its newest observation."""
+
+    name: str
+    definition: str
+    features: tuple[str, ...]  # those that the environment has are relevant
+    best: Callable[[Any, Any], Sequence[int]]  # actions, the usual one first; none: cannot start
+    done: Callable[[Any, Any], bool]  # whether its end is reached

@@ -56,6 +56,8 @@ def reference_options(domain: Domain) -> dict[str, ReferenceOption]:
     :raises DomainError: they cannot be loaded or created.
     """
     point = _entry_point(REFERENCE_OPTIONS, domain.name)
+    if point is None and domain.name.startswith(GYMNASIUM):
+        point = _entry_point(REFERENCE_OPTIONS, GYMNASIUM.rstrip(':'))
     if point is None:
         return {}
     with _explained(f'the reference options of {domain.name} cannot be made'):

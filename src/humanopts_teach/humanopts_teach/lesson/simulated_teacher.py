@@ -5,8 +5,8 @@ Assumptions and simplifications:
 
 - It uses the domain's reference option as the meaning of an option, and answers each feature
   question accordingly; with ``extra_feature_rate``, it also says yes to irrelevant features.
-- Among equally good actions, it has a fixed preference: the domain's order of actions, or a random
-  order per participant (``own_habits``).
+- Among equally good actions, it has a fixed preference: the order of the reference option, or a
+  random order per participant (``own_habits``).
 - Before each step, it errs with probability ``error_rate``: it takes a uniformly random action
   among those that are not optimal. It does not undo the error, but continues.
 - It says "not here" exactly where the reference option cannot start, and "done" in the first state
@@ -102,9 +102,10 @@ class SimulatedTeacher:
         self._tried = ('', 0)  # option and number of the current demonstration
         self._attempt = 0  # number of times it was discarded
         self._erred = False  # whether the last step was an error
-        count = len(domain.actions)
-        own = settings.own_habits
-        self._order = self._generator('habits').permutation(count) if own else np.arange(count)
+        self._order: list[int] | None = None  # preferred actions first
+        if settings.own_habits:
+            habits = self._generator('habits').permutation(len(domain.actions))
+            self._order = habits.tolist()
 
     def next_act(self, lesson: LessonView, game: Transition) -> Act:
         """
@@ -175,9 +176,8 @@ class SimulatedTeacher:
         rng = self._generator('error', lesson.option_name, number, self._attempt, game.step)
         wrong = sorted(set(range(len(self._domain.actions))) - set(best))
         self._erred = bool(wrong) and rng.random() < self._settings.error_rate
-        action = (
-            int(rng.choice(wrong)) if self._erred else min(best, key=self._order.tolist().index)
-        )
+        usual = best[0] if self._order is None else min(best, key=self._order.index)
+        action = int(rng.choice(wrong)) if self._erred else usual
         return Drive(self._domain.actions[action].name, *here)
 
     def _discard(self, lesson: LessonView, here: tuple[int, int]) -> EndDemonstration:

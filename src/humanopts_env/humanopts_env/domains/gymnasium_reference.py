@@ -1,0 +1,124 @@
+"""
+Reference options of Gymnasium environments: known rules, and the missions of MiniGrid.
+
+They look at the environment itself. Other environments have none, so no simulated teacher; a
+package can add its own under the name of a domain, such as ``gymnasium:package/Maze-v0``.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any
+
+from humanopts_env.domains.base import Domain
+from humanopts_env.domains.gymnasium_replayed import EnvironmentWorld, ReplayedEnvironment
+from humanopts_env.domains.minigrid_reference import MISSIONS
+from humanopts_env.domains.reference import ReferenceOption, Rule
+from humanopts_env.domains.replayed_domain import History
+
+
+@dataclass(frozen=True)
+class WatchedOption:
+    """A ``ReferenceOption`` that looks at the environment."""
+
+    domain: ReplayedEnvironment
+    rule: Rule
+
+    @property
+    def name(self) -> str:
+        """The name for people."""
+        return self.rule.name
+
+    @property
+    def definition(self) -> str:
+        """Where it starts, what it does and where it ends."""
+        return self.rule.definition
+
+    @property
+    def features(self) -> tuple[str, ...]:
+        """The relevant features; all, if the environment has none of them."""
+        names = [feature.name for feature in self.domain.features]
+        return tuple(each for each in names if each in self.rule.features) or tuple(names)
+
+    def can_start(self, state: History) -> bool:
+        """Return whether there is something to do."""
+        return bool(self.optimal_actions(state))
+
+    def ends(self, state: History) -> bool:
+        """Return whether its end is reached, or it has left its initiation set."""
+        return self.reached(state) if state.over else not self.can_start(state)
+
+    def reached(self, state: History) -> bool:
+        """Return whether its end is reached; a task may also be over without it."""
+        return bool(self.rule.done(*self._seen(state)))
+
+    def optimal_actions(self, state: History) -> tuple[int, ...]:
+        """Return the best actions, the usual one first."""
+        if state.over or self.reached(state):
+            return ()
+        return tuple(self.rule.best(*self._seen(state)))
+
+    def _seen(self, state: History) -> tuple[Any, Any]:
+        world = self.domain.world(state)
+        assert isinstance(world, EnvironmentWorld)
+        return world.env.unwrapped, world.observation
+
+
+def reference_options(domain: Domain) -> Mapping[str, ReferenceOption]:
+    """Return the reference options of an environment by name; empty if it has none."""
+    if not isinstance(domain, ReplayedEnvironment):
+        return {}
+    env, known = domain.make_world().env.unwrapped, RULES | MISSIONS
+    kinds = (f'{kind.__module__.partition(".")[0]}.{kind.__name__}' for kind in type(env).__mro__)
+    rules = next((known[kind] for kind in kinds if kind in known), ())
+    return {rule.name: WatchedOption(domain, rule) for rule in rules}
+
+
+# Known rules, in terms of the observation ``seen``.
+
+
+def _heuristic(env: Any, seen: Any) -> int:
+    return int(import_module('gymnasium.envs.box2d.lunar_lander').heuristic(env, seen))
+
+
+RULES: dict[str, tuple[Rule, ...]] = {  # by package and class of the environment
+    'gymnasium.LunarLander': (
+        Rule(
+            'land',
+            'Starts in the air; flies to the pad by the rule that comes with the environment; '
+            'ends at rest on the ground.',
+            ('y_speed', 'left_leg', 'right_leg'),
+            lambda env, seen: [_heuristic(env, seen)],
+            lambda env, seen: not env.lander.awake and not env.game_over,
+        ),
+    ),
+    'gymnasium.MountainCarEnv': (
+        Rule(
+            'drive to the flag',
+            'Starts anywhere; pushes in the direction of motion; ends at the flag.',
+            ('position', 'speed'),
+            lambda env, seen: [2 if seen[1] >= 0 else 0],
+            lambda env, seen: seen[0] >= env.goal_position,
+        ),
+    ),
+    'gymnasium.AcrobotEnv': (
+        Rule(
+            'swing up',
+            'Starts anywhere; pushes against the motion of the first link; ends with the tip '
+            'above the line.',
+            ('cos_1', 'sin_1', 'cos_2', 'sin_2', 'speed_1', 'speed_2'),
+            lambda env, seen: [0 if seen[4] > 0 else 2],
+            lambda env, seen: env._terminal(),
+        ),
+    ),
+    'gymnasium.CartPoleEnv': (
+        Rule(
+            'straighten the pole',
+            'Starts where the pole leans or turns; pushes the cart under it; ends with the pole '
+            'upright and nearly still.',
+            ('pole_angle', 'pole_speed'),
+            lambda env, seen: [int(seen[2] + 0.5 * seen[3] > 0)],
+            lambda env, seen: abs(seen[2]) < 0.02 and abs(seen[3]) < 0.2,
+        ),
+    ),
+}
