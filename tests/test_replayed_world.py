@@ -108,6 +108,19 @@ def test_going_on_takes_one_step_and_going_back_as_many_as_it_took() -> None:
     assert len(domain._worlds) <= MAX_WORLDS
 
 
+def test_games_that_are_taken_out_continue_without_replay() -> None:
+    domain, rng = CountedOrchard(), generator(0, 'take')
+    games, Counted.steps = new_games(domain, 4, rng), 0
+    for _ in range(3):
+        games.step(rng.integers(4, size=len(games)), rng)
+    some = games.take(np.array([2, 0]))
+    some.step(np.zeros(2, dtype=np.intp), rng)
+    assert Counted.steps == 3 * 4 + 2
+    games.step(np.zeros(4, dtype=np.intp), rng)  # two of them are replayed
+    assert games.take(np.array([2, 0])).states() == some.states()
+    assert Counted.steps == 3 * 4 + 2 + 4 + 2 * 3
+
+
 def test_the_world_in_a_state_can_be_looked_at_even_after_others_were_played() -> None:
     domain, rng = CountedOrchard(), generator(0, 'look')
     first = domain.reset(rng)

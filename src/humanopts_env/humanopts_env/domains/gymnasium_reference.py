@@ -11,6 +11,7 @@ from importlib import import_module
 from typing import Any
 
 from humanopts_env.domains.base import Domain
+from humanopts_env.domains.formulas import feature_columns, FormulaError
 from humanopts_env.domains.gymnasium_replayed import EnvironmentWorld, ReplayedEnvironment
 from humanopts_env.domains.minigrid_reference import MISSIONS
 from humanopts_env.domains.reference import ReferenceOption, Rule
@@ -36,9 +37,14 @@ class WatchedOption:
 
     @property
     def features(self) -> tuple[str, ...]:
-        """The relevant features; all, if the environment has none of them."""
+        """The relevant features; all of them with an extractor that has others."""
         names = [feature.name for feature in self.domain.features]
-        return tuple(each for each in names if each in self.rule.features) or tuple(names)
+        used = [each for each in self.rule.features if each in names or not each.isidentifier()]
+        try:
+            columns = feature_columns(self.domain, used)
+        except FormulaError:
+            columns = []
+        return tuple(column.feature.name for column in columns) or tuple(names)
 
     def can_start(self, state: History) -> bool:
         """Return whether there is something to do."""
@@ -87,7 +93,13 @@ RULES: dict[str, tuple[Rule, ...]] = {  # by package and class of the environmen
             'land',
             'Starts in the air; flies to the pad by the rule that comes with the environment; '
             'ends at rest on the ground.',
-            ('y_speed', 'left_leg', 'right_leg'),
+            (
+                'y_speed',
+                'left_leg',
+                'right_leg',
+                '0.5 * (clip(0.5 * x + x_speed, -0.4, 0.4) - angle) - angular_speed',
+                '0.5 * (0.55 * abs(x) - y - y_speed)',
+            ),
             lambda env, seen: [_heuristic(env, seen)],
             lambda env, seen: not env.lander.awake and not env.game_over,
         ),

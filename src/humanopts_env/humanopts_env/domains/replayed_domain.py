@@ -258,7 +258,10 @@ class ReplayedGames:
 
     def take(self, games: Ints) -> 'ReplayedGames':
         states = self.states()
-        return ReplayedGames(self.domain, [states[game] for game in games.tolist()])
+        taken = ReplayedGames(self.domain, [states[game] for game in games.tolist()])
+        for place, game in enumerate(games.tolist()):  # the copy goes on, rather than the original
+            taken._worlds[place], self._worlds[game] = self._worlds[game], None
+        return taken
 
     def states(self) -> list[History]:
         return [
