@@ -63,8 +63,13 @@ class Features:
 
     shown: Sequence[tuple[str, str]]  # name and value; the value is empty outside demonstrations
     hidden: str = ''  # what is said about the other features; empty: there are none
-    title: str = 'depends on'
+    chosen: bool = True  # False: all features
     in_rows: bool = False  # one per row, since no board shows them
+
+    @property
+    def title(self) -> str:
+        """The words above the features."""
+        return 'depends on' if self.chosen else 'features'
 
 
 @dataclass(frozen=True, slots=True)

@@ -95,4 +95,4 @@ def _drawn(app: App, panel: Panel, images: bool) -> tuple[Board, Panel]:
             hidden = _SEEN if block.hidden and board.drawn else block.hidden
             blocks[number] = replace(table, hidden=hidden)
             return board, replace(panel, beside=blocks)
-    return board, replace(panel, below=(*panel.below, GAP, replace(table, title='features')))
+    return board, replace(panel, below=(*panel.below, GAP, replace(table, chosen=False)))

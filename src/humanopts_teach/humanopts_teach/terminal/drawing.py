@@ -26,6 +26,7 @@ from rich.text import Text
 
 SMALLEST = (70, 20)  # columns, rows
 _WIDE_BESIDE = 50  # minimum columns next to the board to place the whole panel there
+_GAP = 3  # columns between the board and what is beside it
 _ROOMY = 24  # rows; taller screens have a gap below the header
 _UPPER_HALF = '▀'  # its foreground is the upper of two pixels, its background the lower one
 _COLOUR_BITS = 0xF8  # of each colour of a pixel, so that neighbours are often equal
@@ -130,9 +131,10 @@ def _middle(
     beside, below = (Group(*map(drawn, part)) for part in (view.panel.beside, view.panel.below))
     if view.board is None:
         return Group(beside, below)
-    board, notes = board_texts(view.board, width // 2, rows, colours)
+    room = max(width // 2, width - _GAP - _WIDE_BESIDE)
+    board, notes = board_texts(view.board, room, rows, colours)
     board_width = max(cell_len(line) for line in board.plain.split('\n'))
-    table = Table.grid(padding=(0, 3, 0, 0), expand=True)
+    table = Table.grid(padding=(0, _GAP, 0, 0), expand=True)
     table.add_column(width=board_width, no_wrap=True)
     table.add_column(ratio=1)
     if view.board.rows and width - board_width < _WIDE_BESIDE:
@@ -203,10 +205,10 @@ def drawn(block: panel.Block) -> RenderableType:
             return Text.assemble(*((one_line(piece.text), _style(piece)) for piece in pieces))
         case panel.TypedText(text):
             return Text.assemble('> ', (text, 'bold'), ('█', TEAL), overflow='fold')
-        case panel.Features(shown, hidden, title, in_rows):
-            if in_rows:
+        case panel.Features(shown, hidden):
+            if block.in_rows:
                 return _feature_rows(block)
-            parts: list[str | tuple[str, str]] = [(f'{title}: ', 'dim')]
+            parts: list[str | tuple[str, str]] = [(f'{block.title}: ', 'dim')]
             for number, (name, value) in enumerate(shown):
                 parts += [(', ' if number else '', 'dim'), name]
                 parts.append((f' {value}' if value else '', f'bold {TEAL}'))
