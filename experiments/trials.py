@@ -20,7 +20,7 @@ import time
 from typing import Any
 
 from humanopts_teach.evaluation import ProgressCallback
-from humanopts_teach.evaluation.side_by_side import as_they_end, processes
+from humanopts_teach.evaluation.side_by_side import completed_calls, processes
 from humanopts_teach.evaluation.summary import write_text
 
 PACKAGES = ('humanopts_env', 'humanopts_learner', 'humanopts_teach', 'experiments')
@@ -138,7 +138,7 @@ def run_trials(
     calls = [partial(_compute, trial.compute, dict(trial.parameters)) for trial in missing]
     with _executor(jobs, dask) as executor:
         costs, done = [trial.cost for trial in missing], 0.0
-        for number, (result, seconds, error) in as_they_end(calls, costs, executor):
+        for number, (result, seconds, error) in completed_calls(calls, costs, executor):
             trial = missing[number]
             if error:
                 outcome.failures[trial.key] = f'{trial}: {error}'

@@ -132,7 +132,7 @@ def test_each_bag_is_whole_and_holds_the_people_of_its_own_graph(
         assert told(capsys, 'check', bag)['whole']
         info = told(capsys, 'info', bag)
         code = who if who in ('anna', 'ben') else 'p1'
-        assert (info['participants'], info['left_out']) == ([code], [])
+        assert (info['participants'], info['omitted']) == ([code], [])
         (option,) = told(capsys, 'eval', bag)['options']
         assert (option['participant'], option['option_name']) == (code, TAUGHT[who])
         opened = open_bag(bag)

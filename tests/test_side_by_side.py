@@ -30,7 +30,7 @@ from humanopts_interfaces.msg import (
     OptionResult,
 )
 from humanopts_interfaces.srv import RunOption
-from humanopts_ros.peers import node_names, stated_ids
+from humanopts_ros.peers import announced_ids, node_names
 from humanopts_ros.qos import LATCHED
 from humanopts_teach.bags.check import check_bag
 from humanopts_teach.bags.info import summarise
@@ -149,14 +149,14 @@ def test_the_status_names_two_games_of_a_namespace(
     live.ready('/game')
     assert probe_graph('/').games == [first.publisher_id]
     second = live.run(['-m', module_of(GAME), '--ros-args', '-r', f'__node:={name}'], name)
-    live.until(lambda: len(stated_ids(live.node, 'game')) == 2, 'the other game')
+    live.until(lambda: len(announced_ids(live.node, 'game')) == 2, 'the other game')
     live.ready(f'/{name}')
     report = probe_graph('/')
     assert first.publisher_id in report.games
     assert report.faults[-1].endswith(' each run a game here; stop all but one')
     assert report.status == 1
     second.kill(signal.SIGKILL)
-    assert len(stated_ids(live.node, 'game')) == 2  # until it is missed
+    assert len(announced_ids(live.node, 'game')) == 2  # until it is missed
     assert probe_graph('/').games == [first.publisher_id]
 
 

@@ -424,7 +424,7 @@ def lesson(folder: Path, outcome: Outcome, rng: random.Random) -> Iterator[Soak]
             yield soak
         finally:
             soak.stranger.close()
-    outcome.violations += [f'at the end: {problem}' for problem in running.unclean]
+    outcome.violations += [f'at the end: {problem}' for problem in running.stop_problems]
     outcome.violations += [line for line in said if line.startswith('another process runs')]
     for bag in running.bags:
         real = [

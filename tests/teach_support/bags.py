@@ -159,13 +159,13 @@ def write_lesson(path: Path) -> Path:
     return path
 
 
-def without(bag: Path, copy: Path, type_name: str, leave_out: Callable[[Any], bool]) -> Path:
+def without(bag: Path, copy: Path, type_name: str, omit: Callable[[Any], bool]) -> Path:
     """Copy a bag without the messages of a type that match."""
     opened = open_bag(bag)
     with BagWriter(copy, opened.facts) as writer:
         writer.note(GAME_RECORD, opened.metadata[GAME_RECORD])
         for each in opened.messages():
-            if each.type != type_name or not leave_out(each.message):
+            if each.type != type_name or not omit(each.message):
                 writer.add_topic(each.topic, each.type)
                 writer.write(each.topic, each.data, each.log_time, each.publish_time)
     return copy

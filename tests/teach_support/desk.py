@@ -82,7 +82,7 @@ class Desk:
         for key in keys:
             self.app.drawn()
             self.app.type([key])
-            self.go_on()
+            self.advance()
         return self
 
     def teach(self, name: str, chosen: Collection[str], start: str) -> 'Desk':
@@ -111,7 +111,7 @@ class Desk:
         """Type a text and Enter."""
         return self.press(*text, 'enter')
 
-    def go_on(self, seconds: float = 0.0) -> 'Desk':
+    def advance(self, seconds: float = 0.0) -> 'Desk':
         """Let time pass, and carry out what is asked for."""
         self.now += seconds
         while (request := self.app.advance(self.now)) is not None:
@@ -129,13 +129,13 @@ class Desk:
             here = self.game.transition
             self._step(Command('machine', 0, Source.MACHINE, here.episode, here.step, action))
         self.publish()
-        return self.go_on()
+        return self.advance()
 
     def run_ends(self, text: str, *, well: bool = True) -> 'Desk':
         """Let the run under way end."""
         assert self.app.run is not None
         self.app.run_ended(self.app.run, well, text)
-        return self.go_on()
+        return self.advance()
 
     def publish(self) -> None:
         """Let lesson, learner and game publish how things are."""

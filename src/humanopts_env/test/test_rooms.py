@@ -5,7 +5,7 @@ from collections import Counter
 from humanopts_env.domains.base import DomainError
 from humanopts_env.domains.rooms import Rooms, RoomsState
 from humanopts_env.domains.rooms_reference import reference_options
-from humanopts_env.domains.tabular import best_ways, draw_outcomes, outcome_limits
+from humanopts_env.domains.tabular import best_paths, draw_outcomes, outcome_limits
 from humanopts_env.seeding import generator
 import numpy as np
 import pytest
@@ -137,6 +137,6 @@ def test_a_way_that_slips_is_worth_the_share_that_arrives() -> None:
     target = np.arange(104) == at(2, 5)
     allowed = np.arange(104) == at(2, 4)
     table = ROOMS.transitions()
-    value, optimal = best_ways(table, target[table.successor], allowed, 0.9)
+    value, optimal = best_paths(table, target[table.successor], allowed, 0.9)
     assert value[at(2, 4)] == pytest.approx(0.9 * 2 / 3)
     assert optimal[at(2, 4)].tolist() == [False, False, False, True]

@@ -76,7 +76,7 @@ class OptionTrainer:
             self.problems.append(remark)
         read = self._read()
         self._withdrawn = {demo.uuid: demo.withdrawn for demo in read}  # by uuid
-        self._at_work: str | None = None
+        self._participant: str | None = None
         self._theirs: dict[str, Demonstration] = {}  # of the current participant, by uuid
         people: dict[str, list[Demonstration]] = {}
         for demo in read:
@@ -127,7 +127,7 @@ class OptionTrainer:
 
         :raises DataSetError: they cannot be read.
         """
-        if participant == self._at_work:
+        if participant == self._participant:
             return
         read = []
         if any(who == participant for who, _ in self._options):
@@ -135,7 +135,7 @@ class OptionTrainer:
                 read = self._read(participant)
             except OSError as error:
                 raise DataSetError(f'cannot read {self._log.path}: {error.strerror}') from error
-        self._theirs, self._at_work = {demo.uuid: demo for demo in read}, participant
+        self._theirs, self._participant = {demo.uuid: demo for demo in read}, participant
 
     def _learn(self, participant: str, option_name: str, theirs: Iterable[Demonstration]) -> None:
         """

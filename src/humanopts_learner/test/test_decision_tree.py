@@ -39,7 +39,7 @@ def test_own_evaluator_agrees_with_scikit_learn(
     expected[:, judge.classes_] = judge.predict_proba(Z)
     tree = fit_tree(X, y, range(6), seed)
     assert tree.probabilities(Z) == pytest.approx(expected)
-    assert tree.likeliest(Z).tolist() == expected.argmax(axis=1).tolist()
+    assert tree.most_probable(Z).tolist() == expected.argmax(axis=1).tolist()
     assert tree.probability_of(2, Z).tolist() == tree.probabilities(Z)[:, 2].tolist()
     assert tree == (again := fit_tree(X, y, range(6), seed))
     assert hash(tree) == hash(again)

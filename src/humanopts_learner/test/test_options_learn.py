@@ -13,7 +13,7 @@ from humanopts_env.domains.pacman.domain import PacMan
 from humanopts_env.domains.rooms import Rooms, RoomsState
 from humanopts_env.domains.rooms_reference import reference_options as hallways
 from humanopts_env.domains.rooms_reference import reference_options as rooms_options
-from humanopts_env.domains.tabular import best_ways, distance_to
+from humanopts_env.domains.tabular import best_paths, distance_to
 from humanopts_env.domains.taxi import Taxi, TaxiState
 from humanopts_env.domains.taxi_reference import reference_options
 from humanopts_env.seeding import generator
@@ -349,7 +349,7 @@ def test_without_chance_best_ways_are_the_shortest(seed: int) -> None:
     rng, table = generator(seed, 'goals'), TAXI.transitions()
     goal = rng.random(table.successor.shape) < 0.01
     allowed = rng.random(TAXI.n_states) < 0.9
-    value, optimal = best_ways(table, goal, allowed, 0.99)
+    value, optimal = best_paths(table, goal, allowed, 0.99)
     distance, shortest = distance_to(table, goal[:, :, 0], allowed)
     there = distance > 0
     assert value[allowed & ~there].tolist() == [0.0] * int((allowed & ~there).sum())

@@ -257,5 +257,5 @@ def test_where_no_option_can_start_the_likeliest_one_acts() -> None:
     assert np.array_equal(np.flatnonzero(seen.fallback >= 0), stuck)
     chance = np.stack([option.initiation_probability(rows) for option in options])
     wanted = np.stack([option.action(rows) for option in options])
-    likeliest = wanted[chance.argmax(axis=0), np.arange(len(rows))]
-    assert np.array_equal(seen.fallback[stuck] - len(options), likeliest[stuck])
+    most_probable = wanted[chance.argmax(axis=0), np.arange(len(rows))]
+    assert np.array_equal(seen.fallback[stuck] - len(options), most_probable[stuck])

@@ -108,7 +108,7 @@ def check_settings(*, thorough: bool = False) -> None:
             raise MiddlewareError(
                 f'{name} is {os.environ[name]!r}, {fault}; unset it, or name a file of profiles'
             )
-    if stays_here() and not address_towards(LOOPBACK):
+    if is_local() and not address_towards(LOOPBACK):
         raise MiddlewareError(
             'the loopback interface of this machine is down, and nodes cannot find each other; '
             'switch it on: sudo ip link set lo up'
@@ -120,7 +120,7 @@ def static_peers() -> list[str]:
     return [peer for each in os.environ.get(PEERS, '').split(';') if (peer := each.strip())]
 
 
-def stays_here() -> bool:
+def is_local() -> bool:
     """Return whether the graph is restricted to this machine."""
     return os.environ.get(RANGE) == 'LOCALHOST' and not static_peers()
 

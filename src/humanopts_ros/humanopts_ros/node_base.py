@@ -591,7 +591,7 @@ class NodeBase(Node):
         else:
             self.publish_status_again()
 
-    def tell_time_set(self, seconds: float) -> None:
+    def notify_time_set(self, seconds: float) -> None:
         """Handle and log a change of the system time; thread-safe."""
         if (executor := self.executor) is not None:
             with suppress(InvalidHandle, AttributeError):  # it may just have been shut down

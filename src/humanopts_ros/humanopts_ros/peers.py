@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 from humanopts_interfaces.msg import NodeStatus
 from humanopts_ros.qos import CURRENT
-from humanopts_ros.senders import Role, signer, stated_id
+from humanopts_ros.senders import announced_id, Role, signer
 from rclpy.node import Node
 
 _UNKNOWN = '_UNKNOWN_'  # in the name of a node of which only endpoints have been discovered
@@ -24,7 +24,7 @@ def publishers_of(node: Node, topic: str) -> list[str]:
     return [name for name in names if _UNKNOWN not in name]
 
 
-def stated_ids(node: Node, *roles: Role) -> list[str]:
+def announced_ids(node: Node, *roles: Role) -> list[str]:
     """
     Return the publisher ids announced in the graph by nodes in a node's namespace.
 
@@ -35,7 +35,7 @@ def stated_ids(node: Node, *roles: Role) -> list[str]:
         publisher_id
         for topic, _ in node.get_topic_names_and_types()
         for role in roles or ('node', 'game')
-        if (publisher_id := stated_id(topic, namespace, role))
+        if (publisher_id := announced_id(topic, namespace, role))
         and node.count_publishers(topic)  # subscribers do not announce an id
     )
 
@@ -58,7 +58,7 @@ class GameIdentity:
         """Return whether a message comes from the game, which may be a new one."""
         if publisher_id and publisher_id == self.publisher_id:
             return True
-        games = stated_ids(self._node, 'game')
+        games = announced_ids(self._node, 'game')
         again = signer(publisher_id) == signer(self.publisher_id)
         if publisher_id not in games or not (again or self.publisher_id not in games):
             return False
@@ -125,7 +125,7 @@ class Peers:
             return
         known = self.statuses.get(name, status)
         again = known.publisher_id != publisher_id
-        if (again or name not in self.statuses) and publisher_id not in stated_ids(self._node):
+        if (again or name not in self.statuses) and publisher_id not in announced_ids(self._node):
             return
         if again:
             if status.state == status.STATE_STOPPING:

@@ -34,8 +34,8 @@ class _Stop:
 
     def __init__(self) -> None:
         self.requested, self.paused = False, 0.0
-        self._looked = time.monotonic()
-        signal.signal(signal.SIGCONT, self._go_on)
+        self._checked = time.monotonic()
+        signal.signal(signal.SIGCONT, self._on_continue)
         self._launcher = int(os.environ.get(LAUNCHER_PID, '0'))
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             signal.signal(number, self._request)
@@ -43,13 +43,13 @@ class _Stop:
     def _request(self, signum: int, frame: FrameType | None) -> None:
         self.requested = True
 
-    def _go_on(self, signum: int, frame: FrameType | None) -> None:
-        pause = time.monotonic() - self._looked
+    def _on_continue(self, signum: int, frame: FrameType | None) -> None:
+        pause = time.monotonic() - self._checked
         if pause > workarounds.MAX_PAUSE:
             self.paused = pause
 
     def __call__(self) -> bool:
-        self._looked = time.monotonic()
+        self._checked = time.monotonic()
         orphaned = self._launcher != 0 and os.getppid() != self._launcher
         return self.requested or self.paused > 0.0 or orphaned
 
@@ -89,7 +89,7 @@ def run_node(
         node = factory()
         executor.add_node(node)
         if by_events:
-            workarounds.look_after_timers(node, served)
+            workarounds.restart_postponed_timers(node, served)
         try:
             node.serve(executor, ended)
         finally:  # also after an error, so that its files are complete

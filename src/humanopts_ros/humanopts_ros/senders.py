@@ -42,7 +42,7 @@ def id_topic(publisher_id: str, role: Role) -> str:
     return f'_{role}/{name}/_{part}'
 
 
-def stated_id(topic: str, namespace: str, role: Role) -> str:
+def announced_id(topic: str, namespace: str, role: Role) -> str:
     """Return the id announced by a topic, given by its full name; empty: none here."""
     prefix = prefix_of(namespace)
     name, mark, part = topic.removeprefix(f'{prefix}_{role}/').partition('/_')

@@ -20,10 +20,10 @@ from typing import Any
 from humanopts_ros.middleware import (
     address_towards,
     check_settings,
+    is_local,
     PROFILES,
     RANGE,
     static_peers,
-    stays_here,
 )
 import psutil
 
@@ -60,7 +60,7 @@ def prepare_discovery() -> None:
     given = {os.environ[name] for name in PROFILES if name in os.environ}
     if given - {loopback} or (not given and _USUAL_PROFILES.exists()):
         return  # user profiles; the loopback profile is inherited from the parent process
-    stays = stays_here() and _reads_profiles()
+    stays = is_local() and _reads_profiles()
     if stays:
         os.environ[RANGE] = 'SYSTEM_DEFAULT'
     os.environ[READ_PROFILES] = '1'
@@ -69,8 +69,8 @@ def prepare_discovery() -> None:
 
 def on_loopback() -> bool:
     """Return whether this process's graph is known to use only the loopback interface."""
-    mine = os.environ.get(PROFILES[0], '').endswith('loopback_discovery.xml')
-    return mine and _reads_profiles()
+    own_profile = os.environ.get(PROFILES[0], '').endswith('loopback_discovery.xml')
+    return own_profile and _reads_profiles()
 
 
 def _reads_profiles() -> bool:
@@ -96,7 +96,7 @@ def _await_network() -> None:
 def _absent_networks() -> list[str]:
     """Return the peers that are not reachable through an interface with a carrier."""
     wanted = static_peers()
-    if stays_here() or os.environ.get(RANGE) not in ('SUBNET', 'LOCALHOST'):
+    if is_local() or os.environ.get(RANGE) not in ('SUBNET', 'LOCALHOST'):
         return []
     # Address and route exist a second before the carrier, or even without a cable.
     stats = psutil.net_if_stats()
@@ -143,7 +143,7 @@ class TimeOfDay:
         self.now, after = self._read()
         self._begun, self.ahead = self.now - after, 0
 
-    def look(self) -> int:
+    def check(self) -> int:
         """Return the offset by which the system time was set since the last check, ns."""
         time_of_day, after = self._read()
         self.now, before = self._begun + after, self.ahead
@@ -161,7 +161,7 @@ class TimeOfDay:
 
 def watch_time(node: Callable[[], Any]) -> None:
     """
-    Call ``tell_time_set`` of a node, from another thread, whenever the system time is set.
+    Call ``notify_time_set`` of a node, from another thread, whenever the system time is set.
 
     :param node: function that returns the node; None: it is gone.
     """
@@ -173,8 +173,8 @@ def watch_time(node: Callable[[], Any]) -> None:
             watched = node()
             if watched is None or watched.destroyed:
                 return
-            if by := time_of_day.look():
-                watched.tell_time_set(by / 1e9)
+            if by := time_of_day.check():
+                watched.notify_time_set(by / 1e9)
             del watched  # hold no reference to the node while sleeping
 
     threading.Thread(target=watch, daemon=True).start()
@@ -216,14 +216,14 @@ def reset_postponed(node: Any) -> None:
                 timer.reset()
 
 
-def look_after_timers(node: Any, ended: threading.Event) -> None:
+def restart_postponed_timers(node: Any, ended: threading.Event) -> None:
     """Reset delayed timers of a node, from another thread, until it has ended."""
 
-    def look() -> None:
+    def reset() -> None:
         while not ended.wait(_TIMER_PERIOD):
             reset_postponed(node)
 
-    threading.Thread(target=look, daemon=True).start()
+    threading.Thread(target=reset, daemon=True).start()
 
 
 # Shutdown. If participants leave at the same time, Fast DDS occasionally hangs:

@@ -32,7 +32,7 @@ from humanopts_teach.commands.bag import app as bag_app
 from humanopts_teach.commands.output import open_streams, silence
 from humanopts_teach.commands.study import app as study_app
 from humanopts_teach.launching import LaunchError, OccupiedError
-from humanopts_teach.launching.job import stand_in_front
+from humanopts_teach.launching.job import fork_launch
 import typer
 from typer.core import TyperCommand
 
@@ -222,7 +222,7 @@ def teach(
     if not pages.browser:
         if fault := why_not():
             raise CommandError(f'{fault}; or teach in a browser: --browser')
-        if (status := stand_in_front()) is not None:
+        if (status := fork_launch()) is not None:
             return status
     from humanopts_teach.commands.session import (
         check_folder,

@@ -330,11 +330,11 @@ class SeveralValues(TyperCommand):
         """Insert the option before each of its values."""
         several = {name for option in self.params if option.multiple for name in option.opts}
         words: list[str] = []
-        under_way = ''
+        current = ''
         for word in args:
             if word.startswith('-'):
-                under_way = word if word in several else ''
-            elif under_way and words[-1] != under_way:
-                words.append(under_way)
+                current = word if word in several else ''
+            elif current and words[-1] != current:
+                words.append(current)
             words.append(word)
         return super().parse_args(ctx, words)

@@ -15,7 +15,7 @@ from humanopts_teach.commands.ros_launch import (
     stop_seconds,
 )
 from humanopts_teach.launching.processes import ProcessSpec
-from humanopts_teach.launching.restarts import CANNOT_START, MOST
+from humanopts_teach.launching.restarts import CANNOT_START, MAX_RESTARTS
 from launch import LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
 from launch.events.process import ProcessExited
@@ -67,7 +67,7 @@ def _give_up(name: str) -> Callable[[ProcessExited, LaunchContext], list[Shutdow
     def on_exit(event: ProcessExited, context: LaunchContext) -> list[Shutdown] | None:
         nonlocal ends
         ends += 1
-        if event.returncode != CANNOT_START and ends <= MOST:
+        if event.returncode != CANNOT_START and ends <= MAX_RESTARTS:
             return None
         return [Shutdown(reason=f'the node {name} ended')]
 

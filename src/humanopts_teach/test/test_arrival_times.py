@@ -43,7 +43,7 @@ def test_times_go_on_from_the_time_of_day_at_the_start(looks: list[tuple[int, in
         clocks.day += setting
         clocks.elapsed += after
         second = clocks.time_of_day(), clocks.elapsed
-        times.look()
+        times.check()
         assert times.now == BEGUN - 5 * S + clocks.elapsed
         found = [times.of('/a', received) for received, _ in (first, second)]
         assert last <= found[0] <= found[1] <= times.now
@@ -62,9 +62,9 @@ def test_a_pause_while_clocks_are_read_is_not_taken_for_a_setting(setting: int) 
         return read
 
     times = TimeOfDay(time_of_day, clocks.steady)
-    looks = [times.look(), times.look()]
+    looks = [times.check(), times.check()]
     clocks.day += setting
-    assert [*looks, times.look(), times.look()] == [0, 0, setting, 0]
+    assert [*looks, times.check(), times.check()] == [0, 0, setting, 0]
 
 
 @pytest.mark.parametrize('setting', [0, 3600 * S])
@@ -78,6 +78,6 @@ def test_what_was_left_from_an_earlier_look_keeps_its_time_or_gets_that_of_the_l
     looks = [received]
     for _ in range(2):
         clocks.elapsed += S
-        times.look()
+        times.check()
         looks.append(times.now)
     assert times.of('/a', received) == looks[1 if setting else 0]

@@ -6,8 +6,8 @@ from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 
 from humanopts_teach.browser.seats import (
-    another_fits,
     GameError,
+    has_room,
     message,
     Press,
     Seat,
@@ -250,4 +250,4 @@ def test_games_are_let_in_while_the_memory_holds_them(
     available: float, taken: tuple[float, ...], games: int, fits: bool
 ) -> None:
     measured = [int(share * GB) for share in taken]
-    assert another_fits(int(available * GB), 16 * GB, measured, games) is fits
+    assert has_room(int(available * GB), 16 * GB, measured, games) is fits

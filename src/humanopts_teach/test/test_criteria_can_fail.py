@@ -6,7 +6,7 @@ import warnings
 
 from graph_support.scripted import show
 from humanopts_env.domains.registry import make_domain
-from humanopts_env.domains.tabular import best_ways
+from humanopts_env.domains.tabular import best_paths
 from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.options.judge import judge, Thresholds
@@ -36,7 +36,7 @@ def crossings(error_rate: float, seed: int, count: int = 25) -> list[Demonstrati
     """Return demonstrations of crossing the frozen lake; who falls in tries again."""
     lake = make_domain(LAKE, {'is_slippery': True})
     table, over, rng = lake.transitions(), lake.over(), generator(seed, 'lake')
-    _, best = best_ways(table, table.reward > 0, ~over, 0.99)
+    _, best = best_paths(table, table.reward > 0, ~over, 0.99)
     dry = np.flatnonzero(~over & best.any(axis=1))
 
     def choose(taken: int, state: Any) -> str | None:

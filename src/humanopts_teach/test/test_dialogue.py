@@ -81,7 +81,7 @@ def hush(desk: Desk, *nodes: str) -> None:
 def give_code(desk: Desk) -> None:
     desk.app.screen = opening('no code', ask=False)
     have(desk, lesson=UNKNOWN)
-    desk.go_on()
+    desk.advance()
 
 
 def restart(desk: Desk) -> None:
@@ -93,7 +93,7 @@ def restart(desk: Desk) -> None:
 UNCOVERED = [(AT_R, 0.0), ('taxi 3,1 passenger B destination R', 0.25)]
 EVENTS: dict[str, Callable[[Desk], object]] = {
     'the code was given': give_code,
-    'the lesson is there': lambda desk: (desk.publish(), desk.go_on().go_on()),
+    'the lesson is there': lambda desk: (desk.publish(), desk.advance().advance()),
     'the next start is at R': lambda desk: setattr(desk.app, 'next_start', AT_R),
     'the machine takes two steps': lambda desk: desk.machine('north', 'east'),
     'the run ends': lambda desk: desk.run_ends('You took over.'),
@@ -107,10 +107,10 @@ EVENTS: dict[str, Callable[[Desk], object]] = {
     'the disk is full': lambda desk: pause(desk, FULL),
     'there is space again': lambda desk: pause(desk, ''),
     'the lesson falls silent': lambda desk: hush(desk, 'lesson'),
-    'it answers too late': lambda desk: (desk.go_on(REPLY_SECONDS), hush(desk)),
+    'it answers too late': lambda desk: (desk.advance(REPLY_SECONDS), hush(desk)),
     'nodes are missing': lambda desk: have(desk, missing=('lesson', 'game')),
     'topics lag behind': lambda desk: setattr(desk, 'publish', lambda: None),
-    'a second passes': lambda desk: desk.go_on(SETTLE_SECONDS),
+    'a second passes': lambda desk: desk.advance(SETTLE_SECONDS),
     'p1 shows in a terminal that was cut off': lambda desk: desk.shows('p1'),
     'anna shows': lambda desk: desk.shows('anna'),
     'anna drives': lambda desk: drives(desk, True),
@@ -246,7 +246,7 @@ def test_a_key_counts_only_for_the_screen_and_the_question_that_were_seen(tmp_pa
     for keys, number in ((['backspace'], first), (['7', 'enter'], first), (['1'], first)):
         desk.app.drawn()
         desk.app.type(keys, number)  # on the same screen, or on the one before the menu
-        desk.go_on()
+        desk.advance()
     assert desk.lesson.view.participant == 'p7'
     assert 'What next?' in desk.see()
     assert '1 was pressed before this was shown; ignored.' in desk.see()
@@ -260,7 +260,7 @@ def test_a_key_counts_only_for_the_screen_and_the_question_that_were_seen(tmp_pa
     desk.learns = True
     desk.publish()
     desk.asked.clear()
-    desk.go_on()
+    desk.advance()
     assert [type(each) for each in desk.asked] == [BeginDemonstration]
     assert 'was pressed before this was shown' in desk.see()
     desk.store.close()
@@ -269,7 +269,7 @@ def test_a_key_counts_only_for_the_screen_and_the_question_that_were_seen(tmp_pa
 def test_keys_of_one_demonstration_can_be_typed_ahead(desk: Desk) -> None:
     desk.app.drawn()
     desk.app.type(['left', 'p', 'enter'])
-    desk.go_on()
+    desk.advance()
     assert [type(each).__name__ for each in desk.asked[-4:]] == [
         *('Drive', 'Drive', 'EndDemonstration', 'BeginDemonstration')
     ]
@@ -393,7 +393,7 @@ class DialogueMachine(RuleBasedStateMachine):
         if restarted:
             desk.lesson.game_restarted()
         desk.publish()
-        desk.go_on()
+        desk.advance()
 
     @rule()
     def silence(self) -> None:
@@ -401,7 +401,7 @@ class DialogueMachine(RuleBasedStateMachine):
         if not self.desk.app.ended:
             self.desk.press('enter')
         self.desk.silent = set()
-        self.desk.go_on(REPLY_SECONDS)
+        self.desk.advance(REPLY_SECONDS)
 
     @invariant()
     def the_screen_fits_and_nothing_is_under_way(self) -> None:

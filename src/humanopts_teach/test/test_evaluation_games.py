@@ -107,9 +107,9 @@ def test_a_plan_of_a_bag_has_the_row_that_it_would_have_if_it_were_made_again(
     yard: Domain, evaluation: BagEvaluation, options: list[LearnedOption]
 ) -> None:
     human = evaluation.plans['human']
-    way = Baseline('', PLAN, options, PlanRequest(HUMAN, game_steps=STEPS))
-    known = play_baseline(yard, way, SEED, GAMES, (human.plan, human.judged))
-    again = play_baseline(yard, way, SEED, GAMES)
+    baseline = Baseline('', PLAN, options, PlanRequest(HUMAN, game_steps=STEPS))
+    known = play_baseline(yard, baseline, SEED, GAMES, (human.plan, human.judged))
+    again = play_baseline(yard, baseline, SEED, GAMES)
     assert np.array_equal(known.pop('scores'), again.pop('scores'))
     assert {**known, 'seconds': 0.0} == {**again, 'seconds': 0.0}
 
@@ -135,9 +135,9 @@ def test_a_policy_has_the_row_that_another_process_gives(
 ) -> None:
     chase = make_domain('pacman', {**brief.parameters, 'ghosts': 'chase'})
     scores = games.set_index(['setting', 'name'])['scores']
-    for way in every_baseline(chase, options, FEW)[::2]:
-        again = play_baseline(chase, way, SEED, GAMES)['scores']
-        assert np.array_equal(again, scores['ghosts=chase', way.name])
+    for baseline in every_baseline(chase, options, FEW)[::2]:
+        again = play_baseline(chase, baseline, SEED, GAMES)['scores']
+        assert np.array_equal(again, scores['ghosts=chase', baseline.name])
 
 
 def test_a_watcher_can_end_it(brief: Domain, options: list[LearnedOption]) -> None:
@@ -235,7 +235,7 @@ def test_a_long_episode_is_shown_by_the_ends_of_runs(yard: Domain) -> None:
     strip = episode_strip(yard, [Frame(state), *steps])
     assert (strip.whole, strip.steps) == (False, 300)
     assert len(strip.pictures) == MAX_PICTURES
-    assert strip.left_out == 101 - MAX_PICTURES
+    assert strip.omitted == 101 - MAX_PICTURES
     assert [picture.number for picture in strip.pictures][:3] == [0, 3, 6]
     assert strip.pictures[-1].number == 300
     assert (strip.pictures[1].action, strip.pictures[1].reward) == ('3 steps', '+3')

@@ -46,9 +46,9 @@ def test_processes_end_with_the_one_that_began_them_even_where_that_is_killed() 
 _KILLED = """
 from functools import partial
 import os, time
-from humanopts_teach.evaluation.side_by_side import as_they_end, processes
+from humanopts_teach.evaluation.side_by_side import completed_calls, processes
 with processes(2) as executor:
-    ended = as_they_end([os.getpid, partial(time.sleep, 600.0)], [2.0, 1.0], executor)
+    ended = completed_calls([os.getpid, partial(time.sleep, 600.0)], [2.0, 1.0], executor)
     next(ended)
     print(*executor._processes, flush=True)
     time.sleep(600.0)

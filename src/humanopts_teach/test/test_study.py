@@ -338,7 +338,7 @@ def test_each_part_is_shown_and_recorded(tmp_path: Path, taxi: Domain) -> None:
         path, now = tmp_path / f'{number}.jsonl', 1000.0
         for script in sittings:
             record = OpenRecord(path, clock=lambda: desk.now)  # noqa: B023
-            left = record.left_of([PARTS_OF[first], PAGE])
+            left = record.remaining([PARTS_OF[first], PAGE])
             app = StudyApp(left, record, 'p1', World(), seed=1)
             desk = Desk(taxi, tmp_path / f'{number}', app=app)
             desk.now = now
@@ -348,8 +348,8 @@ def test_each_part_is_shown_and_recorded(tmp_path: Path, taxi: Domain) -> None:
                 if step.startswith('+'):
                     end = desk.now + float(step)
                     while desk.now < end:
-                        desk.go_on(min(1.0, end - desk.now))
-                desk.press(*(() if step.startswith('+') else step.split())).go_on().go_on()
+                        desk.advance(min(1.0, end - desk.now))
+                desk.press(*(() if step.startswith('+') else step.split())).advance().advance()
                 lines += ['(ended)'] if app.ended else desk.see().split('\n')[1:-1]
             app.last_requests()
             now = desk.now + 1000.0
@@ -386,7 +386,7 @@ def test_teaching_that_another_person_has_taken_over_ends_without_a_request_to_t
     app = StudyApp(
         [PARTS_OF['teach'], PAGE], OpenRecord(tmp_path / 'a.jsonl'), 'p1', World(), seed=1
     )
-    desk = Desk(taxi, tmp_path, app=app).go_on().go_on().press(*BEGIN.split())
+    desk = Desk(taxi, tmp_path, app=app).advance().advance().press(*BEGIN.split())
     desk.shows('bob')
     desk.asked.clear()
     assert 'Read this.' in desk.press('q').see()

@@ -9,7 +9,7 @@ from humanopts_env.arrays import Flags
 from humanopts_env.domains.base import EnumerableDomain, Transitions
 from humanopts_env.domains.reference import TabularReferenceOption
 from humanopts_env.domains.rooms import NOWHERE, ROOM_VALUES, ROOMS, RoomsState
-from humanopts_env.domains.tabular import best_ways, distance_to, feature_column, read_only
+from humanopts_env.domains.tabular import best_paths, distance_to, feature_column, read_only
 import numpy as np
 
 FEATURES = ('row', 'col', 'room', 'doorway')
@@ -47,7 +47,7 @@ def _build(domain: Domain, room: str, doorway: str) -> TabularReferenceOption:
     around = np.zeros_like(inside)
     around[table.successor[inside]] = True
     walks = inside | (around & ~inside & ~target)  # the room and its other doorway
-    _, optimal = best_ways(table, target[table.successor], inside, domain.gamma)
+    _, optimal = best_paths(table, target[table.successor], inside, domain.gamma)
     initiation = walks & ~over
     straight = _without_slips(table)
     distance, _ = distance_to(straight, target[straight.successor[:, :, 0]], walks)

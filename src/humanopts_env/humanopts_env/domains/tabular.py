@@ -35,8 +35,8 @@ def reachable(domain: EnumerableDomain) -> Flags:
     while frontier.size:
         found[frontier] = True
         going = frontier[~over[frontier]]
-        there = transitions.successor[going][transitions.probability[going] > 0]
-        frontier = np.unique(there[~found[there]])
+        successor = transitions.successor[going][transitions.probability[going] > 0]
+        frontier = np.unique(successor[~found[successor]])
     return found
 
 
@@ -76,7 +76,7 @@ def distance_to(
     return distance, optimal
 
 
-def best_ways(
+def best_paths(
     transitions: Transitions, goal: Flags, allowed: Flags, gamma: float
 ) -> tuple[Floats, Flags]:
     """
@@ -172,5 +172,5 @@ class TabularSimulator:
         _, actions, outcomes = self.transitions.successor.shape
         place = (state * actions + action) * outcomes + outcome
         successor, reward, terminated = (table.take(place) for table in self._tables)
-        there = successor.astype(np.intp)
-        return there, reward, terminated | self._over.take(there)
+        successor = successor.astype(np.intp)
+        return successor, reward, terminated | self._over.take(successor)

@@ -73,8 +73,8 @@ class Visits:
         limit = np.zeros(len(self.state), dtype=np.intp)
         since = np.where(self.happens[arrivals], arrivals - 1, arrivals)
         np.maximum.at(limit, stretch[since], arrivals)
-        way = np.arange(len(self.state)) < limit[stretch]
-        found: Ints = self.state[way]
+        on_path = np.arange(len(self.state)) < limit[stretch]
+        found: Ints = self.state[on_path]
         return found
 
 

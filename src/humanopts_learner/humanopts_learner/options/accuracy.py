@@ -160,9 +160,9 @@ def _answers(domain: Domain, reference: ReferenceOption) -> _Answers:
 
 def _of_all_states(domain: EnumerableDomain, reference: TabularReferenceOption) -> _Answers:
     rows, table, going = domain.feature_table(), domain.transitions(), ~domain.over()
-    ways = reference.optimal[:, :, None] & (table.probability > 0)  # (S, A, B)
+    transitions = reference.optimal[:, :, None] & (table.probability > 0)  # (S, A, B)
     can_be = reference.initiation.copy()
-    can_be[table.successor[ways]] = True
+    can_be[table.successor[transitions]] = True
     acts, starts, ends = reference.initiation & going, reference.judged & going, reference.judged
     ends = ends & can_be
     begun = np.flatnonzero(acts)

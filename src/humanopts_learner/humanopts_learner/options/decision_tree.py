@@ -172,7 +172,7 @@ class Tree:
         share: Floats = self.shares[:, number].take(self.leaves(X))
         return share
 
-    def likeliest(self, X: NDArray[np.float32]) -> Ints:
+    def most_probable(self, X: NDArray[np.float32]) -> Ints:
         """Return (N,): the position of the most likely class; the first on ties."""
         best: Ints = self.shares.argmax(axis=1).take(self.leaves(X))
         return best

@@ -25,7 +25,7 @@ class Failures:
     candidate: Flags  # (S,) open, reachable, and in the learned I
     stuck: Flags  # (S,) candidates from which no demonstrated end is reached
     detour: Flags  # (S,) candidates with a detour demonstrated fewer than MEANT times
-    doubt: Flags  # (S,) open, reachable, and outside I without evidence (``in_doubt``)
+    doubt: Flags  # (S,) open, reachable, and outside I without evidence (``uncertain``)
     times_shown: NDArray[np.int64]  # (S,) demonstrations with a state of equal features
     distance: NDArray[np.int32]  # (S,) fewest steps to a demonstrated end; -1: no known path
     nearer: Flags  # (S, A) first actions of shortest paths
@@ -68,7 +68,7 @@ def find_failures(
     askable = reachable(domain) & ~over
     candidate = askable & table.initiation
     reached = runs.reached & known_end[runs.final]
-    doubt = in_doubt(option, domain.feature_table(), demonstrations)
+    doubt = uncertain(option, domain.feature_table(), demonstrations)
     return Failures(
         candidate=candidate,
         stuck=candidate & ~reached,
@@ -113,7 +113,7 @@ def _best_return(domain: EnumerableDomain, distance: NDArray[np.int32], nearer: 
     return best
 
 
-def in_doubt(option: LearnedOption, rows: Rows, demonstrations: Sequence[Demonstration]) -> Flags:
+def uncertain(option: LearnedOption, rows: Rows, demonstrations: Sequence[Demonstration]) -> Flags:
     """
     Return (N,): whether rows (N, F) are outside I without evidence.
 

@@ -4,7 +4,7 @@ Goal-based policies: optimal paths to an end like the demonstrated ones.
 The paper learns the policy from the demonstrated actions. If the transitions of a domain are
 known, the end of a demonstration says more than its path: I and beta are learned from the
 demonstrations (``learn.py``), but the policy is planned. From every state, it takes an optimal
-path (``tabular.best_ways``) to an outcome where beta holds or the task is over.
+path (``tabular.best_paths``) to an outcome where beta holds or the task is over.
 
 With few demonstrations, beta holds in too many states, so an end must also resemble the
 demonstrated ones. First, the task must be over or continue there, as in most of them. If
@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from humanopts_env.arrays import Flags, Floats, Ints
 from humanopts_env.domains.base import action_index, EnumerableDomain
 from humanopts_env.domains.formulas import FeatureColumn, stacked
-from humanopts_env.domains.tabular import best_ways, TIE
+from humanopts_env.domains.tabular import best_paths, TIE
 from humanopts_learner.demonstrations import Demonstration
 import numpy as np
 
@@ -27,19 +27,19 @@ MAX_GAMMA = 0.999  # below 1, so that a longer path is worth less
 
 
 @dataclass(frozen=True)
-class Ways:
+class Paths:
     """Optimal paths to ends, for S states and A actions."""
 
     value: Floats  # (S,) expected gamma**k for an end after k actions; 0: no path
     optimal: Flags  # (S, A) first actions of optimal paths
 
 
-def ways_to_goal(
+def paths_to_goal(
     domain: EnumerableDomain,
     trajectories: Sequence[Demonstration],
     chosen: Sequence[FeatureColumn],
     termination: Flags,
-) -> Ways:
+) -> Paths:
     """
     Plan the paths of an option.
 
@@ -50,19 +50,19 @@ def ways_to_goal(
     table, stops = domain.transitions(), termination | domain.over()
     gamma = min(domain.gamma, MAX_GAMMA)
 
-    def ways(ends: Flags) -> Ways:
+    def paths(ends: Flags) -> Paths:
         """Return the paths to a subset (S,) of the states where the option ends."""
         goal = (stops & ends)[table.successor] & (table.probability > 0)
-        return Ways(*best_ways(table, goal, ~stops, gamma))
+        return Paths(*best_paths(table, goal, ~stops, gamma))
 
-    def ways_to_best(rank: Ints) -> Ways:
+    def paths_to_best(rank: Ints) -> Paths:
         """Return the paths to the reachable ends with the highest rank (S,)."""
         value, optimal = np.zeros(len(stops)), np.zeros(table.successor.shape[:2], dtype=np.bool_)
         for best in np.unique(rank[stops])[::-1]:
-            found = ways(rank == best)
+            found = paths(rank == best)
             fresh = (found.value > 0) & (value == 0)
             value[fresh], optimal[fresh] = found.value[fresh], found.optimal[fresh]
-        return Ways(value, optimal)
+        return Paths(value, optimal)
 
     looks = np.column_stack([domain.over(), stacked(chosen, domain.feature_table())])
     starts, ends = (
@@ -70,22 +70,22 @@ def ways_to_goal(
         for at in (0, -1)
     )
     alike = np.column_stack([_as_most(values, values[ends]) for values in looks.T])
-    nearest = ways_to_best(alike[:, 0].astype(np.intp))
+    nearest = paths_to_best(alike[:, 0].astype(np.intp))
     passed = np.zeros(len(ends), dtype=np.bool_)
     for look in np.unique(looks[ends], axis=0):
         same = (looks == look).all(axis=1)
-        there, by = ways(same), same[ends]
+        there, by = paths(same), same[ends]
         passed[by] = nearest.value[starts[by]] > there.value[starts[by]] + TIE
     if passed.mean() <= 1 - MOST:
         return nearest
-    return ways_to_best(alike @ [1 + len(chosen), *[1] * len(chosen)])
+    return paths_to_best(alike @ [1 + len(chosen), *[1] * len(chosen)])
 
 
 def preferred_actions(
     domain: EnumerableDomain,
     trajectories: Sequence[Demonstration],
     chosen: Sequence[FeatureColumn],
-    ways: Ways,
+    paths: Paths,
 ) -> Ints:
     """
     Return (S,): the optimal action demonstrated most often; on ties, the first.
@@ -100,7 +100,7 @@ def preferred_actions(
     of_state, of_step = np.split(group.ravel(), [len(table)])
     times = np.zeros((group.max() + 1, len(domain.actions)), dtype=np.intp)
     np.add.at(times, (of_step, actions), 1)
-    preferred: Ints = (ways.optimal * (1 + times[of_state])).argmax(axis=1)
+    preferred: Ints = (paths.optimal * (1 + times[of_state])).argmax(axis=1)
     return preferred
 
 

@@ -188,7 +188,7 @@ def _criteria(
     """
     delta, shortfall = thresholds.return_delta, None
     obstacle = '' if can_simulate(domain) else NO_RULES
-    if len(data.trajectories) < fewest(data.method):
+    if len(data.trajectories) < min_trajectories(data.method):
         initiation_error, termination_error = None, None
     else:
         if delta is None and can_simulate(domain):
@@ -214,7 +214,7 @@ def _criteria(
     )
 
 
-def fewest(method: str) -> int:
+def min_trajectories(method: str) -> int:
     """Return the minimum number of trajectories for measurable criteria."""
     return MIN_TO_A_GOAL if method == GOAL else MIN_TRAJECTORIES
 

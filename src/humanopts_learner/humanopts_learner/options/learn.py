@@ -34,7 +34,7 @@ from humanopts_learner.options.decision_tree import (
     fit_tree,
     Tree,
 )
-from humanopts_learner.options.goal import preferred_actions, ways_to_goal
+from humanopts_learner.options.goal import paths_to_goal, preferred_actions
 from humanopts_learner.options.learned_option import LearnedOption, MEMBER, MEMBERSHIP
 import numpy as np
 from numpy.typing import NDArray
@@ -226,9 +226,9 @@ def _with_planned_policy(
     """
     assert is_enumerable(domain)  # ``check_method``
     rows, chosen = domain.feature_table(), data.chosen
-    ways = ways_to_goal(domain, data.trajectories, chosen, option.ends(rows))
-    actions = preferred_actions(domain, data.trajectories, chosen, ways)
-    known = ways.value > 0
+    paths = paths_to_goal(domain, data.trajectories, chosen, option.ends(rows))
+    actions = preferred_actions(domain, data.trajectories, chosen, paths)
+    known = paths.value > 0
     if not known.any():  # the chosen features do not distinguish the demonstrated ends
         known = ~known
     encoding = feature_encoding(domain, [feature.name for feature in domain.features])

@@ -129,7 +129,7 @@ class LearnedOption:
 
     def action(self, rows: Rows) -> Ints:
         """Return (N,): the most likely action; on ties, the lowest index."""
-        return self.policy.likeliest(self._encode_for_policy(rows, self.policy.tested))
+        return self.policy.most_probable(self._encode_for_policy(rows, self.policy.tested))
 
     def can_start(self, rows: Rows) -> Flags:
         """Return (N,): whether each state is in the initiation set."""
@@ -302,7 +302,7 @@ def option_from_table(
     def tree(states: Flags, values: NDArray[Any], classes: Sequence[int]) -> Tree:
         seen, labels = X[states], values[states].astype(np.intp)
         fitted = fit_tree(seen, labels, classes, 0)
-        if (fitted.likeliest(seen) != labels).any():
+        if (fitted.most_probable(seen) != labels).any():
             raise DomainError(f'the features of {domain.name} do not determine {table.name!r}')
         return fitted
 

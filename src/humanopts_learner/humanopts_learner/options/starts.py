@@ -23,7 +23,7 @@ from humanopts_learner.options.decision_tree import encode_rows, feature_encodin
 from humanopts_learner.options.failures import (
     Failures,
     find_failures,
-    in_doubt,
+    uncertain,
 )
 from humanopts_learner.options.judge import fit_leave_fold_out, fold_of
 from humanopts_learner.options.learn import make_dataset
@@ -78,7 +78,7 @@ def choose_start_state(
         states = domain.sample_states(rng, SAMPLE) if drawn is None else list(drawn)
     if option is not None:
         rows = feature_rows(domain, states)
-        kept = option.can_start(rows) | in_doubt(option, rows, demonstrations)
+        kept = option.can_start(rows) | uncertain(option, rows, demonstrations)
         states = [state for state, keep in zip(states, kept) if keep] or states
     return _farthest(domain, states, demonstrations, rng)
 
@@ -214,7 +214,7 @@ def sample_failures(
     states = domain.sample_states(rng, SAMPLE) if drawn is None else list(drawn)
     rows = feature_rows(domain, states)
     member = option.can_start(rows)
-    failing = in_doubt(option, rows, demonstrations)
+    failing = uncertain(option, rows, demonstrations)
     failing |= committee_disagrees(option, domain, demonstrations, rows, int(rng.integers(2**31)))
     some = np.flatnonzero(member)[:RUNS]
     runs = rollouts(option, domain, [states[at] for at in some], int(rng.integers(2**31)))

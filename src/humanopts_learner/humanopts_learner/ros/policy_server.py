@@ -36,7 +36,7 @@ _RESET_SECONDS = 5.0  # s to wait for an answer
 # Timeout of a run: modules may run for a whole paced episode. The server itself uses a short
 # timeout for the game.
 _RUN_SECONDS = 86_400.0
-_GO_ON = (
+_CONTINUES = (
     OptionResult.STATUS_REACHED,
     OptionResult.STATUS_EPISODE_OVER,
     OptionResult.STATUS_MAX_STEPS,
@@ -208,7 +208,7 @@ class PolicyServer(GoalServer):
             step += ran.step_count
             if ran.status == ran.STATUS_INTERRUPTED:
                 raise GoalError('INTERRUPTED', ran.detail)
-            if ran.status not in _GO_ON:
+            if ran.status not in _CONTINUES:
                 self._check_wanted(run)
                 what = repr(name) if name else run.execution
                 raise GoalError('FAILED', f'{what} in {ran.final_state!r}: {ran.detail}')

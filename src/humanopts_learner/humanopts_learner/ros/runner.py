@@ -170,7 +170,7 @@ class Runner:
         self._policy = PolicySubscriber(node)
         self.library: OptionLibrary | None = None
         self._state: Observed | None = None
-        self._taken_by = ''  # option or execution of the request; empty: idle
+        self._busy_with = ''  # option or execution of the request; empty: idle
         self._active: _Active | None = None  # set with the first command
         self._stopping = False
         self._actions = node.stamped_publisher(ActionCommand, 'action')
@@ -185,7 +185,7 @@ class Runner:
     @property
     def busy(self) -> bool:
         """Whether there is a run, or a request waiting for its first state."""
-        return bool(self._taken_by)
+        return bool(self._busy_with)
 
     def serve(self, options: Iterable[LearnedOption]) -> list[str]:
         """Use the options that fit the game, once it is known; return why others do not."""
@@ -226,10 +226,10 @@ class Runner:
             raise RefusedError(RunStatus.FAILED, _STOPS)
         if self.library is None:
             raise RefusedError(RunStatus.NO_EPISODE, 'game has not announced itself')
-        if self._taken_by:
-            raise RefusedError(RunStatus.BUSY, self._taken_by)
+        if self._busy_with:
+            raise RefusedError(RunStatus.BUSY, self._busy_with)
         execution = _check(request.goal, self.library)
-        self._taken_by = request.goal.option_name or execution.value
+        self._busy_with = request.goal.option_name or execution.value
         try:
             run = await self._begin(request, execution, self.library)
             self._active = active = _Active(run, str(uuid.uuid4()), request)
@@ -249,7 +249,7 @@ class Runner:
             end: RunResult = await active.done
             return replace(end, run_id=active.run_id)
         finally:
-            self._taken_by = ''
+            self._busy_with = ''
 
     async def _begin(
         self, request: RunRequest, execution: Arbitration, library: OptionLibrary
@@ -266,7 +266,7 @@ class Runner:
             )
             raise PlanError(f'the option values of plan {goal.plan_id} did not arrive; {newest}')
 
-        def is_here_or_past() -> bool:  # a restarted game counts from 1
+        def has_arrived() -> bool:  # a restarted game counts from 1
             state = self._state
             if state is None:
                 return False
@@ -274,7 +274,7 @@ class Runner:
             return newer and wanted <= _position(state)
 
         if goal.episode:
-            await self._wait(request, is_here_or_past)
+            await self._wait(request, has_arrived)
         state = self._state
         if state is None or not _position(state)[0]:
             raise RefusedError(RunStatus.NO_EPISODE, 'the game has published no state')
@@ -351,14 +351,16 @@ class Runner:
 
     def _on_step(self, active: _Active, observed: Observed) -> None:
         """Handle the state after the current command, or after an action of another driver."""
-        led, run = observed.transition, active.run
-        mine = led.action_publisher_id == self._node.publisher_id
-        if not mine or led.action_sequence != active.command:
-            text = f'{shown(led.action_publisher_id)} took {led.previous_action}'
+        transition, run = observed.transition, active.run
+        mine = transition.action_publisher_id == self._node.publisher_id
+        if not mine or transition.action_sequence != active.command:
+            text = f'{shown(transition.action_publisher_id)} took {transition.previous_action}'
             self._finish(RunStatus.INTERRUPTED, text)
             return
-        end = run.observe(observed.state, led.reward, led.terminated, led.truncated)
-        active.request.on_step(run, led)
+        end = run.observe(
+            observed.state, transition.reward, transition.terminated, transition.truncated
+        )
+        active.request.on_step(run, transition)
         end = end or self._stopped(active)
         if end is not None:
             self._active = None

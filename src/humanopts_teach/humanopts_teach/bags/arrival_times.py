@@ -17,14 +17,14 @@ class ArrivalTimes:
 
     def __init__(self, time_of_day: TimeOfDay) -> None:
         self._time_of_day = time_of_day
-        self.now = self._looked_before = time_of_day.now
+        self.now = self._checked_before = time_of_day.now
         self._ahead_before = 0  # ns, offset of the system time at that check
         self._newest: dict[str, int] = {}  # latest arrival by topic
 
-    def look(self) -> None:
+    def check(self) -> None:
         """Detect changes of the system time; call this just after taking messages."""
-        self._looked_before, self._ahead_before = self.now, self._time_of_day.ahead
-        self._time_of_day.look()
+        self._checked_before, self._ahead_before = self.now, self._time_of_day.ahead
+        self._time_of_day.check()
         self.now = self._time_of_day.now
 
     def of(self, topic: str, received: int) -> int:
@@ -34,8 +34,8 @@ class ArrivalTimes:
         :param received: system time stamp of the message, ns since the epoch.
         """
         arrived = received - self._time_of_day.ahead
-        if not self._looked_before <= arrived <= self.now:
-            earliest = self._looked_before if self._time_of_day.ahead else 0
+        if not self._checked_before <= arrived <= self.now:
+            earliest = self._checked_before if self._time_of_day.ahead else 0
             arrived = min(max(received - self._ahead_before, earliest), self.now)
         newest = self._newest[topic] = max(arrived, self._newest.get(topic, 0))
         return newest

@@ -68,7 +68,7 @@ class Check:
     recording: bool  # the bag is being recorded, and was read up to its state on disk
     damage: Sequence[str]  # descriptions of damage to the files
     streams: Sequence[Stream]
-    left_out: Sequence[str] = ()  # descriptions of messages from nodes that may not publish there
+    omitted: Sequence[str] = ()  # descriptions of messages from nodes that may not publish there
 
     @property
     def findings(self) -> list[str]:
@@ -104,7 +104,7 @@ class Check:
         if self.recording:
             verdict = f'being recorded, and so far {verdict}'
         head = f'{self.path} is {verdict} ({self.messages} messages)'
-        lines = *self.findings, *(f'left out: {text}' for text in self.left_out)
+        lines = *self.findings, *(f'left out: {text}' for text in self.omitted)
         numbers = table([stream.to_dict() for stream in self.streams])
         return '\n'.join([one_line(head), *(f'- {one_line(e)}' for e in lines), '', numbers])
 

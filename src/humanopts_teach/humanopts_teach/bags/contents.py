@@ -52,7 +52,7 @@ def demonstration_decoder(bag: Bag) -> Callable[[Recorded], Demonstration | None
         parameters = _parsed(demo.domain_parameters)
         if parameters is None or (demo.domain, parameters) in known:
             return demo
-        bag.leave_out(recorded, f'of another game than {_named(played)}')
+        bag.omit(recorded, f'of another game than {_named(played)}')
         return None
 
     return decode
@@ -84,7 +84,7 @@ def domains_played(bag: Bag) -> list[tuple[str, str]]:
             announced.append((recorded, game))
     for recorded, game in announced:
         if game not in played:
-            bag.leave_out(recorded, f'another game than {_named(played)}')
+            bag.omit(recorded, f'another game than {_named(played)}')
     return sorted(played)
 
 

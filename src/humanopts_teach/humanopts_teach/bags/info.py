@@ -109,7 +109,7 @@ class BagInfo:
     path: str
     recording: bool  # the bag is being recorded; the other fields are preliminary
     damage: Sequence[str]
-    left_out: Sequence[str]  # omitted messages that do not belong to the graph
+    omitted: Sequence[str]  # omitted messages that do not belong to the graph
     start: int  # time of the first message, ns since the epoch
     duration: int  # time from the first to the last message, ns
     messages: int
@@ -143,7 +143,7 @@ class BagInfo:
             ('bag', self.path),
             *([('recording', BEING_RECORDED)] if self.recording else []),
             *(('DAMAGED', line) for line in self.damage),
-            *(('left out', line) for line in self.left_out),
+            *(('left out', line) for line in self.omitted),
             ('start', start if self.messages else 'nothing was recorded'),
             ('duration', f'{self.duration / 1e9:.1f} s'),
             ('messages', f'{self.messages} on {len(self.topics)} topics'),
@@ -293,7 +293,7 @@ def summarise(bag: Bag, topics: Collection[str] | None = None) -> BagInfo:
         path=str(bag.path),
         recording=bag.growing,
         damage=bag.damage.splitlines(),
-        left_out=bag.left_out,
+        omitted=bag.omitted,
         start=extent.first if extent.messages else 0,
         duration=extent.times['duration']['nanoseconds'],
         messages=extent.messages,

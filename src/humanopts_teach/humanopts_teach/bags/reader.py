@@ -17,7 +17,7 @@ from humanopts_teach.bags.sequence_numbers import read_stamp
 from humanopts_teach.bags.writer import GAME, GAME_IDS, is_being_written, NAMESPACE, RECORD
 
 BEING_RECORDED = 'the bag is being recorded: this is what it holds so far'
-MAX_LEFT_OUT = 100  # maximum number of kinds of omitted messages, by topic and sender
+MAX_OMITTED = 100  # maximum number of kinds of omitted messages, by topic and sender
 DEMONSTRATION = f'{INTERFACES}msg/Demonstration'
 DOMAIN_INFO = f'{INTERFACES}msg/DomainInfo'
 GAME_STATE = f'{INTERFACES}msg/GameState'
@@ -38,7 +38,7 @@ class Bag(Recording):
         super().__init__(*recording)
         self._allowed: dict[str, tuple[str, ...]] = {}  # by topic; see ``_allowed_on``
         # Omitted messages by topic and reason: count, and position of the newest one.
-        self._left_out: dict[tuple[str, str], tuple[int, tuple[int, int]]] = {}
+        self._omitted: dict[tuple[str, str], tuple[int, tuple[int, int]]] = {}
 
     @property
     def namespaces(self) -> list[str]:
@@ -132,7 +132,7 @@ class Bag(Recording):
         Return whether the nodes of the graph would accept a message.
 
         Such a message is in the bag's namespace and comes from the permitted publisher. Others are
-        listed in ``left_out``.
+        listed in ``omitted``.
         """
         return not self.is_foreign(recorded) and own_name(recorded.topic, self.namespace) != ''
 
@@ -153,7 +153,7 @@ class Bag(Recording):
             return False
         nodes = sorted({signer(each) or each for each in allowed})
         old = 'which was not the game' if sender in nodes else f'not from {" or ".join(nodes)}'
-        self.leave_out(recorded, old)
+        self.omit(recorded, old)
         return True
 
     def _allowed_on(self, topic: str) -> tuple[str, ...]:
@@ -169,27 +169,27 @@ class Bag(Recording):
         owner = sender_of(topic, self.namespace)
         return self.game_ids if name in GAME_TOPICS else (owner,) if owner else ()
 
-    def leave_out(self, recorded: Recorded, why: str) -> None:
+    def omit(self, recorded: Recorded, why: str) -> None:
         """Register an omitted message, once even if the bag is read several times."""
         stamp = read_stamp(recorded.data)
         sender = shown(stamp.publisher_id, 80) if stamp else ''
         key = recorded.topic, f'from {sender or "no node"}, {why}'
-        if key not in self._left_out and len(self._left_out) >= MAX_LEFT_OUT:
+        if key not in self._omitted and len(self._omitted) >= MAX_OMITTED:
             key = recorded.topic, 'from other nodes'
-        count, newest = self._left_out.get(key, (0, (-1, 0)))
+        count, newest = self._omitted.get(key, (0, (-1, 0)))
         if (place := (recorded.log_time, recorded.sequence)) > newest:
-            self._left_out[key] = count + 1, place
+            self._omitted[key] = count + 1, place
 
     @property
     def strangers(self) -> list[str]:
         """Descriptions of messages omitted because of their publisher."""
         return [
             f'{count} message{"s"[: count > 1]} on {topic}: {why}'
-            for (topic, why), (count, _) in self._left_out.items()
+            for (topic, why), (count, _) in self._omitted.items()
         ]
 
     @property
-    def left_out(self) -> list[str]:
+    def omitted(self) -> list[str]:
         """Descriptions of all omitted messages read so far."""
         others = [name for name in self.namespaces if name != self.namespace]
         graphs = f'the graph of {", ".join(others)}: the graph of {self.namespace} is read'
@@ -200,7 +200,7 @@ class Bag(Recording):
         """Warnings for the user: a running recording, omitted messages, damage."""
         return [
             *([BEING_RECORDED] if self.growing else []),
-            *(f'left out: {text}' for text in self.left_out),
+            *(f'left out: {text}' for text in self.omitted),
             *self.damage.splitlines(),
         ]
 

@@ -26,7 +26,7 @@ _LOOK = 0.5  # s, period of the checks whether another game may start
 Press = Callable[[list[str], int], None]  # keys, and the number of the frame shown when pressed
 
 
-def another_fits(available: int, total: int, taken: Sequence[int], games: int) -> bool:
+def has_room(available: int, total: int, taken: Sequence[int], games: int) -> bool:
     """
     Return whether another game fits in memory; the first one always does.
 
@@ -36,8 +36,8 @@ def another_fits(available: int, total: int, taken: Sequence[int], games: int) -
     :param games: number of games, including those without a process yet.
     """
     each = max([_GAME_BYTES, *taken])
-    to_come = each * games - sum(taken)
-    return not games or available - to_come - min(_SPARE_BYTES, total // 10) >= each
+    upcoming = each * games - sum(taken)
+    return not games or available - upcoming - min(_SPARE_BYTES, total // 10) >= each
 
 
 class Window(Protocol):

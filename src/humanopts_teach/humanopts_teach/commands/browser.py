@@ -14,9 +14,9 @@ from typing import Any
 
 from humanopts_teach.browser.pages import serve
 from humanopts_teach.browser.seats import (
-    another_fits,
     ConditionSeat,
     GameError,
+    has_room,
     message,
     Press,
     Seat,
@@ -106,7 +106,7 @@ def _fits(pages: PageOptions, games: int) -> bool:
     """Return whether another game is allowed; each is a child of this process."""
     if pages.seats is not None and games >= pages.seats:
         return False
-    return another_fits(*memory_left(), memory_of_children(), games)
+    return has_room(*memory_left(), memory_of_children(), games)
 
 
 def _listen(pages: PageOptions) -> socket.socket:

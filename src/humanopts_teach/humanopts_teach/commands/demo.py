@@ -127,7 +127,7 @@ def run_demo(
     problems = _problems(setup.taught, live, evaluation, topics) + running.restarts()
     for problem in problems:
         print(one_line(f'humanopts demo: {problem}'), file=sys.stderr)
-    return 1 if problems or running.unclean else 0
+    return 1 if problems or running.stop_problems else 0
 
 
 def _plan_and_play(

@@ -32,7 +32,7 @@ from humanopts_teach.commands import (
 )
 from humanopts_teach.commands.output import unfailing_output
 from humanopts_teach.launching import LaunchError, RECORDER, USUAL
-from humanopts_teach.launching.job import front_is_gone
+from humanopts_teach.launching.job import shell_job_ended
 from humanopts_teach.launching.launcher import Launcher
 from humanopts_teach.launching.place import only_launch
 from humanopts_teach.launching.processes import (
@@ -41,7 +41,7 @@ from humanopts_teach.launching.processes import (
     processes,
     Setup,
 )
-from humanopts_teach.launching.restarts import MOST, NodeExit
+from humanopts_teach.launching.restarts import MAX_RESTARTS, NodeExit
 from humanopts_teach.lesson.store import similar_code
 from humanopts_teach.ros.conductor import Conductor
 from humanopts_teach.ros.graph_probe import check_free
@@ -128,7 +128,7 @@ class Session:
     launcher: Launcher
     graph: Conductor
     interrupts: Interrupts
-    unclean: list[str] = field(default_factory=list)  # nodes that failed while stopping, in words
+    stop_problems: list[str] = field(default_factory=list)  # failures of nodes while stopping
 
     @property
     def bags(self) -> list[Path]:
@@ -176,7 +176,7 @@ class Session:
         """
         self.graph.take(0.1)
         self.interrupts.check()
-        if front_is_gone():
+        if shell_job_ended():
             raise KeyboardInterrupt
 
     def check_recording(self) -> None:
@@ -207,7 +207,7 @@ class Session:
         restarts = self.restarts()
         for line in restarts:
             print_line(line)
-        return 1 if restarts or self.unclean else 0
+        return 1 if restarts or self.stop_problems else 0
 
 
 def taught_options(domain: Domain) -> tuple[str, ...]:
@@ -230,7 +230,7 @@ def wait_until_taught(running: Session) -> None:
     """
     graph, setup = running.graph, running.setup
     seconds = _TEACHING_SECONDS + (setup.step_period or 0.0)
-    graph.wait(graph.teacher_finished, seconds, 'the simulated teacher', graph.taught_so_far)
+    graph.wait(graph.teacher_finished, seconds, 'the simulated teacher', graph.teaching_progress)
     last = setup.taught[-1]
     graph.wait(lambda: graph.knows_learned(last), NEWS_SECONDS, f'what was learned of {last!r}')
 
@@ -288,7 +288,7 @@ def session(
     setup: Setup,
     progress: Callable[[Conductor], object] = lambda _: None,
     report: Callable[[str], object] = print_line,
-    restarts: int = MOST,
+    restarts: int = MAX_RESTARTS,
     *,
     new: bool = False,
 ) -> Iterator[Session]:
@@ -342,8 +342,8 @@ def session(
             try:
                 graph.close()
             finally:
-                running.unclean.extend(launcher.stop())
-                for problem in running.unclean:
+                running.stop_problems.extend(launcher.stop())
+                for problem in running.stop_problems:
                     report(problem)
 
 

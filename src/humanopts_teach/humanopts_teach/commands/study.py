@@ -19,7 +19,7 @@ from humanopts_teach.command_line import (
     with_options,
 )
 from humanopts_teach.commands import CommandError, refusing
-from humanopts_teach.launching.job import stand_in_front
+from humanopts_teach.launching.job import fork_launch
 import typer
 from typer.core import TyperGroup
 
@@ -76,7 +76,7 @@ def run(
     from humanopts_teach.terminal.device import why_not
 
     fault = '' if simulate or pages.browser else why_not()
-    if not (simulate or pages.browser or fault) and (status := stand_in_front()) is not None:
+    if not (simulate or pages.browser or fault) and (status := fork_launch()) is not None:
         return status
     from humanopts_teach.commands.session import check_place
     from humanopts_teach.commands.study_session import Study
@@ -108,15 +108,17 @@ def status(
     from humanopts_teach.study.protocol import SHOWN_DIGEST
     from humanopts_teach.study.tables import status_table
 
-    study, there, protocol = _kept('status', plan, folder)
-    records, problems = there.records()
+    study, study_folder, protocol = _kept('status', plan, folder)
+    records, problems = study_folder.records()
     _warn('status', problems)
     table = status_table(protocol, records)
     if as_json:
         print(json.dumps(table.to_dict('records'), indent=2))
     else:
         planned = f' of {study.participants}' if study.participants else ''
-        print(one_line(f'{study.study}: {len(table)}{planned} participants, in {there.path}'))
+        print(
+            one_line(f'{study.study}: {len(table)}{planned} participants, in {study_folder.path}')
+        )
         for version in protocol.versions:
             when = time.strftime('%Y-%m-%d %H:%M', time.localtime(version.time))
             print(one_line(f'{version.event} on {when}: {version.digest[:SHOWN_DIGEST]}'))
@@ -136,10 +138,12 @@ def export(
     excel: ExcelOption = False,
 ) -> int:
     """Write tidy CSV tables with a codebook, and the buttons as in Table 1 of the paper."""
-    _, there, _ = _kept('export', plan, folder)
-    if not there.path.exists():
-        raise CommandError(f'nobody has taken part yet in {there.path}; --study DIR names another')
-    _export(there, out or there.path / 'tables', excel=excel)
+    _, study_folder, _ = _kept('export', plan, folder)
+    if not study_folder.path.exists():
+        raise CommandError(
+            f'nobody has taken part yet in {study_folder.path}; --study DIR names another'
+        )
+    _export(study_folder, out or study_folder.path / 'tables', excel=excel)
     return 0
 
 
@@ -172,19 +176,19 @@ def _kept(
     from humanopts_teach.study.record import StudyFolder
 
     with refusing(PlanFileError, what=f'{path}: '):
-        there = StudyFolder(folder or Path('runs') / read_name(path))
-    protocol = Protocol(there.path)
-    missing = there.missing_plan(protocol)
+        study_folder = StudyFolder(folder or Path('runs') / read_name(path))
+    protocol = Protocol(study_folder.path)
+    missing = study_folder.missing_plan(protocol)
     _warn(command, [*protocol.problems, *filter(None, [missing])])
     if protocol.plan is None:
-        return (*_open(path, there.path), protocol)
+        return (*_open(path, study_folder.path), protocol)
     try:
         changed = 'it has been changed' if read_plan(path) != protocol.plan else ''
     except PlanFileError as error:
         changed = str(error)
     if changed:
-        _warn(command, [f'{path}: {changed}; the plan kept in {there.path} is used'])
-    return protocol.plan, there, protocol
+        _warn(command, [f'{path}: {changed}; the plan kept in {study_folder.path} is used'])
+    return protocol.plan, study_folder, protocol
 
 
 def _export(folder: 'StudyFolder', out: Path, *, excel: bool = False) -> None:

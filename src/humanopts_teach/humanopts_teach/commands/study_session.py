@@ -137,17 +137,17 @@ class Study:
         if last is not None and record.refused:
             notes.note('ended', why=REFUSED)
             return f'{code} does not take part; nothing more is asked'
-        if last is not None and record.left_of(last.left):
+        if last is not None and record.remaining(last.left):
             return f'{code} has not finished, and can continue with the same code'
         plan = self.folder.plan_of(self.plan, participant)
         turns = plan.turns_of(participant.number)
-        for part in record.left_of([part for _, parts in turns for part in parts]):
+        for part in record.remaining([part for _, parts in turns for part in parts]):
             spent = record.seconds_in(part.key)
             if part.minutes and spent > max(0.0, 60 * part.minutes - _MIN_SECONDS):
                 notes.note('part ended', part, why=TIME)
         record = participant.read()
         for condition, parts in turns:
-            if left := record.left_of(parts):
+            if left := record.remaining(parts):
                 setup = self._setup(plan, participant, condition, () if simulated else left)
                 return Turn(condition, left, setup)
         notes.note('ended')

@@ -147,7 +147,7 @@ class App:
         self.can_start_again: dict[str, bool] = {}  # latest setting of each option
         self.ended = False
         self.pictures = True  # show the world; False: only a table of its features
-        self.way_out = 'Ctrl-C quits'  # advice to the person when nodes are missing
+        self.leave_hint = 'Ctrl-C quits'  # advice to the person when nodes are missing
         self._frame = 0  # number of the latest frame
         self._seen: dict[int, _Seen] = {}  # by frame number
         self._outbox: deque[tuple[Request, Then | None]] = deque()
@@ -296,10 +296,10 @@ class App:
         if self.run is run:
             self.run = None
             self.say(text, bad=not well)
-            self.go_on()
+            self.resume_machine()
             self.screen.run_ended(run, well, self)
 
-    def go_on(self) -> None:
+    def resume_machine(self) -> None:
         """Resume the machine if it is paused."""
         if self.world.paused_by:
             self.ask(SetPace(self.world.step_period, paused=False))
@@ -339,7 +339,7 @@ class App:
         if self.run is not None:
             self.ask(CancelRun())
         if self.world.paused_by == self.world.me:
-            self.go_on()
+            self.resume_machine()
         if self.world.i_drive:
             self.ask(SetControl(hold=False))
         other = self.world.lesson.participant

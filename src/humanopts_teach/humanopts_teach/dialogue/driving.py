@@ -135,7 +135,7 @@ class PlayScreen(Screen):
 
 
 def _stop(app: App) -> None:
-    app.go_on()
+    app.resume_machine()
     app.ask(CancelRun())
 
 

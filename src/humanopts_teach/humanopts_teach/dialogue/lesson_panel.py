@@ -9,7 +9,7 @@ from humanopts_env.domains.described import published_state
 from humanopts_env.domains.formulas import feature_columns
 from humanopts_learner.demonstrations import GOAL, METHODS
 from humanopts_learner.options.conflicts import NO_START
-from humanopts_learner.options.judge import fewest, likely_range
+from humanopts_learner.options.judge import likely_range, min_trajectories
 from humanopts_learner.summary import Criterion, OptionSummary, RETURN
 from humanopts_teach.dialogue.app import App
 from humanopts_teach.dialogue.driving import last_step, pace_line
@@ -99,8 +99,8 @@ def _position(app: App) -> Line:
         case _:
             where = 'The lesson is paused.' if lesson.paused else f'Enter shows start {start}.'
     counts = f'{lesson.n_demonstrations} shown, {lesson.n_not_here} not here'
-    so_far = Line(f'  ({counts}; at most {lesson.budget})', Tone.QUIET)
-    return Line(where, Tone.NEWS, more=(so_far,))
+    note = Line(f'  ({counts}; at most {lesson.budget})', Tone.QUIET)
+    return Line(where, Tone.NEWS, more=(note,))
 
 
 def _features(app: App) -> Features:
@@ -145,7 +145,7 @@ def _estimate(lesson: LessonView, progress: OptionSummary) -> Line:
     """Return an estimate of how many more demonstrations are needed to meet the criteria."""
     if progress.criteria_met:
         return Line(progress.result, Tone.GOOD)
-    if progress.n_demonstrations < (least := fewest(lesson.method)):
+    if progress.n_demonstrations < (least := min_trajectories(lesson.method)):
         return Line(f'Measured from {least} demonstrations on.')
     if progress.obstacles:
         return Line(progress.result if progress.settled else progress.obstacles, Tone.WARNING)

@@ -64,13 +64,13 @@ def opening(participant: str, *, ask: bool = True) -> OpeningScreen:
 
 def _enter(code: str, app: App) -> None:
     lesson = app.world.lesson
-    under_way = lesson.phase is Phase.DEMONSTRATING
+    demonstrating = lesson.phase is Phase.DEMONSTRATING
     app.claim_lesson(code, _displaced())
     # A disconnected terminal left an unfinished demonstration; its owner continues it.
-    if under_way and lesson.participant == code:
+    if demonstrating and lesson.participant == code:
         app.known_options = (lesson.option_name,)
         to_lesson(app)
-    elif under_way and not app.world.holder:
+    elif demonstrating and not app.world.holder:
         who = lesson.participant
         question = (
             f'{who} has a demonstration under way, but is not in control now. {who} may still '
@@ -94,8 +94,8 @@ def _displaced() -> Notice:
 def _take_over(episode: int, app: App) -> None:
     """Discard the demonstration another person left, unless it has changed; then sign in."""
     lesson = app.world.lesson
-    under_way = lesson.phase is Phase.DEMONSTRATING and lesson.episode == episode
-    if under_way and not app.world.holder:
+    demonstrating = lesson.phase is Phase.DEMONSTRATING and lesson.episode == episode
+    if demonstrating and not app.world.holder:
         app.ask(EndDemonstration(Verdict.DISCARD, episode, 0))
     _open(app)
 

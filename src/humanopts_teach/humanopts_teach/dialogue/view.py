@@ -60,7 +60,7 @@ def _said(app: App) -> Line:
     """Return the latest message to the person."""
     if app.world.missing:
         names = ', '.join(app.world.missing)
-        return Line(f'Missing: {names}. Everything taught is saved; {app.way_out}.', Tone.BAD)
+        return Line(f'Missing: {names}. Everything taught is saved; {app.leave_hint}.', Tone.BAD)
     if app.message.text:
         return app.message
     return Line(app.world.lesson.text if app.screen.answers_lesson else '', Tone.GOOD)

@@ -238,25 +238,30 @@ def evaluate_games(
         for name, changed in baselines_of(domain).variants.items()
     } or {'': domain}
     steps = game_steps or GAME_STEPS
-    ways = [
-        (setting, variant, way)
+    baselines = [
+        (setting, variant, baseline)
         for setting, variant in variants.items()
-        for way in every_baseline(variant, options, steps)
+        for baseline in every_baseline(variant, options, steps)
     ]
     usual = domain.parameters, PLAN, len(options), PlanRequest(HUMAN, game_steps=steps)
     found = {
-        number: play_baseline(variant, way, seed, games, known)
-        for number, (_, variant, way) in enumerate(ways)
+        number: play_baseline(variant, baseline, seed, games, known)
+        for number, (_, variant, baseline) in enumerate(baselines)
         if known and known[1].episodes == games
-        if (variant.parameters, way.kind, len(way.options), way.request) == usual
+        if (variant.parameters, baseline.kind, len(baseline.options), baseline.request) == usual
     }
-    left = {number: way for number, way in enumerate(ways) if number not in found}
+    left = {number: baseline for number, baseline in enumerate(baselines) if number not in found}
     calls = [
-        partial(play_baseline, variant, way, seed, games) for _, variant, way in left.values()
+        partial(play_baseline, variant, baseline, seed, games)
+        for _, variant, baseline in left.values()
     ]
-    names = [': '.join(filter(None, (setting, way.name))) for setting, _, way in left.values()]
-    costs = [PLAYING + way.request.game_steps for *_, way in left.values()]
+    names = [
+        ': '.join(filter(None, (setting, baseline.name))) for setting, _, baseline in left.values()
+    ]
+    costs = [PLAYING + baseline.request.game_steps for *_, baseline in left.values()]
     progress(0, len(calls), f'{len(calls)} policies, side by side')
     found |= zip(left, all_of(calls, names, costs, progress, jobs))
-    rows = [{'setting': setting, **found[number]} for number, (setting, *_) in enumerate(ways)]
+    rows = [
+        {'setting': setting, **found[number]} for number, (setting, *_) in enumerate(baselines)
+    ]
     return table({**COLUMNS, 'scores': 'object'}, rows)

@@ -18,7 +18,7 @@ Result = TypeVar('Result')
 @contextmanager
 def processes(jobs: int = 0) -> Iterator[Executor | None]:
     """
-    Start the executor for ``as_they_end``; its processes end with the context.
+    Start the executor for ``completed_calls``; its processes end with the context.
 
     :param jobs: number of processes; 0: one per core; 1: only this process (yields None).
     """
@@ -39,7 +39,7 @@ def processes(jobs: int = 0) -> Iterator[Executor | None]:
             worker.join()
 
 
-def as_they_end(
+def completed_calls(
     calls: Sequence[Callable[[], Result]], costs: Sequence[float], executor: Executor | None
 ) -> Iterator[tuple[int, Result]]:
     """
@@ -67,13 +67,13 @@ def all_of(
     jobs: int = 0,
 ) -> list[Result]:
     """
-    Return the results of all calls in order; see ``as_they_end`` and ``processes``.
+    Return the results of all calls in order; see ``completed_calls`` and ``processes``.
 
     :param report: called with the numbers of finished and of all calls, and the last name.
     """
     results: dict[int, Result] = {}
     with processes(jobs) as executor:
-        for number, result in as_they_end(calls, costs, executor):
+        for number, result in completed_calls(calls, costs, executor):
             results[number] = result
             report(len(results), len(calls), names[number])
     return [results[number] for number in range(len(calls))]

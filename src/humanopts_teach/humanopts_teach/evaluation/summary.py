@@ -83,21 +83,21 @@ def differences(live: Live, offline: BagEvaluation) -> list[str]:
         ),
         ('plan', LIVE_PLANS, ['action_set'], live.plans, offline.plan_table),
     ):
-        there, here = (
+        live_rows, offline_rows = (
             {tuple(row[key] for key in keys): row for row in records(frame[[*columns]])}
             for frame in (seen, again)
         )
-        for key in dict.fromkeys([*there, *here]):
+        for key in dict.fromkeys([*live_rows, *offline_rows]):
             called = f'the {what} {" ".join(map(repr, key[::-1]))}'
-            if key not in there or key not in here:
+            if key not in live_rows or key not in offline_rows:
                 found.append(
-                    f'{called} is not in {"the bag" if key in there else "the live numbers"}'
+                    f'{called} is not in {"the bag" if key in live_rows else "the live numbers"}'
                 )
                 continue
             found += [
-                f'{name} of {called} was {value!r} live and is {here[key][name]!r} offline'
-                for name, value in there[key].items()
-                if value != here[key][name]
+                f'{name} of {called} was {value!r} live and is {offline_rows[key][name]!r} offline'
+                for name, value in live_rows[key].items()
+                if value != offline_rows[key][name]
             ]
     return found
 

@@ -76,8 +76,8 @@ def write_dataset(bag: Bag, out: Path) -> tuple[str, int]:
         if isinstance(error, ValueError):
             raise ExportError(f'the dataset cannot be written: {error}') from error
         raise
-    if left_out := len(episodes) - len(whole):
-        bag.note(f'{left_out} episodes are left out: of one state, or with steps missing')
+    if omitted := len(episodes) - len(whole):
+        bag.note(f'{omitted} episodes are left out: of one state, or with steps missing')
     return name, len(whole)
 
 

@@ -16,7 +16,7 @@ _FROM_A_PROCESS = 0  # largest si_code; the launch receives those of the termina
 _front = 0  # process that the shell waits for; 0: this one
 
 
-def stand_in_front() -> int | None:
+def fork_launch() -> int | None:
     """
     Fork; the process that the shell waits for stays here until the launch behind it ends.
 
@@ -43,14 +43,14 @@ def stand_in_front() -> int | None:
             if ended:
                 code = os.waitstatus_to_exitcode(status)
                 return code if code >= 0 else 128 - code
-            came = signal.sigwaitinfo(noticed)
-            if came.si_signo in _FORWARDED and came.si_code <= _FROM_A_PROCESS:
-                os.kill(launch, came.si_signo)
+            received = signal.sigwaitinfo(noticed)
+            if received.si_signo in _FORWARDED and received.si_code <= _FROM_A_PROCESS:
+                os.kill(launch, received.si_signo)
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def front_is_gone() -> bool:
+def shell_job_ended() -> bool:
     """Return whether the process that the shell waits for was killed."""
     return _front not in (0, os.getppid())
 

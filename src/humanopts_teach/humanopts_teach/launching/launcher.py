@@ -25,7 +25,13 @@ from humanopts_teach.launching.forks import start
 from humanopts_teach.launching.job import in_foreground
 from humanopts_teach.launching.place import answer
 from humanopts_teach.launching.processes import ProcessSpec
-from humanopts_teach.launching.restarts import how, MOST, NodeExit, RestartPolicy, said_last
+from humanopts_teach.launching.restarts import (
+    how,
+    last_output,
+    MAX_RESTARTS,
+    NodeExit,
+    RestartPolicy,
+)
 import psutil
 
 PARAMETERS = '--params-file'  # before the last word of a node's command line
@@ -78,7 +84,7 @@ class Launcher:
         log_directory: Path,
         namespace: str = '/',
         *,
-        restarts: int = MOST,
+        restarts: int = MAX_RESTARTS,
     ) -> None:
         """
         Create the launcher; nothing starts yet.
@@ -298,7 +304,7 @@ class Launcher:
 
     def _end_of(self, name: str, status: int) -> str:
         """Return how a process ended that was asked to or had the terminal, in words."""
-        return f'the node {name} ended ({how(status)}){said_last(self._last_lines(name))}'
+        return f'the node {name} ended ({how(status)}){last_output(self._last_lines(name))}'
 
     def _last_lines(self, name: str) -> str:
         """Return the last lines of a log, each after a line break."""

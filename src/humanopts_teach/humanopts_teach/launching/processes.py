@@ -143,7 +143,7 @@ def _own_parameters(setup: Setup) -> dict[str, dict[str, Value]]:
         RECORDER: {
             'expect_recorder': False,
             'path': str(setup.bag),
-            'go_on': True,
+            'resume': True,
             'metadata': json.dumps(recorded_facts(setup)),
             'max_bytes': setup.split_bytes or 0,
             'max_seconds': setup.split_seconds or 0.0,

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 import signal
 
-MOST = 5  # restarts of a node in a row
+MAX_RESTARTS = 5  # restarts of a node in a row
 STEADY = 10.0  # s of work after which the next end is the first in a row again
 _FIRST_PAUSE = 0.1  # s before the first restart in a row; doubles with each
 CANNOT_START = 2  # exit status of a node with invalid parameters
@@ -17,7 +17,7 @@ def how(status: int) -> str:
     return f'by signal {signal.Signals(-status).name}' if status < 0 else f'exit status {status}'
 
 
-def said_last(lines: str) -> str:
+def last_output(lines: str) -> str:
     """Return the end of a sentence about a node, with the last lines of its log."""
     return f'; its last lines:{lines}' if lines else '; its log is empty'
 
@@ -44,7 +44,7 @@ class NodeExit:
     @property
     def text(self) -> str:
         """What happened, and the last lines of the node's log."""
-        return f'{self.sentence}{said_last(self.last_lines)}'
+        return f'{self.sentence}{last_output(self.last_lines)}'
 
 
 class RestartPolicy:
@@ -54,13 +54,13 @@ class RestartPolicy:
     :ivar restarts: in a row.
     """
 
-    def __init__(self, most: int = MOST) -> None:
+    def __init__(self, max_restarts: int = MAX_RESTARTS) -> None:
         """
         Create the policy of a node that has not started yet.
 
-        :param most: restarts in a row.
+        :param max_restarts: restarts in a row.
         """
-        self._most, self._began = most, 0.0
+        self._max_restarts, self._began = max_restarts, 0.0
         self.restarts = 0
 
     def begin(self, now: float) -> None:
@@ -75,7 +75,7 @@ class RestartPolicy:
         """
         if now - self._began >= STEADY:
             self.restarts = 0
-        if status in (CANNOT_START, _SERVER_GONE) or self.restarts == self._most:
+        if status in (CANNOT_START, _SERVER_GONE) or self.restarts == self._max_restarts:
             return None
         self.restarts += 1
         return now + _FIRST_PAUSE * 2.0 ** (self.restarts - 1)

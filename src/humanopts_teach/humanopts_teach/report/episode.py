@@ -93,7 +93,7 @@ class Strip:
     pictures: Sequence[ShownFrame]
     steps: int  # of the episode
     whole: bool  # whether every step is shown, not only the ends of runs
-    left_out: int  # ends of runs not shown
+    omitted: int  # ends of runs not shown
     last: int  # pictures after those left out
     width: float  # of a board, rem
 
@@ -125,8 +125,8 @@ def episode_strip(domain: Domain, frames: Sequence[Frame]) -> Strip:
             )
         )
     width = REM * max((len(line) for board in boards for line in signs(board)), default=0)
-    left_out = len(ends) - len(shown)
-    return Strip(pictures, len(frames) - 1, whole, left_out, last, max(MIN_WIDTH, width))
+    omitted = len(ends) - len(shown)
+    return Strip(pictures, len(frames) - 1, whole, omitted, last, max(MIN_WIDTH, width))
 
 
 def _ends(frames: Sequence[Frame]) -> list[int]:

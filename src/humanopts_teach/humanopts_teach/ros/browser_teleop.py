@@ -15,7 +15,7 @@ from rclpy.parameter import Parameter
 from rclpy.utilities import try_shutdown
 
 _IDLE_SECONDS = 0.1  # polling period while idle
-_WAY_OUT = 'this page can be closed'
+_LEAVE_HINT = 'this page can be closed'
 Show = Callable[[ScreenView, int], object]
 
 
@@ -37,22 +37,22 @@ class BrowserTeleopNode(TeleopNode):
         """
         given = [Parameter(name, value=value) for name, value in parameters.items()]
         super().__init__(namespace=namespace, parameter_overrides=given)
-        self.app.way_out = _WAY_OUT
-        self._show_frame, self._tell_end = show, ended
-        self._said_end = False
+        self.app.leave_hint = _LEAVE_HINT
+        self._show_frame, self._on_end = show, ended
+        self._end_reported = False
 
     def turn_once(self) -> None:
         """Process pending work; an error ends only this dialogue."""
         try:
-            self.go_on()
+            self.process_pending()
             if self.frame_due():
                 self._show_frame(view(self.app), self.drawn())
         except Exception:
             self.get_logger().error(traceback.format_exc())
             self.app.ended = True
-        if self.app.ended and not self._said_end:
-            self._said_end = True
-            self._tell_end()
+        if self.app.ended and not self._end_reported:
+            self._end_reported = True
+            self._on_end()
 
 
 class TeleopThread:

@@ -15,7 +15,7 @@ from humanopts_learner.ros.learned_options import OptionSubscriber
 from humanopts_learner.summary import OptionSummary
 from humanopts_ros.limits import one_line, shown
 from humanopts_ros.node_base import NodeBase, start_ros
-from humanopts_ros.peers import stated_ids
+from humanopts_ros.peers import announced_ids
 from humanopts_ros.qos import CURRENT
 from humanopts_ros.senders import signer
 from humanopts_teach.launching import CONDUCTOR, LaunchError, OccupiedError, RECORDER
@@ -119,11 +119,11 @@ class Conductor(NodeBase):
         :raises LaunchError: a process died, a node cannot continue, or the wait timed out.
         """
         deadline = time.monotonic() + seconds
-        looked, last = 0.0, progress()
+        checked, last = 0.0, progress()
         while not done():
             now = time.monotonic()
-            if now - looked > 0.05:
-                looked = now
+            if now - checked > 0.05:
+                checked = now
                 if self.client.world.domain is not None:
                     self.state = self._current_state.take() or self.state
                 self._watch()
@@ -260,7 +260,7 @@ class Conductor(NodeBase):
             and learning.options_sequence <= self.newest_option.sequence
         )
 
-    def taught_so_far(self) -> tuple[object, object]:
+    def teaching_progress(self) -> tuple[object, object]:
         """Return the progress of teaching: the latest step and learning status."""
         return self.state, self.client.learning
 
@@ -371,7 +371,7 @@ class Conductor(NodeBase):
             return
         self._names_at = now + _NAMES_PERIOD
         names = {*map(signer, self._own)}
-        others = {each for each in stated_ids(self) if signer(each) in names} - self._own.keys()
+        others = {each for each in announced_ids(self) if signer(each) in names} - self._own.keys()
         found = sorted({*map(signer, others)} - self._reported)
         if found and self.starting:
             raise OccupiedError(

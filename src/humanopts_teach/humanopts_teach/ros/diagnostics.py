@@ -38,8 +38,8 @@ class DiagnosticsNode(NodeBase):
         self.create_timer(_PERIOD, self._publish)
 
     def _publish(self) -> None:
-        there = self.nodes_there()
-        found = [of_node(each, each.node in there) for _, each in sorted(self._statuses.items())]
+        present = self.nodes_there()
+        found = [of_node(each, each.node in present) for _, each in sorted(self._statuses.items())]
         if self._recorder is not None:
             found.append(of_recording(f'{self.full_name(RECORDER)}: bag', self._recorder))
         message = DiagnosticArray(status=found)
@@ -47,14 +47,14 @@ class DiagnosticsNode(NodeBase):
         self._out.publish(message)
 
 
-def of_node(status: NodeStatus, there: bool) -> DiagnosticStatus:
+def of_node(status: NodeStatus, present: bool) -> DiagnosticStatus:
     """
     Return the diagnostic status of a node.
 
-    :param there: whether the node is on the graph; a missing node is stale.
+    :param present: whether the node is on the graph; a missing node is stale.
     """
     level, word = _LEVELS.get(status.state, (DiagnosticStatus.ERROR, 'unknown'))
-    if not there and status.state != NodeStatus.STATE_STOPPING:
+    if not present and status.state != NodeStatus.STATE_STOPPING:
         level, word = DiagnosticStatus.STALE, 'gone'
     return _diagnostic(status.node, level, word, status)
 

@@ -11,7 +11,7 @@ from typing import Any
 from humanopts_interfaces import msg
 from humanopts_ros.codec import Codec
 from humanopts_ros.node_base import start_ros, starting_ros
-from humanopts_ros.peers import node_names, Peers, stated_ids
+from humanopts_ros.peers import announced_ids, node_names, Peers
 from humanopts_ros.qos import CURRENT
 from humanopts_ros.senders import sender_of, signer
 from humanopts_ros.workarounds import on_loopback, prepare_discovery
@@ -80,7 +80,7 @@ def check_free(namespace: str, names: Collection[str]) -> None:
         complete = leaving = 0.0  # s, start of these conditions; 0: not met
         while True:
             found = node_names(node)
-            games = [*map(signer, stated_ids(node, 'game'))] if 'game' in names else []
+            games = [*map(signer, announced_ids(node, 'game'))] if 'game' in names else []
             there = sorted({*wanted.intersection(found), *games})
             leaving = (leaving or now) if there else 0.0
             if there and now > leaving + _LEAVING:
@@ -196,7 +196,7 @@ class _Probe:
     def _report(self) -> GraphReport:
         there, statuses = set(self._processes), self._peers.statuses
         self._serve(lambda: bool(there) and statuses.keys() >= there, _SEARCH)
-        stating = (signer(each).rpartition('/')[2] for each in stated_ids(self._node))
+        stating = (signer(each).rpartition('/')[2] for each in announced_ids(self._node))
         nodes = sorted({*statuses, *stating, *there})
         began, before = time.monotonic(), dict(self._newest)
         asked = {
@@ -228,7 +228,7 @@ class _Probe:
             ),
             holder=newest.get('control', msg.ControlState()).holder_id,
             # A killed game stays on the graph for a while but does not publish.
-            games=[each for each in stated_ids(self._node, 'game') if each in self._games],
+            games=[each for each in announced_ids(self._node, 'game') if each in self._games],
         )
 
     def _serve(self, done: Callable[[], bool], seconds: float) -> None:
@@ -252,7 +252,7 @@ class _Probe:
         """Keep the latest message from the permitted publisher of a topic."""
         sender = sender_of(self._node.resolve_topic_name(topic), self._namespace)
         publisher_id = message.publisher_id
-        games = stated_ids(self._node, 'game')
+        games = announced_ids(self._node, 'game')
         if (signer(publisher_id) == sender) if sender else (publisher_id in games):
             self._newest[topic] = message
             if topic == 'domain_info':

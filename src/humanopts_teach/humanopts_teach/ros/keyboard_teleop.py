@@ -23,11 +23,11 @@ class KeyboardTeleopNode(TeleopNode):
             while not (stop() or self.app.ended or device.closed):
                 self.turn(executor, POLL_SECONDS)
                 if not device.ours():  # suspended: control is kept
-                    self.go_on()
+                    self.process_pending()
                     continue
                 keys = device.read()
                 self.press([key for key in keys if key != SUSPEND])
-                self.go_on()
+                self.process_pending()
                 if SUSPEND in keys:
                     device.suspend()
                 elif self.frame_due() or device.resized():

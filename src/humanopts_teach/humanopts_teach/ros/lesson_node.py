@@ -275,8 +275,8 @@ class LessonNode(NodeBase):
         if self._unrecorded and not fault:
             # Other nodes may publish on the topic. Also count stopped recorders and nodes without
             # a known name: a bag misses messages sent before its recorder subscribes.
-            there = self.get_publishers_info_by_topic('recorder_status')
-            present = sum(each.node_name in (RECORDER, _NO_NAME_YET) for each in there)
+            readers = self.get_publishers_info_by_topic('recorder_status')
+            present = sum(each.node_name in (RECORDER, _NO_NAME_YET) for each in readers)
             if not self.records(self._demonstrations_out, present):
                 return
             self._unsent.extend(self._lesson.demonstrations())

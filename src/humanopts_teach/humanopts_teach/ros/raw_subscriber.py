@@ -9,7 +9,7 @@ from operator import attrgetter
 import time
 from typing import Any, NamedTuple
 
-from humanopts_ros.peers import publishers_of, stated_ids
+from humanopts_ros.peers import announced_ids, publishers_of
 from humanopts_ros.polled import never_called, Polled
 from humanopts_ros.recording import INTERFACES, is_own, Selection, SHARED
 from humanopts_ros.senders import signer
@@ -82,7 +82,7 @@ class RawSubscriber:
         """Subscribe to new topics with QoS compatible with their publishers; return them."""
         added: list[TopicSubscription] = []
         self.complete = True
-        self.own_nodes.update(map(signer, stated_ids(self._node)))
+        self.own_nodes.update(map(signer, announced_ids(self._node)))
         for topic, types in self._node.get_topic_names_and_types():
             kind = next((each for each in types if each.startswith(INTERFACES)), types[0])
             if topic in self.unknown or not self._wants(topic, kind):
@@ -114,7 +114,7 @@ class RawSubscriber:
         batch, self._left = self._left, []
         for each in self._subscriptions.values():
             batch += _take(each, each.subscription)
-        self.times.look()
+        self.times.check()
         batch = [t._replace(received=self.times.of(t.topic, t.received)) for t in batch]
         batch.sort(key=attrgetter('received'))
         return batch

@@ -17,7 +17,7 @@ from typing import Any
 from humanopts_interfaces.msg import NodeStatus, RecorderStatus, StreamLoss
 from humanopts_ros.limits import shown
 from humanopts_ros.node_base import NodeBase, StartError
-from humanopts_ros.peers import GameIdentity, stated_ids
+from humanopts_ros.peers import announced_ids, GameIdentity
 from humanopts_ros.process import run_node
 from humanopts_ros.publisher import PublishError
 from humanopts_ros.qos import LATCHED
@@ -54,9 +54,9 @@ _STATUS_PERIOD = 1.0  # s between statuses that differ only in their counts
 _QUIET = 0.1  # s without a message before a recording ends
 _LINGER = 2.0  # s, maximum wait for that
 MAX_WAIT = 0.5  # s; the recorder has fallen behind if a message waits longer
-_MOST_MISSING = 2**64 - 1  # maximum count in a status
-_MOST_LOSSES = 100  # maximum number of streams in a status
-_MOST_TEXT = 2000  # maximum number of characters in a status
+_MAX_MISSING = 2**64 - 1  # maximum count in a status
+_MAX_LOSSES = 100  # maximum number of streams in a status
+_MAX_TEXT = 2000  # maximum number of characters in a status
 _HELD = 0.5  # s to hold a log message until its node is discovered
 _MAX_SHARED = 10_000  # maximum number of held messages
 _RECOVERY = 1.0  # s without delayed messages until the recorder has caught up
@@ -175,9 +175,7 @@ class Recorder(NodeBase):
         :raises StartError: the bag cannot be created, or a parameter is invalid.
         """
         path = self.setting('path', '', 'directory of the bag; must not exist')
-        go_on = self.setting(
-            'go_on', False, 'where it exists, take path-2, path-3, ...: it is started again'
-        )
+        resume = self.setting('resume', False, 'if path exists, write to path-2, path-3, ...')
         facts = self.setting('metadata', '{}', 'JSON object of facts to keep in the bag')
         limits = Limits(
             self.setting('max_bytes', 0, 'size of a file; 0: any', (0, MAX_BYTES)),
@@ -186,7 +184,7 @@ class Recorder(NodeBase):
         if not path:
             raise StartError('parameter path: name the directory of the bag')
         try:
-            bag, before = Path(path), parts(Path(path)) if go_on else []
+            bag, before = Path(path), parts(Path(path)) if resume else []
             selection = self.selection
             known = {
                 **_facts(facts),
@@ -244,7 +242,7 @@ class Recorder(NodeBase):
 
     def _find_game(self) -> None:
         """Record in the bag which publisher is the game, by the same rule as other nodes."""
-        for publisher_id in stated_ids(self, 'game'):
+        for publisher_id in announced_ids(self, 'game'):
             if publisher_id not in self._games and self._game.accepts(publisher_id):
                 self._games.append(publisher_id)
                 ids = {GAME_IDS: json.dumps(self._games)}
@@ -348,7 +346,7 @@ class Recorder(NodeBase):
             messages=self._bag.extent.messages,
             bytes=self._bag.bytes_written,
             complete=self._complete,
-            missing=min(self._losses.missing, _MOST_MISSING),  # senders choose the numbers
+            missing=min(self._losses.missing, _MAX_MISSING),  # senders choose the numbers
             losses=[
                 StreamLoss(
                     topic=stream.topic,
@@ -356,14 +354,14 @@ class Recorder(NodeBase):
                     sent=stream.sent,
                     missing=stream.missing,
                 )
-                for stream in islice((s for s in self._losses if s.missing), _MOST_LOSSES)
+                for stream in islice((s for s in self._losses if s.missing), _MAX_LOSSES)
             ],
             lag=self._lag.take_longest(),
             behind=self._behind,
             cpu_seconds=used.cpu,
             memory=used.peak,
             stopped=bool(self._stopped),
-            text=shown(text, _MOST_TEXT),
+            text=shown(text, _MAX_TEXT),
         )
 
 

@@ -52,8 +52,8 @@ class TeleopNode(NodeBase):
     """
     A person's node on the graph; all decisions are made by ``dialogue.app`` and its screens.
 
-    The owner passes keys to ``press``, calls ``go_on`` repeatedly, and draws a frame when
-    ``frame_due`` returns True.
+    The owner passes keys to ``press``, calls ``process_pending`` repeatedly, and draws a frame
+    when ``frame_due`` returns True.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -93,7 +93,7 @@ class TeleopNode(NodeBase):
         if not parts:
             return None
         record = published_record(self, Path(path), participant)
-        left = record.left_of(PARTS.validate_json(parts))
+        left = record.remaining(PARTS.validate_json(parts))
         return StudyApp(left, record, participant, self._world, seed=seed)
 
     def waits_for(self) -> str | None:
@@ -110,7 +110,7 @@ class TeleopNode(NodeBase):
         self.app.type(keys, frame)
         self._news |= bool(keys)
 
-    def go_on(self) -> None:
+    def process_pending(self) -> None:
         """Process pending work."""
         now = time.monotonic()
         request = self.app.advance(now) if self.ready else None

@@ -118,7 +118,7 @@ class Record:
         """Return the time in s that the participant has spent on a part, over all sittings."""
         return times_in(self.events).get(part, TimeIn()).seconds
 
-    def left_of(self, parts: Iterable[Part]) -> list[Part]:
+    def remaining(self, parts: Iterable[Part]) -> list[Part]:
         """Return the parts that the participant has not completed."""
         done = self.done
         return [part for part in parts if part.key not in done]
