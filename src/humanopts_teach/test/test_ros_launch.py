@@ -55,7 +55,9 @@ def test_every_argument_reaches_a_parameter() -> None:
         'seed': '12',
         'strategy': 'coverage',
         'learn': 'goal',
+        'derive': 'row * col',
         'budget': '9',
+        'unstick': 'false',
         'return_delta': '-3',
         'initiation_error': '0.2',
         'termination_error': '0.3',
@@ -73,8 +75,9 @@ def test_every_argument_reaches_a_parameter() -> None:
     assert specs['game']['domain'] == 'rooms'
     assert specs['game']['domain_parameters'] == '{"goal": "G2"}'
     assert specs['game']['step_period'] == 2.0
-    asked = [specs['lesson'][name] for name in ('strategy', 'learn', 'budget')]
-    assert asked == ['coverage', 'goal', 9]
+    asked = [specs['lesson'][name] for name in ('strategy', 'learn', 'budget', 'derive')]
+    assert asked == ['coverage', 'goal', 9, ['row * col']]
+    assert (specs['option_server']['unstick'], specs['planner']['unstick']) == (False, False)
     thresholds = ('return_delta', 'initiation_error', 'termination_error')
     assert [specs['learner'][name] for name in thresholds] == [-3.0, 0.2, 0.3]
     seeded = ('game', 'learner', 'lesson', 'option_server', 'simulated_teacher')

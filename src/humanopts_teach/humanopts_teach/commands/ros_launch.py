@@ -37,12 +37,13 @@ def setup_from_launch(texts: Mapping[str, str]) -> Setup:
     """
     words = [texts['domain']]
     for each in _UP.params:
-        text, name = texts[each.name].strip(), each.opts[0]
+        text = texts[each.name].strip()
         if each.name == 'domain' or not text:
             continue
         if each.is_flag and text.lower() in ('true', 'false'):
-            words += [name] * (text.lower() == 'true')
+            words += (each.opts if text.lower() == 'true' else each.secondary_opts)[:1]
         else:
+            name = [*each.opts, *each.secondary_opts][0]
             parts = text.split(';') if each.multiple else [text]
             words += [f'{name}={part.strip()}' for part in parts]
     with refusing(typer.TyperException):
