@@ -1,6 +1,6 @@
 """A lesson with everybody around it in the hands of the test; nothing here needs ROS."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 import errno
 import os
 from typing import Any
@@ -49,7 +49,7 @@ class Starts(SeededStarts):
             return True
         return (demonstration.uuid in self.known) != demonstration.withdrawn
 
-    def exhausted(self, option: OptionHistory) -> bool:
+    def exhausted(self, option: OptionHistory, names: Collection[str] = ()) -> bool:
         return not self.more
 
 

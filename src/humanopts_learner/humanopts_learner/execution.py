@@ -60,7 +60,7 @@ class Policy(Protocol[S_in]):
 
     def choose(self, seen: S_in, games: Ints) -> Ints:
         """
-        Return (N,): the next option in the given games.
+        Return (N,): the next option in the given games; ``NONE``: the game ends in ``play``.
 
         :param games: (N,) game numbers.
         """
@@ -117,13 +117,15 @@ class Loops:
         :param most_visits: (O,) how often the features look the same in a demonstration of each
             option; 0: its runs never count as repeating themselves.
         :param count: number of games, N.
-        :param rng: generator of the random moves; None: runs that repeat themselves end.
+        :param rng: generator of the random moves; None: runs that repeat themselves end, and so
+            do their games.
         """
         self._domain, self._rng = domain, rng
         self._most = REPEATED * most_visits
         self._visits: list[Counter[bytes]] = [Counter() for _ in range(count)]
         self._left = np.zeros(count, dtype=np.intp)
         self.moves = np.zeros(count, dtype=np.intp)  # (N,) random moves of the newest run
+        self.ended = np.zeros(count, dtype=np.bool_)  # (N,) whether it repeats itself and ends
         self.stuck = np.full(count, NONE)  # (N,) its length when it first repeated itself, or NONE
 
     def begin(self, games: Ints) -> None:
@@ -143,17 +145,17 @@ class Loops:
         drawn = self._rng.integers(len(self._domain.actions), size=len(actions))
         return np.where(moved, drawn, actions)
 
-    def observe(self, rows: Rows, option: Ints, ran: Ints) -> Flags:
+    def observe(self, rows: Rows, option: Ints, ran: Ints, ended: Flags) -> None:
         """
         Count the visits after a step.
 
         :param rows: (N, F) features.
-        :param option: (N,) running options.
+        :param option: (N,) options of the runs.
         :param ran: (N,) lengths of the runs.
-        :return: (N,) whether a run repeats itself and so ends here.
+        :param ended: (N,) whether the runs have ended anyway.
         """
         most, found = self._most.take(option), np.zeros(len(rows), dtype=np.bool_)
-        at = np.flatnonzero((self._left == 0) & (most > 0))
+        at = np.flatnonzero((self._left == 0) & (most > 0) & ~ended)
         for game, look in zip(at.tolist(), looks_of(rows.take(at, axis=0), self._domain)):
             visits = self._visits[game]
             visits[look] += 1
@@ -162,14 +164,14 @@ class Loops:
                 visits.clear()
         self.stuck = np.where(found & (self.stuck == NONE), ran, self.stuck)
         if self._rng is None:
-            return found
-        self._left[found] = self._rng.integers(1, RANDOM_MOVES + 1, found.sum())
-        return np.zeros_like(found)
+            self.ended = found
+        else:
+            self._left[found] = self._rng.integers(1, RANDOM_MOVES + 1, found.sum())
 
     def keep(self, chosen: Ints) -> None:
         """Keep only the selected games (M,)."""
         self._left, self.moves = self._left.take(chosen), self.moves.take(chosen)
-        self.stuck = self.stuck.take(chosen)
+        self.ended, self.stuck = self.ended.take(chosen), self.stuck.take(chosen)
         self._visits = [self._visits[game] for game in chosen.tolist()]
 
 
@@ -264,7 +266,8 @@ class Execution(Generic[S]):
         moves, stuck = np.zeros_like(self._ran), np.full_like(self._ran, NONE)
         if self.loops is not None:
             assert rows is not None
-            ended = ended | self.loops.observe(rows, self.option, self._ran)
+            self.loops.observe(rows, self.option, self._ran, ended | stopped)
+            ended = ended | self.loops.ended
             moves, stuck = self.loops.moves, self.loops.stuck
             stuck = np.where(stuck == NONE, NONE, self._age - self._ran + stuck)
         at = np.flatnonzero(ended | stopped)
@@ -324,7 +327,7 @@ def play(
     limits: Ints | None = None,
     once: bool = False,
     loops: Loops | None = None,
-    on_step: Callable[[int, Execution[S], S], object] | None = None,
+    on_step: Callable[[int, Execution[S], S, Games], object] | None = None,
 ) -> Played:
     """
     Play games by a policy until each is over.
@@ -336,32 +339,42 @@ def play(
     :param limits: (N,) maximum number of steps per run in each game; None: the options' own.
     :param once: end each game with its first run.
     :param loops: what happens to runs that repeat themselves; None: nothing.
-    :param on_step: called in every step, after the choices, with the step number; its exceptions
-        propagate.
+    :param on_step: called in every step, after the choices, with the step number, the execution,
+        and its observation and games; its exceptions propagate.
     """
     outcomes = {name: values.copy() for name, values in games.outcomes().items()}
     execution, parts = Execution(options, policy, len(games), gamma, limits, loops), []
     done = games.over()
     over = done.copy()
     seen = options.see(games)
+
+    def drop(done: Flags) -> None:
+        nonlocal games, seen, chance
+        for name, values in games.outcomes().items():
+            outcomes[name][execution.games] = values
+        on = np.flatnonzero(~done)
+        games, seen, chance = games.take(on), seen.take(on), chance_of(chance, on)
+        execution.keep(on)
+
     for step in range(max_steps):
         if done.any():
-            for name, values in games.outcomes().items():
-                outcomes[name][execution.games] = values
-            on = np.flatnonzero(~done)
-            games, seen, chance = games.take(on), seen.take(on), chance_of(chance, on)
-            execution.keep(on)
+            drop(done)
         if not execution.games.size:
             break
         actions = execution.act(seen)
         if on_step is not None:
-            on_step(step, execution, seen)
+            on_step(step, execution, seen, games)
+        if (idle := execution.option == NONE).any():
+            actions = actions[~idle]
+            drop(idle)
         steps = games.step(actions, chance)
         seen = options.see(games)
         rows = games.features() if loops is not None else None
         parts.append(execution.observe(seen, steps, step + 1 == max_steps, rows))
         over[execution.games] = steps.over
         done = steps.over | (execution.option == NONE) if once else steps.over
+        if loops is not None:
+            done = done | loops.ended
     for name, values in games.outcomes().items():
         outcomes[name][execution.games] = values
     return Played(over, joined(parts), outcomes)
@@ -369,12 +382,10 @@ def play(
 
 def joined(parts: Sequence[Runs]) -> Runs:
     """Concatenate the runs that ended in several steps."""
-    none: Any = np.zeros(0, dtype=np.intp)
+    if not parts:
+        return Runs(*(np.zeros(0, bool if f.type == Flags else np.intp) for f in fields(Runs)))
     return Runs(
-        *(
-            np.concatenate([getattr(part, field.name) for part in parts]) if parts else none
-            for field in fields(Runs)
-        )
+        *(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Runs))
     )
 
 

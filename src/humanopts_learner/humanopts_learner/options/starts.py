@@ -7,18 +7,34 @@ pass through the most failing situations not demonstrated yet, so that one demon
 the most. Once no state is stuck, it asks about states outside I without evidence, and then about
 states from which the option takes a detour. If the option cannot be run from all states, it draws
 a state from a sample: stuck, without evidence, or decided by a tenth of the demonstrations.
+
+In a replayed domain, states cannot be drawn, only reached. The sample is played there: options
+taught before lead to the starts of this one, and the option's own run leads on to the state where
+it gets stuck, which is where the next demonstration starts.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from humanopts_env.arrays import Flags, Floats, Rows
+from humanopts_env.arrays import Flags, Floats, Ints, Rows
 from humanopts_env.domains.base import Domain, EnumerableDomain, is_enumerable
 from humanopts_env.domains.formulas import feature_columns
+from humanopts_env.domains.replayed_domain import ReplayedDomain
 from humanopts_env.domains.tabular import reachable
-from humanopts_env.games import feature_rows
+from humanopts_env.games import feature_rows, Games, games_at, new_games
 from humanopts_learner.demonstrations import Demonstration, Kind
+from humanopts_learner.execution import (
+    draw_among,
+    Execution,
+    Fixed,
+    NONE,
+    play,
+    Policy,
+    RowOptions,
+    SeenRows,
+)
+from humanopts_learner.option import Option
 from humanopts_learner.options.decision_tree import encode_rows, feature_encoding
 from humanopts_learner.options.failures import (
     Failures,
@@ -27,7 +43,7 @@ from humanopts_learner.options.failures import (
 )
 from humanopts_learner.options.judge import fit_leave_fold_out, fold_of
 from humanopts_learner.options.learn import make_dataset
-from humanopts_learner.options.learned_option import LearnedOption
+from humanopts_learner.options.learned_option import LearnedOption, loops_of
 from humanopts_learner.options.rollout import is_deterministic, rollouts
 import numpy as np
 
@@ -35,11 +51,20 @@ STRATEGIES = ('random', 'coverage', 'failures')
 SHOWN_WEIGHT = 0.1  # weight of a demonstrated failing situation; others: 1
 SAMPLE = 500  # number of states, if the option cannot be run from all
 RUNS = 50  # number of runs from sampled states
+GAMES, STEPS = 24, 300  # number of games played in a replayed domain; steps of each, at most
 TOLERATED = 0.1  # maximum share of failing states at the end of a lesson
 
 
 class UnknownStrategyError(ValueError):
     """Unknown strategy; the message lists the strategies."""
+
+
+@dataclass(frozen=True)
+class Sample:
+    """A sample of N states; those in which a lesson on the option is likelier come first."""
+
+    states: list[Any]
+    askable: Flags  # (N,) may be asked about without evidence that the option can start there
 
 
 def choose_start_state(
@@ -48,7 +73,8 @@ def choose_start_state(
     option: LearnedOption | None,
     demonstrations: Sequence[Demonstration],
     rng: np.random.Generator,
-    drawn: Sequence[Any] | None = None,
+    drawn: Sample | None = None,
+    others: Sequence[Option] = (),
 ) -> Any:
     """
     Choose the start state of the next demonstration.
@@ -57,6 +83,7 @@ def choose_start_state(
     :param option: option learned from the demonstrations; None: not learned yet.
     :param demonstrations: those of this participant and option, including "not here" answers.
     :param drawn: result of ``draw_sample`` with the same ``rng``; None: not called.
+    :param others: further options of this participant, in the order of teaching.
     :raises UnknownStrategyError: the strategy is unknown.
     """
     if strategy not in STRATEGIES:
@@ -65,21 +92,28 @@ def choose_start_state(
         )
     if not any(demo.kind is Kind.TRAJECTORY for demo in demonstrations):
         option = None  # learned from other demonstrations, such as an old option file
+    replayed = isinstance(domain, ReplayedDomain)
+    if replayed and drawn is None:
+        drawn = draw_sample(strategy, domain, demonstrations, rng, others)
     if strategy == 'failures' and option is not None:
         state = _failing_state(domain, option, demonstrations, rng, drawn)
         if state is not None:
             return state
-        drawn = None  # a different sample
-    if strategy == 'random' or not demonstrations:
+        drawn = drawn if replayed else None  # a different sample
+    if not replayed and (strategy == 'random' or not demonstrations):
         return domain.sample_states(rng, 1)[0]
     if is_enumerable(domain):
         states = _states(domain, reachable(domain) & ~domain.over(), rng)
-    else:
-        states = domain.sample_states(rng, SAMPLE) if drawn is None else list(drawn)
+        drawn = Sample(states, np.ones(len(states), dtype=np.bool_))
+    elif drawn is None:
+        drawn = _random_sample(domain, rng)
+    states = drawn.states
     if option is not None:
         rows = feature_rows(domain, states)
-        kept = option.can_start(rows) | uncertain(option, rows, demonstrations)
+        kept = option.can_start(rows) | (uncertain(option, rows, demonstrations) & drawn.askable)
         states = [state for state, keep in zip(states, kept) if keep] or states
+    if not demonstrations or (strategy == 'random' and option is not None):
+        return states[0]
     return _farthest(domain, states, demonstrations, rng)
 
 
@@ -88,15 +122,59 @@ def draw_sample(
     domain: Domain,
     demonstrations: Sequence[Demonstration],
     rng: np.random.Generator,
-) -> list[Any] | None:
+    others: Sequence[Option] = (),
+) -> Sample | None:
     """
     Draw the sample for ``choose_start_state`` in advance; it does not depend on the option.
 
+    :param others: as in ``choose_start_state``.
     :return: the states; None: it does not use a sample.
     """
+    if isinstance(domain, ReplayedDomain):
+        return _reached(domain, others, rng)
     if strategy == 'random' or is_enumerable(domain) or not demonstrations:
         return None
-    return domain.sample_states(rng, SAMPLE)
+    return _random_sample(domain, rng)
+
+
+def _random_sample(domain: Domain, rng: np.random.Generator) -> Sample:
+    return Sample(domain.sample_states(rng, SAMPLE), np.ones(SAMPLE, dtype=np.bool_))
+
+
+@dataclass(frozen=True)
+class AnyStartable(Policy[SeenRows]):
+    """Chooses uniformly among the options that can start; a game ends where none can."""
+
+    rng: np.random.Generator
+
+    def choose(self, seen: SeenRows, games: Ints) -> Ints:
+        if not seen.options:
+            return np.full(len(games), NONE)
+        can = seen.startable
+        return np.where(can.any(axis=1), draw_among(can, self.rng), NONE)
+
+
+def _reached(domain: Domain, others: Sequence[Option], rng: np.random.Generator) -> Sample:
+    """
+    Play games with random choice among options, and return the states in which one was due.
+
+    States in which no option can start come first, since another option is needed there; then
+    those in which an option ended, and then the starts of the task.
+    """
+    reached: list[list[Any]] = [[], [], []]
+
+    def on_step(step: int, execution: Execution[SeenRows], seen: SeenRows, games: Games) -> None:
+        states = games.states()
+        for game in execution.decided.tolist():
+            kind = 2 if step == 0 else 1 - int(execution.option[game] == NONE)
+            reached[kind].append(states[game])
+
+    games, policy = new_games(domain, GAMES, rng), AnyStartable(rng)
+    steps, loops = min(domain.max_steps or STEPS, STEPS), loops_of(domain, others, GAMES, rng)
+    play(games, RowOptions(others), policy, rng, steps, loops=loops, on_step=on_step)
+    states = [kind[at] for kind in reached for at in rng.permutation(len(kind))]
+    askable = np.arange(len(states)) < len(reached[0] or states)
+    return Sample(states, askable)
 
 
 def _failing_state(
@@ -104,7 +182,7 @@ def _failing_state(
     option: LearnedOption,
     demonstrations: Sequence[Demonstration],
     rng: np.random.Generator,
-    drawn: Sequence[Any] | None,
+    drawn: Sample | None,
 ) -> Any:
     """
     Return a state from which the option fails; None: no such state.
@@ -113,7 +191,8 @@ def _failing_state(
     """
     if not is_deterministic(domain):
         some = sample_failures(option, domain, demonstrations, rng, drawn)
-        failing = np.flatnonzero(some.failing)
+        stuck_first = isinstance(domain, ReplayedDomain) and bool(some.stuck.any())
+        failing = np.flatnonzero(some.stuck if stuck_first else some.failing)
         return some.states[int(rng.choice(failing))] if failing.size else None
     found = find_failures(option, domain, demonstrations)
     if found.doubt.any() and not found.stuck.any():
@@ -188,9 +267,10 @@ def _best(score: Floats, rng: np.random.Generator) -> int:
 class SampledFailures:
     """The outcome of running an option from a sample of states."""
 
-    states: list[Any]  # (N,)
+    states: list[Any]  # (N,); in a replayed domain, where a run got stuck instead of its start
     member: Flags  # (N,) in the learned I
-    failing: Flags  # (N,) no end within ``max_steps``, in doubt, or the committee disagrees
+    stuck: Flags  # (N,) the run from there reaches no end
+    failing: Flags  # (N,) stuck, in doubt, or the committee disagrees
 
     @property
     def share(self) -> float:
@@ -203,23 +283,65 @@ def sample_failures(
     domain: Domain,
     demonstrations: Sequence[Demonstration],
     rng: np.random.Generator,
-    drawn: Sequence[Any] | None = None,
+    drawn: Sample | None = None,
+    others: Sequence[Option] = (),
 ) -> SampledFailures:
     """
-    Evaluate ``SAMPLE`` states, and run the option from ``RUNS`` of those where it can start.
+    Evaluate a sample of states, and run the option from ``RUNS`` of those where it can start.
 
     :param demonstrations: those from which the option was learned.
     :param drawn: states already drawn from ``rng``; None: draw them.
+    :param others: as in ``choose_start_state``.
     """
-    states = domain.sample_states(rng, SAMPLE) if drawn is None else list(drawn)
+    replayed = isinstance(domain, ReplayedDomain)
+    if drawn is None:
+        drawn = _reached(domain, others, rng) if replayed else _random_sample(domain, rng)
+    states, stuck = list(drawn.states), np.zeros(len(drawn.states), dtype=np.bool_)
     rows = feature_rows(domain, states)
     member = option.can_start(rows)
-    failing = uncertain(option, rows, demonstrations)
+    failing = uncertain(option, rows, demonstrations) & drawn.askable
     failing |= committee_disagrees(option, domain, demonstrations, rows, int(rng.integers(2**31)))
     some = np.flatnonzero(member)[:RUNS]
-    runs = rollouts(option, domain, [states[at] for at in some], int(rng.integers(2**31)))
-    failing[some] |= ~runs.reached
-    return SampledFailures(states, member, failing)
+    starts = [states[at] for at in some]
+    if replayed:
+        for at, state in zip(some.tolist(), _where_stuck(option, domain, starts)):
+            stuck[at] = state is not None
+            states[at] = states[at] if state is None else state
+    else:
+        stuck[some] = ~rollouts(option, domain, starts, int(rng.integers(2**31))).reached
+    return SampledFailures(states, member, stuck, failing | stuck)
+
+
+def _where_stuck(option: LearnedOption, domain: Domain, starts: Sequence[Any]) -> list[Any]:
+    """
+    Run an option once from each of N states of a replayed domain.
+
+    :return: (N,) the state in which it first leaves I, or else repeats itself or exceeds its
+        steps; None: it reaches its end.
+    """
+    left: dict[int, Any] = {}
+    last = list(starts)
+
+    def on_step(step: int, execution: Execution[SeenRows], seen: SeenRows, games: Games) -> None:
+        states = games.states()
+        for at, game in enumerate(execution.games.tolist()):
+            last[game] = states[at]
+            if not seen.startable[at, 0]:
+                left.setdefault(game, states[at])
+
+    count, rng = len(starts), np.random.default_rng(0)  # unused: a seed determines each game
+    played = play(
+        games_at(domain, starts),
+        RowOptions([option]),
+        Fixed(np.zeros(count, dtype=np.intp)),
+        rng,
+        min(option.max_steps, STEPS),
+        once=True,
+        loops=loops_of(domain, [option], count, None),
+        on_step=on_step,
+    )
+    reached = set(played.runs.game[played.runs.reached | played.runs.over].tolist())
+    return [None if n in reached else left.get(n, last[n]) for n in range(count)]
 
 
 def committee_disagrees(
@@ -253,12 +375,15 @@ def nothing_fails(
     domain: Domain,
     demonstrations: Sequence[Demonstration],
     rng: np.random.Generator,
+    others: Sequence[Option] = (),
 ) -> bool:
     """
     Return whether the option fails from no state, or from few states of a sample.
 
     :param rng: generator for the sample, if the option cannot be run from all states.
+    :param others: as in ``choose_start_state``.
     """
     if is_deterministic(domain):
         return not find_failures(option, domain, demonstrations).failing.any()
-    return sample_failures(option, domain, demonstrations, rng).share <= TOLERATED
+    some = sample_failures(option, domain, demonstrations, rng, others=others)
+    return some.share <= TOLERATED

@@ -14,7 +14,7 @@ from typing import Any
 
 from humanopts_env.arrays import Flags, Floats, Ints
 from humanopts_env.domains.base import Domain, EnumerableDomain, S
-from humanopts_env.games import Chance, TableGames
+from humanopts_env.games import Chance, Games, TableGames
 from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import PRIMITIVE_PREFIX
 from humanopts_learner.execution import Execution, play, Played, Policy
@@ -369,7 +369,7 @@ def _played(
     starts: NDArray[np.integer],
     chance: Chance,
     limit: int,
-    on_step: Callable[[int, Execution[SeenStates], SeenStates], object],
+    on_step: Callable[[int, Execution[SeenStates], SeenStates, Games], object],
 ) -> Played:
     games = TableGames(plan.domain, starts.astype(np.intp))
     options = option_table(plan.domain, plan.action_set, plan.options)
@@ -403,7 +403,7 @@ def find_coverage(plan: ExactPlan, most: int = 20) -> Coverage:
     starts = starts[:: -(-len(starts) // _STARTS)]
     visits = np.zeros(domain.n_states, dtype=np.intp)
 
-    def count(step: int, execution: Execution[SeenStates], seen: SeenStates) -> None:
+    def count(step: int, execution: Execution[SeenStates], seen: SeenStates, _: Games) -> None:
         np.add.at(visits, seen.states.take(execution.decided), 1)
 
     _played(plan, starts, generator(0, 'coverage'), domain.max_steps, count)

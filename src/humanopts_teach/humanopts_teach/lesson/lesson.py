@@ -232,7 +232,7 @@ class Lesson:
     def draw_ahead(self) -> None:
         """Draw the sample for the next start state while the learner is busy."""
         if self.phase is Phase.LEARNING and self._option is not None:
-            self._starts.draw_ahead(self._option)
+            self._starts.draw_ahead(self._option, self._history.options)
 
     def began(self, episode: int, state: str) -> Answer:
         """Begin the prepared demonstration, after the game has begun its episode."""
@@ -383,7 +383,8 @@ class Lesson:
     def _check_done(self) -> None:
         """Check whether the option is learned."""
         settled, option = self._settled is not None, self._option
-        self._done = settled and option is not None and self._starts.exhausted(option)
+        names = self._history.options
+        self._done = settled and option is not None and self._starts.exhausted(option, names)
 
     def _advice(self, phase: Phase) -> str:
         """Return advice on what to do next, with the reason if it is not obvious."""
@@ -557,7 +558,7 @@ class Lesson:
             state = self._domain.encode(decoded)
         else:
             state = self._again or next(reversed(option.start_states), '')
-            state = state or self._starts.draw(option)
+            state = state or self._starts.draw(option, self._history.options)
         self._attempt = Attempt(state, request.watch)
         return _ok(
             'the start state is chosen', state=state, seed=self._starts.episode_seed(option)

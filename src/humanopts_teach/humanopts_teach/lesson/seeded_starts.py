@@ -1,17 +1,23 @@
 """Start states of demonstrations, drawn by a strategy; seeded by person, option and number."""
 
-from collections.abc import Sequence
+from collections.abc import Collection
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
 from humanopts_env.domains.base import ActableDomain
 from humanopts_env.domains.described import can_simulate, simulated
+from humanopts_env.domains.replayed_domain import ReplayedDomain
 from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.options.files import option_from_json
 from humanopts_learner.options.learned_option import LearnedOption
-from humanopts_learner.options.starts import choose_start_state, draw_sample, nothing_fails
+from humanopts_learner.options.starts import (
+    choose_start_state,
+    draw_sample,
+    nothing_fails,
+    Sample,
+)
 from humanopts_teach.lesson import BUDGET, METHOD, STRATEGY
 from humanopts_teach.lesson.history import OptionHistory
 import numpy as np
@@ -37,8 +43,9 @@ class SeededStarts:
     The start states of one lesson.
 
     A draw depends on the seed, participant, option, number of the demonstration and, with the
-    strategy ``failures``, the learned option. A demonstration that is repeated, even after a
-    restart, thus starts in the same state.
+    strategy ``failures``, the learned option. In a replayed domain, it depends on all learned
+    options of the participant, which lead to the start. A demonstration that is repeated, even
+    after a restart, thus starts in the same state.
     """
 
     def __init__(self, domain: ActableDomain, rules: LessonRules) -> None:
@@ -46,31 +53,34 @@ class SeededStarts:
         self._domain = domain
         self._texts: dict[tuple[str, str], str] = {}  # options, by participant and name
         self._parse = lru_cache(MAX_PARSED)(lambda text: option_from_json(text)[0])
+        self._replayed = isinstance(domain, ReplayedDomain)
+        self._uses_options = rules.strategy == FAILURES or self._replayed
         # Key of the sample for the next start state, the sample, and its generator.
-        self._ahead: tuple[Any, Sequence[Any] | None, np.random.Generator] | None = None
+        self._ahead: tuple[Any, Sample | None, np.random.Generator] | None = None
 
     def learned(self, participant: str, option_name: str, text: str) -> bool:
         """
-        Store an option published by the learner, if the strategy uses it.
+        Store an option published by the learner, if start states depend on it.
 
         :return: whether it has changed.
         :raises OptionError: it is not an option, or it belongs to another domain.
         """
         key = participant, option_name
-        if self.rules.strategy != FAILURES or self._texts.get(key) == text:
+        if not self._uses_options or self._texts.get(key) == text:
             return False
         self._parse(text).check_domain(self._domain)
         self._texts[key] = text
         return True
 
-    def draw(self, option: OptionHistory) -> str:
+    def draw(self, option: OptionHistory, names: Collection[str] = ()) -> str:
         """
         Return the start state of the next demonstration, in the domain's notation.
 
+        :param names: names of all options of the participant, in the order of teaching.
         :raises NeedsRulesError: the domain cannot be simulated.
         """
         domain = simulated(self._domain, 'the choice of a start state')
-        self.draw_ahead(option)
+        self.draw_ahead(option, names)
         assert self._ahead is not None
         (_, drawn, rng), self._ahead = self._ahead, None
         state = choose_start_state(
@@ -80,17 +90,21 @@ class SeededStarts:
             option.demonstrations,
             rng,
             drawn,
+            self._others(option, names),
         )
         return domain.encode(state)
 
-    def draw_ahead(self, option: OptionHistory) -> None:
+    def draw_ahead(self, option: OptionHistory, names: Collection[str] = ()) -> None:
         """Draw the sample of candidates for the next start state in advance, since it is slow."""
         if not can_simulate(self._domain):
             return
-        key = option.participant, option.name, option.number, bool(option.demonstrations)
+        others = self._others(option, names)
+        taught = tuple(other.uuids for other in others)
+        key = option.participant, option.name, option.number, bool(option.demonstrations), taught
         if self._ahead is None or self._ahead[0] != key:
             rng = self._generator('start_state', option)
-            drawn = draw_sample(self.rules.strategy, self._domain, option.demonstrations, rng)
+            parts = self.rules.strategy, self._domain, option.demonstrations, rng, others
+            drawn = draw_sample(*parts)
             self._ahead = key, drawn, rng
 
     def episode_seed(self, option: OptionHistory) -> int:
@@ -99,14 +113,14 @@ class SeededStarts:
 
     def counts(self, option: OptionHistory, demonstration: Demonstration) -> bool:
         """Return whether the next draw includes a demonstration or its withdrawal."""
-        if not option.n_trajectories or self.rules.strategy != FAILURES:
+        if not option.n_trajectories or not self._uses_options:
             return True
         learned = self._option(option)
         if learned is None:
             return False
         return (demonstration.uuid in learned.uuids) != demonstration.withdrawn
 
-    def exhausted(self, option: OptionHistory) -> bool:
+    def exhausted(self, option: OptionHistory, names: Collection[str] = ()) -> bool:
         """Return whether the strategy has no more questions, given that the criteria are met."""
         learned = self._option(option)
         asks_failures = self.rules.until_no_failures and self.rules.strategy == FAILURES
@@ -115,12 +129,21 @@ class SeededStarts:
         if not can_simulate(self._domain):  # failures are only found by running the option
             return True
         rng = self._generator('exhausted', option)
-        return nothing_fails(learned, self._domain, option.demonstrations, rng)
+        others = self._others(option, names)
+        return nothing_fails(learned, self._domain, option.demonstrations, rng, others)
 
     def _option(self, option: OptionHistory) -> LearnedOption | None:
         """Return the learned option; None: not learned yet."""
         text = self._texts.get((option.participant, option.name))
         return self._parse(text) if text is not None else None
+
+    def _others(self, option: OptionHistory, names: Collection[str]) -> list[LearnedOption]:
+        """Return the participant's other learned options, if start states depend on them."""
+        if not self._replayed:
+            return []
+        texts = (self._texts.get((option.participant, name)) for name in names)
+        others = [self._parse(text) for text in texts if text is not None]
+        return [other for other in others if other.name != option.name]
 
     def _generator(self, purpose: str, option: OptionHistory) -> np.random.Generator:
         return generator(self.rules.seed, purpose, option.participant, option.name, option.number)

@@ -1,0 +1,160 @@
+"""Start states of demonstrations in a world that can only be reset and stepped."""
+
+from collections.abc import Sequence
+
+from humanopts_env.domains.base import Action, Feature
+from humanopts_env.domains.replayed_domain import History, ReplayedDomain, World
+from humanopts_learner.demonstrations import Demonstration, Kind
+from humanopts_learner.options.learn import learn_option
+from humanopts_learner.options.learned_option import LearnedOption
+from humanopts_learner.options.starts import choose_start_state, nothing_fails, sample_failures
+import numpy as np
+import pytest
+
+LENGTH, KEY = 12, 5  # number of cells of a corridor, and the cell of the key
+WEST, EAST, TAKE = range(3)
+WAYS = ('west', 'east', 'here')
+
+
+class KeyWorld:
+    """A corridor with a key; with the key, the task is over at its east end."""
+
+    def reset(self, seed: int) -> None:
+        self.cell, self.key = int(np.random.default_rng(seed).integers(LENGTH - 1)), False
+
+    def step(self, action: int) -> tuple[float, bool]:
+        if action == TAKE:
+            self.key |= self.cell == KEY
+        else:
+            self.cell = min(max(self.cell + 2 * action - 1, 0), LENGTH - 1)
+        return -1.0, self.key and self.cell == LENGTH - 1
+
+    def features(self) -> Sequence[float]:
+        way = 2 if self.cell == KEY else int(self.cell < KEY)
+        return [self.cell, way, self.key]
+
+
+class Keys(ReplayedDomain):
+    name, gamma, max_steps = 'keys', 0.9, 60
+    parameters: dict[str, int] = {}
+    features = (
+        Feature.number('cell', 'which cell it is', LENGTH),
+        Feature.nominal('key_way', 'which way the key is', WAYS),
+        Feature.nominal('key', 'whether it has the key', ('no', 'yes')),
+    )
+    actions = tuple(Action(name, name[0], name) for name in ('west', 'east', 'take'))
+
+    def make_world(self) -> World:
+        return KeyWorld()
+
+
+KEYS = Keys()
+FETCH, LEAVE = 'fetch the key', 'leave'
+CHOSEN = ('key_way', 'key')
+
+
+def wanted(name: str, state: History) -> int | None:
+    """Return the action of a person who shows an option; None: the option cannot start."""
+    _, way, key = state.features
+    if name == LEAVE:
+        return EAST if key else None
+    return None if key else (WEST, EAST, TAKE)[int(way)]
+
+
+def shown(name: str, number: int, start: History) -> Demonstration:
+    """Return a demonstration, or "not here"."""
+    states, actions = [start], []
+    while (action := wanted(name, states[-1])) is not None and not states[-1].over:
+        states.append(KEYS.step(states[-1], action, np.random.default_rng(0)).state)
+        actions.append(KEYS.actions[action].name)
+    return Demonstration(
+        Kind.TRAJECTORY if actions else Kind.NOT_HERE,
+        f'{name}{number}',
+        KEYS.name,
+        '{}',
+        'ann',
+        'one',
+        option_name=name,
+        number=number,
+        chosen_features=CHOSEN,
+        feature_names=tuple(feature.name for feature in KEYS.features),
+        features=tuple(state.features for state in states),
+        states=tuple(map(KEYS.encode, states)),
+        actions=tuple(actions),
+        rewards=(-1.0,) * len(actions),
+        terminated=states[-1].over,
+    )
+
+
+def begins_in(cell: int) -> History:
+    """Return a start of the task in a cell."""
+    return next(
+        s
+        for seed in range(999)
+        if (s := KEYS.decode(f'seed {seed} actions -')).features[0] == cell
+    )
+
+
+def taught(name: str, *starts: History) -> tuple[LearnedOption, list[Demonstration]]:
+    demos = [shown(name, number, start) for number, start in enumerate(starts, start=1)]
+    return learn_option(demos, KEYS, 0), demos
+
+
+FETCHING, _ = taught(FETCH, begins_in(0), begins_in(9))
+
+
+@pytest.mark.parametrize('strategy', ['random', 'coverage', 'failures'])
+def test_other_options_lead_to_the_start_of_a_new_one(strategy: str) -> None:
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        state = choose_start_state(strategy, KEYS, None, [], rng, others=[FETCHING])
+        assert state.features == (KEY, 2, 1)
+        assert wanted(LEAVE, state) == EAST
+
+
+def test_without_other_options_a_lesson_begins_at_the_start_of_the_task() -> None:
+    state = choose_start_state('failures', KEYS, None, [], np.random.default_rng(1))
+    assert state.actions == ()
+
+
+def test_after_a_refusal_the_next_state_looks_different() -> None:
+    """The person says "not here" once, and is then asked elsewhere."""
+    refused = shown(LEAVE, 1, begins_in(3))
+    assert refused.kind is Kind.NOT_HERE
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        state = choose_start_state('failures', KEYS, None, [refused], rng, others=[FETCHING])
+        assert state.features[2] == 1
+
+
+def test_a_lesson_continues_where_the_option_gets_stuck() -> None:
+    """It was shown only east of the key, so from the west it walks to the end and stays there."""
+    option, demos = taught(FETCH, begins_in(9))
+    state = choose_start_state('failures', KEYS, option, demos, np.random.default_rng(0))
+    start = KEYS.decode(f'seed {state.seed} actions -')
+    assert start.features[0] < KEY
+    assert state.features == (0, 1, 0)
+    assert set(state.actions) == {WEST}
+
+
+def test_few_demonstrations_teach_both_options() -> None:
+    options: list[LearnedOption] = []
+    for name in (FETCH, LEAVE):
+        option, demos, rng = None, [], np.random.default_rng(3)
+        while option is None or not nothing_fails(option, KEYS, demos, rng, options):
+            state = choose_start_state('failures', KEYS, option, demos, rng, others=options)
+            demos.append(shown(name, len(demos) + 1, state))
+            if any(demo.actions for demo in demos):
+                option = learn_option(demos, KEYS, 0)
+        assert len(demos) <= 4
+        assert not sample_failures(option, KEYS, demos, rng, others=options).stuck.any()
+        options.append(option)
+
+
+def test_the_same_seed_draws_the_same_state() -> None:
+    option, demos = taught(FETCH, begins_in(9))
+    drawn = [
+        choose_start_state('failures', Keys(), option, demos, np.random.default_rng(4))
+        for _ in range(2)
+    ]
+    assert drawn[0] == drawn[1]
