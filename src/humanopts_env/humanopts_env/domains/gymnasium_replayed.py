@@ -238,12 +238,12 @@ def domain_of_environment(env_id: str) -> Callable[..., Domain]:
     """
     Return the constructor of the domain of an environment.
 
-    It is read from the environment's table if there is one and ``features`` are not given;
-    otherwise it is replayed.
+    It is read from the environment's table if there is one and neither ``features`` nor ``ranges``
+    are given; otherwise it is replayed.
     """
 
     def make(**arguments: Any) -> Domain:
-        if 'features' not in arguments:
+        if not {'features', 'ranges'} & arguments.keys():
             try:
                 return gymnasium_domain(env_id)(**arguments)
             except NoTableError:

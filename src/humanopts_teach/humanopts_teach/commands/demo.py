@@ -77,7 +77,7 @@ def run_demo(
     :param error_rate: share of the simulated teacher's steps that are wrong.
     :return: exit status, 1 if a check failed.
     """
-    domain = make_domain(name, dict(launch.parameter))
+    domain = make_domain(name, launch.domain_parameters)
     PlanRequest(PRIMITIVE, game_steps=game_steps).in_force(domain, ())  # it can be planned in
     setup = setup_from(
         name,

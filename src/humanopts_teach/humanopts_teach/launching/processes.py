@@ -85,11 +85,6 @@ class Setup(LaunchOptions):
         given = {name: getattr(self, name) for name in asdict(Thresholds())}
         return Thresholds(**{name: value for name, value in given.items() if value is not None})
 
-    @property
-    def domain_parameters(self) -> dict[str, Parameter]:
-        """The parameters of the domain."""
-        return dict(self.parameter)
-
     def to_json(self) -> str:
         """Return the setup as one line of JSON."""
         return TypeAdapter(Setup).dump_json(self).decode()
