@@ -14,16 +14,17 @@ import weakref
 from humanopts_interfaces.msg import NodeStatus
 from humanopts_ros.guard import Guard
 from humanopts_ros.middleware import INSTANCE, MiddlewareError, RESTARTS
-from humanopts_ros.peers import node_names, Peers
+from humanopts_ros.peers import Peers
 from humanopts_ros.publisher import M, PublishError, StampedPublisher, without_source
 from humanopts_ros.qos import ACTION, LATCHED, SERVICE, STREAM
 from humanopts_ros.recording import Selection
 from humanopts_ros.senders import id_topic, Role, sender_of, signer
+from humanopts_ros.waiting import Waiting
 from humanopts_ros.workarounds import prepare_discovery, watch_time
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 import rclpy
 from rclpy.action.server import ActionServer, CancelResponse, ServerGoalHandle
-from rclpy.callback_groups import CallbackGroup, ReentrantCallbackGroup
+from rclpy.callback_groups import CallbackGroup
 from rclpy.client import Client
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
@@ -38,7 +39,6 @@ from rclpy.service import Service
 from rclpy.service_introspection import ServiceIntrospectionState
 from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
-from rclpy.task import Future
 from rclpy.timer import Timer
 from std_msgs.msg import Empty
 
@@ -48,12 +48,11 @@ PATIENCE = (0.1, 3600.0)  # s, range of deadlines
 _RESULT_TIMEOUT = 10  # s to keep the result of a finished goal; kept goals slow down each status
 _LAST_ROUNDS = 10  # number of callbacks run to send the last responses
 _DRAIN = 0.3  # s, time for readers to receive pending messages before a node ends
-_PRESENCE_PERIOD = 1.0  # s between checks that the server of a request still exists
 _REMARK_PERIOD = 1.0  # s between statuses that differ only in refusals or errors
 _REPEAT_PERIOD = 1.0  # s between checks for competing publishers of a node's current values
 _PROVISION = 5.0  # s, maximum time a request waits until the node is ready
 _LATE = 5.0  # s after which a starting node reports what it is waiting for
-_CHECK_PERIOD = 0.02  # s between checks during startup, shutdown and waits of coroutines
+_CHECK_PERIOD = 0.02  # s between checks during startup and shutdown
 _STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 
 
@@ -93,57 +92,6 @@ def start_ros(args: list[str] | None = None, context: Context | None = None) -> 
     with starting_ros():
         options = SignalHandlerOptions.NO
         rclpy.init(args=args, context=context, signal_handler_options=options)
-
-
-class Waiting:
-    """
-    Lets a node's coroutines wait for conditions.
-
-    The coroutines must be in a reentrant callback group. Pending conditions are checked
-    periodically; ``check`` checks them immediately.
-    """
-
-    def __init__(self, node: Node, monotonic: Callable[[], float]) -> None:
-        """
-        Start without conditions.
-
-        :param monotonic: clock for deadlines, s.
-        """
-        self._node, self._monotonic = node, monotonic
-        self._open: list[tuple[Future, Callable[[], bool], float]] = []
-        self._timer = node.create_timer(
-            _CHECK_PERIOD, self.check, callback_group=ReentrantCallbackGroup(), autostart=False
-        )
-
-    def check(self) -> None:
-        """Wake coroutines with a true condition or an expired deadline."""
-        now = self._monotonic()
-        still = []
-        for entry in self._open:
-            future, condition, deadline = entry
-            try:
-                if condition() or now > deadline:
-                    future.set_result(None)
-                else:
-                    still.append(entry)
-            except Exception as error:  # raised in the waiting coroutine
-                future.set_exception(error)
-        self._open = still
-        if not still:
-            self._timer.cancel()
-
-    async def until(self, condition: Callable[[], bool], seconds: float) -> bool:
-        """Wait until a condition is true; return whether it became true in time."""
-        deadline = self._monotonic() + seconds
-        while not condition():  # may be false again when the coroutine resumes
-            if self._monotonic() > deadline:
-                return False
-            future = Future(executor=self._node.executor)
-            self._open.append((future, condition, deadline))
-            if self._timer.is_canceled():
-                self._timer.reset()
-            await future
-        return True
 
 
 class NodeBase(Node):
@@ -295,10 +243,6 @@ class NodeBase(Node):
     def full_name(self, name: str) -> str:
         """Return the full name of a node of this namespace."""
         return f'{self.get_namespace().rstrip("/")}/{name}'
-
-    def nodes_there(self) -> list[str]:
-        """Return the full names of all nodes on the graph; any process may use any name."""
-        return node_names(self)
 
     def accepted(self, topic: str, read: Callable[[T], V | None], message: T) -> V | None:
         """Return the value of a message; None: the message is refused or ignored."""
@@ -461,39 +405,6 @@ class NodeBase(Node):
     def is_recorded_whole(self) -> bool:
         """Return whether the recorder, if any, receives all of this node's messages."""
         return self._lacks_recorder() is None
-
-    async def answer(
-        self,
-        client: Client,
-        request: Any,
-        seconds: float,
-        lost: Callable[[], bool] = lambda: False,
-    ) -> Any:
-        """
-        Call a service from a coroutine.
-
-        A request sent before the server is discovered is lost, so this waits for the server.
-
-        :param lost: function that returns whether the server has restarted and lost the request.
-        :return: the response; None: there is none after ``seconds``, or the server is gone.
-        """
-        if not await self.waiting.until(client.service_is_ready, min(seconds, _PRESENCE_PERIOD)):
-            return None
-        future, deadline = client.call_async(request), self.monotonic() + seconds
-
-        def check() -> None:
-            if self.monotonic() >= deadline or lost() or not client.service_is_ready():
-                future.cancel()
-
-        group = ReentrantCallbackGroup()  # a new group: groups never release their members
-        timer = self.create_timer(min(seconds, _PRESENCE_PERIOD), check, callback_group=group)
-        try:
-            return await future
-        finally:
-            with suppress(InvalidHandle):  # the node may have been destroyed
-                timer.cancel()
-                self.destroy_timer(timer)
-                client.remove_pending_request(future)
 
     async def provided(self) -> bool:
         """Wait until ``waits_for`` returns None; return whether this happened in time."""

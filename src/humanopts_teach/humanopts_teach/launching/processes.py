@@ -161,7 +161,7 @@ def _own_parameters(setup: Setup) -> dict[str, dict[str, Value]]:
             'strategy': setup.strategy,
             'learn': setup.learn,
             'budget': setup.budget,
-            'derive': list(setup.derive),
+            **({'derive': list(setup.derive)} if setup.derive else {}),
         },
         'option_server': {
             'options_directory': str(setup.options),

@@ -206,7 +206,7 @@ class LessonNode(NodeBase):
             return lesson.not_begun(no_game, 'Game does not serve reset_game.')
         person, start, seed = ResetGame.Request.SOURCE_PERSON, prepared.state, prepared.seed
         request = ResetGame.Request(source=person, start_state=start, seed=seed)
-        reply = await self.answer(self._reset, request, _GAME_DEADLINE)
+        reply = await self.waiting.answer(self._reset, request, _GAME_DEADLINE)
         if reply is None:
             return lesson.not_begun(no_game, 'Game does not answer.')
         if reply.status != ResetGame.Response.STATUS_OK:
