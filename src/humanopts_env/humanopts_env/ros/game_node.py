@@ -36,8 +36,9 @@ from humanopts_interfaces.msg import (
     NodeStatus,
 )
 from humanopts_interfaces.srv import ResetGame, SetControl, SetPace
+from humanopts_ros.guarded_node import SEEDS, StartError
 from humanopts_ros.limits import shown
-from humanopts_ros.node_base import NodeBase, SEEDS, StartError
+from humanopts_ros.node_base import NodeBase
 from humanopts_ros.peers import node_names
 from humanopts_ros.process import run_node
 from humanopts_ros.publisher import PublishError, StampedPublisher

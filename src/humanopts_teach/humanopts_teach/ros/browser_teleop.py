@@ -6,7 +6,8 @@ import traceback
 from typing import Any
 
 from humanopts_interfaces.msg import NodeStatus
-from humanopts_ros.node_base import NodeBase, start_ros
+from humanopts_ros.guarded_node import start_ros
+from humanopts_ros.node_base import NodeBase
 from humanopts_teach.dialogue.panel import ScreenView
 from humanopts_teach.dialogue.view import view
 from humanopts_teach.ros.teleop import POLL_SECONDS, TeleopNode

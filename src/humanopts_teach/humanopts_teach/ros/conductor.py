@@ -13,8 +13,9 @@ from humanopts_interfaces import msg
 from humanopts_learner.options.learned_option import LearnedOption
 from humanopts_learner.ros.learned_options import OptionSubscriber
 from humanopts_learner.summary import OptionSummary
+from humanopts_ros.guarded_node import start_ros
 from humanopts_ros.limits import one_line, shown
-from humanopts_ros.node_base import NodeBase, start_ros
+from humanopts_ros.node_base import NodeBase
 from humanopts_ros.peers import announced_ids
 from humanopts_ros.qos import CURRENT
 from humanopts_ros.senders import signer

@@ -15,7 +15,8 @@ from humanopts_env.game import Transition
 from humanopts_env.ros.game_subscriber import GameSubscriber, Observed
 from humanopts_interfaces import msg, srv
 from humanopts_learner.ros.convert import summary_from_message
-from humanopts_ros.node_base import NodeBase, starting_ros
+from humanopts_ros.guarded_node import starting_ros
+from humanopts_ros.node_base import NodeBase
 from humanopts_ros.publisher import PublishError
 from humanopts_ros.qos import ACTION, CURRENT, DISPLAY
 from humanopts_ros.workarounds import prepare_discovery

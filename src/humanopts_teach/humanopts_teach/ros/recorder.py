@@ -15,8 +15,9 @@ import time
 from typing import Any
 
 from humanopts_interfaces.msg import NodeStatus, RecorderStatus, StreamLoss
+from humanopts_ros.guarded_node import StartError
 from humanopts_ros.limits import shown
-from humanopts_ros.node_base import NodeBase, StartError
+from humanopts_ros.node_base import NodeBase
 from humanopts_ros.peers import announced_ids, GameIdentity, node_names
 from humanopts_ros.process import run_node
 from humanopts_ros.publisher import PublishError

@@ -6,7 +6,8 @@ from typing import Any
 
 from humanopts_env.domains.described import NeedsRulesError, simulated
 from humanopts_interfaces.msg import NodeStatus
-from humanopts_ros.node_base import NodeBase, PATIENCE, SEEDS, StartError
+from humanopts_ros.guarded_node import PATIENCE, SEEDS, StartError
+from humanopts_ros.node_base import NodeBase
 from humanopts_ros.process import run_node
 from humanopts_teach.lesson.requests import (
     Drive,

@@ -20,7 +20,8 @@ from humanopts_interfaces.msg import (
     PlanResult,
     StudyEvent,
 )
-from humanopts_ros.node_base import NodeBase, SEEDS
+from humanopts_ros.guarded_node import SEEDS
+from humanopts_ros.node_base import NodeBase
 from humanopts_ros.qos import CURRENT, DISPLAY, STREAM
 from humanopts_teach.dialogue.app import App
 from humanopts_teach.dialogue.menu import opening
