@@ -172,7 +172,7 @@ def _parts(name: str, space: Any, key: str) -> Iterable[Part]:
         if count > MAX_NUMBERS or (len(space.shape) > 1 and space.dtype == np.uint8):
             shape = ' x '.join(map(str, space.shape))
             raise DomainError(
-                f'{name} has observations of {shape} numbers ({word}), which are no features; '
+                f'{name} has observations of {shape} numbers ({word}), too many to be features; '
                 f'{_ADVICE}'
             )
         places = [''] if count == 1 else [f'_{n}' for n in range(count)]

@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 import os
 from pathlib import Path
 import re
@@ -77,6 +77,8 @@ def setup_from(
             check_method(setup.learn, game)
             for formula in setup.derive:
                 derive(game, formula)
+            if 'ranges' in game.parameters:  # the nodes need not measure them again
+                setup = replace(setup, parameter=[*game.parameters.items()], features=None)
         processes(setup)
     topics = Selection(setup.namespace, setup.record_topics, setup.record_exclude)
     if setup.record and (lacking := topics.unevaluable):
