@@ -1,7 +1,7 @@
 """Rendering of the screen as lines of text."""
 
 from collections.abc import Callable, Iterator, Sequence
-from functools import partial
+from functools import lru_cache, partial
 from io import StringIO
 from typing import Literal
 
@@ -180,17 +180,22 @@ def half_blocks(image: Image, width: int, height: int) -> Text:
     scale = min(width / columns, 2 * height / rows)
     across, down = max(1, round(scale * columns)), max(1, round(scale * rows / 2))
     small = Pillow.fromarray(image).resize((across, 2 * down), Pillow.Resampling.BOX)
-    pairs = np.asarray(small).reshape(down, 2, across, 3) & _COLOUR_BITS
+    pixels = np.asarray(small).reshape(down, 2, across, 3) & _COLOUR_BITS
     lines = []
-    for upper, lower in pairs:
-        changes = (upper[1:] != upper[:-1]) | (lower[1:] != lower[:-1])
-        ends = [*(np.flatnonzero(changes.any(axis=1)) + 1).tolist(), across]
+    for pairs in pixels.swapaxes(1, 2).reshape(down, across, 6):
+        changes = np.flatnonzero((pairs[1:] != pairs[:-1]).any(axis=1)) + 1
+        starts, ends = [0, *changes.tolist()], [*changes.tolist(), across]
         line = Text()
-        for start, end in zip([0, *ends], ends):
-            front, back = (Color.from_rgb(*half[start].tolist()) for half in (upper, lower))
-            line.append(_UPPER_HALF * (end - start), Style(color=front, bgcolor=back))
+        for start, end in zip(starts, ends):
+            line.append(_UPPER_HALF * (end - start), _pixel_style(*pairs[start].tolist()))
         lines.append(line)
     return Text('\n').join(lines)
+
+
+@lru_cache(4096)
+def _pixel_style(*values: int) -> Style:
+    """Return the style of a half block: red, green and blue of the upper and the lower pixel."""
+    return Style(color=Color.from_rgb(*values[:3]), bgcolor=Color.from_rgb(*values[3:]))
 
 
 def drawn(block: panel.Block) -> RenderableType:
