@@ -200,7 +200,7 @@ class NodeBase(GuardedNode):
         """Return whether this many recorders have matched subscriptions."""
         return publisher.is_matched() and self.is_recorded(publisher.topic, recorders)
 
-    def is_recorded_whole(self) -> bool:
+    def is_fully_recorded(self) -> bool:
         """Return whether the recorder, if any, receives all of this node's messages."""
         return self._lacks_recorder() is None
 

@@ -222,7 +222,7 @@ def make_sampled_plan(
     Parameters and errors are those of ``plan.make_plan``; ``progress`` is called with the stages
     models and sweeps in each round.
     """
-    asked = request.in_force(domain, options, sampled=True)
+    asked = request.resolved(domain, options, sampled=True)
     actions = ActionSet(domain, asked.action_set, options, asked.columns)
     config, n_choices = asked.sampling, actions.first_fallback
     counts = SampleCounts(actions.modelled, n_choices)

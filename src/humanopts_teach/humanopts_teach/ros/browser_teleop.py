@@ -116,7 +116,7 @@ class TeleopThread:
             for node, then in list(self._nodes.items()):
                 if node.last_answers is None:
                     node.turn_once()
-                elif node.parted:
+                elif node.finished:
                     self._leave(node)
                     if then is not None:
                         then()

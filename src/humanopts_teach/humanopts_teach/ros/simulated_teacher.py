@@ -47,7 +47,7 @@ class SimulatedTeacherNode(NodeBase):
         )
         self._teacher: SimulatedTeacher | None = None
         self._first = True  # no act has been performed
-        self._client = GraphClient(self, patience=self._deadline, on_news=self._meet)
+        self._client = GraphClient(self, patience=self._deadline, on_change=self._create_teacher)
 
     def waits_for(self) -> str | None:
         """Wait for the rules, the lesson and its services."""
@@ -80,7 +80,7 @@ class SimulatedTeacherNode(NodeBase):
             },
         )
 
-    def _meet(self) -> None:
+    def _create_teacher(self) -> None:
         """Create the teacher when the rules of the game are known."""
         domain = self._client.world.domain
         if self._teacher is None and domain is not None:
