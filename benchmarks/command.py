@@ -24,7 +24,6 @@ class Section(StrEnum):
     PLANNING = 'planning'
     LEARNING = 'learning'
     GAMES = 'games'
-    SCREENS = 'screens'
     GRAPH = 'graph'
     RECORDING = 'recording'
 

@@ -19,6 +19,7 @@ from humanopts_interfaces.msg import (
     LearningStatus,
     LessonState,
     NodeStatus,
+    PlanResult,
 )
 from humanopts_interfaces.srv import (
     BeginDemonstration,
@@ -60,6 +61,33 @@ def graph(live: Graph) -> Graph:
 @pytest.fixture
 def person(graph: Graph) -> Person:
     return Person(graph)
+
+
+def test_the_lesson_offers_the_states_in_which_a_plan_got_stuck(person: Person) -> None:
+    graph = person.graph
+    start_learner(graph)
+    person.start_lesson()
+    graph.ready('/game', '/learner')
+    person.get_ready()
+    person.show()
+    person.give_back()
+    planner = graph.node.create_publisher(PlanResult, 'plan_results', STREAM)
+    graph.until(lambda: planner.get_subscription_count() > 0, 'the lesson to listen')
+    stuck = 'taxi 4,4 passenger R destination B'
+    states, names = [stuck, stuck, 'nowhere'], [PICKUP, '', PICKUP]
+    for count in (3, 2):  # the first message is refused
+        planner.publish(
+            PlanResult(
+                publisher_id='/planner#test',
+                trial_games=50,
+                stuck_options=names[:count],
+                stuck_states=states[:count],
+            )
+        )
+    graph.until(lambda: person.lesson.trial_games == 50, 'the offer')
+    assert (list(person.lesson.stuck_options), list(person.lesson.stuck_games)) == ([PICKUP], [2])
+    assert 'The plan got stuck in 2 of 50 games' in person.lesson.text
+    assert person.ask(BeginDemonstration).state == stuck
 
 
 @pytest.fixture(scope='module')

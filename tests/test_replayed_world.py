@@ -20,6 +20,7 @@ from humanopts_learner.options.learned_option import LearnedOption
 from humanopts_learner.planning.plan import judge_plan, make_plan
 from humanopts_learner.planning.request import PlanRequest
 from humanopts_learner.planning.sampled_plan import SampledPlan
+from humanopts_learner.planning.stuck import try_plan
 from humanopts_teach.lesson.in_process import teach
 from humanopts_teach.lesson.seeded_starts import LessonRules
 from humanopts_teach.lesson.simulated_teacher import TeacherSettings
@@ -204,6 +205,9 @@ def test_nodes_plan_and_play_in_it(shared: Graph, taught: Sequence[LearnedOption
     planning.teach(taught)
     result = planning.plan('human', game_steps=STEPS, evaluation_episodes=5)
     assert result.mean_return == judge_plan(planned(taught), SEED, 5).total.mean
+    trial = try_plan(planned(taught), SEED)
+    found = result.trial_games, tuple(result.stuck_options), tuple(result.stuck_states)
+    assert found == (trial.games, trial.options, trial.states)
     played = planning.play('human')
     assert played.status == PolicyResult.STATUS_DONE
     last = planning.player.state

@@ -1,13 +1,23 @@
 """Start states of demonstrations in a world that can only be reset and stepped."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from humanopts_env.domains.base import Action, Feature
 from humanopts_env.domains.replayed_domain import History, ReplayedDomain, World
 from humanopts_learner.demonstrations import Demonstration, Kind
 from humanopts_learner.options.learn import learn_option
 from humanopts_learner.options.learned_option import LearnedOption
-from humanopts_learner.options.starts import choose_start_state, nothing_fails, sample_failures
+from humanopts_learner.options.starts import (
+    choose_start_state,
+    nothing_fails,
+    sample_failures,
+    sort_stuck,
+)
+from humanopts_learner.planning.plan import make_plan
+from humanopts_learner.planning.request import HUMAN, PlanRequest, REPLAYED_STEPS
+from humanopts_learner.planning.sampled_plan import SampledPlan
+from humanopts_learner.planning.stuck import Trial, TRIALS, try_plan
 import numpy as np
 import pytest
 
@@ -158,3 +168,39 @@ def test_the_same_seed_draws_the_same_state() -> None:
         for _ in range(2)
     ]
     assert drawn[0] == drawn[1]
+
+
+def planned(*options: LearnedOption) -> SampledPlan:
+    plan = make_plan(KEYS, options, PlanRequest(HUMAN, seed=1))
+    assert isinstance(plan, SampledPlan)
+    assert plan.game_steps == REPLAYED_STEPS
+    return plan
+
+
+def test_a_plan_shows_where_to_demonstrate_more() -> None:
+    """East of the key nothing was shown: there the option walks to the end and stays."""
+    fetching, shown_before = taught(FETCH, begins_in(0))
+    leaving, left = taught(LEAVE, *(KEYS.decode(demo.states[-1]) for demo in shown_before))
+    trial = try_plan(planned(fetching, leaving), 1)
+    assert trial.games == TRIALS
+    assert 10 < len(trial.states) < 40
+    assert set(trial.options) == {FETCH}
+    stuck = [(name, KEYS.decode(text)) for name, text in zip(trial.options, trial.states)]
+    offered = sort_stuck(KEYS, stuck, {FETCH: shown_before, LEAVE: left})
+    assert list(offered) == [FETCH]
+    assert [state.features for state in offered[FETCH]] == [(LENGTH - 1, 0, 0)] * len(stuck)
+    more = [*shown_before, shown(FETCH, 2, offered[FETCH][0])]
+    assert sort_stuck(KEYS, stuck, {FETCH: more, LEAVE: left}) == {}
+    plan = planned(learn_option(more, KEYS, 0), leaving)
+    assert try_plan(plan, 2) == Trial(TRIALS)
+    assert plan.play(3, 50).successes.all()
+
+
+def test_where_no_option_can_start_the_one_with_the_nearest_start_is_shown() -> None:
+    _, fetched = taught(FETCH, begins_in(0))
+    _, left = taught(LEAVE, KEYS.decode(fetched[0].states[-1]))
+    demos = {FETCH: fetched, LEAVE: left}
+    east = begins_in(9)
+    assert sort_stuck(KEYS, [('', east)], demos) == {FETCH: [east]}
+    demos[FETCH] = [*fetched, replace(shown(LEAVE, 2, east), option_name=FETCH)]
+    assert sort_stuck(KEYS, [(FETCH, east)], demos) == {LEAVE: [east]}

@@ -179,15 +179,13 @@ def up(
     from humanopts_teach.launching.forks import prepare
 
     prepare()
-    from humanopts_teach.commands.session import print_line, run_until_interrupt, Session
+    from humanopts_teach.commands.session import print_line, Session, stay
 
     def started(running: Session) -> None:
         print('ready: ' + ', '.join(running.launcher.node_names))
         print(f'logs and data in {running.setup.directory}; Ctrl-C stops everything', flush=True)
 
-    status = run_until_interrupt(
-        up_setup(domain, no_record, only, taught, launch), started, print_line
-    )
+    status = stay(up_setup(domain, no_record, only, taught, launch), started, print_line)
     print('stopped')
     return status
 

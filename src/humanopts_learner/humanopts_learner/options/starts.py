@@ -13,8 +13,9 @@ taught before lead to the starts of this one, and the option's own run leads on 
 it gets stuck, which is where the next demonstration starts.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from typing import Any
 
 from humanopts_env.arrays import Flags, Floats, Ints, Rows
@@ -238,18 +239,73 @@ def _farthest(
     Ordinal and continuous features differ by 0..1; nominal ones by 0 or 1, split equally between
     two encoded features.
     """
+    shown = np.unique(np.concatenate([demo.feature_rows for demo in demonstrations]), axis=0)
     chosen = demonstrations[-1].chosen_features
+    distance = _differences(domain, chosen, feature_rows(domain, states), shown)
+    return states[_best(distance.min(axis=1), rng)]
+
+
+def _differences(domain: Domain, chosen: Sequence[str], here: Rows, there: Rows) -> Floats:
+    """Return (N, M): by how much rows (N, F) and (M, F) differ in chosen features."""
     encoding = feature_encoding(domain, chosen)
     spans = {each.feature.name: each.feature.span for each in feature_columns(domain, chosen)}
     scale = [0.5 if each.value is not None else 1 / spans[each.feature] for each in encoding]
-    shown = np.unique(np.concatenate([demo.feature_rows for demo in demonstrations]), axis=0)
-    here, there = (
-        encode_rows(encoding, r) * np.array(scale) for r in (feature_rows(domain, states), shown)
-    )
-    distance = np.zeros((len(here), len(there)))
-    for ours, theirs in zip(here.T, there.T):
-        distance += np.abs(np.subtract.outer(ours, theirs))
-    return states[_best(distance.min(axis=1), rng)]
+    found = np.zeros((len(here), len(there)))
+    for ours, theirs in zip(*((encode_rows(encoding, r) * scale).T for r in (here, there))):
+        found += np.abs(np.subtract.outer(ours, theirs))
+    return found
+
+
+def sort_stuck(
+    domain: Domain,
+    stuck: Sequence[tuple[str, Any]],
+    taught: Mapping[str, Sequence[Demonstration]],
+) -> dict[str, list[Any]]:
+    """
+    Return states in which a plan got stuck, by the option to be shown there.
+
+    It is the option that ran there. If no option could start, or the person has said "not here",
+    it is the one that was shown from the most similar start. States that look like a demonstrated
+    one are left out: the option has been shown there since.
+
+    :param stuck: name of the option that ran, or empty, and state.
+    :param taught: demonstrations of each option.
+    :return: the states of each option, those with the commonest look first.
+    """
+    shown = {
+        name: [demo for demo in demos if demo.kind is Kind.TRAJECTORY]
+        for name, demos in taught.items()
+    }
+    refused = {
+        (name, demo.states[0])
+        for name, demos in taught.items()
+        for demo in demos
+        if demo.kind is Kind.NOT_HERE
+    }
+    looks: dict[str, dict[bytes, list[Any]]] = {}
+    for name, state in stuck:
+        text, row = domain.encode(state), feature_rows(domain, [state])
+        open_to = [each for each, demos in shown.items() if demos and (each, text) not in refused]
+        if not open_to:
+            continue
+        if name not in open_to:
+            name = min(open_to, key=lambda each: _from_starts(domain, row, shown[each]))
+        chosen = feature_columns(domain, shown[name][-1].chosen_features)
+        rows = np.concatenate([row, *(demo.feature_rows for demo in shown[name])])
+        values = np.stack([column.values(rows) for column in chosen], axis=1)
+        if not (values[1:] == values[0]).all(axis=1).any():
+            looks.setdefault(name, {}).setdefault(values[0].tobytes(), []).append(state)
+    return {
+        name: list(chain(*sorted(groups.values(), key=len, reverse=True)))
+        for name, groups in looks.items()
+    }
+
+
+def _from_starts(domain: Domain, row: Rows, demos: Sequence[Demonstration]) -> float:
+    """Return the mean difference per chosen feature of a row (1, F) from the nearest start."""
+    chosen = demos[-1].chosen_features
+    starts = np.stack([demo.feature_rows[0] for demo in demos])
+    return float(_differences(domain, chosen, row, starts).min()) / len(chosen)
 
 
 def _states(domain: EnumerableDomain, chosen: Flags, rng: np.random.Generator) -> list[Any]:

@@ -140,7 +140,7 @@ class ActionSet:
             fallback[at] = n_options + self._fallback(rows[at], wanted[at])
         return Observation(states, startable, wanted, ending, fallback, n_options)
 
-    def loops(self, count: int, rng: np.random.Generator) -> Loops | None:
+    def loops(self, count: int, rng: np.random.Generator | None) -> Loops | None:
         """Return what happens to runs that repeat themselves, in N games; see ``loops_of``."""
         return loops_of(self.domain, self.options, count, rng, self.n_actions)
 

@@ -48,7 +48,7 @@ def make_plan(
     :param options: ignored in the set ``primitive``.
     :param progress: called with the stages tables, models and sweeps; models and sweeps alternate
         if models are sampled.
-    :raises PlanError: as ``PlanRequest.resolved``.
+    :raises PlanError: as ``PlanRequest.in_force``.
     :raises PlanCanceled: from ``progress``.
     """
     if is_enumerable(domain):
@@ -72,7 +72,8 @@ def plan(
         without options.
     :param gamma: discount per primitive step; 0: the domain's own.
     :param max_sweeps: maximum number of sweeps of value iteration; 0: 10,000.
-    :param game_steps: number of sampled steps, if states cannot all be listed; 0: 800,000.
+    :param game_steps: number of sampled steps, if states cannot all be listed; 0: 800,000, or
+        10,000 in a replayed domain.
     :param seed: random seed of the samples.
     :return: the plan; its ``choose(state)`` returns the option to run.
     :raises PlanError: the plan cannot be made.

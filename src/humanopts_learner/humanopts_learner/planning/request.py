@@ -8,6 +8,7 @@ import math
 from typing import Any, Protocol
 
 from humanopts_env.domains.base import Domain, is_enumerable
+from humanopts_env.domains.replayed_domain import ReplayedDomain
 from humanopts_learner.demonstrations import MACHINE
 from humanopts_learner.library import taught_nothing
 from humanopts_learner.options.learned_option import LearnedOption, OptionError
@@ -19,7 +20,8 @@ OPTIONS_ONLY = (HUMAN, AUTOMATIC)  # primitive actions only if no option can sta
 OF_MACHINES = (AUTOMATIC, AUTOMATIC_AND_PRIMITIVE)  # sets of automatic options
 
 TOLERANCE, SAMPLED_TOLERANCE = 1e-8, 1e-3  # reward units
-MAX_SWEEPS, GAME_STEPS = 10_000, 800_000
+MAX_SWEEPS = 10_000
+GAME_STEPS, REPLAYED_STEPS = 800_000, 10_000  # the latter where worlds step one by one
 
 Clock = Callable[[], float]  # seconds
 
@@ -124,7 +126,7 @@ class PlanRequest:
     gamma: float = 0.0  # discount per primitive step; default: the domain's own
     tol: float = 0.0  # tolerance of the residual, reward units; default: 1e-8 exact, 1e-3 sampled
     max_sweeps: int = 0  # default: 10,000
-    game_steps: int = 0  # total sampled; default: 800,000; always 0 for exact models
+    game_steps: int = 0  # total sampled; see ``usual_game_steps``; always 0 for exact models
     seed: int = 0  # of the samples
     sampling: Sampling = Sampling()
     columns: tuple[str, ...] = ()  # of sampled abstract states, as in ``Abstraction``
@@ -145,7 +147,7 @@ class PlanRequest:
             raise PlanError(f'gamma is {self.gamma}, and must be above 0 and at most 1')
         check_limits(self.tol, self.max_sweeps or 1)
 
-    def resolved(
+    def in_force(
         self, domain: Domain, options: Sequence[Any], *, sampled: bool | None = None
     ) -> 'PlanRequest':
         """
@@ -163,7 +165,7 @@ class PlanRequest:
             gamma=self.gamma or domain.gamma,
             tol=self.tol or (SAMPLED_TOLERANCE if sampled else TOLERANCE),
             max_sweeps=self.max_sweeps or MAX_SWEEPS,
-            game_steps=(self.game_steps or GAME_STEPS) if sampled else 0,
+            game_steps=(self.game_steps or usual_game_steps(domain)) if sampled else 0,
         )
         if self.action_set != PRIMITIVE:
             if not options:
@@ -185,6 +187,11 @@ class PlanRequest:
             if asked.game_steps < fewest:
                 raise PlanError(f'game_steps is {asked.game_steps}, and must be at least {fewest}')
         return asked
+
+
+def usual_game_steps(domain: Domain) -> int:
+    """Return the number of game steps from which a plan is sampled in a few seconds."""
+    return REPLAYED_STEPS if isinstance(domain, ReplayedDomain) else GAME_STEPS
 
 
 def check_limits(tol: float, max_sweeps: int) -> None:

@@ -17,6 +17,7 @@ if TYPE_CHECKING:  # slow to import, and not needed by terminals
     from humanopts_learner.planning.exact_plan import Coverage
     from humanopts_learner.planning.interruption import OptionValues
     from humanopts_learner.planning.plan import AnyPlan, Performance
+    from humanopts_learner.planning.stuck import Trial
 
 _CRITERION = Codec(Criterion, msg.Criterion, of_value=['high'], computed=['measurable'])
 _SUMMARY = Codec(
@@ -39,6 +40,7 @@ PLAN_RESULT = Codec(
     of_message=[
         *('status', 'detail', 'plan_id'),
         *('coverage_known', 'fallback_states', 'single_step_states', 'single_step_gains'),
+        *('participant', 'trial_games', 'stuck_options', 'stuck_states'),
         *('outcome_names', 'outcome_means', 'outcome_low', 'outcome_high'),
     ],
 )
@@ -50,12 +52,18 @@ def demonstration_to_message(demo: Demonstration) -> msg.Demonstration:
 
 
 def plan_to_message(
-    plan: 'AnyPlan', plan_id: str, performance: 'Performance | None', coverage: 'Coverage | None'
+    plan: 'AnyPlan',
+    plan_id: str,
+    participant: str,
+    performance: 'Performance | None',
+    coverage: 'Coverage | None',
+    trial: 'Trial',
 ) -> msg.PlanResult:
     """
     Encode the result of planning, with the returns of the plan's evaluation episodes.
 
     :param coverage: coverage of the plan; None: unknown.
+    :param trial: where it got stuck.
     """
     from humanopts_learner.planning.exact_plan import ExactPlan
     from humanopts_learner.planning.plan import summarise_plan
@@ -66,6 +74,10 @@ def plan_to_message(
         status=result.STATUS_CONVERGED if summary.converged else result.STATUS_NOT_CONVERGED,
         detail='' if summary.converged else f'not converged after {summary.sweeps} sweeps',
         plan_id=plan_id,
+        participant=participant,
+        trial_games=trial.games,
+        stuck_options=list(trial.options),
+        stuck_states=list(trial.states),
         outcome_names=list(summary.outcomes),
         outcome_means=[each.mean for each in summary.outcomes.values()],
         outcome_low=[each.low for each in summary.outcomes.values()],

@@ -28,8 +28,8 @@ from humanopts_learner.automatic.subgoals import Extraction, USUAL
 from humanopts_learner.demonstrations import MACHINE
 from humanopts_learner.options.files import option_to_json
 from humanopts_learner.options.learned_option import LearnedOption
-from humanopts_learner.planning.exact_plan import Coverage, ExactPlan, find_coverage
-from humanopts_learner.planning.plan import AnyPlan, judge_plan, make_plan, Performance
+from humanopts_learner.planning.exact_plan import ExactPlan, find_coverage
+from humanopts_learner.planning.plan import AnyPlan, judge_plan, make_plan
 from humanopts_learner.planning.request import (
     NoOptionsError,
     OF_MACHINES,
@@ -39,6 +39,8 @@ from humanopts_learner.planning.request import (
     PlanRequest,
     select_options,
 )
+from humanopts_learner.planning.sampled_plan import SampledPlan
+from humanopts_learner.planning.stuck import Trial, try_plan
 from humanopts_learner.ros.convert import PLAN_RESULT, plan_to_message
 from humanopts_learner.ros.learned_options import OptionPublisher
 from humanopts_learner.summary import PlanSummary
@@ -219,7 +221,7 @@ class PlanServer(GoalServer):
         options = select_options(known, goal.action_set, goal.participant, goal.options)
         numbers = goal.gamma, goal.tolerance, goal.max_sweeps, goal.game_steps, goal.seed
         request = PlanRequest(goal.action_set, *numbers, unstick=state.unstick)
-        request = request.resolved(domain, options)
+        request = request.in_force(domain, options)
         result.plan_id = plan_id = str(uuid.uuid4())
         self._goals.publish(
             PlanGoal(
@@ -237,18 +239,22 @@ class PlanServer(GoalServer):
         )
         progress = self.progress(handle, 'progress', 'sweeps', 'residual')
 
-        def compute() -> tuple[AnyPlan, Performance | None, Coverage | None]:
+        def compute() -> tuple[AnyPlan, PlanResult]:
             plan, performance, coverage = make_plan(domain, options, request, progress), None, None
             if goal.evaluation_episodes:
                 performance = judge_plan(plan, goal.seed, goal.evaluation_episodes, progress)
             if isinstance(plan, ExactPlan) and goal.action_set in OPTIONS_ONLY:
                 coverage = find_coverage(plan) if domain.max_steps else None
-            return plan, performance, coverage
+            trial = Trial()
+            if isinstance(plan, SampledPlan):
+                trial = try_plan(plan, goal.seed, progress)
+            parts = plan_id, goal.participant, performance, coverage, trial
+            return plan, plan_to_message(plan, *parts)
 
-        plan, performance, coverage = await in_thread(self._node, state.pool, compute)
+        plan, answer = await in_thread(self._node, state.pool, compute)
         made = MadePlan(plan, plan_id, goal.participant, known)
         state.plans[goal.action_set, goal.participant] = made
-        return plan_to_message(plan, plan_id, performance, coverage)
+        return answer
 
 
 class ExtractionServer(GoalServer):

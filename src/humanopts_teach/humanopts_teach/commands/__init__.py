@@ -28,7 +28,7 @@ def refusing(*kinds: type[Exception], what: str = '') -> Iterator[None]:
         raise CommandError(f'{what}{cause or error}') from error
 
 
-def confirmed(question: str) -> bool:
+def agreed(question: str) -> bool:
     """Ask a question at this terminal; return whether the answer is yes."""
     print(f'{question} [y/N] ', end='', flush=True)
     return sys.stdin.readline().strip().lower() in ('y', 'yes')
@@ -54,7 +54,7 @@ class Interrupts:
     """Whether SIGINT, SIGTERM or SIGHUP was received."""
 
     def __init__(self) -> None:
-        self.received = False
+        self.came = False
 
     def check(self) -> None:
         """
@@ -62,12 +62,12 @@ class Interrupts:
 
         :raises KeyboardInterrupt: a signal was received.
         """
-        if self.received:
+        if self.came:
             raise KeyboardInterrupt
 
 
 @contextmanager
-def catch_interrupts() -> Iterator[Interrupts]:
+def noticed_interrupts() -> Iterator[Interrupts]:
     """
     Note these signals, and raise KeyboardInterrupt only in ``check`` or at the end.
 
@@ -77,7 +77,7 @@ def catch_interrupts() -> Iterator[Interrupts]:
     interrupts = Interrupts()
 
     def note(signum: int, frame: FrameType | None) -> None:
-        interrupts.received = True
+        interrupts.came = True
 
     with _handled(note):
         yield interrupts

@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 import os
 from pathlib import Path
 import re
@@ -24,10 +24,10 @@ from humanopts_ros.recording import Selection
 from humanopts_teach.bags.writer import parts
 from humanopts_teach.command_line import LaunchOptions
 from humanopts_teach.commands import (
-    catch_interrupts,
+    agreed,
     CommandError,
-    confirmed,
     Interrupts,
+    noticed_interrupts,
     refusing,
 )
 from humanopts_teach.commands.output import unfailing_output
@@ -50,7 +50,7 @@ from humanopts_teach.study.record import SimilarCodeError
 _NAMESPACE = re.compile(r'/|(/[A-Za-z_][A-Za-z0-9_]*)+')  # of nodes, as ROS 2 allows them
 _TEACHING_SECONDS = 600.0  # longest time in which the simulated teacher does nothing
 WATCHED = 0.15  # s between steps of the machine while a person watches
-ARRIVAL_SECONDS = 10.0  # for published messages to arrive here
+NEWS_SECONDS = 10.0  # for published messages to arrive here
 
 
 def setup_from(
@@ -77,8 +77,6 @@ def setup_from(
             check_method(setup.learn, game)
             for formula in setup.derive:
                 derive(game, formula)
-            if 'ranges' in game.parameters:  # the nodes need not measure them again
-                setup = replace(setup, parameter=[*game.parameters.items()], features=None)
         processes(setup)
     topics = Selection(setup.namespace, setup.record_topics, setup.record_exclude)
     if setup.record and (lacking := topics.unevaluable):
@@ -95,7 +93,7 @@ def known_code(code: str, known: Iterable[str]) -> str:
     :raises CommandError: it is another participant, who needs another code.
     """
     similar = similar_code(code, known)
-    if similar and not confirmed(f'{similar} has taken part. Go on as {similar}?'):
+    if similar and not agreed(f'{similar} has taken part. Go on as {similar}?'):
         raise CommandError(str(SimilarCodeError(code, similar)))
     return similar or code
 
@@ -148,7 +146,7 @@ class Session:
         self.interrupts.check()
         self.launcher.check(*optional)
 
-    def run_until_interrupt(
+    def stay(
         self, report: Callable[[str], None], watch: Callable[[], object] = lambda: None
     ) -> None:
         """
@@ -165,7 +163,7 @@ class Session:
             self.check(RECORDER)
 
         try:
-            self.graph.run_until_interrupt(check, report)
+            self.graph.stay(check, report)
         except KeyboardInterrupt:
             self.check_recording()
             raise
@@ -234,7 +232,7 @@ def wait_until_taught(running: Session) -> None:
     seconds = _TEACHING_SECONDS + (setup.step_period or 0.0)
     graph.wait(graph.teacher_finished, seconds, 'the simulated teacher', graph.teaching_progress)
     last = setup.taught[-1]
-    graph.wait(lambda: graph.knows_learned(last), ARRIVAL_SECONDS, f'what was learned of {last!r}')
+    graph.wait(lambda: graph.knows_learned(last), NEWS_SECONDS, f'what was learned of {last!r}')
 
 
 def check_folder(setup: Setup, *, new: bool = False) -> None:
@@ -320,7 +318,7 @@ def session(
     with (
         unfailing_output(),
         place(setup.namespace, names, setup.directory),
-        catch_interrupts() as interrupts,
+        noticed_interrupts() as interrupts,
     ):
         check_folder(setup, new=new)
         interrupts.check()
@@ -349,7 +347,7 @@ def session(
                     report(problem)
 
 
-def run_until_interrupt(
+def stay(
     setup: Setup,
     started: Callable[[Session], object],
     report: Callable[[str], None],
@@ -367,7 +365,7 @@ def run_until_interrupt(
     try:
         with session(setup, lambda _: watch(), report) as running:
             started(running)
-            running.run_until_interrupt(report, watch)
+            running.stay(report, watch)
     except KeyboardInterrupt:
         pass
     return 0 if running is None else running.end()

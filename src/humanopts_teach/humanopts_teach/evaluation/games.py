@@ -26,11 +26,11 @@ from humanopts_learner.planning.exact_plan import Returns
 from humanopts_learner.planning.plan import AnyPlan, judge_plan, Performance
 from humanopts_learner.planning.request import (
     Arbitration,
-    GAME_STEPS,
     HUMAN,
     PlanError,
     PlanRequest,
     PRIMITIVE,
+    usual_game_steps,
 )
 from humanopts_learner.planning.sampled_plan import make_sampled_plan, play_games
 from humanopts_teach.bags.mcap_file import ignore_progress
@@ -237,7 +237,7 @@ def evaluate_games(
         name: make_domain(domain.name, {**domain.parameters, **changed})
         for name, changed in baselines_of(domain).variants.items()
     } or {'': domain}
-    steps = game_steps or GAME_STEPS
+    steps = game_steps or usual_game_steps(domain)
     baselines = [
         (setting, variant, baseline)
         for setting, variant in variants.items()

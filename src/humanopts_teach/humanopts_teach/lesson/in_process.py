@@ -6,7 +6,7 @@ same demonstrations as a lesson over the graph.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 import tempfile
 
@@ -17,6 +17,9 @@ from humanopts_learner.options.files import option_to_json
 from humanopts_learner.options.judge import judge, Thresholds
 from humanopts_learner.options.learn import learn_option
 from humanopts_learner.options.learned_option import LearnedOption
+from humanopts_learner.planning.request import HUMAN, PlanRequest
+from humanopts_learner.planning.sampled_plan import make_sampled_plan
+from humanopts_learner.planning.stuck import try_plan
 from humanopts_learner.summary import Criterion, OptionSummary
 from humanopts_teach.lesson.lesson import Lesson
 from humanopts_teach.lesson.requests import (
@@ -69,17 +72,21 @@ def teach(
     teacher: TeacherSettings,
     rules: LessonRules | None = None,
     enough: Enough | None = None,
+    where_stuck: int = 0,
 ) -> Taught:
     """
     Let a simulated teacher teach options, one after another.
 
     :param rules: rules of the lesson; the learner uses the same seed. None: the defaults.
     :param enough: end of each option; None: all measurable criteria hold at default thresholds.
+    :param where_stuck: maximum number of final demonstrations where a plan gets stuck; a plan is
+        made before each of them.
     :raises TeacherError: an option does not exist, or a setting is invalid.
     :raises LessonError: an action of the teacher was refused.
     """
     rules = rules or LessonRules()
-    seconds, cut_short = 0.0, ''
+    seconds, cut_short, tried, shown_there = 0.0, '', False, 0
+    teacher = replace(teacher, where_stuck=bool(where_stuck))
     game, person = Game(domain), SimulatedTeacher(domain, teacher)
     newest = Transition()
     options: dict[str, LearnedOption] = {}
@@ -107,6 +114,14 @@ def teach(
         )
         lesson.update_summaries(list(summaries.values()))
 
+    def plan() -> None:
+        """Plan with the options, and offer the states in which the plan gets stuck."""
+        request = PlanRequest(HUMAN, seed=rules.seed)
+        made = make_sampled_plan(domain, list(options.values()), request)
+        trial = try_plan(made, rules.seed)
+        stuck = zip(trial.options, trial.states)
+        lesson.update_trial(teacher.participant, trial.games, stuck)
+
     with (
         tempfile.TemporaryDirectory(prefix='humanopts-') as folder,
         DemonstrationStore(Path(folder)) as store,
@@ -121,7 +136,11 @@ def teach(
                 break
             seconds += SECONDS.get(type(act), 0.0)
             if isinstance(act, Finish):
-                break
+                if tried or not where_stuck:
+                    break
+                tried = True
+                plan()
+                continue
             if isinstance(act, Wait):
                 raise LessonError(f'the teacher waits for {act}, and nothing is under way')
             if isinstance(act, Drive):
@@ -144,5 +163,10 @@ def teach(
                 lesson.add_transition(newest)
             if answer.demonstration is not None:
                 learn(answer.demonstration)
+                shown_there += tried
+                if tried and shown_there < where_stuck:
+                    plan()
+                elif tried:
+                    break
         demonstrations = tuple(lesson.demonstrations())
     return Taught(demonstrations, tuple(options.values()), seconds, cut_short)

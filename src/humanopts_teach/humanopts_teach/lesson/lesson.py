@@ -6,7 +6,7 @@ demonstrations are on disk before a request is answered with OK; a request that 
 changes nothing.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from itertools import count
 from typing import Any
@@ -25,6 +25,7 @@ from humanopts_learner.demonstrations import (
     option_name_fault,
 )
 from humanopts_learner.options.conflicts import contradiction
+from humanopts_learner.options.starts import sort_stuck
 from humanopts_learner.summary import OptionSummary
 from humanopts_ros.limits import composed
 from humanopts_teach.lesson.attempt import Attempt, with_uuid
@@ -111,6 +112,9 @@ class Lesson:
         self._attempt: Attempt | None = None  # set with the request for an episode
         self._episode = 0  # of the newest demonstration begun
         self._again = ''  # start state of a discarded or abandoned demonstration
+        self._trial_games = 0  # played by the newest plan
+        self._stuck: list[tuple[str, Any]] = []  # options and states in which that plan got stuck
+        self._offers: dict[str, list[Any]] = {}  # the states, by the option to be shown there
         self._notice = ''
         self._paused = ''  # why nothing new can begin; empty: it can
 
@@ -155,6 +159,9 @@ class Lesson:
             strategy=rules.strategy,
             derived_features=self._history.derived,
             paused=self._paused,
+            trial_games=self._trial_games,
+            stuck_options=tuple(self._offers),
+            stuck_games=tuple(map(len, self._offers.values())),
             text=' '.join(filter(None, (self._notice, self._advice(phase)))),
         )
         option, attempt = self._option, self._under_way
@@ -318,6 +325,28 @@ class Lesson:
         if self._starts.learned(participant, option_name, text):
             self._go_on()
 
+    def update_trial(self, participant: str, games: int, stuck: Iterable[tuple[str, str]]) -> None:
+        """
+        Offer the states in which a plan got stuck as start states, instead of earlier ones.
+
+        :param participant: whose options were planned with; empty: the only one.
+        :param games: number of games played; 0: the plan was not tried.
+        :param stuck: the option that ran, or empty if none could start, and the state, in the
+            domain's notation.
+        :raises StateError: it is not a state.
+        """
+        mine = participant in ('', self._history.participant)
+        if games and mine and can_simulate(self._domain):
+            self._stuck = [(name, self._domain.decode(text)) for name, text in stuck]
+            self._trial_games = games
+            self._sort_stuck()
+
+    def _sort_stuck(self) -> None:
+        options = self._history.options
+        taught = {name: option.demonstrations for name, option in options.items()}
+        if can_simulate(self._domain):
+            self._offers = sort_stuck(self._domain, self._stuck, taught)
+
     def learner_refused(self, uuid: str, detail: str) -> None:
         """Stop waiting for a demonstration that the learner refused; it stays in the store."""
         if uuid == self.awaited:
@@ -389,13 +418,20 @@ class Lesson:
     def _advice(self, phase: Phase) -> str:
         """Return advice on what to do next, with the reason if it is not obvious."""
         summary, hint = self._settled, _HINTS[phase]
+        name = self._option.name if self._option is not None else ''
+        if phase in (Phase.READY, Phase.FINISHED) and name in self._offers and not self._spent:
+            count = len(self._offers[name])
+            hint = (
+                f'The plan got stuck in {count} of {self._trial_games} games while running '
+                f"'{name}', or in need of it: show what to do there."
+            )
         if self._paused and phase not in (Phase.DEMONSTRATING, Phase.LEARNING):
             hint = 'The lesson is paused.'
         if phase is Phase.FINISHED:
             budget = self._starts.rules.budget
             spent = f'The budget of {budget} is used up. ' if self._spent else ''
             met = 'Not all criteria are met.' if summary is None else summary.result
-            return f'{spent}{met} {_HINTS[phase]}'
+            return f'{spent}{met} {hint}'
         ready = phase in (Phase.READY, Phase.DEMONSTRATING) and not self._done
         if ready and summary is not None:
             return f'{summary.result[:-1]}, but from some starts it still fails. {hint}'
@@ -434,6 +470,8 @@ class Lesson:
             raise RefusalError(RequestStatus.NOT_SAVED, str(error)) from error
         for entry in entries:
             (history or self._history).add(entry)
+        if self._stuck:
+            self._sort_stuck()
 
     def _open_session(self, request: OpenSession) -> Answer:
         """Open a session, or resume it."""
@@ -454,6 +492,7 @@ class Lesson:
         opened = LessonEvent('session', *history.key, participant, session)
         self._write(opened, history=history)
         self._history, self._session = history, session
+        self._trial_games, self._stuck, self._offers = 0, [], {}
         self._turn_to(history.options.get(history.sessions[session]))
         return _ok(
             f'session {session} of {participant} is open',
@@ -558,6 +597,8 @@ class Lesson:
             state = self._domain.encode(decoded)
         else:
             state = self._again or next(reversed(option.start_states), '')
+            if not state and option.name in self._offers:
+                state = self._domain.encode(self._offers[option.name][0])
             state = state or self._starts.draw(option, self._history.options)
         self._attempt = Attempt(state, request.watch)
         return _ok(

@@ -324,6 +324,9 @@ class LessonView:
     episode: int = 0  # of the newest demonstration begun
     machine_steps: int = 0  # number of leading steps taken by the machine
     criteria_met: bool = False
+    trial_games: int = 0  # played by the newest plan, to find where it gets stuck; 0: none
+    stuck_options: tuple[str, ...] = ()  # to be shown where that plan got stuck
+    stuck_games: tuple[int, ...] = ()  # number of games for each of them
     paused: str = ''  # why nothing new can begin; empty: it can
     text: str = ''
 
@@ -355,7 +358,7 @@ class World:
     driven: list[str] = field(default_factory=list)  # the person's actions since then
 
     @property
-    def in_control(self) -> bool:
+    def i_drive(self) -> bool:
         """Whether this terminal has control."""
         return bool(self.me) and self.holder == self.me
 
@@ -397,7 +400,7 @@ def settled(request: Request, answer: Answer, world: World) -> bool:
         case SetPace(period, paused):
             return (world.step_period, bool(world.paused_by)) == (period, paused)
         case SetControl(hold):
-            return world.in_control == hold
+            return world.i_drive == hold
         case SetExecution(execution):
             return world.execution == execution
         case NewEpisode():

@@ -56,6 +56,7 @@ class TeacherSettings:
     error_rate: float = 0.0  # probability of an error before each step
     extra_feature_rate: float = 0.0  # probability of a wrong yes per irrelevant feature
     own_habits: bool = False  # use a random preference among actions
+    where_stuck: bool = False  # finally, show options where a plan got stuck
     step_limit: int = 200  # maximum number of steps per demonstration
     seed: int = 0
 
@@ -128,6 +129,8 @@ class SimulatedTeacher:
         if lesson.phase is Phase.FINISHED:
             self._finished.add(lesson.option_name)
         left = [name for name in settings.options if name not in self._finished]
+        if not left and settings.where_stuck and lesson.stuck_options:
+            return self._show_where_stuck(lesson, game)
         if not left:
             return Finish()
         if lesson.option_name != left[0]:
@@ -137,14 +140,22 @@ class SimulatedTeacher:
             derived = tuple(name for name in features if name not in known)
             return DefineOption(left[0], derived_features=derived)
         if lesson.phase is Phase.ASKING:
-            return AnswerQuestion(
-                lesson.question_id, self.depends_on(left[0], lesson.question_feature)
-            )
+            yes = self.depends_on(lesson.option_name, lesson.question_feature)
+            return AnswerQuestion(lesson.question_id, yes)
         if lesson.phase is Phase.READY:
             return BeginDemonstration()
         if lesson.phase is Phase.DEMONSTRATING:
             return self._demonstrate(lesson, game)
         return Wait('the learner')
+
+    def _show_where_stuck(self, lesson: LessonView, game: Transition) -> Act:
+        """Show an option where a plan got stuck."""
+        if lesson.phase is Phase.DEMONSTRATING:
+            return self._demonstrate(lesson, game)
+        if lesson.option_name != lesson.stuck_options[0]:
+            return DefineOption(lesson.stuck_options[0])
+        ready = lesson.phase in (Phase.READY, Phase.FINISHED)
+        return BeginDemonstration() if ready else Wait('the learner')
 
     def depends_on(self, option_name: str, feature: str) -> bool:
         """Answer a feature question."""

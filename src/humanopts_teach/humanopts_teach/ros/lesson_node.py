@@ -9,7 +9,7 @@ from pathlib import Path
 import sys
 from typing import Any
 
-from humanopts_env.domains.base import ActableDomain
+from humanopts_env.domains.base import ActableDomain, StateError
 from humanopts_env.ros.game_subscriber import GameSubscriber, Observed
 from humanopts_interfaces import msg
 from humanopts_interfaces.srv import ResetGame
@@ -17,8 +17,7 @@ from humanopts_learner.demonstrations import Demonstration, METHODS
 from humanopts_learner.options.learned_option import OptionError
 from humanopts_learner.options.starts import STRATEGIES
 from humanopts_learner.ros.convert import demonstration_to_message, summary_from_message
-from humanopts_ros.guarded_node import PATIENCE, SEEDS, StartError
-from humanopts_ros.node_base import NodeBase, RECORDER
+from humanopts_ros.node_base import NodeBase, PATIENCE, RECORDER, SEEDS, StartError
 from humanopts_ros.process import run_node
 from humanopts_ros.publisher import PublishError
 from humanopts_ros.qos import CURRENT, LATCHED, STREAM
@@ -169,6 +168,7 @@ class LessonNode(NodeBase):
             (msg.DemonstrationReceipt, 'demonstration_receipts', self._on_receipt, STREAM),
             (msg.LearningStatus, 'learning_status', self._on_status, CURRENT),
             (msg.LearnedOption, 'learned_options', self._on_option, STREAM),
+            (msg.PlanResult, 'plan_results', self._on_plan, STREAM),
         ):
             self.create_subscription(kind, topic, use, qos)
 
@@ -207,7 +207,7 @@ class LessonNode(NodeBase):
             return lesson.not_begun(no_game, 'Game does not serve reset_game.')
         person, start, seed = ResetGame.Request.SOURCE_PERSON, prepared.state, prepared.seed
         request = ResetGame.Request(source=person, start_state=start, seed=seed)
-        reply = await self.waiting.answer(self._reset, request, _GAME_DEADLINE)
+        reply = await self.answer(self._reset, request, _GAME_DEADLINE)
         if reply is None:
             return lesson.not_begun(no_game, 'Game does not answer.')
         if reply.status != ResetGame.Response.STATUS_OK:
@@ -260,6 +260,15 @@ class LessonNode(NodeBase):
             self._lesson.update_option(option.participant, option.name, option.model)
         except OptionError as error:
             self.refuse('learned_options', option, error)
+        self._show()
+
+    def _on_plan(self, result: msg.PlanResult) -> None:
+        """Offer the states in which a plan got stuck."""
+        stuck = zip(result.stuck_options, result.stuck_states)
+        try:
+            self._lesson.update_trial(result.participant, result.trial_games, stuck)
+        except StateError as error:
+            self.refuse('plan_results', result, error)
         self._show()
 
     def _on_recorder(self, status: msg.RecorderStatus) -> None:

@@ -1,0 +1,81 @@
+"""Where a plan gets stuck: played in games that it has not seen, without random moves."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from humanopts_env.arrays import Flags, Ints
+from humanopts_env.games import Games, new_games
+from humanopts_env.seeding import generator
+from humanopts_learner.execution import Execution, NONE, play, Policy
+from humanopts_learner.planning.action_set import Observation
+from humanopts_learner.planning.request import ignore_progress, OPTIONS_ONLY, Progress
+from humanopts_learner.planning.sampled_plan import GreedyPolicy, SampledPlan
+import numpy as np
+
+TRIALS = 50  # number of games
+
+
+@dataclass(frozen=True)
+class Trial:
+    """The games in which a plan got stuck, at most one place in each."""
+
+    games: int = 0  # played; 0: the plan was not tried
+    options: tuple[str, ...] = ()  # that ran there; empty: no option could start
+    states: tuple[str, ...] = ()  # in the domain's notation
+
+
+@dataclass(frozen=True)
+class _WithoutFallback(Policy[Observation]):
+    """A policy whose games end where no option can start."""
+
+    policy: GreedyPolicy
+
+    def choose(self, seen: Observation, games: Ints) -> Ints:
+        option = self.policy.choose(seen, games)
+        return np.where(option < self.policy.actions.first_fallback, option, NONE)
+
+    def stops(self, seen: Observation, option: Ints) -> Flags | None:
+        return self.policy.stops(seen, option)
+
+
+def try_plan(
+    plan: SampledPlan, seed: int, progress: Progress = ignore_progress, games: int = TRIALS
+) -> Trial:
+    """
+    Play a plan with options only, and find where it gets stuck.
+
+    An option gets stuck where it repeats itself (``Loops``), or, in a game that exceeds the step
+    limit, where the last option began. A plan gets stuck where no option can start.
+
+    :param progress: called with the stage evaluation.
+    :return: not tried if the runs of no option are checked, or if games have no step limit.
+    """
+    actions, domain = plan.actions, plan.domain
+    loops, limit = actions.loops(games, None), domain.max_steps
+    if loops is None or limit < 1 or plan.action_set not in OPTIONS_ONLY:
+        return Trial()
+    rng = generator(seed, 'trial games')
+    began: dict[int, Any] = {}
+    last: dict[int, tuple[int, Any]] = {}
+
+    def on_step(
+        step: int, execution: Execution[Observation], seen: Observation, played: Games
+    ) -> None:
+        progress('evaluation', step / limit, 0, np.nan)
+        states = played.states()
+        began.update((int(execution.games[at]), states[at]) for at in execution.decided)
+        parts = zip(execution.games.tolist(), execution.option.tolist(), states)
+        last.update((game, (option, state)) for game, option, state in parts)
+
+    policy = _WithoutFallback(plan.policy)
+    played = play(
+        new_games(domain, games, rng), actions, policy, rng, limit, loops=loops, on_step=on_step
+    )
+    looped = set(played.runs.game[played.runs.stuck != NONE].tolist())
+    stuck = []
+    for game in np.flatnonzero(~played.over).tolist():
+        option, state = last[game]
+        if option != NONE and game not in looped:
+            state = began[game]
+        stuck.append(('' if option == NONE else plan.names[option], domain.encode(state)))
+    return Trial(games, tuple(name for name, _ in stuck), tuple(state for _, state in stuck))
