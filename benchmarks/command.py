@@ -24,6 +24,7 @@ class Section(StrEnum):
     PLANNING = 'planning'
     LEARNING = 'learning'
     GAMES = 'games'
+    SCREENS = 'screens'
     GRAPH = 'graph'
     RECORDING = 'recording'
 

@@ -10,7 +10,7 @@ import tempfile
 import time
 from typing import Any
 
-from humanopts_ros.node_base import start_ros
+from humanopts_ros.guarded_node import start_ros
 from humanopts_teach.launching import LaunchError
 from humanopts_teach.launching.launcher import Launcher
 from humanopts_teach.launching.processes import ProcessSpec, Value

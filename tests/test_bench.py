@@ -26,7 +26,7 @@ def run(*arguments: Any) -> int:
         (('extra',), 'extra'),
         (
             ('--only', 'weather'),
-            "'weather' is not one of 'planning', 'learning', 'games', 'graph'",
+            "'weather' is not one of 'planning', 'learning', 'games', 'screens', 'graph'",
         ),
         (('--only', 'games', '--json', 'nowhere/b.json'), 'nowhere/b.json: No such file'),
         (('--only', 'games', '--json', '.'), 'cannot write .: Is a directory'),
@@ -72,7 +72,7 @@ def test_chosen_sections_are_measured_shown_and_written(tmp_path: Path, domain_i
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('section', ['learning', 'games', 'graph', 'recording'])
+@pytest.mark.parametrize('section', ['learning', 'games', 'screens', 'graph', 'recording'])
 def test_every_section_works_and_leaves_no_process(
     tmp_path: Path, domain_id: int, section: str
 ) -> None:

@@ -35,7 +35,7 @@ SECONDS = 60.0
 
 
 @pytest.fixture(scope='module')
-def at_work(shared: Graph) -> Planning:
+def planning(shared: Graph) -> Planning:
     return start_planning(shared, episodes=1, seed=SEED)
 
 
@@ -55,8 +55,8 @@ def extract(planning: Planning, **fields: Any) -> ExtractionResult:
 
 
 @pytest.fixture(scope='module')
-def extracted(at_work: Planning) -> ExtractionResult:
-    return extract(at_work)
+def extracted(planning: Planning) -> ExtractionResult:
+    return extract(planning)
 
 
 def served(planning: Planning, participant: str, names: list[str]) -> Callable[[], bool]:
@@ -71,7 +71,7 @@ def served(planning: Planning, participant: str, names: list[str]) -> Callable[[
 
 
 def test_options_are_those_of_the_library_call(
-    at_work: Planning, extracted: ExtractionResult, found: AutomaticOptions
+    planning: Planning, extracted: ExtractionResult, found: AutomaticOptions
 ) -> None:
     """A subscriber that comes late gets them whole; they are served beside those of people."""
     assert (extracted.status, extracted.participant) == (extracted.STATUS_DONE, 'automatic:1')
@@ -80,57 +80,57 @@ def test_options_are_those_of_the_library_call(
     assert (extracted.game_steps, extracted.episodes) == (found.game_steps, found.episodes)
     assert extracted.solved == found.solved
     assert extracted.seconds > 0
-    heard = at_work.graph.listen(LearnedOption, 'automatic_options')
+    heard = planning.graph.listen(LearnedOption, 'automatic_options')
     expected = to_learned_options(TAXI, found)
-    at_work.graph.until(lambda: len(heard) == len(expected), 'the options')
+    planning.graph.until(lambda: len(heard) == len(expected), 'the options')
     assert [option_from_json(message.model)[0] for message in heard] == expected
-    at_work.teach(taught())
+    planning.teach(taught())
     theirs = [option.name for option in taught()]
-    at_work.graph.until(served(at_work, taught()[0].participant, theirs), 'those of a person')
-    assert served(at_work, 'automatic:1', list(extracted.option_names))()
+    planning.graph.until(served(planning, taught()[0].participant, theirs), 'those of a person')
+    assert served(planning, 'automatic:1', list(extracted.option_names))()
 
 
 def test_an_episode_is_played_by_a_plan_of_automatic_options(
-    at_work: Planning, extracted: ExtractionResult, found: AutomaticOptions
+    planning: Planning, extracted: ExtractionResult, found: AutomaticOptions
 ) -> None:
     plan = make_plan(TAXI, to_learned_options(TAXI, found), PlanRequest('automatic'))
-    result = at_work.plan('automatic')
+    result = planning.plan('automatic')
     assert result.status == PlanResult.STATUS_CONVERGED
     assert tuple(result.option_names) == plan.names
     assert result.sweeps == plan.solution.sweeps
-    at_work.graph.until(
-        served(at_work, 'automatic:1', list(extracted.option_names)), 'the options'
+    planning.graph.until(
+        served(planning, 'automatic:1', list(extracted.option_names)), 'the options'
     )
-    played = at_work.play('automatic')
+    played = planning.play('automatic')
     assert (played.status, played.episodes) == (PolicyResult.STATUS_DONE, 1)
 
 
 def test_a_search_leaves_the_plans_of_peoples_options_as_they_are(
-    at_work: Planning, extracted: ExtractionResult
+    planning: Planning, extracted: ExtractionResult
 ) -> None:
-    at_work.teach(taught())
-    assert at_work.plan('human').status == PlanResult.STATUS_CONVERGED
-    assert at_work.plan('automatic+primitive').status == PlanResult.STATUS_CONVERGED
-    other = extract(at_work, participant='automatic:2', max_options=1)
+    planning.teach(taught())
+    assert planning.plan('human').status == PlanResult.STATUS_CONVERGED
+    assert planning.plan('automatic+primitive').status == PlanResult.STATUS_CONVERGED
+    other = extract(planning, participant='automatic:2', max_options=1)
     assert other.status == ExtractionResult.STATUS_DONE
-    assert at_work.play('human').status == PolicyResult.STATUS_DONE
-    refused = at_work.play('automatic+primitive')
+    assert planning.play('human').status == PolicyResult.STATUS_DONE
+    refused = planning.play('automatic+primitive')
     assert refused.status == PolicyResult.STATUS_NO_PLAN
     assert 'the options changed' in refused.detail
-    both = at_work.plan('automatic')
+    both = planning.plan('automatic')
     assert both.status == PlanResult.STATUS_BAD_REQUEST
     assert 'name one of automatic:1, automatic:2' in both.detail
-    named = at_work.plan('automatic', participant='automatic:1')
+    named = planning.plan('automatic', participant='automatic:1')
     assert named.status == PlanResult.STATUS_CONVERGED
 
 
-def test_a_search_tells_how_far_it_is_and_refuses_another_meanwhile(at_work: Planning) -> None:
-    graph = at_work.graph
+def test_a_search_tells_how_far_it_is_and_refuses_another_meanwhile(planning: Planning) -> None:
+    graph = planning.graph
     goals = graph.listen(ExtractionGoal, 'extraction_goals')
     results = graph.listen(ExtractionResult, 'extraction_results')
-    goal = begin(at_work, **ENDLESS)
+    goal = begin(planning, **ENDLESS)
     graph.until(lambda: len(goal.feedback) > 2, 'progress')
-    busy = extract(at_work)
+    busy = extract(planning)
     assert (busy.status, busy.extraction_id) == (busy.STATUS_BUSY, '')
     assert 'another search' in busy.detail
     goal.cancel()
@@ -154,9 +154,9 @@ def test_a_search_tells_how_far_it_is_and_refuses_another_meanwhile(at_work: Pla
     ],
 )
 def test_a_request_that_makes_no_sense_is_refused_in_words(
-    at_work: Planning, fields: dict[str, Any], says: str
+    planning: Planning, fields: dict[str, Any], says: str
 ) -> None:
-    result = extract(at_work, **fields)
+    result = extract(planning, **fields)
     assert result.status == ExtractionResult.STATUS_BAD_REQUEST
     assert says in result.detail
 

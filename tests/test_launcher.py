@@ -201,7 +201,7 @@ def test_a_bag_that_is_short_is_told_though_another_recorder_took_over(
             conductor.wait(lambda: False, 20.0, 'the end of the recording')
         live.start(RECORDER, path=tmp_path / 'second')
         with pytest.raises(LaunchError, match='the other is there'):
-            conductor.stay(check, said.append)
+            conductor.run_until_interrupt(check, said.append)
         assert conductor.unrecorded().startswith('recording stopped: cannot write in')
         assert conductor.unrecorded().endswith(f'humanopts bag info {tmp_path}/first')
         assert {line.partition(':')[0] for line in said} == {

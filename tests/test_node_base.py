@@ -270,7 +270,7 @@ def test_a_server_that_is_found_after_the_call_still_answers(live: Graph) -> Non
 
     def ask(name: str, seconds: float) -> Any:
         client = asker.create_client(Trigger, name)
-        return asker.executor.create_task(asker.answer(client, Trigger.Request(), seconds))
+        return asker.executor.create_task(asker.waiting.answer(client, Trigger.Request(), seconds))
 
     def answer(request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         response.message = 'here'

@@ -21,7 +21,8 @@ import time
 from typing import Any
 
 from humanopts_interfaces.msg import NodeStatus
-from humanopts_ros.node_base import NodeBase, StartError
+from humanopts_ros.guarded_node import StartError
+from humanopts_ros.node_base import NodeBase
 from humanopts_ros.qos import CURRENT, STREAM
 import rclpy
 from rclpy.action import ActionClient

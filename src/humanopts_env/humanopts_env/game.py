@@ -36,6 +36,7 @@ class Reason(IntEnum):
     EPISODE_OVER = 4
     NO_SUCH_SOURCE = 5
     PAUSED = 6
+    FAILED = 7
 
 
 class Holder(IntEnum):
@@ -224,7 +225,7 @@ class Game:
         rng = generator(seed, 'episode', self.domain.name)
         try:
             state = self._start(start_state) if start_state else self.domain.reset(rng)
-        except StateError as error:
+        except DomainError as error:
             return Reply(ResetStatus.BAD_STATE, str(error))
         self._rng, self._state = rng, state
         self.transition = Transition(self.transition.episode + 1, 0, *self._observed())
@@ -235,10 +236,14 @@ class Game:
         refused = self.refusal(command)
         if refused is not None:
             return refused
+        try:
+            transition = self._step(command)
+        except DomainError as error:
+            return self.refuse(command, Reason.FAILED, str(error))
         control = None
         if command.source == Source.PERSON and self.control.holder is Holder.NOBODY:
             control = self._give(command.publisher_id, 'a person pressed a key')
-        return Accepted(self._step(command), control)
+        return Accepted(transition, control)
 
     def refusal(self, command: Command) -> Refused | None:
         """Return the refusal of a command at this moment; None: it would be executed."""

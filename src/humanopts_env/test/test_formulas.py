@@ -27,13 +27,14 @@ LANDER: Any = SimpleNamespace(
     ),
 )
 NUMBERS = ('x', 'height', 'angle', 'gears', 'offset')
+TRUTHS = ('open', '(x > 0.1)', '(not open)', '(open and angle < x)', '(x < 0 or height > x)')
 OFFSETS = (-2.0, -1.0, 0.0, 1.0, 2.0)
 ROW = [0.5, 1.0, -0.5, 2, 4, 1, 1, 1, 1]
 
 
 def python(name: str, row: list[float]) -> Any:
     """Evaluate a formula over numbers as Python does."""
-    values = dict(zip(NUMBERS, row)) | {'offset': OFFSETS[int(row[4])]}
+    values = dict(zip(NUMBERS, row)) | {'offset': OFFSETS[int(row[4])], 'open': row[-1]}
     functions = {
         'abs': abs,
         'min': min,
@@ -57,7 +58,7 @@ CONSTANT = st.floats(0, 1e6, width=32).map(repr)
 def formulas(draw: st.DrawFn, depth: int = 3) -> str:
     """Draw a formula over numbers, which may be invalid."""
     if not depth or draw(st.booleans()):
-        return draw(st.sampled_from(NUMBERS) | CONSTANT)
+        return draw(st.sampled_from([*NUMBERS, *TRUTHS]) | CONSTANT)
     form = draw(st.sampled_from(FORMS))
     return form.format(*(draw(formulas(depth - 1)) for _ in range(form.count('{}'))))
 
@@ -115,6 +116,8 @@ def test_a_value_is_that_of_python_and_in_its_range(text: str, several: list[lis
         ("offset != 'far'", "offset != 'far'", 'whether offset is not far', 'no'),
         ("fuel >= 'full'", "fuel >= 'full'", 'whether fuel is at least full', 'no'),
         ('fuel + 1', 'fuel + 1', 'the value of fuel plus 1', '2'),
+        ('x * (not open)', 'x * (not open)', 'the value of x times (not open)', '0'),
+        ('2 * (x > 0) - open', '2 * (x > 0) - open', None, '1'),
         ('open and not x > 1', 'open and (not x > 1)', None, 'yes'),
     ],
 )
@@ -148,7 +151,7 @@ def test_a_formula_is_a_feature(
         ('1e308 * angle * 9', 'can be too large for a number'),
         ('x / (height + 1.0000001) / 1e-320', 'can be too large for a number'),
         ('carrying + 1', "carrying is not a number: compare it, as in carrying == 'ball'"),
-        ('(x > 0) + 1', "'x > 0' is not a number"),
+        ("'key' + x", "'key' is not a number"),
         ("carrying == 'sword'", "carrying is never 'sword'; its values are none, key, ball"),
         ("x == 'key'", "x and 'key' cannot be compared"),
         ('carrying < wanted', 'carrying and wanted have no order: use == or !='),

@@ -77,7 +77,7 @@ class OptionTrainer:
         read = self._read()
         self._withdrawn = {demo.uuid: demo.withdrawn for demo in read}  # by uuid
         self._participant: str | None = None
-        self._theirs: dict[str, Demonstration] = {}  # of the current participant, by uuid
+        self._demonstrations: dict[str, Demonstration] = {}  # of the current participant, by uuid
         people: dict[str, list[Demonstration]] = {}
         for demo in read:
             people.setdefault(demo.participant, []).append(demo)
@@ -101,8 +101,8 @@ class OptionTrainer:
             self._log.append(demo.to_json())
         except OSError as error:
             raise DataSetError(f'cannot write {self._log.path}: {error.strerror}') from error
-        self._theirs[demo.uuid], self._withdrawn[demo.uuid] = demo, demo.withdrawn
-        self._learn(demo.participant, demo.option_name, self._theirs.values())
+        self._demonstrations[demo.uuid], self._withdrawn[demo.uuid] = demo, demo.withdrawn
+        self._learn(demo.participant, demo.option_name, self._demonstrations.values())
         return True
 
     def options(self) -> list[TaughtOption]:
@@ -135,16 +135,18 @@ class OptionTrainer:
                 read = self._read(participant)
             except OSError as error:
                 raise DataSetError(f'cannot read {self._log.path}: {error.strerror}') from error
-        self._theirs, self._participant = {demo.uuid: demo for demo in read}, participant
+        self._demonstrations, self._participant = {demo.uuid: demo for demo in read}, participant
 
-    def _learn(self, participant: str, option_name: str, theirs: Iterable[Demonstration]) -> None:
+    def _learn(
+        self, participant: str, option_name: str, demonstrations: Iterable[Demonstration]
+    ) -> None:
         """
         Learn an option, or remove it if it has no demonstrations left.
 
-        :param theirs: all demonstrations of the participant.
+        :param demonstrations: all demonstrations of the participant.
         """
         key = participant, option_name
-        demos = group_by_option(theirs).get(key, [])
+        demos = group_by_option(demonstrations).get(key, [])
         if not demos:
             self._unlearn(*key)
             self._options.pop(key, None)

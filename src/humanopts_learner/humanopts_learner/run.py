@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
-from humanopts_env.arrays import Flags, Floats, Ints, Rows
+from humanopts_env.arrays import Flags, Ints, Rows
 from humanopts_env.domains.base import ActableDomain, Domain, is_enumerable
 from humanopts_env.games import Steps
 from humanopts_learner.execution import Execution, Fixed, RowOptions, SeenRows
@@ -20,8 +20,8 @@ from humanopts_learner.library import RunnableOption
 from humanopts_learner.option import DrawnOption, Option
 from humanopts_learner.options.learned_option import LearnedOption, loops_of
 from humanopts_learner.options.rollout import is_deterministic
-from humanopts_learner.planning.action_set import ActionSet
-from humanopts_learner.planning.interruption import arbitrate, interruptions, OptionValues
+from humanopts_learner.planning.action_set import ActionSet, Observation
+from humanopts_learner.planning.interruption import OptionValues
 from humanopts_learner.planning.request import Arbitration, MODULAR, PlanError
 from humanopts_learner.planning.sampled_plan import GreedyPolicy
 import numpy as np
@@ -117,15 +117,16 @@ class Arbiter:
         :param options: all options of the plan and all primitive actions, by name.
         :raises PlanError: the values do not fit the domain.
         """
-        self.execution, self._values, self._domain = execution, values, domain
-        names = values.names
+        self.execution, self._domain = execution, domain
+        self._policy, names = GreedyPolicy(values, execution), values.names
+        self._actions: ActionSet | None = None
         if values.sampled:
             among = [options[name] for name in names]
             learned = [option for option in among if isinstance(option, LearnedOption)]
-            actions = ActionSet(domain, values.action_set, learned)
+            self._actions = actions = ActionSet(domain, values.action_set, learned)
             if actions.names[: actions.first_fallback] != names:
                 raise PlanError(f'the values are not for the actions of {domain.name}')
-            self._policy, names = GreedyPolicy(actions, values, execution), actions.names
+            names = actions.names
         elif not is_enumerable(domain) or domain.n_states != len(values.states):
             raise PlanError(f'the values are not for every state of {domain.name}')
         self.modules = [options[name] for name in names]
@@ -136,15 +137,11 @@ class Arbiter:
 
         :param running: name of the option, which has taken at least one step.
         """
-        if self.execution is not Arbitration.INTERRUPTED or running not in self._values.names:
+        names = self._policy.values.names
+        if self.execution is not Arbitration.INTERRUPTED or running not in names:
             return False
-        option = self._values.names.index(running)
-        if self._values.sampled:
-            seen = self._policy.actions.observe_state(state)
-            stopped = self._policy.stops(seen, np.array([option]))
-            return stopped is not None and bool(stopped[0])
-        worse = interruptions(*self._values_at(state), self._values.interruption_margin)
-        return bool(worse[0, option])
+        stopped = self._policy.stops(self._observe(state), np.array([names.index(running)]))
+        return stopped is not None and bool(stopped[0])
 
     def module(self, state: Any) -> RunnableOption:
         """
@@ -154,18 +151,25 @@ class Arbiter:
         """
         if self.execution not in MODULAR:
             raise PlanError(f'{self.execution} runs no modules')
-        if self._values.sampled:
-            seen = self._policy.actions.observe_state(state)
-            return self.modules[int(self._policy.choose(seen, _ONE)[0])]
-        row = self._domain.feature_values(state)[None]
-        action = np.stack([module.action(row) for module in self.modules], axis=1)
-        return self.modules[int(arbitrate(self.execution, *self._values_at(state), action)[0])]
+        return self.modules[int(self._policy.choose(self._observe(state), _ONE)[0])]
 
-    def _values_at(self, state: Any) -> tuple[Floats, Floats]:
-        """Return the exact option and continuation values of a state, (1, O)."""
+    def _observe(self, state: Any) -> Observation:
+        """Return the observation of a state; exact values say where options can start."""
+        if self._actions is not None:
+            return self._actions.observe_state(state)
         assert is_enumerable(self._domain)
-        at = [self._domain.index(state)]
-        return self._values.option_values[at], self._values.continuation_values[at]
+        row, known = (
+            self._domain.feature_values(state)[None],
+            np.ones((1, len(self.modules)), bool),
+        )
+        return Observation(
+            states=np.array([self._domain.index(state)]),
+            startable=known,
+            wanted=np.stack([module.action(row) for module in self.modules], axis=1),
+            ending=known,
+            fallback=np.array([-1]),
+            n_options=len(self.modules),
+        )
 
 
 class Run:

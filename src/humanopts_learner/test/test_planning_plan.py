@@ -262,13 +262,13 @@ def test_the_slippery_lake_is_crossed_as_often_as_it_can_be() -> None:
 def test_defaults_fit_the_models() -> None:
     """Exact models need no game steps, and sampled ones no tolerance finer than themselves."""
     asked = PlanRequest('primitive')
-    assert asked.in_force(ROOMS, []) == PlanRequest('primitive', 0.9, 1e-8, 10_000, 0)
-    assert asked.in_force(YARD, []) == PlanRequest('primitive', 0.985, 1e-3, 10_000, 800_000)
+    assert asked.resolved(ROOMS, []) == PlanRequest('primitive', 0.9, 1e-8, 10_000, 0)
+    assert asked.resolved(YARD, []) == PlanRequest('primitive', 0.985, 1e-3, 10_000, 800_000)
     own = PlanRequest('primitive', 0.5, 0.1, 7, 500, 9)
-    assert own.in_force(YARD, []) == own
-    assert own.in_force(ROOMS, []) == replace(own, game_steps=0)
+    assert own.resolved(YARD, []) == own
+    assert own.resolved(ROOMS, []) == replace(own, game_steps=0)
     with pytest.raises(PlanError, match='game_steps is 399, and must be at least 400'):
-        PlanRequest('primitive', game_steps=399).in_force(YARD, [])
+        PlanRequest('primitive', game_steps=399).resolved(YARD, [])
 
 
 @pytest.mark.parametrize(
@@ -302,9 +302,9 @@ def test_settings_out_of_range_are_refused(
 )
 def test_options_that_do_not_fit_are_refused(options: Sequence[LearnedOption], text: str) -> None:
     with pytest.raises(PlanError, match=text):
-        PlanRequest('human').in_force(ROOMS, options)
+        PlanRequest('human').resolved(ROOMS, options)
     with pytest.raises(NoOptionsError, match='extract them'):
-        PlanRequest('automatic').in_force(ROOMS, [])
+        PlanRequest('automatic').resolved(ROOMS, [])
 
 
 def named(name: str, participant: str) -> LearnedOption:

@@ -10,9 +10,10 @@ from types import FrameType
 
 from humanopts_interfaces.msg import NodeStatus
 from humanopts_ros import workarounds
+from humanopts_ros.guarded_node import start_ros, StartError
 from humanopts_ros.limits import accept_any_text, one_line
 from humanopts_ros.middleware import LAUNCHER_PID, MiddlewareError
-from humanopts_ros.node_base import NodeBase, start_ros, StartError
+from humanopts_ros.node_base import NodeBase
 from humanopts_ros.publisher import PublishError
 from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
 from rclpy.experimental.events_executor import EventsExecutor

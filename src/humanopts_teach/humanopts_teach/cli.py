@@ -179,13 +179,15 @@ def up(
     from humanopts_teach.launching.forks import prepare
 
     prepare()
-    from humanopts_teach.commands.session import print_line, Session, stay
+    from humanopts_teach.commands.session import print_line, run_until_interrupt, Session
 
     def started(running: Session) -> None:
         print('ready: ' + ', '.join(running.launcher.node_names))
         print(f'logs and data in {running.setup.directory}; Ctrl-C stops everything', flush=True)
 
-    status = stay(up_setup(domain, no_record, only, taught, launch), started, print_line)
+    status = run_until_interrupt(
+        up_setup(domain, no_record, only, taught, launch), started, print_line
+    )
     print('stopped')
     return status
 

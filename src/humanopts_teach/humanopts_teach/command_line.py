@@ -229,6 +229,14 @@ class LaunchOptions:
             callback=each_once,
         ),
     ] = field(default_factory=list)
+    features: Annotated[
+        str | None,
+        option(
+            'FILE.py:NAME',
+            'function that returns the features of a Gymnasium environment; also MODULE:NAME, an '
+            'installed name, or observation',
+        ),
+    ] = None
     namespace: Annotated[str, option('NAME', 'namespace of the nodes; begins with /')] = '/'
     record_topics: Annotated[
         list[str],
@@ -271,6 +279,12 @@ class LaunchOptions:
         False
     )
     views: Annotated[bool, flag('--views', 'publish the game for RViz and Foxglove')] = False
+
+    @property
+    def domain_parameters(self) -> dict[str, Any]:
+        """The parameters of the domain."""
+        features = {} if self.features is None else {'features': self.features}
+        return dict(self.parameter) | features
 
 
 def with_options(command: Callable[..., int]) -> Callable[..., int]:

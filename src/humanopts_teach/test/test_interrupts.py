@@ -4,7 +4,7 @@ from collections.abc import Iterator
 import os
 import signal
 
-from humanopts_teach.commands import noticed_interrupts
+from humanopts_teach.commands import catch_interrupts
 import pytest
 
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -35,7 +35,7 @@ def test_a_signal_that_comes_where_errors_are_ignored_is_heard_at_the_next_look(
     reached = []
 
     def work() -> None:
-        with noticed_interrupts() as interrupts:
+        with catch_interrupts() as interrupts:
             interrupts.check()
             Deleted(number)
             reached.append('what follows')
@@ -49,14 +49,14 @@ def test_a_signal_that_comes_where_errors_are_ignored_is_heard_at_the_next_look(
 
 def test_a_signal_after_the_last_look_is_heard_at_the_end_and_the_handlers_are_restored() -> None:
     before = [signal.getsignal(number) for number in ENDING]
-    with pytest.raises(KeyboardInterrupt), noticed_interrupts():
+    with pytest.raises(KeyboardInterrupt), catch_interrupts():
         os.kill(os.getpid(), signal.SIGTERM)
     assert [signal.getsignal(number) for number in ENDING] == before
 
 
 def test_an_error_of_the_work_is_not_replaced_by_a_signal() -> None:
     def work() -> None:
-        with noticed_interrupts():
+        with catch_interrupts():
             os.kill(os.getpid(), signal.SIGINT)
             raise ValueError('of the work')
 

@@ -13,6 +13,7 @@ from humanopts_env.game import Source, Transition
 from humanopts_learner.demonstrations import check_demonstration, GOAL, Kind, TREES
 from humanopts_learner.summary import Criterion, OptionSummary
 from humanopts_teach.lesson import requests
+from humanopts_teach.lesson.lesson import MAX_DERIVED
 from humanopts_teach.lesson.requests import (
     Answer,
     AnswerQuestion,
@@ -649,3 +650,54 @@ def test_the_lesson_waits_for_learner_and_start_states(table: Table) -> None:
     table.starts.known.clear()
     table.lesson.update_option('p1', OPTION, 'the option without it')
     assert table.lesson.phase is Phase.READY
+
+
+OFFSET, NEAR = 'taxi_row - passenger_row', 'abs(taxi_row - passenger_row) < 2'
+
+
+def test_a_derived_feature_is_asked_about_last_in_every_option_and_kept(
+    table: Table, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    table.opened()
+    derived = DefineOption(OPTION, derived_features=('taxi_row-passenger_row', OFFSET))
+    with monkeypatch.context() as patch:
+        fill_disk(patch)
+        assert table.ask(derived).status is RequestStatus.NOT_SAVED
+    assert not table.lesson.view.derived_features
+    assert table.ask(derived).detail == f'begun: {OPTION}; it is also asked about {OFFSET}'
+    assert table.lesson.view.questions_total == len(FEATURES) + 1
+    table.answer_all()
+    view = table.lesson.view
+    assert (view.phase, view.question_feature) == (Phase.ASKING, OFFSET)
+    assert view.question.endswith('depend on the value of taxi row minus passenger row?')
+    assert table.ask(AnswerQuestion(view.question_id, yes=True)).ok
+    demo = table.began(START).drive('west').end().demonstration
+    assert demo is not None
+    assert demo.chosen_features == (*CHOSEN, OFFSET)
+    table.learned(features=demo.chosen_features)
+    assert table.ask(DefineOption(OPTION, derived_features=(NEAR,))).ok  # one more question
+    assert table.lesson.view.question_feature == NEAR
+    resumed = Table(table.store).opened()
+    view = resumed.lesson.view
+    assert (view.derived_features, view.question_feature) == ((OFFSET, NEAR), NEAR)
+    assert view.chosen_features == (*CHOSEN, OFFSET)
+    assert resumed.ask(DefineOption('another')).ok
+    assert resumed.lesson.view.questions_total == len(FEATURES) + 2
+    resumed.ask(OpenSession('p2'))
+    assert not resumed.lesson.view.derived_features
+
+
+def test_a_bad_formula_changes_nothing_and_the_rules_add_theirs(store: DemonstrationStore) -> None:
+    table = Table(store).opened()
+    view, entries = table.lesson.view, store.entries('p1')
+    answer = table.ask(DefineOption(OPTION, derived_features=(OFFSET, 'taxi_rwo - 1')))
+    assert answer.status is RequestStatus.BAD_FEATURE
+    assert answer.detail == ("taxi has no feature 'taxi_rwo'; did you mean taxi_row or taxi_col?")
+    many = tuple(f'taxi_row - {number}' for number in range(1, MAX_DERIVED + 2))
+    assert table.ask(DefineOption(OPTION, derived_features=many)).detail == (
+        f'{MAX_DERIVED} derived features are the most'
+    )
+    assert (table.lesson.view, store.entries('p1')) == (view, entries)
+    table.starts.rules = replace(table.starts.rules, derive=(OFFSET,))
+    assert table.ask(DefineOption(OPTION, derived_features=(NEAR,))).ok
+    assert table.lesson.view.derived_features == (OFFSET, NEAR)

@@ -7,18 +7,20 @@ from io import BytesIO
 from pathlib import Path
 import re
 
-from humanopts_env.board import Board
+from humanopts_env.board import Board, Image
 from humanopts_env.domains.capabilities import board_of, pictured_board_of
 from humanopts_env.seeding import generator
 from humanopts_teach.board_html import board_html
 from humanopts_teach.browser.markup import parts
 from humanopts_teach.dialogue.panel import Features
 from humanopts_teach.dialogue.view import view
-from humanopts_teach.terminal.drawing import board_texts, frame, half_blocks
+from humanopts_teach.terminal.drawing import board_texts, frame, HalfBlocks
 import numpy as np
 from PIL import Image as Pillow
 import pytest
 from rich.color import Color
+from rich.console import Console
+from rich.segment import Segment
 from teach_support.desk import Desk
 from teach_support.orchard import Field, Orchard
 
@@ -67,18 +69,26 @@ def desk(tmp_path: Path) -> Iterator[Desk]:
     desk.store.close()
 
 
+def lines(image: Image, width: int, height: int) -> list[list[Segment]]:
+    """Return the segments of each line of an image."""
+    console = Console(width=200)
+    return console.render_lines(HalfBlocks(image, width, height), pad=False)
+
+
+def pixels(line: list[Segment]) -> list[tuple[int, Color | None, Color | None]]:
+    """Return runs of equal half blocks: their number, and their upper and lower pixel."""
+    assert {*''.join(each.text for each in line)} == {'▀'}
+    return [(len(text), style.color, style.bgcolor) for text, style, _ in line if style]
+
+
 def test_a_half_block_is_two_pixels_and_each_the_mean_of_its_area() -> None:
     image = np.array([[RED, BLUE], [BLUE, BLUE], [RED, BLACK], [RED, BLACK]], dtype=np.uint8)
-    text = half_blocks(image, 80, 2)
-    assert text.plain == '▀▀\n▀▀'
-    found = [(span.style.color, span.style.bgcolor) for span in text.spans]  # type: ignore[union-attr]
-    wanted = [(RED, BLUE), (BLUE, BLUE), (RED, RED), (BLACK, BLACK)]
-    assert found == [(Color.from_rgb(*a), Color.from_rgb(*b)) for a, b in wanted]
-    (span,) = half_blocks(image[:2], 1, 9).spans
-    assert (span.style.color, span.style.bgcolor) == (  # type: ignore[union-attr]
-        Color.from_rgb(120, 0, 120),
-        Color.from_rgb(0, 0, 248),
-    )
+    red, blue, black, mean = (Color.from_rgb(*c) for c in (RED, BLUE, BLACK, (120, 0, 120)))
+    first, second = map(pixels, lines(image, 80, 2))
+    assert first == [(1, red, blue), (1, blue, blue)]
+    assert second == [(1, red, red), (1, black, black)]
+    assert [*map(pixels, lines(image[:2], 1, 9))] == [[(1, mean, blue)]]
+    assert [*map(pixels, lines(image[1:2], 8, 9))] == [[(8, blue, blue)]] * 2
 
 
 @pytest.mark.parametrize('size', [(64, 64), (400, 600), (600, 100), (1, 1)])
@@ -86,12 +96,13 @@ def test_a_half_block_is_two_pixels_and_each_the_mean_of_its_area() -> None:
 def test_an_image_fills_its_room_and_keeps_its_shape(
     size: tuple[int, int], room: tuple[int, int]
 ) -> None:
-    rows = half_blocks(np.zeros((*size, 3), np.uint8), *room).plain.split('\n')
-    width, height = len(rows[0]), len(rows)
+    image = np.zeros((*size, 3), np.uint8)
+    rows = lines(image, *room)
+    width, height = sum(len(each.text) for each in rows[0]), len(rows)
     assert (width <= room[0], height <= room[1]) == (True, True)
     assert width == room[0] or height == room[1]
     assert width == pytest.approx(2 * height * size[1] / size[0], abs=2)
-    assert half_blocks(np.zeros((*size, 3), np.uint8), 1, 1).plain == '▀'
+    assert [*map(pixels, lines(image, 1, 1))] == [[(1, *2 * [Color.from_rgb(*BLACK)])]]
 
 
 def test_a_lesson_shows_the_picture_and_a_table_and_says_that_it_shows_more(desk: Desk) -> None:
@@ -103,9 +114,9 @@ def test_a_lesson_shows_the_picture_and_a_table_and_says_that_it_shows_more(desk
     way = desk.app.domain.features[0].text(game.features[0])
     assert table.shown == [('apple direction', way)]
     assert table.hidden == 'the picture shows more, which the option does not see'
-    lines = frame(desk.app, 80, 24, 'truecolor')
-    assert sum('▀' in line for line in lines) == 18
-    assert re.search(r'apple direction .*' + way, '\n'.join(lines))
+    screen = frame(desk.app, 80, 24, 'truecolor')
+    assert sum('▀' in line for line in screen) == 18
+    assert re.search(r'apple direction .*' + way, '\n'.join(screen))
 
 
 def test_before_any_are_chosen_all_features_are_in_the_table(desk: Desk) -> None:
@@ -176,5 +187,5 @@ def test_a_picture_is_no_part_of_the_board_that_hides_features() -> None:
     board = board_of(domain, state, ['basket'])
     assert board == Board(notes=('basket: 0',))
     listed, _ = board_texts(replace(board, image=DrawnField.canvas), 40, 10, None)
-    assert listed.plain == 'basket: 0'
+    assert str(listed) == 'basket: 0'
     assert board_html(board) == ''

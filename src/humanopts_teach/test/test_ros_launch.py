@@ -70,7 +70,9 @@ def test_every_argument_reaches_a_parameter() -> None:
         'views': 'true',
         'taught': 'go up; go down',
     }
-    assert {*values, 'no_record', 'only'} == set(DEFAULTS)
+    assert {*values, 'no_record', 'only', 'features'} == set(DEFAULTS)
+    (game,) = specs_of(only='game', domain='gymnasium:CartPole-v1', features='observation')
+    assert game.parameters['domain_parameters'] == '{"features": "observation"}'
     specs = {spec.name: spec.parameters for spec in specs_of(**values)}
     assert specs['game']['domain'] == 'rooms'
     assert specs['game']['domain_parameters'] == '{"goal": "G2"}'

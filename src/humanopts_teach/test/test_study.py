@@ -112,7 +112,7 @@ CHANGES = [  # what is replaced in the plan, each time by something that cannot 
     ('study:', ['all: {<<: {}}\nstudy:', 'participants: 3\nstudy:', 'participants: -1\nstudy:']),
     ('name: trees', ['names: trees', 'name: No', 'name: goal', 'name: 1.5', 'name: a b']),
     ('teach: 10', ['tech: 10', 'teach: 0', 'teach: ten', 'teach: yes', 'budget: 0']),
-    ('buttons: 3', ['buttons: -1', 'strategy: luck', 'learn: magic']),
+    ('buttons: 3', ['buttons: -1', 'strategy: luck', 'learn: magic', 'derive: [taxi_row - a]']),
     ('domain: taxi', ['domain: pacman', 'domain: chess', 'parameters: {}', LAKE]),
     ('domain: taxi', ['domain: taxi, parameters: {rows: 7.0}']),
     ('nasa-tlx', ['mine.yaml']),

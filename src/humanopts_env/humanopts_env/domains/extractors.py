@@ -40,7 +40,7 @@ MAX_NUMBERS = 64  # in a Box that is not an image
 MAX_NOMINAL = 20  # values of a Discrete that is not ordered
 YES_NO = ('no', 'yes')
 OTHER = 'other'  # a text that was not seen when the range was measured
-WIDER = 2.0  # a measured range is wider than the values seen by at least this factor
+WIDER = 3.0  # a measured range is wider than the values seen by at least this factor
 Read = Callable[[Any, Any], Sequence[float]]  # environment, observation
 Samples = Iterable[tuple[Any, Any]]  # environments, which change, and their observations
 
@@ -124,17 +124,16 @@ def observed(
         raise DomainError(f'{name} has no observations that can be features; {_ADVICE}')
     features = [feature for part in parts for feature in part[0]]
     names = [feature.name for feature in features]
+    _check_names(name, 'ranges', ranges, names)
     endless = [f for f in features if f.kind is FeatureKind.CONTINUOUS and not _finite(f)]
-    measured = {f.name: ranges[f.name] for f in endless if f.name in ranges}
-    if len(measured) < len(endless):
+    measured = dict(ranges)
+    if not all(feature.name in measured for feature in endless):
         rows = np.array([_numbers(parts, seen) for seen in samples])
         for feature in endless:
             column = rows[:, names.index(feature.name)]
             measured.setdefault(feature.name, measured_range(column.tolist()))
     made = tuple(
-        feature_in(name, f.name, {**measured, **ranges}[f.name], f.question)
-        if f.name in measured or f.name in ranges
-        else f
+        feature_in(name, f.name, measured[f.name], f.question) if f.name in measured else f
         for f in features
     )
     low, high = bounds(made)
@@ -173,7 +172,7 @@ def _parts(name: str, space: Any, key: str) -> Iterable[Part]:
         if count > MAX_NUMBERS or (len(space.shape) > 1 and space.dtype == np.uint8):
             shape = ' x '.join(map(str, space.shape))
             raise DomainError(
-                f'{name} has observations of {shape} numbers ({word}), which are no features; '
+                f'{name} has observations of {shape} numbers ({word}), too many to be features; '
                 f'{_ADVICE}'
             )
         places = [''] if count == 1 else [f'_{n}' for n in range(count)]
@@ -240,13 +239,13 @@ def measured_range(values: Sequence[Any]) -> list[Any]:
     """
     Return a range from values that were seen.
 
-    Numbers have at least twice the range seen, up to 1, 2 or 5 times a power of ten, so that a few
-    episodes more or less give the same range. Texts are those seen, and other.
+    Numbers have three times the size seen, or more up to 1, 2 or 5 times a power of ten, so that a
+    few episodes more or less give the same range. Texts are those seen, and other.
     """
     if any(isinstance(value, str) for value in values):
-        return [*sorted({value for value in values if value is not None}), OTHER]
-    low, high = (_round_up(WIDER * max(0.0, side)) for side in (-min(values), max(values)))
-    return [-low if low else 0.0, high or (0.0 if low else 1.0)]
+        return [*sorted(set(values)), OTHER]
+    size = _round_up(WIDER * max(map(abs, values))) or 1.0
+    return [-size if min(values) < 0 else 0.0, size]
 
 
 def _round_up(size: float) -> float:
@@ -312,7 +311,7 @@ def find_extractor(
     elif ':' in key:
         place, _, function_name = key.rpartition(':')
         if place.endswith('.py'):
-            place = str(Path(place).expanduser().absolute())
+            place = str(Path(place).absolute())  # each node and each evaluation opens it
             key = f'{place}:{function_name}'
         module, function = _loaded(name, place, function_name)
     else:
@@ -356,13 +355,9 @@ def _extractor(
     first = values_of(function, next(walk)[0])
     ranges = {**(declared(env) if callable(declared) else declared), **given}
     questions = getattr(module, 'QUESTIONS', {})
-    for what, names in (('RANGES', ranges), ('QUESTIONS', questions)):
-        if unknown := [each for each in names if each not in first]:
-            raise DomainError(
-                f'{name}: {what} has {unknown[0]!r}, which is not a feature of {key}; it has '
-                f'{", ".join(first)}'
-            )
-    measured = {each: ranges[each] for each in given if each in first}
+    _check_names(name, 'RANGES', ranges, first)
+    _check_names(name, 'QUESTIONS', questions, first)
+    measured = dict(given)
     if missing := [each for each in first if each not in ranges]:
         seen = [first, *(values_of(function, env, first) for env, _ in walk)]
         for each in missing:
@@ -383,6 +378,22 @@ def _extractor(
     if not isinstance(actions, Mapping):
         actions = {each: each.replace('_', ' ') for each in actions}
     return Extractor(key, features, read, measured, actions, getattr(module, 'PREPARE', bool))
+
+
+def _check_names(name: str, what: str, given: Any, known: Iterable[str]) -> None:
+    """
+    Check the names in a declaration.
+
+    :raises DomainError: it is no mapping, or has a name that is not a feature.
+    """
+    if not isinstance(given, Mapping):
+        raise DomainError(f'{name}: {what} is {given!r}, and must be by the name of the feature')
+    names = [*known]
+    if unknown := [each for each in given if each not in names]:
+        raise DomainError(
+            f'{name}: {what} has {unknown[0]!r}, which is not a feature; there are '
+            f'{", ".join(names)}'
+        )
 
 
 def values_of(

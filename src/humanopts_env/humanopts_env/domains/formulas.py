@@ -7,8 +7,9 @@ only the operators and functions below are accepted.
 
 A number is a continuous feature, an ordinal feature or a constant. An ordinal value counts as the
 number that its text is, up to the first text that is not a number; that value and all later ones
-count as one more than the value before (the first: 0). A comparison is a nominal feature, yes or
-no. The value of a nominal feature can only be compared, by its text.
+count as one more than the value before (the first: 0). A comparison is a nominal feature, no or
+yes, and counts as 0 or 1, like any feature with these values. The value of another nominal feature
+can only be compared, by its text.
 
 The range of a formula follows from the ranges of its features by interval arithmetic (Moore,
 1966). A formula that could have no finite value in this range is refused, so every value is
@@ -282,11 +283,11 @@ class _Reader:
 
     def _number(self, node: ast.AST) -> _Part:
         part, text = self.read(node), ast.unparse(node)
-        if part.nominal and part.words:
+        if part.nominal and not part.truth:
             example = f'{text} == {part.words[-1]!r}'
             raise FormulaError(f'{text} is not a number: compare it, as in {example}')
-        if part.truth or part.text is not None:
-            raise FormulaError(f'{text!r} is not a number')
+        if part.text is not None:
+            raise FormulaError(f'{text} is not a number')
         return part
 
     def _truth(self, node: ast.AST) -> _Part:
@@ -426,7 +427,7 @@ def _words(node: ast.AST) -> str:
     """Return a valid formula in words."""
 
     def inner(part: ast.AST) -> str:
-        compound = isinstance(part, ast.BinOp | ast.BoolOp | ast.Compare)
+        compound = isinstance(part, ast.BinOp | ast.BoolOp | ast.Compare | ast.UnaryOp)
         return f'({_words(part)})' if compound else _words(part)
 
     match node:

@@ -40,8 +40,8 @@ for _name, _value in {
 }.items():
     os.environ.setdefault(_name, _value)
 
-WALKS, WALK = 4, 50  # random walks to measure ranges, and their steps
-REPLAYED = 20  # steps of the walk that is repeated to check that the seed determines the episode
+WALKS, WALK = 4, 25  # random walks to measure ranges, and their steps
+REPLAYED, ENOUGH = 20, 0.1  # steps of an episode that is repeated as a check, or seconds
 MAX_SECONDS, SLACK = 0.5, 2.0  # of one step, since a replay takes many; in addition to some steps
 FEW = 8  # features about which people are asked one by one
 WORDS_OF_KEYS = {
@@ -238,12 +238,12 @@ def domain_of_environment(env_id: str) -> Callable[..., Domain]:
     """
     Return the constructor of the domain of an environment.
 
-    It is read from the environment's table if there is one and ``features`` are not given;
-    otherwise it is replayed.
+    It is read from the environment's table if there is one and neither ``features`` nor ``ranges``
+    are given; otherwise it is replayed.
     """
 
     def make(**arguments: Any) -> Domain:
-        if 'features' not in arguments:
+        if not {'features', 'ranges'} & arguments.keys():
             try:
                 return gymnasium_domain(env_id)(**arguments)
             except NoTableError:
@@ -331,20 +331,18 @@ def _check_replay(domain: ReplayedEnvironment) -> None:
     """
     names = ['the reward', 'the end', *(feature.name for feature in domain.features)]
     actions = generator(0, 'replay').integers(len(domain.actions), size=REPLAYED).tolist()
-    world = domain.make_world()
-    episodes: list[list[list[float]]] = []
-    for played in (world, domain.make_world()):
-        for seed in (0, 1, 0):
-            began = time.perf_counter()
-            played.reset(seed)
-            rows = [[0.0, 0.0, *played.features()]]
-            for step, action in enumerate(actions, start=1):
-                reward, over = played.step(action)
-                rows.append([reward, over, *played.features()])
-                _check_pace(domain.name, began, step)
-                if over:
-                    break
-            episodes += [rows] if seed == 0 else []
+    world, episodes = domain.make_world(), list[list[list[float]]]()
+    for played, seed in ((world, 0), (world, 1), (world, 0), (domain.make_world(), 0)):
+        began = time.perf_counter()
+        played.reset(seed)
+        rows = [[0.0, 0.0, *played.features()]]
+        for action in actions:
+            reward, over = played.step(action)
+            rows.append([reward, over, *played.features()])
+            _check_pace(domain.name, began, len(rows) - 1)
+            if over or time.perf_counter() - began > ENOUGH:
+                break
+        episodes += [rows] if seed == 0 else []
     for again in episodes[1:]:
         for step, (first, second) in enumerate(zip(episodes[0], again)):
             for what, one, two in zip(names, first, second):

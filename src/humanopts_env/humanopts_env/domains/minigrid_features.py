@@ -4,6 +4,8 @@ Features of MiniGrid: the agent, its neighbourhood, and each kind of object in t
 The whole grid is read, not only the part that the agent sees. Names and ranges are equal for all
 seeds of an environment, and in environments of other sizes with the same kinds of objects.
 
+What transfers to other places comes first: people are asked about features in this order.
+
 Of several objects of a kind, the features describe one: the one with the colour that the mission
 names, else a locked door, else the nearest. A mission that names several colours of one kind has
 features for each, such as red_door_path; where the kind in the mission varies, the object that it
@@ -64,12 +66,7 @@ def features(env: Any) -> Mapping[str, Any]:
             walkable[cell] = kind == 'floor' or (kind == 'door' and not each.is_locked)
             objects.append((cell, each))
     pose, grid = 4 * (row * width + col) + facing, bytes(walkable)
-    values = {
-        'row': row,
-        'col': col,
-        'direction': DIRECTIONS[facing],
-        'carrying': env.carrying.type if env.carrying else 'nothing',
-    }
+    values: dict[str, Any] = {'carrying': env.carrying.type if env.carrying else 'nothing'}
     for name, turn in (('front', 0), ('left', 3), ('right', 1)):
         right, down = STEPS[(facing + turn) % 4]
         x, y = col + right, row + down
@@ -92,13 +89,6 @@ def features(env: Any) -> Mapping[str, Any]:
             right, down = offsets[best]
             ahead = (right, down, -right, -down)[facing]
             aside = (down, -right, -down, right)[facing]
-        if kind in PORTABLE:
-            values[f'{name}_present'] = there is not None
-        if kind == 'door':
-            values[f'{name}_state'] = contents(there).removesuffix(' door') if there else 'none'
-        values[f'{name}_ahead'] = None if there is None else ahead
-        values[f'{name}_right'] = None if there is None else aside
-        values[f'{name}_distance'] = None if there is None else sizes[best]
         if kind != 'lava':
             move = NOWHERE if there is None else ways[best][1]
             if there is not None and not sizes[best]:
@@ -106,7 +96,14 @@ def features(env: Any) -> Mapping[str, Any]:
             elif move == THERE and kind == 'goal':
                 move = FORWARD
             values[f'{name}_path'] = MOVES[move]
-    return values
+        if kind in PORTABLE:
+            values[f'{name}_present'] = there is not None
+        if kind == 'door':
+            values[f'{name}_state'] = contents(there).removesuffix(' door') if there else 'none'
+        values[f'{name}_distance'] = None if there is None else sizes[best]
+        values[f'{name}_ahead'] = None if there is None else ahead
+        values[f'{name}_right'] = None if there is None else aside
+    return values | {'direction': DIRECTIONS[facing], 'row': row, 'col': col}
 
 
 class View(dict[str, Any]):

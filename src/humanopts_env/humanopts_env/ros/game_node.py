@@ -36,8 +36,10 @@ from humanopts_interfaces.msg import (
     NodeStatus,
 )
 from humanopts_interfaces.srv import ResetGame, SetControl, SetPace
+from humanopts_ros.guarded_node import SEEDS, StartError
 from humanopts_ros.limits import shown
-from humanopts_ros.node_base import NodeBase, SEEDS, StartError
+from humanopts_ros.node_base import NodeBase
+from humanopts_ros.peers import node_names
 from humanopts_ros.process import run_node
 from humanopts_ros.publisher import PublishError, StampedPublisher
 from humanopts_ros.qos import CURRENT, LATCHED, STREAM
@@ -183,7 +185,7 @@ class GameNode(NodeBase):
     def _is_there(self, publisher_id: str) -> bool:
         """Return whether a node has published a status under this id, or is on the graph."""
         known = self._lease.knows(publisher_id)
-        return known or publisher_id.partition('#')[0] in self.nodes_there()
+        return known or publisher_id.partition('#')[0] in node_names(self)
 
     def _on_status(self, status: NodeStatus) -> None:
         """Renew the leases of a live node; end those of a stopped one."""

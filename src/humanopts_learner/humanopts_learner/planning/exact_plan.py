@@ -164,7 +164,7 @@ def make_exact_plan(
 
     :param options: learned options, or tables over all states.
     """
-    asked = request.in_force(domain, options, sampled=False)
+    asked = request.resolved(domain, options, sampled=False)
     used = () if asked.action_set == PRIMITIVE else tuple(options)
     # Built once for all plans, so not included in the planning time.
     domain.transitions(), domain.over()
@@ -283,7 +283,7 @@ def option_table(
     :param options: ignored in the set ``primitive``.
     :raises PlanError: the set is unknown, or its options are missing or not distinct.
     """
-    PlanRequest(action_set).in_force(domain, options, sampled=False)
+    PlanRequest(action_set).resolved(domain, options, sampled=False)
     used = () if action_set == PRIMITIVE else tuple(options)
     free = _primitive_states(domain, action_set, used)
     primitives = [

@@ -48,7 +48,7 @@ def make_plan(
     :param options: ignored in the set ``primitive``.
     :param progress: called with the stages tables, models and sweeps; models and sweeps alternate
         if models are sampled.
-    :raises PlanError: as ``PlanRequest.in_force``.
+    :raises PlanError: as ``PlanRequest.resolved``.
     :raises PlanCanceled: from ``progress``.
     """
     if is_enumerable(domain):

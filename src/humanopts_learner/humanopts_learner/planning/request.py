@@ -147,7 +147,7 @@ class PlanRequest:
             raise PlanError(f'gamma is {self.gamma}, and must be above 0 and at most 1')
         check_limits(self.tol, self.max_sweeps or 1)
 
-    def in_force(
+    def resolved(
         self, domain: Domain, options: Sequence[Any], *, sampled: bool | None = None
     ) -> 'PlanRequest':
         """

@@ -45,12 +45,10 @@ class GreedyPolicy(Policy[Observation]):
     If none of those that can start has enough samples, it chooses the one that is best in the most
     states.
 
-    :ivar values: option values of the visited abstract states; continuation values where the
-        option cannot start. Where it can, continuing is worth as much as choosing it.
+    :ivar values: option values of the known states.
     :ivar execution: execution of the policy; all are deterministic.
     """
 
-    actions: ActionSet
     values: OptionValues
     execution: Arbitration = Arbitration.RUN_TO_END
 
@@ -59,7 +57,7 @@ class GreedyPolicy(Policy[Observation]):
         """(O,) number of states in which each option is best."""
         values = self.values.option_values
         best = values[np.isfinite(values).any(axis=1)].argmax(axis=1)
-        return np.bincount(best, minlength=self.actions.first_fallback)
+        return np.bincount(best, minlength=values.shape[1])
 
     def choose(self, seen: Observation, games: Ints) -> Ints:
         """Return the next option in each game; with modules, the one that acts for one step."""
@@ -68,8 +66,7 @@ class GreedyPolicy(Policy[Observation]):
         option = self._best(seen, option_values)
         if self.execution not in MODULAR:
             return option
-        going_on = self._continuation_values.take(row, axis=0)
-        continuation_values = np.where(seen.startable, option_values, going_on)
+        continuation_values = self._continuation_values.take(row, axis=0)
         strongest = self.execution is Arbitration.MODULAR_STRONGEST
         known = np.isfinite(continuation_values if strongest else option_values).any(axis=1)
         winner = arbitrate(self.execution, option_values, continuation_values, seen.wanted)
@@ -86,13 +83,11 @@ class GreedyPolicy(Policy[Observation]):
         stopped = np.full(len(option), self.execution in MODULAR)
         if self.execution in MODULAR:
             return stopped
-        running = np.flatnonzero((option >= 0) & (option < self.actions.first_fallback))
+        running = np.flatnonzero((option >= 0) & (option < len(self.values.names)))
         seen = seen.take(running)
         row = self._row(seen.states)
-        best, its = self._option_values(seen, row), option[running]
-        at = np.arange(len(running)), its
-        worth = np.where(seen.startable[at], best[at], self._continuation_values[row, its])
-        margin = self.values.interruption_margin
+        worth = self._continuation_values[row, option[running]]
+        best, margin = self._option_values(seen, row), self.values.interruption_margin
         stopped[running] = interruptions(best, worth[:, None], margin)[:, 0]
         return stopped
 
@@ -227,7 +222,7 @@ def make_sampled_plan(
     Parameters and errors are those of ``plan.make_plan``; ``progress`` is called with the stages
     models and sweeps in each round.
     """
-    asked = request.in_force(domain, options, sampled=True)
+    asked = request.resolved(domain, options, sampled=True)
     actions = ActionSet(domain, asked.action_set, options, asked.columns)
     config, n_choices = asked.sampling, actions.first_fallback
     counts = SampleCounts(actions.modelled, n_choices)
@@ -249,19 +244,21 @@ def make_sampled_plan(
         on_sweep = sweep_progress(progress, asked.tol, asked.max_sweeps)
         found = solve_smdp(model, asked.tol, asked.max_sweeps, on_sweep, n_choices)
         ahead = look_ahead(model, found.values)  # (S, modelled)
-        going_on = np.full((len(ahead), n_choices), -np.inf)
-        going_on[:, : len(actions.options)] = ahead[:, n_choices:]
+        # Where an option can start, continuing it is worth as much as choosing it.
+        chosen, continued = ahead[:, :n_choices], ahead[:, :n_choices].copy()
+        elsewhere = np.isneginf(chosen[:, : len(actions.options)])
+        np.copyto(continued[:, : len(actions.options)], ahead[:, n_choices:], where=elsewhere)
         order = np.argsort(counts.states)
         table = OptionValues(
             action_set=actions.action_set,
             names=actions.names[:n_choices],
             states=counts.states[order],
-            option_values=ahead[order, :n_choices],
-            continuation_values=going_on[order],
+            option_values=chosen[order],
+            continuation_values=continued[order],
             interruption_margin=config.interruption_margin,
             sampled=True,
         )
-        greedy = GreedyPolicy(actions, table, asked.execution)
+        greedy = GreedyPolicy(table, asked.execution)
         model_seconds += modelled - began
         sweep_seconds += clock() - modelled
         without_margin = replace(greedy, values=replace(table, interruption_margin=0.0))

@@ -15,8 +15,9 @@ from humanopts_learner.options.judge import Thresholds
 from humanopts_learner.ros import LEARNER
 from humanopts_learner.ros.convert import summary_to_message
 from humanopts_learner.ros.learned_options import OptionPublisher
+from humanopts_ros.guarded_node import SEEDS, StartError
 from humanopts_ros.limits import shown
-from humanopts_ros.node_base import NodeBase, SEEDS, StartError
+from humanopts_ros.node_base import NodeBase
 from humanopts_ros.process import run_node
 from humanopts_ros.qos import LATCHED, STREAM
 

@@ -21,7 +21,8 @@ from humanopts_learner.ros import OPTION_SERVER
 from humanopts_learner.ros.learned_options import OptionSubscriber
 from humanopts_learner.ros.runner import Runner, RunRequest
 from humanopts_learner.run import Run
-from humanopts_ros.node_base import end_goal, NodeBase, PATIENCE, SEEDS
+from humanopts_ros.guarded_node import PATIENCE, SEEDS
+from humanopts_ros.node_base import end_goal, NodeBase
 from humanopts_ros.process import run_node
 import numpy as np
 from rclpy.action.server import ServerGoalHandle

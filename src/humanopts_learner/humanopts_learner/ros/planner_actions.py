@@ -221,7 +221,7 @@ class PlanServer(GoalServer):
         options = select_options(known, goal.action_set, goal.participant, goal.options)
         numbers = goal.gamma, goal.tolerance, goal.max_sweeps, goal.game_steps, goal.seed
         request = PlanRequest(goal.action_set, *numbers, unstick=state.unstick)
-        request = request.in_force(domain, options)
+        request = request.resolved(domain, options)
         result.plan_id = plan_id = str(uuid.uuid4())
         self._goals.publish(
             PlanGoal(

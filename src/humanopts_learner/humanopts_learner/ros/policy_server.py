@@ -169,7 +169,7 @@ class PolicyServer(GoalServer):
             start_state=plan.domain.encode(start),
             seed=seed,
         )
-        begun = await self._node.answer(self._reset_client, begin, _RESET_SECONDS)
+        begun = await self._node.waiting.answer(self._reset_client, begin, _RESET_SECONDS)
         if begun is None:
             raise GoalError('FAILED', 'game did not answer reset_game')
         if begun.status == begun.STATUS_HELD_BY_PERSON:
@@ -226,7 +226,7 @@ class PolicyServer(GoalServer):
         """
         counts, server = self._peers.restarts, 'option_server'
         before = counts[server]
-        answer = await self._node.answer(
+        answer = await self._node.waiting.answer(
             self._run_client, request, _RUN_SECONDS, lambda: counts[server] != before
         )
         if answer is None:

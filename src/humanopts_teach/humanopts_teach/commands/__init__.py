@@ -28,7 +28,7 @@ def refusing(*kinds: type[Exception], what: str = '') -> Iterator[None]:
         raise CommandError(f'{what}{cause or error}') from error
 
 
-def agreed(question: str) -> bool:
+def confirmed(question: str) -> bool:
     """Ask a question at this terminal; return whether the answer is yes."""
     print(f'{question} [y/N] ', end='', flush=True)
     return sys.stdin.readline().strip().lower() in ('y', 'yes')
@@ -54,7 +54,7 @@ class Interrupts:
     """Whether SIGINT, SIGTERM or SIGHUP was received."""
 
     def __init__(self) -> None:
-        self.came = False
+        self.received = False
 
     def check(self) -> None:
         """
@@ -62,12 +62,12 @@ class Interrupts:
 
         :raises KeyboardInterrupt: a signal was received.
         """
-        if self.came:
+        if self.received:
             raise KeyboardInterrupt
 
 
 @contextmanager
-def noticed_interrupts() -> Iterator[Interrupts]:
+def catch_interrupts() -> Iterator[Interrupts]:
     """
     Note these signals, and raise KeyboardInterrupt only in ``check`` or at the end.
 
@@ -77,7 +77,7 @@ def noticed_interrupts() -> Iterator[Interrupts]:
     interrupts = Interrupts()
 
     def note(signum: int, frame: FrameType | None) -> None:
-        interrupts.came = True
+        interrupts.received = True
 
     with _handled(note):
         yield interrupts

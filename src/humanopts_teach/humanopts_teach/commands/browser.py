@@ -23,7 +23,7 @@ from humanopts_teach.browser.seats import (
     Seats,
 )
 from humanopts_teach.command_line import PageOptions
-from humanopts_teach.commands import CommandError, noticed_interrupts
+from humanopts_teach.commands import catch_interrupts, CommandError
 from humanopts_teach.commands.session import new_name
 from humanopts_teach.commands.study_session import Study, Turn
 from humanopts_teach.dialogue.panel import ScreenView
@@ -87,15 +87,17 @@ def _serve_seats(
     host, port = _name(pages.host), listening.getsockname()[1]
     thread = TeleopThread()
     try:
-        with noticed_interrupts() as interrupts:
+        with catch_interrupts() as interrupts:
             fits = partial(_fits, pages)
             seats = Seats(name, partial(open_game, thread), pages.linger, fits, known)
             print(f'Open http://{host}:{port}/{token} in a browser; Ctrl-C stops everything.')
             sys.stdout.flush()
             hosts = (pages.host, *pages.allow_host)
-            serving = serve(seats, listening, token, participant, lambda: interrupts.came, hosts)
+            serving = serve(
+                seats, listening, token, participant, lambda: interrupts.received, hosts
+            )
             asyncio.run(serving, debug=False)
-            interrupts.came = False  # it is handled
+            interrupts.received = False  # it is handled
     finally:
         thread.stop()
     print('stopped')

@@ -23,8 +23,8 @@ from humanopts_teach.bags.reader import open_bag
 from humanopts_teach.command_line import LaunchOptions
 from humanopts_teach.commands.progress import DemoProgress
 from humanopts_teach.commands.session import (
+    ARRIVAL_SECONDS,
     new_name,
-    NEWS_SECONDS,
     Session,
     session,
     setup_from,
@@ -77,8 +77,8 @@ def run_demo(
     :param error_rate: share of the simulated teacher's steps that are wrong.
     :return: exit status, 1 if a check failed.
     """
-    domain = make_domain(name, dict(launch.parameter))
-    PlanRequest(PRIMITIVE, game_steps=game_steps).in_force(domain, ())  # it can be planned in
+    domain = make_domain(name, launch.domain_parameters)
+    PlanRequest(PRIMITIVE, game_steps=game_steps).resolved(domain, ())  # it can be planned in
     setup = setup_from(
         name,
         launch,
@@ -156,7 +156,7 @@ def _plan_and_play(
     importing = threading.Thread(target=import_report, daemon=True)
     importing.start()
     played = graph.retry(partial(graph.play, HUMAN, episodes, setup.seed, setup.game_steps))
-    graph.wait(graph.all_recorded, NEWS_SECONDS, 'what was shown to be in the newest bag')
+    graph.wait(graph.all_recorded, ARRIVAL_SECONDS, 'what was shown to be in the newest bag')
     importing.join()
     execution = PlayedEpisodes(
         played.episodes,

@@ -29,7 +29,7 @@ class DemoProgress:
         self._console = Console()
         self._live = Live(console=self._console, refresh_per_second=8)
         self._stage = 'starting the nodes'
-        self._said: set[str] = set()
+        self._printed: set[str] = set()
 
     def __enter__(self) -> 'DemoProgress':
         if self._console.is_terminal:
@@ -45,7 +45,7 @@ class DemoProgress:
         if self._console.is_terminal:
             self._live.update(Text(f'\n{text} ...'))
         else:
-            self._say(text, f'{text} ...')
+            self._print_once(text, f'{text} ...')
 
     def evaluating(self, done: float, total: float, text: str) -> None:
         """Show the progress of the evaluation on a terminal."""
@@ -56,7 +56,7 @@ class DemoProgress:
         """Show the progress of many games, also as lines."""
         self.evaluating(done, total, text)
         if not self._console.is_terminal:
-            self._say(text, f'{done / total:4.0%} {text}')
+            self._print_once(text, f'{done / total:4.0%} {text}')
 
     def __call__(self, graph: Conductor) -> None:
         """Show the graph's current values."""
@@ -65,10 +65,10 @@ class DemoProgress:
         if not self._console.is_terminal:
             if world.domain is not None and graph.state is not None:
                 first = board_text(board_of(world.domain, graph.state.state))
-                self._say('first state', 'the first state:', Text(first))
+                self._print_once('first state', 'the first state:', Text(first))
             for option, line in zip(options, lines):
                 tens = (option.n_demonstrations + option.n_not_here) // _LINE_EVERY
-                self._say(f'{option.option_name} {tens} {option.criteria_met}', line)
+                self._print_once(f'{option.option_name} {tens} {option.criteria_met}', line)
             return
         parts: list[Any] = [Text(f'\n{self._stage}', style='bold')]
         if world.domain is not None and graph.state is not None:
@@ -85,10 +85,10 @@ class DemoProgress:
             parts.append(Text(counts))
         self._live.update(Group(*parts))
 
-    def _say(self, key: str, *texts: str | Text) -> None:
+    def _print_once(self, key: str, *texts: str | Text) -> None:
         """Print texts, once for each key."""
-        if key not in self._said:
-            self._said.add(key)
+        if key not in self._printed:
+            self._printed.add(key)
             for text in texts:
                 line = printable(text) if isinstance(text, str) else text
                 self._console.print(line, highlight=False, markup=False, soft_wrap=True)

@@ -11,7 +11,7 @@ import sys
 
 from humanopts_ros.limits import accept_any_text
 from humanopts_teach.commands import CommandError
-from humanopts_teach.commands.session import print_line, stay
+from humanopts_teach.commands.session import print_line, run_until_interrupt
 from humanopts_teach.launching import LaunchError
 from humanopts_teach.launching.processes import Setup
 
@@ -33,7 +33,7 @@ def main() -> int:
         print_line(f'{setup.participant}: {line}')
 
     try:
-        return stay(setup, lambda running: say(''), report, check)
+        return run_until_interrupt(setup, lambda running: say(''), report, check)
     except (LaunchError, CommandError) as error:
         say(str(error).splitlines()[0])
         report(str(error))

@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 import os
 from pathlib import Path
 import re
@@ -24,10 +24,10 @@ from humanopts_ros.recording import Selection
 from humanopts_teach.bags.writer import parts
 from humanopts_teach.command_line import LaunchOptions
 from humanopts_teach.commands import (
-    agreed,
+    catch_interrupts,
     CommandError,
+    confirmed,
     Interrupts,
-    noticed_interrupts,
     refusing,
 )
 from humanopts_teach.commands.output import unfailing_output
@@ -50,7 +50,7 @@ from humanopts_teach.study.record import SimilarCodeError
 _NAMESPACE = re.compile(r'/|(/[A-Za-z_][A-Za-z0-9_]*)+')  # of nodes, as ROS 2 allows them
 _TEACHING_SECONDS = 600.0  # longest time in which the simulated teacher does nothing
 WATCHED = 0.15  # s between steps of the machine while a person watches
-NEWS_SECONDS = 10.0  # for published messages to arrive here
+ARRIVAL_SECONDS = 10.0  # for published messages to arrive here
 
 
 def setup_from(
@@ -77,6 +77,8 @@ def setup_from(
             check_method(setup.learn, game)
             for formula in setup.derive:
                 derive(game, formula)
+            if 'ranges' in game.parameters:  # the nodes need not measure them again
+                setup = replace(setup, parameter=[*game.parameters.items()], features=None)
         processes(setup)
     topics = Selection(setup.namespace, setup.record_topics, setup.record_exclude)
     if setup.record and (lacking := topics.unevaluable):
@@ -93,7 +95,7 @@ def known_code(code: str, known: Iterable[str]) -> str:
     :raises CommandError: it is another participant, who needs another code.
     """
     similar = similar_code(code, known)
-    if similar and not agreed(f'{similar} has taken part. Go on as {similar}?'):
+    if similar and not confirmed(f'{similar} has taken part. Go on as {similar}?'):
         raise CommandError(str(SimilarCodeError(code, similar)))
     return similar or code
 
@@ -146,7 +148,7 @@ class Session:
         self.interrupts.check()
         self.launcher.check(*optional)
 
-    def stay(
+    def run_until_interrupt(
         self, report: Callable[[str], None], watch: Callable[[], object] = lambda: None
     ) -> None:
         """
@@ -163,7 +165,7 @@ class Session:
             self.check(RECORDER)
 
         try:
-            self.graph.stay(check, report)
+            self.graph.run_until_interrupt(check, report)
         except KeyboardInterrupt:
             self.check_recording()
             raise
@@ -232,7 +234,7 @@ def wait_until_taught(running: Session) -> None:
     seconds = _TEACHING_SECONDS + (setup.step_period or 0.0)
     graph.wait(graph.teacher_finished, seconds, 'the simulated teacher', graph.teaching_progress)
     last = setup.taught[-1]
-    graph.wait(lambda: graph.knows_learned(last), NEWS_SECONDS, f'what was learned of {last!r}')
+    graph.wait(lambda: graph.knows_learned(last), ARRIVAL_SECONDS, f'what was learned of {last!r}')
 
 
 def check_folder(setup: Setup, *, new: bool = False) -> None:
@@ -318,7 +320,7 @@ def session(
     with (
         unfailing_output(),
         place(setup.namespace, names, setup.directory),
-        noticed_interrupts() as interrupts,
+        catch_interrupts() as interrupts,
     ):
         check_folder(setup, new=new)
         interrupts.check()
@@ -347,7 +349,7 @@ def session(
                     report(problem)
 
 
-def stay(
+def run_until_interrupt(
     setup: Setup,
     started: Callable[[Session], object],
     report: Callable[[str], None],
@@ -365,7 +367,7 @@ def stay(
     try:
         with session(setup, lambda _: watch(), report) as running:
             started(running)
-            running.stay(report, watch)
+            running.run_until_interrupt(report, watch)
     except KeyboardInterrupt:
         pass
     return 0 if running is None else running.end()

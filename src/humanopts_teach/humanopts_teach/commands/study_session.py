@@ -11,9 +11,9 @@ from humanopts_learner.summary import OptionSummary
 from humanopts_ros.limits import one_line
 from humanopts_teach.command_line import LaunchOptions
 from humanopts_teach.commands.session import (
+    ARRIVAL_SECONDS,
     known_code,
     new_name,
-    NEWS_SECONDS,
     place,
     run_in_terminal,
     Session,
@@ -100,8 +100,8 @@ class Study:
                         return [summary for _, summary in running.graph.learned()]
 
                     record = published_record(running.graph, participant.path, code)
-                    recorded = running.graph.is_recorded_whole
-                    running.graph.wait(recorded, NEWS_SECONDS, f'{TOPIC} to be recorded')
+                    recorded = running.graph.is_fully_recorded
+                    running.graph.wait(recorded, ARRIVAL_SECONDS, f'{TOPIC} to be recorded')
                     seed = self.folder.plan_of(self.plan, participant).seed
                     for part in turn.left:
                         simulated_part(part, record, seed, participant.number, teach)

@@ -318,7 +318,7 @@ class App:
             requests.append(CancelRun())
         if mine and lesson.phase is Phase.DEMONSTRATING:
             requests.append(EndDemonstration(Verdict.DISCARD, game.episode, game.step))
-        if self.world.i_drive:
+        if self.world.in_control:
             requests.append(SetControl(hold=False))
         return requests
 
@@ -340,7 +340,7 @@ class App:
             self.ask(CancelRun())
         if self.world.paused_by == self.world.me:
             self.resume_machine()
-        if self.world.i_drive:
+        if self.world.in_control:
             self.ask(SetControl(hold=False))
         other = self.world.lesson.participant
         self.say(f'{other} is teaching now.' if other else 'The lesson was restarted.', bad=True)

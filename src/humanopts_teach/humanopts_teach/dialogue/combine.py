@@ -26,6 +26,7 @@ _KINDS = {
 _EXAMPLES = ('a - b', 'hypot(a, b)', 'atan2(a, b)', 'a > 0.5', "a == b, a == 'text'")
 _UNFINISHED = re.compile(r'(^|[-+*/<>=!(,])\s*$')  # a feature or a value must follow
 _WORD = re.compile(r'[A-Za-z_]\w*$')
+_NUMBER = re.compile(r'-?\d+')
 _COMPARED = re.compile(r'(\w+) *[<>=!]=? *$')
 
 
@@ -57,7 +58,7 @@ class CombineScreen(Screen):
         blocks: list[Block] = [
             Line('A new feature from others', strong=True),
             GAP,
-            Line(f'> {self.typed}█', strong=True),
+            Line(f'> {self.typed}█', strong=True, more=(Line('…'.join(self.rest), Tone.QUIET),)),
             Line(news, Tone.NEWS if name else Tone.QUIET),
             GAP,
         ]
@@ -93,7 +94,7 @@ class CombineScreen(Screen):
             Command([keys.DOWN], 'move down', go(1), label=''),
             Command([keys.RIGHT], 'choose', choose if items else None),
             Command([keys.ENTER], 'add it' if name else 'choose', enter),
-            Command([keys.BACKSPACE], 'erase', self._erase if self.typed else None),
+            Command([keys.BACKSPACE], 'erase', self._erase if self.typed or self.rest else None),
             Command([keys.CLEAR], 'erase all', lambda app: self._type(''), label=''),
             Command([keys.ESCAPE], 'cancel', self.back),
             INTERRUPT,
@@ -104,22 +105,26 @@ class CombineScreen(Screen):
             self._type(self.typed + key, self.rest)
 
     def _erase(self, app: App) -> None:
-        self._type(self.typed[:-1], self.rest)
+        self._type(self.typed[:-1], self.rest if self.typed else ())
 
     def _type(self, typed: str, rest: tuple[str, ...] = ()) -> None:
-        self.typed, self.rest, self.at = typed, rest if typed else (), 0
+        self.typed, self.rest, self.at = typed, rest, 0
 
     def _formula(self, app: App) -> tuple[str, str]:
         """Return the name of the feature, and its value and range; or '' and what is missing."""
         if not self.typed.strip():
-            return '', 'Choose how to combine features, or type a formula.'
+            what = 'the first feature' if self.rest else 'how to combine features'
+            return '', f'Choose {what}, or type a formula.'
         try:
             column = derive(app.domain, self.typed)
         except FormulaError as error:
-            return '', '' if _UNFINISHED.search(self.typed) else f'{error}.'
+            word = _WORD.search(self.typed)
+            names = [feature.name for feature in app.domain.features]
+            begun = word and word[0] not in names and any(n.startswith(word[0]) for n in names)
+            return '', '' if begun or _UNFINISHED.search(self.typed) else f'{error}'
         feature = column.feature
         if feature.name in app.world.lesson.derived_features:
-            return '', f'{feature.name} is already a feature.'
+            return '', f'{feature.name} is already a feature'
         row = app.world.game.features
         value = f'now {column.text(np.array(row))}' if row else 'no state yet'
         if feature.kind is FeatureKind.CONTINUOUS:
@@ -128,7 +133,7 @@ class CombineScreen(Screen):
 
     def _items(self, app: App) -> list[_Item]:
         """Return ways to combine features, values to compare with, and features."""
-        if not self.typed:
+        if not self.typed and not self.rest:
             return [
                 _Item(kind, example, pieces[0], pieces[1:])
                 for (kind, pieces), example in zip(_KINDS.items(), _EXAMPLES)
@@ -148,7 +153,7 @@ class CombineScreen(Screen):
         for feature in app.domain.features:
             if compared is None or feature.name != compared[1]:
                 continue
-            texts = [repr(text) for text in feature.values]
+            texts = [text if _NUMBER.fullmatch(text) else repr(text) for text in feature.values]
             if not texts and row:
                 texts = values[feature.name].split()[:1]  # without the unit
             found = [*(_Item(text, '', text, ()) for text in texts), *found]

@@ -185,18 +185,18 @@ class WatchScreen(PlayScreen):
         ]
 
     def mode(self, app: App) -> Iterator[Line]:
-        yield Line(f'Arbitration: {EXECUTIONS[self.in_force(app)]}.')
+        yield Line(f'Arbitration: {EXECUTIONS[self.current_execution(app)]}.')
 
     def running(self, app: App) -> Iterator[Line]:
         world, game = app.world, app.world.game
-        if self.in_force(app) not in MODULAR:
+        if self.current_execution(app) not in MODULAR:
             if world.running:
                 yield Line(f'Running: {world.running.replace("action:", "one step ")}')
         # The option that took the last step, if known.
         elif option := world.acted.get((game.action_publisher_id, game.action_sequence)):
             yield Line(f'{option} won this step.')
 
-    def in_force(self, app: App) -> Arbitration:
+    def current_execution(self, app: App) -> Arbitration:
         """Return the arbitration of the active run, or of the next one."""
         playing = isinstance(app.run, PlayEpisodes) and app.world.execution
         return Arbitration(app.world.execution) if playing else self.execution
@@ -226,7 +226,7 @@ class WatchScreen(PlayScreen):
     def _change(self, app: App) -> None:
         """Switch to the next arbitration, also for an active run."""
         known = list(EXECUTIONS)
-        self.execution = known[(known.index(self.in_force(app)) + 1) % len(known)]
+        self.execution = known[(known.index(self.current_execution(app)) + 1) % len(known)]
         if isinstance(app.run, PlayEpisodes):
             app.ask(SetExecution(self.execution))
 

@@ -112,7 +112,7 @@ def _know(app: App, answer: Answer) -> None:
 
 def to_menu(app: App) -> None:
     """Release control and show the main menu."""
-    if app.world.i_drive:
+    if app.world.in_control:
         app.ask(SetControl(hold=False))
     app.next_start = ''
     known = len(app.known_options)

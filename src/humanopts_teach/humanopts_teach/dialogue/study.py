@@ -104,7 +104,7 @@ class StudyApp(App):
             return
         if self.run is not None:
             self.ask(CancelRun())
-        if self.world.i_drive:
+        if self.world.in_control:
             self.ask(SetControl(hold=False))
         self._note_taught()
         self.note('part ended', why=why)

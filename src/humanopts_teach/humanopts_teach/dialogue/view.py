@@ -31,7 +31,7 @@ def view(app: App, *, images: bool = True) -> ScreenView:
     return ScreenView(
         _head(app),
         panel,
-        _said(app),
+        _message_line(app),
         [
             Key(key, label(key) if each.label is None else each.label, each.words)
             for key, each in key_table(screen.commands(app)).items()
@@ -52,11 +52,11 @@ def _head(app: App) -> list[str]:
         if world.lesson.session:
             parts.append(f'session {world.lesson.session}')
     if world.holder:
-        parts.append('you drive' if world.i_drive else 'another person drives')
+        parts.append('you drive' if world.in_control else 'another person drives')
     return parts
 
 
-def _said(app: App) -> Line:
+def _message_line(app: App) -> Line:
     """Return the latest message to the person."""
     if app.world.missing:
         names = ', '.join(app.world.missing)

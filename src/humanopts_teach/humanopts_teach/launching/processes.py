@@ -85,11 +85,6 @@ class Setup(LaunchOptions):
         given = {name: getattr(self, name) for name in asdict(Thresholds())}
         return Thresholds(**{name: value for name, value in given.items() if value is not None})
 
-    @property
-    def domain_parameters(self) -> dict[str, Parameter]:
-        """The parameters of the domain."""
-        return dict(self.parameter)
-
     def to_json(self) -> str:
         """Return the setup as one line of JSON."""
         return TypeAdapter(Setup).dump_json(self).decode()
@@ -166,7 +161,7 @@ def _own_parameters(setup: Setup) -> dict[str, dict[str, Value]]:
             'strategy': setup.strategy,
             'learn': setup.learn,
             'budget': setup.budget,
-            'derive': list(setup.derive),
+            **({'derive': list(setup.derive)} if setup.derive else {}),
         },
         'option_server': {
             'options_directory': str(setup.options),

@@ -358,7 +358,7 @@ class World:
     driven: list[str] = field(default_factory=list)  # the person's actions since then
 
     @property
-    def i_drive(self) -> bool:
+    def in_control(self) -> bool:
         """Whether this terminal has control."""
         return bool(self.me) and self.holder == self.me
 
@@ -400,7 +400,7 @@ def settled(request: Request, answer: Answer, world: World) -> bool:
         case SetPace(period, paused):
             return (world.step_period, bool(world.paused_by)) == (period, paused)
         case SetControl(hold):
-            return world.i_drive == hold
+            return world.in_control == hold
         case SetExecution(execution):
             return world.execution == execution
         case NewEpisode():

@@ -6,7 +6,8 @@ import traceback
 from typing import Any
 
 from humanopts_interfaces.msg import NodeStatus
-from humanopts_ros.node_base import NodeBase, start_ros
+from humanopts_ros.guarded_node import start_ros
+from humanopts_ros.node_base import NodeBase
 from humanopts_teach.dialogue.panel import ScreenView
 from humanopts_teach.dialogue.view import view
 from humanopts_teach.ros.teleop import POLL_SECONDS, TeleopNode
@@ -115,7 +116,7 @@ class TeleopThread:
             for node, then in list(self._nodes.items()):
                 if node.last_answers is None:
                     node.turn_once()
-                elif node.parted:
+                elif node.finished:
                     self._leave(node)
                     if then is not None:
                         then()

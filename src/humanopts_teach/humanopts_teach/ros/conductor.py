@@ -13,8 +13,9 @@ from humanopts_interfaces import msg
 from humanopts_learner.options.learned_option import LearnedOption
 from humanopts_learner.ros.learned_options import OptionSubscriber
 from humanopts_learner.summary import OptionSummary
+from humanopts_ros.guarded_node import start_ros
 from humanopts_ros.limits import one_line, shown
-from humanopts_ros.node_base import NodeBase, start_ros
+from humanopts_ros.node_base import NodeBase
 from humanopts_ros.peers import announced_ids
 from humanopts_ros.qos import CURRENT
 from humanopts_ros.senders import signer
@@ -76,15 +77,15 @@ class Conductor(NodeBase):
         super().__init__(CONDUCTOR)
         self.starting = True
         self.report: Callable[[str], object] = lambda line: None
-        self._own: dict[str, str] = {}  # node by publisher_id, for processes of this launch
+        self._launched: dict[str, str] = {}  # node by publisher_id, for processes of this launch
         self._reported: set[str] = set()  # reported foreign processes
-        self._names_at = 0.0  # s, time of the next check for them
-        self._resent = 0  # lesson status sequence from which the newest bag is complete
+        self._next_name_check = 0.0  # s, time of the next check for them
+        self._resent_at = 0  # lesson status sequence from which the newest bag is complete
         self._awaited: set[str] = set()  # required nodes of this launch
         self.feedback: Any = None
         self._record, self._bag = bool(parameters['expect_recorder']), bag
         self._watch = watch
-        self._fine = time.monotonic()  # s, last time without pauses, or end of a grace period
+        self._unpaused_at = time.monotonic()  # s, last time, or end of a grace period
         self._statuses = self.peers.statuses
         self.create_subscription(
             msg.RecorderStatus, 'recorder_status', partial(setattr, self, 'recorder'), CURRENT
@@ -198,15 +199,17 @@ class Conductor(NodeBase):
     def all_recorded(self) -> bool:
         """Return whether a restarted recorder has received all demonstrations."""
         lesson = self._statuses.get(LESSON)
-        there = lesson is not None and lesson.sequence >= self._resent
-        return not self._resent or (there and self.peers.state(LESSON) == _READY)
+        complete = lesson is not None and lesson.sequence >= self._resent_at
+        return not self._resent_at or (complete and self.peers.state(LESSON) == _READY)
 
     def learned(self) -> list[tuple[LearnedOption, OptionSummary]]:
         """Return all learned options with their summaries."""
         found = ((o, self.client.world.summary_of(o.participant, o.name)) for o in self.options)
         return [(option, summary) for option, summary in found if summary is not None]
 
-    def stay(self, check: Callable[[], None], report: Callable[[str], None]) -> None:
+    def run_until_interrupt(
+        self, check: Callable[[], None], report: Callable[[str], None]
+    ) -> None:
         """
         Serve the graph until an interrupt.
 
@@ -219,7 +222,7 @@ class Conductor(NodeBase):
             self.take(0.05)
             check()
             self._check_names()
-            for name in sorted({*self._own.values()}):
+            for name in sorted({*self._launched.values()}):
                 state, text = self.peers.state(name), self._text(name)
                 if state == _PAUSED and text != paused.get(name):
                     paused[name] = text
@@ -298,7 +301,7 @@ class Conductor(NodeBase):
         :param instance: suffix of its publisher_id; only that process is accepted as the node.
         """
         publisher_id = f'{self.full_name(name)}#{instance}'
-        self._own[publisher_id] = name
+        self._launched[publisher_id] = name
         self.peers.expect(publisher_id)
 
     def note_end(self, end: NodeExit, instance: str) -> None:
@@ -307,13 +310,13 @@ class Conductor(NodeBase):
 
         :param instance: suffix of the process's publisher_id; its late statuses are ignored.
         """
-        self._fine = time.monotonic() + _LEASE
+        self._unpaused_at = time.monotonic() + _LEASE
         self.peers.forget(f'{self.full_name(end.node)}#{instance}')
         if end.node == LESSON:  # the next lesson resends everything
-            self._resent = min(self._resent, 1)
+            self._resent_at = min(self._resent_at, 1)
         if end.node == RECORDER and LESSON in self._statuses:  # the lesson pauses, then resumes
             lesson = self._statuses[LESSON]
-            self._resent = lesson.sequence + (1 if lesson.state == _PAUSED else 2)
+            self._resent_at = lesson.sequence + (1 if lesson.state == _PAUSED else 2)
         self.get_logger().error(end.sentence)
         self.set_status(_READY, end.sentence)
 
@@ -355,8 +358,8 @@ class Conductor(NodeBase):
         now = time.monotonic()
         paused = [name for name in self._awaited if self.peers.state(name) == _PAUSED]
         if not paused:
-            self._fine = max(self._fine, now)
-        elif now - self._fine > _PATIENCE:
+            self._unpaused_at = max(self._unpaused_at, now)
+        elif now - self._unpaused_at > _PATIENCE:
             name = paused[0]
             raise LaunchError(f'{self.full_name(name)} cannot go on: {self._text(name)}')
 
@@ -367,12 +370,12 @@ class Conductor(NodeBase):
         :raises OccupiedError: one is found while the launch is starting.
         """
         now = time.monotonic()
-        if not self.starting and now < self._names_at:
+        if not self.starting and now < self._next_name_check:
             return
-        self._names_at = now + _NAMES_PERIOD
-        names = {*map(signer, self._own)}
-        others = {each for each in announced_ids(self) if signer(each) in names} - self._own.keys()
-        found = sorted({*map(signer, others)} - self._reported)
+        self._next_name_check = now + _NAMES_PERIOD
+        names = {*map(signer, self._launched)}
+        others = {*announced_ids(self)} - self._launched.keys()
+        found = sorted(names.intersection(map(signer, others)) - self._reported)
         if found and self.starting:
             raise OccupiedError(
                 f'{", ".join(found)} runs already in this ROS_DOMAIN_ID and namespace; stop it, '

@@ -11,6 +11,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from humanopts_interfaces.msg import NodeStatus, RecorderStatus
 from humanopts_ros.node_base import NodeBase, RECORDER
+from humanopts_ros.peers import node_names
 from humanopts_ros.process import run_node
 from humanopts_ros.qos import CURRENT, STREAM
 
@@ -38,7 +39,7 @@ class DiagnosticsNode(NodeBase):
         self.create_timer(_PERIOD, self._publish)
 
     def _publish(self) -> None:
-        present = self.nodes_there()
+        present = node_names(self)
         found = [of_node(each, each.node in present) for _, each in sorted(self._statuses.items())]
         if self._recorder is not None:
             found.append(of_recording(f'{self.full_name(RECORDER)}: bag', self._recorder))

@@ -15,7 +15,8 @@ from humanopts_env.game import Transition
 from humanopts_env.ros.game_subscriber import GameSubscriber, Observed
 from humanopts_interfaces import msg, srv
 from humanopts_learner.ros.convert import summary_from_message
-from humanopts_ros.node_base import NodeBase, starting_ros
+from humanopts_ros.guarded_node import starting_ros
+from humanopts_ros.node_base import NodeBase
 from humanopts_ros.publisher import PublishError
 from humanopts_ros.qos import ACTION, CURRENT, DISPLAY
 from humanopts_ros.workarounds import prepare_discovery
@@ -131,7 +132,7 @@ class GraphClient:
         endpoints: Mapping[type, Endpoint] = TEACHING,
         *,
         patience: float = _PATIENCE,
-        on_news: Callable[[], None] = lambda: None,
+        on_change: Callable[[], None] = lambda: None,
     ) -> None:
         """
         Create the clients, publishers and subscriptions on a node.
@@ -139,14 +140,14 @@ class GraphClient:
         :param endpoints: by type of request; a client without ``Drive`` does not follow the steps
             of the game.
         :param patience: maximum wait for an answer or a change, s.
-        :param on_news: callback invoked when the published state has changed.
+        :param on_change: callback invoked when the published state has changed.
         """
         self.world = World(me=node.publisher_id)
         self.learning: msg.LearningStatus | None = None
         self._node = node
         self._endpoints = endpoints
         self._patience = patience
-        self._on_news = on_news
+        self._on_change = on_change
         # Requests without an answer; the number is the sequence of an action command.
         self._pending: dict[Future, tuple[ServiceRequest | Drive, int]] = {}
         self._goals: list[tuple[str, Goal]] = []  # by server
@@ -412,7 +413,7 @@ class GraphClient:
         self._changed()
 
     def _changed(self) -> None:
-        self._on_news()
+        self._on_change()
         self._node.waiting.check()
 
 

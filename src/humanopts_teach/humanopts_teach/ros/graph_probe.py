@@ -10,7 +10,7 @@ from typing import Any
 
 from humanopts_interfaces import msg
 from humanopts_ros.codec import Codec
-from humanopts_ros.node_base import start_ros, starting_ros
+from humanopts_ros.guarded_node import start_ros, starting_ros
 from humanopts_ros.peers import announced_ids, node_names, Peers
 from humanopts_ros.qos import CURRENT
 from humanopts_ros.senders import sender_of, signer

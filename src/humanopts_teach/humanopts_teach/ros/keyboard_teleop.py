@@ -34,7 +34,7 @@ class KeyboardTeleopNode(TeleopNode):
                     device.draw(partial(frame, self.app))
                     self.drawn()
         self.send_last_requests()
-        while not self.parted:
+        while not self.finished:
             self.turn(executor, POLL_SECONDS)
 
 

@@ -17,7 +17,8 @@ from humanopts_learner.demonstrations import Demonstration, METHODS
 from humanopts_learner.options.learned_option import OptionError
 from humanopts_learner.options.starts import STRATEGIES
 from humanopts_learner.ros.convert import demonstration_to_message, summary_from_message
-from humanopts_ros.node_base import NodeBase, PATIENCE, RECORDER, SEEDS, StartError
+from humanopts_ros.guarded_node import PATIENCE, SEEDS, StartError
+from humanopts_ros.node_base import NodeBase, RECORDER
 from humanopts_ros.process import run_node
 from humanopts_ros.publisher import PublishError
 from humanopts_ros.qos import CURRENT, LATCHED, STREAM
@@ -207,7 +208,7 @@ class LessonNode(NodeBase):
             return lesson.not_begun(no_game, 'Game does not serve reset_game.')
         person, start, seed = ResetGame.Request.SOURCE_PERSON, prepared.state, prepared.seed
         request = ResetGame.Request(source=person, start_state=start, seed=seed)
-        reply = await self.answer(self._reset, request, _GAME_DEADLINE)
+        reply = await self.waiting.answer(self._reset, request, _GAME_DEADLINE)
         if reply is None:
             return lesson.not_begun(no_game, 'Game does not answer.')
         if reply.status != ResetGame.Response.STATUS_OK:

@@ -15,9 +15,10 @@ import time
 from typing import Any
 
 from humanopts_interfaces.msg import NodeStatus, RecorderStatus, StreamLoss
+from humanopts_ros.guarded_node import StartError
 from humanopts_ros.limits import shown
-from humanopts_ros.node_base import NodeBase, StartError
-from humanopts_ros.peers import announced_ids, GameIdentity
+from humanopts_ros.node_base import NodeBase
+from humanopts_ros.peers import announced_ids, GameIdentity, node_names
 from humanopts_ros.process import run_node
 from humanopts_ros.publisher import PublishError
 from humanopts_ros.qos import LATCHED
@@ -150,7 +151,7 @@ class Recorder(NodeBase):
         """Run callbacks until ``stop`` returns True and the nodes to outlast are gone."""
         super().serve(executor, stop)
         end = time.monotonic() + OUTLASTING
-        while self._outlasts.intersection(self.nodes_there()) and time.monotonic() < end:
+        while self._outlasts.intersection(node_names(self)) and time.monotonic() < end:
             self.turn(executor, _DISCOVERY_PERIOD)
 
     def close(self) -> None:

@@ -6,7 +6,8 @@ from typing import Any
 
 from humanopts_env.domains.described import NeedsRulesError, simulated
 from humanopts_interfaces.msg import NodeStatus
-from humanopts_ros.node_base import NodeBase, PATIENCE, SEEDS, StartError
+from humanopts_ros.guarded_node import PATIENCE, SEEDS, StartError
+from humanopts_ros.node_base import NodeBase
 from humanopts_ros.process import run_node
 from humanopts_teach.lesson.requests import (
     Drive,
@@ -46,7 +47,7 @@ class SimulatedTeacherNode(NodeBase):
         )
         self._teacher: SimulatedTeacher | None = None
         self._first = True  # no act has been performed
-        self._client = GraphClient(self, patience=self._deadline, on_news=self._meet)
+        self._client = GraphClient(self, patience=self._deadline, on_change=self._create_teacher)
 
     def waits_for(self) -> str | None:
         """Wait for the rules, the lesson and its services."""
@@ -79,7 +80,7 @@ class SimulatedTeacherNode(NodeBase):
             },
         )
 
-    def _meet(self) -> None:
+    def _create_teacher(self) -> None:
         """Create the teacher when the rules of the game are known."""
         domain = self._client.world.domain
         if self._teacher is None and domain is not None:

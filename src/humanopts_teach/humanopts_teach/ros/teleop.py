@@ -20,7 +20,8 @@ from humanopts_interfaces.msg import (
     PlanResult,
     StudyEvent,
 )
-from humanopts_ros.node_base import NodeBase, SEEDS
+from humanopts_ros.guarded_node import SEEDS
+from humanopts_ros.node_base import NodeBase
 from humanopts_ros.qos import CURRENT, DISPLAY, STREAM
 from humanopts_teach.dialogue.app import App
 from humanopts_teach.dialogue.menu import opening
@@ -39,7 +40,7 @@ from humanopts_teach.study.record import OpenRecord, TOPIC
 from rclpy.task import Future
 
 POLL_SECONDS = 0.015  # polling period for input and pending work
-_PARTING_SECONDS = 1.0  # timeout for the last requests
+_FINISH_SECONDS = 1.0  # timeout for the last requests
 _FRAME_SECONDS = 0.03  # minimum time between frames
 _SETTLING_SECONDS = 0.1  # maximum delay of a frame for the answer to the last request
 _PRESENCE_SECONDS = 0.5  # period of presence checks
@@ -63,20 +64,20 @@ class TeleopNode(NodeBase):
         ask = self.setting('ask_participant', True, 'ask who teaches; false: it is participant')
         seed = self.setting('seed', 0, 'of the start states of free play and of plans', SEEDS)
         endpoints = {**TEACHING, **TERMINAL_SERVICES, **ACTIONS}
-        self._client = GraphClient(self, endpoints, on_news=self._on_news)
+        self._client = GraphClient(self, endpoints, on_change=self._request_redraw)
         self._world = self._client.world
         self.app = self._study(participant, seed) or App(
             opening(participant, ask=ask), self._world, seed=seed
         )
         self.app.pictures = self.setting('pictures', True, 'show the world; false: only features')
         self._goal: Goal | None = None  # goal of the active run
-        self._held: Request | None = None  # request waiting for its server
+        self._unsent: Request | None = None  # request waiting for its server
         self._started = self._checked = time.monotonic()
         self._drawn = self._asked = 0.0
-        self._news = True  # changes since the last frame
+        self._redraw = True  # changes since the last frame
         self._seen: object = None  # contents of the last frame
         self.last_answers: list[Future] | None = None  # pending last answers; None: not ending
-        self._parted_at = 0.0
+        self._finish_by = 0.0
         execution, running = attrgetter('execution'), attrgetter('option_name')
         for kind, topic, shown, read, qos in (
             (ExecutionState, 'execution', 'execution', execution, CURRENT),
@@ -103,12 +104,12 @@ class TeleopNode(NodeBase):
     @property
     def busy(self) -> bool:
         """Whether a frame or the answer to a request is pending."""
-        return self._news or self.app.waits_for is not None or not self.ready
+        return self._redraw or self.app.waits_for is not None or not self.ready
 
     def press(self, keys: list[str], frame: int | None = None) -> None:
         """Accept keys, as in ``App.type``."""
         self.app.type(keys, frame)
-        self._news |= bool(keys)
+        self._redraw |= bool(keys)
 
     def process_pending(self) -> None:
         """Process pending work."""
@@ -116,44 +117,44 @@ class TeleopNode(NodeBase):
         request = self.app.advance(now) if self.ready else None
         if request is not None:
             self._asked = now
-        self._send(request or self._held)
+        self._send(request or self._unsent)
         self._check_presence(now)
-        self._news |= self._seen != self.app.shown
+        self._redraw |= self._seen != self.app.shown
 
     def frame_due(self) -> bool:
         """Return whether to draw: something has changed, and the last request is settled."""
         now = time.monotonic()
         unsettled = self.app.waits_for is not None and now - self._asked < _SETTLING_SECONDS
-        return self._news and not unsettled and now - self._drawn > _FRAME_SECONDS
+        return self._redraw and not unsettled and now - self._drawn > _FRAME_SECONDS
 
     def drawn(self) -> int:
         """Record that the frame was drawn, and return its number."""
-        self._drawn, self._seen, self._news = time.monotonic(), self.app.shown, False
+        self._drawn, self._seen, self._redraw = time.monotonic(), self.app.shown, False
         return self.app.drawn()
 
     def send_last_requests(self) -> None:
         """Send the last requests to the available servers."""
         sent = [self._send_last(request) for request in self.app.last_requests()]
         self.last_answers = [future for future in sent if future is not None]
-        self._parted_at = time.monotonic() + _PARTING_SECONDS
+        self._finish_by = time.monotonic() + _FINISH_SECONDS
 
     @property
-    def parted(self) -> bool:
+    def finished(self) -> bool:
         """Whether the last requests are answered or have timed out."""
         answers = self.last_answers
-        late = time.monotonic() > self._parted_at
+        late = time.monotonic() > self._finish_by
         return answers is not None and (late or all(future.done() for future in answers))
 
     def _send(self, request: Request | None) -> None:
         """Send the pending request, or hold it until its server is available."""
-        self._held = None
+        self._unsent = None
         if request is None or request is not self.app.waits_for:
             return
         if isinstance(request, CancelRun):
             self._send_last(request)
             self._answer(request, Answer(RequestStatus.OK, ''))
         elif not self._client.is_ready(type(request)):
-            self._held = request
+            self._unsent = request
         elif isinstance(request, ActionGoal):
             self._start(request)
         else:
@@ -205,7 +206,7 @@ class TeleopNode(NodeBase):
                 return
             if isinstance(result, PlanResult):
                 self._world.uncovered = _uncovered(result)
-            self.app.run_ended(run, *result_text(result, self._world.i_drive))
+            self.app.run_ended(run, *result_text(result, self._world.in_control))
 
         goal = self._client.start(run, on_feedback)
         goal.accepted.add_done_callback(on_accepted)
@@ -216,15 +217,15 @@ class TeleopNode(NodeBase):
         before = list(self._world.acted.items())[:1]
         newest = {(message.publisher_id, message.sequence): message.option_name}
         self._world.acted = newest | dict(before)
-        self._news = True
+        self._redraw = True
 
-    def _on_news(self) -> None:
-        self._news = True
+    def _request_redraw(self) -> None:
+        self._redraw = True
 
     def _show(self, shown: str, read: Callable[[Any], object], message: Any) -> None:
         """Store a value from a message in a field of the world."""
         setattr(self._world, shown, read(message))
-        self._news = True
+        self._redraw = True
 
 
 def published_record(node: NodeBase, path: Path, participant: str) -> OpenRecord:
@@ -249,16 +250,16 @@ def _uncovered(result: PlanResult) -> list[tuple[str, float]] | None:
     return [*((state, 0.0) for state in result.fallback_states), *steps]
 
 
-def result_text(result: Any, i_drive: bool) -> tuple[bool, str]:
+def result_text(result: Any, in_control: bool) -> tuple[bool, str]:
     """
     Return whether a run was successful, and a description of its end.
 
-    :param i_drive: whether this terminal is in control.
+    :param in_control: whether this terminal is in control.
     """
     kind, status = type(result), result.status
     well = [getattr(kind, f'STATUS_{name}', None) for name in _WELL]
     what = f' ({_counts(result)})' if not isinstance(result, PlanResult) else ''
-    if status == getattr(kind, 'STATUS_INTERRUPTED', None) and i_drive:
+    if status == getattr(kind, 'STATUS_INTERRUPTED', None) and in_control:
         return True, f'You took over{what}.'
     if status == kind.STATUS_CANCELED:
         return True, f'Stopped{what}.'

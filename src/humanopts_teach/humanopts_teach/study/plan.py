@@ -296,7 +296,7 @@ def read_plan(path: Path) -> StudyPlan:
         asked = {each.questions for each in plan.conditions}
         return StudyPlan(
             **plan.model_dump(exclude_none=True)
-            | {'conditions': tuple(_playable(plan.conditions))},
+            | {'conditions': tuple(_playable(plan.conditions, path.parent))},
             pages={name: _pages(path.parent / name) for name in sorted(filter(None, files))},
             questionnaires={
                 name: _questionnaire(path.parent, name) for name in sorted(filter(None, asked))
@@ -322,14 +322,19 @@ def read_name(path: Path) -> str:
         raise PlanFileError(f'study: {fault_in(error)}') from error
 
 
-def _playable(conditions: Iterable[Condition]) -> Iterable[Condition]:
+def _playable(conditions: Iterable[Condition], folder: Path) -> Iterable[Condition]:
     """
     Validate and yield the conditions; equal games are created once.
 
     Parameters are replaced by the game's own values: a file name by the contents of the file.
+
+    :param folder: of files with features.
     """
     made = cache(lambda domain, parameters: make_domain(domain, json.loads(parameters)))
     for each in conditions:
+        features = each.parameters.get('features')
+        if isinstance(features, str) and '.py:' in features:
+            each.parameters['features'] = str(folder / features)
         try:
             game = made(each.domain, json.dumps(each.parameters))
             check_method(each.learn, game)

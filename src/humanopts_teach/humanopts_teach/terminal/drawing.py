@@ -1,7 +1,7 @@
 """Rendering of the screen as lines of text."""
 
 from collections.abc import Callable, Iterator, Sequence
-from functools import partial
+from functools import lru_cache, partial
 from io import StringIO
 from typing import Literal
 
@@ -121,8 +121,9 @@ class _Printable:
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[Segment]:
         """Yield the segments; control characters have zero width, so the layout is unchanged."""
         for text, style, control in console.render(self._renderable, options):
-            plain = ''.join(c for c in text if c.isprintable() or c == '\n')
-            yield Segment(plain, style, control)
+            if not text.isprintable():
+                text = ''.join(c for c in text if c.isprintable() or c == '\n')
+            yield Segment(text, style, control)
 
 
 def _middle(
@@ -133,7 +134,11 @@ def _middle(
         return Group(beside, below)
     room = max(width // 2, width - _GAP - _WIDE_BESIDE)
     board, notes = board_texts(view.board, room, rows, colours)
-    board_width = max(cell_len(line) for line in board.plain.split('\n'))
+    board_width = (
+        board.width
+        if isinstance(board, HalfBlocks)
+        else max(cell_len(line) for line in board.plain.split('\n'))
+    )
     table = Table.grid(padding=(0, _GAP, 0, 0), expand=True)
     table.add_column(width=board_width, no_wrap=True)
     table.add_column(ratio=1)
@@ -146,7 +151,7 @@ def _middle(
 
 def board_texts(
     board: Board, width: int, height: int, colours: Colours | None
-) -> tuple[Text, Text]:
+) -> tuple['Text | HalfBlocks', Text]:
     """
     Return a coloured board or an image, and the lines below it, which may be wider.
 
@@ -163,34 +168,47 @@ def board_texts(
         Text('\n').join(Text.assemble(*runs(line)) for line in lines) for lines in (drawn, below)
     )
     if image is not None:
-        board_text = half_blocks(image, width, max(height - len(below), 1))
+        return HalfBlocks(image, width, max(height - len(below), 1)), notes
     return board_text, notes
 
 
-def half_blocks(image: Image, width: int, height: int) -> Text:
+class HalfBlocks:
     """
-    Return an image as lines of half blocks, as large as fits.
+    An image as lines of half blocks, as large as fits.
 
     A character shows two pixels, one above the other; as it is about twice as high as wide, they
     are square. The colour of a pixel is the mean of its area.
 
-    :param width: columns, at least 1; ``height``: rows, at least 1.
+    :ivar width: columns.
     """
-    rows, columns, _ = image.shape
-    scale = min(width / columns, 2 * height / rows)
-    across, down = max(1, round(scale * columns)), max(1, round(scale * rows / 2))
-    small = Pillow.fromarray(image).resize((across, 2 * down), Pillow.Resampling.BOX)
-    pairs = np.asarray(small).reshape(down, 2, across, 3) & _COLOUR_BITS
-    lines = []
-    for upper, lower in pairs:
-        changes = (upper[1:] != upper[:-1]) | (lower[1:] != lower[:-1])
-        ends = [*(np.flatnonzero(changes.any(axis=1)) + 1).tolist(), across]
-        line = Text()
-        for start, end in zip([0, *ends], ends):
-            front, back = (Color.from_rgb(*half[start].tolist()) for half in (upper, lower))
-            line.append(_UPPER_HALF * (end - start), Style(color=front, bgcolor=back))
-        lines.append(line)
-    return Text('\n').join(lines)
+
+    def __init__(self, image: Image, width: int, height: int) -> None:
+        """
+        Scale an image.
+
+        :param width: available columns, at least 1; ``height``: rows, at least 1.
+        """
+        rows, columns, _ = image.shape
+        scale = min(width / columns, 2 * height / rows)
+        self.width, down = max(1, round(scale * columns)), max(1, round(scale * rows / 2))
+        small = Pillow.fromarray(image).resize((self.width, 2 * down), Pillow.Resampling.BOX)
+        pixels = np.asarray(small).reshape(down, 2, self.width, 3) & _COLOUR_BITS
+        self._pairs = pixels.swapaxes(1, 2).reshape(down, self.width, 6)
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[Segment]:
+        """Yield a segment for each run of equal characters."""
+        for pairs in self._pairs:
+            changes = (np.flatnonzero((pairs[1:] != pairs[:-1]).any(axis=1)) + 1).tolist()
+            starts, ends = [0, *changes], [*changes, self.width]
+            for pair, start, end in zip(pairs[starts].tolist(), starts, ends):
+                yield Segment(_UPPER_HALF * (end - start), _pixel_style(*pair))
+            yield Segment.line()
+
+
+@lru_cache(4096)
+def _pixel_style(*values: int) -> Style:
+    """Return the style of a half block: red, green and blue of the upper and the lower pixel."""
+    return Style(color=Color.from_rgb(*values[:3]), bgcolor=Color.from_rgb(*values[3:]))
 
 
 def drawn(block: panel.Block) -> RenderableType:
