@@ -29,10 +29,11 @@ class _WithoutFallback(Policy[Observation]):
     """A policy whose games end where no option can start."""
 
     policy: GreedyPolicy
+    first_fallback: int  # index of the first primitive action
 
     def choose(self, seen: Observation, games: Ints) -> Ints:
         option = self.policy.choose(seen, games)
-        return np.where(option < self.policy.actions.first_fallback, option, NONE)
+        return np.where(option < self.first_fallback, option, NONE)
 
     def stops(self, seen: Observation, option: Ints) -> Flags | None:
         return self.policy.stops(seen, option)
@@ -67,7 +68,7 @@ def try_plan(
         parts = zip(execution.games.tolist(), execution.option.tolist(), states)
         last.update((game, (option, state)) for game, option, state in parts)
 
-    policy = _WithoutFallback(plan.policy)
+    policy = _WithoutFallback(plan.policy, plan.first_fallback)
     played = play(
         new_games(domain, games, rng), actions, policy, rng, limit, loops=loops, on_step=on_step
     )
