@@ -140,7 +140,7 @@ def demo(
     """Run the whole graph with a simulated teacher, and report on the recorded bag."""
     from humanopts_teach.launching.forks import prepare
 
-    prepare()
+    prepare(option_domain or domain)
     from humanopts_teach.commands.demo import run_demo
 
     return run_demo(option_domain or domain, launch, episodes, games, game_steps or 0, error_rate)
@@ -178,7 +178,7 @@ def up(
     """Launch the nodes and stay until Ctrl-C."""
     from humanopts_teach.launching.forks import prepare
 
-    prepare()
+    prepare(domain)
     from humanopts_teach.commands.session import print_line, run_until_interrupt, Session
 
     def started(running: Session) -> None:
@@ -214,6 +214,7 @@ def teach(
     launch: LaunchOptions,
 ) -> int:
     """Launch the nodes, and teach from this terminal or from browsers."""
+    from humanopts_teach.launching.forks import prepare
     from humanopts_teach.lesson.store import CODE, CODE_RULE
     from humanopts_teach.terminal.device import why_not
 
@@ -226,6 +227,7 @@ def teach(
             raise CommandError(f'{fault}; or teach in a browser: --browser')
         if (status := fork_launch()) is not None:
             return status
+    prepare(domain)
     from humanopts_teach.commands.session import (
         check_folder,
         default_folder,

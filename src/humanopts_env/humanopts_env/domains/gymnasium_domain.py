@@ -11,6 +11,7 @@ from functools import cache
 import importlib
 import re
 import string
+import sys
 from typing import Any, ClassVar
 import warnings
 
@@ -31,6 +32,7 @@ from humanopts_env.domains.base import (
     shown_values,
 )
 from humanopts_env.domains.capabilities import in_words, move_effect, plain_effect, StepEffect
+from humanopts_env.domains.names import GYMNASIUM, package_of
 from humanopts_env.domains.parameters import check_parameters
 from humanopts_env.domains.table_domain import TableDomain
 import numpy as np
@@ -176,10 +178,8 @@ def _picture(env: Any) -> Callable[[int, Mapping[str, str]], Board]:
     return board
 
 
-PREFIX = 'gymnasium:'
 GAMMA = 0.99  # not defined by Gymnasium
 MAX_STEPS = 1000  # if the environment has no limit
-PACKAGES = {'MiniGrid-': 'minigrid', 'BabyAI-': 'minigrid'}  # that register ids, by their start
 ROUNDING = 1e-6  # largest deviation of the sum of an action's probabilities from 1
 Entry = tuple[float, int, float, bool]  # probability, successor, reward, over
 Table = list[list[list[Entry]]]  # by state, then action
@@ -206,7 +206,7 @@ class GymnasiumDomain(TableDomain[int]):
         :raises DomainError: the environment is unknown, refuses the arguments, or has no complete
             table of its rules.
         """
-        self.name = PREFIX + self.env_id
+        self.name = GYMNASIUM + self.env_id
         made = make_env(self.name, self.env_id, arguments)
         env = made.unwrapped
         self._table = _read_table(self.name, env)
@@ -286,7 +286,7 @@ def make_env(
     """
     if 'render_mode' in arguments:
         raise DomainError(f'{name} is drawn as it can be: leave render_mode out')
-    package = next((PACKAGES[key] for key in PACKAGES if env_id.startswith(key)), '')
+    package = package_of(env_id)
     mode: dict[str, Any] = {} if render_mode is None else {'render_mode': render_mode}
     try:
         with warnings.catch_warnings():
@@ -298,8 +298,11 @@ def make_env(
     except DomainError:
         raise
     except ModuleNotFoundError as error:
-        missing = package or error.name or env_id
-        raise DomainError(f'{name} needs the package {missing}: pip install {missing}') from error
+        missing = package or error.name
+        raise DomainError(
+            f'{name} needs the module {missing}; install its package: '
+            f'{sys.executable} -m pip install {missing}'
+        ) from error
     except Exception as error:  # any error of a third-party environment
         raise DomainError(f'{name} cannot be made: {type(error).__name__}: {error}') from error
 

@@ -25,8 +25,8 @@ from humanopts_env.domains.gymnasium_domain import (
     make_env,
     MAX_STEPS,
     NoTableError,
-    PREFIX,
 )
+from humanopts_env.domains.names import GYMNASIUM
 from humanopts_env.domains.replayed_domain import ReplayedDomain, SIGNS
 from humanopts_env.seeding import generator
 import numpy as np
@@ -177,7 +177,7 @@ class ReplayedEnvironment(ReplayedDomain):
         :raises DomainError: the environment is unknown, refuses the arguments, has no discrete
             actions, cannot be replayed, or its features cannot be used.
         """
-        self.name = PREFIX + self.env_id
+        self.name = GYMNASIUM + self.env_id
         self._arguments = arguments
         env = make_env(self.name, self.env_id, arguments)
         if not isinstance(env.action_space, spaces.Discrete):

@@ -6,6 +6,7 @@ import sys
 
 DOMAINS = 'humanopts.domains'
 GYMNASIUM = 'gymnasium:'  # prefix of the id of a Gymnasium environment
+PACKAGES = {'MiniGrid-': 'minigrid', 'BabyAI-': 'minigrid'}  # that register ids, by their start
 
 
 def domain_names() -> list[str]:
@@ -16,6 +17,22 @@ def domain_names() -> list[str]:
 def is_registered(name: str) -> bool:
     """Return whether the name is registered or has the prefix of Gymnasium environments."""
     return name.startswith(GYMNASIUM) or name in registered(DOMAINS).names
+
+
+def package_of(env_id: str) -> str:
+    """Return the module to import before an environment can be made; empty: none."""
+    module, colon, _ = env_id.partition(':')
+    return (
+        module if colon else next((p for key, p in PACKAGES.items() if env_id.startswith(key)), '')
+    )
+
+
+def modules_of(name: str) -> list[str]:
+    """Return modules that a domain needs, slow to import: those of a Gymnasium environment."""
+    if not name.startswith(GYMNASIUM):
+        return []
+    package = package_of(name.removeprefix(GYMNASIUM))
+    return ['humanopts_env.domains.gymnasium_replayed', *filter(None, [package])]
 
 
 def registered(group: str) -> EntryPoints:

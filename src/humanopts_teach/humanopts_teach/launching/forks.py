@@ -22,23 +22,25 @@ import threading
 import traceback
 from typing import NoReturn
 
+from humanopts_env.domains.names import modules_of
 from humanopts_ros.middleware import LAUNCHER_PID
 from humanopts_teach.launching import LaunchError, MODULES, USUAL
 from setproctitle import setproctitle
 
-_SERVES = 'HUMANOPTS_FORK_SERVER_OF'  # pid of the launcher, while it starts the server
+_SERVES = 'HUMANOPTS_FORK_SERVER_OF'  # pid of the launcher, while it starts the server; domain
 _MAX_FOLDER = 60  # characters of the folder of a socket; its path is limited to 107
 _context = multiprocessing.get_context('forkserver')
 
 
-def prepare() -> None:
+def prepare(domain: str = '') -> None:
     """
     Start the fork server, which imports in the background.
 
+    :param domain: name of the domain that the nodes will load.
     :raises LaunchError: it cannot be started, for example without a writable temporary folder.
     """
     _context.set_forkserver_preload([__name__])
-    os.environ[_SERVES] = str(os.getpid())
+    os.environ[_SERVES] = f'{os.getpid()} {domain}'
     try:
         folder = tempfile.gettempdir()
         if len(folder) > _MAX_FOLDER:
@@ -71,8 +73,8 @@ def start(
     return process
 
 
-def _serve() -> None:
-    """Import the usual nodes in the fork server, until its launcher is gone."""
+def _serve(domain: str) -> None:
+    """Import the usual nodes and a domain in the fork server, until its launcher is gone."""
     launch = os.getppid()
     os.setpgid(0, 0)
     null = os.open(os.devnull, os.O_RDWR)
@@ -85,6 +87,9 @@ def _serve() -> None:
         if os.getppid() != launch:  # the command was refused
             os._exit(0)
         import_module(MODULES[name])
+    with suppress(Exception):  # the nodes will say what is wrong
+        for module in modules_of(domain):
+            import_module(module)
     gc.freeze()  # shared objects are not visited, and their pages not copied
     gc.enable()
 
@@ -128,5 +133,6 @@ def _end_with_launch() -> None:
     os.kill(os.getpid(), signal.SIGTERM)
 
 
-if os.environ.pop(_SERVES, '') == str(os.getppid()):
-    _serve()
+_launcher, _, _domain = os.environ.pop(_SERVES, '').partition(' ')
+if _launcher == str(os.getppid()):
+    _serve(_domain)
