@@ -87,19 +87,19 @@ def _heuristic(env: Any, seen: Any) -> int:
     return int(import_module('gymnasium.envs.box2d.lunar_lander').heuristic(env, seen))
 
 
+# The errors of the lander in its rule, relative to a target angle and a target speed of descent.
+# On the ground, only the speed counts. The main engine is on if the second error is the larger.
+_FLIES = '(not (left_leg or right_leg))'
+_TILT = f'(clip(0.5 * x + x_speed, -0.4, 0.4) - angle - 2 * angular_speed) * {_FLIES}'
+_SINK = f'(0.55 * abs(x) - y) * {_FLIES} - y_speed'
+
 RULES: dict[str, tuple[Rule, ...]] = {  # by package and class of the environment
     'gymnasium.LunarLander': (
         Rule(
             'land',
             'Starts in the air; flies to the pad by the rule that comes with the environment; '
             'ends at rest on the ground.',
-            (
-                'y_speed',
-                'left_leg',
-                'right_leg',
-                '0.5 * (clip(0.5 * x + x_speed, -0.4, 0.4) - angle) - angular_speed',
-                '0.5 * (0.55 * abs(x) - y - y_speed)',
-            ),
+            (_TILT, f'{_SINK} - abs({_TILT})'),
             lambda env, seen: [_heuristic(env, seen)],
             lambda env, seen: not env.lander.awake and not env.game_over,
         ),
