@@ -172,7 +172,7 @@ def test_help_is_quick_and_fits_a_terminal() -> None:
     ('typed', 'offered'),
     [
         ('humanopts de', ['demo']),
-        ('humanopts bag ', ['check', 'eval', 'export', 'info', 'play', 'table1']),
+        ('humanopts bag ', ['check', 'eval', 'export', 'info', 'play', 'segment', 'table1']),
         ('humanopts demo --strategy ', ['coverage', 'failures', 'random']),
         ('humanopts up taxi --split', ['--split-bytes', '--split-seconds']),
     ],

@@ -87,6 +87,15 @@ class DomainEnv(gymnasium.Env[Any, Any]):
             return self.domain.index(state)
         return self.domain.feature_values(state).astype(self.observation_space.dtype)
 
+    @property
+    def state(self) -> Any:
+        """
+        The current state of the domain.
+
+        :raises ResetNeeded: no episode was started.
+        """
+        return self._state('state')
+
     def features(self) -> Floats:
         """
         Return the current value of every feature of the domain, (F,).

@@ -30,6 +30,7 @@ from humanopts_teach.command_line import (
 from humanopts_teach.commands import CommandError, interruptible
 from humanopts_teach.commands.bag import app as bag_app
 from humanopts_teach.commands.output import open_streams, silence
+from humanopts_teach.commands.segments import app as import_app
 from humanopts_teach.commands.study import app as study_app
 from humanopts_teach.launching import LaunchError, OccupiedError
 from humanopts_teach.launching.job import fork_launch
@@ -77,6 +78,7 @@ app = typer.Typer(
     subcommand_metavar='COMMAND ...',
 )
 app.add_typer(bag_app, name='bag')
+app.add_typer(import_app, name='import')
 app.add_typer(study_app, name='study')
 
 

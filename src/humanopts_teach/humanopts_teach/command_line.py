@@ -158,7 +158,36 @@ class PageOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
-class LaunchOptions:
+class DomainOptions:
+    """Options of the domain, one per field."""
+
+    parameter: Annotated[
+        list[Any],  # pairs of name and value
+        option(
+            'NAME=VALUE',
+            'parameter of the domain, such as rows=7 or is_slippery=false; may be repeated',
+            name_and_value,
+            callback=each_once,
+        ),
+    ] = field(default_factory=list)
+    features: Annotated[
+        str | None,
+        option(
+            'FILE.py:NAME',
+            'function that returns the features of a Gymnasium environment; also MODULE:NAME, an '
+            'installed name, or observation',
+        ),
+    ] = None
+
+    @property
+    def domain_parameters(self) -> dict[str, Any]:
+        """The parameters of the domain."""
+        features = {} if self.features is None else {'features': self.features}
+        return dict(self.parameter) | features
+
+
+@dataclass(frozen=True, kw_only=True)
+class LaunchOptions(DomainOptions):
     """Options common to all launches, one per field."""
 
     out: Annotated[
@@ -220,23 +249,6 @@ class LaunchOptions:
             'SHARE', 'largest held-out error of the termination of an option; default: 0.05', share
         ),
     ] = None
-    parameter: Annotated[
-        list[Any],  # pairs of name and value
-        option(
-            'NAME=VALUE',
-            'parameter of the domain, such as rows=7 or is_slippery=false; may be repeated',
-            name_and_value,
-            callback=each_once,
-        ),
-    ] = field(default_factory=list)
-    features: Annotated[
-        str | None,
-        option(
-            'FILE.py:NAME',
-            'function that returns the features of a Gymnasium environment; also MODULE:NAME, an '
-            'installed name, or observation',
-        ),
-    ] = None
     namespace: Annotated[str, option('NAME', 'namespace of the nodes; begins with /')] = '/'
     record_topics: Annotated[
         list[str],
@@ -280,11 +292,31 @@ class LaunchOptions:
     )
     views: Annotated[bool, flag('--views', 'publish the game for RViz and Foxglove')] = False
 
-    @property
-    def domain_parameters(self) -> dict[str, Any]:
-        """The parameters of the domain."""
-        features = {} if self.features is None else {'features': self.features}
-        return dict(self.parameter) | features
+
+@dataclass(frozen=True)
+class SegmentOptions:
+    """Options of the commands that cut plays into segments, one per field."""
+
+    event: Annotated[
+        list[str],
+        option(
+            'FEATURE',
+            'feature whose changes are events; may be repeated; default: those that change rarely',
+        ),
+    ] = field(default_factory=list)
+    name: Annotated[
+        list[str],
+        option(
+            'NUMBER=OPTION',
+            'option that segments of a kind demonstrate; may be repeated. Neighbours of the same '
+            'name are one demonstration; segments without a name are left out',
+        ),
+    ] = field(default_factory=list)
+    out: Annotated[
+        Path | None,
+        option('DIR', 'folder of a lesson, to which the demonstrations are added'),
+    ] = None
+    participant: Annotated[str, option('CODE', 'code of the person whose options they are')] = 'p1'
 
 
 def with_options(command: Callable[..., int]) -> Callable[..., int]:

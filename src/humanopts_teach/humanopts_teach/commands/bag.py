@@ -23,8 +23,10 @@ from humanopts_teach.command_line import (
     number,
     option,
     PLAIN,
+    SegmentOptions,
     several_games,
     whole,
+    with_options,
 )
 from humanopts_teach.commands import CommandError, refusing
 import typer
@@ -251,6 +253,31 @@ def table1(
             _warn(
                 'table1', each, ['a simulated person taught it, who named no options of their own']
             )
+    return 0
+
+
+@app.command()
+@with_options
+def segment(
+    bag: BagArgument,
+    episode: Annotated[
+        list[int],
+        option('N', 'number of an episode to cut; may be repeated; default: all', whole(1)),
+    ] = [],  # noqa: B006
+    namespace: Namespace = '',
+    *,
+    cutting: SegmentOptions,
+) -> int:
+    """Cut whole plays into segments, and make those that you name demonstrations."""
+    from humanopts_teach.bags.reader import open_bag
+    from humanopts_teach.commands.segments import cut_plays
+    from humanopts_teach.plays import plays_in_bag
+
+    with progress_bar() as show:
+        opened = open_bag(bag, show, namespace)
+        domain, plays = plays_in_bag(opened, episode)
+    _print(cut_plays(domain, plays, cutting))
+    _warn('segment', None, opened.notes)
     return 0
 
 

@@ -1,10 +1,14 @@
 """A demonstration in progress: the episode so far, its end, and the recorded result."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 import uuid
 
+from humanopts_env.domains.base import ActableDomain
+from humanopts_env.domains.registry import parameters_json
 from humanopts_env.game import Source, Transition
-from humanopts_learner.demonstrations import Demonstration
+from humanopts_learner.demonstrations import Demonstration, Kind
 from humanopts_teach.lesson.requests import (
     EndDemonstration,
     RefusalError,
@@ -118,6 +122,32 @@ class Attempt:
         if not request.count_machine_steps:
             return self.transitions[self.machine_steps :], 0
         return self.transitions, self.machine_steps
+
+
+def demonstration_of(
+    domain: ActableDomain, shown: Sequence[Transition], **fields: Any
+) -> Demonstration:
+    """
+    Return the demonstration of recorded states, without a uuid.
+
+    :param shown: the first state and the steps after it; only that: "not here".
+    :param fields: other fields; required are ``option_name``, ``participant`` and ``session``.
+    """
+    names, steps = tuple(feature.name for feature in domain.features), shown[1:]
+    given: dict[str, Any] = {'number': 0, 'chosen_features': names, **fields}
+    return Demonstration(
+        Kind.TRAJECTORY if steps else Kind.NOT_HERE,
+        '',
+        domain.name,
+        parameters_json(domain),
+        feature_names=names,
+        features=tuple(transition.features for transition in shown),
+        states=tuple(transition.state for transition in shown),
+        actions=tuple(step.previous_action for step in steps),
+        rewards=tuple(step.reward for step in steps),
+        terminated=shown[-1].terminated,
+        **given,
+    )
 
 
 def with_uuid(demo: Demonstration) -> Demonstration:

@@ -21,16 +21,16 @@ from humanopts_learner.demonstrations import (
     Demonstration,
     DemonstrationError,
     each_once,
-    Kind,
     option_name_fault,
 )
 from humanopts_learner.options.conflicts import contradiction
 from humanopts_learner.options.starts import sort_stuck
 from humanopts_learner.summary import OptionSummary
 from humanopts_ros.limits import composed
-from humanopts_teach.lesson.attempt import Attempt, with_uuid
+from humanopts_teach.lesson.attempt import Attempt, demonstration_of, with_uuid
 from humanopts_teach.lesson.history import History, OptionHistory
 from humanopts_teach.lesson.requests import (
+    AddDemonstrations,
     Answer,
     AnswerQuestion,
     BeginDemonstration,
@@ -218,6 +218,7 @@ class Lesson:
             AnswerQuestion: self._answer_question,
             BeginDemonstration: self._prepare,
             EndDemonstration: self._end_demonstration,
+            AddDemonstrations: self._add,
             WithdrawDemonstration: self._withdraw,
             ListDemonstrations: self._list,
             ChangeOption: self._change_option,
@@ -633,21 +634,15 @@ class Lesson:
             self._abandon('')
             return _ok('discarded; the same start state can be tried again')
         shown, machine_steps = attempt.shown(request)
-        steps = shown[1:]
         demo = with_uuid(
-            Demonstration(
-                Kind.TRAJECTORY if steps else Kind.NOT_HERE,
-                '',
-                *self._who,
+            demonstration_of(
+                self._domain,
+                shown,
+                participant=self._history.participant,
+                session=self._session,
                 option_name=option.name,
                 number=option.number,
                 chosen_features=option.chosen,
-                feature_names=tuple(feature.name for feature in self._domain.features),
-                features=tuple(transition.features for transition in shown),
-                states=tuple(transition.state for transition in shown),
-                actions=tuple(step.previous_action for step in steps),
-                rewards=tuple(step.reward for step in steps),
-                terminated=shown[-1].terminated,
                 can_start_at_end=request.can_start_at_end and request.verdict is Verdict.DONE,
                 seconds=round(self._clock() - attempt.began, 3),
                 method=self._method(option),
@@ -676,6 +671,40 @@ class Lesson:
             contradicts=found.earlier.uuid,
             situation=demo.states[found.step],
         )
+
+    def _add(self, request: AddDemonstrations) -> Answer:
+        """Add demonstrations that were recorded elsewhere, all or none."""
+        option, phase = self._option, self.phase
+        if option is None or phase not in (Phase.READY, Phase.LEARNING, Phase.FINISHED):
+            raise _wrong_phase(self._advice(phase))
+        left = self._starts.rules.budget - len(option.demonstrations)
+        if len(request.demonstrations) > left:
+            detail = f'{len(request.demonstrations)} are more than the budget leaves: {left}'
+            raise RefusalError(RequestStatus.BUDGET_SPENT, detail)
+        added = tuple(
+            with_uuid(
+                replace(
+                    demo,
+                    participant=self._history.participant,
+                    session=self._session,
+                    option_name=option.name,
+                    number=number,
+                    chosen_features=option.chosen,
+                    method=self._method(option),
+                    withdrawn=False,
+                )
+            )
+            for number, demo in enumerate(request.demonstrations, option.number)
+        )
+        try:
+            for demo in added:
+                check_demonstration(demo, self._domain)
+        except DemonstrationError as error:
+            raise RefusalError(RequestStatus.REFUSED, str(error)) from error
+        if added:
+            self._write(*added)
+            self._awaited, self._notice = added[-1], ''
+        return _ok(f'demonstrations of {option.name} added: {len(added)}', unsent=added)
 
     def _withdraw(self, request: WithdrawDemonstration) -> Answer:
         """Withdraw a demonstration of the option."""

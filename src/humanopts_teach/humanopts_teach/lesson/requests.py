@@ -118,6 +118,13 @@ class EndDemonstration:
 
 
 @dataclass(frozen=True, slots=True)
+class AddDemonstrations:
+    """Add demonstrations of the option that were recorded elsewhere."""
+
+    demonstrations: tuple[Demonstration, ...]  # the lesson numbers them, and sets whose they are
+
+
+@dataclass(frozen=True, slots=True)
 class WithdrawDemonstration:
     """Withdraw a demonstration of the option."""
 
@@ -145,6 +152,7 @@ LessonRequest = (
     | AnswerQuestion
     | BeginDemonstration
     | EndDemonstration
+    | AddDemonstrations
     | WithdrawDemonstration
     | ListDemonstrations
     | ChangeOption
@@ -415,7 +423,7 @@ def settled(request: Request, answer: Answer, world: World) -> bool:
             return game.episode >= answer.episode == lesson.episode
         case EndDemonstration(episode=episode):
             return lesson.phase is not Phase.DEMONSTRATING or lesson.episode != episode
-        case WithdrawDemonstration():
+        case AddDemonstrations() | WithdrawDemonstration():
             return lesson.last_uuid != answer.uuid
         case ChangeOption(name):
             return lesson.option_name != name

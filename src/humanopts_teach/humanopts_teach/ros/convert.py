@@ -37,7 +37,9 @@ def _service(
     :param kind: service type; None: the type named like the request.
     """
     service = kind or getattr(srv, request.__name__)
-    asked: Codec[Any, Any] = Codec(request, service.Request, of_message=more)
+    asked: Codec[Any, Any] = Codec(
+        request, service.Request, of_message=more, parts=_DEMONSTRATIONS
+    )
     answer: Codec[Answer, Any] = Codec(
         Answer, service.Response, of_message=answers, subset=True, parts=_DEMONSTRATIONS
     )
@@ -52,6 +54,7 @@ LESSON_SERVICES: Mapping[type, Endpoint] = dict(
         (requests.AnswerQuestion, 'answer_question'),
         (requests.BeginDemonstration, 'begin_demonstration'),
         (requests.EndDemonstration, 'end_demonstration'),
+        (requests.AddDemonstrations, 'add_demonstrations'),
         (requests.WithdrawDemonstration, 'withdraw_demonstration'),
         (requests.ListDemonstrations, 'list_demonstrations'),
         (requests.ChangeOption, 'change_option'),

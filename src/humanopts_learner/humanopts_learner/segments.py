@@ -1,0 +1,181 @@
+"""
+Segments of a whole play: demonstrations of options, cut from one of the whole task.
+
+P. Zang, P. Zhou, D. Minnen and C. Isbell (2009), "Discovering options from example trajectories",
+cuts trajectories where the task changes. Here the cuts are *events*: changes of nominal features
+that change rarely, such as what is carried, or whether a door is open. A person names the
+segments, joins neighbours by giving them the same name, and leaves out others by giving none.
+
+How rarely is read from the plays. Features that describe the stages of a task change a few times
+in a play; those that describe the surroundings, such as what is in front, change every few steps.
+So the logarithms of the rates have two groups, and N. Otsu's threshold (1979, "A threshold
+selection method from gray-level histograms") separates them with the least variance inside.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from itertools import groupby
+
+from humanopts_env.arrays import Flags, Ints, Rows
+from humanopts_env.domains.base import ActableDomain, DomainError, FeatureKind
+from humanopts_learner.demonstrations import Demonstration, Kind
+import numpy as np
+
+OVER = 'the task is over'
+STOPPED = 'the play stops'
+
+
+@dataclass(frozen=True)
+class Segment:
+    """
+    Part of a play, from the state after an event to the state after the next one.
+
+    :ivar play: the whole play.
+    :ivar first: step of the first state.
+    :ivar last: step of the last state.
+    :ivar end: what happened at the end, such as ``carrying: nothing -> key``.
+    """
+
+    play: Demonstration
+    first: int
+    last: int
+    end: tuple[str, ...]
+
+    def demonstration(self, option_name: str, features: Sequence[str]) -> Demonstration:
+        """
+        Return the demonstration of an option, without a number and a uuid.
+
+        :param features: names of the features that the option depends on.
+        """
+        play, steps = self.play, slice(self.first, self.last)
+        states = slice(self.first, self.last + 1)
+        return replace(
+            play,
+            kind=Kind.TRAJECTORY,
+            uuid='',
+            option_name=option_name,
+            number=0,
+            chosen_features=tuple(features),
+            features=play.features[states],
+            states=play.states[states],
+            actions=play.actions[steps],
+            rewards=play.rewards[steps],
+            terminated=play.terminated and self.last == len(play.actions),
+            can_start_at_end=False,
+            seconds=play.seconds * (self.last - self.first) / len(play.actions),
+            machine_steps=0,
+        )
+
+
+def event_features(domain: ActableDomain, plays: Sequence[Demonstration]) -> tuple[str, ...]:
+    """
+    Return the names of the nominal features whose changes are events, in the domain's order.
+
+    A feature that never changes marks no event. With one or two that do, both are events.
+
+    :param plays: the more, the better the rates are known; one is enough.
+    """
+    changes = np.concatenate([np.diff(play.feature_rows, axis=0) != 0 for play in plays])
+    rates = changes.mean(axis=0)
+    nominal = [feature.kind is FeatureKind.NOMINAL for feature in domain.features]
+    found = np.flatnonzero(nominal & (rates > 0))
+    logarithms = np.log(rates[found])
+    if len(found) > 2:
+        found = found[logarithms < _otsu(logarithms)]
+    return tuple(domain.features[column].name for column in found.tolist())
+
+
+def _otsu(values: Rows) -> float:
+    """Return the threshold (N,) between two groups with the least variance inside them."""
+    ordered = np.sort(values)
+    inside = [
+        ordered[:n].var() * n + ordered[n:].var() * (len(ordered) - n)
+        for n in range(1, len(ordered))
+    ]
+    cut = int(np.argmin(inside))
+    return float(ordered[cut : cut + 2].mean())
+
+
+def cut(domain: ActableDomain, play: Demonstration, events: Iterable[str]) -> list[Segment]:
+    """
+    Cut a play after each change of the given features; the last segment ends with the play.
+
+    :param events: names of features.
+    :raises DomainError: a name is not that of a feature.
+    """
+    columns = {feature.name: n for n, feature in enumerate(domain.features)}
+    if unknown := set(events) - set(columns):
+        raise DomainError(
+            f'{domain.name} has no feature {", ".join(sorted(unknown))}; '
+            f'there is {", ".join(columns)}'
+        )
+    rows, watched = play.feature_rows, [columns[name] for name in events]
+    changed: Flags = np.diff(rows[:, watched], axis=0) != 0  # (T, events)
+    total = len(play.actions)
+    cuts = sorted({*(np.flatnonzero(changed.any(axis=1)) + 1).tolist(), total})
+    segments = []
+    for first, last in zip([0, *cuts], cuts):
+        words = []
+        for column in np.array(watched, dtype=np.intp)[changed[last - 1]].tolist():
+            feature = domain.features[column]
+            before, after = map(feature.text, rows[last - 1 : last + 1, column])
+            words.append(f'{feature.name}: {before} -> {after}')
+        if last == total:
+            words.append(OVER if play.terminated else STOPPED)
+        segments.append(Segment(play, first, last, tuple(words)))
+    return segments
+
+
+def joined(segments: Sequence[Segment], names: Sequence[str]) -> list[tuple[str, Segment]]:
+    """
+    Return the named segments of one play; neighbours with the same name become one.
+
+    :param segments: in order, as ``cut`` returns them.
+    :param names: option name of each segment; empty: it is left out.
+    """
+    found = []
+    for name, group in groupby(zip(names, segments), key=lambda pair: pair[0]):
+        parts = [segment for _, segment in group]
+        if name:
+            found.append((name, replace(parts[-1], first=parts[0].first)))
+    return found
+
+
+def suggested_features(domain: ActableDomain, segments: Sequence[Segment]) -> tuple[str, ...]:
+    """
+    Suggest the features that an option depends on, from its segments.
+
+    They are those that change at an end, and the fewest that determine the actions: features are
+    added one at a time as long as that lowers the number of exceptions (steps with another action
+    than the most frequent one where the features are equal) plus the number of cases (different
+    values of the features), so that a feature must explain more than it splits. Continuous
+    features are compared by tenths of their range.
+
+    :param segments: of the same option.
+    """
+    rows = np.concatenate([s.play.feature_rows[s.first : s.last] for s in segments])
+    names = [name for s in segments for name in s.play.actions[s.first : s.last]]
+    actions = np.unique(names, return_inverse=True)[1]
+    for column, feature in enumerate(domain.features):
+        if feature.kind is FeatureKind.CONTINUOUS:
+            rows[:, column] = np.floor(10 * (rows[:, column] - feature.low) / feature.span)
+    chosen: list[int] = []
+    cost = _cost(rows[:, chosen], actions)
+    while len(chosen) < rows.shape[1]:
+        costs = [_cost(rows[:, [*chosen, n]], actions) for n in range(rows.shape[1])]
+        best = int(np.argmin(costs))
+        if costs[best] >= cost:
+            break
+        chosen, cost = [*chosen, best], costs[best]
+    ends = {word.partition(':')[0] for segment in segments for word in segment.end}
+    wanted = {domain.features[n].name for n in chosen} | ends
+    suggested = tuple(each.name for each in domain.features if each.name in wanted)
+    return suggested or (domain.features[0].name,)
+
+
+def _cost(rows: Rows, actions: Ints) -> int:
+    """Return the number of exceptions plus the number of cases."""
+    _, case = np.unique(rows, axis=0, return_inverse=True)
+    table = np.zeros((case.max() + 1, actions.max() + 1), dtype=np.intp)
+    np.add.at(table, (case.ravel(), actions), 1)
+    return int((table.sum(axis=1) - table.max(axis=1)).sum()) + len(table)
