@@ -12,8 +12,12 @@ from humanopts_env.domains.capabilities import board_of, pictured_board_of
 from humanopts_env.seeding import generator
 from humanopts_teach.board_html import board_html
 from humanopts_teach.browser.markup import parts
+from humanopts_teach.dialogue.entry import Item, ListScreen
+from humanopts_teach.dialogue.menu import to_lesson
 from humanopts_teach.dialogue.panel import Features
 from humanopts_teach.dialogue.view import view
+from humanopts_teach.launching.processes import processes, recorded_facts, Setup
+from humanopts_teach.report.episode import episode_strip, Frame
 from humanopts_teach.terminal.drawing import board_texts, frame, HalfBlocks
 import numpy as np
 from PIL import Image as Pillow
@@ -189,3 +193,33 @@ def test_a_picture_is_no_part_of_the_board_that_hides_features() -> None:
     listed, _ = board_texts(replace(board, image=DrawnField.canvas), 40, 10, None)
     assert str(listed) == 'basket: 0'
     assert board_html(board) == ''
+
+
+def test_a_launch_without_pictures_tells_the_screen_and_the_bag(tmp_path: Path) -> None:
+    for pictures, recorded in ((True, {}), (False, {'picture': 'no'})):
+        setup = Setup(domain='taxi', directory=tmp_path, keyboard=True, pictures=pictures)
+        (spec,) = [spec for spec in processes(setup) if spec.terminal]
+        assert spec.parameters['pictures'] is pictures
+        assert recorded.items() <= recorded_facts(setup).items()
+    assert 'picture' not in recorded_facts(replace(setup, pictures=True))
+
+
+def test_past_states_are_looked_at_picture_by_picture(desk: Desk) -> None:
+    states = [desk.game.transition.state]
+    images = [desk.app.domain.picture(desk.app.domain.decode(states[0]))]  # type: ignore[attr-defined]
+    desk.press('right')
+    states.append(desk.game.transition.state)
+    images.append(desk.app.domain.picture(desk.app.domain.decode(states[1])))  # type: ignore[attr-defined]
+    desk.app.show(ListScreen('Which?', [Item('way', '', to_lesson, states)]))
+    for image in images:
+        board = view(desk.app).board
+        assert board is not None
+        assert np.array_equal(np.asarray(board.image), np.asarray(image))
+        desk.press('right')
+    assert not np.array_equal(*map(np.asarray, images))
+
+
+def test_the_strip_of_a_report_has_the_pictures(desk: Desk) -> None:
+    strip = episode_strip(DrawnOrchard(), [Frame(desk.game.transition.state)])
+    assert strip.pictures[0].board == board_html(view(desk.app).board or Board())
+    assert strip.pictures[0].board.startswith('<img')

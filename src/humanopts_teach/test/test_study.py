@@ -98,6 +98,11 @@ def test_each_condition_follows_each_other_equally_often(count: int) -> None:
     assert len(set(follows.values())) <= 1
 
 
+def test_a_condition_can_be_without_pictures(write: Write) -> None:
+    plan = read_plan(write(PLAN.replace('learn: goal', 'learn: goal, picture: no')))
+    assert [each.picture for each in plan.conditions] == [True, False]
+
+
 def test_a_random_order_is_that_of_the_seed(write: Write) -> None:
     path = write(PLAN.replace('study:', 'order: random\nstudy:'))
     one, again = read_plan(path), read_plan(path)
