@@ -215,8 +215,8 @@ def _rewards(domain: Domain, states: Sequence[Any], actions: Sequence[str]) -> l
     for before, name, after in zip(states, actions, states[1:]):
         assert is_enumerable(domain)
         table, at = domain.transitions(), (domain.index(before), action_index(domain, name))
-        led = (table.successor[at] == domain.index(after)) & (table.probability[at] > 0)
-        rewards = set(table.reward[at][led].tolist()) or {0.0}
+        possible = (table.successor[at] == domain.index(after)) & (table.probability[at] > 0)
+        rewards = set(table.reward[at][possible].tolist()) or {0.0}
         if len(rewards) > 1:
             raise DemonstrationError(
                 f'{name} from {domain.encode(before)} to {domain.encode(after)} has several '

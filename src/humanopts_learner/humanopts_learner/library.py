@@ -95,6 +95,6 @@ class OptionLibrary:
                 f'option {name!r} was taught by {who}: name the participant'
             )
         owner = f' of participant {participant!r}' if participant else ''
-        there = [f'{option.name!r} ({option.participant})' for option in self.options()]
-        known = ', '.join([*there, *self._primitives])
+        listed = [f'{option.name!r} ({option.participant})' for option in self.options()]
+        known = ', '.join([*listed, *self._primitives])
         raise UnknownOptionError(f'unknown option {name!r}{owner}; choose from {known}')

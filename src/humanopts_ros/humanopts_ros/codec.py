@@ -46,15 +46,17 @@ class Codec(Generic[V, M]):
         self._kind: type[V] = kind
         self._message = cast(Any, message)
         hints = get_type_hints(kind)
-        named = {field.name for field in fields(kind)} - set(of_value)  # type: ignore[arg-type]
-        there = set(self._message.get_fields_and_field_types()) - {*of_message, *computed}
-        there -= _STAMP - named
-        lacking = (there - named) | (set() if subset else named - there)
-        if lacking:
-            raise TypeError(f'{kind.__name__} and {message.__name__} do not share {lacking}')
+        value_fields = {field.name for field in fields(kind)} - set(of_value)  # type: ignore[arg-type]
+        message_fields = set(self._message.get_fields_and_field_types()) - {*of_message, *computed}
+        message_fields -= _STAMP - value_fields
+        unmatched = message_fields - value_fields
+        if not subset:
+            unmatched |= value_fields - message_fields
+        if unmatched:
+            raise TypeError(f'{kind.__name__} and {message.__name__} do not share {unmatched}')
         self._encode: dict[str, Convert | None] = dict.fromkeys(computed)
         self._decode: dict[str, Convert | None] = {}
-        for name in sorted(there):
+        for name in sorted(message_fields):
             hint = hints[name]
             converts: tuple[Convert | None, Convert | None] = None, None
             members = [t for t in (hint, *get_args(hint)) if isinstance(t, type)]

@@ -46,8 +46,8 @@ def set_aside_absent() -> None:
     Otherwise, importing rclpy would end the process.
     """
     global _absent
-    chosen, there = os.environ.get(_RMW, ''), _installed()
-    if chosen and there and chosen not in there:
+    chosen, installed = os.environ.get(_RMW, ''), _installed()
+    if chosen and installed and chosen not in installed:
         _absent = os.environ.pop(_RMW)
 
 
@@ -166,7 +166,7 @@ def _fault_of_profile(path: Path) -> str:
 
 def _fault_that_fast_dds_finds() -> str:
     """Return the first error that Fast DDS reports for its profile file; empty: none."""
-    said = subprocess.run(
+    output = subprocess.run(
         [sys.executable, '-c', _LOADS_PROFILES],
         env={**os.environ, RANGE: 'OFF'},
         stdin=subprocess.DEVNULL,
@@ -174,5 +174,5 @@ def _fault_that_fast_dds_finds() -> str:
         stderr=subprocess.STDOUT,
         check=False,
     ).stdout.decode('utf-8', 'replace')
-    found = _FAULT.search(_COLOUR.sub('', said))
+    found = _FAULT.search(_COLOUR.sub('', output))
     return f'which Fast DDS cannot use ({found[1]})' if found else ''

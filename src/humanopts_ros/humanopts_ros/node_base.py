@@ -315,9 +315,9 @@ class NodeBase(GuardedNode):
             raise
 
     def _check_start(self) -> None:
-        lacking = self.waits_for() or self._lacks_recorder()
-        if lacking is not None:
-            text = f'waits for {lacking}'
+        missing = self.waits_for() or self._lacks_recorder()
+        if missing is not None:
+            text = f'waits for {missing}'
             if self.monotonic() - self._begun > _LATE and text != self._own_text:
                 self.set_status(NodeStatus.STATE_STARTING, text)
                 self.get_logger().warning(text)
@@ -333,11 +333,11 @@ class NodeBase(GuardedNode):
         """Describe a topic that the recorder lacks; None: no topic, or no recorder is expected."""
         if not self._expect_recorder:
             return None
-        lacking = chain(
+        missing = chain(
             (each.topic for each in self._stamped if not self.records(each)),
             (topic for topic in self._hidden if not self.is_recorded(topic)),
         )
-        topic = next(lacking, None)
+        topic = next(missing, None)
         return None if topic is None else f'the recorder to subscribe to {topic}'
 
 

@@ -60,10 +60,10 @@ def is_own(
     """
     if not topic.startswith(prefix_of(namespace)):
         return False
-    ours = kind.startswith(INTERFACES)
-    if ours and own_name(topic, namespace):
+    is_builtin = kind.startswith(INTERFACES)
+    if is_builtin and own_name(topic, namespace):
         return True
-    if ours or topic.endswith(_ACTION_STATUS):
+    if is_builtin or topic.endswith(_ACTION_STATUS):
         return not own_nodes.isdisjoint(publishers())
     below = {node for node in own_nodes if topic.startswith(f'{node}/')}
     return bool(below) and not below.isdisjoint(publishers())
@@ -101,10 +101,10 @@ class Selection:
     @property
     def unevaluable(self) -> str:
         """The reason why a bag cannot be evaluated; empty: it can."""
-        lacking = [n for n in NEEDED if not self.wants_own(prefix_of(self.namespace) + n)]
-        if not lacking:
+        missing = [n for n in NEEDED if not self.wants_own(prefix_of(self.namespace) + n)]
+        if not missing:
             return ''
-        names = ' and '.join(lacking)
+        names = ' and '.join(missing)
         return f'{names} will not be recorded: bag eval can learn nothing from this bag'
 
     def _matches(self, topic: str, patterns: Sequence[str]) -> bool:

@@ -26,11 +26,11 @@ def make_domain(name: str, parameters: Mapping[str, Parameter] | None = None) ->
     :raises DomainError: the domain is unknown, refuses the parameters or their types, cannot be
         loaded, or breaks the contract of domains.
     """
-    factory, ours = _factory(name)
+    factory, is_builtin = _factory(name)
     check_parameters(name, factory, parameters or {})
     with _explained(f'{name} cannot be made'):
         domain = cast(Domain, factory(**(parameters or {})))
-    if not ours:
+    if not is_builtin:
         check_domain(domain, name)
     return domain
 

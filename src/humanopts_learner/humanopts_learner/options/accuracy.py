@@ -159,11 +159,15 @@ def _answers(domain: Domain, reference: ReferenceOption) -> _Answers:
 
 
 def _of_all_states(domain: EnumerableDomain, reference: TabularReferenceOption) -> _Answers:
-    rows, table, going = domain.feature_table(), domain.transitions(), ~domain.over()
+    rows, table, open_states = domain.feature_table(), domain.transitions(), ~domain.over()
     transitions = reference.optimal[:, :, None] & (table.probability > 0)  # (S, A, B)
     can_be = reference.initiation.copy()
     can_be[table.successor[transitions]] = True
-    acts, starts, ends = reference.initiation & going, reference.judged & going, reference.judged
+    acts, starts, ends = (
+        reference.initiation & open_states,
+        reference.judged & open_states,
+        reference.judged,
+    )
     ends = ends & can_be
     begun = np.flatnonzero(acts)
     begun = begun[np.linspace(0, len(begun), min(len(begun), RUNS), False, dtype=np.intp)]
@@ -197,20 +201,20 @@ def _sample(game: _Keyed) -> Games:
 def _of_a_sample(game: _Keyed, reference: ReferenceOption) -> _Answers:
     """Return answers for a sample, with ends added by one optimal step from acting states."""
     domain, games = game.value, _sample(game)
-    rows, said = games.features(), judge_games(reference, games)
-    acts = said.initiation
+    rows, judged = games.features(), judge_games(reference, games)
+    acts = judged.initiation
     after = games.take(np.flatnonzero(acts))
     starts = after.take(np.arange(min(len(after), RUNS))).states()
     rng = generator(0, 'accuracy', 'steps', domain.name, reference.name)
-    after.step(said.optimal[acts].argmax(axis=1), [rng] * len(after))
+    after.step(judged.optimal[acts].argmax(axis=1), [rng] * len(after))
     then = judge_games(reference, after)
     left = ~then.initiation
     return _Answers(
         starts,
         rows[acts],
-        said.optimal[acts],
+        judged.optimal[acts],
         rows,
-        said.initiation,
+        judged.initiation,
         np.concatenate((rows[acts], after.features()[left])),
-        np.concatenate((said.termination[acts], then.termination[left])),
+        np.concatenate((judged.termination[acts], then.termination[left])),
     )

@@ -145,8 +145,8 @@ def _conflicts(
     pairs = np.unique(np.stack([group.ravel(), examples.labels]), axis=1)[0]
     found = []
     for number in np.flatnonzero(np.bincount(pairs) > 1):
-        alike = group.ravel() == number
-        rows, labels = examples.rows[alike], examples.labels[alike]
+        in_region = group.ravel() == number
+        rows, labels = examples.rows[in_region], examples.labels[in_region]
         counts = Counter(labels.tolist()).most_common()
         answers = ', '.join(f'{words[label]} ({count}x)' for label, count in counts)
         text = f'{_situation(rows[0], chosen)}: {answers}'

@@ -64,21 +64,23 @@ def paths_to_goal(
             value[fresh], optimal[fresh] = found.value[fresh], found.optimal[fresh]
         return Paths(value, optimal)
 
-    looks = np.column_stack([domain.over(), stacked(chosen, domain.feature_table())])
+    columns = np.column_stack([domain.over(), stacked(chosen, domain.feature_table())])
     starts, ends = (
         np.array([domain.index(domain.decode(demo.states[at])) for demo in trajectories])
         for at in (0, -1)
     )
-    alike = np.column_stack([_as_most(values, values[ends]) for values in looks.T])
-    nearest = paths_to_best(alike[:, 0].astype(np.intp))
+    agreement = np.column_stack([_as_most(values, values[ends]) for values in columns.T])
+    nearest = paths_to_best(agreement[:, 0].astype(np.intp))
     passed = np.zeros(len(ends), dtype=np.bool_)
-    for look in np.unique(looks[ends], axis=0):
-        same = (looks == look).all(axis=1)
-        there, by = paths(same), same[ends]
-        passed[by] = nearest.value[starts[by]] > there.value[starts[by]] + TIE
+    for values_of_end in np.unique(columns[ends], axis=0):
+        same = (columns == values_of_end).all(axis=1)
+        paths_to_same, at_same = paths(same), same[ends]
+        passed[at_same] = (
+            nearest.value[starts[at_same]] > paths_to_same.value[starts[at_same]] + TIE
+        )
     if passed.mean() <= 1 - MOST:
         return nearest
-    return paths_to_best(alike @ [1 + len(chosen), *[1] * len(chosen)])
+    return paths_to_best(agreement @ [1 + len(chosen), *[1] * len(chosen)])
 
 
 def preferred_actions(

@@ -137,10 +137,10 @@ def rollouts_from_everywhere(domain: EnumerableDomain, option: TabularOption) ->
     steps, length = np.ones(domain.n_states, dtype=np.int64), 1
     while length < option.max_steps:
         on = np.flatnonzero(~reached)
-        there = final[on]
-        total[on] += total[there]
-        steps[on] += steps[there]
-        final[on], reached[on] = final[there], reached[there]
+        next_states = final[on]
+        total[on] += total[next_states]
+        steps[on] += steps[next_states]
+        final[on], reached[on] = final[next_states], reached[next_states]
         length *= 2
     reached &= steps <= option.max_steps
     return FinalRollouts(total, steps, reached, over[final], final)

@@ -164,8 +164,8 @@ def make_exact_plan(
 
     :param options: learned options, or tables over all states.
     """
-    asked = request.resolved(domain, options, sampled=False)
-    used = () if asked.action_set == PRIMITIVE else tuple(options)
+    resolved = request.resolved(domain, options, sampled=False)
+    used = () if resolved.action_set == PRIMITIVE else tuple(options)
     # Built once for all plans, so not included in the planning time.
     domain.transitions(), domain.over()
     if not all(isinstance(option, TabularOption) for option in used):
@@ -176,19 +176,19 @@ def make_exact_plan(
         progress('tables', done / len(used), 0, math.nan)
         tabled.append(tabulate(option, domain))
     evaluated = clock()
-    model = build_model(domain, asked.action_set, tabled, asked.gamma, progress)
+    model = build_model(domain, resolved.action_set, tabled, resolved.gamma, progress)
     modelled = clock()
     on_sweep = None
     if progress is not ignore_progress:  # would slow small plans down by half
-        on_sweep = sweep_progress(progress, asked.tol, asked.max_sweeps)
-    solution = solve_smdp(model, asked.tol, asked.max_sweeps, on_sweep)
+        on_sweep = sweep_progress(progress, resolved.tol, resolved.max_sweeps)
+    solution = solve_smdp(model, resolved.tol, resolved.max_sweeps, on_sweep)
     return ExactPlan(
         domain=domain,
-        action_set=asked.action_set,
-        gamma=asked.gamma,
+        action_set=resolved.action_set,
+        gamma=resolved.gamma,
         options=tuple(tabled),
         names=model.names,
-        first_fallback=len(tabled if asked.action_set in OPTIONS_ONLY else model.names),
+        first_fallback=len(tabled if resolved.action_set in OPTIONS_ONLY else model.names),
         solution=solution,
         table_seconds=evaluated - began,
         model_seconds=modelled - evaluated,

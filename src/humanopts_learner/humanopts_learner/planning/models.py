@@ -188,15 +188,15 @@ def deterministic_model(
         np.where(last, 0.0, reward),
         np.where(last, 1.0, gamma),
     )
-    steps, wanted = option.max_steps - 1, starts[states]
+    steps, needed = option.max_steps - 1, starts[states]
     walk = _Walk(here, np.zeros(len(last)), np.ones(len(last)))
     if steps:
         highest = 1 << (steps.bit_length() - 1)
-        walk = _power(one, highest, last, wanted)
-        if highest < steps and not _all_stay(walk, last, wanted):
-            walk.append(_power(one, steps - highest, last, wanted))
-    if not wanted.all():
-        walk = _Walk(walk.row[wanted], walk.reward[wanted], walk.discount[wanted])
+        walk = _power(one, highest, last, needed)
+        if highest < steps and not _all_stay(walk, last, needed):
+            walk.append(_power(one, steps - highest, last, needed))
+    if not needed.all():
+        walk = _Walk(walk.row[needed], walk.reward[needed], walk.discount[needed])
     walk.reward += walk.discount * reward[walk.row]
     walk.discount *= gamma
     walk.discount[terminated[walk.row]] = 0.0
@@ -222,11 +222,11 @@ class _Walk:
         self.row = then.row.take(self.row)
 
 
-def _power(one: _Walk, steps: int, last: Flags, wanted: Flags) -> _Walk:
+def _power(one: _Walk, steps: int, last: Flags, needed: Flags) -> _Walk:
     """Return ``steps`` moves (1 or more), or fewer if more would change nothing."""
     walk = _Walk(one.row, one.reward.copy(), one.discount.copy())
     for bit in bin(steps)[3:]:  # the highest bit is ``one`` itself
-        if _all_stay(walk, last, wanted):
+        if _all_stay(walk, last, needed):
             break
         walk.append(walk)
         if bit == '1':
@@ -234,8 +234,8 @@ def _power(one: _Walk, steps: int, last: Flags, wanted: Flags) -> _Walk:
     return walk
 
 
-def _all_stay(walk: _Walk, last: Flags, wanted: Flags) -> bool:
-    return bool((last[walk.row] | ~wanted).all())
+def _all_stay(walk: _Walk, last: Flags, needed: Flags) -> bool:
+    return bool((last[walk.row] | ~needed).all())
 
 
 def stochastic_model(

@@ -222,14 +222,14 @@ def make_sampled_plan(
     Parameters and errors are those of ``plan.make_plan``; ``progress`` is called with the stages
     models and sweeps in each round.
     """
-    asked = request.resolved(domain, options, sampled=True)
-    actions = ActionSet(domain, asked.action_set, options, asked.columns)
-    config, n_choices = asked.sampling, actions.first_fallback
+    resolved = request.resolved(domain, options, sampled=True)
+    actions = ActionSet(domain, resolved.action_set, options, resolved.columns)
+    config, n_choices = resolved.sampling, actions.first_fallback
     counts = SampleCounts(actions.modelled, n_choices)
-    rng = generator(asked.seed, 'sampled_plan', asked.action_set)
-    n_games = min(config.n_games, asked.game_steps // config.game_steps)
-    sampler = Sampler(actions, counts, n_games, asked.gamma, rng, asked.unstick)
-    part = asked.game_steps // config.rounds
+    rng = generator(resolved.seed, 'sampled_plan', resolved.action_set)
+    n_games = min(config.n_games, resolved.game_steps // config.game_steps)
+    sampler = Sampler(actions, counts, n_games, resolved.gamma, rng, resolved.unstick)
+    part = resolved.game_steps // config.rounds
     policy: Policy[Observation] = AnyOption(rng)
     game_steps, model_seconds, sweep_seconds = 0, 0.0, 0.0
     for number in range(config.rounds):
@@ -241,8 +241,8 @@ def make_sampled_plan(
         game_steps += sampler.play(policy, part, on_steps)
         model = counts.model(config.min_samples)
         modelled = clock()
-        on_sweep = sweep_progress(progress, asked.tol, asked.max_sweeps)
-        found = solve_smdp(model, asked.tol, asked.max_sweeps, on_sweep, n_choices)
+        on_sweep = sweep_progress(progress, resolved.tol, resolved.max_sweeps)
+        found = solve_smdp(model, resolved.tol, resolved.max_sweeps, on_sweep, n_choices)
         ahead = look_ahead(model, found.values)  # (S, modelled)
         # Where an option can start, continuing it is worth as much as choosing it.
         chosen, continued = ahead[:, :n_choices], ahead[:, :n_choices].copy()
@@ -258,21 +258,21 @@ def make_sampled_plan(
             interruption_margin=config.interruption_margin,
             sampled=True,
         )
-        greedy = GreedyPolicy(table, asked.execution)
+        greedy = GreedyPolicy(table, resolved.execution)
         model_seconds += modelled - began
         sweep_seconds += clock() - modelled
         without_margin = replace(greedy, values=replace(table, interruption_margin=0.0))
         policy = ExploringPolicy(without_margin, config.explore, rng)
     return SampledPlan(
         domain=domain,
-        action_set=asked.action_set,
-        gamma=asked.gamma,
+        action_set=resolved.action_set,
+        gamma=resolved.gamma,
         names=actions.names,
         first_fallback=n_choices,
         actions=actions,
         solution=replace(found, values=found.values[order], best=found.best[order]),
         policy=greedy,
-        unstick=asked.unstick,
+        unstick=resolved.unstick,
         game_steps=game_steps,
         model_seconds=model_seconds,
         sweep_seconds=sweep_seconds,

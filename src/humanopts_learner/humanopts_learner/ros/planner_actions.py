@@ -211,11 +211,11 @@ class PlanServer(GoalServer):
         self, handle: ServerGoalHandle, domain: Domain, result: PlanResult
     ) -> PlanResult:
         goal, state = handle.request, self._state
-        wanted = goal.options_sequence
-        await self._node.waiting.until(lambda: state.taught_sequence >= wanted, _OPTIONS_SECONDS)
-        if state.taught_sequence < wanted:
+        sequence = goal.options_sequence
+        await self._node.waiting.until(lambda: state.taught_sequence >= sequence, _OPTIONS_SECONDS)
+        if state.taught_sequence < sequence:
             raise PlanError(
-                f'learned_options {wanted} did not arrive, only {state.taught_sequence}'
+                f'learned_options {sequence} did not arrive, only {state.taught_sequence}'
             )
         known = state.options(goal.action_set)
         options = select_options(known, goal.action_set, goal.participant, goal.options)

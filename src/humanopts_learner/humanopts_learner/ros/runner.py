@@ -352,8 +352,8 @@ class Runner:
     def _on_step(self, active: _Active, observed: Observed) -> None:
         """Handle the state after the current command, or after an action of another driver."""
         transition, run = observed.transition, active.run
-        mine = transition.action_publisher_id == self._node.publisher_id
-        if not mine or transition.action_sequence != active.command:
+        is_own = transition.action_publisher_id == self._node.publisher_id
+        if not is_own or transition.action_sequence != active.command:
             text = f'{shown(transition.action_publisher_id)} took {transition.previous_action}'
             self._finish(RunStatus.INTERRUPTED, text)
             return
@@ -395,8 +395,8 @@ class Runner:
     def _on_refusal(self, message: ActionRefusal) -> None:
         """End the run because the game refused its command."""
         active = self._active
-        mine = message.command_publisher_id == self._node.publisher_id
-        if active is None or not mine or message.command_sequence != active.command:
+        is_own = message.command_publisher_id == self._node.publisher_id
+        if active is None or not is_own or message.command_sequence != active.command:
             return
         interrupted = (ActionRefusal.REASON_HELD_BY_PERSON, ActionRefusal.REASON_STALE)
         status = RunStatus.INTERRUPTED if message.reason in interrupted else RunStatus.FAILED

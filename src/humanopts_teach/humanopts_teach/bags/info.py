@@ -286,7 +286,7 @@ def summarise(bag: Bag, topics: Collection[str] | None = None) -> BagInfo:
     for demo in each_once(demonstrations):
         taught[demo.participant, demo.option_name].append(demo)
     options = [OptionRow.of(demos, criteria_met.get(key, False)) for key, demos in taught.items()]
-    lessons = {(who, session) for who, session in lessons if who}
+    lessons = {(participant, session) for participant, session in lessons if participant}
     streams, extent = list(counter.losses), counter.extent
     lost = {name: [s.missing for s in streams if s.topic == name] for name in counter.stamped}
     return BagInfo(
@@ -303,7 +303,9 @@ def summarise(bag: Bag, topics: Collection[str] | None = None) -> BagInfo:
         facts=bag.graph_facts,
         attached=[Attached(f.name, f.data_size, f.media_type) for f in bag.attachments],
         domains=[' '.join(each) for each in domains_played(bag)] if topics is None else [],
-        participants=sorted({row.participant for row in options} | {who for who, _ in lessons}),
+        participants=sorted(
+            {row.participant for row in options} | {participant for participant, _ in lessons}
+        ),
         sessions=sorted({s for row in options for s in row.sessions} | {s for _, s in lessons}),
         topics=[
             TopicRow(

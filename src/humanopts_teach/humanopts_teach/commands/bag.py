@@ -359,7 +359,7 @@ def _play(replay: 'Replay', device: 'Device') -> None:
 
     shown = time.monotonic()
     while not replay.over and not device.closed:
-        if not device.ours():  # suspended
+        if not device.has_terminal():  # suspended
             time.sleep(_MAX_WAIT)
             continue
         device.draw(replay.frame)

@@ -166,9 +166,9 @@ async def _game(
         try:
             yield lambda keys, frame: thread.call(partial(node.press, keys, frame))
         finally:
-            gone = asyncio.Event()
-            thread.close(node, partial(loop.call_soon_threadsafe, gone.set))
-            await gone.wait()
+            closed = asyncio.Event()
+            thread.close(node, partial(loop.call_soon_threadsafe, closed.set))
+            await closed.wait()
 
 
 @asynccontextmanager

@@ -61,10 +61,10 @@ def launched(setup: Setup) -> list[ProcessSpec]:
     specs = processes(setup)
     names = [spec.name for spec in specs]
     _places.enter_context(only_launch(setup.namespace, names))
-    others = [name for name in names if name != RECORDER]
+    other_names = [name for name in names if name != RECORDER]
     return [
-        replace(spec, parameters={**spec.parameters, 'outlasts': others})
-        if spec.name == RECORDER and others
+        replace(spec, parameters={**spec.parameters, 'outlasts': other_names})
+        if spec.name == RECORDER and other_names
         else spec
         for spec in specs
     ]

@@ -81,10 +81,10 @@ def setup_from(
                 setup = replace(setup, parameter=[*game.parameters.items()], features=None)
         processes(setup)
     topics = Selection(setup.namespace, setup.record_topics, setup.record_exclude)
-    if setup.record and (lacking := topics.unevaluable):
+    if setup.record and (missing := topics.unevaluable):
         if evaluated:
-            raise CommandError(lacking)
-        print_line(lacking)
+            raise CommandError(missing)
+        print_line(missing)
     return setup
 
 
@@ -194,15 +194,15 @@ class Session:
     def restarts(self) -> list[str]:
         """Return a sentence for each node that was restarted, and for gaps in the recording."""
         counts = Counter((end.node, end.how) for end in self.launcher.ends if end.again)
-        said = [
+        lines = [
             f'the node {node} ended {"once" if count == 1 else f"{count} times"} ({how}) and was '
             'started again'
             for (node, how), count in sorted(counts.items())
         ]
         if len(self.bags) > 1:
             names = ', '.join(map(str, self.bags))
-            said.append(f'the recording is in several bags, with gaps between them: {names}')
-        return said
+            lines.append(f'the recording is in several bags, with gaps between them: {names}')
+        return lines
 
     def end(self) -> int:
         """Report the problems of a session that has ended; return its exit status."""
@@ -381,14 +381,14 @@ def run_in_terminal(setup: Setup, done: Callable[[Session], object] = lambda run
     :raises LaunchError: as of ``session``, or the recording has gaps.
     """
     print('starting ...', flush=True)
-    said: list[str] = []  # while the terminal is in use
+    lines: list[str] = []  # while the terminal is in use
     try:
-        with session(setup, report=said.append) as running:
+        with session(setup, report=lines.append) as running:
             status = running.launcher.run_terminal(running.watch_terminal)
             done(running)
             running.graph.catch_up()
             running.check_recording()
     finally:
-        for line in said:
+        for line in lines:
             print_line(line)
     return running.end() or status

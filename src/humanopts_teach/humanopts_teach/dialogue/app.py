@@ -312,11 +312,11 @@ class App:
     def last_requests(self) -> list[Request]:
         """Return the requests that clean up when the dialogue ends."""
         lesson, game = self.world.lesson, self.world.game
-        mine = lesson.participant == self.participant
+        is_own_lesson = lesson.participant == self.participant
         requests: list[Request] = []
         if self.run is not None:
             requests.append(CancelRun())
-        if mine and lesson.phase is Phase.DEMONSTRATING:
+        if is_own_lesson and lesson.phase is Phase.DEMONSTRATING:
             requests.append(EndDemonstration(Verdict.DISCARD, game.episode, game.step))
         if self.world.in_control:
             requests.append(SetControl(hold=False))

@@ -115,9 +115,9 @@ class StudyApp(App):
 
     def _note_taught(self) -> None:
         """Record the options learned so far, if they have changed."""
-        mine = [each for each in self.world.summaries if each.participant == self._code]
+        own = [each for each in self.world.summaries if each.participant == self._code]
         if self._part is not None and self._part.kind is PartKind.TEACH:
-            options = learned(mine)
+            options = learned(own)
             if options != self._taught:  # still empty right after a study is resumed
                 self._taught = options
                 self.note('learned', options=options)

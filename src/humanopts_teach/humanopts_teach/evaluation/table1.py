@@ -169,12 +169,12 @@ def count_named(named: Sequence[Named], canonical: Mapping[str, str]) -> list[Bu
     """
     tables = []
     for domain in dict.fromkeys(each.domain for each in named):
-        mine, paper = [each for each in named if each.domain == domain], TABLE_1.get(domain, {})
+        buttons, paper = [each for each in named if each.domain == domain], TABLE_1.get(domain, {})
         names = {_plain(name): name for name in paper}
         names = {**names, **{w: names.get(_plain(name), name) for w, name in canonical.items()}}
-        people = sorted({each.participant for each in mine})
+        people = sorted({each.participant for each in buttons})
         options: dict[str, list[Named]] = {name: [] for name in paper}
-        for each in mine:
+        for each in buttons:
             if each.name:
                 option = names.setdefault(_plain(each.name), each.name)
                 options.setdefault(option, []).append(each)

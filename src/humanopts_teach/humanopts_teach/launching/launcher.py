@@ -165,8 +165,8 @@ class Launcher:
         if (status := process.wait()) < 0:
             raise LaunchError(self._end_of(spec.name, status))
         if status:
-            said = self._log(spec.name).read_text(encoding='utf-8', errors='replace')
-            sys.stderr.write(printable(said))
+            output = self._log(spec.name).read_text(encoding='utf-8', errors='replace')
+            sys.stderr.write(printable(output))
         return status
 
     def check(self, *optional: str) -> None:

@@ -29,8 +29,8 @@ class QuestionGroups:
 
     def open_group(self, domain: ActableDomain, lesson: LessonView) -> FeatureGroup | None:
         """Return the group to ask about; None: ask the lesson's own question."""
-        group, said = self.asked(domain, lesson)
-        return group if said is None else None
+        group, answer = self.asked(domain, lesson)
+        return group if answer is None else None
 
     def answer(self, group: FeatureGroup, answer: GroupAnswer) -> None:
         """Store the answer about a group."""
@@ -38,10 +38,12 @@ class QuestionGroups:
 
     def reply(self, domain: ActableDomain, lesson: LessonView) -> bool | None:
         """Return the answer to the open question; None: ask the person."""
-        _, said = self.asked(domain, lesson)
-        if said is None or said is GroupAnswer.EACH:
+        _, answer = self.asked(domain, lesson)
+        if answer is None or answer is GroupAnswer.EACH:
             return None
-        return said is GroupAnswer.AS_BEFORE and lesson.question_feature in lesson.earlier_features
+        return (
+            answer is GroupAnswer.AS_BEFORE and lesson.question_feature in lesson.earlier_features
+        )
 
     def take_back(self, group: FeatureGroup) -> None:
         """Ask about a group again."""

@@ -33,8 +33,8 @@ CODE_RULE = 'letters, digits, - and _, at most 60 of them'
 
 def similar_code(code: str, known: Iterable[str]) -> str:
     """Return a known code that differs only in case; empty: none, or the code is known."""
-    alike = [each for each in known if caseless(each) == caseless(code)]
-    return '' if code in alike else next(iter(alike), '')
+    similar = [each for each in known if caseless(each) == caseless(code)]
+    return '' if code in similar else next(iter(similar), '')
 
 
 class EntryError(ValueError):

@@ -335,12 +335,12 @@ class Conductor(NodeBase):
 
     def _missing(self, names: Sequence[str]) -> list[str]:
         """Return the missing nodes of a launch, each with its status text."""
-        lacking = [name for name in names if self.peers.state(name) != _READY]
+        not_ready = [name for name in names if self.peers.state(name) != _READY]
         if not self.ready:
-            lacking.append(CONDUCTOR)
+            not_ready.append(CONDUCTOR)
         missing = [
             self.full_name(name) + (f' ({text})' if (text := self._text(name)) else '')
-            for name in lacking
+            for name in not_ready
         ]
         complete = self.recorder is not None and self.recorder.complete
         if self._record and not missing and not complete:

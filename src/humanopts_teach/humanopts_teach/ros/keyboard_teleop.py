@@ -22,7 +22,7 @@ class KeyboardTeleopNode(TeleopNode):
         with Device(_FAREWELL) as device:
             while not (stop() or self.app.ended or device.closed):
                 self.turn(executor, POLL_SECONDS)
-                if not device.ours():  # suspended: control is kept
+                if not device.has_terminal():  # suspended: control is kept
                     self.process_pending()
                     continue
                 keys = device.read()

@@ -73,8 +73,8 @@ class Device:
     """
     Context manager for standard input in raw mode and the alternate screen.
 
-    A background job leaves the terminal to the shell: nothing is read or drawn until ``ours``
-    returns True.
+    A background job leaves the terminal to the shell: nothing is read or drawn until
+    ``has_terminal`` returns True.
     """
 
     def __init__(self, farewell: str = '') -> None:
@@ -115,7 +115,7 @@ class Device:
         self._asked_at, self._taken, self._since = time.monotonic(), False, None
         os.killpg(os.getpgrp(), signal.SIGTSTP)
 
-    def ours(self) -> bool:
+    def has_terminal(self) -> bool:
         """Return whether to read and draw: False while the job is in the background."""
         if self._held or self.closed:
             return True
