@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator
 from enum import Enum
 from pathlib import Path
+import re
 import time
 from typing import Any
 
@@ -12,6 +13,7 @@ from humanopts_env.domains.base import Domain, DomainError, FeatureKind, shown_v
 from humanopts_env.domains.gymnasium_replayed import ReplayedEnvironment
 from humanopts_env.domains.registry import domain_from_json, make_domain, parameters_json
 from humanopts_env.game import Accepted, Command, Game, Reason, Refused, Source
+from humanopts_env.games import new_games
 from humanopts_env.testing import DomainContract
 import numpy as np
 import pytest
@@ -351,6 +353,27 @@ def test_a_step_that_fails_later_is_refused_and_the_game_continues(
     assert isinstance(commanded('action_1'), Refused)
     assert game.reset('', 1, Source.MACHINE).transition is not None
     assert isinstance(commanded('action_1'), Accepted)
+
+
+def test_the_extractor_of_the_documentation_drives_a_car(tmp_path: Path) -> None:
+    page = Path(__file__).parents[3] / 'docs/how-to/teach-in-your-own-environment.md'
+    first, more = re.findall(r'```python\n(.*?)```', page.read_text(), re.DOTALL)
+    (tmp_path / 'racing.py').write_text(first + more)
+    domain = make_domain(
+        'gymnasium:CarRacing-v3',
+        {'continuous': False, 'features': f'{tmp_path}/racing.py:features'},
+    )
+    assert [action.key for action in domain.actions] == ['c', 'right', 'left', 'up', 'down']
+    games, rng, total = (
+        new_games(domain, 2, np.random.default_rng(0)),
+        np.random.default_rng(0),
+        0.0,
+    )
+    for _ in range(200):
+        bearing, speed = games.features().T
+        steer = np.where(bearing > 0, 2, 1)
+        total += games.step(np.where(abs(bearing) > 0.1, steer, 3 * (speed < 30)), rng).reward
+    assert (total > 50).all()
 
 
 # MiniGrid.

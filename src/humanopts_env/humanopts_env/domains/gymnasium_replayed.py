@@ -10,7 +10,6 @@ from functools import cache, partial
 from itertools import groupby
 import math
 import os
-import string
 import time
 from typing import Any, ClassVar
 
@@ -44,12 +43,13 @@ WALKS, WALK = 4, 25  # random walks to measure ranges, and their steps
 REPLAYED, ENOUGH = 20, 0.1  # steps of an episode that is repeated as a check, or seconds
 MAX_SECONDS, SLACK = 0.5, 2.0  # of one step, since a replay takes many; in addition to some steps
 FEW = 8  # features about which people are asked one by one
-WORDS_OF_KEYS = {
-    'left': 'left west minus',
-    'right': 'right east plus',
-    'up': 'up north forward main faster accelerate',
-    'down': 'down south backward back nothing noop idle coast wait zero slower brake',
-}
+WORDS_OF_KEYS = (  # words in the names of actions, the first that an action has
+    ('left', 'left west minus'),
+    ('right', 'right east plus'),
+    ('up', 'up north forward main gas faster accelerate'),
+    ('down', 'down south backward back brake slower'),
+    ('down', 'nothing noop idle coast wait zero'),
+)
 
 
 class Painter:
@@ -271,16 +271,18 @@ def named_actions(name: str, env: Any, given: Mapping[str, str]) -> tuple[Action
     if not names and hasattr(inner, 'get_action_meanings'):
         names = [str(each).lower().replace(' ', '_') for each in inner.get_action_meanings()]
     names = [*names][:count] or [f'action_{number}' for number in range(count)]
-    taken: set[str] = set()
-    actions = []
+    keys: dict[str, str] = {}  # by name
+    for key, words in WORDS_OF_KEYS:
+        fitting = [n for n in names if n not in keys and {*n.split('_')} & {*words.split()}]
+        if fitting and key not in keys.values():
+            keys[fitting[0]] = key
     for each in names:
-        words = each.split('_')
-        wanted = [key for key, of in WORDS_OF_KEYS.items() if set(words) & set(of.split())]
-        letters = words[-1] + ''.join(words) + string.digits + string.ascii_letters
-        key = next(key for key in (*wanted, *letters) if key not in taken)
-        taken.add(key)
-        actions.append(Action(each, key, given.get(each, each.replace('_', ' '))))
-    return tuple(actions)
+        letters = each.rpartition('_')[2] + each.replace('_', '') + SIGNS
+        if each not in keys:
+            keys[each] = next(key for key in letters if key not in keys.values())
+    return tuple(
+        Action(each, keys[each], given.get(each, each.replace('_', ' '))) for each in names
+    )
 
 
 def groups_of(names: Sequence[str]) -> list[FeatureGroup]:
