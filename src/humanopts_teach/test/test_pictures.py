@@ -117,7 +117,7 @@ def test_a_lesson_shows_the_picture_and_a_table_and_says_that_it_shows_more(desk
     game = desk.game.transition
     way = desk.app.domain.features[0].text(game.features[0])
     assert table.shown == [('apple direction', way)]
-    assert table.hidden == 'the picture shows more, which the option does not see'
+    assert table.hidden == 'the picture shows more than the option sees'
     screen = frame(desk.app, 80, 24, 'truecolor')
     assert sum('▀' in line for line in screen) == 18
     assert re.search(r'apple direction .*' + way, '\n'.join(screen))

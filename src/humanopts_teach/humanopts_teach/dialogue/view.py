@@ -11,7 +11,7 @@ from humanopts_teach.dialogue.keys import key_table, label
 from humanopts_teach.dialogue.panel import Features, GAP, Key, Line, Panel, ScreenView, Tone
 from humanopts_teach.lesson.requests import Phase
 
-_SEEN = 'the picture shows more, which the option does not see'
+_SEEN = 'the picture shows more than the option sees'
 _NO_PICTURE = Line('No picture: it needs a terminal with colours.', Tone.QUIET)
 _ALL_FEATURES = {Phase.NO_SESSION, Phase.NO_OPTION, Phase.ASKING}  # phases that hide no features
 
