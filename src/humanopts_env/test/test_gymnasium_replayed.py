@@ -10,7 +10,9 @@ from typing import Any
 import gymnasium
 from gymnasium import spaces
 from humanopts_env.domains.base import Domain, DomainError, FeatureKind, shown_values
+from humanopts_env.domains.capabilities import caption_of
 from humanopts_env.domains.gymnasium_replayed import ReplayedEnvironment
+from humanopts_env.domains.minigrid_features import COLOURS
 from humanopts_env.domains.registry import domain_from_json, make_domain, parameters_json
 from humanopts_env.game import Accepted, Command, Game, Reason, Refused, Source
 from humanopts_env.games import new_games
@@ -77,7 +79,7 @@ class Walk(gymnasium.Env[Any, Any]):
         super().reset(seed=seed)
         self.place, self.steps, self.mood = int(self.np_random.integers(-2, 3)), 0, Mood.CALM
         if self.special == 'fickle':
-            self.place = int(np.random.default_rng().integers(-1000, 1000))
+            self.place += np.random.default_rng().random()
         return self.observe(), {}
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
@@ -408,6 +410,15 @@ def test_doorkey_is_solved_by_following_the_paths(size: int) -> None:
             if outcome.terminated:
                 break
         assert outcome.reward > 0
+
+
+def test_the_mission_of_an_episode_is_its_caption() -> None:
+    """It differs by seed where the ball to pick up has another colour."""
+    domain = make_domain('gymnasium:MiniGrid-KeyCorridorS3R1-v0')
+    rng = np.random.default_rng(0)
+    missions = {caption_of(domain, domain.reset(rng)) for _ in range(20)}
+    assert missions <= {f'pick up the {colour} ball' for colour in COLOURS}
+    assert len(missions) > 1
 
 
 def test_offsets_are_relative_to_the_agent() -> None:

@@ -12,6 +12,7 @@ A domain has a capability if it has the method or attribute; nothing is register
 - ``HasBaselines``: the baselines of plans, and the variants of the game for comparisons.
 - ``HasActionMask``: the actions that can change something, if states cannot be listed.
 - ``HasStepEffects``: descriptions of the effects of steps.
+- ``HasCaption``: the mission of an episode.
 - ``HasExplanation``: an explanation of the game and the signs on the board.
 - ``HasFeatureGroups``: groups of features, so that a person is asked about a group first.
 
@@ -55,6 +56,19 @@ class HasPicture(Protocol):
 
     def picture(self, state: Any) -> Image | str | None:
         """Return an image, (H, W, 3) uint8, or a text drawing; None: there is no picture."""
+
+
+@runtime_checkable
+class HasCaption(Protocol):
+    """A domain with episodes that differ in what is to be done."""
+
+    def caption(self, state: Any) -> str:
+        """Return what a person must know beside the features: the mission; empty: nothing."""
+
+
+def caption_of(domain: ActableDomain, state: Any) -> str:
+    """Return the caption of a state, on one line; empty if there is none."""
+    return ' '.join(domain.caption(state).split()) if isinstance(domain, HasCaption) else ''
 
 
 def pictured_board_of(

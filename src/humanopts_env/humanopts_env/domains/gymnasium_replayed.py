@@ -26,7 +26,7 @@ from humanopts_env.domains.gymnasium_domain import (
     NoTableError,
 )
 from humanopts_env.domains.names import GYMNASIUM
-from humanopts_env.domains.replayed_domain import ReplayedDomain, SIGNS
+from humanopts_env.domains.replayed_domain import History, ReplayedDomain, SIGNS
 from humanopts_env.seeding import generator
 import numpy as np
 from numpy.typing import NDArray
@@ -225,6 +225,10 @@ class ReplayedEnvironment(ReplayedDomain):
         :param env: the environment without wrappers.
         """
         return np.array(self._extractor.read(env, observation), dtype=np.float64)
+
+    def caption(self, state: History) -> str:
+        """Return the mission of the environment, if it has one."""
+        return str(getattr(self.world(state).env.unwrapped, 'mission', ''))  # type: ignore[attr-defined]
 
 
 @cache

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from humanopts_env.board import Board
-from humanopts_env.domains.capabilities import pictured_board_of
+from humanopts_env.domains.capabilities import caption_of, pictured_board_of
 from humanopts_env.domains.described import can_simulate, published_state
 from humanopts_env.domains.formulas import feature_columns
 from humanopts_teach.dialogue.app import App
@@ -79,6 +79,8 @@ def _drawn(app: App, panel: Panel, images: bool) -> tuple[Board, Panel]:
     hides = app.screen.hides_features and lesson.phase not in _ALL_FEATURES
     here = published_state(domain, state, game.features)
     shown = lesson.chosen_features if hides else None
+    if can_simulate(domain) and (mission := caption_of(domain, here)):
+        panel = replace(panel, below=(Line(f'Mission: {mission}.'), *panel.below))
     board = pictured_board_of(domain, here, shown) if app.pictures else Board()
     if board.rows:
         return board, panel
