@@ -81,18 +81,18 @@ def check_free(namespace: str, names: Collection[str]) -> None:
         while True:
             found = node_names(node)
             games = [*map(signer, announced_ids(node, 'game'))] if 'game' in names else []
-            there = sorted({*wanted.intersection(found), *games})
-            leaving = (leaving or now) if there else 0.0
-            if there and now > leaving + _LEAVING:
+            present = sorted({*wanted.intersection(found), *games})
+            leaving = (leaving or now) if present else 0.0
+            if present and now > leaving + _LEAVING:
                 raise OccupiedError(
-                    f'{", ".join(there)} runs already in ROS_DOMAIN_ID {domain_id()}, namespace '
+                    f'{", ".join(present)} runs already in ROS_DOMAIN_ID {domain_id()}, namespace '
                     f'{namespace}, started by no launch of this machine; stop it, or choose '
                     'another --namespace or ROS_DOMAIN_ID'
                 )
             all_found = len(found) >= _n_processes(node) >= len(_participants_here())
             complete = (complete or now) if all_found else 0.0
             done = 0.0 < complete < now - _SETTLING or now > began + _LONGEST
-            if done and now > earliest and not there:
+            if done and now > earliest and not present:
                 return
             time.sleep(_LOOK_PERIOD)
             now = time.monotonic()
@@ -194,17 +194,17 @@ class _Probe:
             self._executor.shutdown()
 
     def _report(self) -> GraphReport:
-        there, statuses = set(self._processes), self._peers.statuses
-        self._serve(lambda: bool(there) and statuses.keys() >= there, _SEARCH)
-        stating = (signer(each).rpartition('/')[2] for each in announced_ids(self._node))
-        nodes = sorted({*statuses, *stating, *there})
+        launched, statuses = set(self._processes), self._peers.statuses
+        self._serve(lambda: bool(launched) and statuses.keys() >= launched, _SEARCH)
+        announced = (signer(each).rpartition('/')[2] for each in announced_ids(self._node))
+        nodes = sorted({*statuses, *announced, *launched})
         began, before = time.monotonic(), dict(self._newest)
-        asked = {
+        clients = {
             name: self._node.create_client(GetParameters, f'{name}/get_parameters')
             for name in nodes
             if name != CONDUCTOR
         }
-        self._serve(lambda: self._ask(asked), _WINDOW if nodes else 0.0)
+        self._serve(lambda: self._ask(clients), _WINDOW if nodes else 0.0)
         self._serve(lambda: False, _WINDOW - (time.monotonic() - began) if nodes else 0.0)
         passed, newest = time.monotonic() - began, self._newest
 

@@ -1,5 +1,6 @@
 """The node ``simulated_teacher``: teaches over the graph like a person."""
 
+from contextlib import suppress
 from functools import partial
 import sys
 from typing import Any
@@ -46,7 +47,6 @@ class SimulatedTeacherNode(NodeBase):
             PATIENCE,
         )
         self._teacher: SimulatedTeacher | None = None
-        self._first = True  # no act has been performed
         self._client = GraphClient(self, patience=self._deadline, on_change=self._create_teacher)
 
     def waits_for(self) -> str | None:
@@ -94,7 +94,11 @@ class SimulatedTeacherNode(NodeBase):
         """Teach everything, return control, and publish the outcome."""
         self._begin.cancel()
         cause, refused, answered = '', 0, self.monotonic()
+        lesson = self._client.world.lesson
         try:
+            if lesson.phase is Phase.DEMONSTRATING:  # by an earlier teacher
+                with suppress(RefusedError):  # it has ended meanwhile
+                    await self._client.ask(EndDemonstration(Verdict.DISCARD, lesson.episode, 0))
             while not isinstance(act := await self._next_act(), Finish):
                 try:
                     await self._client.ask(act)
@@ -108,7 +112,8 @@ class SimulatedTeacherNode(NodeBase):
                         break
                     await self.waiting.until(lambda: False, _TICK)
             else:
-                await self._client.ask(SetControl(hold=False))
+                with suppress(RefusedError):  # another participant is in control
+                    await self._client.ask(SetControl(hold=False))
         except (TeacherError, ClientError) as error:
             cause = str(error)
         except Exception as error:  # unexpected; the demo waits for an outcome
@@ -125,8 +130,6 @@ class SimulatedTeacherNode(NodeBase):
         """
         client, teacher = self._client, self._teacher
         assert teacher is not None, 'the node waited for the game'
-        if (left := self._left()) is not None:
-            return left
         while True:
             lesson, game = client.world.lesson, client.world.game
             act = teacher.next_act(lesson, game)
@@ -137,14 +140,6 @@ class SimulatedTeacherNode(NodeBase):
                 return (client.world.lesson, client.world.game) != seen
 
             await client.until(is_news, act.reason)
-
-    def _left(self) -> EndDemonstration | None:
-        """Return a request that discards an earlier teacher's demonstration; None: none."""
-        lesson, first = self._client.world.lesson, self._first
-        self._first = False
-        if not first or lesson.phase is not Phase.DEMONSTRATING:
-            return None
-        return EndDemonstration(Verdict.DISCARD, lesson.episode, 0)
 
 
 main = partial(run_node, SimulatedTeacherNode)
