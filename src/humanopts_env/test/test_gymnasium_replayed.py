@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator
 from enum import Enum
 from pathlib import Path
+import pickle
 import re
 import time
 from typing import Any
@@ -451,3 +452,11 @@ def test_each_kind_of_object_has_features(env_id: str, things: list[str]) -> Non
     names = [f.name for f in make_domain(f'gymnasium:MiniGrid-{env_id}-v0').features]
     end = '_distance'
     assert [name.removesuffix(end) for name in names if name.endswith(end)] == things
+
+
+def test_another_process_makes_an_equal_domain() -> None:
+    domain = make_domain(LANDER, {'gravity': -8.0})
+    copy = pickle.loads(pickle.dumps(domain))
+    assert (copy.name, parameters_json(copy)) == (domain.name, parameters_json(domain))
+    state = domain.sample_states(np.random.default_rng(0), 1)[0]
+    assert copy.decode(domain.encode(state)) == state

@@ -230,6 +230,14 @@ class ReplayedEnvironment(ReplayedDomain):
         """Return the mission of the environment, if it has one."""
         return str(getattr(self.world(state).env.unwrapped, 'mission', ''))  # type: ignore[attr-defined]
 
+    def __reduce__(self) -> tuple[Callable[..., Domain], tuple[str, dict[str, Any]]]:
+        """Return how another process makes an equal domain."""
+        return _make, (self.env_id, self.parameters)
+
+
+def _make(env_id: str, parameters: Mapping[str, Any]) -> Domain:
+    return replayed_environment(env_id)(**parameters)
+
 
 @cache
 def replayed_environment(env_id: str) -> type[ReplayedEnvironment]:
