@@ -6,6 +6,7 @@ from dataclasses import replace
 from humanopts_env.domains.base import Action, Feature
 from humanopts_env.domains.replayed_domain import History, ReplayedDomain, World
 from humanopts_learner.demonstrations import Demonstration, Kind
+from humanopts_learner.options.judge import judge, Thresholds
 from humanopts_learner.options.learn import learn_option
 from humanopts_learner.options.learned_option import LearnedOption
 from humanopts_learner.options.starts import (
@@ -18,6 +19,7 @@ from humanopts_learner.planning.plan import make_plan
 from humanopts_learner.planning.request import HUMAN, PlanRequest, REPLAYED_STEPS
 from humanopts_learner.planning.sampled_plan import SampledPlan
 from humanopts_learner.planning.stuck import Trial, TRIALS, try_plan
+from humanopts_learner.summary import INITIATION, RETURN, TERMINATION
 import numpy as np
 import pytest
 
@@ -159,6 +161,22 @@ def test_few_demonstrations_teach_both_options() -> None:
         assert len(demos) <= 4
         assert not sample_failures(option, KEYS, demos, rng, others=options).stuck.any()
         options.append(option)
+
+
+def test_an_option_that_always_ended_with_the_task_over_has_no_other_end() -> None:
+    ends = [shown(FETCH, 1, begins_in(cell)) for cell in (2, 4, 9)]
+    option, demos = taught(LEAVE, *(KEYS.decode(demo.states[-1]) for demo in ends))
+    assert all(demo.terminated for demo in demos)
+    rows = np.array([[cell, way, key] for cell in range(12) for way in range(3) for key in (0, 1)])
+    assert not option.ends(rows.astype(float)).any()
+    assert option.can_start(rows.astype(float)).all()
+    criteria = {each.name: each.value for each in judge(demos, KEYS, Thresholds(), 0).criteria}
+    assert criteria == {RETURN: None, INITIATION: None, TERMINATION: None}  # only three
+    many = [replace(demo, uuid=f'{n}', number=n) for n, demo in enumerate(4 * demos)]
+    criteria = {each.name: each.value for each in judge(many, KEYS, Thresholds(), 0).criteria}
+    assert (criteria[INITIATION], criteria[TERMINATION]) == (0.0, 0.0)
+    other = [replace(d, terminated=False, chosen_features=('cell', 'key')) for d in demos]
+    assert learn_option(other, KEYS, 0).ends(rows.astype(float)).any()
 
 
 def test_the_same_seed_draws_the_same_state() -> None:

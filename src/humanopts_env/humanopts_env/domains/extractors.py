@@ -228,7 +228,7 @@ def clipped(
     """Return numbers within their bounds, as Python's own; nan remains nan."""
     return [
         float(low if value < low else high if value > high else value)
-        for value, low, high in zip(values, lowest, highest, strict=True)
+        for value, low, high in zip(map(float, values), lowest, highest, strict=True)
     ]
 
 

@@ -201,9 +201,11 @@ def _criteria(
         if can_simulate(domain) and not obstacle:
             shortfall = held_out_shortfall(data, domain, options, folds, seed)
         asked = [demo.can_start_at_end for demo in data.trajectories if not demo.terminated]
-        anywhere = bool(asked) and all(asked) and bool((data.initiation.labels == MEMBER).all())
+        anywhere = (bool(asked) and all(asked)) or data.ends_with_task
         initiation_error = balanced_error(data.initiation, initiation, folds, anywhere)
-        termination_error = balanced_error(data.termination, termination, folds)
+        termination_error = balanced_error(
+            data.termination, termination, folds, data.ends_with_task
+        )
     mean, high = (shortfall.mean, shortfall.high) if shortfall else (None, None)
     if shortfall and known is not None and delta is not None and known <= delta:
         mean = high = known
@@ -373,21 +375,19 @@ def balanced_error(
     examples: Examples,
     predict: Sequence[Callable[[Rows], Flags]],
     folds: Ints,
-    members_only: bool = False,
+    one_class: bool = False,
 ) -> float | None:
     """
-    Return the mean of the errors among members and among non-members; None: only one class.
+    Return the mean of the errors among members and among non-members.
 
     :param predict: for each fold, the prediction for rows (N, F) learned without it.
-    :param members_only: non-members cannot be demonstrated; return the error among members.
+    :param one_class: if there is only one class, the other cannot be demonstrated; return the
+        error in it, instead of None.
     """
     predicted = np.empty(len(examples.labels), dtype=np.bool_)
     fold_of_row = folds[examples.source]
     for fold, says in enumerate(predict):
         predicted[fold_of_row == fold] = says(examples.rows[fold_of_row == fold])
     member = examples.labels == MEMBER
-    if members_only:
-        return float((~predicted).mean())
-    if member.all() or not member.any():
-        return None
-    return float(((~predicted[member]).mean() + predicted[~member].mean()) / 2)
+    errors = [(predicted != member)[of].mean() for of in (member, ~member) if of.any()]
+    return float(np.mean(errors)) if one_class or len(errors) > 1 else None

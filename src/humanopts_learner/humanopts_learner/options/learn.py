@@ -5,6 +5,9 @@ Examples of I are positive in visited states, negative in "not here" states, and
 states unless the person says that the option could start again there. Examples of beta are
 positive in end states and in "not here" states, because an option may continue only where it could
 start (Sutton, Precup and Singh 1999, section 2), and negative in the other states of a trajectory.
+
+In a replayed domain, whose states are many, an option that always ended with the task over needs
+no other end: its last states are no examples, so nothing that happens to look like one is an end.
 """
 
 from collections import Counter
@@ -71,6 +74,7 @@ class Dataset:
     chosen: tuple[FeatureColumn, ...]  # features chosen with the newest demonstration
     encoding: tuple[EncodedFeature, ...]  # of these features
     method: str = TREES  # chosen with the newest demonstration
+    ends_with_task: bool = False  # only there: states in which the task is over are no examples
 
     @property
     def features(self) -> tuple[str, ...]:
@@ -111,7 +115,7 @@ class Dataset:
         for demo in self.demonstrations:
             member_at_end = demo.kind is Kind.TRAJECTORY and demo.can_start_at_end
             labels = [MEMBER] * len(demo.actions) + [int(member_at_end)]
-            asked = len(labels) - (again and demo.terminated)
+            asked = len(labels) - ((again or self.ends_with_task) and demo.terminated)
             labelled.append((demo.feature_rows[:asked], labels[:asked]))
         return Examples.of(labelled)
 
@@ -133,7 +137,8 @@ class Dataset:
             labels = [0] * len(demo.actions) + [MEMBER]
             looks_like_end = seen(demo, 0) in ends
             first = int(looks_like_end and len(labels) > 1)
-            labelled.append((demo.feature_rows[first:], labels[first:]))
+            asked = len(labels) - (self.ends_with_task and demo.terminated)
+            labelled.append((demo.feature_rows[first:asked], labels[first:asked]))
         return Examples.of(labelled)
 
 
@@ -166,6 +171,8 @@ def make_dataset(demonstrations: Sequence[Demonstration], domain: ActableDomain)
         tuple(feature_columns(domain, newest.chosen_features)),
         feature_encoding(domain, newest.chosen_features),
         newest.method,
+        isinstance(domain, ReplayedDomain)
+        and all(demo.terminated for demo in demos if demo.kind is Kind.TRAJECTORY),
     )
 
 

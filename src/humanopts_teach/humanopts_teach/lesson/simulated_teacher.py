@@ -57,7 +57,7 @@ class TeacherSettings:
     extra_feature_rate: float = 0.0  # probability of a wrong yes per irrelevant feature
     own_habits: bool = False  # use a random preference among actions
     where_stuck: bool = False  # finally, show options where a plan got stuck
-    step_limit: int = 200  # maximum number of steps per demonstration
+    step_limit: int = 1000  # maximum number of steps per demonstration
     seed: int = 0
 
 
