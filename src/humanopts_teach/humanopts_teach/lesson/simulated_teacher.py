@@ -12,7 +12,9 @@ Assumptions and simplifications:
 - It says "not here" exactly where the reference option cannot start, and "done" in the first state
   after at least one step in which the reference option ends. These verdicts are always correct.
 - A demonstration is discarded and repeated if an error ended it, if no optimal action is left, or
-  if it exceeds ``step_limit``; after ``ATTEMPTS`` failures in a row, the teacher gives up.
+  if it exceeds ``step_limit``. After ``ATTEMPTS`` failures in a row, since its rule may not reach
+  the end from everywhere, the teacher begins at a start of the task instead, and gives up after
+  ``ELSEWHERE`` of them.
 
 Every draw is keyed by seed, participant, option, number of the demonstration, attempt and step, so
 the same seed gives the same demonstrations, regardless of other events on the graph.
@@ -40,6 +42,7 @@ import numpy as np
 
 FINISHED = 'finished'  # status text of its node after everything is taught
 ATTEMPTS = 10  # discarded demonstrations in a row from one start state
+ELSEWHERE = 3  # other start states in a row
 
 
 class TeacherError(RuntimeError):
@@ -102,6 +105,7 @@ class SimulatedTeacher:
         self._finished: set[str] = set()
         self._tried = ('', 0)  # option and number of the current demonstration
         self._attempt = 0  # number of times it was discarded
+        self._elsewhere = ''  # start state instead of the lesson's; empty: the lesson's
         self._erred = False  # whether the last step was an error
         self._order: list[int] | None = None  # preferred actions first
         if settings.own_habits:
@@ -143,7 +147,7 @@ class SimulatedTeacher:
             yes = self.depends_on(lesson.option_name, lesson.question_feature)
             return AnswerQuestion(lesson.question_id, yes)
         if lesson.phase is Phase.READY:
-            return BeginDemonstration()
+            return self._begin(lesson)
         if lesson.phase is Phase.DEMONSTRATING:
             return self._demonstrate(lesson, game)
         return Wait('the learner')
@@ -155,7 +159,12 @@ class SimulatedTeacher:
         if lesson.option_name != lesson.stuck_options[0]:
             return DefineOption(lesson.stuck_options[0])
         ready = lesson.phase in (Phase.READY, Phase.FINISHED)
-        return BeginDemonstration() if ready else Wait('the learner')
+        return self._begin(lesson) if ready else Wait('the learner')
+
+    def _begin(self, lesson: LessonView) -> BeginDemonstration:
+        number = lesson.n_demonstrations + lesson.n_not_here + 1
+        again = self._tried == (lesson.option_name, number)
+        return BeginDemonstration(self._elsewhere if again else '')
 
     def depends_on(self, option_name: str, feature: str) -> bool:
         """Answer a feature question."""
@@ -169,7 +178,7 @@ class SimulatedTeacher:
             return Wait('the first state of the demonstration')
         number = lesson.n_demonstrations + lesson.n_not_here + 1
         if self._tried != (lesson.option_name, number):
-            self._tried, self._attempt = (lesson.option_name, number), 0
+            self._tried, self._attempt, self._elsewhere = (lesson.option_name, number), 0, ''
         reference = self._references[lesson.option_name]
         state = self._domain.decode(game.state)
         here = (game.episode, game.step)
@@ -193,11 +202,15 @@ class SimulatedTeacher:
 
     def _discard(self, lesson: LessonView, here: tuple[int, int]) -> EndDemonstration:
         self._attempt += 1
-        if self._attempt >= ATTEMPTS:
+        failed, spent = divmod(self._attempt, ATTEMPTS)
+        if failed > ELSEWHERE:
             raise TeacherError(
                 f'cannot show {lesson.option_name!r} from {lesson.start_state}: '
                 f'{ATTEMPTS} demonstrations in a row did not reach the end'
             )
+        if failed and not spent:
+            rng = self._generator('elsewhere', *self._tried, failed)
+            self._elsewhere = self._domain.encode(self._domain.reset(rng))
         return EndDemonstration(Verdict.DISCARD, *here)
 
     def _generator(self, purpose: str, *key: str | int) -> np.random.Generator:
