@@ -305,6 +305,14 @@ def test_a_maze_in_a_file_is_part_of_the_plan(
     assert said.count(f'\n-     "{yard.splitlines()[1]}",') == 2  # in each condition
 
 
+def test_a_file_of_features_is_beside_the_plan(write: Write, tmp_path: Path) -> None:
+    pole = '"gymnasium:CartPole-v1", parameters: {features: "seen.py:features"}'
+    path = write(PLAN.replace('taxi', pole).replace(', learn: goal', ''))
+    (path.parent / 'seen.py').write_text("def features(env):\n    return {'x': 1.0}\n")
+    wanted = f'{path.parent}/seen.py:features'
+    assert {each.parameters['features'] for each in read_plan(path).conditions} == {wanted}
+
+
 LIKED = Question(name='liked', text='Did you like it?', low='not at all', high='very much')
 AGAIN = LIKED.model_copy(update={'name': 'again'})
 PAGE = Part(kind=PartKind.PAGE, key='page', text='Read this.')
