@@ -303,6 +303,9 @@ def make_env(
             f'{name} needs the module {missing}; install its package: '
             f'{sys.executable} -m pip install {missing}'
         ) from error
+    except gymnasium.error.UnregisteredEnv as error:
+        hint = 'if another package registers it, name its module, as in gymnasium:MODULE:ENV_ID'
+        raise DomainError(f'{name} cannot be made: {error} ({hint})') from error
     except Exception as error:  # any error of a third-party environment
         raise DomainError(f'{name} cannot be made: {type(error).__name__}: {error}') from error
 
