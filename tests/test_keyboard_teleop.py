@@ -2,9 +2,13 @@
 
 from collections.abc import Callable, Iterator
 from io import StringIO
+import os
 import re
+import select
 import signal
+import statistics
 import sys
+import time
 from typing import Any
 
 from graph_support.live import (
@@ -34,6 +38,7 @@ from humanopts_teach.ros import keyboard_teleop
 import pytest
 
 PICKUP = 'go to passenger and pickup'
+KEYS, MEDIAN = 50, 150.0  # that are measured; ms that a key may take to the screen
 TAXI = make_domain('taxi')
 OPTION = reference_options(TAXI)[PICKUP]
 
@@ -334,3 +339,25 @@ def test_without_a_terminal_it_says_so_in_one_line(
     out, err = capsys.readouterr()
     said = 'humanopts: no lesson at this terminal: it needs a terminal for input and output\n'
     assert (out, err) == ('', said)
+
+
+def test_the_picture_of_an_environment_follows_each_key(terminals: Terminals) -> None:
+    graph = terminals.graph
+    graph.spawn(GAME, domain='gymnasium:MiniGrid-DoorKey-8x8-v0')
+    graph.spawn(LESSON, directory=graph.folder / 'demonstrations')
+    terminal = terminals.terminal()
+    for words, key in (('Who teaches?', ENTER), ('4 Drive freely', '4')):
+        terminal.see(words)
+        terminal.press(key)
+    terminal.see('Nothing here is a demonstration')
+    waits = []
+    for step in range(1, KEYS + 1):
+        began, frame = time.perf_counter(), b''
+        terminal.press('right' if step % 2 else 'left')
+        while b'step %d' % step not in frame:  # the emulator would take longer than the screen
+            assert select.select([terminal.master], [], [], 30.0)[0]
+            frame += os.read(terminal.master, 65536)
+        waits.append(1e3 * (time.perf_counter() - began))
+        assert '▀'.encode() in frame
+    print(f'{KEYS} keys: median {statistics.median(waits):.0f} ms, last {max(waits):.0f} ms')
+    assert statistics.median(waits) < MEDIAN
