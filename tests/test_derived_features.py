@@ -80,7 +80,7 @@ def test_an_option_is_learned_from_them(
     with pytest.raises(OptionError, match='was learned in taxi'):
         option.check_domain(bigger)
     rules = '\n'.join(rule.text for rule in option_rules(option, TAXI))
-    assert 'taxi row - passenger row ≤' in rules
+    assert '(taxi_row - passenger_row) ≤' in rules
     assert judge(demos, TAXI, Thresholds(), 0, option).criteria
     find_conflicts(make_dataset(demos, TAXI), TAXI)
     for strategy in STRATEGIES:

@@ -127,6 +127,11 @@ def derive(domain: ActableDomain, text: str) -> FeatureColumn:
     return FeatureColumn(feature, part.source)
 
 
+def plain_name(name: str) -> str:
+    """Return the name of a feature in words; a formula is set in parentheses."""
+    return name.replace('_', ' ') if name.isidentifier() else f'({name})'
+
+
 # From a formula over names to a formula over indices.
 
 
@@ -432,7 +437,7 @@ def _words(node: ast.AST) -> str:
 
     match node:
         case ast.Name(name):
-            return name.replace('_', ' ')
+            return plain_name(name)
         case ast.Constant(value):
             return str(value)
         case ast.UnaryOp(op, part):

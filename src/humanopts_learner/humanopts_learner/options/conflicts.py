@@ -13,7 +13,7 @@ from math import factorial, prod
 
 from humanopts_env.arrays import Rows
 from humanopts_env.domains.base import ActableDomain, Feature, FeatureKind
-from humanopts_env.domains.formulas import FeatureColumn, stacked
+from humanopts_env.domains.formulas import FeatureColumn, plain_name, stacked
 from humanopts_learner.demonstrations import Demonstration, Kind, TREES
 from humanopts_learner.options.learn import Dataset, Examples, make_dataset
 import numpy as np
@@ -155,6 +155,4 @@ def _conflicts(
 
 
 def _situation(row: Rows, chosen: Sequence[FeatureColumn]) -> str:
-    return ', '.join(
-        f'{column.feature.name.replace("_", " ")} {column.text(row)}' for column in chosen
-    )
+    return ', '.join(f'{plain_name(column.feature.name)} {column.text(row)}' for column in chosen)

@@ -6,7 +6,7 @@ import math
 from humanopts_env.arrays import Floats
 from humanopts_env.domains.capabilities import feature_groups
 from humanopts_env.domains.described import published_state
-from humanopts_env.domains.formulas import feature_columns
+from humanopts_env.domains.formulas import feature_columns, plain_name
 from humanopts_learner.demonstrations import GOAL, METHODS
 from humanopts_learner.options.conflicts import NO_START
 from humanopts_learner.options.judge import likely_range, min_trajectories
@@ -37,7 +37,7 @@ def question_panel(app: App) -> Panel:
     if group is not None:
         text = f"Does the '{lesson.option_name}' option depend on anything about {group.words}?"
         which = f'If yes, {len(group.features)} questions about {group.words} follow.'
-    yes = ', '.join(map(_plain, lesson.chosen_features)) or 'nothing yet'
+    yes = ', '.join(map(plain_name, lesson.chosen_features)) or 'nothing yet'
     lines = Line(text, strong=True), GAP, Line(which, Tone.QUIET), Line(f'It depends on: {yes}')
     return Panel((_title(lesson), GAP, *lines))
 
@@ -80,11 +80,6 @@ def _title(lesson: LessonView) -> Line:
     return Line('Teaching: ', more=(Line(lesson.option_name, strong=True),))
 
 
-def _plain(name: str) -> str:
-    """Return the human-readable name of a feature."""
-    return name.replace('_', ' ')
-
-
 def _position(app: App) -> Line:
     """Return the current position in the lesson and the number of demonstrations."""
     lesson, step = app.world.lesson, app.world.game.step
@@ -110,7 +105,7 @@ def _features(app: App) -> Features:
     if game.state and lesson.phase is Phase.DEMONSTRATING:
         row = domain.feature_values(published_state(domain, game.state, game.features))
     shown = [
-        (_plain(column.feature.name), '' if row is None else column.text(row))
+        (plain_name(column.feature.name), '' if row is None else column.text(row))
         for column in feature_columns(domain, lesson.chosen_features)
     ]
     groups = feature_groups(domain)
@@ -180,7 +175,7 @@ def _conflicts(
     yield Line(progress.conflicts[0])
     if progress.suggested_feature:
         key = f' ({questions})' if questions else ''
-        text = f'Add "{_plain(progress.suggested_feature)}"{key}: it separates most of them.'
+        text = f'Add "{plain_name(progress.suggested_feature)}"{key}: it separates most of them.'
         yield Line(text, Tone.WARNING)
     elif any(NO_START in text for text in progress.conflicts):
         # Demonstrations disagree on whether the option can start here; no feature explains it.

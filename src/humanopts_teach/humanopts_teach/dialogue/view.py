@@ -5,7 +5,7 @@ from dataclasses import replace
 from humanopts_env.board import Board
 from humanopts_env.domains.capabilities import caption_of, pictured_board_of
 from humanopts_env.domains.described import can_simulate, published_state
-from humanopts_env.domains.formulas import feature_columns
+from humanopts_env.domains.formulas import feature_columns, plain_name
 from humanopts_teach.dialogue.app import App
 from humanopts_teach.dialogue.keys import key_table, label
 from humanopts_teach.dialogue.panel import Features, GAP, Key, Line, Panel, ScreenView, Tone
@@ -89,7 +89,7 @@ def _drawn(app: App, panel: Panel, images: bool) -> tuple[Board, Panel]:
     every = [*(each.name for each in domain.features), *lesson.derived_features]
     columns = feature_columns(domain, every if shown is None else shown)
     row = domain.feature_values(here)
-    values = [(each.feature.name.replace('_', ' '), each.text(row)) for each in columns]
+    values = [(plain_name(each.feature.name), each.text(row)) for each in columns]
     table = Features(values, in_rows=True)
     board, blocks = replace(board, notes=()), list(panel.beside)
     for number, block in enumerate(blocks):

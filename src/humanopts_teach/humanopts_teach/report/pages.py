@@ -6,6 +6,7 @@ from importlib.resources import files
 import math
 from typing import Any
 
+from humanopts_env.domains.formulas import plain_name
 from humanopts_learner.intervals import Interval
 import jinja2
 from markupsafe import Markup
@@ -42,6 +43,7 @@ def templates(package: str) -> jinja2.Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    environment.filters['plain_name'] = plain_name
     environment.globals.update(
         style=Markup(page_style()),
         markup=Markup,

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import math
 
 from humanopts_env.domains.base import Domain, FeatureKind
-from humanopts_env.domains.formulas import feature_columns
+from humanopts_env.domains.formulas import feature_columns, plain_name
 from humanopts_learner.options.decision_tree import EncodedFeature, LEAF, Tree
 from humanopts_learner.options.learned_option import LearnedOption
 
@@ -70,7 +70,7 @@ def tree_lines(
 
 def _test(column: EncodedFeature, threshold: float, domain: Domain) -> tuple[str, str]:
     """Return the test in words: above the threshold (right branch), and otherwise (left)."""
-    name = column.feature.replace('_', ' ')
+    name = plain_name(column.feature)
     feature = feature_columns(domain, [column.feature])[0].feature
     values = feature.values
     if column.value is not None:
