@@ -186,8 +186,9 @@ def taught() -> Sequence[LearnedOption]:
     return lesson.options
 
 
-def planned(options: Sequence[LearnedOption]) -> SampledPlan:
-    made = make_plan(Orchard(), options, PlanRequest('human', game_steps=STEPS, seed=SEED))
+def planned(options: Sequence[LearnedOption], *columns: str) -> SampledPlan:
+    request = PlanRequest('human', game_steps=STEPS, seed=SEED, columns=columns)
+    made = make_plan(Orchard(), options, request)
     assert isinstance(made, SampledPlan)
     return made
 
@@ -203,9 +204,11 @@ def test_it_is_taught_and_planned_in_by_samples(taught: Sequence[LearnedOption])
 def test_nodes_plan_and_play_in_it(shared: Graph, taught: Sequence[LearnedOption]) -> None:
     planning = start_planning(shared, episodes=1, seed=SEED, domain='orchard')
     planning.teach(taught)
-    result = planning.plan('human', game_steps=STEPS, evaluation_episodes=5)
-    assert result.mean_return == judge_plan(planned(taught), SEED, 5).total.mean
-    trial = try_plan(planned(taught), SEED)
+    result = planning.plan('human', game_steps=STEPS, evaluation_episodes=5, columns=['basket'])
+    assert planning.plan_goals[-1].columns == ['basket']
+    plan = planned(taught, 'basket')
+    assert result.mean_return == judge_plan(plan, SEED, 5).total.mean
+    trial = try_plan(plan, SEED)
     found = result.trial_games, tuple(result.stuck_options), tuple(result.stuck_states)
     assert found == (trial.games, trial.options, trial.states)
     played = planning.play('human')

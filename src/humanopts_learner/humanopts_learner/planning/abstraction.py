@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from functools import cache
 
 from humanopts_env.arrays import Flags, Ints, Rows
-from humanopts_env.domains.base import Domain, DomainError, FeatureKind
+from humanopts_env.domains.base import ActableDomain, Domain, DomainError, FeatureKind
 from humanopts_env.domains.capabilities import HasPlanningFeatures
 from humanopts_env.domains.formulas import feature_columns
 from humanopts_env.games import Games, TableGames
@@ -33,7 +33,7 @@ class Column:
     :raises PlanError: the feature is unknown, or its numbers are not valid bin edges.
     """
 
-    def __init__(self, text: str, domain: Domain) -> None:
+    def __init__(self, text: str, domain: ActableDomain) -> None:
         name, _, numbers = text.partition(':')
         try:
             self._column = feature_columns(domain, [name])[0]

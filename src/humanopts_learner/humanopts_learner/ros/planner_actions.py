@@ -220,7 +220,8 @@ class PlanServer(GoalServer):
         known = state.options(goal.action_set)
         options = select_options(known, goal.action_set, goal.participant, goal.options)
         numbers = goal.gamma, goal.tolerance, goal.max_sweeps, goal.game_steps, goal.seed
-        request = PlanRequest(goal.action_set, *numbers, unstick=state.unstick)
+        columns = tuple(goal.columns)
+        request = PlanRequest(goal.action_set, *numbers, columns=columns, unstick=state.unstick)
         request = request.resolved(domain, options)
         result.plan_id = plan_id = str(uuid.uuid4())
         self._goals.publish(
@@ -233,6 +234,7 @@ class PlanServer(GoalServer):
                 tolerance=request.tol,
                 max_sweeps=request.max_sweeps,
                 game_steps=request.game_steps,
+                columns=request.columns,
                 evaluation_episodes=goal.evaluation_episodes,
                 seed=request.seed,
             )

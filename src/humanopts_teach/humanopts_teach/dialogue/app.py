@@ -144,6 +144,7 @@ class App:
         self.run_text = ''  # progress of the run
         self.next_start = ''  # chosen start of the next demonstration; empty: none
         self.groups = QuestionGroups()
+        self.choice_columns: dict[str, tuple[str, ...]] = {}  # of plans, by participant
         self.can_start_again: dict[str, bool] = {}  # latest setting of each option
         self.ended = False
         self.pictures = True  # show the world; False: only a table of its features

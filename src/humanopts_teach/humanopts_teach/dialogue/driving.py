@@ -168,6 +168,7 @@ class WatchScreen(PlayScreen):
     _: KW_ONLY
     teach: Do
     action_set: str
+    columns: tuple[str, ...] = ()  # features that the choice between options depends on
     execution: Arbitration = Arbitration.RUN_TO_END
 
     def machine(self, app: App) -> list[Command]:
@@ -219,9 +220,13 @@ class WatchScreen(PlayScreen):
             table = key_table(self.commands(app)).items()
             key = next(key for key, each in table if each.do == self._show_uncovered)
             app.say(f'{said} Uncovered places: {len(app.world.uncovered)}; {key} lists them.')
+        elif well and (stuck := app.world.lesson.stuck_options):
+            games = f'{sum(app.world.lesson.stuck_games)} of {app.world.lesson.trial_games} games'
+            app.say(f'{said} Alone, it got stuck in {games}: continue teaching {stuck[0]!r}.')
 
     def _plan(self, app: App) -> None:
-        app.ask(SetControl(hold=False), PlanOptions(self.action_set, app.participant, app.seed))
+        plan = PlanOptions(self.action_set, app.participant, app.seed, columns=self.columns)
+        app.ask(SetControl(hold=False), plan)
 
     def _change(self, app: App) -> None:
         """Switch to the next arbitration, also for an active run."""

@@ -4,9 +4,16 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import partial
 
-from humanopts_env.domains.base import is_enumerable
+from humanopts_env.domains.base import Feature, FeatureKind, is_enumerable
+from humanopts_env.domains.replayed_domain import ReplayedDomain
 from humanopts_learner.demonstrations import GOAL, METHODS, TREES
-from humanopts_learner.planning.request import HUMAN, HUMAN_AND_PRIMITIVE, PRIMITIVE
+from humanopts_learner.planning.abstraction import Column
+from humanopts_learner.planning.request import (
+    HUMAN,
+    HUMAN_AND_PRIMITIVE,
+    PlanError,
+    PRIMITIVE,
+)
 from humanopts_teach.dialogue.app import App
 from humanopts_teach.dialogue.driving import PlayScreen, RunScreen, WatchScreen
 from humanopts_teach.dialogue.entry import confirm, end, Item, ListScreen, Notice, TextScreen
@@ -160,12 +167,15 @@ def _define(name: str, app: App, method: str = '') -> None:
 
 def _items(names: Iterable[str], choose: Callable[[str, App], object], app: App) -> list[Item]:
     """Return a list item for each option, with its progress."""
-    items = []
+    items, lesson = [], app.world.lesson
+    stuck = dict(zip(lesson.stuck_options, lesson.stuck_games))
     for name in names:
         progress, note = app.world.summary_of(app.participant, name), 'nothing learned yet'
         if progress is not None:
             met = ', all criteria met' if progress.criteria_met else ''
             note = f'{progress.n_demonstrations} shown, {progress.n_not_here} not here{met}'
+        if count := stuck.get(name):
+            note += f'; a plan got stuck here in {count} of {lesson.trial_games} games'
         items.append(Item(name, note, partial(choose, name)))
     return items
 
@@ -219,11 +229,8 @@ def _list_taught(app: App) -> None:
 
 
 def _choose_plan(app: App) -> None:
-    def watch(action_set: str, app: App) -> None:
-        app.show(WatchScreen(to_menu, teach=_choose_known, action_set=action_set))
-
     items = [
-        Item(text, note, partial(watch, action_set))
+        Item(text, note, partial(_watch, action_set))
         for action_set, text, note in (
             (HUMAN, 'With your options', 'decides only where an option ends'),
             (PRIMITIVE, 'With single steps', 'decides at every step'),
@@ -231,6 +238,64 @@ def _choose_plan(app: App) -> None:
         )
     ]
     app.show(ListScreen('Plan with what?', items, to_menu))
+
+
+def _watch(action_set: str, app: App) -> None:
+    """Show the screen that plans and plays, after asking once what the choice depends on."""
+    sampled = isinstance(app.domain, ReplayedDomain) and action_set != PRIMITIVE
+    if sampled and len(app.known_options) > 1 and app.participant not in app.choice_columns:
+        _ask_columns(action_set, app)
+        return
+    columns = app.choice_columns.get(app.participant, ()) if sampled else ()
+    screen = WatchScreen(to_menu, teach=_choose_known, action_set=action_set, columns=columns)
+    app.show(screen)
+
+
+def _ask_columns(action_set: str, app: App) -> None:
+    """Ask what the choice between options depends on; the first answer is the default."""
+
+    def choose(columns: tuple[str, ...], app: App) -> None:
+        app.choice_columns[app.participant] = columns
+        _watch(action_set, app)
+
+    def choose_feature(feature: Feature, app: App) -> None:
+        if feature.kind is not FeatureKind.CONTINUOUS:
+            choose((feature.name,), app)
+            return
+        text = f'Numbers from {feature.low:g} to {feature.high:g}, separated by commas.'
+        middle = f'{feature.low + feature.span / 2:g}'
+        title = f'At which values of {feature.name} does the choice change?'
+
+        def submit(numbers: str, app: App) -> None:
+            column = f'{feature.name}:{numbers.replace(" ", "")}'
+            try:
+                Column(column, app.domain)
+            except PlanError as error:
+                app.say(str(error), bad=True)
+            else:
+                choose((column,), app)
+
+        app.show(TextScreen(title, text, middle, submit, partial(_ask_columns, action_set)))
+
+    def list_features(app: App) -> None:
+        features = [
+            Item(feature.name, feature.question, partial(choose_feature, feature))
+            for feature in app.domain.features
+        ]
+        title = 'On which feature does the choice depend?'
+        app.show(ListScreen(title, features, partial(_ask_columns, action_set)))
+
+    items = [
+        Item('On nothing else', 'than what the options depend on', partial(choose, ())),
+        Item('On another feature', 'such as a battery that no option looks at', list_features),
+    ]
+    if column := app.world.lesson.suggested_column:
+        name, _, edges = column.partition(':')
+        text = f'On {name}, below and from {edges}' if edges else f'On {name}'
+        note = 'it separates where you have shown your options'
+        items.insert(0, Item(text, note, partial(choose, (column,))))
+    title = 'What does the choice between your options depend on?'
+    app.show(ListScreen(title, items, _choose_plan))
 
 
 def _play(app: App) -> None:

@@ -25,6 +25,7 @@ from humanopts_learner.demonstrations import (
 )
 from humanopts_learner.options.conflicts import contradiction
 from humanopts_learner.options.starts import sort_stuck
+from humanopts_learner.planning.columns import suggest_column
 from humanopts_learner.summary import OptionSummary
 from humanopts_ros.limits import composed
 from humanopts_teach.lesson.attempt import Attempt, demonstration_of, with_uuid
@@ -115,6 +116,7 @@ class Lesson:
         self._trial_games = 0  # played by the newest plan
         self._stuck: list[tuple[str, Any]] = []  # options and states in which that plan got stuck
         self._offers: dict[str, list[Any]] = {}  # the states, by the option to be shown there
+        self._suggested_column = ''  # for plans with the options
         self._notice = ''
         self._paused = ''  # why nothing new can begin; empty: it can
 
@@ -162,6 +164,7 @@ class Lesson:
             trial_games=self._trial_games,
             stuck_options=tuple(self._offers),
             stuck_games=tuple(map(len, self._offers.values())),
+            suggested_column=self._suggested_column,
             text=' '.join(filter(None, (self._notice, self._advice(phase)))),
         )
         option, attempt = self._option, self._under_way
@@ -325,6 +328,7 @@ class Lesson:
         """
         if self._starts.learned(participant, option_name, text):
             self._go_on()
+            self._suggest_column()
 
     def update_trial(self, participant: str, games: int, stuck: Iterable[tuple[str, str]]) -> None:
         """
@@ -343,10 +347,17 @@ class Lesson:
             self._sort_stuck()
 
     def _sort_stuck(self) -> None:
-        options = self._history.options
-        taught = {name: option.demonstrations for name, option in options.items()}
         if can_simulate(self._domain):
-            self._offers = sort_stuck(self._domain, self._stuck, taught)
+            self._offers = sort_stuck(self._domain, self._stuck, self._taught)
+
+    def _suggest_column(self) -> None:
+        options = self._starts.options(self._history.participant, self._history.options)
+        self._suggested_column = suggest_column(self._domain, options, self._taught)
+
+    @property
+    def _taught(self) -> dict[str, list[Demonstration]]:
+        """The participant's demonstrations by option."""
+        return {name: each.demonstrations for name, each in self._history.options.items()}
 
     def learner_refused(self, uuid: str, detail: str) -> None:
         """Stop waiting for a demonstration that the learner refused; it stays in the store."""
@@ -494,6 +505,7 @@ class Lesson:
         self._write(opened, history=history)
         self._history, self._session = history, session
         self._trial_games, self._stuck, self._offers = 0, [], {}
+        self._suggest_column()
         self._turn_to(history.options.get(history.sessions[session]))
         return _ok(
             f'session {session} of {participant} is open',

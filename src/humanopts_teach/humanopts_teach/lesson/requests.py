@@ -223,6 +223,7 @@ class PlanOptions:
     evaluation_episodes: int = 20  # 0: no evaluation
     game_steps: int = 0  # to sample; 0: the default
     options_sequence: int = 0  # of the LearnedOption to wait for; 0: none
+    columns: tuple[str, ...] = ()  # features that the choice between options depends on
 
 
 @dataclass(frozen=True, slots=True)
@@ -335,6 +336,7 @@ class LessonView:
     trial_games: int = 0  # played by the newest plan, to find where it gets stuck; 0: none
     stuck_options: tuple[str, ...] = ()  # to be shown where that plan got stuck
     stuck_games: tuple[int, ...] = ()  # number of games for each of them
+    suggested_column: str = ''  # feature that the choice between options seems to depend on
     paused: str = ''  # why nothing new can begin; empty: it can
     text: str = ''
 

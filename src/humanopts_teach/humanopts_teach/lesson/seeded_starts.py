@@ -72,6 +72,11 @@ class SeededStarts:
         self._texts[key] = text
         return True
 
+    def options(self, participant: str, names: Collection[str]) -> list[LearnedOption]:
+        """Return those of a participant's options that are learned; none unless replayed."""
+        texts = [self._texts.get((participant, name)) for name in names if self._replayed]
+        return [self._parse(text) for text in texts if text is not None]
+
     def draw(self, option: OptionHistory, names: Collection[str] = ()) -> str:
         """
         Return the start state of the next demonstration, in the domain's notation.
@@ -139,11 +144,7 @@ class SeededStarts:
 
     def _others(self, option: OptionHistory, names: Collection[str]) -> list[LearnedOption]:
         """Return the participant's other learned options, if start states depend on them."""
-        if not self._replayed:
-            return []
-        texts = (self._texts.get((option.participant, name)) for name in names)
-        others = [self._parse(text) for text in texts if text is not None]
-        return [other for other in others if other.name != option.name]
+        return self.options(option.participant, [name for name in names if name != option.name])
 
     def _generator(self, purpose: str, option: OptionHistory) -> np.random.Generator:
         return generator(self.rules.seed, purpose, option.participant, option.name, option.number)
