@@ -148,39 +148,6 @@ class Session:
         self.interrupts.check()
         self.launcher.check(*optional)
 
-    def run_until_interrupt(
-        self, report: Callable[[str], None], watch: Callable[[], object] = lambda: None
-    ) -> None:
-        """
-        Stay until an interrupt.
-
-        :param report: called with each line that a node reports about itself.
-        :param watch: called repeatedly.
-        :raises LaunchError: a node ended and does not start again, or the recording has gaps.
-        :raises KeyboardInterrupt: an interrupt was received, and everything was recorded.
-        """
-
-        def check() -> None:
-            watch()
-            self.check(RECORDER)
-
-        try:
-            self.graph.run_until_interrupt(check, report)
-        except KeyboardInterrupt:
-            self.check_recording()
-            raise
-
-    def watch_terminal(self) -> None:
-        """
-        Process a message of the graph, if there is one, and check for an interrupt.
-
-        :raises KeyboardInterrupt: one was received.
-        """
-        self.graph.take(0.1)
-        self.interrupts.check()
-        if shell_job_ended():
-            raise KeyboardInterrupt
-
     def check_recording(self) -> None:
         """
         Check at the end of a session that everything was recorded.
@@ -365,9 +332,19 @@ def run_until_interrupt(
     """
     running = None
     try:
-        with session(setup, lambda _: watch(), report) as running:
-            started(running)
-            running.run_until_interrupt(report, watch)
+        with session(setup, lambda _: watch(), report) as launched:
+            running = launched
+
+            def check() -> None:
+                watch()
+                launched.check(RECORDER)
+
+            started(launched)
+            try:
+                launched.graph.run_until_interrupt(check, report)
+            except KeyboardInterrupt:
+                launched.check_recording()
+                raise
     except KeyboardInterrupt:
         pass
     return 0 if running is None else running.end()
@@ -384,7 +361,14 @@ def run_in_terminal(setup: Setup, done: Callable[[Session], object] = lambda run
     lines: list[str] = []  # while the terminal is in use
     try:
         with session(setup, report=lines.append) as running:
-            status = running.launcher.run_terminal(running.watch_terminal)
+
+            def watch() -> None:
+                running.graph.take(0.1)
+                running.interrupts.check()
+                if shell_job_ended():
+                    raise KeyboardInterrupt
+
+            status = running.launcher.run_terminal(watch)
             done(running)
             running.graph.catch_up()
             running.check_recording()
