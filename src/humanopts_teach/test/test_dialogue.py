@@ -2,7 +2,9 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+import json
 from pathlib import Path
+import re
 from tempfile import TemporaryDirectory
 from typing import Any
 
@@ -11,6 +13,7 @@ from humanopts_env.domains.registry import make_domain
 from humanopts_learner.demonstrations import GOAL
 from humanopts_learner.options.judge import MIN_TRAJECTORIES
 from humanopts_learner.summary import Criterion, NO_RANGE, OptionSummary
+from humanopts_teach.browser.markup import parts
 from humanopts_teach.dialogue.app import App, REPLY_SECONDS, SETTLE_SECONDS
 from humanopts_teach.dialogue.entry import Item, ListScreen
 from humanopts_teach.dialogue.menu import opening
@@ -215,6 +218,24 @@ def test_a_conversation_is_as_recorded(name: str, tmp_path: Path) -> None:
             write(f'> {step}')
     desk.store.close()
     snapshot.check(f'dialogue_{name}.txt', '\n'.join(lines))
+
+
+def test_in_a_browser_features_are_combined_by_clicks(tmp_path: Path) -> None:
+    desk = begin(tmp_path, 'taxi', *CHOSEN).press('left', 'p', 'enter', 'e', 'c')
+
+    def click(words: str) -> None:
+        """Press the keys of the button with these words."""
+        page = parts(view(desk.app))
+        button = rf"<button[^>]*data-keys='([^']*)'[^>]*><\w+>[^<]*</\w+> *{words}"
+        choice = rf"<button[^>]*data-keys='([^']*)'[^>]*><b>{words}</b>"
+        keys = re.search(choice, page['panel']) or re.search(button, page['keys'])
+        assert keys is not None, words
+        desk.press(*json.loads(keys[1]))
+
+    for words in ('distance', 'passenger_col', 'destination_row', 'add it'):
+        click(words)
+    assert desk.lesson.view.derived_features == ('hypot(passenger_col, destination_row)',)
+    desk.store.close()
 
 
 FEW = OptionSummary(NAME, 'p1', tuple(CHOSEN), n_demonstrations=MIN_TRAJECTORIES, more_needed=6)

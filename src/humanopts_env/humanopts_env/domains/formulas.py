@@ -84,7 +84,7 @@ def column_values(source: Source, rows: Rows) -> Floats:
     """Return the value of a feature in each row (N, F), (N,)."""
     if isinstance(source, int):
         return rows[:, source]
-    values: Floats = _compiled(source)(rows.T)
+    values: Floats = _compiled(source)(rows.T) + 0.0  # no -0.0
     return values
 
 
@@ -100,6 +100,11 @@ def derive(domain: ActableDomain, text: str) -> FeatureColumn:
     :raises FormulaError: the text is not a formula over features of the domain, is too long, could
         have no finite value, is constant, or is only the name of a feature.
     """
+    return _derive(domain.name, tuple(domain.features), text)
+
+
+@lru_cache(maxsize=1000)
+def _derive(domain: str, features: tuple[Feature, ...], text: str) -> FeatureColumn:
     if len(text) > MAX_LENGTH:
         raise FormulaError(f'the formula has {len(text)} characters; {MAX_LENGTH} is the most')
     try:
@@ -112,7 +117,7 @@ def derive(domain: ActableDomain, text: str) -> FeatureColumn:
     if depth > MAX_DEPTH:
         raise FormulaError(f'{text!r} is nested too deeply; {MAX_DEPTH} levels are the most')
     name = ast.unparse(node)
-    part = _Reader(domain).read(node)
+    part = _Reader(domain, features).read(node)
     if isinstance(node, ast.Name):
         raise FormulaError(f'{name} is already a feature')
     if part.low == part.high or 'x[' not in part.source:
@@ -219,9 +224,9 @@ _COMPARISONS: dict[type[ast.AST], tuple[str, str, Callable[..., Any]]] = {
 class _Reader:
     """Reads formulas over the features of a domain."""
 
-    def __init__(self, domain: ActableDomain) -> None:
-        self._domain = domain
-        self._known = {feature.name: at for at, feature in enumerate(domain.features)}
+    def __init__(self, domain: str, features: Sequence[Feature]) -> None:
+        self._domain, self._features = domain, features
+        self._known = {feature.name: at for at, feature in enumerate(features)}
 
     def read(self, node: ast.AST) -> _Part:
         """
@@ -271,10 +276,10 @@ class _Reader:
             near = get_close_matches(name, self._known, 3)
             advice = f'did you mean {" or ".join(near)}?' if near else ''
             raise FormulaError(
-                f'{self._domain.name} has no feature {name!r}; '
+                f'{self._domain} has no feature {name!r}; '
                 f'{advice or "it has " + ", ".join(self._known)}'
             )
-        feature = self._domain.features[self._known[name]]
+        feature = self._features[self._known[name]]
         source = f'x[{self._known[name]}]'
         if feature.kind is FeatureKind.CONTINUOUS:
             return _Part(source, feature.low, feature.high, feature.unit)
@@ -287,13 +292,14 @@ class _Reader:
         return _Part(source, min(numbers), max(numbers), '', words=feature.values)
 
     def _number(self, node: ast.AST) -> _Part:
-        part, text = self.read(node), ast.unparse(node)
-        if part.nominal and not part.truth:
+        part = self.read(node)
+        if part.text is None and (part.truth or not part.nominal):
+            return part
+        text = ast.unparse(node)
+        if part.nominal:
             example = f'{text} == {part.words[-1]!r}'
             raise FormulaError(f'{text} is not a number: compare it, as in {example}')
-        if part.text is not None:
-            raise FormulaError(f'{text} is not a number')
-        return part
+        raise FormulaError(f'{text} is not a number')
 
     def _truth(self, node: ast.AST) -> _Part:
         part = self.read(node)
@@ -477,7 +483,8 @@ def _evaluator(node: ast.AST) -> Callable[[Floats], Any]:
     function: Callable[..., Any]
     match node:
         case ast.Constant(int() | float() as value):
-            return lambda columns: float(value)
+            number = float(value)
+            return lambda columns: number
         case ast.Subscript(ast.Name('x'), ast.Constant(int() as index)):
             return lambda columns: columns[index]
         case ast.UnaryOp(ast.USub(), part):
@@ -485,7 +492,8 @@ def _evaluator(node: ast.AST) -> Callable[[Floats], Any]:
         case ast.BinOp(left, op, right) if type(op) in _OPERATORS:
             function, parts = _OPERATORS[type(op)][1].values, [left, right]
         case ast.Compare(left, [op], [right]) if type(op) in _COMPARISONS:
-            function, parts = _COMPARISONS[type(op)][2], [left, right]
+            compare, parts = _COMPARISONS[type(op)][2], [left, right]
+            function = lambda a, b: np.asarray(compare(a, b), dtype=np.float64)  # noqa: E731
         case ast.Call(ast.Name(name), parts) if name in _FUNCTIONS:
             function = _FUNCTIONS[name].values
         case ast.Call(ast.Name('pick'), parts):
@@ -493,7 +501,7 @@ def _evaluator(node: ast.AST) -> Callable[[Floats], Any]:
         case _:
             raise ValueError(f'{type(node).__name__} is not allowed')
     arguments = [_evaluator(part) for part in parts]
-    return lambda columns: function(*(argument(columns) for argument in arguments)) + 0.0
+    return lambda columns: function(*[argument(columns) for argument in arguments])
 
 
 def _pick(index: Floats, *numbers: float) -> Floats:
