@@ -120,7 +120,7 @@ def teach(
         made = make_sampled_plan(domain, list(options.values()), request)
         trial = try_plan(made, rules.seed)
         stuck = zip(trial.options, trial.states)
-        lesson.update_trial(teacher.participant, trial.games, stuck)
+        lesson.feedback.update_trial(teacher.participant, trial.games, stuck)
 
     with (
         tempfile.TemporaryDirectory(prefix='humanopts-') as folder,

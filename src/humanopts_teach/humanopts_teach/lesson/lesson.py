@@ -6,7 +6,7 @@ demonstrations are on disk before a request is answered with OK; a request that 
 changes nothing.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import count
 from typing import Any
@@ -24,11 +24,10 @@ from humanopts_learner.demonstrations import (
     option_name_fault,
 )
 from humanopts_learner.options.conflicts import contradiction
-from humanopts_learner.options.starts import sort_stuck
-from humanopts_learner.planning.columns import suggest_column
 from humanopts_learner.summary import OptionSummary
 from humanopts_ros.limits import composed
 from humanopts_teach.lesson.attempt import Attempt, demonstration_of, with_uuid
+from humanopts_teach.lesson.feedback import Feedback
 from humanopts_teach.lesson.history import History, OptionHistory
 from humanopts_teach.lesson.requests import (
     AddDemonstrations,
@@ -85,7 +84,11 @@ _HINTS = {
 
 
 class Lesson:
-    """One participant at a time, one option at a time, one demonstration at a time."""
+    """
+    One participant at a time, one option at a time, one demonstration at a time.
+
+    :ivar feedback: results of learner and planner.
+    """
 
     def __init__(
         self,
@@ -107,16 +110,11 @@ class Lesson:
         self._session = ''
         self._history = History(domain, '')
         self._option: OptionHistory | None = None
-        self._summaries: dict[tuple[str, str], OptionSummary] = {}  # by participant and option
-        self._awaited: Demonstration | None = None  # not yet processed by the learner
+        self.feedback = Feedback(domain, starts)
         self._done = False  # criteria met, and no more questions from the strategy
         self._attempt: Attempt | None = None  # set with the request for an episode
         self._episode = 0  # of the newest demonstration begun
         self._again = ''  # start state of a discarded or abandoned demonstration
-        self._trial_games = 0  # played by the newest plan
-        self._stuck: list[tuple[str, Any]] = []  # options and states in which that plan got stuck
-        self._offers: dict[str, list[Any]] = {}  # the states, by the option to be shown there
-        self._suggested_column = ''  # for plans with the options
         self._notice = ''
         self._paused = ''  # why nothing new can begin; empty: it can
 
@@ -131,7 +129,7 @@ class Lesson:
             (Phase.NO_OPTION, option is None),
             (Phase.DEMONSTRATING, self._under_way is not None),
             (Phase.ASKING, option is not None and option.open_feature is not None),
-            (Phase.LEARNING, self._awaited is not None),
+            (Phase.LEARNING, self.feedback.awaited is not None),
             (Phase.FINISHED, self._done or self._spent),
         ):
             if holds:
@@ -141,12 +139,12 @@ class Lesson:
     @property
     def awaited(self) -> str:
         """The uuid of the demonstration that the learner is processing; empty: none."""
-        return self._awaited.uuid if self._awaited is not None else ''
+        return self.feedback.awaited.uuid if self.feedback.awaited is not None else ''
 
     @property
     def criteria_met(self) -> bool:
         """Whether the learner reports the criteria as met, for the current features and method."""
-        summary = self._settled
+        summary = self.feedback.settled(self._option)
         return summary is not None and summary.criteria_met
 
     @property
@@ -161,10 +159,10 @@ class Lesson:
             strategy=rules.strategy,
             derived_features=self._history.derived,
             paused=self._paused,
-            trial_games=self._trial_games,
-            stuck_options=tuple(self._offers),
-            stuck_games=tuple(map(len, self._offers.values())),
-            suggested_column=self._suggested_column,
+            trial_games=self.feedback.trial_games,
+            stuck_options=tuple(self.feedback.offers),
+            stuck_games=tuple(map(len, self.feedback.offers.values())),
+            suggested_column=self.feedback.suggested_column,
             text=' '.join(filter(None, (self._notice, self._advice(phase)))),
         )
         option, attempt = self._option, self._under_way
@@ -188,7 +186,7 @@ class Lesson:
             option_name=option.name,
             questions_total=len(self._history.features),
             chosen_features=option.chosen,
-            method=self._method(option),
+            method=self.feedback.method(option),
             n_demonstrations=option.n_trajectories,
             n_not_here=len(option.demonstrations) - option.n_trajectories,
             last_uuid=option.newest.uuid if option.newest is not None else '',
@@ -234,7 +232,7 @@ class Lesson:
                 who = self._history.participant
                 raise _wrong_phase(f'{who} has a demonstration under way; end it first')
             taken_back = isinstance(request, WithdrawDemonstration | ChangeOption)
-            if self._awaited is not None and taken_back:
+            if self.feedback.awaited is not None and taken_back:
                 raise _wrong_phase('the learner is still working on a demonstration; wait for it')
             return carry_out[type(request)](request)
         except RefusalError as refusal:
@@ -305,7 +303,7 @@ class Lesson:
         answer = self.carry_out(OpenSession(participant, session))
         if answer.ok:
             self._notice = 'The lesson was restarted; a demonstration under way was abandoned.'
-            self._awaited = self._option.newest if self._option is not None else None
+            self.feedback.awaited = self._option.newest if self._option is not None else None
         return answer
 
     def reached(self, episode: int, step: int) -> bool:
@@ -317,8 +315,8 @@ class Lesson:
 
     def update_summaries(self, summaries: Sequence[OptionSummary]) -> None:
         """Store the learner's summaries of all options."""
-        self._summaries = {(each.participant, each.option_name): each for each in summaries}
-        self._go_on()
+        self.feedback.update_summaries(summaries)
+        self._check_processed()
 
     def update_option(self, participant: str, option_name: str, text: str) -> None:
         """
@@ -326,38 +324,8 @@ class Lesson:
 
         :raises OptionError: it is not an option, or it belongs to another domain.
         """
-        if self._starts.learned(participant, option_name, text):
-            self._go_on()
-            self._suggest_column()
-
-    def update_trial(self, participant: str, games: int, stuck: Iterable[tuple[str, str]]) -> None:
-        """
-        Offer the states in which a plan got stuck as start states, instead of earlier ones.
-
-        :param participant: whose options were planned with; empty: the only one.
-        :param games: number of games played; 0: the plan was not tried.
-        :param stuck: the option that ran, or empty if none could start, and the state, in the
-            domain's notation.
-        :raises StateError: it is not a state.
-        """
-        mine = participant in ('', self._history.participant)
-        if games and mine and can_simulate(self._domain):
-            self._stuck = [(name, self._domain.decode(text)) for name, text in stuck]
-            self._trial_games = games
-            self._sort_stuck()
-
-    def _sort_stuck(self) -> None:
-        if can_simulate(self._domain):
-            self._offers = sort_stuck(self._domain, self._stuck, self._taught)
-
-    def _suggest_column(self) -> None:
-        options = self._starts.options(self._history.participant, self._history.options)
-        self._suggested_column = suggest_column(self._domain, options, self._taught)
-
-    @property
-    def _taught(self) -> dict[str, list[Demonstration]]:
-        """The participant's demonstrations by option."""
-        return {name: each.demonstrations for name, each in self._history.options.items()}
+        if self.feedback.update_option(participant, option_name, text):
+            self._check_processed()
 
     def learner_refused(self, uuid: str, detail: str) -> None:
         """Stop waiting for a demonstration that the learner refused; it stays in the store."""
@@ -369,9 +337,9 @@ class Lesson:
         self._wait_no_more(_SILENT)
 
     def _wait_no_more(self, notices: dict[bool, str], detail: str = '') -> None:
-        if self._awaited is not None:
-            self._notice = notices[self._awaited.withdrawn].format(detail=detail)
-            self._awaited = None
+        if self.feedback.awaited is not None:
+            self._notice = notices[self.feedback.awaited.withdrawn].format(detail=detail)
+            self.feedback.awaited = None
             self._check_done()
 
     # State of the lesson.
@@ -393,49 +361,27 @@ class Lesson:
             return 0
         return self._history.n_answers + 1
 
-    @property
-    def _settled(self) -> OptionSummary | None:
-        """The summary if all measurable criteria hold for the current option; otherwise None."""
-        option = self._option
-        summary = option and self._summaries.get((option.participant, option.name))
-        if not option or not summary or not summary.settled or not _is_current(summary, option):
-            return None
-        same = summary.method == self._method(option)
-        return summary if same and set(summary.features) == set(option.chosen) else None
-
-    def _method(self, option: OptionHistory) -> str:
-        """Return the learning method of an option for its next demonstration."""
-        return option.method or self._starts.rules.method
-
-    def _go_on(self) -> None:
+    def _check_processed(self) -> None:
         """Stop waiting once learner and start states include the awaited demonstration."""
-        option, demo = self._option, self._awaited
-        if option is not None and demo is not None:
-            summary = self._summaries.get((demo.participant, demo.option_name))
-            if demo.withdrawn:
-                counted = summary is None or _is_current(summary, option)
-            else:
-                counted = summary is not None and summary.last_uuid == demo.uuid
-            if not counted or not self._starts.counts(option, demo):
-                return
-        self._awaited = None
-        self._check_done()
+        if self._option is None or self.feedback.has_processed(self._option):
+            self.feedback.awaited = None
+            self._check_done()
 
     def _check_done(self) -> None:
         """Check whether the option is learned."""
-        settled, option = self._settled is not None, self._option
+        settled, option = self.feedback.settled(self._option) is not None, self._option
         names = self._history.options
         self._done = settled and option is not None and self._starts.exhausted(option, names)
 
     def _advice(self, phase: Phase) -> str:
         """Return advice on what to do next, with the reason if it is not obvious."""
-        summary, hint = self._settled, _HINTS[phase]
+        summary, hint = self.feedback.settled(self._option), _HINTS[phase]
         name = self._option.name if self._option is not None else ''
-        if phase in (Phase.READY, Phase.FINISHED) and name in self._offers and not self._spent:
-            count = len(self._offers[name])
+        offers = () if self._spent else self.feedback.offers.get(name, ())
+        if phase in (Phase.READY, Phase.FINISHED) and offers:
             hint = (
-                f'The plan got stuck in {count} of {self._trial_games} games while running '
-                f"'{name}', or in need of it: show what to do there."
+                f'The plan got stuck in {len(offers)} of {self.feedback.trial_games} games while '
+                f"running '{name}', or in need of it: show what to do there."
             )
         if self._paused and phase not in (Phase.DEMONSTRATING, Phase.LEARNING):
             hint = 'The lesson is paused.'
@@ -482,8 +428,7 @@ class Lesson:
             raise RefusalError(RequestStatus.NOT_SAVED, str(error)) from error
         for entry in entries:
             (history or self._history).add(entry)
-        if self._stuck:
-            self._sort_stuck()
+        self.feedback.sort_stuck()
 
     def _open_session(self, request: OpenSession) -> Answer:
         """Open a session, or resume it."""
@@ -504,8 +449,7 @@ class Lesson:
         opened = LessonEvent('session', *history.key, participant, session)
         self._write(opened, history=history)
         self._history, self._session = history, session
-        self._trial_games, self._stuck, self._offers = 0, [], {}
-        self._suggest_column()
+        self.feedback.begin(history)
         self._turn_to(history.options.get(history.sessions[session]))
         return _ok(
             f'session {session} of {participant} is open',
@@ -555,7 +499,7 @@ class Lesson:
 
     def _turn_to(self, option: OptionHistory | None) -> None:
         if option is not self._option:
-            self._awaited, self._again = None, ''
+            self.feedback.awaited, self._again = None, ''
         self._option, self._notice = option, ''
         self._check_done()
 
@@ -610,8 +554,8 @@ class Lesson:
             state = self._domain.encode(decoded)
         else:
             state = self._again or next(reversed(option.start_states), '')
-            if not state and option.name in self._offers:
-                state = self._domain.encode(self._offers[option.name][0])
+            if not state and option.name in self.feedback.offers:
+                state = self._domain.encode(self.feedback.offers[option.name][0])
             state = state or self._starts.draw(option, self._history.options)
         self._attempt = Attempt(state, request.watch)
         return _ok(
@@ -657,7 +601,7 @@ class Lesson:
                 chosen_features=option.chosen,
                 can_start_at_end=request.can_start_at_end and request.verdict is Verdict.DONE,
                 seconds=round(self._clock() - attempt.began, 3),
-                method=self._method(option),
+                method=self.feedback.method(option),
                 machine_steps=machine_steps,
             )
         )
@@ -669,7 +613,7 @@ class Lesson:
         found = contradiction(demo, option.demonstrations, self._domain)
         self._write(demo)
         self._attempt, self._again, self._notice = None, '', ''
-        self._awaited = demo
+        self.feedback.awaited = demo
         text = f'demonstration {demo.number} of {demo.option_name} is kept'
         if self._paused:
             self._notice = f'The demonstration is {_UNRECORDED}.'
@@ -702,7 +646,7 @@ class Lesson:
                     option_name=option.name,
                     number=number,
                     chosen_features=option.chosen,
-                    method=self._method(option),
+                    method=self.feedback.method(option),
                     withdrawn=False,
                 )
             )
@@ -715,7 +659,7 @@ class Lesson:
             raise RefusalError(RequestStatus.REFUSED, str(error)) from error
         if added:
             self._write(*added)
-            self._awaited, self._notice = added[-1], ''
+            self.feedback.awaited, self._notice = added[-1], ''
         return _ok(f'demonstrations of {option.name} added: {len(added)}', unsent=added)
 
     def _withdraw(self, request: WithdrawDemonstration) -> Answer:
@@ -733,7 +677,7 @@ class Lesson:
             raise RefusalError(RequestStatus.NO_DEMONSTRATION, detail)
         withdrawn = replace(demo, withdrawn=True)
         self._write(withdrawn)
-        self._awaited = withdrawn
+        self.feedback.awaited = withdrawn
         self._again = self._notice = ''  # the start state is in the option's history
         steps = len(demo.actions)
         what = f'the demonstration of {steps} step{"s"[: steps != 1]}' if steps else '"not here"'
@@ -782,18 +726,12 @@ class Lesson:
         if new or option is self._option:
             self._turn_to(self._history.options.get(new))
         if moved:
-            self._awaited = moved[-1]
+            self.feedback.awaited = moved[-1]
         return _ok(
             f'{option.name} is now called {new}' if new else f'{option.name} is deleted',
             known_options=tuple(self._history.options),
             unsent=(*moved, *withdrawn),
         )
-
-
-def _is_current(summary: OptionSummary, option: OptionHistory) -> bool:
-    """Return whether a summary includes no withdrawn demonstration."""
-    counted = summary.n_demonstrations + summary.n_not_here
-    return summary.last_uuid not in option.withdrawn and counted <= len(option.demonstrations)
 
 
 def _ok(detail: str, **found: Any) -> Answer:

@@ -267,7 +267,7 @@ class LessonNode(NodeBase):
         """Offer the states in which a plan got stuck."""
         stuck = zip(result.stuck_options, result.stuck_states)
         try:
-            self._lesson.update_trial(result.participant, result.trial_games, stuck)
+            self._lesson.feedback.update_trial(result.participant, result.trial_games, stuck)
         except StateError as error:
             self.refuse('plan_results', result, error)
         self._show()
