@@ -10,6 +10,7 @@ import re
 from humanopts_env.board import Board, Image
 from humanopts_env.domains.capabilities import board_of, pictured_board_of
 from humanopts_env.seeding import generator
+from humanopts_learner.summary import OptionSummary
 from humanopts_teach.board_html import board_html
 from humanopts_teach.browser.markup import parts
 from humanopts_teach.dialogue.entry import Item, ListScreen
@@ -121,6 +122,16 @@ def test_a_lesson_shows_the_picture_and_a_table_and_says_that_it_shows_more(desk
     screen = frame(desk.app, 80, 24, 'truecolor')
     assert sum('▀' in line for line in screen) == 18
     assert re.search(r'apple direction .*' + way, '\n'.join(screen))
+
+
+def test_an_image_is_smaller_where_the_text_needs_more_room(desk: Desk) -> None:
+    wide = max(line.count('▀') for line in frame(desk.app, 80, 24, 'truecolor'))
+    conflict = 30 * 'apple direction north: not the end (10x), '
+    found = OptionSummary('fill', 'p1', ('apple_direction',), conflicts=(conflict[:400],))
+    desk.world.summaries = [found]
+    screen = frame(desk.app, 80, 24, 'truecolor')
+    assert max(line.count('▀') for line in screen) == 26 < wide
+    assert 'higher window' not in '\n'.join(screen)
 
 
 def test_before_any_are_chosen_all_features_are_in_the_table(desk: Desk) -> None:

@@ -132,7 +132,10 @@ def _middle(
     beside, below = (Group(*map(drawn, part)) for part in (view.panel.beside, view.panel.below))
     if view.board is None:
         return Group(beside, below)
-    room = max(width // 2, width - _GAP - _WIDE_BESIDE)
+    room = max(width // 2, width - _GAP - _WIDE_BESIDE)  # for an image
+    if view.board.image is not None:
+        text = _lines_of(Group(beside, below), width - room - _GAP, None)
+        room = room if len(text) <= rows else width // 3
     board, notes = board_texts(view.board, room, rows, colours)
     board_width = (
         board.width
