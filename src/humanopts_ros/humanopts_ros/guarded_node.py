@@ -56,18 +56,22 @@ def starting_ros() -> Iterator[None]:
         raise MiddlewareError(f'ROS cannot start: {without_source(error)}') from error
 
 
-def start_ros(args: list[str] | None = None, context: Context | None = None) -> None:
+def start_ros(
+    args: list[str] | None = None,
+    context: Context | None = None,
+    signals: SignalHandlerOptions = SignalHandlerOptions.NO,
+) -> None:
     """
-    Start ROS with the environment's settings; signal handling is left to the caller.
+    Start ROS with the environment's settings.
 
     :param args: command-line arguments.
     :param context: rclpy context; None: the default context.
+    :param signals: signals that shut ROS down; by default, the caller handles all.
     :raises MiddlewareError: ROS cannot start.
     """
     prepare_discovery()
     with starting_ros():
-        options = SignalHandlerOptions.NO
-        rclpy.init(args=args, context=context, signal_handler_options=options)
+        rclpy.init(args=args, context=context, signal_handler_options=signals)
 
 
 class GuardedNode(Node):

@@ -15,11 +15,10 @@ from humanopts_env.game import Transition
 from humanopts_env.ros.game_subscriber import GameSubscriber, Observed
 from humanopts_interfaces import msg, srv
 from humanopts_learner.ros.convert import summary_from_message
-from humanopts_ros.guarded_node import starting_ros
+from humanopts_ros.guarded_node import start_ros
 from humanopts_ros.node_base import NodeBase
 from humanopts_ros.publisher import PublishError
 from humanopts_ros.qos import ACTION, CURRENT, DISPLAY
-from humanopts_ros.workarounds import prepare_discovery
 from humanopts_teach.lesson.requests import (
     ActionGoal,
     Answer,
@@ -39,10 +38,10 @@ from humanopts_teach.lesson.requests import (
     World,
 )
 from humanopts_teach.ros.convert import Endpoint, LESSON_STATE, TEACHING
-import rclpy
 from rclpy.action.client import ActionClient
 from rclpy.client import Client
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from rclpy.utilities import try_shutdown
 
@@ -427,9 +426,7 @@ def run_with_lesson(
     :param name: name of the program's node.
     :raises MiddlewareError: ROS cannot start with the environment's settings.
     """
-    prepare_discovery()
-    with starting_ros():
-        rclpy.init()  # Ctrl-C ends the program
+    start_ros(signals=SignalHandlerOptions.ALL)  # Ctrl-C ends the program
     executor = SingleThreadedExecutor()
     node = NodeBase(name)
     client = GraphClient(node)
