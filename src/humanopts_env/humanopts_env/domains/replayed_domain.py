@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 SIGNS = string.digits + string.ascii_letters  # one per action in a text
-MAX_WORLDS = 1024  # kept at the same time, more than a plan samples in parallel
+MAX_WORLDS = 256  # kept at the same time; those of games side by side are extra
 MAX_WALK, GAP = 200, 10  # actions before a sampled state; states of a walk per sampled one
 SEEDS = 10**9
 STATE = re.compile(r'seed (0|[1-9][0-9]{0,19}) actions (-|[0-9a-zA-Z]+)')
