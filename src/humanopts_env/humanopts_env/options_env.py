@@ -79,7 +79,7 @@ class OptionsEnv(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
 
     def features(self) -> Floats:
         """Return the current value of every feature, (F,): what the options depend on."""
-        return self._feature_values(self._observation)
+        return self._row.copy()
 
     def action_masks(self) -> Flags:
         """
@@ -88,23 +88,22 @@ class OptionsEnv(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         The name is that of sb3-contrib. Where no option can start the episode is over, and a mask
         must leave a choice.
         """
-        mask = self._startable()
-        return mask if mask.any() else ~mask
+        return self._startable.copy() if self._startable.any() else ~self._startable
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
         """Start an episode."""
         observation, info = self.env.reset(seed=seed, options=options)
-        self._observation, self._refusals = deepcopy(observation), 0
+        self._row, self._refusals = self._feature_values(observation), 0
+        self._arrive(observation)
         return observation, {**info, 'action_mask': self.action_masks().astype(np.int8)}
 
     def step(self, action: int) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Run an option to its end."""
-        before = self._startable()
-        if not before[action]:
+        if not self._startable[action]:
             self._refusals += 1
-            given_up = self._refusals >= MAX_REFUSALS or not before.any()
+            given_up = self._refusals >= MAX_REFUSALS or not self._startable.any()
             refusal = self._info(REFUSED, 0, 0.0, terminated=False)
             return deepcopy(self._observation), 0.0, False, given_up, refusal
         option = self._options[action] if action < len(self._options) else None
@@ -113,28 +112,30 @@ class OptionsEnv(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         while not ended:
             taken = primitive
             if option is not None:
-                taken = self._first_action + int(option.action(self.features()[None])[0])
+                taken = self._first_action + int(option.action(self._row[None])[0])
             observation, reward, terminated, truncated, info = self.env.step(taken)
-            self._observation = deepcopy(observation)
+            self._row = self._feature_values(observation)
             discounted += self.gamma**steps * float(reward)
             undiscounted += float(reward)
             steps += 1
             reached, ended = True, True
             if option is not None:
-                ends = option.ends(self.features()[None])
+                ends = option.ends(self._row[None])
                 reached = bool(ends[0])
                 ended = bool(runs_end(ends, terminated or truncated, steps, option.max_steps)[0])
         ends_by = {'reached': reached, 'terminated': terminated, 'truncated': truncated}
         end = next((name for name, holds in ends_by.items() if holds), 'max_steps')
-        stuck = not terminated and not self._startable().any()
+        self._arrive(observation)
+        stuck = not terminated and not self._startable.any()
         info = {**info, **self._info(end, steps, undiscounted, terminated=terminated)}
         return observation, discounted, terminated, truncated or stuck, info
 
-    def _startable(self) -> Flags:
-        row, mask = self.features()[None], np.ones(len(self.option_names), dtype=np.bool_)
+    def _arrive(self, observation: Any) -> None:
+        """Keep the observation for refusals, and find the options that can start."""
+        self._observation = deepcopy(observation)
+        self._startable = np.ones(len(self.option_names), dtype=np.bool_)
         for number, option in enumerate(self._options):
-            mask[number] = option.can_start(row)[0]
-        return mask
+            self._startable[number] = option.can_start(self._row[None])[0]
 
     def _info(
         self, end: str, steps: int, undiscounted: float, *, terminated: bool

@@ -19,6 +19,7 @@ from humanopts_teach.dialogue.driving import PlayScreen, RunScreen, WatchScreen
 from humanopts_teach.dialogue.entry import confirm, end, Item, ListScreen, Notice, TextScreen
 from humanopts_teach.dialogue.keys import Command, ESCAPE
 from humanopts_teach.dialogue.panel import Line
+from humanopts_teach.dialogue.segments import WholeTaskScreen
 from humanopts_teach.dialogue.teaching import LessonScreen
 from humanopts_teach.lesson.requests import (
     Answer,
@@ -135,7 +136,8 @@ def to_menu(app: App) -> None:
         note = 'rename or delete it, or learn it in another way'
         choose = partial(_choose, 'Change which option?', _change)
         items.append(Item('Change an option', note, choose))
-    app.show(ListScreen('What next?', [*items, Item(*app.leaving, end)]))
+    whole = Item('Play the whole task once', 'then name its parts', _play_whole)
+    app.show(ListScreen('What next?', [*items, whole, Item(*app.leaving, end)]))
 
 
 def to_lesson(app: App) -> None:
@@ -303,3 +305,9 @@ def _play(app: App) -> None:
     app.show(screen)
     if not app.world.game.open:
         app.ask(screen.new_start(app))
+
+
+def _play_whole(app: App) -> None:
+    screen = WholeTaskScreen(to_menu, run=to_run)
+    app.show(screen)
+    app.ask(screen.new_start(app))

@@ -330,7 +330,7 @@ class LessonScreen(Screen):
         elif lesson.paused:
             app.say('Not now: the lesson is paused and could not begin again.', bad=True)
         else:
-            self.redo = driven[:-1]
+            self.redo = [step.previous_action for step in driven[:-1]]
             self._discard(app)
             app.ask(BeginDemonstration(since.state))
 

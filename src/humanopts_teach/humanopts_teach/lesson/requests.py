@@ -365,7 +365,7 @@ class World:
     """The option that took each recent action, by publisher_id and sequence of the command."""
     uncovered: Sequence[tuple[str, float]] | None = None  # by the last plan; None: unknown
     since: Transition | None = None  # state from which the person has been driving
-    driven: list[str] = field(default_factory=list)  # the person's actions since then
+    driven: list[Transition] = field(default_factory=list)  # the person's steps since then
 
     @property
     def in_control(self) -> bool:
@@ -380,7 +380,7 @@ class World:
             if self.before is None or game.action_source is not Source.PERSON:
                 self.since, self.driven = game, []
             else:
-                self.driven.append(game.previous_action)
+                self.driven.append(game)
         self.game = game
 
     @property
