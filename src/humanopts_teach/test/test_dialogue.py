@@ -158,7 +158,8 @@ CONVERSATIONS = {  # by snapshot: domain, chosen features, first keys, and what 
         *('taxi', CHOSEN, 'left p enter e c'),
         't a | right | * 0 . 5 | ctrl-u | h | ctrl-u | down down down right | backspace | '
         'down down down right | enter | right | ctrl-u | enter | enter | down down right | enter '
-        '| c | t a x i _ r o w - p a s s e n g e r _ r o w | escape | o | y | left',
+        '| c | t a x i _ r o w - p a s s e n g e r _ r o w | escape | c | down right | up right '
+        '| escape | o | y | left',
     ),
     'chance': ('rooms', (), 'enter 1 f e t c h enter y o enter', 'left | ?'),
     'fall': ('gymnasium:FrozenLake-v1', (), 'enter', '4 | ... it falls into a hole | down'),

@@ -6,7 +6,7 @@ import re
 from typing import NamedTuple
 
 from humanopts_env.domains.base import FeatureKind
-from humanopts_env.domains.formulas import derive, FormulaError, MAX_LENGTH
+from humanopts_env.domains.formulas import derive, feature_columns, FormulaError, MAX_LENGTH
 from humanopts_teach.dialogue import keys
 from humanopts_teach.dialogue.app import App, Screen
 from humanopts_teach.dialogue.entry import INTERRUPT, PAGE
@@ -102,7 +102,7 @@ class CombineScreen(Screen):
 
     def other_key(self, key: str, app: App) -> None:
         if len(key) == 1 and key.isprintable() and len(self.typed) < MAX_LENGTH:
-            self._type(self.typed + key, self.rest)
+            self._type(self.typed + key, self.rest if key.isidentifier() else ())
 
     def _erase(self, app: App) -> None:
         self._type(self.typed[:-1], self.rest if self.typed else ())
@@ -138,23 +138,19 @@ class CombineScreen(Screen):
                 _Item(kind, example, pieces[0], pieces[1:])
                 for (kind, pieces), example in zip(_KINDS.items(), _EXAMPLES)
             ]
-        row = app.world.game.features
-        now = [f.text(value) for f, value in zip(app.domain.features, row)]
-        values = dict(zip([feature.name for feature in app.domain.features], now))
-        word = _WORD.search(self.typed)
+        row, lesson = np.array(app.world.game.features), app.world.lesson
+        word, compared = _WORD.search(self.typed), _COMPARED.search(self.typed)
         begun = word[0] if word else ''
-        before, rest = self.typed.removesuffix(begun), self.rest or ('',)
-        found = [
-            _Item(feature.name, values.get(feature.name, ''), feature.name + rest[0], rest[1:])
-            for feature in app.domain.features
-            if feature.name.startswith(begun)
-        ]
-        compared = _COMPARED.search(self.typed)
-        for feature in app.domain.features:
-            if compared is None or feature.name != compared[1]:
-                continue
-            texts = [text if _NUMBER.fullmatch(text) else repr(text) for text in feature.values]
-            if not texts and row:
-                texts = values[feature.name].split()[:1]  # without the unit
-            found = [*(_Item(text, '', text, ()) for text in texts), *found]
+        rest, found = self.rest or ('',), list[_Item]()
+        names = [feature.name for feature in app.domain.features]
+        for column in feature_columns(app.domain, [*names, *lesson.derived_features]):
+            feature, value = column.feature, column.text(row) if row.size else ''
+            if compared and feature.name == compared[1]:
+                texts = [t if _NUMBER.fullmatch(t) else repr(t) for t in feature.values]
+                texts = texts or value.split()[:1]  # without the unit
+                found = [*(_Item(text, '', text, ()) for text in texts), *found]
+            name = feature.name if feature.name in names else f'({feature.name})'
+            if name.startswith(begun):
+                found.append(_Item(name, value, name + rest[0], rest[1:]))
+        before = self.typed.removesuffix(begun)
         return [item._replace(typed=before + item.typed) for item in found]
