@@ -204,11 +204,12 @@ def test_a_plan_shows_where_to_demonstrate_more() -> None:
     assert 10 < len(trial.states) < 40
     assert set(trial.options) == {FETCH}
     stuck = [(name, KEYS.decode(text)) for name, text in zip(trial.options, trial.states)]
-    offered = sort_stuck(KEYS, stuck, {FETCH: shown_before, LEAVE: left})
+    planned_with = {demo.uuid for demo in [*shown_before, *left]}
+    offered = sort_stuck(KEYS, stuck, {FETCH: shown_before, LEAVE: left}, planned_with)
     assert list(offered) == [FETCH]
     assert [state.features for state in offered[FETCH]] == [(LENGTH - 1, 0, 0)] * len(stuck)
     more = [*shown_before, shown(FETCH, 2, offered[FETCH][0])]
-    assert sort_stuck(KEYS, stuck, {FETCH: more, LEAVE: left}) == {}
+    assert sort_stuck(KEYS, stuck, {FETCH: more, LEAVE: left}, planned_with) == {}
     plan = planned(learn_option(more, KEYS, 0), leaving)
     assert try_plan(plan, 2) == Trial(TRIALS)
     assert plan.play(3, 50).successes.all()
@@ -219,6 +220,6 @@ def test_where_no_option_can_start_the_one_with_the_nearest_start_is_shown() -> 
     _, left = taught(LEAVE, KEYS.decode(fetched[0].states[-1]))
     demos = {FETCH: fetched, LEAVE: left}
     east = begins_in(9)
-    assert sort_stuck(KEYS, [('', east)], demos) == {FETCH: [east]}
+    assert sort_stuck(KEYS, [('', east)], demos, ()) == {FETCH: [east]}
     demos[FETCH] = [*fetched, replace(shown(LEAVE, 2, east), option_name=FETCH)]
-    assert sort_stuck(KEYS, [(FETCH, east)], demos) == {LEAVE: [east]}
+    assert sort_stuck(KEYS, [(FETCH, east)], demos, ()) == {LEAVE: [east]}

@@ -13,7 +13,7 @@ taught before lead to the starts of this one, and the option's own run leads on 
 it gets stuck, which is where the next demonstration starts.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from typing import Any
@@ -260,17 +260,20 @@ def sort_stuck(
     domain: Domain,
     stuck: Sequence[tuple[str, Any]],
     taught: Mapping[str, Sequence[Demonstration]],
+    planned: Collection[str],
 ) -> dict[str, list[Any]]:
     """
     Return states in which a plan got stuck, by the option to be shown there.
 
     It is the option that ran there. If no option could start, or the person has said "not here",
-    it is the one that was shown from the most similar start. States that look like a demonstrated
-    one are left out: the option has been shown there since.
+    it is the one that was shown from the most similar start. States that look like those of a
+    demonstration after the plan are left out.
 
     :param stuck: name of the option that ran, or empty, and state.
     :param taught: demonstrations of each option.
-    :return: the states of each option, those with the commonest look first.
+    :param planned: uuids of the demonstrations from which the options of the plan were learned.
+    :return: the states of each option, the options with the most states first, and the states with
+        the commonest look.
     """
     shown = {
         name: [demo for demo in demos if demo.kind is Kind.TRAJECTORY]
@@ -291,14 +294,16 @@ def sort_stuck(
         if name not in open_to:
             name = min(open_to, key=lambda each: _from_starts(domain, row, shown[each]))
         chosen = feature_columns(domain, shown[name][-1].chosen_features)
-        rows = np.concatenate([row, *(demo.feature_rows for demo in shown[name])])
+        since = [demo.feature_rows for demo in shown[name] if demo.uuid not in planned]
+        rows = np.concatenate([row, *since])
         values = np.stack([column.values(rows) for column in chosen], axis=1)
         if not (values[1:] == values[0]).all(axis=1).any():
             looks.setdefault(name, {}).setdefault(values[0].tobytes(), []).append(state)
-    return {
+    found = {
         name: list(chain(*sorted(groups.values(), key=len, reverse=True)))
         for name, groups in looks.items()
     }
+    return dict(sorted(found.items(), key=lambda each: len(each[1]), reverse=True))
 
 
 def _from_starts(domain: Domain, row: Rows, demos: Sequence[Demonstration]) -> float:

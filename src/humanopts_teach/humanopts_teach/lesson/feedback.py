@@ -29,6 +29,7 @@ class Feedback:
         self._history = History(domain, '')
         self._summaries: dict[tuple[str, str], OptionSummary] = {}  # by participant and option
         self._stuck: list[tuple[str, Any]] = []  # options and states in which the plan got stuck
+        self._planned: set[str] = set()  # uuids of the demonstrations before that plan
         self.awaited: Demonstration | None = None
         self.trial_games = 0
         self.offers: dict[str, list[Any]] = {}
@@ -92,13 +93,15 @@ class Feedback:
         is_own = participant in ('', self._history.participant)
         if games and is_own and can_simulate(self._domain):
             self._stuck = [(name, self._domain.decode(text)) for name, text in stuck]
-            self.trial_games = games
+            self.trial_games, self.offers = games, {}
+            self._planned = {demo.uuid for demos in self._taught.values() for demo in demos}
             self.sort_stuck()
 
     def sort_stuck(self) -> None:
         """Assign the states in which the plan got stuck to options, by all demonstrations."""
         if self._stuck and can_simulate(self._domain):
-            self.offers = sort_stuck(self._domain, self._stuck, self._taught)
+            parts = self._stuck, self._taught, self._planned
+            self.offers = sort_stuck(self._domain, *parts)
 
     def _suggest_column(self) -> None:
         options = self._starts.options(self._history.participant, self._history.options)
