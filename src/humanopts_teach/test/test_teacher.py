@@ -19,6 +19,7 @@ from humanopts_teach.lesson.requests import (
 )
 from humanopts_teach.lesson.simulated_teacher import (
     ATTEMPTS,
+    ELSEWHERE,
     Finish,
     SimulatedTeacher,
     TeacherError,
@@ -168,13 +169,17 @@ def test_after_an_error_it_goes_on_from_where_that_led_and_a_seed_shows_the_same
     assert one == shown(1) != shown(2)
 
 
-def test_what_does_not_end_is_discarded_and_tried_in_other_ways_until_it_gives_up() -> None:
+def test_what_does_not_end_is_tried_in_other_ways_then_elsewhere_until_it_gives_up() -> None:
     by = teacher(replace(TEACHER, error_rate=0.5, step_limit=3))
     first, end = show(by, WAITING)
     assert (len(first), end.verdict) == (3, Verdict.DISCARD)
     assert show(by, WAITING)[0] != first
-    for _ in range(ATTEMPTS - 3):
+    ready = replace(showing(WAITING), phase=Phase.READY)
+    for attempt in range(3, (1 + ELSEWHERE) * ATTEMPTS):
         assert show(by, WAITING)[1].verdict is Verdict.DISCARD
+        begins = by.next_act(ready, at(WAITING, 0))
+        assert isinstance(begins, BeginDemonstration)
+        assert bool(begins.start_state) == (attempt >= ATTEMPTS)
     with pytest.raises(TeacherError, match='cannot show'):
         show(by, WAITING)
     for over in ({'terminated': True}, {'truncated': True}):
