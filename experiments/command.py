@@ -21,7 +21,7 @@ from humanopts_teach.report.pages import counted, duration
 import pandas as pd
 import typer
 
-from experiments import demonstrations, figure2, figure3, figure4, table1, table2, transfer
+from experiments import demonstrations, figure2, figure3, figure4, table1, table2, transfer, worlds
 from experiments.people import Participant, read_bag_lessons, Study
 from experiments.report import PAGE, Reproduction, Section, write_reproduction
 from experiments.trials import ClusterError, LIBRARIES, Rows, run_trials, Trial
@@ -31,30 +31,38 @@ app = typer.Typer(**PLAIN)
 # Each module has its command line ``NAME``, a ``TITLE``, ``trials`` of a study, and ``present``,
 # which makes a section from result rows.
 PAPER: list[ModuleType] = [figure2, figure3, figure4, table2]
-EXPERIMENTS = {each.NAME: each for each in (*PAPER, transfer, demonstrations)}
+EXPERIMENTS = {each.NAME: each for each in (*PAPER, transfer, demonstrations, worlds)}
 
 
 @app.command(cls=SeveralValues, help="the paper's figures and tables, computed again")
 def reproduce(
     what: Annotated[
-        Literal['fig2', 'fig3', 'fig4', 'table2', 'all', 'transfer', 'demonstrations'],
+        Literal['fig2', 'fig3', 'fig4', 'table2', 'all', 'transfer', 'demonstrations', 'worlds'],
         typer.Argument(
             metavar='WHAT',
             help='a figure or table: fig2, fig3, fig4, table2; or all of them; or, past the '
             'paper, transfer: options of one maze in others; or demonstrations: how many an '
-            'option takes, by learning method',
+            'option takes, by learning method; or worlds: options taught in MiniGrid, LunarLander '
+            'and others',
         ),
     ],
     out: Annotated[
-        Path,
+        Path | None,
         typer.Option(
             metavar='DIR',
-            help='folder for the report; what was computed into it before is not computed again',
+            help='folder for the report; what was computed into it before is not computed again; '
+            'default: runs/reproduce-WHAT',
         ),
-    ],
+    ] = None,
     participants: Annotated[
-        int, typer.Option(parser=whole(1), metavar='N', help='simulated, in each group')
-    ] = 6,
+        int | None,
+        typer.Option(
+            parser=whole(1),
+            metavar='N',
+            help=f'simulated, in each group; default: {Study.participants}, and '
+            f'{worlds.LESSONS} for worlds, where each gives one lesson in each environment',
+        ),
+    ] = None,
     seeds: Annotated[
         int, typer.Option(parser=whole(1), metavar='N', help='runs of whatever depends on chance')
     ] = 10,
@@ -92,7 +100,9 @@ def reproduce(
         own_mazes = tuple(load_maze(source).text for source in mazes)
     except (BagError, MazeError) as error:
         raise CommandError(str(error)) from error
-    study = Study(participants, seeds, seed, lessons, own_mazes)
+    usual = worlds.LESSONS if what == worlds.NAME else Study.participants
+    study = Study(participants or usual, seeds, seed, lessons, own_mazes)
+    out = out or Path('runs') / f'reproduce-{what}'
     wanted = PAPER if what == 'all' else [EXPERIMENTS[what]]
     trials = {each: each.trials(study) for each in wanted}
     every = [trial for each in wanted for trial in trials[each]]
