@@ -79,5 +79,5 @@ def test_a_graph_is_what_its_nodes_publish_in_its_namespace(
 def test_a_selection_says_what_an_evaluation_would_lack(
     selection: Selection, lacking: str
 ) -> None:
-    assert selection.unevaluable.startswith(lacking)
-    assert bool(selection.unevaluable) == bool(lacking)
+    assert selection.missing_for_evaluation.startswith(lacking)
+    assert bool(selection.missing_for_evaluation) == bool(lacking)

@@ -17,7 +17,7 @@ class AmbiguousOptionError(UnknownOptionError):
     """Several participants taught an option of this name, and no participant is given."""
 
 
-def taught_nothing(participant: str, others: Iterable[str]) -> str:
+def no_options_text(participant: str, others: Iterable[str]) -> str:
     """
     Describe that a participant has no options, and list the participants that do.
 

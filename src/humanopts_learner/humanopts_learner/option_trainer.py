@@ -96,7 +96,7 @@ class OptionTrainer:
         if known is not None and known >= demo.withdrawn:
             return False
         check_demonstration(demo, self._domain)
-        self._turn_to(demo.participant)
+        self._switch_to(demo.participant)
         try:
             self._log.append(demo.to_json())
         except OSError as error:
@@ -121,7 +121,7 @@ class OptionTrainer:
 
         return each_once(filter(None, self._log.read(checked)))
 
-    def _turn_to(self, participant: str) -> None:
+    def _switch_to(self, participant: str) -> None:
         """
         Load the demonstrations of a participant, replacing those in memory.
 

@@ -99,7 +99,7 @@ class Selection:
         return self.wants(topic, topic.startswith(prefix_of(self.namespace)))
 
     @property
-    def unevaluable(self) -> str:
+    def missing_for_evaluation(self) -> str:
         """The reason why a bag cannot be evaluated; empty: it can."""
         missing = [n for n in NEEDED if not self.wants_own(prefix_of(self.namespace) + n)]
         if not missing:

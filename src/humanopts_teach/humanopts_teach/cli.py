@@ -261,11 +261,11 @@ def teach(
         check_folder(setup)
         return teach_in_browser(setup, pages, participant)
 
-    def say_where(running: Session) -> None:
+    def print_paths(running: Session) -> None:
         print(f'demonstrations and options are in {setup.directory}')
         print(f'the bag is {running.bags[-1]}')
 
-    return run_in_terminal(setup, say_where)
+    return run_in_terminal(setup, print_paths)
 
 
 @app.command()

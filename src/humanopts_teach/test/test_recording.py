@@ -109,7 +109,7 @@ def test_a_bag_that_could_not_be_evaluated_is_warned_of_or_refused(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     launch(record_exclude=['demo*'])
-    assert Selection(exclude=['demo*']).unevaluable in capsys.readouterr().err
+    assert Selection(exclude=['demo*']).missing_for_evaluation in capsys.readouterr().err
     launch(record_exclude=['demo*'], recorded=False)
     assert capsys.readouterr().err == ''
     with pytest.raises(CommandError, match='domain_info will not be recorded'):

@@ -141,7 +141,7 @@ class GameNode(NodeBase):
     def _on_set_control(
         self, request: SetControl.Request, response: SetControl.Response
     ) -> SetControl.Response:
-        if request.hold and not self._is_there(request.holder_id):
+        if request.hold and not self._is_present(request.holder_id):
             response.status = response.STATUS_NOT_HOLDER
             response.detail = f'no node {shown(request.holder_id)!r} is there to hold control'
             return response
@@ -160,7 +160,7 @@ class GameNode(NodeBase):
         if not 0.0 <= request.step_period <= MAX_PERIOD:
             response.status = response.STATUS_BAD_PERIOD
             response.detail = f'step_period is {request.step_period}, not 0 to {MAX_PERIOD} s'
-        elif request.paused and not self._is_there(request.holder_id):
+        elif request.paused and not self._is_present(request.holder_id):
             response.status = response.STATUS_NOT_HOLDER
             response.detail = f'no node {shown(request.holder_id)!r} is there to have it wait'
         else:
@@ -182,7 +182,7 @@ class GameNode(NodeBase):
         self._send_control(self._game.control)
         self._send_results(results)
 
-    def _is_there(self, publisher_id: str) -> bool:
+    def _is_present(self, publisher_id: str) -> bool:
         """Return whether a node has published a status under this id, or is on the graph."""
         known = self._lease.knows(publisher_id)
         return known or publisher_id.partition('#')[0] in node_names(self)

@@ -10,7 +10,7 @@ from typing import Any, Protocol
 from humanopts_env.domains.base import Domain, is_enumerable
 from humanopts_env.domains.replayed_domain import ReplayedDomain
 from humanopts_learner.demonstrations import MACHINE
-from humanopts_learner.library import taught_nothing
+from humanopts_learner.library import no_options_text
 from humanopts_learner.options.learned_option import LearnedOption, OptionError
 
 HUMAN, PRIMITIVE, HUMAN_AND_PRIMITIVE = 'human', 'primitive', 'human+primitive'
@@ -230,7 +230,7 @@ def select_options(
         raise PlanError(f'options are of several participants: name one of {", ".join(people)}')
     theirs = [option for option in kind if participant in ('', option.participant)]
     if people and not theirs:
-        raise NoOptionsError(taught_nothing(participant, people))
+        raise NoOptionsError(no_options_text(participant, people))
     known = [option.name for option in theirs]
     unknown = [repr(name) for name in names if name not in known]
     if known and unknown:

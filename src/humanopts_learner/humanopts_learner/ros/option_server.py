@@ -13,7 +13,7 @@ from humanopts_env.ros.game_subscriber import GameSubscriber
 from humanopts_interfaces.action import ExecuteOption
 from humanopts_interfaces.msg import OptionResult
 from humanopts_interfaces.srv import ListOptions, QueryOption, RunOption
-from humanopts_learner.library import OptionLibrary, taught_nothing, UnknownOptionError
+from humanopts_learner.library import no_options_text, OptionLibrary, UnknownOptionError
 from humanopts_learner.option import Mode
 from humanopts_learner.options.files import load_options
 from humanopts_learner.options.learned_option import LearnedOption
@@ -156,7 +156,7 @@ class OptionServerNode(NodeBase):
         if request.participant and not options:
             response.status = response.STATUS_UNKNOWN_PARTICIPANT
             people = [option.participant for option in library.options()]
-            response.detail = taught_nothing(request.participant, people)
+            response.detail = no_options_text(request.participant, people)
         response.option_names = [option.name for option in options]
         response.participants = [option.participant for option in options]
         response.n_demonstrations = [option.n_demonstrations for option in options]

@@ -178,7 +178,7 @@ class PolicyServer(GoalServer):
             raise GoalError('FAILED', f'game refused to begin an episode: {begun.detail}')
         state, step, decided, total, discounted = start, 0, 0, 0.0, 0.0
         while decided < run.limit:
-            self._check_wanted(run)
+            self._check_request(run)
             modular = run.execution in MODULAR
             name = '' if modular else plan.choose(state).name
             ran = await self._run_option(
@@ -209,7 +209,7 @@ class PolicyServer(GoalServer):
             if ran.status == ran.STATUS_INTERRUPTED:
                 raise GoalError('INTERRUPTED', ran.detail)
             if ran.status not in _CONTINUES:
-                self._check_wanted(run)
+                self._check_request(run)
                 what = repr(name) if name else run.execution
                 raise GoalError('FAILED', f'{what} in {ran.final_state!r}: {ran.detail}')
             if ran.terminated or ran.truncated:
@@ -235,7 +235,7 @@ class PolicyServer(GoalServer):
         result: OptionResult = answer.result
         return result
 
-    def _check_wanted(self, run: _PolicyRun) -> None:
+    def _check_request(self, run: _PolicyRun) -> None:
         """
         Check that the run should continue.
 

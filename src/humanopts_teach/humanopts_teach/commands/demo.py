@@ -182,9 +182,9 @@ def _problems(
     ]
     found += [f'{topic.lost} messages of {topic.name} are lost' for topic in topics if topic.lost]
     found += differences(live, evaluation)
-    undone = live.execution.episodes - live.execution.successes
-    if undone and is_enumerable(evaluation.domain):
-        found.append(f'{undone} episodes ended with the task not done')
+    unfinished = live.execution.episodes - live.execution.successes
+    if unfinished and is_enumerable(evaluation.domain):
+        found.append(f'{unfinished} episodes ended with the task not done')
     return found
 
 

@@ -29,7 +29,7 @@ class _Unfailing:
 
 
 @contextmanager
-def unfailing_output() -> Iterator[None]:
+def tolerant_output() -> Iterator[None]:
     """Continue although standard output or standard error is closed or its disk full."""
     out: Any = _Unfailing(sys.stdout)
     err: Any = _Unfailing(sys.stderr)

@@ -30,7 +30,7 @@ from humanopts_teach.commands import (
     Interrupts,
     refusing,
 )
-from humanopts_teach.commands.output import unfailing_output
+from humanopts_teach.commands.output import tolerant_output
 from humanopts_teach.launching import LaunchError, RECORDER, USUAL
 from humanopts_teach.launching.job import shell_job_ended
 from humanopts_teach.launching.launcher import Launcher
@@ -81,7 +81,7 @@ def setup_from(
                 setup = replace(setup, parameter=[*game.parameters.items()], features=None)
         processes(setup)
     topics = Selection(setup.namespace, setup.record_topics, setup.record_exclude)
-    if setup.record and (missing := topics.unevaluable):
+    if setup.record and (missing := topics.missing_for_evaluation):
         if evaluated:
             raise CommandError(missing)
         print_line(missing)
@@ -285,7 +285,7 @@ def session(
 
     names = [spec.name for spec in specs if not spec.terminal]
     with (
-        unfailing_output(),
+        tolerant_output(),
         place(setup.namespace, names, setup.directory),
         catch_interrupts() as interrupts,
     ):

@@ -218,14 +218,14 @@ class LessonScreen(Screen):
         def went_back(answer: Answer) -> None:
             group, said = app.groups.asked(app.domain, app.world.lesson)
             if group is not None and said is not GroupAnswer.EACH:
-                app.groups.take_back(group)
+                app.groups.withdraw(group)
                 if app.world.lesson.question_feature != group.features[0]:
                     again = AnswerQuestion(app.world.lesson.question_id, back=True)
                     app.ask(again, then=went_back)
 
         def go_back(app: App) -> None:
             if group is not None and said and lesson.question_feature == group.features[0]:
-                app.groups.take_back(group)
+                app.groups.withdraw(group)
             else:
                 app.ask(back, then=went_back)
 

@@ -26,7 +26,7 @@ from humanopts_teach.launching.job import in_foreground
 from humanopts_teach.launching.place import answer
 from humanopts_teach.launching.processes import ProcessSpec
 from humanopts_teach.launching.restarts import (
-    how,
+    describe_exit,
     last_output,
     MAX_RESTARTS,
     NodeExit,
@@ -191,7 +191,7 @@ class Launcher:
                 else:
                     running.policy.begin(time.monotonic())
             elif running.runs and (status := running.process.exitcode) is not None:
-                self._ended(running, status, how(status), now)
+                self._ended(running, status, describe_exit(status), now)
             if running.given_up is not None and running.spec.name not in optional:
                 raise LaunchError(running.given_up.text)
         if now - self._checked > _STOPPED_PERIOD:
@@ -304,7 +304,9 @@ class Launcher:
 
     def _end_of(self, name: str, status: int) -> str:
         """Return how a process ended that was asked to or had the terminal, in words."""
-        return f'the node {name} ended ({how(status)}){last_output(self._last_lines(name))}'
+        return (
+            f'the node {name} ended ({describe_exit(status)}){last_output(self._last_lines(name))}'
+        )
 
     def _last_lines(self, name: str) -> str:
         """Return the last lines of a log, each after a line break."""

@@ -10,7 +10,7 @@ CANNOT_START = 2  # exit status of a node with invalid parameters
 _SERVER_GONE = 255  # multiprocessing's, of a process that lost its fork server
 
 
-def how(status: int) -> str:
+def describe_exit(status: int) -> str:
     """Return an exit status in words; -N: signal N."""
     if status == _SERVER_GONE:
         return 'the process that it was forked from was killed'

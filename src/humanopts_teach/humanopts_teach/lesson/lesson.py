@@ -330,13 +330,13 @@ class Lesson:
     def learner_refused(self, uuid: str, detail: str) -> None:
         """Stop waiting for a demonstration that the learner refused; it stays in the store."""
         if uuid == self.awaited:
-            self._wait_no_more(_REFUSED, detail)
+            self._stop_waiting(_REFUSED, detail)
 
     def learner_silent(self) -> None:
         """Stop waiting for the learner after a timeout."""
-        self._wait_no_more(_SILENT)
+        self._stop_waiting(_SILENT)
 
-    def _wait_no_more(self, notices: dict[bool, str], detail: str = '') -> None:
+    def _stop_waiting(self, notices: dict[bool, str], detail: str = '') -> None:
         if self.feedback.awaited is not None:
             self._notice = notices[self.feedback.awaited.withdrawn].format(detail=detail)
             self.feedback.awaited = None
@@ -450,7 +450,7 @@ class Lesson:
         self._write(opened, history=history)
         self._history, self._session = history, session
         self.feedback.begin(history)
-        self._turn_to(history.options.get(history.sessions[session]))
+        self._switch_to(history.options.get(history.sessions[session]))
         return _ok(
             f'session {session} of {participant} is open',
             session=session,
@@ -476,7 +476,7 @@ class Lesson:
             *(self._event('feature', '', feature=feature) for feature in derived),
             self._event('option', name, ask_again=again, method=request.method),
         )
-        self._turn_to(self._history.options[name])
+        self._switch_to(self._history.options[name])
         text = f'{"begun" if known is None else "going on with"}: {name}'
         if derived:
             text += f'; it is also asked about {", ".join(derived)}'
@@ -497,7 +497,7 @@ class Lesson:
             raise RefusalError(RequestStatus.BAD_FEATURE, detail)
         return found
 
-    def _turn_to(self, option: OptionHistory | None) -> None:
+    def _switch_to(self, option: OptionHistory | None) -> None:
         if option is not self._option:
             self.feedback.awaited, self._again = None, ''
         self._option, self._notice = option, ''
@@ -724,7 +724,7 @@ class Lesson:
         deleted = self._event('option deleted', option.name)
         self._write(*begun, *moved, *withdrawn, deleted)
         if new or option is self._option:
-            self._turn_to(self._history.options.get(new))
+            self._switch_to(self._history.options.get(new))
         if moved:
             self.feedback.awaited = moved[-1]
         return _ok(

@@ -20,7 +20,7 @@ class QuestionGroups:
     Answers about groups of features, for the questions of one option.
 
     The lesson asks about one feature at a time. A screen first asks about ``open_group``, and
-    answers with ``reply`` if the group settles the question. It calls ``take_back`` and ``forget``
+    answers with ``reply`` if the group settles the question. It calls ``withdraw`` and ``forget``
     when questions are reopened, restarted, or belong to another option.
     """
 
@@ -45,7 +45,7 @@ class QuestionGroups:
             answer is GroupAnswer.AS_BEFORE and lesson.question_feature in lesson.earlier_features
         )
 
-    def take_back(self, group: FeatureGroup) -> None:
+    def withdraw(self, group: FeatureGroup) -> None:
         """Ask about a group again."""
         self._answers.pop(group.words, None)
 

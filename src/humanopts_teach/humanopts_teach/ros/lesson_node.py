@@ -204,7 +204,7 @@ class LessonNode(NodeBase):
         """Start the episode in the game, and wait for its first state on the stream."""
         lesson, until = self._lesson, self.waiting.until
         no_game = RequestStatus.NO_GAME
-        if not await until(self._game_is_there, _GAME_DEADLINE):
+        if not await until(self._is_game_ready, _GAME_DEADLINE):
             return lesson.not_begun(no_game, 'Game does not serve reset_game.')
         person, start, seed = ResetGame.Request.SOURCE_PERSON, prepared.state, prepared.seed
         request = ResetGame.Request(source=person, start_state=start, seed=seed)
@@ -223,7 +223,7 @@ class LessonNode(NodeBase):
             return Answer(no_game, lesson.view.text)
         return answer
 
-    def _game_is_there(self) -> bool:
+    def _is_game_ready(self) -> bool:
         """Return whether the game is available and its states will be received."""
         matched = self._game_states.get_publisher_count() > 0
         return matched and bool(self._reset.service_is_ready())

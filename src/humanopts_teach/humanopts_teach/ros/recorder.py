@@ -132,7 +132,7 @@ class Recorder(NodeBase):
         self._games: list[str] = []  # publisher ids of the game, one per start
         self._complete = False  # all publishers were matched at the last two checks
         self._stopped = ''  # reason why the recording has stopped; empty: it has not
-        self._text = self.selection.unevaluable
+        self._text = self.selection.missing_for_evaluation
         if self._text:
             self.get_logger().warning(self._text)
         self._discover_at = self._flush_at = 0.0  # s, due times
