@@ -11,6 +11,7 @@ cells has the row and column of the cell south-east of it. The frame around all 
 from dataclasses import dataclass, field
 from itertools import groupby, product
 import math
+import re
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,8 @@ DIM = 'dim'  # a style, like the colours in ``colours``
 BLOCK = '█'
 CAPTION_WIDTH = 78  # characters
 _LINES = ' ╹╻┃╸┛┓┫╺┗┏┣━┻┳╋'  # indexed by arms: bit 0 up, 1 down, 2 left, 3 right
+_HIGHLIGHT = re.compile(r'(?:\x1b\[[\d;]*m)*\x1b\[(?:\d+;)*4\d(?:;\d+)*m([^\x1b]*)\x1b\[0?m')
+_ESCAPE = re.compile(r'\x1b\[[\d;]*m')
 _UP, _DOWN, _LEFT, _RIGHT = 1, 2, 4, 8
 
 Cell = tuple[int, int]
@@ -162,6 +165,12 @@ def board_text(board: Board) -> str:
     """Return the board with its caption as lines of text."""
     lines = [*signs(board), *caption(board)]
     return '\n'.join(''.join(sign for sign, _ in line).rstrip() for line in lines)
+
+
+def plain_picture(text: str) -> str:
+    """Return the drawing that a world makes for terminals, with blocks instead of highlights."""
+    blocks = _HIGHLIGHT.sub(lambda match: BLOCK * len(match[1]), text)
+    return _ESCAPE.sub('', blocks).rstrip()
 
 
 def _frame(rows: int, cols: int) -> tuple[Wall, ...]:

@@ -189,6 +189,7 @@ def test_a_text_is_drawn_as_it_is_and_a_failure_is_shown_instead_of_the_picture(
         return pictured_board_of(domain, domain.reset(generator(0, 'text')))
 
     assert drawn('a <b>\nc').picture == 'a <b>\nc'
+    assert drawn('\x1b[43ma\x1b[0mb\x1b[1mc\n').picture == '█bc'
     assert not drawn(None).drawn
     assert drawn(RuntimeError('no pygame')).picture == 'no picture: no pygame'
     assert drawn(np.zeros((2, 2), np.uint8)).picture == (

@@ -24,7 +24,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Protocol, runtime_checkable
 
 from humanopts_env.arrays import Ints
-from humanopts_env.board import Board, Image
+from humanopts_env.board import Board, Image, plain_picture
 from humanopts_env.domains.base import ActableDomain, Parameter, shown_values
 from humanopts_env.domains.search_space import SearchSpace
 import numpy as np
@@ -89,7 +89,7 @@ def pictured_board_of(
     except Exception as error:  # of code that is not ours; the features are shown without it
         picture = f'no picture: {error}'
     if picture is None or isinstance(picture, str):
-        return replace(board, picture=picture or '')
+        return replace(board, picture=plain_picture(picture or ''))
     return replace(board, image=picture)
 
 

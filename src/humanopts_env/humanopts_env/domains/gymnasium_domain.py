@@ -9,7 +9,6 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 import importlib
-import re
 import string
 import sys
 from typing import Any, ClassVar
@@ -21,7 +20,7 @@ from gymnasium.envs.toy_text.cliffwalking import CliffWalkingEnv
 from gymnasium.envs.toy_text.frozen_lake import FrozenLakeEnv
 from gymnasium.envs.toy_text.taxi import TaxiEnv
 from humanopts_env.arrays import Rows
-from humanopts_env.board import BLOCK, Board, DOT, HATCHED_BOX, Mark, PERSON
+from humanopts_env.board import Board, DOT, HATCHED_BOX, Mark, PERSON, plain_picture
 from humanopts_env.colours import GREEN, GREY, ORANGE, RED, TEAL
 from humanopts_env.domains import taxi
 from humanopts_env.domains.base import (
@@ -46,8 +45,6 @@ TILES = {  # name and colour of each cell type; floor is empty
     NEVER: ('never entered', GREY),
     GOAL: ('goal', TEAL),
 }
-HIGHLIGHT = re.compile(r'(?:\x1b\[[\d;]*m)*\x1b\[(?:\d+;)*4\d(?:;\d+)*m([^\x1b]*)\x1b\[0?m')
-ESCAPE = re.compile(r'\x1b\[[\d;]*m')
 KEYS = string.digits + string.ascii_lowercase + string.ascii_uppercase
 WAYS = {
     'left': Action('left', 'left', 'move left'),
@@ -172,8 +169,7 @@ def _picture(env: Any) -> Callable[[int, Mapping[str, str]], Board]:
         if not drawn or not seen:
             return Board(notes=in_words(seen))
         env.s, env.render_mode, env.lastaction = state, 'ansi', None
-        text = HIGHLIGHT.sub(lambda match: BLOCK * len(match[1]), env.render())
-        return Board(picture=ESCAPE.sub('', text).rstrip(), notes=in_words(seen))
+        return Board(picture=plain_picture(env.render()), notes=in_words(seen))
 
     return board
 
