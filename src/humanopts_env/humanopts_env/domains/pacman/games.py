@@ -60,6 +60,7 @@ BUCKETS = np.array(  # (P, AFAR + 2) bucket of each number from -1 to AFAR
     ],
     dtype=np.int32,
 )
+FIRST_BUCKETS = np.arange(1, BUCKETS.size, BUCKETS.shape[1])[:, None]  # (P, 1) those of number 0
 
 
 class PacManGames:
@@ -109,8 +110,8 @@ class PacManGames:
     def planning_features(self) -> NDArray[np.int32]:
         """Return the buckets of every game, (N, P), in the order of PLANNING_FEATURES."""
         batch, paths = self.batch, self.batch.rules.paths
-        column = dict(zip(self.domain.read_all_features.names, self._all_features().T.astype(int)))
-        moves = [np.minimum(column[f'{thing}_direction'], STAY) for thing in AIMS]
+        column = dict(zip(self.domain.read_all_features.names, self._all_features().T))
+        moves = [np.minimum(column[f'{thing}_direction'], STAY).astype(np.intp) for thing in AIMS]
         moves.append(steps_after(batch, 'danger', -1).argmax(axis=1))  # flight
         cells = paths.step.ravel().take(batch.pacman * (STAY + 1) + moves)
         arrival = _arrival(batch, np.concatenate((batch.pacman[None], cells)))
@@ -126,9 +127,8 @@ class PacManGames:
         for thing, move, soonest in zip(AIMS, moves, arrival[1:]):
             known[f'danger_to_{thing}'] = np.where(move == STAY, 0, soonest)
             known[f'{thing}_distance'] = np.where(move == STAY, AFAR, column[f'{thing}_distance'])
-        numbers = np.stack([known[name] for name in PLANNING_FEATURES], axis=1)
-        found: NDArray[np.int32] = BUCKETS[np.arange(len(BUCKETS)), np.minimum(numbers, AFAR) + 1]
-        return found
+        numbers = np.array([known[name] for name in PLANNING_FEATURES], dtype=np.intp)
+        return BUCKETS.take(np.minimum(numbers, AFAR) + FIRST_BUCKETS).T
 
 
 @lru_cache(maxsize=8)
