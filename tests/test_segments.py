@@ -1,9 +1,11 @@
 """Whole plays are cut at events, and the named segments become demonstrations of options."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
+import uuid
 import warnings
 
 import gymnasium
@@ -17,6 +19,8 @@ from humanopts_learner.demonstrations import (
     Demonstration,
     make_demonstration,
 )
+from humanopts_learner.options.files import option_to_json
+from humanopts_learner.options.learn import learn_option
 from humanopts_learner.segments import cut, event_features, joined, Segment, suggested_features
 from humanopts_learner.spreadsheet import csv_of
 from humanopts_teach.cli import main
@@ -129,6 +133,34 @@ def test_neighbours_with_the_same_name_are_one_demonstration() -> None:
     assert (len(shown.actions), shown.terminated) == (fetched.last, False)
     with pytest.raises(DomainError, match='taxi has no feature colour; there is taxi_row'):
         cut(domain, one, ['colour'])
+
+
+@pytest.mark.parametrize('name', ['taxi', DOOR_KEY])
+def test_an_option_from_segments_is_that_from_the_same_steps_shown_separately(name: str) -> None:
+    """So it is as good; the last part of three plays, which ends with the task."""
+    domain = make_domain(name)
+    events = ['passenger_in_taxi'] if name == 'taxi' else ['carrying', 'door_state']
+    plays = [play(domain, seed) for seed in range(3)]
+    features = [feature.name for feature in domain.features[:4]]
+    learned = []
+    for whole in (True, False):
+        shown = []
+        for number, one in enumerate(plays, start=1):
+            segment = cut(domain, one, events)[-1]
+            demo = segment.demonstration('finish', features)
+            if not whole:
+                demo = make_demonstration(
+                    domain,
+                    'finish',
+                    [domain.decode(text) for text in one.states[segment.first :]],
+                    one.actions[segment.first :],
+                    one.rewards[segment.first :],
+                    features=features,
+                )
+            shown.append(replace(demo, number=number, uuid=f'{uuid.UUID(int=number)}'))
+        check_demonstration(shown[0], domain)
+        learned.append(option_to_json(learn_option(shown, domain, 1), shown))
+    assert learned[0] == learned[1]
 
 
 def test_the_suggested_features_explain_the_actions_and_the_end() -> None:
