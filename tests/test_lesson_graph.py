@@ -1,5 +1,6 @@
 """The lesson over the real graph, with game, learner and teacher; the test is the person."""
 
+import copy
 import os
 from pathlib import Path
 import re
@@ -22,6 +23,7 @@ from humanopts_interfaces.msg import (
     PlanResult,
 )
 from humanopts_interfaces.srv import (
+    AddDemonstrations,
     BeginDemonstration,
     ChangeOption,
     EndDemonstration,
@@ -179,6 +181,31 @@ def test_a_lesson_that_was_killed_goes_on_where_it_was(graph: Graph, person: Per
     assert (again.uuid, again.states, again.rewards) == (first.uuid, first.states, first.rewards)
     person.demonstrate()
     graph.until(lambda: person.shown[-1].number == 2, 'demonstration 2')
+
+
+def test_demonstrations_from_elsewhere_are_numbered_kept_and_learned(
+    graph: Graph, person: Person
+) -> None:
+    start_learner(graph)
+    person.start_lesson()
+    person.get_ready()
+    person.demonstrate()
+    graph.until(lambda: bool(person.shown), 'the demonstration')
+    other = copy.deepcopy(person.shown[0])
+    other.participant, other.option_name, other.number, other.uuid = 'p9', 'a segment', 7, ''
+    answer = person.ask(AddDemonstrations, demonstrations=[other, other])
+    assert answer.status == AddDemonstrations.Response.STATUS_OK
+    graph.until(lambda: person.lesson.n_demonstrations == 3, 'three demonstrations')
+    graph.until(lambda: {each.number for each in person.shown} == {1, 2, 3}, 'the others')
+    assert {(each.participant, each.option_name) for each in person.shown} == {('p1', PICKUP)}
+    graph.until(
+        lambda: [each.n_demonstrations for each in person.latest[LearningStatus].options] == [3],
+        'the learner',
+    )
+    other.states = [*other.states[:-1], other.states[0]]
+    refused = person.ask(AddDemonstrations, demonstrations=[other])
+    assert refused.status == AddDemonstrations.Response.STATUS_REFUSED
+    assert person.lesson.n_demonstrations == 3
 
 
 def test_a_late_learner_gets_all_and_what_is_taken_back_is_unlearned_and_run_no_more(

@@ -12,6 +12,7 @@ from humanopts_interfaces.msg import (
     LessonState,
 )
 from humanopts_interfaces.srv import (
+    AddDemonstrations,
     AnswerQuestion,
     BeginDemonstration,
     ChangeOption,
@@ -37,6 +38,7 @@ SERVICES: dict[type, str] = {
     AnswerQuestion: 'lesson/answer_question',
     BeginDemonstration: 'lesson/begin_demonstration',
     EndDemonstration: 'lesson/end_demonstration',
+    AddDemonstrations: 'lesson/add_demonstrations',
     WithdrawDemonstration: 'lesson/withdraw_demonstration',
     ListDemonstrations: 'lesson/list_demonstrations',
     ChangeOption: 'lesson/change_option',
