@@ -213,6 +213,8 @@ def check_domain(domain: Domain, name: str) -> None:
             claim(seen)
     except Breach as breach:
         raise ContractError(f'{name} breaks the contract of domains: {breach}') from None
+    except DomainError as error:
+        raise ContractError(f'{name} cannot be played: {error}') from error
     except (Exception, SystemExit) as error:  # any error of a plug-in
         raise ContractError(
             f'{name} breaks the contract of domains: it raised {type(error).__name__}: {error}'

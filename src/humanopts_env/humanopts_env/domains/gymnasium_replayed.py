@@ -106,7 +106,7 @@ class EnvironmentWorld:
             self.observation, _ = self.env.reset(seed=seed)
             self._seed, self._actions = seed, []
         except Exception as error:
-            raise self._failed('the environment', error) from error
+            raise self._failed('the reset', error) from error
 
     def step(self, action: int) -> tuple[float, bool]:
         """
@@ -121,7 +121,7 @@ class EnvironmentWorld:
             self.observation, reward, terminated, _, _ = self.env.step(self._actions[-1])
             return float(reward), bool(terminated)
         except Exception as error:
-            raise self._failed('the environment', error) from error
+            raise self._failed('a step', error) from error
 
     def features(self) -> Sequence[float]:
         """
@@ -137,7 +137,7 @@ class EnvironmentWorld:
             names = [feature.name for feature in self._extractor.features]
             lost = ', '.join(name for name, value in zip(names, values) if math.isnan(value))
             raise DomainError(
-                f'{self.name}: the features {self._extractor.name} failed: {lost} is nan'
+                f'the features {self._extractor.name} of {self.name} failed: {lost} is nan'
             )
         return values
 
@@ -153,7 +153,7 @@ class EnvironmentWorld:
             raise self._failed('the picture', error) from error
 
     def _failed(self, what: str, error: Exception) -> DomainError:
-        return DomainError(f'{self.name}: {what} failed: {type(error).__name__}: {error}')
+        return DomainError(f'{what} of {self.name} failed: {type(error).__name__}: {error}')
 
 
 class ReplayedEnvironment(ReplayedDomain):
