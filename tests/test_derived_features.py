@@ -21,6 +21,7 @@ from humanopts_learner.options.files import load_option, save_option
 from humanopts_learner.options.judge import judge, Thresholds
 from humanopts_learner.options.learn import learn_option, make_dataset
 from humanopts_learner.options.learned_option import OptionError
+from humanopts_learner.options.rollout import rollouts
 from humanopts_learner.options.starts import choose_start_state, STRATEGIES
 from humanopts_learner.planning.abstraction import Column
 from humanopts_learner.planning.plan import make_plan
@@ -107,3 +108,24 @@ def test_a_plan_uses_options_and_columns_of_them(shown: Sequence[Demonstration])
     assert np.array_equal(Column(f'{ROWS} > 1', TAXI).bins(rows), offset > 1)
     with pytest.raises(PlanError, match='the feature is continuous, so give the numbers'):
         Column(ROWS, TAXI)
+
+
+def test_two_of_them_replace_many_demonstrations_of_lunar_lander() -> None:
+    """The plain features need dozens of demonstrations."""
+    domain = make_domain('gymnasium:LunarLander-v3')
+    (reference,) = reference_options(domain).values()
+    assert len(reference.features) == 2
+    taught = teach(
+        domain,
+        TeacherSettings((reference.name,), seed=3),
+        LessonRules(seed=3, until_no_failures=False),
+        lambda demos, option: option.n_demonstrations == 2,
+    )
+    names = tuple(feature.name for feature in domain.features)
+    plain = [replace(demo, chosen_features=names) for demo in taught.demonstrations]
+    landed = []
+    for option in (*taught.options, learn_option(plain, domain, 0)):
+        rng = generator(1, 'land')
+        starts = [domain.reset(rng) for _ in range(20)]
+        landed.append((rollouts(option, domain, starts).total_reward > 100).mean())  # for landing
+    assert landed[0] > 0.7 > 0.4 > landed[1]
