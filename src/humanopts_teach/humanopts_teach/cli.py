@@ -121,17 +121,23 @@ def demo(
         option('N', 'number of live episodes; default: 100, or 5 with sampled plans', whole(1)),
     ] = None,
     games: Annotated[
-        int,
+        int | None,
         option(
             'N',
-            'number of games that evaluate each policy, with sampled plans; 0: no comparison',
+            'number of games that evaluate each policy, with sampled plans; 0: no comparison; '
+            'default: 1000, or 100 in worlds that are restored by replay',
             whole(0),
             callback=several_games,
         ),
-    ] = 1000,
+    ] = None,
     game_steps: Annotated[
         int | None,
-        option('N', 'game steps that each sampled plan is made from; default: 800000', whole(1)),
+        option(
+            'N',
+            'game steps that each sampled plan is made from; default: 800000, or 10000 in worlds '
+            'that are restored by replay',
+            whole(1),
+        ),
     ] = None,
     error_rate: Annotated[
         float, option('SHARE', 'share of wrong steps of the simulated teacher', share)

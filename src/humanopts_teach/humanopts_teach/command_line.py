@@ -94,7 +94,7 @@ def each_once(pairs: list[Any]) -> list[Any]:
     return pairs
 
 
-def several_games(count: int) -> int:
+def several_games(count: int | None) -> int | None:
     """Check a number of games: one game has no confidence interval."""
     if count == 1:
         raise typer.BadParameter('one game has no interval; give 0, or 2 or more')

@@ -63,7 +63,7 @@ def run_demo(
     name: str,
     launch: LaunchOptions,
     episodes: int | None,
-    games: int,
+    games: int | None,
     game_steps: int,
     error_rate: float,
 ) -> int:
@@ -72,7 +72,8 @@ def run_demo(
 
     :param name: of the domain.
     :param episodes: number of episodes to play live; None: the domain's default.
-    :param games: number of games to compare each policy in; 0: no comparison.
+    :param games: number of games to compare each policy in; 0: no comparison; None: the domain's
+        default.
     :param game_steps: number of steps to sample plans from; 0: the default.
     :param error_rate: share of the simulated teacher's steps that are wrong.
     :return: exit status, 1 if a check failed.
@@ -91,6 +92,7 @@ def run_demo(
     )
     exact = is_enumerable(domain)
     played = episodes or (EPISODES if exact else LONG_EPISODES)
+    games = judged_by(domain) if games is None else games
     judged = played if exact else games or judged_by(domain)
     compares = games > 0 and not exact
     with DemoProgress() as progress:

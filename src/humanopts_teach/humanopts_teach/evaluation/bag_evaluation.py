@@ -10,6 +10,7 @@ import time
 from typing import Any, TYPE_CHECKING
 
 from humanopts_env.domains.base import Domain, is_enumerable
+from humanopts_env.domains.replayed_domain import ReplayedDomain
 from humanopts_learner.demonstrations import (
     check_demonstration,
     Demonstration,
@@ -44,7 +45,12 @@ from humanopts_teach.bags.mcap_file import ignore_progress
 from humanopts_teach.bags.provenance import software, UNKNOWN
 from humanopts_teach.bags.reader import Bag, open_bag
 from humanopts_teach.evaluation import ProgressCallback
-from humanopts_teach.evaluation.games import evaluate_games, GAMES, games_to_dict
+from humanopts_teach.evaluation.games import (
+    evaluate_games,
+    GAMES,
+    games_to_dict,
+    REPLAYED_GAMES,
+)
 from humanopts_teach.evaluation.settings import EvaluationSettings, settings_from_facts
 from humanopts_teach.evaluation.side_by_side import all_of
 from humanopts_teach.evaluation.tables import option_row, OPTIONS, plan_row, PLANS, records, table
@@ -167,6 +173,8 @@ class BagEvaluation:
 
 def judged_by(domain: Domain) -> int:
     """Return the default number of episodes for evaluating a plan."""
+    if isinstance(domain, ReplayedDomain):
+        return REPLAYED_GAMES
     return EPISODES if is_enumerable(domain) else GAMES
 
 

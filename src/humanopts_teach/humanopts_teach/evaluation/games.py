@@ -43,7 +43,7 @@ import numpy as np
 if TYPE_CHECKING:
     import pandas as pd  # slow to import
 
-GAMES = 1000  # per policy
+GAMES, REPLAYED_GAMES = 1000, 100  # per policy; the latter where worlds step one by one
 FOLD = 4  # factor of game steps for a second plan with all options
 PLAYING = 50_000  # game steps of sampling that take about as long as evaluating a policy
 PLAN, RANDOM, RULE = 'plan', 'chance', 'rule'  # kinds of baseline
