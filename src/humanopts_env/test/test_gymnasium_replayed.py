@@ -234,6 +234,8 @@ def test_names_of_actions_come_from_the_extractor(extractor: Callable[..., Domai
         ('wait', 'down'),
         ('east', 'right'),
     ]
+    grid = extractor("return {'x': env.agent_pos[0]}", DOORKEY.format(5))
+    assert [a.name for a in grid.actions][:3] == ['left', 'right', 'forward']
     assert [a.name for a in make_domain(WALK).actions] == ['action_0', 'action_1', 'action_2']
 
 

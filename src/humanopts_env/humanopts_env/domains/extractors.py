@@ -16,7 +16,7 @@ turn off observations that are slow and not used.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from functools import partial
 import importlib
@@ -301,7 +301,8 @@ def find_extractor(
     """
     points = {point.name: point for point in registered(EXTRACTORS)}
     packages = [kind.__module__.partition('.')[0] for kind in type(env.unwrapped).__mro__]
-    key = given or next(filter(points.__contains__, packages), OBSERVATION)
+    usual = next(filter(points.__contains__, packages), OBSERVATION)
+    key = given or usual
     if key == OBSERVATION:
         return observed(
             name, env.spec.name, env.observation_space, ranges, (seen for _, seen in samples())
@@ -317,7 +318,20 @@ def find_extractor(
     else:
         known = ', '.join([OBSERVATION, *sorted(points)])
         raise DomainError(f'{name}: no features {key!r}; give FILE.py:NAME, or one of {known}')
-    return _extractor(name, key, module, function, env.unwrapped, ranges, samples)
+    found = _extractor(name, key, module, function, env.unwrapped, ranges, samples)
+    if not found.actions and usual in points:  # an extractor need not repeat the names
+        return replace(
+            found, actions=_actions_in(_loaded(name, *points[usual].value.split(':'))[0])
+        )
+    return found
+
+
+def _actions_in(module: Any) -> Mapping[str, str]:
+    """Return the descriptions of the actions by name, as far as a module has them."""
+    actions = getattr(module, 'ACTIONS', {})
+    if isinstance(actions, Mapping):
+        return actions
+    return {each: each.replace('_', ' ') for each in actions}
 
 
 def _loaded(name: str, place: str, function_name: str) -> tuple[Any, Callable[[Any], Any]]:
@@ -374,10 +388,8 @@ def _extractor(
         values = values_of(function, env, first)
         return [code(values[each]) for each, code in coders]
 
-    actions = getattr(module, 'ACTIONS', {})
-    if not isinstance(actions, Mapping):
-        actions = {each: each.replace('_', ' ') for each in actions}
-    return Extractor(key, features, read, measured, actions, getattr(module, 'PREPARE', bool))
+    prepare = getattr(module, 'PREPARE', bool)
+    return Extractor(key, features, read, measured, _actions_in(module), prepare)
 
 
 def _check_names(name: str, what: str, given: Any, known: Iterable[str]) -> None:
