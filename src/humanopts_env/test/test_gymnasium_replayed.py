@@ -5,6 +5,7 @@ from enum import Enum
 from pathlib import Path
 import pickle
 import re
+import sys
 import time
 from typing import Any
 
@@ -336,6 +337,24 @@ def test_an_environment_that_cannot_be_taught_is_refused(
         make_domain(name, parameters)
     assert name in str(refusal.value)
     assert '\n' not in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    ('module', 'text'),
+    [
+        ('minigrid', 'needs the module minigrid; install its package: .* -m pip install minigrid'),
+        (
+            'humanopts_env.domains.gymnasium_replayed',
+            'needs the package gymnasium: ModuleNotFound',
+        ),
+    ],
+)
+def test_a_missing_package_is_named(
+    monkeypatch: pytest.MonkeyPatch, module: str, text: str
+) -> None:
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(DomainError, match=text):
+        make_domain(DOORKEY.format(8))
 
 
 def test_a_step_that_fails_later_is_refused_and_the_game_continues(

@@ -67,9 +67,8 @@ def reference_options(domain: Domain) -> dict[str, ReferenceOption]:
 def _factory(name: str) -> tuple[Callable[..., Any], bool]:
     """Return the factory of a domain, and whether it is built in and needs no check."""
     if name.startswith(GYMNASIUM):
-        from humanopts_env.domains.gymnasium_replayed import (
-            domain_of_environment,
-        )  # slow to import
+        with _explained(f'{name} needs the package gymnasium'):  # slow to import
+            from humanopts_env.domains.gymnasium_replayed import domain_of_environment
 
         return domain_of_environment(name.removeprefix(GYMNASIUM)), False
     point = _entry_point(DOMAINS, name)
