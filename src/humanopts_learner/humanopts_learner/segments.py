@@ -6,21 +6,26 @@ cuts trajectories where the task changes. Here the cuts are *events*: changes of
 that change rarely, such as what is carried, or whether a door is open. A person names the
 segments, joins neighbours by giving them the same name, and leaves out others by giving none.
 
-How rarely is read from the plays. Features that describe the stages of a task change a few times
-in a play; those that describe the surroundings, such as what is in front, change every few steps.
-So the logarithms of the rates have two groups, and N. Otsu's threshold (1979, "A threshold
-selection method from gray-level histograms") separates them with the least variance inside.
+How rarely is read from the data. Features that describe the stages of a task change a few times
+in a play; those that describe the surroundings, such as what is in front, change every few steps,
+if not in the play then in random walks, which are longer. So the logarithms of the rates have two
+groups, and N. Otsu's threshold (1979, "A threshold selection method from gray-level histograms")
+separates them with the least variance inside.
 """
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
 
-from humanopts_env.arrays import Flags, Ints, Rows
-from humanopts_env.domains.base import ActableDomain, DomainError, FeatureKind
+from humanopts_env.arrays import Flags, Floats, Ints, Rows
+from humanopts_env.domains.base import ActableDomain, Domain, DomainError, FeatureKind
+from humanopts_env.domains.described import can_simulate
+from humanopts_env.games import feature_rows
+from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import Demonstration, Kind
 import numpy as np
 
+WALKS, WALK = 4, 100  # random walks, and their steps
 OVER = 'the task is over'
 STOPPED = 'the play stops'
 
@@ -75,17 +80,34 @@ def event_features(domain: ActableDomain, plays: Sequence[Demonstration]) -> tup
 
     :param plays: the more, the better the rates are known; one is enough.
     """
-    changes = np.concatenate([np.diff(play.feature_rows, axis=0) != 0 for play in plays])
-    rates = changes.mean(axis=0)
+    rates = _rates([play.feature_rows for play in plays])
     nominal = [feature.kind is FeatureKind.NOMINAL for feature in domain.features]
     found = np.flatnonzero(nominal & (rates > 0))
+    if can_simulate(domain):
+        rates = np.maximum(rates, _rates([_walk(domain, number) for number in range(WALKS)]))
     logarithms = np.log(rates[found])
     if len(found) > 2:
         found = found[logarithms < _otsu(logarithms)]
     return tuple(domain.features[column].name for column in found.tolist())
 
 
-def _otsu(values: Rows) -> float:
+def _rates(trajectories: Sequence[Rows]) -> Floats:
+    """Return the share of steps in which each feature changes, (F,)."""
+    changes = np.concatenate([np.diff(rows, axis=0) != 0 for rows in trajectories])
+    return np.asarray(changes.mean(axis=0), dtype=np.float64)
+
+
+def _walk(domain: Domain, number: int) -> Rows:
+    """Return the features along a random walk from a start of the task, (T + 1, F)."""
+    rng = generator(number, 'walk')
+    states = [domain.reset(rng)]
+    while not domain.is_over(states[-1]) and len(states) <= WALK:
+        action = int(rng.integers(len(domain.actions)))
+        states.append(domain.step(states[-1], action, rng).state)
+    return feature_rows(domain, states)
+
+
+def _otsu(values: Floats) -> float:
     """Return the threshold (N,) between two groups with the least variance inside them."""
     ordered = np.sort(values)
     inside = [
