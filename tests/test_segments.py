@@ -307,4 +307,4 @@ def test_the_episodes_of_a_bag_are_cut(
     assert main([*given, '--event', 'passenger_in_taxi', *kept]) == 0
     assert 'fetch: ' in capsys.readouterr().out
     assert main([*given, '--episode', '9999']) == 2
-    assert 'has no episode 9999' in capsys.readouterr().err
+    assert 'has no episode 9999 with all of its steps recorded' in capsys.readouterr().err

@@ -61,8 +61,9 @@ def plays_in_bag(bag: Bag, episodes: Sequence[int] = ()) -> tuple[ActableDomain,
             )
     if left_out:
         bag.note(f'episodes of one state, or with steps missing, are left out: {left_out}')
-    if lost := sorted({*episodes} - {*plays}) if episodes else [] if plays else ['complete']:
-        raise BagError(f'{bag.path} has no episode {", ".join(map(str, lost))}')
+    if lost := sorted({*episodes} - {*plays}):
+        numbers = ', '.join(map(str, lost))
+        raise BagError(f'{bag.path} has no episode {numbers} with all of its steps recorded')
     return domain, plays
 
 
