@@ -1,11 +1,12 @@
 """``humanopts demo``: the whole graph with a simulated teacher, a bag and a report."""
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 import sys
-import threading
+from typing import TYPE_CHECKING
 
 from humanopts_env.domains.base import Domain, is_enumerable
 from humanopts_env.domains.registry import make_domain
@@ -37,6 +38,7 @@ from humanopts_teach.evaluation.bag_evaluation import (
     judged_by,
     with_games,
 )
+from humanopts_teach.evaluation.side_by_side import import_ahead, processes
 from humanopts_teach.evaluation.summary import (
     differences,
     Live,
@@ -54,6 +56,9 @@ from humanopts_teach.evaluation.tables import (
 )
 from humanopts_teach.evaluation.text import criteria_text, games_text
 from humanopts_teach.launching import LaunchError
+
+if TYPE_CHECKING:
+    import pandas as pd  # slow to import
 
 EPISODES, LONG_EPISODES = 100, 5  # live episodes; the second with sampled plans
 _WATCHED = 0.02  # s between steps of the machine in a terminal
@@ -95,19 +100,20 @@ def run_demo(
     games = judged_by(domain) if games is None else games
     judged = played if exact else games or judged_by(domain)
     compares = games > 0 and not exact
-    with DemoProgress() as progress:
+    with DemoProgress() as progress, processes(int(exact)) as executor:
         with session(setup, progress, new=True) as running:
             progress.stage('teaching')
             wait_until_taught(running)
             taught = running.graph.learned()
+            import_ahead(['sklearn.tree', evaluate_bag.__module__], executor)
             live = _plan_and_play(running, domain, taught, played, judged, progress)
         progress.stage('evaluating the bag')
         try:
             bag = open_bag(running.bags[-1])
-            evaluation = evaluate_bag(bag, progress.evaluating, judged)
+            evaluation = evaluate_bag(bag, progress.evaluating, judged, executor or 1)
             if compares:
                 progress.stage(f'playing {games} games with each')
-                evaluation = with_games(evaluation, games, progress.comparing)
+                evaluation = with_games(evaluation, games, progress.comparing, executor or 1)
         except BagError as error:
             raise LaunchError(f'the recording cannot be evaluated: {error}') from error
         progress.stage('writing the report')
@@ -142,24 +148,25 @@ def _plan_and_play(
 ) -> Live:
     from humanopts_learner.ros.convert import plan_from_message  # slow to import
 
-    def import_report() -> None:  # which would take a second later
+    def prepare() -> 'pd.DataFrame':  # while the graph plans and plays
         if is_enumerable(domain):  # this process learns the options again
             import sklearn.tree  # noqa: F401
         from humanopts_teach.report import write  # noqa: F401
 
+        return table(OPTIONS, [option_row(summary, each, domain) for each, summary in taught])
+
     graph, setup = running.graph, running.setup
-    options = [option_row(summary, option, domain) for option, summary in taught]
     progress.stage('planning')
+    background = ThreadPoolExecutor(1)
+    options = background.submit(prepare)
     plans = [
         graph.retry(partial(graph.plan, name, judged, setup.seed, setup.game_steps))
         for name in (HUMAN, PRIMITIVE)
     ]
     progress.stage(f'playing {episodes} episodes')
-    importing = threading.Thread(target=import_report, daemon=True)
-    importing.start()
     played = graph.retry(partial(graph.play, HUMAN, episodes, setup.seed, setup.game_steps))
     graph.wait(graph.all_recorded, ARRIVAL_SECONDS, 'what was shown to be in the newest bag')
-    importing.join()
+    background.shutdown()
     execution = PlayedEpisodes(
         played.episodes,
         played.successes,
@@ -168,7 +175,7 @@ def _plan_and_play(
         played.mean_return,
     )
     planned = [plan_row(plan_from_message(result)) for result in plans]
-    return Live(table(OPTIONS, options), table(PLANS, planned), execution)
+    return Live(options.result(), table(PLANS, planned), execution)
 
 
 def _problems(

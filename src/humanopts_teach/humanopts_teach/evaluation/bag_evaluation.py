@@ -52,7 +52,7 @@ from humanopts_teach.evaluation.games import (
     REPLAYED_GAMES,
 )
 from humanopts_teach.evaluation.settings import EvaluationSettings, settings_from_facts
-from humanopts_teach.evaluation.side_by_side import all_of
+from humanopts_teach.evaluation.side_by_side import all_of, Jobs
 from humanopts_teach.evaluation.tables import option_row, OPTIONS, plan_row, PLANS, records, table
 
 if TYPE_CHECKING:
@@ -182,15 +182,15 @@ def evaluate_bag(
     bag: str | Path | Bag,
     progress: ProgressCallback = ignore_progress,
     episodes: int = 0,
-    jobs: int = 0,
+    jobs: Jobs = 0,
 ) -> BagEvaluation:
     """
     Evaluate a bag with the settings stored in it.
 
     :param progress: called after each part of the work.
     :param episodes: number of episodes per plan; 0: the default of the domain.
-    :param jobs: number of processes; 0: one per core, but only this process if plans are exact,
-        since starting processes would take longer.
+    :param jobs: as in ``all_of``, but 0: only this process if plans are exact, since starting
+        processes would take longer.
     :raises BagError: the bag cannot be read.
     :raises EvaluationError: it contains no demonstration to learn from.
     """
@@ -217,13 +217,13 @@ def evaluate(
     warnings: Sequence[str] = (),
     progress: ProgressCallback = ignore_progress,
     episodes: int = 0,
-    jobs: int = 1,
+    jobs: Jobs = 1,
 ) -> BagEvaluation:
     """
     Learn every option of every participant and plan with the options.
 
     :param episodes: number of episodes per plan; 0: the default of the domain.
-    :param jobs: number of processes; 0: one per core; 1: this process.
+    :param jobs: as in ``all_of``.
     :raises EvaluationError: there is no demonstration to learn from.
     """
     groups, notes = usable_demonstrations(demonstrations, domain)
@@ -382,13 +382,17 @@ def check_games(domain: Domain) -> None:
 
 
 def with_games(
-    evaluation: BagEvaluation, games: int = GAMES, progress: ProgressCallback = ignore_progress
+    evaluation: BagEvaluation,
+    games: int = GAMES,
+    progress: ProgressCallback = ignore_progress,
+    jobs: Jobs = 0,
 ) -> BagEvaluation:
     """
     Compare plans with each participant's options with other policies in many games.
 
     :param games: number of games per policy, two or more.
     :param progress: called after each part of the work.
+    :param jobs: as in ``all_of``.
     :raises EvaluationError: plans of the domain are exact, or it cannot play many games.
     """
     domain, people, settings = evaluation.domain, evaluation.people, evaluation.settings
@@ -404,7 +408,8 @@ def with_games(
 
         try:
             found[person] = evaluate_games(
-                *(domain, options, settings.seed, games, settings.game_steps, report), known=known
+                *(domain, options, settings.seed, games, settings.game_steps, report, jobs),
+                known=known,
             )
         except PlanError as error:
             raise EvaluationError(f'the games cannot be played: {error}') from error

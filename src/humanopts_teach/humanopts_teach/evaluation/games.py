@@ -35,7 +35,7 @@ from humanopts_learner.planning.request import (
 from humanopts_learner.planning.sampled_plan import make_sampled_plan, play_games
 from humanopts_teach.bags.mcap_file import ignore_progress
 from humanopts_teach.evaluation import ProgressCallback
-from humanopts_teach.evaluation.side_by_side import all_of
+from humanopts_teach.evaluation.side_by_side import all_of, Jobs
 from humanopts_teach.evaluation.tables import finite_parts, records, table
 from humanopts_teach.evaluation.tables import GAMES as COLUMNS
 import numpy as np
@@ -217,7 +217,7 @@ def evaluate_games(
     games: int = GAMES,
     game_steps: int = 0,
     progress: ProgressCallback = ignore_progress,
-    jobs: int = 0,
+    jobs: Jobs = 0,
     known: tuple[AnyPlan, Performance] | None = None,
 ) -> 'pd.DataFrame':
     """
@@ -227,7 +227,7 @@ def evaluate_games(
     :param games: number of games per policy, two or more.
     :param game_steps: game steps per plan; 0: the planner's default.
     :param progress: called after each policy; its exceptions propagate.
-    :param jobs: number of processes; 0: one per core; 1: this process.
+    :param jobs: as in ``all_of``.
     :param known: plan with all options in ``domain``, made and evaluated with the same seed.
     :return: one row per policy and variant: columns ``GAMES``, and scores, the scores of the
         games (E,).

@@ -2,7 +2,8 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import as_completed, Executor, ProcessPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
+from importlib import import_module
 import multiprocessing
 from multiprocessing.connection import wait
 import os
@@ -13,6 +14,7 @@ from typing import TypeVar
 _ENDING = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP}
 _ONE_THREAD = {'OMP_NUM_THREADS': '1', 'OPENBLAS_NUM_THREADS': '1'}  # of each process
 Result = TypeVar('Result')
+Jobs = int | Executor
 
 
 @contextmanager
@@ -37,6 +39,19 @@ def processes(jobs: int = 0) -> Iterator[Executor | None]:
             worker.kill()
         for worker in workers:
             worker.join()
+
+
+def import_ahead(modules: Sequence[str], executor: Executor | None) -> None:
+    """Start the processes of an executor and have each import modules, without waiting."""
+    if executor is not None:
+        with _starting():
+            for _ in os.sched_getaffinity(0):
+                executor.submit(_import, modules)
+
+
+def _import(modules: Sequence[str]) -> None:
+    for module in modules:
+        import_module(module)
 
 
 def completed_calls(
@@ -64,15 +79,16 @@ def all_of(
     names: Sequence[str],
     costs: Sequence[float],
     report: Callable[[float, float, str], object],
-    jobs: int = 0,
+    jobs: Jobs = 0,
 ) -> list[Result]:
     """
     Return the results of all calls in order; see ``completed_calls`` and ``processes``.
 
+    :param jobs: as in ``processes``; or an executor from there, which may serve several times.
     :param report: called with the numbers of finished and of all calls, and the last name.
     """
     results: dict[int, Result] = {}
-    with processes(jobs) as executor:
+    with processes(jobs) if isinstance(jobs, int) else nullcontext(jobs) as executor:
         for number, result in completed_calls(calls, costs, executor):
             results[number] = result
             report(len(results), len(calls), names[number])
