@@ -12,7 +12,7 @@ from humanopts_env.seeding import generator
 from humanopts_learner import LearnedOption, solve_smdp
 from humanopts_learner.intervals import Interval
 from humanopts_learner.options.learned_option import options_from_references
-from humanopts_learner.planning.abstraction import Abstraction, Column
+from humanopts_learner.planning.abstraction import Abstraction, Column, StateRows
 from humanopts_learner.planning.action_set import ActionSet, AnyOption
 from humanopts_learner.planning.plan import make_plan
 from humanopts_learner.planning.request import (
@@ -33,6 +33,18 @@ pytestmark = pytest.mark.heavy
 
 GAMMA = 0.9
 EXACT = Sampling(n_games=2000, game_steps=100, explore=0.5, interruption_margin=0.0)
+
+
+@pytest.mark.parametrize('count', [0, 1, 2, 1000])
+def test_the_row_of_a_state_is_where_it_is_in_the_table(count: int) -> None:
+    rng = np.random.default_rng(count)
+    least, most = np.iinfo(np.int64).min, np.iinfo(np.int64).max
+    states = rng.integers(least, most, size=count)
+    states[: count // 2] = np.arange(-5, count // 2 - 5)  # in one bucket
+    states = rng.permutation(states)
+    asked = np.append(rng.integers(least, most, size=100), states)
+    row = {state: number for number, state in enumerate(states.tolist())}
+    assert StateRows(states)(asked).tolist() == [row.get(one, -1) for one in asked.tolist()]
 
 
 def rooms_options(domain: Rooms) -> list[LearnedOption]:

@@ -6,7 +6,7 @@ import subprocess
 import sys
 import time
 
-from humanopts_teach.evaluation.side_by_side import all_of
+from humanopts_teach.evaluation.side_by_side import all_of, import_ahead, processes
 import psutil
 import pytest
 
@@ -22,6 +22,18 @@ def test_each_call_is_made_by_another_process_and_the_costliest_begins_first() -
     alone = list[tuple[float, float, str]]()
     assert all_of(calls, names, range(6), lambda *now: alone.append(now), 1) == [os.getpid()] * 6
     assert [name for *_, name in alone] == names[::-1]
+
+
+def test_one_executor_with_modules_imported_ahead_serves_several_times() -> None:
+    with processes(2) as executor:
+        import_ahead(['this.is.no.module'], executor)  # must not harm what comes later
+        assert executor is not None
+        rounds = [
+            all_of([os.getpid] * 4, ['call'] * 4, range(4), lambda *_: None, executor)
+            for _ in range(2)
+        ]
+    assert len({*rounds[0], *rounds[1]}) <= 2
+    assert os.getpid() not in rounds[0] + rounds[1]
 
 
 def test_what_a_call_raises_passes_through_and_ends_the_processes_at_once() -> None:
