@@ -98,6 +98,11 @@ def test_each_condition_follows_each_other_equally_often(count: int) -> None:
     assert len(set(follows.values())) <= 1
 
 
+def test_a_condition_can_be_without_random_moves(write: Write) -> None:
+    plan = read_plan(write(PLAN.replace('learn: goal', 'learn: goal, unstick: no')))
+    assert [each.unstick for each in plan.conditions] == [True, False]
+
+
 def test_a_condition_can_be_without_pictures(write: Write) -> None:
     plan = read_plan(write(PLAN.replace('learn: goal', 'learn: goal, picture: no')))
     assert [each.picture for each in plan.conditions] == [True, False]

@@ -167,6 +167,7 @@ class Study:
             strategy=condition.strategy,  # type: ignore[arg-type]  # the plan was checked
             learn=condition.learn,  # type: ignore[arg-type]
             budget=condition.budget,
+            unstick=condition.unstick,
             derive=[*condition.derive],
             parameter=[*condition.parameters.items()],
             namespace=self.namespace,

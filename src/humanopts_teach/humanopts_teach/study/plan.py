@@ -160,6 +160,7 @@ class Condition(_Values):
     derive: tuple[Text, ...] = ()  # formulas, asked about like the features of the game
     strategy: Text = STRATEGY
     budget: Annotated[int, Field(ge=1, lt=2**31)] = BUDGET
+    unstick: bool = True  # whether options that repeat themselves take random moves
     picture: bool = True  # False: participants see only a table of features
     page: Given = None  # Markdown file, shown first
     free_play: Minutes = 0.0
