@@ -74,7 +74,7 @@ CASES = {
     'KeyCorridorS3R2': Case('MiniGrid-KeyCorridorS3R2-v0', 3, 0.99, 3),
     'UnlockPickup': Case('MiniGrid-UnlockPickup-v0', 5, 0.99, 5),
     'DoorKey-6x6, played in 16x16': Case(
-        'MiniGrid-DoorKey-6x6-v0', 3, 0.95, 3, 'MiniGrid-DoorKey-16x16-v0'
+        'MiniGrid-DoorKey-6x6-v0', 5, 0.95, 3, 'MiniGrid-DoorKey-16x16-v0'
     ),
     'LavaCrossingS9N2': Case('MiniGrid-LavaCrossingS9N2-v0', 3, 0.99),
     'FourRooms': Case('MiniGrid-FourRooms-v0', 3, 0.99),
