@@ -15,6 +15,7 @@ from humanopts_learner.ros.convert import summary_from_message, summary_to_messa
 from humanopts_learner.summary import Criterion, OptionSummary
 from humanopts_ros.publisher import PublishError
 from humanopts_teach.lesson.requests import (
+    AddDemonstrations,
     Answer,
     LessonView,
     OpenSession,
@@ -35,6 +36,30 @@ CODECS = {
 
 
 @st.composite
+def demonstrations(draw: st.DrawFn) -> Demonstration:
+    """Draw a demonstration with consistent numbers of states, actions and features."""
+    steps, names = draw(st.integers(0, 2)), draw(st.lists(st.text(), min_size=1, max_size=2))
+    real, count = st.floats(allow_nan=False), st.integers(0, 2**31 - 1)
+
+    def row(values: st.SearchStrategy[Any], length: int) -> st.SearchStrategy[Any]:
+        return st.lists(values, min_size=length, max_size=length).map(tuple)
+
+    return draw(
+        st.builds(
+            Demonstration,
+            number=count,
+            feature_names=st.just(tuple(names)),
+            features=row(row(real, len(names)), steps + 1),
+            states=row(st.text(), steps + 1),
+            actions=row(st.text(), steps),
+            rewards=row(real, steps),
+            seconds=real,
+            machine_steps=count,
+        )
+    )
+
+
+@st.composite
 def values(draw: st.DrawFn) -> Any:
     """Draw a value that has a message."""
     kind = draw(st.sampled_from(list(CODECS)))
@@ -43,6 +68,8 @@ def values(draw: st.DrawFn) -> Any:
         for f in fields(kind)
         if get_type_hints(kind)[f.name] is int
     }
+    if kind is AddDemonstrations:
+        return kind(tuple(draw(st.lists(demonstrations(), max_size=2))))
     return draw(st.builds(kind, **whole))
 
 
