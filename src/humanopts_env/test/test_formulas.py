@@ -40,7 +40,8 @@ def python(name: str, row: list[float]) -> Any:
         'min': min,
         'max': max,
         'sqrt': math.sqrt,
-        'atan2': lambda y, x: float(np.arctan2(y, x)),  # the C library's may round differently
+        # The C library's may round differently; of bools, NumPy's result has 16 bits.
+        'atan2': lambda y, x: float(np.arctan2(float(y), float(x))),
         'hypot': lambda a, b: math.sqrt(a * a + b * b),
         'clip': lambda value, low, high: min(max(value, low), high),
     }
@@ -81,6 +82,7 @@ def rows(draw: st.DrawFn) -> list[float]:
 
 @given(formulas() | COMPARISON.map(' '.join), st.lists(rows(), min_size=1, max_size=5))
 @example('(hypot(x, height) / (0.1 + abs(angle)))', [ROW])
+@example('atan2((not open), (x > 0.1))', [[-1.5, -1.0, -3.0, 0, 0, 0, 0, 0, 0]])
 def test_a_value_is_that_of_python_and_in_its_range(text: str, several: list[list[float]]) -> None:
     try:
         column = derive(LANDER, text)

@@ -343,7 +343,7 @@ SITTINGS = [  # first part, before the page; keys, and seconds after a plus
     ('buttons', ['f e t c h enter | g o enter']),
     ('buttons', ['escape']),
     ('questions', [f'enter | {"right " * 9} enter | left left 9 enter']),
-    ('teach', ['6']),
+    ('teach', ['5']),
     ('teach', [f'{BEGIN} | +600 | p | enter enter']),
     ('teach', ['+250 | ctrl-c', '+345 | +10']),
 ]

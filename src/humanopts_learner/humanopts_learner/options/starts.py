@@ -396,7 +396,7 @@ def _where_stuck(option: LearnedOption, domain: Domain, starts: Sequence[Any]) -
         RowOptions([option]),
         Fixed(np.zeros(count, dtype=np.intp)),
         rng,
-        min(option.max_steps, STEPS),
+        option.max_steps,
         once=True,
         loops=loops_of(domain, [option], count, None),
         on_step=on_step,

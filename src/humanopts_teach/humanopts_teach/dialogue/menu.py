@@ -136,8 +136,9 @@ def to_menu(app: App) -> None:
         note = 'rename or delete it, or learn it in another way'
         choose = partial(_choose, 'Change which option?', _change)
         items.append(Item('Change an option', note, choose))
-    whole = Item('Play the whole task once', 'then name its parts', _play_whole)
-    app.show(ListScreen('What next?', [*items, whole, Item(*app.leaving, end)]))
+    if app.cuts_plays:
+        items.append(Item('Play the whole task once', 'then name its parts', _play_whole))
+    app.show(ListScreen('What next?', [*items, Item(*app.leaving, end)]))
 
 
 def to_lesson(app: App) -> None:

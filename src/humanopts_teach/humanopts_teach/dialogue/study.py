@@ -32,6 +32,7 @@ class StudyApp(App):
     """The remaining parts of one condition; events are recorded immediately."""
 
     leaving = ('Finish teaching', 'continue with the study')
+    cuts_plays = False  # all participants demonstrate options one by one, as in the paper
 
     def __init__(
         self,
