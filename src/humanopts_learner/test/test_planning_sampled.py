@@ -244,18 +244,16 @@ def test_games_with_equal_columns_are_in_one_abstract_state() -> None:
             Abstraction(domain, [column])
 
 
-def test_a_continuous_feature_needs_bins(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Or states would be one that differ in a part of its unit."""
+def test_a_continuous_feature_has_the_given_bins_or_ten(monkeypatch: pytest.MonkeyPatch) -> None:
     domain = Rooms()
     rows = TableGames(domain, np.arange(domain.n_states)).features()
     features = list(domain.features)
     features[0] = Feature.continuous('row', 'where it is', -5.0, 5.0, 'm')
     monkeypatch.setattr(domain, 'features', features)
-    with pytest.raises(PlanError, match=r'is continuous, so give the numbers .* row:0'):
-        Abstraction(domain, ['row'])
-    column = Column('row:-0.5,0.25', domain)
     rows[:4, 0] = [-0.7, -0.5, 0.2, 0.3]
-    assert column.bins(rows[:4]).tolist() == [0, 1, 1, 2]
+    assert Column('row:-0.5,0.25', domain).bins(rows[:4]).tolist() == [0, 1, 1, 2]
+    rows[:4, 0] = [-5.0, -0.5, 0.0, 5.0]
+    assert Column('row', domain).bins(rows[:4]).tolist() == [0, 4, 5, 9]
 
 
 def test_where_no_option_can_start_the_likeliest_one_acts() -> None:

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Codes = NDArray[np.int64]  # of abstract states
+BINS = 10  # of a continuous feature without numbers
 
 
 class Column:
@@ -28,7 +29,7 @@ class Column:
     A feature column, from a text such as ``food_distance:2,4,8`` or ``legal_moves``.
 
     Bin k contains values from the k-th number to below the next. Without numbers, every value has
-    its own bin, and the feature must not be continuous.
+    its own bin; a continuous feature has ``BINS`` of equal width.
 
     :raises PlanError: the feature is unknown, or its numbers are not valid bin edges.
     """
@@ -44,11 +45,7 @@ class Column:
             raise PlanError(f'column {text!r}: its numbers do not ascend')
         feature = self._column.feature
         if feature.kind is FeatureKind.CONTINUOUS and not self.edges.size:
-            middle = feature.low + feature.span / 2
-            raise PlanError(
-                f'column {text!r}: the feature is continuous, so give the numbers at which its '
-                f'bins begin, as in {name}:{middle:g}'
-            )
+            self.edges = np.linspace(feature.low, feature.high, BINS + 1)[1:-1]
 
     def bins(self, rows: Rows) -> Ints:
         """Return the bin of each row (N, F), (N,)."""
@@ -81,7 +78,6 @@ class Abstraction:
 
         :param rows: (N, F) features of the games.
         :param symbols: symbol columns, (N,) each.
-        :raises PlanError: all features would be columns, but one of them is continuous.
         """
         columns = list(symbols)
         if self._columns:
