@@ -1,9 +1,10 @@
 """Gymnasium environments without a table are replayed; features are observed or extracted."""
 
 from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
 from enum import Enum
+from multiprocessing import get_context
 from pathlib import Path
-import pickle
 import re
 import sys
 import time
@@ -13,6 +14,7 @@ import gymnasium
 from gymnasium import spaces
 from humanopts_env.domains.base import Domain, DomainError, FeatureKind, shown_values
 from humanopts_env.domains.capabilities import caption_of
+from humanopts_env.domains.described import published_state
 from humanopts_env.domains.gymnasium_replayed import ReplayedEnvironment
 from humanopts_env.domains.minigrid_features import COLOURS
 from humanopts_env.domains.registry import domain_from_json, make_domain, parameters_json
@@ -477,7 +479,8 @@ def test_each_kind_of_object_has_features(env_id: str, things: list[str]) -> Non
 
 def test_another_process_makes_an_equal_domain() -> None:
     domain = make_domain(LANDER, {'gravity': -8.0})
-    copy = pickle.loads(pickle.dumps(domain))
-    assert (copy.name, parameters_json(copy)) == (domain.name, parameters_json(domain))
     state = domain.sample_states(np.random.default_rng(0), 1)[0]
-    assert copy.decode(domain.encode(state)) == state
+    with ProcessPoolExecutor(1, mp_context=get_context('spawn')) as process:
+        there = process.submit(parameters_json, domain)
+        decoded = process.submit(published_state, domain, domain.encode(state), ())
+        assert (there.result(), decoded.result()) == (parameters_json(domain), state)

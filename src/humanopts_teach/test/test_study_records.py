@@ -169,7 +169,7 @@ def test_a_folder_that_is_none_is_named(files: Files) -> None:
     os.rmdir(files.study)
     code, _, errors = files.run('export')
     assert code == 2
-    assert f'nobody has taken part yet in {files.study}' in errors
+    assert f'no one has taken part yet in {files.study}' in errors
     assert not files.study.exists()
     files.study.write_text('no folder')
     for command in ('status', 'export', 'run'):

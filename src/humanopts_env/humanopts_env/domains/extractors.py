@@ -209,7 +209,7 @@ def _numbers(parts: Iterable[Part], seen: Any) -> list[float]:
 
 
 def _finite(feature: Feature) -> bool:
-    """Return whether the range is finite; the largest float32 stands for infinity in Gymnasium."""
+    """Return whether the range is finite; Gymnasium uses the largest float32 as infinity."""
     return max(abs(feature.low), abs(feature.high)) < 1e30
 
 

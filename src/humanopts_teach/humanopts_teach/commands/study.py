@@ -122,7 +122,7 @@ def status(
         for version in protocol.versions:
             when = time.strftime('%Y-%m-%d %H:%M', time.localtime(version.time))
             print(one_line(f'{version.event} on {when}: {version.digest[:SHOWN_DIGEST]}'))
-        rows = table.to_string(index=False) if len(table) else 'nobody has taken part yet'
+        rows = table.to_string(index=False) if len(table) else 'no one has taken part yet'
         print(printable(rows))
     return 0
 
@@ -141,7 +141,7 @@ def export(
     _, study_folder, _ = _kept('export', plan, folder)
     if not study_folder.path.exists():
         raise CommandError(
-            f'nobody has taken part yet in {study_folder.path}; --study DIR names another'
+            f'no one has taken part yet in {study_folder.path}; --study DIR names another'
         )
     _export(study_folder, out or study_folder.path / 'tables', excel=excel)
     return 0

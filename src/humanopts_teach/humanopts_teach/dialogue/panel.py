@@ -62,7 +62,7 @@ class Features:
     """The features that the option depends on, or all features."""
 
     shown: Sequence[tuple[str, str]]  # name and value; the value is empty outside demonstrations
-    hidden: str = ''  # what is said about the other features; empty: there are none
+    hidden: str = ''  # note about the other features; empty: there are none
     chosen: bool = True  # False: all features
     in_rows: bool = False  # one per row, since no board shows them
 
