@@ -26,7 +26,7 @@ from humanopts_env.domains.gymnasium_domain import (
     NoTableError,
 )
 from humanopts_env.domains.names import GYMNASIUM
-from humanopts_env.domains.replayed_domain import History, ReplayedDomain, SIGNS
+from humanopts_env.domains.replayed_domain import check_pace, History, ReplayedDomain, SIGNS
 from humanopts_env.seeding import generator
 import numpy as np
 from numpy.typing import NDArray
@@ -40,8 +40,6 @@ for _name, _value in {
     os.environ.setdefault(_name, _value)
 
 WALKS, WALK = 4, 25  # random walks to measure ranges, and their steps
-REPLAYED, ENOUGH = 20, 0.1  # steps of an episode that is repeated as a check, or seconds
-MAX_SECONDS, SLACK = 0.5, 2.0  # of one step, since a replay takes many; in addition to some steps
 FEW = 8  # features about which people are asked one by one
 WORDS_OF_KEYS = (  # words in the names of actions, the first that an action has
     ('left', 'left west minus'),
@@ -175,7 +173,7 @@ class ReplayedEnvironment(ReplayedDomain):
         :param ranges: ranges of features by name; those that are missing are declared or measured.
         :param arguments: arguments of the environment; JSON values only.
         :raises DomainError: the environment is unknown, refuses the arguments, has no discrete
-            actions, cannot be replayed, or its features cannot be used.
+            actions, or its features cannot be used.
         """
         self.name = GYMNASIUM + self.env_id
         self._arguments = arguments
@@ -210,7 +208,6 @@ class ReplayedEnvironment(ReplayedDomain):
             own if isinstance(own, int) and own > 0 else MAX_STEPS
         )
         self.feature_groups = groups_of([feature.name for feature in self.features])
-        _check_replay(self)
 
     def make_world(self) -> EnvironmentWorld:
         """Return a new environment."""
@@ -318,51 +315,6 @@ def _walks(name: str, env: Any) -> Iterator[tuple[Any, Any]]:
             seen, _, terminated, _, _ = env.step(int(env.action_space.start + action))
             yield env.unwrapped, seen
             steps += 1
-            _check_pace(name, began, steps)
+            check_pace(name, began, steps)
             if terminated:
                 break
-
-
-def _check_pace(name: str, began: float, steps: int) -> None:
-    """
-    Check the time of some steps; the first may take longer.
-
-    :raises DomainError: they are slow.
-    """
-    seconds = time.perf_counter() - began
-    if seconds > SLACK + MAX_SECONDS * steps:
-        raise DomainError(
-            f'{name} took {seconds:.1f} s for {steps} steps, and a state is restored by repeating '
-            f'all of its steps: make them faster than {MAX_SECONDS} s'
-        )
-
-
-def _check_replay(domain: ReplayedEnvironment) -> None:
-    """
-    Check that seed and actions determine an episode: repeat it later, and in another environment.
-
-    :raises DomainError: something differs, or steps are slow.
-    """
-    names = ['the reward', 'the end', *(feature.name for feature in domain.features)]
-    actions = generator(0, 'replay').integers(len(domain.actions), size=REPLAYED).tolist()
-    world, episodes = domain.make_world(), list[list[list[float]]]()
-    for played, seed in ((world, 0), (world, 1), (world, 0), (domain.make_world(), 0)):
-        began = time.perf_counter()
-        played.reset(seed)
-        rows = [[0.0, 0.0, *played.features()]]
-        for action in actions:
-            reward, over = played.step(action)
-            rows.append([reward, over, *played.features()])
-            _check_pace(domain.name, began, len(rows) - 1)
-            if over or time.perf_counter() - began > ENOUGH:
-                break
-        episodes += [rows] if seed == 0 else []
-    for again in episodes[1:]:
-        for step, (first, second) in enumerate(zip(episodes[0], again)):
-            for what, one, two in zip(names, first, second):
-                if one != two:
-                    raise DomainError(
-                        f'{domain.name} is not determined by its seed: after {step} equal '
-                        f'actions, {what} was {one} once and {two} later; draw all random numbers '
-                        'from self.np_random'
-                    )

@@ -11,18 +11,22 @@ from humanopts_env.domains.check import check_domain
 from humanopts_env.domains.names import domain_names, DOMAINS, GYMNASIUM, registered
 from humanopts_env.domains.parameters import check_parameters, parameters_from_json
 from humanopts_env.domains.reference import ReferenceOption
+from humanopts_env.domains.replayed_domain import ReplayedDomain
 
 REFERENCE_OPTIONS = 'humanopts.reference_options'
 OURS = 'humanopts_env.'
 
 
-def make_domain(name: str, parameters: Mapping[str, Parameter] | None = None) -> Domain:
+def make_domain(
+    name: str, parameters: Mapping[str, Parameter] | None = None, *, checked: bool = False
+) -> Domain:
     """
     Build a registered domain, or the domain of a Gymnasium environment: ``gymnasium:ENV_ID``.
 
-    Domains of other packages are checked by ``check_domain``.
+    Domains of other packages are checked by ``check_domain``, and replayed ones by a replay.
 
     :param parameters: keyword arguments of the domain; default if missing.
+    :param checked: another process has checked the domain.
     :raises DomainError: the domain is unknown, refuses the parameters or their types, cannot be
         loaded, or breaks the contract of domains.
     """
@@ -30,18 +34,22 @@ def make_domain(name: str, parameters: Mapping[str, Parameter] | None = None) ->
     check_parameters(name, factory, parameters or {})
     with _explained(f'{name} cannot be made'):
         domain = cast(Domain, factory(**(parameters or {})))
-    if not is_builtin:
+    if not is_builtin and not checked:
+        with _explained(f'{name} cannot be played'):
+            if isinstance(domain, ReplayedDomain):
+                domain.check_replay()
         check_domain(domain, name)
     return domain
 
 
-def domain_from_json(name: str, parameters: str) -> Domain:
+def domain_from_json(name: str, parameters: str, *, checked: bool = False) -> Domain:
     """
     Build a domain from its name and the JSON object of its parameters, as in messages.
 
+    :param checked: see ``make_domain``.
     :raises DomainError: see ``make_domain``; or the parameters are not a JSON object.
     """
-    return make_domain(name, parameters_from_json(name, parameters))
+    return make_domain(name, parameters_from_json(name, parameters), checked=checked)
 
 
 def parameters_json(domain: ActableDomain) -> str:

@@ -12,12 +12,14 @@ from dataclasses import dataclass
 from functools import cached_property
 import re
 import string
+import time
 from typing import Any, Protocol, runtime_checkable
 
 from humanopts_env.arrays import Flags, Floats, Ints, Rows
 from humanopts_env.board import Image
 from humanopts_env.domains.base import Domain, DomainError, Outcome, StateError
 from humanopts_env.games import Chance, Steps
+from humanopts_env.seeding import generator
 import numpy as np
 from numpy.typing import NDArray
 
@@ -25,6 +27,8 @@ SIGNS = string.digits + string.ascii_letters  # one per action in a text
 MAX_WORLDS = 256  # kept at the same time; those of games side by side are extra
 MAX_WALK, GAP = 200, 10  # actions before a sampled state; states of a walk per sampled one
 SEEDS = 10**9
+REPLAYED, ENOUGH = 20, 0.1  # steps of an episode that is repeated as a check, or seconds
+MAX_SECONDS, SLACK = 0.5, 2.0  # of one step, since a replay takes many; in addition to some steps
 STATE = re.compile(r'seed (0|[1-9][0-9]{0,19}) actions (-|[0-9a-zA-Z]+)')
 
 
@@ -157,6 +161,36 @@ class ReplayedDomain(Domain[History], ABC):
         """Return games in given states."""
         return ReplayedGames(self, states)
 
+    def check_replay(self) -> None:
+        """
+        Check that seed and actions determine an episode: repeat it later, and in another world.
+
+        :raises DomainError: something differs, or steps are slow.
+        """
+        names = ['the reward', 'the end', *(feature.name for feature in self.features)]
+        actions = generator(0, 'replay').integers(len(self.actions), size=REPLAYED).tolist()
+        world, episodes = self.make_world(), list[list[list[float]]]()
+        for played, seed in ((world, 0), (world, 1), (world, 0), (self.make_world(), 0)):
+            began = time.perf_counter()
+            played.reset(seed)
+            rows = [[0.0, 0.0, *played.features()]]
+            for action in actions:
+                reward, over = played.step(action)
+                rows.append([reward, over, *played.features()])
+                check_pace(self.name, began, len(rows) - 1)
+                if over or time.perf_counter() - began > ENOUGH:
+                    break
+            episodes += [rows] if seed == 0 else []
+        for again in episodes[1:]:
+            for step, (first, second) in enumerate(zip(episodes[0], again)):
+                for what, one, two in zip(names, first, second):
+                    if one != two:
+                        raise DomainError(
+                            f'{self.name} is not determined by its seed: after {step} equal '
+                            f'actions, {what} was {one} once and {two} later; draw all random '
+                            'numbers from the seed, in Gymnasium by self.np_random'
+                        )
+
     @cached_property
     def _worlds(self) -> OrderedDict[tuple[int, tuple[int, ...]], tuple[World, History]]:
         """Worlds and their states by seed and actions, the newest last."""
@@ -283,3 +317,17 @@ class ReplayedGames:
 
 def _history(world: World, seed: int, actions: tuple[int, ...], *, over: bool = False) -> History:
     return History(seed, actions, tuple(map(float, world.features())), over)
+
+
+def check_pace(name: str, began: float, steps: int) -> None:
+    """
+    Check the time of some steps; the first may take longer.
+
+    :raises DomainError: they are slow.
+    """
+    seconds = time.perf_counter() - began
+    if seconds > SLACK + MAX_SECONDS * steps:
+        raise DomainError(
+            f'{name} took {seconds:.1f} s for {steps} steps, and a state is restored by repeating '
+            f'all of its steps: make them faster than {MAX_SECONDS} s'
+        )

@@ -53,7 +53,7 @@ def domain_from_info(info: DomainInfo) -> ActableDomain:
     """
     if not is_registered(info.domain):
         return described_domain(info)
-    domain = domain_from_json(info.domain, info.parameters)
+    domain = domain_from_json(info.domain, info.parameters, checked=True)  # by the game
     here = domain_to_info(domain)
     rules = 'features', 'actions', 'gamma', 'max_steps'
     if any(getattr(here, part) != getattr(info, part) for part in rules):

@@ -2,7 +2,7 @@
 Nodes as forks of one process that has imported their modules: the fork server of multiprocessing.
 
 These imports take a node about a second of processor time, and a fork a hundredth of that. Each
-fork has an environment, a log and a process group of its own.
+fork has an environment, a log and, unless it takes over the terminal, a process group of its own.
 """
 
 import atexit
@@ -12,6 +12,7 @@ import gc
 from importlib import import_module
 import multiprocessing
 from multiprocessing import forkserver
+from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 import os
 from pathlib import Path
@@ -20,7 +21,7 @@ import sys
 import tempfile
 import threading
 import traceback
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from humanopts_env.domains.names import modules_of
 from humanopts_ros.middleware import LAUNCHER_PID
@@ -54,12 +55,19 @@ def prepare(domain: str = '') -> None:
 
 
 def start(
-    module: str, arguments: Sequence[str], environment: Mapping[str, str], log: Path
+    module: str,
+    arguments: Sequence[str],
+    environment: Mapping[str, str],
+    log: Path,
+    *,
+    terminal: bool = False,
 ) -> BaseProcess:
     """
     Start a process that calls ``main`` of a module and ends with this process.
 
     :param log: file to which it appends its output.
+    :param terminal: it shares this process's input, output and process group instead; only its
+        errors go to the log.
     :raises OSError: the machine cannot start another process.
     """
     prepare()
@@ -67,9 +75,13 @@ def start(
         os.getcwd()
     except FileNotFoundError:  # it was removed
         os.chdir('/')
-    what = module, list(arguments), dict(environment), os.path.abspath(log)
+    shared = [Connection(os.dup(standard)) for standard in (0, 1) if terminal]
+    group = os.getpgrp() if terminal else 0
+    what = module, list(arguments), dict(environment), os.path.abspath(log), shared, group
     process = _context.Process(target=_run, args=what, daemon=True)
     process.start()
+    for each in shared:
+        each.close()
     return process
 
 
@@ -94,13 +106,23 @@ def _serve(domain: str) -> None:
     gc.enable()
 
 
-def _run(module: str, arguments: list[str], environment: dict[str, str], log: str) -> NoReturn:
+def _run(
+    module: str,
+    arguments: list[str],
+    environment: dict[str, str],
+    log: str,
+    shared: 'list[Connection[Any, Any]]',
+    group: int,
+) -> NoReturn:
     """
     Behave like a new process, in a fork.
 
     It ends without finalizing Python, which would copy the shared memory of its modules.
+
+    :param shared: standard input and output of the terminal; otherwise empty.
+    :param group: process group to join; 0: a new one.
     """
-    os.setpgid(0, 0)
+    os.setpgid(0, group)
     os.environ.clear()
     os.environ.update({**environment, LAUNCHER_PID: str(os.getppid())})
     try:
@@ -109,6 +131,10 @@ def _run(module: str, arguments: list[str], environment: dict[str, str], log: st
         output = os.open(os.devnull, os.O_WRONLY)
     for standard in (1, 2):
         os.dup2(output, standard)
+    for standard, each in enumerate(shared):
+        os.dup2(each.fileno(), standard)
+    if shared:
+        sys.stdin = open(0, closefd=False)  # noqa: SIM115 - multiprocessing has closed it
     for stream in (sys.stdout, sys.stderr):
         stream.reconfigure(line_buffering=True)  # type: ignore[union-attr]
     sys.argv = [module, *arguments]

@@ -12,14 +12,13 @@ from multiprocessing.process import BaseProcess
 import os
 from pathlib import Path
 import signal
-import subprocess
 import sys
 import termios
 import time
 import uuid
 
 from humanopts_ros.limits import one_line, printable
-from humanopts_ros.middleware import INSTANCE, LAUNCHER_PID, RESTARTS
+from humanopts_ros.middleware import INSTANCE, RESTARTS
 from humanopts_teach.launching import LaunchError, RECORDER
 from humanopts_teach.launching.forks import start
 from humanopts_teach.launching.job import in_foreground
@@ -142,27 +141,18 @@ class Launcher:
         (spec,) = [spec for spec in self._specs if spec.terminal]
         with _terminal_restored():
             try:
-                arguments = [spec.module, *self._arguments(self._settings(spec, new=True))]
-                own = {INSTANCE: _new_instance(), LAUNCHER_PID: str(os.getpid())}
-                with self._log(spec.name).open('ab') as log:  # of errors alone
-                    process = subprocess.Popen(
-                        [sys.executable, '-m', *arguments, '--disable-stdout-logs'],
-                        stderr=log,
-                        env={**os.environ, **own},
-                    )
+                process = self._process(spec, _new_instance(), self._settings(spec, new=True))
             except OSError as error:
                 raise self._unwritable(error) from error
             try:
-                while process.poll() is None:
+                while (status := process.exitcode) is None:
                     watch()
                     self.check(RECORDER)
             finally:
                 process.terminate()
-                try:
-                    process.wait(_STOP_SECONDS)
-                except subprocess.TimeoutExpired:
-                    process.kill()
-        if (status := process.wait()) < 0:
+                process.join(_STOP_SECONDS)
+                process.kill()
+        if status < 0:
             raise LaunchError(self._end_of(spec.name, status))
         if status:
             output = self._log(spec.name).read_text(encoding='utf-8', errors='replace')
@@ -248,14 +238,17 @@ class Launcher:
                 raise
         return path
 
-    def _arguments(self, settings: Path) -> list[str]:
-        return ['--ros-args', '-r', f'__ns:={self._namespace}', PARAMETERS, str(settings)]
-
     def _process(self, spec: ProcessSpec, instance: str, settings: Path) -> BaseProcess:
-        self.on_start(spec.name, instance)
+        arguments = ['--ros-args', '-r', f'__ns:={self._namespace}']
+        if spec.terminal:
+            arguments.append('--disable-stdout-logs')
+        else:
+            self.on_start(spec.name, instance)
         restarts = sum(end.node == spec.name for end in self.ends)
         environment = {**os.environ, INSTANCE: instance, RESTARTS: str(restarts)}
-        return start(spec.module, self._arguments(settings), environment, self._log(spec.name))
+        arguments += [PARAMETERS, str(settings)]
+        log = self._log(spec.name)
+        return start(spec.module, arguments, environment, log, terminal=spec.terminal)
 
     def _ended(self, running: _Running, status: int, what: str, now: float) -> None:
         """
