@@ -137,6 +137,7 @@ def write_lesson(path: Path) -> Path:
         'return_delta': '2.0',
         'initiation_error': '0.05',
         'termination_error': '0.05',
+        'exam': '5',
         'teacher_error_rate': '0.0',
     }
     sent: list[tuple[str, Any]] = [('/domain_info', domain_to_info(domain))]

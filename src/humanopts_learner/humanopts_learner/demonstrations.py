@@ -1,4 +1,9 @@
-"""Demonstrations of options, checked against the rules of the game."""
+"""
+Demonstrations of options, checked against the rules of the game.
+
+Runs of the machine that the person called right or wrong are recorded and sent like
+demonstrations, but nothing is learned from them.
+"""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
@@ -39,6 +44,7 @@ class Kind(Enum):
 
     TRAJECTORY = 'trajectory'
     NOT_HERE = 'not_here'  # the option does not apply in its single state
+    JUDGED = 'judged'  # a run of the machine, judged by the person
 
 
 TREES: Final = 'trees'
@@ -52,7 +58,8 @@ MACHINE = (
     'automatic:'  # prefix of participant codes of automatic options; people's codes have no colon
 )
 MAX_NAME = 60  # characters of option names, and of codes of people and sessions
-KIND_NUMBERS = {Kind.TRAJECTORY: 1, Kind.NOT_HERE: 2}  # KIND_* of Demonstration.msg
+# KIND_* of Demonstration.msg
+KIND_NUMBERS = {Kind.TRAJECTORY: 1, Kind.NOT_HERE: 2, Kind.JUDGED: 3}
 
 
 # Values in files and messages; only lists, and integers for reals, are converted.
@@ -67,6 +74,8 @@ class Demonstration:
     """
     One trajectory s0 a0 r0 .. sT of one option, or one "not here" answer (T = 0).
 
+    A judged run has the states and actions of the machine; T = 0: it would not start there.
+
     Fields are those of ``humanopts_interfaces/msg/Demonstration``.
     """
 
@@ -77,7 +86,7 @@ class Demonstration:
     participant: Text
     session: Text
     option_name: Annotated[Text, AfterValidator(composed)]
-    number: Count  # 1, 2, 3, ... within participant and option
+    number: Count  # 1, 2, 3, ... within participant and option; judged runs: numbered apart
     chosen_features: tuple[Text, ...]
     feature_names: tuple[Text, ...]
     features: tuple[tuple[Real, ...], ...]  # T + 1 rows of all features
@@ -90,6 +99,10 @@ class Demonstration:
     withdrawn: Flag = False  # withdrawn by the person; not used for learning
     method: Text = TREES  # one of METHODS; the newest demonstration decides
     machine_steps: Count = 0  # number of leading steps taken by the machine
+    right: Flag = False  # the verdict on a judged run
+    exam: Flag = False  # a judged run that was watched in an exam; else the answer to a question
+    stopped: Flag = False  # the person stopped the judged run in its last state
+    option_version: Text = ''  # ``version_of`` what the judged option was learned from
 
     @cached_property
     def feature_rows(self) -> Rows:
@@ -150,7 +163,27 @@ _OPTIONAL = {
     'withdrawn': False,
     'method': TREES,
     'machine_steps': 0,
+    'right': False,
+    'exam': False,
+    'stopped': False,
+    'option_version': '',
 }  # fields omitted from JSON if they have these values
+
+
+def shown(demonstrations: Iterable[Demonstration]) -> list[Demonstration]:
+    """Return those to learn from: trajectories and "not here" answers."""
+    return [demo for demo in demonstrations if demo.kind is not Kind.JUDGED]
+
+
+def judged(demonstrations: Iterable[Demonstration]) -> list[Demonstration]:
+    """Return the runs of the machine that the person judged."""
+    return [demo for demo in demonstrations if demo.kind is Kind.JUDGED]
+
+
+def version_of(demonstrations: Iterable[Demonstration]) -> str:
+    """Return the version of the option that is learned from demonstrations."""
+    uuids = sorted(demo.uuid for demo in shown(demonstrations))
+    return str(uuid_module.uuid5(uuid_module.NAMESPACE_OID, ' '.join(uuids)))
 
 
 def make_demonstration(
@@ -367,6 +400,8 @@ def _faults(demo: Demonstration, domain: ActableDomain) -> Iterator[str]:
         yield 'it has no steps'
     if demo.kind is Kind.NOT_HERE and (steps or len(demo.states) != 1):
         yield 'a "not here" answer has one state and no steps'
+    if (demo.kind is Kind.JUDGED) != bool(demo.option_version):
+        yield 'a judged run, and only that, says which version of the option ran'
     if len(demo.states) != steps + 1 or len(demo.rewards) != steps:
         yield (
             f'{steps} actions need {steps + 1} states and {steps} rewards, not '

@@ -4,8 +4,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 import math
 
-from humanopts_learner.demonstrations import Demonstration, Kind, TREES
+from humanopts_learner.demonstrations import Demonstration, Kind, shown, TREES
 from humanopts_learner.intervals import Interval
+import numpy as np
 
 RETURN, INITIATION, TERMINATION = 'return', 'initiation', 'termination'
 NO_RANGE = 'random actions from the same starts return as much as the demonstrations'
@@ -73,6 +74,11 @@ class OptionSummary:
     n_not_here: int = 0  # "not here" answers
     last_uuid: str = ''  # newest demonstration or "not here" answer
     criteria: tuple[Criterion, ...] = ()  # return, initiation, termination; empty: no trajectory
+    n_questions: int = 0  # answered questions about runs of the option
+    exam_right: int = 0  # runs in the exam of this version that the person called right
+    exam_runs: int = 0
+    exam_needed: int = 0  # 0: there is no exam
+    exams_failed: int = 0  # exams of earlier versions that ended with a wrong run
     mean_return_demonstrations: float = math.nan  # undiscounted
     mean_return_policy: float = math.nan  # in-sample: from the same start states
     gain: Interval = UNKNOWN  # of the policy over the demonstrations, from the same start states
@@ -84,6 +90,36 @@ class OptionSummary:
     def criteria_met(self) -> bool:
         """Whether all criteria are met."""
         return bool(self.criteria) and all(criterion.met for criterion in self.criteria)
+
+    @property
+    def exam(self) -> Interval:
+        """The share of right runs in the exam, with its limits at a confidence of 95 %."""
+        return Interval.of_share(np.arange(self.exam_runs) < self.exam_right)
+
+    @property
+    def exam_passed(self) -> bool:
+        """Whether all runs of the exam were right."""
+        return self.exam_right == self.exam_runs >= self.exam_needed
+
+    @property
+    def learned(self) -> bool:
+        """Whether criteria and exam are passed."""
+        return self.settled and self.exam_passed
+
+    @property
+    def status(self) -> str:
+        """Whether the option is learned, and how sure that is, or what is missing."""
+        if not self.settled:
+            return 'not learned: the criteria are not met'
+        runs = f'{self.exam_right} of {self.exam_runs} runs in the exam were right'
+        if self.exam_right < self.exam_runs:
+            return f'not learned: {runs}'
+        if not self.exam_passed:
+            runs = f'{self.exam_runs} of {self.exam_needed} runs'
+            return f'not learned: the exam is missing ({runs})'
+        if not self.exam_needed:
+            return 'learned by its criteria, without an exam'
+        return f'learned: {runs}, so at least {self.exam.low:.0%} are, with 95 % confidence'
 
     @property
     def result(self) -> str:
@@ -146,14 +182,15 @@ def unmeasured(demonstrations: Sequence[Demonstration]) -> OptionSummary:
 
     :param demonstrations: one or more of the same participant and option, sorted by number.
     """
-    newest = demonstrations[-1]
-    n_not_here = sum(demo.kind is Kind.NOT_HERE for demo in demonstrations)
+    counted = shown(demonstrations)
+    newest = (counted or demonstrations)[-1]
+    n_not_here = sum(demo.kind is Kind.NOT_HERE for demo in counted)
     return OptionSummary(
         newest.option_name,
         newest.participant,
         newest.chosen_features,
         newest.method,
-        len(demonstrations) - n_not_here,
+        len(counted) - n_not_here,
         n_not_here,
         newest.uuid,
     )

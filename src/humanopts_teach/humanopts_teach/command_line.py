@@ -249,6 +249,14 @@ class LaunchOptions(DomainOptions):
             'SHARE', 'largest held-out error of the termination of an option; default: 0.05', share
         ),
     ] = None
+    exam: Annotated[
+        int | None,
+        option(
+            'N',
+            'runs of an option that a person judges once its criteria hold; 0: no exam; default: 5',
+            whole(0),
+        ),
+    ] = None
     namespace: Annotated[str, option('NAME', 'namespace of the nodes; begins with /')] = '/'
     record_topics: Annotated[
         list[str],

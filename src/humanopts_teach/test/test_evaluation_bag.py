@@ -50,11 +50,12 @@ FACTS = {
     'return_delta': '0.75',
     'initiation_error': '0.05',
     'termination_error': '0.1',
+    'exam': '7',
     'strategy': 'random',
     'budget': '40',
     'teacher_error_rate': '0.0',
 }
-RECORDED = EvaluationSettings(5, 'random', Thresholds(0.75, 0.05, 0.1), 0.0, 40)  # these
+RECORDED = EvaluationSettings(5, 'random', Thresholds(0.75, 0.05, 0.1, 7), 0.0, 40)  # these
 Lesson = list[Demonstration]
 
 

@@ -61,6 +61,7 @@ def test_every_argument_reaches_a_parameter() -> None:
         'return_delta': '-3',
         'initiation_error': '0.2',
         'termination_error': '0.3',
+        'exam': '3',
         'record_topics': '/odom; camera/*',
         'record_exclude': 'rosout',
         'split_bytes': '500k',
@@ -80,8 +81,8 @@ def test_every_argument_reaches_a_parameter() -> None:
     asked = [specs['lesson'][name] for name in ('strategy', 'learn', 'budget', 'derive')]
     assert asked == ['coverage', 'goal', 9, ['row * col']]
     assert (specs['option_server']['unstick'], specs['planner']['unstick']) == (False, False)
-    thresholds = ('return_delta', 'initiation_error', 'termination_error')
-    assert [specs['learner'][name] for name in thresholds] == [-3.0, 0.2, 0.3]
+    thresholds = ('return_delta', 'initiation_error', 'termination_error', 'exam')
+    assert [specs['learner'][name] for name in thresholds] == [-3.0, 0.2, 0.3, 3]
     seeded = ('game', 'learner', 'lesson', 'option_server', 'simulated_teacher')
     assert [specs[name]['seed'] for name in seeded] == [12] * len(seeded)
     assert specs['learner']['directory'] == '/data/study/options'

@@ -13,6 +13,7 @@ from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.planning.request import Arbitration
 from humanopts_learner.ros.convert import summary_from_message, summary_to_message
 from humanopts_learner.summary import Criterion, OptionSummary
+from humanopts_ros.limits import composed
 from humanopts_ros.publisher import PublishError
 from humanopts_teach.lesson.requests import (
     AddDemonstrations,
@@ -47,6 +48,7 @@ def demonstrations(draw: st.DrawFn) -> Demonstration:
     return draw(
         st.builds(
             Demonstration,
+            option_name=st.text().map(composed),
             number=count,
             feature_names=st.just(tuple(names)),
             features=row(row(real, len(names)), steps + 1),

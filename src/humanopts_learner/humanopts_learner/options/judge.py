@@ -70,6 +70,7 @@ class Thresholds:
     return_delta: float | None = None  # shortfall of the return, reward units; None: by the range
     initiation_error: float = 0.05  # balanced error, 0..1
     termination_error: float = 0.05  # balanced error, 0..1
+    exam: int = 5  # runs of the first exam, all of which must be right; 0: no exam
 
     def __post_init__(self) -> None:
         """

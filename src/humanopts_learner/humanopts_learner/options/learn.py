@@ -27,6 +27,7 @@ from humanopts_learner.demonstrations import (
     GOAL,
     group_by_option,
     Kind,
+    shown,
     TREES,
 )
 from humanopts_learner.execution import looks_of
@@ -147,11 +148,11 @@ def make_dataset(demonstrations: Sequence[Demonstration], domain: ActableDomain)
     Collect the examples of one option.
 
     :param demonstrations: checked, of one participant and option; order and duplicates do not
-        matter.
+        matter, and nothing is learned from judged runs.
     :raises NotLearnableError: there is no trajectory, or they belong to several options.
     :raises DomainError: a chosen feature or an action is not in the domain.
     """
-    groups = group_by_option(demonstrations)
+    groups = group_by_option(shown(demonstrations))
     if len(groups) > 1:
         raise NotLearnableError(
             'demonstrations of several options or people: '

@@ -24,7 +24,7 @@ _SUMMARY = Codec(
     OptionSummary,
     msg.OptionStatus,
     of_value=['gain'],
-    computed=['criteria_met'],
+    computed=['criteria_met', 'learned', 'status'],
     parts={'criteria': (_CRITERION.encode, _CRITERION.decode)},
 )
 # None is sent as NaN; confidence limits are omitted.

@@ -45,10 +45,12 @@ class LearnerNode(NodeBase):
             {
                 'initiation_error': 'largest balanced error of I',
                 'termination_error': 'largest balanced error of beta',
+                'exam': 'runs of an option in its first exam; 0: no exam',
             },
             {
                 'initiation_error': (0.0, 1.0),
                 'termination_error': (0.0, 1.0),
+                'exam': (0, 1_000_000),
             },
         )
         self._trainer: OptionTrainer | None = None

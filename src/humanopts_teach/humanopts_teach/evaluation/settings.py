@@ -46,7 +46,7 @@ def settings_from_facts(facts: Mapping[str, str]) -> tuple[EvaluationSettings, l
             text = facts[name]
             value: Any = None if usual is None and text == 'None' else text
             if name in limits:
-                value = value and float(value)
+                value = value and type(usual or 0.0)(value)
                 thresholds = replace(settings.thresholds, **{name: value})
                 settings = replace(settings, thresholds=thresholds)
             else:

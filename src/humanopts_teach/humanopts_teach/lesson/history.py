@@ -21,6 +21,7 @@ class OptionHistory:
     :ivar earlier: features chosen before the questions were asked again.
     :ivar method: learning method, requested or of the first demonstration; empty: neither.
     :ivar demonstrations: demonstrations that were not withdrawn.
+    :ivar judged: runs of the machine that the person judged.
     :ivar withdrawn: uuids of withdrawn demonstrations.
     :ivar start_states: start states of withdrawn demonstrations, to be demonstrated again.
     :ivar number: number of the next demonstration; it also seeds the draw of its start state.
@@ -34,6 +35,7 @@ class OptionHistory:
         self.earlier: tuple[str, ...] = ()
         self.method = ''
         self.demonstrations: list[Demonstration] = []
+        self.judged: list[Demonstration] = []
         self.withdrawn: set[str] = set()
         self.start_states: list[str] = []
         self._features = features
@@ -60,7 +62,9 @@ class OptionHistory:
 
     def add(self, entry: Entry) -> None:
         """Add an entry about the option."""
-        if isinstance(entry, Demonstration):
+        if isinstance(entry, Demonstration) and entry.kind is Kind.JUDGED:
+            self.judged.append(entry)
+        elif isinstance(entry, Demonstration):
             self.number = max(self.number, entry.number + 1)
             self.method = self.method or entry.method
             start = entry.states[0]

@@ -80,6 +80,8 @@ _HINTS = {
     Phase.DEMONSTRATING: 'Show the option, then say done; or say not here, or discard.',
     Phase.LEARNING: 'The learner is working on the demonstration.',
     Phase.FINISHED: 'Name the next option to teach.',
+    Phase.CHECKING: 'Answer the question.',
+    Phase.EXAM: 'Begin the next run of the exam.',
 }
 
 

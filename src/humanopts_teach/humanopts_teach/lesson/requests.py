@@ -27,6 +27,8 @@ class Phase(Enum):
     DEMONSTRATING = 'demonstrating'
     LEARNING = 'learning'
     FINISHED = 'finished'
+    CHECKING = 'checking'
+    EXAM = 'exam'
 
 
 class Verdict(Enum):
@@ -35,6 +37,8 @@ class Verdict(Enum):
     DONE = 'done'
     NOT_HERE = 'not here'
     DISCARD = 'discard'
+    RIGHT = 'right'
+    WRONG = 'wrong'
 
 
 class RequestStatus(Enum):
@@ -91,7 +95,7 @@ class DefineOption:
 
 @dataclass(frozen=True, slots=True)
 class AnswerQuestion:
-    """Answer the open question, or return to the previous one."""
+    """Answer the open question, about a feature or a run, or return to the previous one."""
 
     question_id: int  # of the open question; 0: none is open
     yes: bool = False
@@ -104,6 +108,7 @@ class BeginDemonstration:
 
     start_state: str = ''  # in the domain's notation; empty: chosen by the lesson
     watch: bool = False  # the machine may move until the person moves
+    exam: bool = False  # the machine moves, and the person judges its run
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,6 +120,7 @@ class EndDemonstration:
     step: int
     can_start_at_end: bool = False  # with DONE: the option could start again there
     count_machine_steps: bool = False  # with DONE: record machine steps before the person's too
+    stopped: bool = False  # with WRONG: the person stopped the run here
 
 
 @dataclass(frozen=True, slots=True)
@@ -318,7 +324,9 @@ class LessonView:
     option_name: str = ''
     question_id: int = 0  # 0: none is open
     question: str = ''
-    question_feature: str = ''
+    question_feature: str = ''  # empty: the question is about a run of the machine
+    question_states: tuple[str, ...] = ()  # of that run
+    question_compared: tuple[str, ...] = ()  # of a demonstration to compare it with
     questions_total: int = 0
     derived_features: tuple[str, ...] = ()  # formulas added as features of the participant
     chosen_features: tuple[str, ...] = ()
@@ -326,6 +334,11 @@ class LessonView:
     n_demonstrations: int = 0
     n_not_here: int = 0
     last_uuid: str = ''  # of the newest demonstration; empty: none
+    n_questions: int = 0  # answered questions about runs of the option
+    exam_right: int = 0  # runs called right in the exam of the option
+    exam_runs: int = 0
+    exam_needed: int = 0  # 0: there is no exam
+    exam: bool = False  # the demonstration under way is a run in the exam
     budget: int = 0
     strategy: str = ''
     method: str = ''  # learning method for the option's next demonstration
@@ -333,6 +346,7 @@ class LessonView:
     episode: int = 0  # of the newest demonstration begun
     machine_steps: int = 0  # number of leading steps taken by the machine
     criteria_met: bool = False
+    learned: bool = False  # criteria and exam passed, for the current answers
     trial_games: int = 0  # played by the newest plan, to find where it gets stuck; 0: none
     stuck_options: tuple[str, ...] = ()  # to be shown where that plan got stuck
     stuck_games: tuple[int, ...] = ()  # number of games for each of them
