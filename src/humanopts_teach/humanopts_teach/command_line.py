@@ -253,7 +253,7 @@ class LaunchOptions(DomainOptions):
         int | None,
         option(
             'N',
-            'runs of an option that a person judges once its criteria hold; 0: no exam; default: 5',
+            'runs that a person judges when the criteria of an option hold; default: 5; 0: none',
             whole(0),
         ),
     ] = None
