@@ -35,6 +35,7 @@ from hypothesis.stateful import initialize, invariant, precondition, rule, RuleB
 import pytest
 from teach_support import snapshot
 from teach_support.desk import Desk, ME
+from teach_support.orchard import Orchard
 
 NAME = 'go to passenger and pickup'
 CHOSEN = {'taxi_row', 'taxi_col', 'passenger_row', 'passenger_col'}
@@ -349,6 +350,28 @@ def test_the_speed_stays_within_its_limits(
     assert {'u undo a step', '+ faster', '? help'} <= {
         entry.strip() for line in desk.sees().split('\n') for entry in line.split('  ')
     }  # the fullest bar leaves room for the rest
+
+
+def test_a_number_repeats_an_action(desk: Desk) -> None:
+    assert '12 times: now an action key.' in desk.press('0', '1', '2').see()
+    assert desk.press('?').see().count('a number before an action repeats it') == 1
+    desk.press('escape', '3', 'left')
+    assert [step.previous_action for step in desk.world.driven] == ['west'] * 3
+    assert desk.press('down').world.game.step == 4
+
+
+def test_a_repeated_action_stops_at_the_end_of_the_episode(tmp_path: Path) -> None:
+    desk = begin(tmp_path, 'gymnasium:FrozenLake-v1').press('enter', '4', '9', '9', 'down')
+    assert 0 < desk.world.game.step < 99
+    assert desk.world.game.terminated
+    assert 'The task is over.' in desk.see()
+
+
+def test_a_step_of_a_world_that_is_replayed_is_undone(tmp_path: Path) -> None:
+    desk = Desk(Orchard(), tmp_path).teach('fetch', ['basket'], '').press('right')
+    before = desk.world.game.state
+    desk.press('3', 'down', 'u', 'u', 'u')
+    assert (desk.world.game.state, desk.world.game.step) == (before, 1)
 
 
 KEYS = [

@@ -40,7 +40,7 @@ ACTIONS = {
     'pickup': 'pick up the object in front',
     'drop': 'put the carried object down in front',
     'toggle': 'open, close or unlock what is in front',
-    'done': 'declare that the task is done',
+    'declare_done': 'declare that the mission is done; only some need it',
 }
 Cell = tuple[int, int]  # column, row, as in MiniGrid
 

@@ -92,7 +92,10 @@ class Screen:
             command.do(app)
 
     def other_key(self, key: str, app: 'App') -> None:
-        """Handle a key that is not bound to a command."""
+        """Handle a key that is not bound to a command: a digit repeats the next action."""
+        if key.isdecimal() and self.plays(app):
+            app.times = f'{app.times}{key}'.lstrip('0')[:2]
+            app.say(f'{app.times or 0} times: now an action key.')
 
     def refused(self, app: 'App') -> None:
         """Handle a request that was not carried out."""
@@ -147,6 +150,7 @@ class App:
         self.groups = QuestionGroups()
         self.choice_columns: dict[str, tuple[str, ...]] = {}  # of plans, by participant
         self.can_start_again: dict[str, bool] = {}  # latest setting of each option
+        self.times = ''  # digits typed before an action; empty: it is taken once
         self.ended = False
         self.pictures = True  # show the world; False: only a table of its features
         self.leave_hint = 'Ctrl-C quits'  # advice to the person when nodes are missing
@@ -194,10 +198,15 @@ class App:
         self._outbox.append((last, then))
 
     def drive(self, action: str) -> None:
-        """Take a primitive action on the person's behalf; between episodes, only take control."""
+        """
+        Take a primitive action on the person's behalf; between episodes, only take control.
+
+        After a typed number it is repeated, until a step is refused.
+        """
         game = self.world.game
         if game.open:
-            self.ask(Drive(action, game.episode, game.step))
+            steps = range(game.step, game.step + int(self.times or 1))
+            self.ask(*(Drive(action, game.episode, step) for step in steps))
         elif self.run is not None:
             self.ask(SetControl(hold=True))
         else:
@@ -205,10 +214,14 @@ class App:
 
     def actions(self) -> list[Command]:
         """Return the commands for primitive actions."""
-        return [
+        actions = [
             Command([a.key], a.name, partial(App.drive, action=a.name), a.description)
             for a in self.domain.actions
         ]
+        free = not any(a.key.isdecimal() for a in self.domain.actions)
+        text = 'a number before an action repeats it: 1 2 → takes 12 steps'
+        repeat = Command(['1-9'], 'repeat', (lambda app: None) if free else None, text, label='')
+        return [*actions, repeat]
 
     def claim_lesson(self, participant: str, displaced: Screen) -> None:
         """
@@ -275,6 +288,8 @@ class App:
                     self.say(f'{label(key)} was pressed before this was shown; ignored.')
                 else:
                     self.screen.press(key, self)
+                    if not key.isdecimal():
+                        self.times = ''
                 continue
             self.screen.tick(self)
             if not self._outbox:

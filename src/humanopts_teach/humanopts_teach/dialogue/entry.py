@@ -94,7 +94,7 @@ def with_help(
         rows = [
             (keys.label(key), each.help or each.words)
             for key, each in table.items()
-            if each.do is not None and each.label is None
+            if each.do is not None and (each.label is None or each.help)
         ]
         app.show(key_list('Keys', rows, back))
 

@@ -26,7 +26,8 @@ class Command:
     :ivar words: short description, shown next to the key.
     :ivar do: callback; None: currently unavailable, and the key is hidden but stays reserved.
     :ivar help: description in a sentence; empty: ``words``.
-    :ivar label: label shown instead of the key's own; empty: the key is hidden.
+    :ivar label: label shown instead of the key's own; empty: the key is shown only in the help, if
+        it has one.
     """
 
     wanted: Sequence[str]

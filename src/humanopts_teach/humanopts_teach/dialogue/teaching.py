@@ -6,6 +6,7 @@ from functools import partial
 
 from humanopts_env.domains.capabilities import FeatureGroup
 from humanopts_env.domains.described import can_simulate
+from humanopts_env.domains.replayed_domain import ReplayedDomain
 from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.options.rollout import is_deterministic
@@ -109,6 +110,8 @@ class LessonScreen(Screen):
         match phase:
             case Phase.DEMONSTRATING:
                 again = 'YES' if _can_start_again(app) else 'no'
+                domain = app.domain
+                can_repeat = isinstance(domain, ReplayedDomain) or is_deterministic(domain)
                 commands = [
                     *(*app.actions(), *commands),
                     Command(
@@ -138,7 +141,7 @@ class LessonScreen(Screen):
                     Command(
                         'uz',
                         'undo a step',
-                        self._undo if is_deterministic(app.domain) else None,
+                        self._undo if can_repeat else None,
                         'undo your last step: a new episode repeats the steps before it',
                     ),
                     *(*learned, questions),
