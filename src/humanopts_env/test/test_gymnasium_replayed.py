@@ -15,7 +15,7 @@ from gymnasium import spaces
 from humanopts_env.domains.base import Domain, DomainError, FeatureKind, shown_values
 from humanopts_env.domains.capabilities import caption_of
 from humanopts_env.domains.described import published_state
-from humanopts_env.domains.gymnasium_replayed import ReplayedEnvironment
+from humanopts_env.domains.gymnasium_replayed import groups_of, ReplayedEnvironment
 from humanopts_env.domains.minigrid_features import COLOURS
 from humanopts_env.domains.registry import domain_from_json, make_domain, parameters_json
 from humanopts_env.game import Accepted, Command, Game, Reason, Refused, Source
@@ -339,6 +339,12 @@ def test_an_environment_that_cannot_be_taught_is_refused(
         make_domain(name, parameters)
     assert name in str(refusal.value)
     assert '\n' not in str(refusal.value)
+
+
+def test_a_group_has_some_of_the_features_not_all() -> None:
+    parts = [f'observation_{number}' for number in range(12)]
+    assert groups_of(parts) == []
+    assert [group.words for group in groups_of([*parts, 'speed'])] == ['the observation']
 
 
 def test_nodes_do_not_check_again_what_the_game_has_checked() -> None:

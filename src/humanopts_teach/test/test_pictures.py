@@ -19,7 +19,7 @@ from humanopts_teach.dialogue.panel import Features
 from humanopts_teach.dialogue.view import view
 from humanopts_teach.launching.processes import processes, recorded_facts, Setup
 from humanopts_teach.report.episode import episode_strip, Frame
-from humanopts_teach.terminal.drawing import board_texts, frame, HalfBlocks
+from humanopts_teach.terminal.drawing import board_texts, drawn, frame, HalfBlocks
 import numpy as np
 from PIL import Image as Pillow
 import pytest
@@ -139,6 +139,14 @@ def test_before_any_are_chosen_all_features_are_in_the_table(desk: Desk) -> None
     (table,) = [block for block in view(desk.app).panel.below if isinstance(block, Features)]
     names = [feature.name.replace('_', ' ') for feature in desk.app.domain.features]
     assert ([name for name, _ in table.shown], table.title) == (names, 'features')
+
+
+def test_a_long_formula_leaves_its_value_visible() -> None:
+    formula = 'clip(0.5 * x + x_speed, -0.4, 0.4) - angle - 2 * angular_speed'
+    table, console = Features([(formula, '0.25'), ('x', '1')], in_rows=True), Console(width=40)
+    with console.capture() as printed:
+        console.print(drawn(table))
+    assert [line.split()[-1] for line in printed.get().splitlines()[-2:]] == ['0.25', '1']
 
 
 def test_a_terminal_without_colours_says_that_it_shows_no_picture(desk: Desk) -> None:

@@ -301,7 +301,7 @@ def groups_of(names: Sequence[str]) -> list[FeatureGroup]:
     return [
         FeatureGroup(f'the {thing.replace("_", " ")}', tuple(members))
         for thing, members in groups
-        if thing and len(members) > 1 and len(names) > FEW
+        if thing and 1 < len(members) < len(names) and len(names) > FEW
     ]
 
 

@@ -28,6 +28,7 @@ SMALLEST = (70, 20)  # columns, rows
 _WIDE_BESIDE = 50  # minimum columns next to the board to place the whole panel there
 _GAP = 3  # columns between the board and what is beside it
 _ROOMY = 24  # rows; taller screens have a gap below the header
+_LONG_NAME = 30  # columns; longer names of features, which are formulas, are not aligned
 _UPPER_HALF = '▀'  # its foreground is the upper of two pixels, its background the lower one
 _COLOUR_BITS = 0xF8  # of each colour of a pixel, so that neighbours are often equal
 Colours = Literal['auto', 'standard', '256', 'truecolor', 'windows']
@@ -258,11 +259,14 @@ def drawn(block: panel.Block) -> RenderableType:
 
 
 def _feature_rows(features: panel.Features) -> RenderableType:
-    """Return names and values as a table, in as many columns as fit."""
-    width = max((cell_len(name) for name, _ in features.shown), default=0)
+    """Return names and values as a table, in as many columns as fit; formulas take several lines."""
+    lengths = [cell_len(name) for name, _ in features.shown]
+    width = max((each for each in lengths if each <= _LONG_NAME), default=0)
     rows = [
-        Text.assemble(set_cell_size(name, width), ' ', (value, f'bold {TEAL}'), no_wrap=True)
-        for name, value in features.shown
+        Text.assemble(
+            set_cell_size(name, max(width, length)), ' ', (value, f'bold {TEAL}'), overflow='fold'
+        )
+        for (name, value), length in zip(features.shown, lengths)
     ]
     title, hidden = (Text(words, 'dim') for words in (f'{features.title}:', features.hidden))
     table = Columns(rows, padding=(0, 3), equal=True, column_first=True)
