@@ -259,7 +259,7 @@ def drawn(block: panel.Block) -> RenderableType:
 
 
 def _feature_rows(features: panel.Features) -> RenderableType:
-    """Return names and values as a table, in as many columns as fit; formulas take several lines."""
+    """Return names and values as a table, in as many columns as fit; long names are wrapped."""
     lengths = [cell_len(name) for name, _ in features.shown]
     width = max((each for each in lengths if each <= _LONG_NAME), default=0)
     rows = [
