@@ -8,7 +8,7 @@ them.
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from humanopts_env.arrays import Flags, Ints
 from humanopts_env.domains.base import EnumerableDomain
@@ -44,6 +44,14 @@ class ReferenceOption(Hashable, Protocol):
 
         Empty outside the initiation set.
         """
+
+
+@runtime_checkable
+class StartDependent(Protocol):
+    """A ``ReferenceOption`` with an end that depends on where a run begins."""
+
+    def begun(self, state: Any) -> ReferenceOption:
+        """Return the option as it is meant in a run from a state."""
 
 
 @dataclass(frozen=True, slots=True)

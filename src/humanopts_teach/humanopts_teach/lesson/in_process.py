@@ -5,12 +5,14 @@ It uses the same components as the nodes, in the same order, so the same setting
 same demonstrations as a lesson over the graph.
 """
 
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 import tempfile
 
 from humanopts_env.domains.base import Domain
+from humanopts_env.domains.reference import ReferenceOption
 from humanopts_env.game import Accepted, Command, Game, Source, Transition
 from humanopts_learner.demonstrations import Demonstration, Kind
 from humanopts_learner.options.files import option_to_json
@@ -65,6 +67,7 @@ class Taught:
     options: tuple[LearnedOption, ...]  # final version of each option
     seconds: float  # estimated duration for a person, by ``SECONDS``
     cut_short: str  # why the teacher gave up; empty: everything was taught
+    acts: Counter[type]  # the person's actions, by type
 
 
 def teach(
@@ -73,6 +76,7 @@ def teach(
     rules: LessonRules | None = None,
     enough: Enough | None = None,
     where_stuck: int = 0,
+    references: Mapping[str, ReferenceOption] | None = None,
 ) -> Taught:
     """
     Let a simulated teacher teach options, one after another.
@@ -81,13 +85,15 @@ def teach(
     :param enough: end of each option; None: all measurable criteria hold at default thresholds.
     :param where_stuck: maximum number of final demonstrations where a plan gets stuck; a plan is
         made before each of them.
+    :param references: what the teacher means by each option; None: the domain's.
     :raises TeacherError: an option does not exist, or a setting is invalid.
     :raises LessonError: an action of the teacher was refused.
     """
     rules = rules or LessonRules()
     seconds, cut_short, tried, shown_there = 0.0, '', False, 0
+    acts: Counter[type] = Counter()
     teacher = replace(teacher, where_stuck=bool(where_stuck))
-    game, person = Game(domain), SimulatedTeacher(domain, teacher)
+    game, person = Game(domain), SimulatedTeacher(domain, teacher, references)
     newest = Transition()
     options: dict[str, LearnedOption] = {}
     summaries: dict[str, OptionSummary] = {}  # by option
@@ -135,6 +141,7 @@ def teach(
                 cut_short = str(error)
                 break
             seconds += SECONDS.get(type(act), 0.0)
+            acts[type(act)] += 1
             if isinstance(act, Finish):
                 if tried or not where_stuck:
                     break
@@ -169,4 +176,4 @@ def teach(
                 elif tried:
                     break
         demonstrations = tuple(lesson.demonstrations())
-    return Taught(demonstrations, tuple(options.values()), seconds, cut_short)
+    return Taught(demonstrations, tuple(options.values()), seconds, cut_short, acts)

@@ -117,6 +117,7 @@ class Lesson:
         self._attempt: Attempt | None = None  # set with the request for an episode
         self._episode = 0  # of the newest demonstration begun
         self._again = ''  # start state of a discarded or abandoned demonstration
+        self._repeated = 0  # number of times it was
         self._notice = ''
         self._paused = ''  # why nothing new can begin; empty: it can
 
@@ -501,7 +502,7 @@ class Lesson:
 
     def _switch_to(self, option: OptionHistory | None) -> None:
         if option is not self._option:
-            self.feedback.awaited, self._again = None, ''
+            self.feedback.awaited, self._again, self._repeated = None, '', 0
         self._option, self._notice = option, ''
         self._check_done()
 
@@ -560,9 +561,8 @@ class Lesson:
                 state = self._domain.encode(self.feedback.offers[option.name][0])
             state = state or self._starts.draw(option, self._history.options)
         self._attempt = Attempt(state, request.watch)
-        return _ok(
-            'the start state is chosen', state=state, seed=self._starts.episode_seed(option)
-        )
+        seed = self._starts.episode_seed(option, self._repeated)
+        return _ok('the start state is chosen', state=state, seed=seed)
 
     def _watch(self, transition: Transition) -> bool:
         """Handle a state of the stream; return whether the view has changed."""
@@ -580,7 +580,7 @@ class Lesson:
 
     def _abandon(self, notice: str) -> None:
         if self._under_way is not None and not self._under_way.watch:
-            self._again = self._under_way.start_state
+            self._again, self._repeated = self._under_way.start_state, self._repeated + 1
         self._attempt, self._notice = None, notice
 
     def _end_demonstration(self, request: EndDemonstration) -> Answer:
@@ -614,7 +614,7 @@ class Lesson:
             raise RefusalError(RequestStatus.REFUSED, str(error)) from error
         found = contradiction(demo, option.demonstrations, self._domain)
         self._write(demo)
-        self._attempt, self._again, self._notice = None, '', ''
+        self._attempt, self._again, self._repeated, self._notice = None, '', 0, ''
         self.feedback.awaited = demo
         text = f'demonstration {demo.number} of {demo.option_name} is kept'
         if self._paused:

@@ -112,9 +112,10 @@ class SeededStarts:
             drawn = draw_sample(*parts)
             self._ahead = key, drawn, rng
 
-    def episode_seed(self, option: OptionHistory) -> int:
-        """Return the seed of the next demonstration's episode."""
-        return int(self._generator('episode', option).integers(2**63))
+    def episode_seed(self, option: OptionHistory, repeated: int) -> int:
+        """Return the seed of the next demonstration's episode; chance differs if repeated."""
+        again = (repeated,) if repeated else ()
+        return int(self._generator('episode', option, *again).integers(2**63))
 
     def counts(self, option: OptionHistory, demonstration: Demonstration) -> bool:
         """Return whether the next draw includes a demonstration or its withdrawal."""
@@ -146,5 +147,6 @@ class SeededStarts:
         """Return the participant's other learned options, if start states depend on them."""
         return self.options(option.participant, [name for name in names if name != option.name])
 
-    def _generator(self, purpose: str, option: OptionHistory) -> np.random.Generator:
-        return generator(self.rules.seed, purpose, option.participant, option.name, option.number)
+    def _generator(self, purpose: str, option: OptionHistory, *key: int) -> np.random.Generator:
+        known = option.participant, option.name, option.number
+        return generator(self.rules.seed, purpose, *known, *key)

@@ -12,7 +12,7 @@ Assumptions and simplifications:
 - It says "not here" exactly where the reference option cannot start, and "done" in the first state
   after at least one step in which the reference option ends. These verdicts are always correct.
 - A demonstration is discarded and repeated if an error ended it, if no optimal action is left, or
-  if it exceeds ``step_limit``. After ``ATTEMPTS`` failures in a row, since its rule may not reach
+  if it exceeds ``step_limit``. After ``attempts`` failures in a row, since its rule may not reach
   the end from everywhere, the teacher begins at a start of the task instead, and gives up after
   ``ELSEWHERE`` of them.
 
@@ -20,9 +20,11 @@ Every draw is keyed by seed, participant, option, number of the demonstration, a
 the same seed gives the same demonstrations, regardless of other events on the graph.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from humanopts_env.domains.base import Domain
+from humanopts_env.domains.reference import ReferenceOption, StartDependent
 from humanopts_env.domains.registry import reference_options
 from humanopts_env.game import Transition
 from humanopts_env.seeding import generator
@@ -41,7 +43,6 @@ from humanopts_teach.lesson.requests import (
 import numpy as np
 
 FINISHED = 'finished'  # status text of its node after everything is taught
-ATTEMPTS = 10  # discarded demonstrations in a row from one start state
 ELSEWHERE = 3  # other start states in a row
 
 
@@ -61,6 +62,7 @@ class TeacherSettings:
     own_habits: bool = False  # use a random preference among actions
     where_stuck: bool = False  # finally, show options where a plan got stuck
     step_limit: int = 1000  # maximum number of steps per demonstration
+    attempts: int = 10  # discarded demonstrations in a row from one start state
     seed: int = 0
 
 
@@ -82,14 +84,20 @@ Act = LessonRequest | Drive | Wait | Finish
 class SimulatedTeacher:
     """Decides on the next action, from the state of the lesson and the game."""
 
-    def __init__(self, domain: Domain, settings: TeacherSettings) -> None:
+    def __init__(
+        self,
+        domain: Domain,
+        settings: TeacherSettings,
+        references: Mapping[str, ReferenceOption] | None = None,
+    ) -> None:
         """
         Prepare to teach.
 
+        :param references: what the teacher means by each option; None: the domain's.
         :raises TeacherError: no options, an option without a reference, or an invalid setting.
         """
         self._domain, self._settings = domain, settings
-        self._references = reference_options(domain)
+        self._references = reference_options(domain) if references is None else references
         if not settings.options:
             raise TeacherError('no option to teach was given')
         if unknown := [name for name in settings.options if name not in self._references]:
@@ -100,8 +108,9 @@ class SimulatedTeacher:
         for name in ('error_rate', 'extra_feature_rate'):
             if not 0.0 <= (rate := getattr(settings, name)) < 1.0:
                 raise TeacherError(f'{name} is {rate}, and must be at least 0 and below 1')
-        if settings.step_limit < 1:
-            raise TeacherError(f'step_limit is {settings.step_limit}, and must be 1 or more')
+        for name in ('step_limit', 'attempts'):
+            if (least := getattr(settings, name)) < 1:
+                raise TeacherError(f'{name} is {least}, and must be 1 or more')
         self._finished: set[str] = set()
         self._tried = ('', 0)  # option and number of the current demonstration
         self._attempt = 0  # number of times it was discarded
@@ -179,7 +188,7 @@ class SimulatedTeacher:
         number = lesson.n_demonstrations + lesson.n_not_here + 1
         if self._tried != (lesson.option_name, number):
             self._tried, self._attempt, self._elsewhere = (lesson.option_name, number), 0, ''
-        reference = self._references[lesson.option_name]
+        reference = self._reference(lesson)
         state = self._domain.decode(game.state)
         here = (game.episode, game.step)
         if game.step == 0 and not reference.can_start(state):
@@ -200,13 +209,20 @@ class SimulatedTeacher:
         action = int(rng.choice(wrong)) if self._erred else usual
         return Drive(self._domain.actions[action].name, *here)
 
+    def _reference(self, lesson: LessonView) -> ReferenceOption:
+        """Return what the option means in a run from the start state of the demonstration."""
+        reference = self._references[lesson.option_name]
+        if isinstance(reference, StartDependent):
+            return reference.begun(self._domain.decode(lesson.start_state))
+        return reference
+
     def _discard(self, lesson: LessonView, here: tuple[int, int]) -> EndDemonstration:
         self._attempt += 1
-        failed, spent = divmod(self._attempt, ATTEMPTS)
+        failed, spent = divmod(self._attempt, self._settings.attempts)
         if failed > ELSEWHERE:
             raise TeacherError(
                 f'cannot show {lesson.option_name!r} from {lesson.start_state}: '
-                f'{ATTEMPTS} demonstrations in a row did not reach the end'
+                f'{self._settings.attempts} demonstrations in a row did not reach the end'
             )
         if failed and not spent:
             rng = self._generator('elsewhere', *self._tried, failed)
