@@ -701,3 +701,19 @@ def test_a_bad_formula_changes_nothing_and_the_rules_add_theirs(store: Demonstra
     table.starts.rules = replace(table.starts.rules, derive=(OFFSET,))
     assert table.ask(DefineOption(OPTION, derived_features=(NEAR,))).ok
     assert table.lesson.view.derived_features == (OFFSET, NEAR)
+
+
+def test_a_repeated_demonstration_starts_in_the_same_state_with_other_random_outcomes(
+    table: Table,
+) -> None:
+    table.ready()
+    begun = list[tuple[str, int]]()
+    for _ in range(3):
+        answer = table.ask(BeginDemonstration())
+        begun.append((answer.state, answer.seed))
+        table.episode += 1
+        table.arrives(answer.state)
+        table.lesson.began(table.episode, answer.state)
+        assert table.end(Verdict.DISCARD).ok
+    states, seeds = zip(*begun)
+    assert (len({*states}), len({*seeds})) == (1, 3)

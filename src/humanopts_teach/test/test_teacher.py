@@ -4,6 +4,7 @@ from dataclasses import replace
 from typing import Any
 
 from humanopts_env.domains.registry import make_domain, reference_options
+from humanopts_env.domains.taxi import TaxiState
 from humanopts_env.game import Transition
 from humanopts_teach import LessonRules, teach, TeacherSettings
 from humanopts_teach.lesson.requests import (
@@ -18,7 +19,6 @@ from humanopts_teach.lesson.requests import (
     Verdict,
 )
 from humanopts_teach.lesson.simulated_teacher import (
-    ATTEMPTS,
     ELSEWHERE,
     Finish,
     SimulatedTeacher,
@@ -175,11 +175,11 @@ def test_what_does_not_end_is_tried_in_other_ways_then_elsewhere_until_it_gives_
     assert (len(first), end.verdict) == (3, Verdict.DISCARD)
     assert show(by, WAITING)[0] != first
     ready = replace(showing(WAITING), phase=Phase.READY)
-    for attempt in range(3, (1 + ELSEWHERE) * ATTEMPTS):
+    for attempt in range(3, (1 + ELSEWHERE) * TEACHER.attempts):
         assert show(by, WAITING)[1].verdict is Verdict.DISCARD
         begins = by.next_act(ready, at(WAITING, 0))
         assert isinstance(begins, BeginDemonstration)
-        assert bool(begins.start_state) == (attempt >= ATTEMPTS)
+        assert bool(begins.start_state) == (attempt >= TEACHER.attempts)
     with pytest.raises(TeacherError, match='cannot show'):
         show(by, WAITING)
     for over in ({'terminated': True}, {'truncated': True}):
@@ -231,3 +231,25 @@ def test_it_ends_where_the_caller_has_enough_the_budget_is_spent_or_nothing_can_
     assert enough.demonstrations == spent.demonstrations[:5]  # by the same seeds
     taught = teach(taxi, TeacherSettings((PICKUP,), step_limit=1))
     assert 'did not reach the end' in taught.cut_short
+
+
+def test_an_end_may_depend_on_the_start() -> None:
+    class NextRow:
+        name, features, definition = 'drive on', ('taxi_row',), ''
+
+        def begun(self, state: TaxiState) -> 'NextRow':
+            self.start = state
+            return self
+
+        def can_start(self, state: TaxiState) -> bool:
+            return state.row > 0
+
+        def ends(self, state: TaxiState) -> bool:
+            return state.row == self.start.row - 1
+
+        def optimal_actions(self, state: TaxiState) -> tuple[int, ...]:
+            return (NAMES.index('north'),)
+
+    by = SimulatedTeacher(TAXI, TeacherSettings(('drive on',)), {'drive on': NextRow()})
+    shown, end = show(by, WAITING, 'drive on')
+    assert (shown, end.verdict) == (['north'], Verdict.DONE)
