@@ -47,7 +47,7 @@ def test_demo_keeps_its_promises_and_says_so_stage_by_stage(demo: DemoRun) -> No
     places = [demo.output.index(f'\n{stage}') for stage in stages]
     assert places == sorted(places)
     assert 0 < demo.first_state_after < demo.seconds / 2
-    assert re.search(rf'^{PICKUP}: \d+ shown, .* criteria met$', demo.output, re.M)
+    assert re.search(rf'^{PICKUP}: \d+ shown, .*; learned', demo.output, re.M)
     assert f'{EPISODES} of {EPISODES} episodes done by running options, 0 fallbacks' in demo.output
     assert demo.output.count(', over all starts -10.07\n') == 2  # of every plan that is optimal
     assert demo.output.endswith(f'report: {demo.folder / "report.html"}\n')
@@ -83,6 +83,7 @@ def test_criteria_are_met_and_every_episode_is_delivered_without_a_fallback(
     limits = demo.summary['teaching']['thresholds']
     for option in demo.summary['options']:
         assert option['criteria_met']
+        assert option['learned']
         assert option['initiation'] <= limits['initiation_error']
         assert option['termination'] <= limits['termination_error']
     played = demo.summary['execution']
@@ -217,8 +218,8 @@ def test_demo_that_was_too_short_to_teach_says_what_is_missing(
     assert short.status == 1
     problems = short.errors.splitlines()
     assert all(problem.startswith('humanopts demo: ') for problem in problems)
-    assert f'humanopts demo: the criteria of {PICKUP!r} are not met' in problems
-    assert f'humanopts demo: {DROPOFF!r} was not learned' in problems
+    assert f'humanopts demo: {PICKUP!r} is not learned: the criteria are not met' in problems
+    assert f'humanopts demo: {DROPOFF!r} was not taught' in problems
     assert short.summary['execution']['successes'] < 3
     assert (short.folder / 'report.html').stat().st_size > 10_000
 

@@ -57,7 +57,7 @@ def test_a_simulated_participant_goes_from_a_plan_to_tables_and_table_1(
     assert 'go to passenger and pickup     1 of 1' in capsys.readouterr().out
     taught = rows(study / 'tables' / 'options.csv')
     assert [row['condition'] for row in taught] == [name for name in names for _ in range(2)]
-    assert {row['criteria_met'] for row in taught} == {'True'}
+    assert {row['learned'] for row in taught} == {'True'}
     assert len(rows(study / 'tables' / 'answers.csv')) == 6 * len(names)
     kept = [
         json.loads(line) for line in (study / '000-simulated-1.jsonl').read_text().splitlines()

@@ -1,9 +1,11 @@
 """Bags of what the test says, and what is in them."""
 
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 import os
 from pathlib import Path
 from typing import Any
+import uuid
 
 from graph_support.scripted import DELIVER, FETCH
 from humanopts_env.domains.base import Domain
@@ -11,6 +13,7 @@ from humanopts_env.domains.registry import make_domain
 from humanopts_env.game import Command, Game, Source, Transition
 from humanopts_env.ros.convert import domain_to_info, transition_to_message
 from humanopts_interfaces.msg import ActionCommand, GameState, LessonState
+from humanopts_learner.demonstrations import Demonstration, Kind, version_of
 from humanopts_learner.ros.convert import demonstration_to_message
 from humanopts_ros.senders import SENDERS
 from humanopts_teach.bags.provenance import software
@@ -158,6 +161,21 @@ def write_lesson(path: Path) -> Path:
             sent.append(('/game_state', transition_to_message(game.transition)))
     write_messages(path, sent, {**software(), **facts})
     return path
+
+
+def judged_run(
+    like: Demonstration, learned_from: Iterable[Demonstration], number: int, **verdict: bool
+) -> Demonstration:
+    """
+    Return a run of the machine, as long as a demonstration, that a person judged.
+
+    :param learned_from: what the option that ran was learned from.
+    :param verdict: right, exam and stopped; False if not given.
+    """
+    version = version_of(learned_from)
+    name = str(uuid.uuid5(uuid.NAMESPACE_OID, f'{like.uuid} {version} {number}'))
+    run = replace(like, kind=Kind.JUDGED, uuid=name, number=number, option_version=version)
+    return replace(run, can_start_at_end=False, machine_steps=0, **verdict)
 
 
 def without(bag: Path, copy: Path, type_name: str, omit: Callable[[Any], bool]) -> Path:

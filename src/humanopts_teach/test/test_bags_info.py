@@ -24,7 +24,7 @@ from humanopts_teach.bags.info import Attached, summarise
 from humanopts_teach.cli import main
 import pytest
 from std_msgs.msg import String
-from teach_support.bags import numbered, play, write_messages
+from teach_support.bags import judged_run, numbered, play, write_messages
 
 PICKUP = 'go to passenger and pickup'
 
@@ -69,11 +69,14 @@ def test_the_text_is_short_with_long_names_and_many_streams(tmp_path: Path) -> N
 def test_the_summary_counts_what_was_taught_and_done(
     tmp_path: Path, taxi: Domain, taxi_lesson: list[Demonstration]
 ) -> None:
-    option = OptionStatus(option_name=PICKUP, participant='p1', criteria_met=True)
+    option = OptionStatus(option_name=PICKUP, participant='p1', exam_right=4, exam_runs=5)
+    option.status = 'not learned: 4 of 5 runs in the exam were right'
     wrong = replace(taxi_lesson[0], uuid='taken back')
+    runs = [judged_run(taxi_lesson[0], taxi_lesson, n, exam=True, right=n < 5) for n in (1, 5, 9)]
     entries: list[tuple[str, Any]] = [
         ('/domain_info', domain_to_info(taxi)),
-        *(('/demonstrations', demonstration_to_message(demo)) for demo in taxi_lesson),
+        *(('/demonstrations', demonstration_to_message(d)) for d in [*taxi_lesson, *runs]),
+        ('/demonstrations', demonstration_to_message(replace(runs[2], withdrawn=True))),
         ('/demonstrations', demonstration_to_message(taxi_lesson[0])),  # repeated
         ('/demonstrations', demonstration_to_message(wrong)),
         ('/demonstrations', demonstration_to_message(replace(wrong, withdrawn=True))),
@@ -90,7 +93,8 @@ def test_the_summary_counts_what_was_taught_and_done(
     demos = [demo for demo in taxi_lesson if demo.option_name == PICKUP]
     assert (pickup.demonstrations + pickup.not_here, pickup.withdrawn) == (len(demos), 1)
     assert pickup.steps == sum(len(demo.actions) for demo in demos)
-    assert pickup.criteria_met
+    assert (pickup.judged, pickup.exam_right, pickup.exam_runs, pickup.learned) == (2, 4, 5, False)
+    assert pickup.seconds == sum(demo.seconds for demo in demos)
     assert (info.participants, info.sessions) == (['p1'], ['s1', 's2'])
     assert info.results == {
         'option runs': {'reached': 2, 'interrupted': 1, 'stopped_by_plan': 1},
@@ -103,7 +107,9 @@ def test_the_summary_counts_what_was_taught_and_done(
     assert info.duration == (len(entries) - 1) * 10**9
     found = json.loads(json.dumps(info.to_dict(), allow_nan=False))
     assert found['options'][0]['option'] == PICKUP
-    assert 'option runs: interrupted 1, reached 2, stopped_by_plan 1' in info.to_text()
+    lines = info.to_text().splitlines()
+    assert 'option runs: interrupted 1, reached 2, stopped_by_plan 1' in lines
+    assert f'{PICKUP!r} by p1: {option.status}' in lines
 
 
 def test_info_of_several_bags_shows_each(

@@ -1,6 +1,7 @@
 """Bags for other tools: tables and datasets hold the recording, and can be stepped again."""
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 import json
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ from humanopts_env.ros.convert import domain_to_info, transition_to_message
 from humanopts_env.seeding import generator
 from humanopts_interfaces.msg import ActionCommand, GameState, PlanResult
 from humanopts_interfaces.srv import ResetGame
-from humanopts_learner.demonstrations import Demonstration
+from humanopts_learner.demonstrations import Demonstration, version_of
 from humanopts_learner.ros.convert import demonstration_to_message
 from humanopts_teach.bags import BagError
 from humanopts_teach.bags.contents import read_domain
@@ -25,7 +26,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from service_msgs.msg import ServiceEventInfo
-from teach_support.bags import numbered, write_messages
+from teach_support.bags import judged_run, numbered, write_messages
 
 STEPS = 30
 
@@ -89,8 +90,22 @@ def bag(
     taxi: Domain,
     taxi_lesson: list[Demonstration],
 ) -> Bag:
-    """Two demonstrations, three episodes and a plan."""
-    return record(tmp_path_factory.mktemp('exported') / 'bag', taxi, 3, taxi_lesson[:2])
+    """Two demonstrations, two judged runs, three episodes and a plan."""
+    shown = taxi_lesson[:2]
+    wrong = judged_run(shown[0], shown, 1, exam=True, stopped=True)
+    answer = replace(judged_run(shown[0], shown, 2, right=True), **still(shown[0]))
+    folder = tmp_path_factory.mktemp('exported')
+    return record(folder / 'bag', taxi, 3, [*shown, wrong, answer])
+
+
+def still(demo: Demonstration) -> dict[str, Any]:
+    """Return the fields of a demonstration of no step in the same start."""
+    return {
+        'states': demo.states[:1],
+        'features': demo.features[:1],
+        'actions': (),
+        'rewards': (),
+    }
 
 
 def test_tables_hold_what_was_recorded(
@@ -115,6 +130,21 @@ def test_tables_hold_what_was_recorded(
     assert list(plans['status']) == ['converged']
     assert list(plans['option_names']) == ['["eat", "flee"]']
     assert list(plans['mean_return'].isna()) == [True]  # NaN: not evaluated
+
+
+def test_judged_runs_have_a_table_of_their_own(bag: Bag, taxi_lesson: list[Demonstration]) -> None:
+    tables, (shown, _, *_) = frames(bag), taxi_lesson
+    assert not {'right', 'exam', 'stopped', 'option_version'} & {*tables['demonstrations']}
+    runs = tables['judged_runs']
+    assert list(runs['judged_in']) == ['exam', 'question']
+    assert list(runs['verdict']) == ['wrong', 'right']
+    assert list(runs['stopped']) == [True, False]
+    assert list(runs['steps']) == [len(shown.actions), 0]
+    assert list(runs['start']) == [shown.states[0]] * 2
+    assert list(runs['end']) == [shown.states[-1], shown.states[0]]
+    assert set(runs['option_version']) == {version_of(taxi_lesson[:2])}
+    assert list(tables['options']['judged']) == [2]
+    assert list(tables['options']['demonstrations']) == [2]
 
 
 def test_the_bag_of_a_robot_is_exported_by_its_description(tmp_path: Path) -> None:

@@ -102,7 +102,9 @@ def button(seconds: float, rank: int, text: str) -> Row:
 
 def learned(seconds: float, *names: str) -> Row:
     numbers = {'demonstrations': 3, 'not_here': 1, 'return_shown': -5.0, 'return_learned': None}
-    rows = [{'option': n, 'method': 'goal', 'criteria_met': True, **numbers} for n in names]
+    exam = {'questions': 2, 'exam_right': 5, 'exam_runs': 5, 'exams_failed': 0}
+    found = {'criteria_met': True, 'learned': True, 'status': 'learned: so it is', **exam}
+    rows = [{'option': n, 'method': 'goal', **found, **numbers} for n in names]
     return at(seconds, 'learned', 'a/teach', options=rows)
 
 

@@ -10,7 +10,7 @@ import math
 from operator import attrgetter
 from typing import Any
 
-from humanopts_learner.demonstrations import Demonstration, each_once, Kind
+from humanopts_learner.demonstrations import Demonstration, each_once, judged, Kind
 from humanopts_ros.limits import one_line, shown
 from humanopts_ros.recording import INTERFACES, own_name
 from humanopts_teach.bags.check import MessageCounter
@@ -21,6 +21,7 @@ from humanopts_teach.bags.schemas import constants
 from humanopts_teach.bags.sequence_numbers import read_stamp, Stream
 from humanopts_teach.text_table import table
 
+_UNKNOWN: Any = {'exam_right': 0, 'exam_runs': 0, 'learned': False, 'status': ''}
 _MAX_ROWS = 50  # maximum number of streams with losses in the text
 _STATUS = f'{INTERFACES}msg/LearningStatus'
 PLAN_RESULT = f'{INTERFACES}msg/PlanResult'
@@ -53,17 +54,27 @@ class OptionRow:
     features: tuple[str, ...]
     demonstrations: int
     not_here: int
-    withdrawn: int  # excluded from the other fields
+    withdrawn: int  # demonstrations; excluded from the other fields
     steps: int  # total of all demonstrations
-    seconds: float  # total time of the person for all demonstrations
-    criteria_met: bool  # according to the last learning status
+    seconds: float  # total time of the person for all demonstrations, without judged runs
+    judged: int  # runs of the machine that the person judged, in exams and after questions
+    exam_right: int  # these four: according to the last learning status
+    exam_runs: int
+    learned: bool
+    status: str  # empty: no learning status was recorded
 
     @classmethod
-    def of(cls, demos: Sequence[Demonstration], criteria_met: bool) -> 'OptionRow':
-        """Summarise the demonstrations of an option."""
-        kept = [demo for demo in demos if not demo.withdrawn]
+    def of(cls, demos: Sequence[Demonstration], known: Any) -> 'OptionRow':
+        """
+        Summarise an option.
+
+        :param demos: its demonstrations and judged runs.
+        :param known: its newest OptionStatus; None: not recorded.
+        """
+        given = [demo for demo in demos if demo.kind is not Kind.JUDGED]
+        kept = [demo for demo in given if not demo.withdrawn]
         trajectories = [demo for demo in kept if demo.kind is Kind.TRAJECTORY]
-        newest = max(kept or demos, key=attrgetter('number'))
+        newest = max(kept or given or demos, key=attrgetter('number'))
         return cls(
             participant=newest.participant,
             option=newest.option_name,
@@ -71,10 +82,11 @@ class OptionRow:
             features=newest.chosen_features,
             demonstrations=len(trajectories),
             not_here=len(kept) - len(trajectories),
-            withdrawn=len(demos) - len(kept),
+            withdrawn=len(given) - len(kept),
             steps=sum(len(demo.actions) for demo in trajectories),
             seconds=math.fsum(demo.seconds for demo in kept if math.isfinite(demo.seconds)),
-            criteria_met=criteria_met,
+            judged=sum(not run.withdrawn for run in judged(demos)),
+            **{name: getattr(known, name, usual) for name, usual in _UNKNOWN.items()},
         )
 
 
@@ -170,6 +182,11 @@ class BagInfo:
             for rows in histories.values()
             for row in (next((row for row in rows if row.met), rows[-1]), rows[-1])
         )
+        statuses = [
+            one_line(f'{row.option!r} by {row.participant}: {row.status}')
+            for row in self.options
+            if row.status
+        ]
         lossy = [stream for stream in self.streams if stream.missing or stream.repeated]
         lossy.sort(key=attrgetter('missing', 'repeated'), reverse=True)
         parts = [
@@ -180,8 +197,9 @@ class BagInfo:
             _columns(self.attached, 'name bytes media_type'),
             _columns(
                 self.options,
-                'participant option demonstrations not_here withdrawn steps seconds criteria_met',
+                'participant option demonstrations not_here withdrawn steps seconds judged',
             ),
+            '\n'.join(statuses),
             _columns(
                 criteria,
                 'participant option criterion threshold demonstrations not_here seconds value met',
@@ -228,7 +246,7 @@ def summarise(bag: Bag, topics: Collection[str] | None = None) -> BagInfo:
     demonstrations: list[Demonstration] = []
     lessons = set[tuple[str, str]]()  # participant and session
     criteria = defaultdict[tuple[str, str, str], list[CriterionRow]](list)
-    criteria_met: dict[tuple[str, str], bool] = {}  # by participant and option
+    newest: dict[tuple[str, str], Any] = {}  # OptionStatus, by participant and option
     results = {name: Counter[str]() for name in _RESULTS.values()}
     policies = Counter[str]()
 
@@ -236,7 +254,7 @@ def summarise(bag: Bag, topics: Collection[str] | None = None) -> BagInfo:
         seconds = (counter.extent.last - counter.extent.first) / 1e9
         for option in message.options:
             key = option.participant, option.option_name
-            criteria_met[key] = option.criteria_met
+            newest[key] = option
             for each in option.criteria:
                 row = CriterionRow(
                     *key,
@@ -285,7 +303,7 @@ def summarise(bag: Bag, topics: Collection[str] | None = None) -> BagInfo:
     taught = defaultdict[tuple[str, str], list[Demonstration]](list)
     for demo in each_once(demonstrations):
         taught[demo.participant, demo.option_name].append(demo)
-    options = [OptionRow.of(demos, criteria_met.get(key, False)) for key, demos in taught.items()]
+    options = [OptionRow.of(demos, newest.get(key)) for key, demos in taught.items()]
     lessons = {(participant, session) for participant, session in lessons if participant}
     streams, extent = list(counter.losses), counter.extent
     lost = {name: [s.missing for s in streams if s.topic == name] for name in counter.stamped}

@@ -54,7 +54,7 @@ from humanopts_teach.evaluation.tables import (
     SECONDS,
     table,
 )
-from humanopts_teach.evaluation.text import criteria_text, games_text
+from humanopts_teach.evaluation.text import games_text
 from humanopts_teach.launching import LaunchError
 
 if TYPE_CHECKING:
@@ -183,11 +183,11 @@ def _problems(
 ) -> list[str]:
     """Return a sentence for each failed check of the demo."""
     learned = {*live.options['option_name']}
-    found = [f'{name!r} was not learned' for name in taught if name not in learned]
+    found = [f'{name!r} was not taught' for name in taught if name not in learned]
     found += [
-        f'the criteria of {each.option.name!r} are not met'
+        f'{each.option.name!r} is {each.summary.status}'
         for each in evaluation.options
-        if not each.summary.settled
+        if not each.summary.learned
     ]
     found += [f'{topic.lost} messages of {topic.name} are lost' for topic in topics if topic.lost]
     found += differences(live, evaluation)
@@ -201,7 +201,7 @@ def _print_results(live: Live, evaluation: BagEvaluation) -> None:
     played = live.execution
     for each in evaluation.options:
         shown = each.summary.n_demonstrations
-        print(f'{each.option.name}: {shown} demonstrations, {criteria_text(each)}')
+        print(f'{each.option.name}: {shown} demonstrations; {each.summary.status}')
     exact = evaluation.plan_table['exact_mean_return'].dropna()
     for _, row in live.plans.iterrows():
         seconds, name = sum(row[part] for part in SECONDS), row.action_set

@@ -1,4 +1,4 @@
-"""What a demo shows while it runs: the board, the lesson, the criteria."""
+"""What a demo shows while it runs: the board, the lesson, and how well options are learned."""
 
 from typing import Any
 
@@ -61,14 +61,14 @@ class DemoProgress:
     def __call__(self, graph: Conductor) -> None:
         """Show the graph's current values."""
         world, options = graph.client.world, graph.client.world.summaries
-        lines = [f'{option.option_name}: {_criteria_words(option)}' for option in options]
+        lines = [f'{option.option_name}: {_progress(option)}' for option in options]
         if not self._console.is_terminal:
             if world.domain is not None and graph.state is not None:
                 first = board_text(board_of(world.domain, graph.state.state))
                 self._print_once('first state', 'the first state:', Text(first))
             for option, line in zip(options, lines):
                 tens = (option.n_demonstrations + option.n_not_here) // _LINE_EVERY
-                self._print_once(f'{option.option_name} {tens} {option.criteria_met}', line)
+                self._print_once(f'{option.option_name} {tens} {option.learned}', line)
             return
         parts: list[Any] = [Text(f'\n{self._stage}', style='bold')]
         if world.domain is not None and graph.state is not None:
@@ -76,7 +76,7 @@ class DemoProgress:
             board = pictured_board_of(world.domain, graph.state.state)
             rows, colours = height - len(lines) - _OTHER_ROWS, usable_colours(self._console)
             parts += board_texts(board, width, rows, colours)
-        parts += [Text(s, GREEN if o.criteria_met else '') for o, s in zip(options, lines)]
+        parts += [Text(s, GREEN if o.learned else '') for o, s in zip(options, lines)]
         if hasattr(played := graph.feedback, 'fallbacks'):
             counts = (
                 f'{played.episodes} episodes played, {played.successes} done, '
@@ -94,14 +94,13 @@ class DemoProgress:
                 self._console.print(line, highlight=False, markup=False, soft_wrap=True)
 
 
-def _criteria_words(option: OptionSummary) -> str:
+def _progress(option: OptionSummary) -> str:
     measured = [
         f'{c.name} {c.value:.3g} (target {c.threshold:.3g}{", " * c.undecided}'
         f'{c.verdict * c.undecided})'
         for c in option.criteria
         if c.value is not None and c.threshold is not None
     ]
-    met = 'criteria met' if option.criteria_met else 'criteria not met yet'
     measured += [f'{c.name} {c.verdict}: {c.obstacle}' for c in option.criteria if c.obstacle]
     shown = f'{option.n_demonstrations} shown, {option.n_not_here} not here'
-    return '; '.join([shown, ', '.join(measured) or 'criteria not yet measurable', met])
+    return '; '.join([shown, ', '.join(measured) or 'criteria not yet measurable', option.status])

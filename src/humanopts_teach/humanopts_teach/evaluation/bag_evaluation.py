@@ -16,7 +16,10 @@ from humanopts_learner.demonstrations import (
     Demonstration,
     DemonstrationError,
     group_by_option,
+    judged,
     Kind,
+    shown,
+    version_of,
 )
 from humanopts_learner.options.files import FORMAT, option_to_json
 from humanopts_learner.options.judge import judge
@@ -73,8 +76,8 @@ class OptionEvaluation:
     One relearned option of one participant.
 
     :ivar summary: summary after all demonstrations.
-    :ivar learning: one row per demonstration, starting with the first trajectory; columns
-        ``OPTIONS``.
+    :ivar learning: one row per demonstration, starting with the first trajectory, with the
+        verdicts on the option as it was then; columns ``OPTIONS``.
     :ivar reproduced: whether it equals the option file in the bag; None: no file.
     """
 
@@ -107,7 +110,7 @@ class BagEvaluation:
     :ivar plans: by action set and, if several people taught, by person.
     :ivar warnings: sentences on assumptions and omissions.
     :ivar games: tables of ``evaluate_games`` by participant, if requested.
-    :ivar demonstrations: all demonstrations, including withdrawn and omitted ones.
+    :ivar demonstrations: all demonstrations and judged runs, including withdrawn and omitted ones.
     """
 
     domain: Domain
@@ -147,9 +150,9 @@ class BagEvaluation:
         return [each for each in self.options if each.option.participant == participant]
 
     def unready(self, plan: PlanEvaluation) -> list[str]:
-        """Return the options of a plan that do not meet the criteria."""
+        """Return the options of a plan that are not learned."""
         of = self.of(plan.participant)
-        return [each.option.name for each in of if not each.summary.criteria_met]
+        return [each.option.name for each in of if not each.summary.learned]
 
     def to_dict(self) -> dict[str, Any]:
         """Return the evaluation as JSON data, without NaN."""
@@ -233,7 +236,8 @@ def evaluate(
     work: list[tuple[Callable[[], Any], str, float]] = []  # call, name and cost
     for (_, name), demos in groups.items():
         call = partial(_learning_curve, demos, domain, settings)
-        work.append((call, f'{name}: {len(demos)} demonstrations', len(demos)))
+        count = len(shown(demos))
+        work.append((call, f'{name}: {count} demonstrations', count))
     for person, action_set in requests:
         taught = [demos for (taught_by, _), demos in groups.items() if taught_by == person]
         request = PlanRequest(
@@ -244,7 +248,7 @@ def evaluate(
         )
         plan = partial(_evaluate_plan, taught, domain, request, episodes or judged_by(domain))
         work.append((plan, f'planning with {action_set} actions', math.inf))
-    progress(0, len(work), f'{len(demonstrations)} demonstrations')
+    progress(0, len(work), f'{len(shown(demonstrations))} demonstrations')
     calls, names, costs = zip(*work)
     results = all_of(calls, names, costs, progress, jobs)
     plans, several = {}, len({person for person, _ in groups}) > 1
@@ -264,7 +268,7 @@ def evaluate(
 def usable_demonstrations(
     demonstrations: Sequence[Demonstration], domain: Domain
 ) -> tuple[dict[Key, list[Demonstration]], list[str]]:
-    """Group the demonstrations by option; also return a sentence on each omission."""
+    """Group demonstrations and judged runs by option; return a sentence on each omission, too."""
     good, notes = [], []
     for demo in demonstrations:
         try:
@@ -274,8 +278,9 @@ def usable_demonstrations(
             notes.append(f'demonstration {demo.uuid} of {demo.option_name!r} is left out: {error}')
     groups = group_by_option(good)
     for (participant, name), demos in list(groups.items()):
-        if all(demo.kind is Kind.NOT_HERE for demo in demos):
-            notes.append(f'{name!r} by {participant} has only "not here" answers: not learned')
+        if not any(demo.kind is Kind.TRAJECTORY for demo in demos):
+            why = 'only "not here" answers' if shown(demos) else 'no demonstration left'
+            notes.append(f'{name!r} by {participant} has {why}: not learned')
             del groups[participant, name]
     return groups, notes
 
@@ -284,12 +289,14 @@ def _learning_curve(
     demos: Sequence[Demonstration], domain: Domain, settings: EvaluationSettings
 ) -> OptionEvaluation:
     """Relearn an option after every demonstration, starting with the first trajectory."""
-    first = next(i for i, demo in enumerate(demos, start=1) if demo.kind is Kind.TRAJECTORY)
-    rows = []
-    for count in range(first, len(demos) + 1):
-        seen = demos[:count]
+    given, rows = shown(demos), []
+    first = next(i for i, demo in enumerate(given, start=1) if demo.kind is Kind.TRAJECTORY)
+    versions = [version_of(given[:count]) for count in range(len(given) + 1)]
+    for count in range(first, len(given) + 1):
+        seen, later = given[:count], versions[count + 1 :]
         option = learn_option(seen, domain, settings.seed)
-        summary = judge(seen, domain, settings.thresholds, settings.seed, option)
+        known = [*seen, *(run for run in judged(demos) if run.option_version not in later)]
+        summary = judge(known, domain, settings.thresholds, settings.seed, option)
         rows.append(option_row(summary, option, domain, sum(demo.seconds for demo in seen)))
     return OptionEvaluation(option, summary, table(OPTIONS, rows))
 

@@ -26,6 +26,7 @@ LIVE_OPTIONS = {  # known while an option is taught; many are fields of OptionSu
     'method': 'object',  # learning method
     'n_demonstrations': 'int64',  # trajectories
     'n_not_here': 'int64',  # "not here" answers
+    'n_questions': 'int64',  # answered questions about runs of the option
     'mean_return_demonstrations': 'float64',  # undiscounted, reward units
     'mean_return_policy': 'float64',  # from the same starts, undiscounted, reward units
     'return': 'float64',  # shortfall of the return, reward units
@@ -34,7 +35,13 @@ LIVE_OPTIONS = {  # known while an option is taught; many are fields of OptionSu
     'policy_accuracy': 'float64',  # share of states with one of the best actions
     'classification_accuracy_initiation': 'float64',  # share of states, of I
     'classification_accuracy_termination': 'float64',  # share of states, of beta
-    'criteria_met': 'bool',  # whether all three criteria are met
+    'criteria_met': 'bool',  # whether all criteria are met
+    'exam_right': 'int64',  # runs in the newest exam that the person called right
+    'exam_runs': 'int64',
+    'exam_needed': 'int64',  # 0: there is no exam
+    'exams_failed': 'int64',  # exams of earlier versions that ended with a wrong run
+    'learned': 'bool',  # whether criteria and exam are passed
+    'status': 'object',  # the same in words, or what is missing
 }
 OPTIONS = {  # one row per demonstration of an option
     **LIVE_OPTIONS,

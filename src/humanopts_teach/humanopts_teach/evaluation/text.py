@@ -30,7 +30,9 @@ CURVE = {  # printed columns of a learning curve
     'acc. policy': 'policy_accuracy',
     'acc. I': 'classification_accuracy_initiation',
     'acc. beta': 'classification_accuracy_termination',
-    'met': 'criteria_met',
+    'criteria': 'criteria_met',
+    'exam': 'exam_right',
+    'learned': 'learned',
 }
 
 
@@ -49,7 +51,7 @@ def evaluation_text(evaluation: BagEvaluation) -> str:
         rows = [_plan(*row) for row in evaluation.plan_table.iterrows()]
         lines += ['', 'plans', table(rows, ['action set'])]
         lines += [
-            f'{name} uses options that do not meet the criteria: {", ".join(unready)}'
+            f'{name} uses options that are not learned: {", ".join(unready)}'
             for name, plan in evaluation.plans.items()
             if (unready := evaluation.unready(plan))
         ]
@@ -62,15 +64,6 @@ def evaluation_text(evaluation: BagEvaluation) -> str:
 def return_limit(limits: Thresholds) -> str:
     """Return the largest shortfall allowed, as text."""
     return A_TENTH if limits.return_delta is None else f'{limits.return_delta:g}'
-
-
-def criteria_text(option: OptionEvaluation) -> str:
-    """Return a sentence on whether the criteria of an option are met."""
-    if option.summary.criteria_met:
-        return 'criteria met'
-    if option.summary.settled:
-        return 'the return cannot be measured, the other criteria are met'
-    return 'criteria not met'
 
 
 def games_text(games: 'pd.DataFrame') -> list[str]:
@@ -116,11 +109,11 @@ def _option(option: OptionEvaluation) -> list[str]:
     learned, summary, learning = option.option, option.summary, option.learning
     shown = sorted({round(i * (len(learning) - 1) / (MAX_POINTS - 1)) for i in range(MAX_POINTS)})
     rows = [
-        {head: _cell(column, row[column]) for head, column in CURVE.items()}
+        {head: _cell(column, row) for head, column in CURVE.items()}
         for _, row in learning.iloc[shown].iterrows()
     ]
     lines = [
-        f'{learned.name} (by {learned.participant or "-"}): {criteria_text(option)}',
+        f'{learned.name} (by {learned.participant or "-"}): {summary.status}',
         f'features: {", ".join(learned.features)}',
         f'policy: {METHODS[learned.method]}',
     ]
@@ -137,10 +130,13 @@ def _option(option: OptionEvaluation) -> list[str]:
     return [*lines, table(rows, [])]
 
 
-def _cell(column: str, value: Any) -> str:
+def _cell(column: str, row: 'pd.Series') -> str:
+    value = row[column]
+    if column == 'exam_right':
+        return f'{value}/{row.exam_runs}' if row.exam_runs else '-'
     if column.startswith('n_'):
         return str(value)
-    if column == 'criteria_met':
+    if column in ('criteria_met', 'learned'):
         return 'yes' if value else 'no'
     return share(value) if 'accuracy' in column else number(value, 3)
 

@@ -1,5 +1,5 @@
 """
-Export of a bag as files: tables of steps, demonstrations, options and plans, and attachments.
+Export of a bag as files: tables of what was recorded, and attachments.
 
 Rows are written while the bag is read, so that even long bags need little memory.
 """
@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, get_type_hints
 
 from humanopts_env.domains.base import ActableDomain, Feature, FeatureKind
-from humanopts_learner.demonstrations import Demonstration, each_once
+from humanopts_learner.demonstrations import Demonstration, each_once, judged, shown
 from humanopts_learner.spreadsheet import EXCEL, to_cell
 from humanopts_learner.summary import PlanSummary
 from humanopts_teach.bags.contents import (
@@ -36,6 +36,19 @@ FEATURE_PREFIX = 'feature:'  # prefix of feature names in column names
 _STEP = {'episode': int, 'game': str, 'game_episode': int, 'step': int, 'state': str}
 _MOVE = {'action': str, 'reward': float, 'terminated': bool, 'truncated': bool}
 _ACTOR = dict.fromkeys(('source', 'option'), str)
+_TOTALS = {'steps': int, 'total_reward': float}
+_JUDGED = {
+    **dict.fromkeys(('participant', 'session', 'option_name'), str),
+    'number': int,
+    'judged_in': str,  # exam or question
+    'verdict': str,  # right or wrong
+    'stopped': bool,
+    **dict.fromkeys(('start', 'end'), str),
+    **_TOTALS,
+    'seconds': float,
+    'withdrawn': bool,
+    **dict.fromkeys(('option_version', 'uuid', 'states', 'actions'), str),
+}
 _OUTCOMES = dict.fromkeys(('outcome_names', 'outcome_means', 'outcome_low', 'outcome_high'), str)
 Columns = Mapping[str, type]  # int, float, bool or str, which includes lists as JSON
 
@@ -59,7 +72,9 @@ class Table:
 
 def bag_tables(bag: Bag) -> dict[str, Table]:
     """
-    Return the tables steps, demonstrations, options and plans.
+    Return the tables steps, demonstrations, judged_runs, options and plans.
+
+    Runs of the machine that the person judged are not among the demonstrations.
 
     :raises BagError: the bag does not name its domain.
     """
@@ -68,13 +83,19 @@ def bag_tables(bag: Bag) -> dict[str, Table]:
         FEATURE_PREFIX + each.name: float if each.kind is FeatureKind.CONTINUOUS else str
         for each in domain.features
     }
-    demonstrations = each_once(read_demonstrations(bag)) if bag.of_type(DEMONSTRATION) else []
-    shown = {**_columns(Demonstration), 'steps': int, 'total_reward': float}
+    given = each_once(read_demonstrations(bag)) if bag.of_type(DEMONSTRATION) else []
+    fields_of_runs = 'right', 'exam', 'stopped', 'option_version'
+    demonstration = {
+        name: kind
+        for name, kind in {**_columns(Demonstration), **_TOTALS}.items()
+        if name not in fields_of_runs
+    }
     plan = {'plan_id': str, 'status': str, **_columns(PlanSummary), **_OUTCOMES}
     del plan['outcomes']
     return {
         'steps': Table({**_STEP, **features, **_MOVE, **_ACTOR}, _steps(bag, domain)),
-        'demonstrations': Table(shown, map(_demonstration, demonstrations)),
+        'demonstrations': Table(demonstration, (_run(d, demonstration) for d in shown(given))),
+        'judged_runs': Table(_JUDGED, (_run(each, _JUDGED) for each in judged(given))),
         'options': Table(
             _columns(OptionRow), (_plain(vars(row).values()) for row in option_rows(bag))
         ),
@@ -113,10 +134,20 @@ def _word(feature: Feature, value: float) -> float | str | None:
     return value if feature.kind is FeatureKind.CONTINUOUS else feature.text(value)
 
 
-def _demonstration(demo: Demonstration) -> list[Any]:
-    values = {**vars(demo), 'kind': demo.kind.value, 'features': demo.plain_features}
-    plain = _plain(values[field.name] for field in fields(demo))
-    return [*plain, len(demo.actions), demo.total_reward]
+def _run(demo: Demonstration, columns: Iterable[str]) -> Sequence[Any]:
+    """Return the row of a demonstration or a judged run."""
+    values = {
+        **vars(demo),
+        'kind': demo.kind.value,
+        'features': demo.plain_features,
+        'steps': len(demo.actions),
+        'total_reward': demo.total_reward,
+        'judged_in': 'exam' if demo.exam else 'question',
+        'verdict': 'right' if demo.right else 'wrong',
+        'start': next(iter(demo.states), ''),
+        'end': next(reversed(demo.states), ''),
+    }
+    return _plain(values[name] for name in columns)
 
 
 def _plans(bag: Bag, columns: Iterable[str]) -> Iterator[Sequence[Any]]:

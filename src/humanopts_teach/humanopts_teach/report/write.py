@@ -24,11 +24,19 @@ from humanopts_teach.report.charts import (
 from humanopts_teach.report.episode import episode_strip, Frame, read_last_episode
 from humanopts_teach.report.findings import findings, plans_by_name, plans_shown
 from humanopts_teach.report.pages import render
-from humanopts_teach.report.people import shown_demonstrations, shown_return, teachers
+from humanopts_teach.report.people import (
+    judged_runs,
+    shown_demonstrations,
+    shown_return,
+    teachers,
+)
 from humanopts_teach.report.rules import option_rules
 
 MEASURES = (  # column of ``OPTIONS``, its label, whether it is a share
     ('n_demonstrations', 'demonstrations', False),
+    ('n_questions', 'answers about its runs', False),
+    ('exam_right', 'right runs in the exam', False),
+    ('exam_runs', 'runs in the exam', False),
     ('mean_return_demonstrations', 'mean return of the demonstrations', False),
     ('mean_return_policy', 'mean return of the policy, same starts', False),
     ('initiation', 'initiation: held-out balanced error', False),
@@ -106,6 +114,7 @@ def render_report(data: ReportData) -> str:
             for index, option in enumerate(evaluation.options)
         ],
         'demonstrations': shown_demonstrations(evaluation),
+        'judged_runs': judged_runs(evaluation),
         'teachers': teachers(evaluation),
         'shown': [shown_return(evaluation, each) for each in evaluation.options],
         'references': reference_options(evaluation.domain),

@@ -75,6 +75,12 @@ class LearnedOption(_Values):
     demonstrations: Count
     not_here: Count
     criteria_met: bool
+    questions: Count
+    exam_right: Count
+    exam_runs: Count
+    exams_failed: Count
+    learned: bool
+    status: Text
     return_shown: Return | None
     return_learned: Return | None
 
@@ -137,6 +143,12 @@ def learned(options: Iterable[OptionSummary]) -> tuple[LearnedOption, ...]:
             demonstrations=option.n_demonstrations,
             not_here=option.n_not_here,
             criteria_met=option.criteria_met,
+            questions=option.n_questions,
+            exam_right=option.exam_right,
+            exam_runs=option.exam_runs,
+            exams_failed=option.exams_failed,
+            learned=option.learned,
+            status=option.status,
             return_shown=_finite(option.mean_return_demonstrations),
             return_learned=_finite(option.mean_return_policy),
         )
