@@ -19,6 +19,7 @@ from humanopts_teach.dialogue.entry import Item, ListScreen
 from humanopts_teach.dialogue.menu import opening
 from humanopts_teach.dialogue.view import view
 from humanopts_teach.lesson.requests import (
+    AnswerQuestion,
     BeginDemonstration,
     CancelRun,
     EndDemonstration,
@@ -372,6 +373,82 @@ def test_a_step_of_a_world_that_is_replayed_is_undone(tmp_path: Path) -> None:
     before = desk.world.game.state
     desk.press('3', 'down', 'u', 'u', 'u')
     assert (desk.world.game.state, desk.world.game.step) == (before, 1)
+
+
+ABOARD = 'taxi 1,1 passenger aboard destination G'
+RUN = (AT_R, 'taxi 0,0 passenger R destination G', 'taxi 0,0 passenger aboard destination G')
+
+
+@pytest.fixture
+def examined(desk: Desk) -> Desk:
+    """Let the machine's runs be judged; what the lesson publishes is set by hand."""
+    desk.press('left', 'p', 'enter')
+    desk.publish = lambda: None  # type: ignore[method-assign]
+    desk.asked.clear()
+    return desk
+
+
+def publishes(desk: Desk, phase: Phase, **values: Any) -> None:
+    """Let the lesson publish something else."""
+    desk.world.lesson = replace(desk.lesson.view, phase=phase, exam_needed=5, **values)
+    desk.advance()
+
+
+def asks(desk: Desk, *, compared: tuple[str, ...] = (), states: tuple[str, ...] = RUN) -> None:
+    """Let the lesson ask about a run."""
+    text = 'Here it would stop after 2 steps. Right?'
+    publishes(
+        desk,
+        Phase.CHECKING,
+        question=text,
+        question_id=7,
+        question_states=states,
+        question_compared=compared,
+    )
+
+
+def test_a_run_is_played_until_the_question_about_it_is_answered(examined: Desk) -> None:
+    asks(examined)
+    assert 'board: the machine, step 0 of 2' in (seen := examined.see())
+    assert 'taxi col 1 → 0' in seen
+    assert 'destination' not in seen
+    drawn = []
+    for _ in range(40):
+        examined.advance(0.1)
+        drawn.append(examined.app.screen.state)
+    assert list(dict.fromkeys(drawn)) == list(RUN)
+    assert drawn.count(RUN[0]) > drawn.count(RUN[1])
+    assert RUN[0] in drawn[drawn.index(RUN[2]) :]
+    assert examined.press('enter', 'right', 'right', 'right').app.screen.state == RUN[2]
+    assert examined.advance(5.0).press('left').app.screen.state == RUN[1]
+    assert examined.asked == []
+    assert 'play the run again and again' in examined.press('?').see()
+    assert examined.press('x', 'y').asked == [AnswerQuestion(7, yes=True)]
+
+
+def test_a_run_and_a_demonstration_are_drawn_one_after_the_other(examined: Desk) -> None:
+    asks(examined, compared=(RUN[0], ABOARD, *RUN))
+    seen = {examined.advance(0.3).app.screen.state: examined.see() for _ in range(40)}
+    assert {*seen} == {*RUN, ABOARD}
+    assert 'board: you, step 1 of 4' in seen[ABOARD]
+    assert 'board: the machine, step 0 of 2' in seen[ABOARD]
+    assert 'board: you, step 0 of 4' in examined.press('down', 'down', 'up').see()
+    assert examined.press('n').asked == [AnswerQuestion(7, yes=False)]
+
+
+def test_a_start_that_is_refused_is_drawn_alone(examined: Desk) -> None:
+    asks(examined, states=(AT_R,))
+    assert examined.advance(9.0).app.screen.state == AT_R
+    assert 'board:' not in (seen := examined.see())
+    assert 'step on' not in seen
+
+
+def test_an_answer_counts_only_for_the_question_that_was_seen(examined: Desk) -> None:
+    asks(examined)
+    number = examined.app.drawn()
+    examined.world.lesson = replace(examined.world.lesson, question_id=8)
+    examined.app.type(['y'], number)
+    assert examined.advance().asked == []
 
 
 KEYS = [

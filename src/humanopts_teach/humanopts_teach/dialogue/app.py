@@ -152,6 +152,7 @@ class App:
         self.can_start_again: dict[str, bool] = {}  # latest setting of each option
         self.times = ''  # digits typed before an action; empty: it is taken once
         self.ended = False
+        self.now = 0.0  # monotonic time of the last ``advance``, s
         self.pictures = True  # show the world; False: only a table of its features
         self.leave_hint = 'Ctrl-C quits'  # advice to the person when nodes are missing
         self._frame = 0  # number of the latest frame
@@ -177,7 +178,8 @@ class App:
     def shown(self) -> tuple[object, ...]:
         """The values that require a new frame when they change, besides the world and keys."""
         missing = tuple(self.world.missing)
-        return self.screen, self.message, self.run, self.run_text, self.waits_for, missing
+        screen, state = self.screen, self.screen.state
+        return screen, state, self.message, self.run, self.run_text, self.waits_for, missing
 
     def show(self, screen: Screen) -> None:
         """Switch to another screen."""
@@ -270,6 +272,7 @@ class App:
         :param now: monotonic time in seconds.
         :return: the next request to make; its answer is passed to ``replied``.
         """
+        self.now = now
         self._check_waiting(now)
         self._owned |= self.world.lesson.participant == self.participant
         while self._waiting is None and not self.ended:

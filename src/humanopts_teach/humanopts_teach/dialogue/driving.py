@@ -153,6 +153,11 @@ class RunScreen(PlayScreen):
     def machine(self, app: App) -> list[Command]:
         return [Command([ENTER], 'run it from here', self._run if app.run is None else None)]
 
+    def mode(self, app: App) -> Iterator[Line]:
+        summary = app.world.summary_of(app.participant, self.option_name)
+        if summary is not None:
+            yield Line(summary.status, Tone.GOOD if summary.learned else Tone.WARNING)
+
     def _run(self, app: App) -> None:
         """Release control and run the option from the current state."""
         first = [] if app.world.game.open else [self.new_start(app)]
@@ -203,16 +208,16 @@ class WatchScreen(PlayScreen):
         return Arbitration(app.world.execution) if playing else self.execution
 
     def run_ended(self, run: ActionGoal, well: bool, app: App) -> None:
-        """Start playing after planning, and name the options with unmet criteria."""
+        """Start playing after planning, and name the options that are not learned."""
         said = app.message.text
         if well and isinstance(run, PlanOptions):
             unready = [
                 summary.option_name
                 for summary in app.world.summaries
-                if summary.participant == app.participant and not summary.criteria_met
+                if summary.participant == app.participant and not summary.learned
             ]
             if unready and self.action_set in (HUMAN, HUMAN_AND_PRIMITIVE):
-                app.say(f'{said} The criteria of {", ".join(unready)} are not met yet.', bad=True)
+                app.say(f'{said} Not learned yet: {", ".join(unready)}.', bad=True)
             app.ask(
                 PlayEpisodes(self.action_set, app.participant, EPISODES, app.seed, self.execution)
             )

@@ -26,6 +26,11 @@ from humanopts_teach.dialogue.panel import (
 )
 from humanopts_teach.lesson.requests import LessonView, Phase
 
+_EXAM = (
+    'Enter begins a run from a start that nobody chose. Watch it; press r if it was right, or w '
+    'as soon as it is wrong.'
+)
+
 
 def question_panel(app: App) -> Panel:
     """Return the open question, its number, and the answers so far."""
@@ -53,8 +58,11 @@ def progress_panel(app: App, *, questions: str, again: str, demonstrations: str)
     world, lesson = app.world, app.world.lesson
     progress = world.summary_of(lesson.participant, lesson.option_name)
     blocks: list[Block] = [_title(lesson), _position(app)]
+    if lesson.phase is Phase.EXAM:
+        blocks.append(Line(_EXAM))
     if app.run is not None:
-        blocks += [Line('The machine shows what it learned.', Tone.NEWS), pace_line(world)]
+        words = 'The machine moves.' if lesson.exam else 'The machine shows what it learned.'
+        blocks += [Line(words, Tone.NEWS), pace_line(world)]
     if lesson.phase is Phase.DEMONSTRATING:
         blocks += last_step(world)
     blocks.append(_features(app))
@@ -66,7 +74,7 @@ def progress_panel(app: App, *, questions: str, again: str, demonstrations: str)
         blocks += [
             Line(f'By {progress.method}, tested on unseen starts:', Tone.QUIET),
             Criteria([_criterion(criterion) for criterion in progress.criteria]),
-            _estimate(lesson, progress),
+            *_estimate(lesson, progress),
         ]
     if progress is None:
         return Panel(blocks)
@@ -84,6 +92,11 @@ def _position(app: App) -> Line:
     """Return the current position in the lesson and the number of demonstrations."""
     lesson, step = app.world.lesson, app.world.game.step
     start = lesson.n_demonstrations + lesson.n_not_here + 1
+    if lesson.exam or lesson.phase is Phase.EXAM:
+        where = f'Exam: run {lesson.exam_runs + 1} of {lesson.exam_needed}'
+        where += f', step {step}' if lesson.exam else '.'
+        counts = f'  ({lesson.exam_right} of {lesson.exam_runs} right)'
+        return Line(where, Tone.NEWS, more=(Line(counts, Tone.QUIET),))
     match lesson.phase:
         case Phase.DEMONSTRATING:
             where = f'start {start}, step {step}' if step else f'next: start {start}'
@@ -136,20 +149,23 @@ def _criterion(criterion: Criterion) -> CriterionRow:
     )
 
 
-def _estimate(lesson: LessonView, progress: OptionSummary) -> Line:
-    """Return an estimate of how many more demonstrations are needed to meet the criteria."""
-    if progress.criteria_met:
-        return Line(progress.result, Tone.GOOD)
-    if progress.n_demonstrations < (least := min_trajectories(lesson.method)):
-        return Line(f'Measured from {least} demonstrations on.')
-    if progress.obstacles:
-        return Line(progress.result if progress.settled else progress.obstacles, Tone.WARNING)
-    undecided = [c.name for c in progress.criteria if c.undecided]
-    why = f': {", ".join(undecided)} is not yet known well enough' if undecided else ''
-    if progress.more_needed < 0 or progress.method == GOAL:
-        return Line(f'Too early to say how many more are needed{why}.')
-    low, high = likely_range(progress.more_needed)
-    return Line(f'Perhaps {low} to {high} more are needed{why}.')
+def _estimate(lesson: LessonView, progress: OptionSummary) -> Iterator[Line]:
+    """Yield whether it is learned, or how many more demonstrations may be needed."""
+    measured = progress.n_demonstrations >= (least := min_trajectories(lesson.method))
+    if progress.obstacles and (progress.settled or measured):
+        yield Line(progress.obstacles, Tone.WARNING)
+    if progress.settled:
+        yield Line(progress.status, Tone.GOOD if progress.learned else Tone.WARNING)
+    elif not measured:
+        yield Line(f'Measured from {least} demonstrations on.')
+    elif not progress.obstacles:
+        undecided = [c.name for c in progress.criteria if c.undecided]
+        why = f': {", ".join(undecided)} is not yet known well enough' if undecided else ''
+        text = f'Too early to say how many more are needed{why}.'
+        if progress.more_needed >= 0 and progress.method != GOAL:
+            low, high = likely_range(progress.more_needed)
+            text = f'Perhaps {low} to {high} more are needed{why}.'
+        yield Line(text)
 
 
 def _results(lesson: LessonView, progress: OptionSummary) -> Iterator[Line]:

@@ -175,8 +175,8 @@ def _items(names: Iterable[str], choose: Callable[[str, App], object], app: App)
     for name in names:
         progress, note = app.world.summary_of(app.participant, name), 'nothing learned yet'
         if progress is not None:
-            met = ', all criteria met' if progress.criteria_met else ''
-            note = f'{progress.n_demonstrations} shown, {progress.n_not_here} not here{met}'
+            status = progress.status.partition(',')[0]  # without the limit of the exam
+            note = f'{progress.n_demonstrations} shown, {progress.n_not_here} not here; {status}'
         if count := stuck.get(name):
             note += f'; a plan got stuck here in {count} of {lesson.trial_games} games'
         items.append(Item(name, note, partial(choose, name)))

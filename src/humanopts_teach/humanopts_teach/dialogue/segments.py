@@ -228,7 +228,7 @@ class KeepScreen(LessonScreen):
         if lesson.phase is Phase.ASKING and self.accepts:
             yes = lesson.question_feature in self.suggested
             app.ask(AnswerQuestion(lesson.question_id, yes), then=partial(self._answered, app))
-        elif lesson.phase in (Phase.READY, Phase.LEARNING, Phase.FINISHED) and not self.sent:
+        elif lesson.phase not in (Phase.ASKING, Phase.DEMONSTRATING) and not self.sent:
             self.sent = True
             shown = tuple(
                 each.demonstration(lesson.option_name, lesson.chosen_features)

@@ -25,7 +25,7 @@ from humanopts_teach.study.plan import Part, PartKind, Questionnaire
 from humanopts_teach.study.record import OpenRecord
 
 SIGN_SECONDS = 5.0  # period of keep-alive events: maximum time lost in a crash
-_LAST = 'The time for this part is over: this demonstration is the last.'
+_LAST = 'The time for this part is over: this {} is the last.'
 
 
 class StudyApp(App):
@@ -69,7 +69,9 @@ class StudyApp(App):
             if now >= self._ends:
                 if self.world.lesson.phase is Phase.DEMONSTRATING:
                     if not self._announced:
-                        self.say(_LAST)
+                        self.say(
+                            _LAST.format('run' if self.world.lesson.exam else 'demonstration')
+                        )
                     self._announced = True
                 elif self.waits_for is None:
                     self.end(TIME)

@@ -26,11 +26,14 @@ from humanopts_teach.dialogue.keys import (
 )
 from humanopts_teach.dialogue.lesson_panel import progress_panel, question_panel
 from humanopts_teach.dialogue.panel import Panel
+from humanopts_teach.dialogue.question import RunQuestion
 from humanopts_teach.lesson.question_groups import GroupAnswer
 from humanopts_teach.lesson.requests import (
+    ActionGoal,
     Answer,
     AnswerQuestion,
     BeginDemonstration,
+    CancelRun,
     DefineOption,
     EndDemonstration,
     LessonView,
@@ -42,6 +45,8 @@ from humanopts_teach.lesson.requests import (
     WithdrawDemonstration,
 )
 
+_PAUSES = {Phase.READY, Phase.CHECKING, Phase.EXAM, Phase.FINISHED}  # the person decides
+
 
 @dataclass
 class LessonScreen(Screen):
@@ -49,19 +54,29 @@ class LessonScreen(Screen):
 
     menu: Do
     run: Callable[[str, App], None]
-    automatic: bool = False  # begin the next demonstration automatically
+    automatic: Phase | None = None  # phase in which the next demonstration begins by itself
     rest: bool = False  # answer all remaining questions with no, or as before
     redo: list[str] = field(default_factory=list)  # actions to repeat after an undo
     delete: str = ''  # uuid of the demonstration to withdraw when the learner is done
+    ended: int = 0  # episode of the last run in the exam that ended here
+    question: RunQuestion | None = None  # the open question about a run
     answers_lesson = hides_features = True
 
+    @property
+    def state(self) -> str:
+        return self.question.state if self.question is not None else ''
+
     def plays(self, app: App) -> bool:
-        return app.world.lesson.phase in {Phase.DEMONSTRATING, Phase.LEARNING}
+        lesson = app.world.lesson
+        examines = lesson.exam or self.automatic is Phase.EXAM
+        return lesson.phase in {Phase.DEMONSTRATING, Phase.LEARNING} and not examines
 
     def panel(self, app: App) -> Panel:
-        phase = app.world.lesson.phase
+        phase, question = app.world.lesson.phase, self._run_question(app)
         if phase is Phase.ASKING:
             return question_panel(app)
+        if question is not None:
+            return question.panel(app)
 
         def key(do: Do, phase: Phase) -> str:
             table = key_table(self._commands(phase, app)).items()
@@ -80,25 +95,25 @@ class LessonScreen(Screen):
             super().press(key, app)
 
     def commands(self, app: App) -> Sequence[Command]:
-        phase = app.world.lesson.phase
-        helped = phase if phase is Phase.ASKING else Phase.DEMONSTRATING
-        commands, explained = self._commands(phase, app), self._commands(helped, app)
+        lesson = app.world.lesson
+        own = lesson.exam or lesson.phase in (Phase.ASKING, Phase.CHECKING, Phase.EXAM)
+        helped = lesson.phase if own else Phase.DEMONSTRATING
+        commands, explained = self._commands(lesson.phase, app), self._commands(helped, app)
         return with_help(commands, self.again, explained)
 
     def _commands(self, phase: Phase, app: App) -> list[Command]:
         """Return the commands of a phase."""
         lesson = app.world.lesson
-        learned = [
-            Command(
-                'wv',
-                'watch and correct',
-                self._watch_new if lesson.n_demonstrations else None,
-                'watch the option from a start of the task; an action key takes over',
-            ),
-            Command(
-                'lb', 'demonstrations', self._list, 'list all demonstrations; view or delete any'
-            ),
-        ]
+        listed = Command(
+            'lb', 'demonstrations', self._list, 'list all demonstrations; view or delete any'
+        )
+        watch = Command(
+            'wv',
+            'watch and correct',
+            self._watch_new if lesson.n_demonstrations else None,
+            'watch the option from a start of the task; an action key takes over',
+        )
+        learned = [watch, listed]
         questions = Command(
             'ek',
             'questions',
@@ -106,8 +121,17 @@ class LessonScreen(Screen):
             'answer again what the option depends on; Enter keeps an answer',
         )
         begin = Command([ENTER], 'begin', self._begin)
-        commands = pace(app)
+        more = Command('m', 'show one more', self._begin, 'show the option once more instead')
+        commands, question = pace(app), self._run_question(app)
         match phase:
+            case Phase.DEMONSTRATING if lesson.exam:
+                commands = [*self._verdicts(app), *commands]
+            case Phase.EXAM:
+                begin = Command([ENTER], 'begin the run', self._examine)
+                commands += [begin, self._previous(app), more, listed, questions]
+            case Phase.CHECKING if question is not None:
+                commands += [*self._answers(app), self._previous(app), *question.commands()]
+                commands += [more, listed, questions]
             case Phase.DEMONSTRATING:
                 again = 'YES' if _can_start_again(app) else 'no'
                 domain = app.domain
@@ -159,8 +183,8 @@ class LessonScreen(Screen):
                 commands += [begin, space, *learned, self._previous(app), questions]
             case Phase.FINISHED:
                 run = Command('rg', 'run it', partial(self.run, lesson.option_name))
-                more = Command([ENTER], 'show one more', self._begin)
-                commands += [more, run, *learned, questions]
+                commands += [replace(more, wanted=[ENTER]), run, *learned]
+                commands += [self._previous(app), questions]
         return [
             *commands,
             Command(
@@ -196,6 +220,8 @@ class LessonScreen(Screen):
             Command('y', 'yes', yes),
             Command('n', 'no' if group is None else 'no, to all of them', no),
         ]
+        if lesson.phase is Phase.CHECKING:
+            return answers
         if earlier:
             words = f'as before: {"yes" if asked & earlier else "no"}'
             answers.append(Command([ENTER], words, before))
@@ -234,11 +260,27 @@ class LessonScreen(Screen):
 
         first = lesson.question_feature == app.domain.features[0].name
         possible = lesson.phase is not Phase.ASKING or not first or said is not None
-        return Command([BACKSPACE], 'previous question', go_back if possible else None)
+        judged = lesson.phase in (Phase.CHECKING, Phase.EXAM, Phase.FINISHED)
+        words = 'take back the last answer' if judged else 'previous question'
+        possible &= not judged or lesson.n_questions + lesson.exam_runs > 0
+        return Command([BACKSPACE], words, go_back if possible else None)
+
+    def _run_question(self, app: App) -> RunQuestion | None:
+        """Return the open question about a run; None: none is open."""
+        lesson, known = app.world.lesson, self.question
+        if lesson.phase is not Phase.CHECKING:
+            self.question = None
+        elif known is None or known.lesson.question_id != lesson.question_id:
+            self.question = RunQuestion(lesson)
+        return self.question
 
     def tick(self, app: App) -> None:
         """Begin the next demonstration, or answer a question without asking the person."""
         lesson = app.world.lesson
+        if (question := self._run_question(app)) is not None:
+            question.tick(app.now)
+        if lesson.phase in _PAUSES and lesson.phase is not self.automatic:
+            self.automatic = None
         if self.redo:
             if lesson.phase is Phase.DEMONSTRATING:
                 app.drive(self.redo.pop(0))
@@ -254,18 +296,73 @@ class LessonScreen(Screen):
             if reply is not None:
                 answer = AnswerQuestion(lesson.question_id, reply)
                 app.ask(answer, then=partial(self._answered, app))
-        elif self.automatic and lesson.phase is Phase.READY:
+        elif self.automatic is Phase.EXAM is lesson.phase:
+            self._examine(app)
+        elif self.automatic is lesson.phase:
             self._begin(app)
 
     def refused(self, app: App) -> None:
         """Stop all automatic actions."""
-        self.automatic, self.rest, self.redo = False, False, []
+        self.automatic, self.rest, self.redo = None, False, []
         if app.world.lesson.phase is Phase.ASKING:
             app.groups.forget()
 
     def _begin(self, app: App) -> None:
         app.ask(BeginDemonstration(app.next_start))
-        self.automatic, app.next_start = False, ''
+        self.automatic, app.next_start = None, ''
+
+    def _examine(self, app: App) -> None:
+        """Begin a run of the exam."""
+        self.automatic = None
+        app.ask(BeginDemonstration(exam=True), *_run(app))
+
+    def _verdicts(self, app: App) -> list[Command]:
+        """Return the verdicts on the run of the exam, which can be stopped at any time."""
+        idle, begun = app.run is None, app.world.game.step > 0
+        ended = idle and self.ended == app.world.lesson.episode
+
+        def judge(verdict: Verdict, then: Phase | None) -> Do:
+            return partial(self._judge, verdict, then)
+
+        return [
+            Command(
+                'r',
+                'right',
+                judge(Verdict.RIGHT, Phase.EXAM) if ended and begun else None,
+                'the option did what it should; the next run begins',
+            ),
+            Command(
+                'w',
+                'wrong',
+                judge(Verdict.WRONG, None) if begun or ended else None,
+                'stop the run; next you show what the option should do there',
+            ),
+            Command(
+                [ENTER],
+                'begin the run',
+                (lambda app: app.ask(*_run(app))) if idle and not begun else None,
+            ),
+            Command(
+                [BACKSPACE],
+                'watch it again',
+                judge(Verdict.DISCARD, Phase.EXAM) if idle and begun else None,
+                'this run does not count; it is repeated from the same start',
+            ),
+        ]
+
+    def _judge(self, verdict: Verdict, then: Phase | None, app: App) -> None:
+        """Give a verdict on the run of the exam, and stop the run."""
+        game, runs = app.world.game, app.run is not None
+
+        def judged(answer: Answer) -> None:
+            self.automatic = None if app.world.lesson.paused else then
+
+        end = EndDemonstration(verdict, game.episode, game.step, stopped=runs)
+        app.ask(*([CancelRun()] if runs else []), end, then=judged)
+        app.resume_machine()
+
+    def run_ended(self, run: ActionGoal, well: bool, app: App) -> None:
+        self.ended = app.world.lesson.episode
 
     def _end(self, verdict: Verdict, app: App) -> None:
         """Give a verdict; ask for confirmation if the last step had no effect."""
@@ -305,7 +402,7 @@ class LessonScreen(Screen):
 
     def _ended(self, app: App, answer: Answer) -> None:
         """Continue with the next start; let the person resolve a contradiction first."""
-        self.automatic = not app.world.lesson.paused
+        self.automatic = None if app.world.lesson.paused else Phase.READY
         if answer.contradiction:
             items = [
                 Item(text, note, partial(self._delete, deleted), (answer.situation,))
@@ -352,8 +449,7 @@ class LessonScreen(Screen):
         """Run the option in a new demonstration; the person can take over."""
 
         def watch(app: App) -> None:
-            run = RunOption(app.world.lesson.option_name, app.participant)
-            app.ask(BeginDemonstration(start, watch=True), SetControl(hold=False), run)
+            app.ask(BeginDemonstration(start, watch=True), *_run(app))
 
         app.show(self)
         self._leave('Watch the option', watch, app)
@@ -399,7 +495,8 @@ class LessonScreen(Screen):
             go(app)
 
         if app.world.game.step:
-            question = f'{words}? This demonstration is discarded; everything else is saved.'
+            what = 'run does not count' if app.world.lesson.exam else 'demonstration is discarded'
+            question = f'{words}? This {what}; everything else is saved.'
             app.show(confirm(question, discard, self.again))
         else:
             discard(app)
@@ -422,6 +519,11 @@ def _in_words(demo: Demonstration) -> tuple[str, str]:
     if demo.withdrawn:
         notes.append('DELETED')
     return f'no. {demo.number}: {what if steps else "not here"}', ', '.join(notes)
+
+
+def _run(app: App) -> tuple[SetControl, RunOption]:
+    """Return the requests that run the option of the lesson."""
+    return SetControl(hold=False), RunOption(app.world.lesson.option_name, app.participant)
 
 
 def _can_skip(lesson: LessonView) -> bool:

@@ -434,7 +434,7 @@ def settled(request: Request, answer: Answer, world: World) -> bool:
         case DefineOption(name, derived_features=derived):
             return lesson.option_name == name and {*derived} <= {*lesson.derived_features}
         case AnswerQuestion(question_id):
-            return lesson.question_id != question_id
+            return lesson.question_id != question_id or lesson.phase is Phase.LEARNING
         case BeginDemonstration():
             return game.episode >= answer.episode == lesson.episode
         case EndDemonstration(episode=episode):

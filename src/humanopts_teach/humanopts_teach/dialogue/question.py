@@ -1,0 +1,132 @@
+"""A question about a run of the machine, which is played on the board until it is answered."""
+
+from dataclasses import dataclass
+
+from humanopts_env.domains.described import published_state
+from humanopts_env.domains.formulas import feature_columns, plain_name
+from humanopts_teach.dialogue.app import App
+from humanopts_teach.dialogue.keys import Command, Do, DOWN, LEFT, RIGHT, SPACE, UP
+from humanopts_teach.dialogue.panel import Block, Features, GAP, Line, Panel, Tone
+from humanopts_teach.lesson.requests import LessonView
+
+STEP_SECONDS = 0.4  # time for which a state is drawn
+END_SECONDS = 1.2  # the same for the first and the last state of a run
+RUN_SECONDS = 6.0  # longer runs are played faster
+
+
+@dataclass
+class RunQuestion:
+    """
+    The open question about a run, and the state of the run to draw.
+
+    :ivar lesson: the lesson with the question.
+    :ivar compares: draw the demonstration that the run is compared with.
+    :ivar step: index into the states of the run.
+    :ivar plays: go to the next state when its time has come.
+    """
+
+    lesson: LessonView
+    compares: bool = False
+    step: int = 0
+    plays: bool = True
+    _until: float = 0.0  # s, end of the time of the drawn state; 0: not drawn yet
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """The states of the run, or of the demonstration, in the domain's notation."""
+        lesson = self.lesson
+        return lesson.question_compared if self.compares else lesson.question_states
+
+    @property
+    def state(self) -> str:
+        """The state to draw."""
+        return self.states[self.step] if self.states else ''
+
+    def tick(self, now: float) -> None:
+        """
+        Draw the next state when its time has come; after the run, the demonstration or again.
+
+        :param now: monotonic time in seconds.
+        """
+        last = len(self.states) - 1
+        if not self.plays or last < 1 or now < self._until:
+            return
+        if self._until and self.step == last:
+            self._show(compares=bool(self.lesson.question_compared) and not self.compares)
+        elif self._until:
+            self.step += 1
+        at_end = self.step in (0, len(self.states) - 1)
+        seconds = min(STEP_SECONDS, RUN_SECONDS / len(self.states))
+        self._until = now + (END_SECONDS if at_end else seconds)
+
+    def panel(self, app: App) -> Panel:
+        """Return the question, the length of the run and the features where it begins and ends."""
+        lesson = self.lesson
+        runs = [('the machine', lesson.question_states), ('you', lesson.question_compared)]
+        drawn = [
+            Line(
+                f'board: {who}, step {self.step if compares == self.compares else 0} '
+                f'of {len(states) - 1}',
+                Tone.NEWS if compares == self.compares else Tone.QUIET,
+            )
+            for compares, (who, states) in enumerate(runs)
+            if len(states) > 1
+        ]
+        number = f'question {lesson.n_questions + 1} about what it does'
+        after = 'After no, you show what it should do there.'
+        blocks: list[Block] = [
+            Line('Teaching: ', more=(Line(lesson.option_name, strong=True),)),
+            Line(number, Tone.QUIET),
+            GAP,
+            Line(lesson.question, strong=True),
+            *drawn,
+            self._features(app),
+            GAP,
+            Line(after, Tone.QUIET),
+        ]
+        return Panel(blocks)
+
+    def commands(self) -> list[Command]:
+        """Return the commands that choose what is drawn."""
+        last = len(self.states) - 1
+        if last < 1:
+            return []
+        other = self.lesson.question_compared and self._to(not self.compares, 0)
+        return [
+            Command([LEFT], 'step back', self._to(self.compares, max(self.step - 1, 0))),
+            Command([RIGHT], 'step on', self._to(self.compares, min(self.step + 1, last))),
+            Command(
+                [SPACE],
+                'stop' if self.plays else 'play',
+                self._play,
+                'play the run again and again, or stop at a state',
+            ),
+            Command([UP], 'machine or you', other or None, label='↑ ↓'),
+            Command([DOWN], 'you or machine', other or None, label=''),
+        ]
+
+    def _to(self, compares: bool, step: int) -> Do:
+        def go(app: App) -> None:
+            self.plays = False
+            self._show(compares, step)
+
+        return go
+
+    def _play(self, app: App) -> None:
+        self.plays, self._until = not self.plays, 0.0
+
+    def _show(self, compares: bool, step: int = 0) -> None:
+        self.compares, self.step = compares, step
+
+    def _features(self, app: App) -> Features:
+        """Return the chosen features at the start of the run, and at its end if they differ."""
+        domain, states = app.domain, self.lesson.question_states
+        ends = [
+            domain.feature_values(published_state(domain, state, app.world.game.features))
+            for state in (states[0], states[-1])
+        ]
+        shown = []
+        for column in feature_columns(domain, self.lesson.chosen_features):
+            texts = list(dict.fromkeys(column.text(row) for row in ends))
+            shown.append((plain_name(column.feature.name), ' → '.join(texts)))
+        return Features(shown)
