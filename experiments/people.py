@@ -22,7 +22,7 @@ from humanopts_env.domains.base import Domain, is_enumerable
 from humanopts_env.domains.registry import domain_from_json, parameters_json
 from humanopts_env.seeding import generator
 from humanopts_learner.automatic.extract import AutomaticOptions, find_options, to_learned_options
-from humanopts_learner.demonstrations import Demonstration, Kind
+from humanopts_learner.demonstrations import Demonstration, Kind, shown
 from humanopts_learner.options.learn import learn_option
 from humanopts_teach.bags import BagError
 from humanopts_teach.bags.contents import read_demonstrations, read_domain
@@ -131,9 +131,9 @@ def read_bag_lessons(path: Path) -> list[BagLesson]:
 
 
 def taught_in(bag: Bag, domain: Domain) -> dict[tuple[str, str], list[Demonstration]]:
-    """Return the demonstrations used by ``bag eval``, by participant and option."""
+    """Return the demonstrations from which ``bag eval`` learns, by participant and option."""
     groups, _ = usable_demonstrations(read_demonstrations(bag), domain)
-    return groups
+    return {key: shown(demos) for key, demos in groups.items()}
 
 
 @dataclass(frozen=True)

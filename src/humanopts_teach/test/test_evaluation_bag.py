@@ -43,6 +43,7 @@ from humanopts_teach.evaluation.tables import LIVE_OPTIONS, option_row, OPTIONS,
 from humanopts_teach.evaluation.text import evaluation_text
 import pytest
 from rclpy.serialization import serialize_message
+from teach_support.bags import judged_run
 
 SETTINGS = EvaluationSettings(seed=5)
 FACTS = {
@@ -125,6 +126,20 @@ def test_order_repetitions_withdrawn_and_foreign_demonstrations_change_no_number
     assert found.options[0].learning.equals(evaluation.options[0].learning)
     assert any(stray.uuid in warning and 'chess' in warning for warning in found.warnings)
     assert numbers(evaluate([*reversed(shown), *shown], taxi, SETTINGS)) == numbers(found)
+
+
+@pytest.mark.heavy
+def test_nothing_is_learned_from_judged_runs(
+    taxi: Domain, first: Lesson, evaluation: BagEvaluation
+) -> None:
+    runs = [judged_run(first[n], first[: n + 3], n, right=True) for n in range(1, 4)]
+    found = evaluate([*first, *runs], taxi, SETTINGS)
+    assert found.options[0].option == evaluation.options[0].option
+    counted = ['n_demonstrations', 'n_not_here', 'mean_return_policy', 'seconds']
+    assert found.options[0].learning[counted].equals(evaluation.options[0].learning[counted])
+    only = [replace(demo, withdrawn=True) for demo in first]
+    with pytest.raises(EvaluationError, match='has no demonstration left'):
+        evaluate([*only, *runs], taxi, SETTINGS)
 
 
 def test_an_evaluation_has_learning_curves_and_plans(

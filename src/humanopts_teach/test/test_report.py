@@ -25,6 +25,7 @@ from humanopts_teach.report.episode import episode_strip, Frame
 from humanopts_teach.report.findings import findings
 from humanopts_teach.report.pages import counted, DASH, MINUS, number, percent
 from humanopts_teach.report.people import (
+    judged_runs,
     shown_demonstrations,
     shown_return,
     teachers,
@@ -34,6 +35,7 @@ from humanopts_teach.report.write import render_report, ReportData, write_evalua
 import numpy as np
 from numpy.typing import NDArray
 import pytest
+from teach_support.bags import judged_run
 
 pytestmark = pytest.mark.heavy
 
@@ -171,6 +173,25 @@ def test_a_plan_with_an_option_that_is_not_learned_says_so(
     (text,) = [finding.text for finding in findings(changed) if 'uses' in finding.text]
     assert text.count('“') == 1
     assert f'“{TAUGHT[1]}”' in text
+
+
+def test_judged_runs_are_listed_apart_from_demonstrations(
+    brief: BagEvaluation, taxi_lesson: list[Demonstration]
+) -> None:
+    name = brief.options[0].option.name
+    shown = [demo for demo in taxi_lesson if demo.option_name == name]
+    runs = [
+        judged_run(shown[0], shown[:3], 1, exam=True, stopped=True),
+        judged_run(shown[1], shown, 2, right=True),
+        replace(judged_run(shown[1], shown, 3, right=True), withdrawn=True),
+    ]
+    found = undrawn(replace(brief, demonstrations=[*shown, *runs]))
+    assert [demo for demo, _ in shown_demonstrations(found)] == shown
+    assert judged_runs(found) == [(runs[0], False), (runs[1], True)]
+    page = render_report(ReportData('Taxi', found))
+    assert '2 runs, 1 of them wrong' in page
+    assert 'wrong, stopped here</td><td class="muted">earlier version' in page
+    assert f'{len(shown)} demonstrations and “not here” answers' in page
 
 
 def test_numbers_on_the_page_are_those_of_the_data(data: ReportData, page: str) -> None:

@@ -40,7 +40,8 @@ def lesson(who: str, name: str = '') -> tuple[str, LessonState]:
 
 def shown(who: str, name: str, uuid: str, **fields: Any) -> tuple[str, Demonstration]:
     """Return a demonstration of one step."""
-    demo = Demonstration(participant=who, option_name=name, uuid=uuid, kind=1, **fields)
+    fields = {'kind': 1, **fields}
+    demo = Demonstration(participant=who, option_name=name, uuid=uuid, **fields)
     demo.states, demo.actions, demo.rewards = ['a', 'b'], ['east'], [0.0]
     return '/demonstrations', demo
 
@@ -52,6 +53,7 @@ def bags(tmp_path: Path, taxi: Domain) -> list[str]:
         ('/domain_info', domain_to_info(taxi)),
         *(lesson('anna'), lesson('anna', PICKUP), lesson('ben'), lesson('ben', 'Fetch him')),
         *(shown('anna', PICKUP, 'u1'), shown('ben', 'Fetch him', 'u2', withdrawn=True)),
+        shown('ben', 'Fetch him', 'u4', kind=3, option_version='v'),  # only judged
     ]
     second = [
         ('/domain_info', domain_to_info(taxi)),
