@@ -32,6 +32,7 @@ EVERY = spaces.Dict(
         'gear': spaces.Discrete(3, start=1),
         'cell': spaces.MultiDiscrete([30, 4]),
         'lamps': spaces.MultiBinary(2),
+        'near': spaces.Box(0, 1, (2, 2)),
         'pair': spaces.Tuple([spaces.Discrete(2), spaces.Box(0, 5, dtype=np.float32)]),
         'mission': spaces.Text(5),
     }
@@ -172,6 +173,7 @@ def test_every_kind_of_space_becomes_features() -> None:
         'gear': FeatureKind.NOMINAL,
         'lamps_0': FeatureKind.NOMINAL,
         'lamps_1': FeatureKind.NOMINAL,
+        **{f'near_{place}': FeatureKind.CONTINUOUS for place in ('0_0', '0_1', '1_0', '1_1')},
         'pair_0': FeatureKind.NOMINAL,
         'pair_1': FeatureKind.CONTINUOUS,
         'speed_0': FeatureKind.CONTINUOUS,

@@ -175,8 +175,8 @@ def _parts(name: str, space: Any, key: str) -> Iterable[Part]:
                 f'{name} has observations of {shape} numbers ({word}), too many to be features; '
                 f'{_ADVICE}'
             )
-        places = [''] if count == 1 else [f'_{n}' for n in range(count)]
-        names = [_name(f'{word}{place}') for place in places]
+        places: Iterable[tuple[int, ...]] = [()] if count == 1 else np.ndindex(space.shape)
+        names = [_name('_'.join(map(str, (word, *place)))) for place in places]
         limits = zip(names, np.ravel(space.low).tolist(), np.ravel(space.high).tolist())
         yield (
             [Feature.continuous(n, question_of(n), low, high) for n, low, high in limits],
