@@ -20,7 +20,6 @@ import gymnasium
 from humanopts_env import OptionsEnv
 from humanopts_env.domains.base import Domain
 from humanopts_env.domains.formulas import feature_columns
-from humanopts_env.domains.gymnasium_reference import WatchedOption
 from humanopts_env.domains.reference import ReferenceOption
 from humanopts_env.domains.registry import make_domain, reference_options
 from humanopts_env.games import games_at
@@ -34,6 +33,7 @@ from humanopts_learner.planning.request import HUMAN, PlanRequest
 from humanopts_learner.planning.sampled_plan import make_sampled_plan
 from humanopts_learner.qlearning import EnvLearner
 from humanopts_learner.segments import cut, event_features, joined
+from humanopts_teach.lesson.examiner import reached
 from humanopts_teach.lesson.in_process import teach
 from humanopts_teach.lesson.seeded_starts import LessonRules
 from humanopts_teach.lesson.simulated_teacher import TeacherSettings
@@ -188,11 +188,6 @@ def led(domain: Domain, option: ReferenceOption, state: Any) -> tuple[list[Any],
         states.append(domain.step(states[-1], best[0], rng).state)
         actions.append(domain.actions[best[0]].name)
     return states, actions
-
-
-def reached(option: ReferenceOption, state: Any) -> bool:
-    """Return whether the end of an option is reached, and not another one."""
-    return option.reached(state) if isinstance(option, WatchedOption) else option.ends(state)
 
 
 def success(option: Option, domain: Domain, starts: Sequence[tuple[Any, int]]) -> float:

@@ -127,7 +127,8 @@ def test_the_simulated_teacher_teaches_until_the_criteria_hold_whatever_comes_in
     monkeypatch.setattr(Lesson, 'not_begun', refuse)
     start_learner(graph)
     lesson = person.start_lesson(strategy='failures', until_no_failures=True, learn=GOAL)
-    graph.ready('/game', '/learner')
+    graph.start(OPTION_SERVER)
+    graph.ready('/game', '/learner', '/option_server')
     graph.start(TEACHER, error_rate=0.05, options=[PICKUP])
     graph.until(lambda: person.shown, 'a demonstration')
     graph.stop(graph.node_called('/game'))
@@ -141,9 +142,9 @@ def test_the_simulated_teacher_teaches_until_the_criteria_hold_whatever_comes_in
     status = graph.statuses['/simulated_teacher'][-1]
     assert (status.state, status.text) == (NodeStatus.STATE_READY, 'finished')
     assert person.lesson.phase == LessonState.PHASE_FINISHED
-    assert 'All criteria are met' in person.lesson.text
+    assert 'Learned: 5 of 5 runs' in person.lesson.text
     (learned,) = person.latest[LearningStatus].options
-    assert (learned.option_name, learned.criteria_met) == (PICKUP, True)
+    assert (learned.option_name, learned.criteria_met, learned.learned) == (PICKUP, True, True)
     assert person.latest[ControlState].holder == ControlState.HOLDER_NOBODY
     assert [answer.ok for answer in taken_over] == [True]
     graph.stop(lesson)

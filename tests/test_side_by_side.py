@@ -80,6 +80,7 @@ class Lesson:
         folder = self.bag.parent
         self._start(LEARNER, namespace, directory=folder / 'options')
         self._start(LESSON, namespace, directory=folder / 'lesson', budget=2)
+        self._start(OPTION_SERVER, namespace)
         self._namespace, self._participant = namespace, participant
 
     def taught(self, option: str, game: str = GAME, **parameters: Any) -> Path:
@@ -113,7 +114,6 @@ def test_a_bag_with_forged_messages_is_read_as_the_nodes_saw_it_whatever_the_gam
         for message.publisher_id in forgers:
             live.node.create_publisher(type(message), topic, LATCHED).publish(message)
     lesson = Lesson(live, '/', 'p1')
-    live.start(OPTION_SERVER, expect_recorder=True)
     live.start(PLANNER, expect_recorder=True)
     options = ['-r', '__node:=simulator', '-p', 'expect_recorder:=true']
     words = ['-m', module_of(GAME), '--ros-args', *options]

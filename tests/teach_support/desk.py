@@ -35,10 +35,12 @@ from humanopts_teach.lesson.requests import (
     SetPace,
     Verdict,
 )
-from humanopts_teach.lesson.seeded_starts import LessonRules, SeededStarts
+from humanopts_teach.lesson.seeded_starts import LessonRules
 from humanopts_teach.lesson.store import DemonstrationStore
 from humanopts_teach.terminal.drawing import drawn, frame
 from rich.console import Console
+
+from teach_support.lesson import Drawn
 
 ME = 'terminal'
 MEASURED = ('criteria', 'more_needed', 'conflicts', 'suggested_feature', 'mean_return_policy')
@@ -66,7 +68,7 @@ class Desk:
         self.lesson = Lesson(
             domain,
             self.store,
-            SeededStarts(domain, LessonRules('random', budget)),
+            Drawn(domain, LessonRules('random', budget)),
             clock=lambda: self.now,
             today=lambda: '20260102',
         )

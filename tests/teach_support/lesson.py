@@ -35,6 +35,13 @@ START = 'taxi 0,1 passenger R destination G'
 OTHER = 'taxi 3,1 passenger B destination R'
 
 
+class Drawn(SeededStarts):
+    """Start states that do not wait for the learner."""
+
+    def counts(self, option: OptionHistory, demonstration: Demonstration) -> bool:
+        return True
+
+
 class Starts(SeededStarts):
     """Start states without a learner: what is learned is set by the test."""
 

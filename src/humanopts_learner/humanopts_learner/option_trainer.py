@@ -1,7 +1,7 @@
 """The data set of a domain on disk, and the options learned from it as it grows."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from humanopts_env.domains.base import ActableDomain
@@ -11,7 +11,10 @@ from humanopts_learner.demonstrations import (
     Demonstration,
     each_once,
     group_by_option,
+    Kind,
+    shown,
 )
+from humanopts_learner.options.exam import with_verdicts
 from humanopts_learner.options.files import (
     option_from_json,
     option_to_json,
@@ -86,7 +89,7 @@ class OptionTrainer:
 
     def take(self, demo: Demonstration) -> bool:
         """
-        Store a demonstration or its withdrawal, and relearn its option.
+        Store a demonstration, a judged run or a withdrawal, and relearn or judge its option.
 
         :return: False: already known or withdrawn; nothing changed.
         :raises DemonstrationError: it is invalid; it is not stored.
@@ -102,7 +105,7 @@ class OptionTrainer:
         except OSError as error:
             raise DataSetError(f'cannot write {self._log.path}: {error.strerror}') from error
         self._demonstrations[demo.uuid], self._withdrawn[demo.uuid] = demo, demo.withdrawn
-        self._learn(demo.participant, demo.option_name, self._demonstrations.values())
+        self._learn(demo.participant, demo.option_name, self._demonstrations.values(), demo)
         return True
 
     def options(self) -> list[TaughtOption]:
@@ -138,32 +141,51 @@ class OptionTrainer:
         self._demonstrations, self._participant = {demo.uuid: demo for demo in read}, participant
 
     def _learn(
-        self, participant: str, option_name: str, demonstrations: Iterable[Demonstration]
+        self,
+        participant: str,
+        option_name: str,
+        demonstrations: Iterable[Demonstration],
+        news: Demonstration | None = None,
     ) -> None:
         """
         Learn an option, or remove it if it has no demonstrations left.
 
-        :param demonstrations: all demonstrations of the participant.
+        A judged run changes only what is known about the option.
+
+        :param demonstrations: all demonstrations and judged runs of the participant.
+        :param news: what has changed since the last call; None: anything.
         """
         key = participant, option_name
         demos = group_by_option(demonstrations).get(key, [])
-        if not demos:
+        known = self._options.get(key)
+        if not shown(demos):
             self._unlearn(*key)
             self._options.pop(key, None)
-            return
-        summary, file = unmeasured(demos), ''
+        elif known is not None and known.file and news is not None and news.kind is Kind.JUDGED:
+            if news.exam:
+                summary = with_verdicts(known.summary, demos, self._thresholds.exam)
+            else:
+                summary = self._judge(demos, known.option)
+            self._options[key] = replace(known, summary=summary)
+        else:
+            self._options[key] = self._learned(demos)
+
+    def _learned(self, demos: list[Demonstration]) -> TaughtOption:
+        """Learn an option, judge it and write its file."""
+        summary = unmeasured(demos)
         try:
             option = learn_option(demos, self._domain, self._seed)
         except NotLearnableError:
-            self._unlearn(*key)
-        else:
-            summary = judge(demos, self._domain, self._thresholds, self._seed, option)
-            try:
-                save_option(self._directory, option, demos)
-            except OSError as error:
-                self.problems.append(f'cannot write the file of {option_name!r}: {error}')
-            file = option_to_json(option, [])
-        self._options[key] = TaughtOption(summary, file)
+            self._unlearn(summary.participant, summary.option_name)
+            return TaughtOption(summary, '')
+        try:
+            save_option(self._directory, option, shown(demos))
+        except OSError as error:
+            self.problems.append(f'cannot write the file of {option.name!r}: {error}')
+        return TaughtOption(self._judge(demos, option), option_to_json(option, []))
+
+    def _judge(self, demos: list[Demonstration], option: LearnedOption | None) -> OptionSummary:
+        return judge(demos, self._domain, self._thresholds, self._seed, option)
 
     def _unlearn(self, participant: str, option_name: str) -> None:
         """Remove the file of an option, after its demonstrations were withdrawn."""

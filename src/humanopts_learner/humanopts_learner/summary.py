@@ -5,12 +5,13 @@ from dataclasses import dataclass, field
 import math
 
 from humanopts_learner.demonstrations import Demonstration, Kind, shown, TREES
-from humanopts_learner.intervals import Interval
+from humanopts_learner.intervals import Interval, LEVEL
 import numpy as np
 
 RETURN, INITIATION, TERMINATION = 'return', 'initiation', 'termination'
 NO_RANGE = 'random actions from the same starts return as much as the demonstrations'
 NO_RULES = 'this domain can only be acted in, and no option can be run in it for a test'
+NOT_MET = 'not learned: the criteria are not met'
 UNKNOWN = Interval(math.nan, math.nan, math.nan)
 
 
@@ -93,8 +94,8 @@ class OptionSummary:
 
     @property
     def exam(self) -> Interval:
-        """The share of right runs in the exam, with its limits at a confidence of 95 %."""
-        return Interval.of_share(np.arange(self.exam_runs) < self.exam_right)
+        """The share of right runs in the exam; its limits hold over all exams of the option."""
+        return share_right(self.exam_right, self.exam_runs, self.exams_failed)
 
     @property
     def exam_passed(self) -> bool:
@@ -110,7 +111,7 @@ class OptionSummary:
     def status(self) -> str:
         """Whether the option is learned, and how sure that is, or what is missing."""
         if not self.settled:
-            return 'not learned: the criteria are not met'
+            return NOT_MET
         runs = f'{self.exam_right} of {self.exam_runs} runs in the exam were right'
         if self.exam_right < self.exam_runs:
             return f'not learned: {runs}'
@@ -174,6 +175,15 @@ class PlanSummary:
     fallbacks: int = 0  # primitive actions taken because no option could start
     random_moves: int = 0  # taken because an option repeated itself
     outcomes: Mapping[str, Interval] = field(default_factory=dict)  # reported by the domain
+
+
+def share_right(right: int, runs: int, failed: int) -> Interval:
+    """
+    Return the share of right runs in an exam; its limits hold over all exams of an option.
+
+    :param failed: number of exams failed before.
+    """
+    return Interval.of_share(np.arange(runs) < right, 1 - (1 - LEVEL) / (failed + 1) ** 2)
 
 
 def unmeasured(demonstrations: Sequence[Demonstration]) -> OptionSummary:

@@ -30,7 +30,6 @@ from humanopts_teach.lesson.requests import (
     WithdrawDemonstration,
     World,
 )
-from humanopts_teach.lesson.seeded_starts import SeededStarts
 from humanopts_teach.lesson.store import DemonstrationStore
 from hypothesis import settings
 from hypothesis import strategies as st
@@ -39,6 +38,7 @@ import pytest
 from teach_support import snapshot
 from teach_support.lesson import (
     CHOSEN,
+    Drawn,
     fill_disk,
     OPTION,
     OTHER,
@@ -93,7 +93,7 @@ class LessonMachine(RuleBasedStateMachine):
         self._start_lesson()
 
     def _start_lesson(self) -> None:
-        self.table = Table(self.store, budget=BUDGET, starts=SeededStarts)
+        self.table = Table(self.store, budget=BUDGET, starts=Drawn)
         self.reports: dict[Key, tuple[OptionSummary, bool]] = {}
         self.path: list[tuple[str, Source]] = []  # of the demonstration under way
         self.watch = False
@@ -241,6 +241,8 @@ class LessonMachine(RuleBasedStateMachine):
         request = EndDemonstration(verdict, self.episode, max(steps, 0), count_machine_steps=count)
         if option is None or not self.path:
             self.ask(request, WRONG)
+        elif verdict in (Verdict.RIGHT, Verdict.WRONG):
+            self.ask(request, RequestStatus.BAD_VERDICT)
         elif verdict is Verdict.DISCARD:
             self.ask(request, OK)
             self.abandon()

@@ -33,6 +33,7 @@ from humanopts_learner.demonstrations import Demonstration, GOAL, Kind
 from humanopts_learner.intervals import Interval
 from humanopts_learner.option import RandomActions
 from humanopts_learner.options.conflicts import find_conflicts
+from humanopts_learner.options.exam import before_exam, with_verdicts
 from humanopts_learner.options.failures import largest_shortfall
 from humanopts_learner.options.learn import Dataset, Examples, fit_option, make_dataset
 from humanopts_learner.options.learned_option import LearnedOption, MEMBER
@@ -78,6 +79,8 @@ class Thresholds:
 
         :raises ValueError: a value is not finite, or an error is not in 0..1.
         """
+        if self.exam < 0:
+            raise ValueError(f'an exam has 0 or more runs, not {self.exam}')
         errors = self.initiation_error, self.termination_error
         if not math.isfinite(self.return_delta or 0.0) or not all(0 <= e <= 1 for e in errors):
             raise ValueError(
@@ -98,10 +101,11 @@ def judge(
 
     The return cannot be measured in a domain that cannot be simulated.
 
-    :param demonstrations: checked demonstrations of one participant and option.
+    :param demonstrations: checked demonstrations and judged runs of one participant and option.
     :param option: result of ``learn_option`` with the same arguments; None: learn it here.
     :raises NotLearnableError: as ``learn_option``.
     """
+    everything, demonstrations = demonstrations, before_exam(demonstrations)
     data = make_dataset(demonstrations, domain)
     option = option or fit_option(data, domain, seed)
     shown = np.array([demo.total_reward for demo in data.trajectories])
@@ -115,7 +119,7 @@ def judge(
     criteria = _criteria(data, domain, thresholds, seed, option, known)
     waits = known is not None and not criteria[0].met  # no estimate of when it will be met
     conflicts, suggested = find_conflicts(data, domain)
-    return replace(
+    summary = replace(
         unmeasured(data.demonstrations),
         features=data.features,
         criteria=criteria,
@@ -126,6 +130,7 @@ def judge(
         suggested_feature=suggested,
         gain=gain,
     )
+    return with_verdicts(summary, everything, thresholds.exam)
 
 
 def _starts(data: Dataset, domain: Domain) -> list[Any]:

@@ -1,9 +1,8 @@
 """A demonstration in progress: the episode so far, its end, and the recorded result."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
-import uuid
 
 from humanopts_env.domains.base import ActableDomain
 from humanopts_env.domains.registry import parameters_json
@@ -16,7 +15,8 @@ from humanopts_teach.lesson.requests import (
     Verdict,
 )
 
-_NAMESPACE = uuid.uuid5(uuid.NAMESPACE_URL, 'humanopts:demonstration')
+SHOWN_VERDICTS = Verdict.DONE, Verdict.NOT_HERE
+EXAM_VERDICTS = Verdict.RIGHT, Verdict.WRONG
 
 
 @dataclass(slots=True)
@@ -30,6 +30,7 @@ class Attempt:
 
     start_state: str  # in the domain's notation
     watch: bool = False  # the machine may move until the person moves
+    exam: bool = False  # only the machine may move, and the person judges its run
     episode: int = 0  # of the demonstration; 0: no answer from the game yet
     began: float = 0.0  # clock time at the start, s
     transitions: list[Transition] = field(default_factory=list)
@@ -76,6 +77,8 @@ class Attempt:
         if transition.step == 0 and transition.state != self.start_state:
             return f'the game began in {transition.state} and not in {self.start_state}'
         watched = self.watch and self.machine_steps == transition.step
+        if self.exam and not watched:
+            return 'a person moved in a run of the exam'
         if transition.action_source is Source.MACHINE and not watched:
             return 'the machine moved in this episode; stop its run first'
         return ''
@@ -87,18 +90,25 @@ class Attempt:
         :raises RefusalError: it is not; the demonstration continues.
         """
         verdict, (_, last) = request.verdict, self.here
-        if verdict is None:
-            detail = 'unknown verdict; choose done, not here or discard'
+        possible = EXAM_VERDICTS if self.exam else SHOWN_VERDICTS
+        if verdict not in (*possible, Verdict.DISCARD):
+            choice = f'{possible[0].value}, {possible[1].value} or discard'
+            known = 'unknown verdict' if verdict is None else f'not "{verdict.value}"'
+            detail = f'{known}; choose {choice}'
             raise RefusalError(RequestStatus.BAD_VERDICT, detail)
         if verdict is Verdict.DISCARD:
             return
         seen = (request.episode, request.step)
-        if self.here != seen or seen[0] != self.episode:
+        passed = verdict is Verdict.WRONG and (self.episode, 0) <= seen <= self.here
+        if (self.here != seen or seen[0] != self.episode) and not passed:
             raise RefusalError(
                 RequestStatus.NOT_CURRENT,
                 f'the verdict is about episode {seen[0]} step {seen[1]}, but the demonstration '
                 f'is episode {self.episode}, and the game at episode {self.here[0]} step {last}',
             )
+        if verdict is Verdict.RIGHT and last == 0:
+            detail = 'the machine has not moved: watch its run first, or say wrong, or discard'
+            raise RefusalError(RequestStatus.NO_STEPS, detail)
         if verdict is Verdict.DONE and last == 0:
             detail = 'no step was taken: drive first, or say not here, or discard'
             raise RefusalError(RequestStatus.NO_STEPS, detail)
@@ -115,10 +125,12 @@ class Attempt:
         Return the steps to record, and the number of leading steps taken by the machine in them.
 
         "Not here" has no steps. Machine steps that do not count are dropped: the demonstration
-        begins where the person took over.
+        begins where the person took over. A run in the exam ends where the person has seen it.
         """
         if request.verdict is Verdict.NOT_HERE:
             return self.transitions[:1], 0
+        if self.exam:
+            return self.transitions[: request.step + 1], request.step
         if not request.count_machine_steps:
             return self.transitions[self.machine_steps :], 0
         return self.transitions, self.machine_steps
@@ -134,12 +146,12 @@ def demonstration_of(
     :param fields: other fields; required are ``option_name``, ``participant`` and ``session``.
     """
     names, steps = tuple(feature.name for feature in domain.features), shown[1:]
-    given: dict[str, Any] = {'number': 0, 'chosen_features': names, **fields}
+    kind = Kind.TRAJECTORY if steps else Kind.NOT_HERE
+    given = {'kind': kind, 'number': 0, 'chosen_features': names, **fields}
     return Demonstration(
-        Kind.TRAJECTORY if steps else Kind.NOT_HERE,
-        '',
-        domain.name,
-        parameters_json(domain),
+        uuid='',
+        domain=domain.name,
+        domain_parameters=parameters_json(domain),
         feature_names=names,
         features=tuple(transition.features for transition in shown),
         states=tuple(transition.state for transition in shown),
@@ -148,13 +160,3 @@ def demonstration_of(
         terminated=shown[-1].terminated,
         **given,
     )
-
-
-def with_uuid(demo: Demonstration) -> Demonstration:
-    """
-    Return a demonstration with a uuid computed from its content, excluding ``seconds``.
-
-    Thus the same lesson with the same seed has the same uuids, and the same folds in learning.
-    """
-    draft = replace(demo, uuid='', seconds=0.0)
-    return replace(demo, uuid=str(uuid.uuid5(_NAMESPACE, draft.to_json())))

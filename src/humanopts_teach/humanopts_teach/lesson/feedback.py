@@ -5,7 +5,7 @@ from typing import Any
 
 from humanopts_env.domains.base import ActableDomain
 from humanopts_env.domains.described import can_simulate
-from humanopts_learner.demonstrations import Demonstration
+from humanopts_learner.demonstrations import Demonstration, Kind
 from humanopts_learner.options.starts import sort_stuck
 from humanopts_learner.planning.columns import suggest_column
 from humanopts_learner.summary import OptionSummary
@@ -17,7 +17,7 @@ class Feedback:
     """
     What learner and planner have reported about the options of a participant.
 
-    :ivar awaited: demonstration that the learner is processing; None: none.
+    :ivar awaited: demonstration or judged run that the learner is processing; None: none.
     :ivar trial_games: number of trial games of the newest plan; 0: it was not tried.
     :ivar offers: states in which that plan got stuck, by the option to be shown there.
     :ivar suggested_column: suggested feature column for plans with the options; empty: none.
@@ -45,9 +45,15 @@ class Feedback:
         """Return the learning method of an option for its next demonstration."""
         return option.method or self._starts.rules.method
 
+    def summary(self, option: OptionHistory | None) -> OptionSummary | None:
+        """Return the learner's summary of an option; None: not reported yet."""
+        if option is None:
+            return None
+        return self._summaries.get((option.participant, option.name))
+
     def settled(self, option: OptionHistory | None) -> OptionSummary | None:
         """Return the summary if all measurable criteria hold for an option; otherwise None."""
-        summary = option and self._summaries.get((option.participant, option.name))
+        summary = self.summary(option)
         if not option or not summary or not summary.settled or not _is_current(summary, option):
             return None
         same = summary.method == self.method(option)
@@ -58,11 +64,16 @@ class Feedback:
         demo = self.awaited
         if demo is None:
             return True
-        summary = self._summaries.get((demo.participant, demo.option_name))
-        if demo.withdrawn:
-            counted = summary is None or _is_current(summary, option)
+        summary = self.summary(option)
+        if summary is None:
+            counted = demo.withdrawn
+        elif demo.kind is Kind.JUDGED:
+            counts = option.n_questions, option.exam_runs
+            counted = (summary.n_questions, summary.exam_runs) == counts
+        elif demo.withdrawn:
+            counted = _is_current(summary, option)
         else:
-            counted = summary is not None and summary.last_uuid == demo.uuid
+            counted = summary.last_uuid == demo.uuid
         return counted and self._starts.counts(option, demo)
 
     def update_summaries(self, summaries: Sequence[OptionSummary]) -> None:

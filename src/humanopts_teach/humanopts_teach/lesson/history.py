@@ -6,7 +6,7 @@ from contextlib import suppress
 from humanopts_env.domains.base import ActableDomain, Feature
 from humanopts_env.domains.formulas import derive, FormulaError
 from humanopts_env.domains.registry import parameters_json
-from humanopts_learner.demonstrations import Demonstration, Kind
+from humanopts_learner.demonstrations import Demonstration, Kind, version_of
 from humanopts_teach.lesson.store import Entry, LessonEvent
 
 
@@ -21,7 +21,8 @@ class OptionHistory:
     :ivar earlier: features chosen before the questions were asked again.
     :ivar method: learning method, requested or of the first demonstration; empty: neither.
     :ivar demonstrations: demonstrations that were not withdrawn.
-    :ivar judged: runs of the machine that the person judged.
+    :ivar judged: runs of the machine that the person judged, without withdrawn verdicts.
+    :ivar judged_number: number of the next judged run.
     :ivar withdrawn: uuids of withdrawn demonstrations.
     :ivar start_states: start states of withdrawn demonstrations, to be demonstrated again.
     :ivar number: number of the next demonstration; it also seeds the draw of its start state.
@@ -36,6 +37,7 @@ class OptionHistory:
         self.method = ''
         self.demonstrations: list[Demonstration] = []
         self.judged: list[Demonstration] = []
+        self.judged_number = 1
         self.withdrawn: set[str] = set()
         self.start_states: list[str] = []
         self._features = features
@@ -60,10 +62,39 @@ class OptionHistory:
         """The newest demonstration."""
         return self.demonstrations[-1] if self.demonstrations else None
 
+    @property
+    def everything(self) -> list[Demonstration]:
+        """Demonstrations and judged runs."""
+        return [*self.demonstrations, *self.judged]
+
+    @property
+    def verdicts(self) -> list[Demonstration]:
+        """The judged runs of the option that is learned from all demonstrations."""
+        version = version_of(self.demonstrations)
+        return [run for run in self.judged if run.option_version == version]
+
+    @property
+    def exam_runs(self) -> int:
+        """The number of these runs that are of the exam."""
+        return sum(run.exam for run in self.verdicts)
+
+    @property
+    def n_questions(self) -> int:
+        """The number of questions about runs that were answered."""
+        return sum(not run.exam for run in self.judged)
+
+    @property
+    def wrong_run(self) -> Demonstration | None:
+        """The last of these runs that the person called wrong; None: none."""
+        return next((run for run in reversed(self.verdicts) if not run.right), None)
+
     def add(self, entry: Entry) -> None:
         """Add an entry about the option."""
         if isinstance(entry, Demonstration) and entry.kind is Kind.JUDGED:
-            self.judged.append(entry)
+            self.judged_number = max(self.judged_number, entry.number + 1)
+            self.judged = [run for run in self.judged if run.uuid != entry.uuid]
+            if not entry.withdrawn:
+                self.judged.append(entry)
         elif isinstance(entry, Demonstration):
             self.number = max(self.number, entry.number + 1)
             self.method = self.method or entry.method
@@ -96,7 +127,7 @@ class History:
     :ivar participant: participant code; empty: no session is open.
     :ivar key: domain name and parameters, as in the entries; entries of other domains are ignored.
     :ivar sessions: last option of each session; empty: none yet.
-    :ivar n_answers: number of answers given and withdrawn.
+    :ivar n_answers: number of answers given and withdrawn, about features and runs.
     :ivar features: features asked about: those of the domain, then the participant's derived ones.
     """
 
@@ -142,7 +173,8 @@ class History:
             return
         if kind == 'option':
             self.sessions[entry.session] = name
-        self.n_answers += kind in ('answer', 'answer taken back')
+        answer = isinstance(entry, Demonstration) and entry.kind is Kind.JUDGED and not entry.exam
+        self.n_answers += answer or kind in ('answer', 'answer taken back')
         self.options.setdefault(
             name, OptionHistory(self.participant, name, self.features, self.number(name))
         ).add(entry)

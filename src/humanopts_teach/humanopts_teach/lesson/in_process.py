@@ -14,7 +14,9 @@ import tempfile
 from humanopts_env.domains.base import Domain
 from humanopts_env.domains.reference import ReferenceOption
 from humanopts_env.game import Accepted, Command, Game, Source, Transition
-from humanopts_learner.demonstrations import Demonstration, Kind
+from humanopts_env.seeding import generator
+from humanopts_learner.demonstrations import Demonstration, judged, Kind, shown
+from humanopts_learner.options.exam import with_verdicts
 from humanopts_learner.options.files import option_to_json
 from humanopts_learner.options.judge import judge, Thresholds
 from humanopts_learner.options.learn import learn_option
@@ -22,7 +24,8 @@ from humanopts_learner.options.learned_option import LearnedOption
 from humanopts_learner.planning.request import HUMAN, PlanRequest
 from humanopts_learner.planning.sampled_plan import make_sampled_plan
 from humanopts_learner.planning.stuck import try_plan
-from humanopts_learner.summary import Criterion, OptionSummary
+from humanopts_learner.run import Run
+from humanopts_learner.summary import Criterion, OptionSummary, unmeasured
 from humanopts_teach.lesson.lesson import Lesson
 from humanopts_teach.lesson.requests import (
     AnswerQuestion,
@@ -30,6 +33,7 @@ from humanopts_teach.lesson.requests import (
     DefineOption,
     Drive,
     EndDemonstration,
+    RunOption,
 )
 from humanopts_teach.lesson.seeded_starts import LessonRules, SeededStarts
 from humanopts_teach.lesson.simulated_teacher import (
@@ -38,6 +42,7 @@ from humanopts_teach.lesson.simulated_teacher import (
     TeacherError,
     TeacherSettings,
     Wait,
+    Watch,
 )
 from humanopts_teach.lesson.store import DemonstrationStore
 
@@ -47,6 +52,7 @@ SECONDS = {
     AnswerQuestion: 3.0,
     BeginDemonstration: 2.0,
     Drive: 0.5,
+    Watch: 0.25,
     EndDemonstration: 1.0,
 }
 
@@ -65,6 +71,8 @@ class Taught:
 
     demonstrations: tuple[Demonstration, ...]  # of all options, in order
     options: tuple[LearnedOption, ...]  # final version of each option
+    summaries: tuple[OptionSummary, ...]  # of these options
+    judged: tuple[Demonstration, ...]  # runs in the exams, and those that questions were about
     seconds: float  # estimated duration for a person, by ``SECONDS``
     cut_short: str  # why the teacher gave up; empty: everything was taught
     acts: Counter[type]  # the person's actions, by type
@@ -77,19 +85,22 @@ def teach(
     enough: Enough | None = None,
     where_stuck: int = 0,
     references: Mapping[str, ReferenceOption] | None = None,
+    thresholds: Thresholds | None = None,
 ) -> Taught:
     """
     Let a simulated teacher teach options, one after another.
 
     :param rules: rules of the lesson; the learner uses the same seed. None: the defaults.
-    :param enough: end of each option; None: all measurable criteria hold at default thresholds.
+    :param enough: end of each option, instead of criteria, questions and exam; None: these.
     :param where_stuck: maximum number of final demonstrations where a plan gets stuck; a plan is
         made before each of them.
     :param references: what the teacher means by each option; None: the domain's.
+    :param thresholds: of the criteria and the exam; None: the defaults.
     :raises TeacherError: an option does not exist, or a setting is invalid.
     :raises LessonError: an action of the teacher was refused.
     """
-    rules = rules or LessonRules()
+    thresholds = thresholds or Thresholds()
+    rules = replace(rules or LessonRules(), ask_about_runs=enough is None)
     seconds, cut_short, tried, shown_there = 0.0, '', False, 0
     acts: Counter[type] = Counter()
     teacher = replace(teacher, where_stuck=bool(where_stuck))
@@ -99,26 +110,35 @@ def teach(
     summaries: dict[str, OptionSummary] = {}  # by option
 
     def learn(demo: Demonstration) -> None:
-        """Relearn the option like the learner, and report to the lesson."""
-        name, met, features = demo.option_name, False, demo.chosen_features
-        shown = [each for each in lesson.demonstrations() if each.option_name == name]
-        if any(each.kind is Kind.TRAJECTORY for each in shown):
-            option = options[name] = learn_option(shown, domain, rules.seed)
-            features = option.features
-            lesson.update_option(demo.participant, name, option_to_json(option, []))
+        """Relearn or judge the option like the learner, and report to the lesson."""
+        name = demo.option_name
+        demos = [each for each in lesson.demonstrations() if each.option_name == name]
+        summary = unmeasured(demos)
+        if any(each.kind is Kind.TRAJECTORY for each in demos):
+            if demo.kind is not Kind.JUDGED:
+                options[name] = learn_option(demos, domain, rules.seed)
+                text = option_to_json(options[name], [])
+                lesson.update_option(demo.participant, name, text)
             if enough is not None:
-                met = enough(shown, option)
+                met = Criterion('enough', None, None, met=enough(demos, options[name]))
+                features = options[name].features
+                summary = replace(summary, features=features, criteria=(met,))
+            elif demo.exam:
+                summary = with_verdicts(summaries[name], demos, thresholds.exam)
             else:
-                met = judge(shown, domain, Thresholds(), rules.seed, option).settled
-        summaries[name] = OptionSummary(
-            name,
-            demo.participant,
-            features,
-            last_uuid=demo.uuid,
-            method=demo.method,
-            criteria=(Criterion('enough', None, None, met=met),),
-        )
+                summary = judge(demos, domain, thresholds, rules.seed, options[name])
+        summaries[name] = summary
         lesson.update_summaries(list(summaries.values()))
+
+    def take(source: Source, action: str) -> None:
+        """Take a step of the game, which the lesson sees."""
+        nonlocal newest
+        command = Command('teacher', 0, source, newest.episode, newest.step, action)
+        reply = game.command(command)
+        if not isinstance(reply, Accepted):
+            raise LessonError(f'the game refused {action}: {reply.detail}')
+        newest = reply.transition
+        lesson.add_transition(newest)
 
     def plan() -> None:
         """Plan with the options, and offer the states in which the plan gets stuck."""
@@ -132,11 +152,11 @@ def teach(
         tempfile.TemporaryDirectory(prefix='humanopts-') as folder,
         DemonstrationStore(Path(folder)) as store,
     ):
-        starts = SeededStarts(domain, rules)
+        starts, run = SeededStarts(domain, rules), None
         lesson = Lesson(domain, store, starts, clock=lambda: seconds, today=lambda: '')
         while True:
             try:
-                act = person.next_act(lesson.view, newest)
+                act = person.next_act(lesson.view, newest, running=run is not None)
             except TeacherError as error:
                 cut_short = str(error)
                 break
@@ -150,14 +170,23 @@ def teach(
                 continue
             if isinstance(act, Wait):
                 raise LessonError(f'the teacher waits for {act}, and nothing is under way')
-            if isinstance(act, Drive):
-                command = Command('teacher', 0, Source.PERSON, act.episode, act.step, act.action)
-                reply = game.command(command)
-                if not isinstance(reply, Accepted):
-                    raise LessonError(f'the game refused {act.action}: {reply.detail}')
-                newest = reply.transition
-                lesson.add_transition(newest)
+            if isinstance(act, RunOption):
+                here, state = (newest.episode, newest.step), domain.decode(newest.state)
+                unstick = generator(rules.seed, 'random moves', act.option_name, *here)
+                run = Run(options[act.option_name], domain, state, here, unstick=unstick)
                 continue
+            if isinstance(act, Drive):
+                take(Source.PERSON, act.action)
+                continue
+            if isinstance(act, Watch):
+                assert run is not None
+                take(Source.MACHINE, domain.actions[run.next_action()].name)
+                seen = newest.reward, newest.terminated, newest.truncated
+                if run.observe(domain.decode(newest.state), *seen) is not None:
+                    run = None
+                continue
+            if isinstance(act, EndDemonstration):
+                run = None
             answer = lesson.carry_out(act)
             if not answer.carried_out:
                 raise LessonError(answer.detail)
@@ -165,15 +194,25 @@ def teach(
                 begun = game.reset(answer.state, answer.seed, Source.PERSON).transition
                 if begun is None:
                     raise LessonError(f'the game does not begin in {answer.state}')
+                if act.exam:
+                    game.release('the machine is watched')
                 newest = begun
                 lesson.began(newest.episode, newest.state)
                 lesson.add_transition(newest)
             if answer.demonstration is not None:
                 learn(answer.demonstration)
-                shown_there += tried
+                shown_there += tried and not judged([answer.demonstration])
                 if tried and shown_there < where_stuck:
                     plan()
                 elif tried:
                     break
-        demonstrations = tuple(lesson.demonstrations())
-    return Taught(demonstrations, tuple(options.values()), seconds, cut_short, acts)
+        everything = lesson.demonstrations()
+    return Taught(
+        tuple(shown(everything)),
+        tuple(options.values()),
+        tuple(summaries[name] for name in options),
+        tuple(judged(everything)),
+        seconds,
+        cut_short,
+        acts,
+    )

@@ -16,19 +16,22 @@ from humanopts_env.domains.described import can_simulate
 from humanopts_env.domains.formulas import derive, FormulaError
 from humanopts_env.game import Source, Transition
 from humanopts_learner.demonstrations import (
-    check_demonstration,
     check_method,
     Demonstration,
     DemonstrationError,
     each_once,
+    Kind,
     option_name_fault,
+    shown,
 )
 from humanopts_learner.options.conflicts import contradiction
-from humanopts_learner.summary import OptionSummary
+from humanopts_learner.summary import NOT_MET, OptionSummary
 from humanopts_ros.limits import composed
-from humanopts_teach.lesson.attempt import Attempt, demonstration_of, with_uuid
+from humanopts_teach.lesson.attempt import Attempt
+from humanopts_teach.lesson.examination import Examination
 from humanopts_teach.lesson.feedback import Feedback
 from humanopts_teach.lesson.history import History, OptionHistory
+from humanopts_teach.lesson.records import Records
 from humanopts_teach.lesson.requests import (
     AddDemonstrations,
     Answer,
@@ -60,6 +63,7 @@ from humanopts_teach.lesson.store import (
 
 MAX_DERIVED = 100  # derived features of a participant
 _ALL_NO = 'All answers were no, but an option depends on something: please answer again.'
+_READY = Phase.READY, Phase.CHECKING, Phase.EXAM, Phase.FINISHED  # a demonstration can begin
 _UNRECORDED = 'on disk but not in this recording; the next recording will have it'
 _OVER, _AT_LIMIT = 'The task is over.', 'The episode is at its step limit.'
 _REFUSED = {
@@ -113,7 +117,7 @@ class Lesson:
         self._history = History(domain, '')
         self._option: OptionHistory | None = None
         self.feedback = Feedback(domain, starts)
-        self._done = False  # criteria met, and no more questions from the strategy
+        self._examination = Examination(starts)
         self._attempt: Attempt | None = None  # set with the request for an episode
         self._episode = 0  # of the newest demonstration begun
         self._again = ''  # start state of a discarded or abandoned demonstration
@@ -133,11 +137,11 @@ class Lesson:
             (Phase.DEMONSTRATING, self._under_way is not None),
             (Phase.ASKING, option is not None and option.open_feature is not None),
             (Phase.LEARNING, self.feedback.awaited is not None),
-            (Phase.FINISHED, self._done or self._spent),
         ):
             if holds:
                 return phase
-        return Phase.READY
+        stage = self._examination.stage
+        return Phase.FINISHED if stage is Phase.READY and self._spent else stage
 
     @property
     def awaited(self) -> str:
@@ -169,8 +173,17 @@ class Lesson:
             text=' '.join(filter(None, (self._notice, self._advice(phase)))),
         )
         option, attempt = self._option, self._under_way
+        check = self._examination.check if phase is Phase.CHECKING else None
         if option is None:
             return view
+        if check is not None:
+            view = replace(
+                view,
+                question_id=self._question_id,
+                question=check.text,
+                question_states=check.states,
+                question_compared=check.compared,
+            )
         if (feature := option.open_feature) is not None:
             # Wording of the paper (section 5).
             question = f"Does the '{option.name}' option depend on {feature.question}?"
@@ -183,7 +196,17 @@ class Lesson:
             )
         if attempt is not None:
             start, steps = attempt.start_state, attempt.machine_steps
-            view = replace(view, start_state=start, machine_steps=steps)
+            view = replace(view, start_state=start, machine_steps=steps, exam=attempt.exam)
+        summary, settled = self.feedback.summary(option), self.feedback.settled(option)
+        if summary is not None:
+            view = replace(
+                view,
+                n_questions=summary.n_questions,
+                exam_right=summary.exam_right,
+                exam_runs=summary.exam_runs,
+                exam_needed=summary.exam_needed,
+                learned=settled is not None and settled.learned,
+            )
         return replace(
             view,
             option_name=option.name,
@@ -306,7 +329,9 @@ class Lesson:
         answer = self.carry_out(OpenSession(participant, session))
         if answer.ok:
             self._notice = 'The lesson was restarted; a demonstration under way was abandoned.'
-            self.feedback.awaited = self._option.newest if self._option is not None else None
+            option = self._option
+            newest = (option.newest, *option.verdicts)[-1] if option is not None else None
+            self.feedback.awaited = newest
         return answer
 
     def reached(self, episode: int, step: int) -> bool:
@@ -360,9 +385,7 @@ class Lesson:
     @property
     def _question_id(self) -> int:
         """The id of the open question, unique across options; 0: none is open."""
-        if self._option is None or self._option.open_feature is None:
-            return 0
-        return self._history.n_answers + 1
+        return self._history.n_answers + 1 if self.phase in (Phase.ASKING, Phase.CHECKING) else 0
 
     def _check_processed(self) -> None:
         """Stop waiting once learner and start states include the awaited demonstration."""
@@ -371,10 +394,9 @@ class Lesson:
             self._check_done()
 
     def _check_done(self) -> None:
-        """Check whether the option is learned."""
-        settled, option = self.feedback.settled(self._option) is not None, self._option
-        names = self._history.options
-        self._done = settled and option is not None and self._starts.exhausted(option, names)
+        """Check what comes next: a demonstration, a question about a run, the exam or nothing."""
+        settled = self.feedback.settled(self._option)
+        self._examination.update(self._option, settled, self._history.options)
 
     def _advice(self, phase: Phase) -> str:
         """Return advice on what to do next, with the reason if it is not obvious."""
@@ -386,15 +408,21 @@ class Lesson:
                 f'The plan got stuck in {len(offers)} of {self.feedback.trial_games} games while '
                 f"running '{name}', or in need of it: show what to do there."
             )
+        wrong = self._option.wrong_run if self._option is not None else None
+        if phase is Phase.READY and wrong is not None:
+            where = 'where you stopped that run' if wrong.stopped else 'from the start of that run'
+            hint = f'Show {where} what the option should do.'
+        if self._under_way is not None and self._under_way.exam:
+            hint = 'Watch the run of the option, then say right or wrong.'
         if self._paused and phase not in (Phase.DEMONSTRATING, Phase.LEARNING):
             hint = 'The lesson is paused.'
         if phase is Phase.FINISHED:
             budget = self._starts.rules.budget
             spent = f'The budget of {budget} is used up. ' if self._spent else ''
-            met = 'Not all criteria are met.' if summary is None else summary.result
-            return f'{spent}{met} {hint}'
-        ready = phase in (Phase.READY, Phase.DEMONSTRATING) and not self._done
-        if ready and summary is not None:
+            status = NOT_MET if summary is None else summary.status
+            return f'{spent}{status[0].upper()}{status[1:]}. {hint}'
+        ready = self._examination.stage is Phase.READY and wrong is None
+        if ready and phase in (Phase.READY, Phase.DEMONSTRATING) and summary is not None:
             return f'{summary.result[:-1]}, but from some starts it still fails. {hint}'
         return hint
 
@@ -510,21 +538,31 @@ class Lesson:
         """Answer the open question, or withdraw the last answer to reopen its question."""
         option = self._option
         feature = option.open_feature if option is not None else None
+        check = self._examination.check if self.phase is Phase.CHECKING else None
+        none = feature is None and check is None and not request.back
         fault = ''
-        if option is None or (feature is None and not request.back) or self._attempt is not None:
+        if option is None or none or self._attempt is not None:
             fault = 'no question is open'
         elif request.back:
-            if request.question_id != self._question_id or not option.answers:
+            verdict = feature is None and bool(option.verdicts)
+            if verdict and self.feedback.awaited is not None:
+                fault = 'the learner is still working on the last answer; wait for it'
+            elif request.question_id != self._question_id or not (option.answers or verdict):
                 fault = 'there is no question before this one to go back to'
+            elif verdict:
+                return self._withdraw(WithdrawDemonstration(option.verdicts[-1].uuid))
         elif request.question_id != self._question_id:
-            assert feature is not None
+            about = 'a run' if feature is None else feature.name
             fault = (
                 f'question {request.question_id} is not open; question {self._question_id} '
-                f'is, about {feature.name}'
+                f'is, about {about}'
             )
         if fault:
             raise RefusalError(RequestStatus.NOT_ASKED, fault)
         assert option is not None
+        if check is not None and not request.back:
+            run = self._records(option).answered(check, yes=request.yes)
+            return self._keep(run, 'the run is right' if request.yes else 'the run is wrong')
         if feature is None or request.back:
             self._write(self._event('answer taken back', option.name))
             answer = _ok('the question before is open again')
@@ -540,11 +578,15 @@ class Lesson:
 
     def _prepare(self, request: BeginDemonstration) -> Answer:
         option, phase = self._option, self.phase
-        if option is None or phase not in (Phase.READY, Phase.FINISHED) or self._spent:
-            spent = self._spent and phase is Phase.FINISHED
+        spent = self._spent and not request.exam
+        if option is None or phase not in ((Phase.EXAM,) if request.exam else _READY) or spent:
+            spent = spent and phase in _READY
             status = RequestStatus.BUDGET_SPENT if spent else RequestStatus.WRONG_PHASE
             raise RefusalError(status, self._advice(phase))
-        if not can_simulate(self._domain):
+        wrong = option.wrong_run
+        if request.exam:
+            state = self._starts.draw_for_exam(option, self._history.options)
+        elif not can_simulate(self._domain):
             state = request.start_state  # validated by the game; empty: the current state
         elif request.start_state:
             try:
@@ -556,12 +598,16 @@ class Lesson:
                 raise RefusalError(RequestStatus.BAD_STATE, detail)
             state = self._domain.encode(decoded)
         else:
-            state = self._again or next(reversed(option.start_states), '')
+            state = self._again
+            if not state and wrong is not None:
+                stopped = wrong.stopped and not wrong.terminated
+                state = wrong.states[-1 if stopped else 0]
+            state = state or next(reversed(option.start_states), '')
             if not state and option.name in self.feedback.offers:
                 state = self._domain.encode(self.feedback.offers[option.name][0])
             state = state or self._starts.draw(option, self._history.options)
-        self._attempt = Attempt(state, request.watch)
-        seed = self._starts.episode_seed(option, self._repeated)
+        self._attempt = Attempt(state, request.watch or request.exam, request.exam)
+        seed = self._starts.episode_seed(option, self._repeated, exam=request.exam)
         return _ok('the start state is chosen', state=state, seed=seed)
 
     def _watch(self, transition: Transition) -> bool:
@@ -591,36 +637,16 @@ class Lesson:
         if request.verdict is Verdict.DISCARD:
             self._abandon('')
             return _ok('discarded; the same start state can be tried again')
-        shown, machine_steps = attempt.shown(request)
-        demo = with_uuid(
-            demonstration_of(
-                self._domain,
-                shown,
-                participant=self._history.participant,
-                session=self._session,
-                option_name=option.name,
-                number=option.number,
-                chosen_features=option.chosen,
-                can_start_at_end=request.can_start_at_end and request.verdict is Verdict.DONE,
-                seconds=round(self._clock() - attempt.began, 3),
-                method=self.feedback.method(option),
-                machine_steps=machine_steps,
-            )
-        )
         try:
-            check_demonstration(demo, self._domain)
+            demo = self._records(option).ended(attempt, request, self._clock() - attempt.began)
         except DemonstrationError as error:
             self._abandon(f'The demonstration was refused and discarded: {error}.')
             raise RefusalError(RequestStatus.REFUSED, str(error)) from error
+        if attempt.exam:
+            number, verdict = option.exam_runs + 1, 'right' if demo.right else 'wrong'
+            return self._keep(demo, f'run {number} of the exam is {verdict}')
         found = contradiction(demo, option.demonstrations, self._domain)
-        self._write(demo)
-        self._attempt, self._again, self._repeated, self._notice = None, '', 0, ''
-        self.feedback.awaited = demo
-        text = f'demonstration {demo.number} of {demo.option_name} is kept'
-        if self._paused:
-            self._notice = f'The demonstration is {_UNRECORDED}.'
-            text = f'{text} {_UNRECORDED}'
-        answer = _ok(text, uuid=demo.uuid, unsent=(demo,))
+        answer = self._keep(demo, f'demonstration {demo.number} of {demo.option_name} is kept')
         if found is None:
             return answer
         return replace(
@@ -630,33 +656,30 @@ class Lesson:
             situation=demo.states[found.step],
         )
 
+    def _records(self, option: OptionHistory) -> Records:
+        return Records(self._domain, option, self._session, self.feedback.method(option))
+
+    def _keep(self, demo: Demonstration, text: str) -> Answer:
+        """Keep a demonstration or a judged run, and wait for the learner."""
+        self._write(demo)
+        self._attempt, self._again, self._repeated, self._notice = None, '', 0, ''
+        self.feedback.awaited = demo
+        if self._paused:
+            self._notice = f'The demonstration is {_UNRECORDED}.'
+            text = f'{text} {_UNRECORDED}'
+        return _ok(text, uuid=demo.uuid, unsent=(demo,))
+
     def _add(self, request: AddDemonstrations) -> Answer:
         """Add demonstrations that were recorded elsewhere, all or none."""
         option, phase = self._option, self.phase
-        if option is None or phase not in (Phase.READY, Phase.LEARNING, Phase.FINISHED):
+        if option is None or phase not in (*_READY, Phase.LEARNING):
             raise _wrong_phase(self._advice(phase))
         left = self._starts.rules.budget - len(option.demonstrations)
         if len(request.demonstrations) > left:
             detail = f'{len(request.demonstrations)} are more than the budget leaves: {left}'
             raise RefusalError(RequestStatus.BUDGET_SPENT, detail)
-        added = tuple(
-            with_uuid(
-                replace(
-                    demo,
-                    participant=self._history.participant,
-                    session=self._session,
-                    option_name=option.name,
-                    number=number,
-                    chosen_features=option.chosen,
-                    method=self.feedback.method(option),
-                    withdrawn=False,
-                )
-            )
-            for number, demo in enumerate(request.demonstrations, option.number)
-        )
         try:
-            for demo in added:
-                check_demonstration(demo, self._domain)
+            added = self._records(option).added(request.demonstrations)
         except DemonstrationError as error:
             raise RefusalError(RequestStatus.REFUSED, str(error)) from error
         if added:
@@ -673,7 +696,7 @@ class Lesson:
             detail = f'{name} has no demonstration to withdraw'
             raise RefusalError(RequestStatus.NO_DEMONSTRATION, detail)
         wanted = request.uuid or newest.uuid
-        demo = next((demo for demo in self._option.demonstrations if demo.uuid == wanted), None)
+        demo = next((demo for demo in self._option.everything if demo.uuid == wanted), None)
         if demo is None:
             detail = f'{name} has no demonstration {wanted}, or it is withdrawn already'
             raise RefusalError(RequestStatus.NO_DEMONSTRATION, detail)
@@ -684,6 +707,8 @@ class Lesson:
         steps = len(demo.actions)
         what = f'the demonstration of {steps} step{"s"[: steps != 1]}' if steps else '"not here"'
         text = f'{what} is withdrawn; its start comes again'
+        if demo.kind is Kind.JUDGED:
+            text = f'the verdict "{"right" if demo.right else "wrong"}" is taken back'
         return _ok(text, uuid=wanted, unsent=(withdrawn,))
 
     def _list(self, request: ListDemonstrations) -> Answer:
@@ -692,7 +717,7 @@ class Lesson:
         if option is None:
             raise RefusalError(RequestStatus.NO_OPTION, 'no option is being taught: name one')
         everything = self._demonstrations(self._history.participant)
-        found = tuple(demo for demo in everything if demo.option_name == option.name)
+        found = tuple(demo for demo in shown(everything) if demo.option_name == option.name)
         return _ok(f'{len(found)} of {option.name}', demonstrations=found)
 
     def _known(self, option_name: str) -> OptionHistory:
@@ -718,17 +743,14 @@ class Lesson:
                 self._event('answer', new, feature=feature, yes=yes)
                 for feature, yes in option.answers.items()
             ]
-            moved = [
-                with_uuid(replace(demo, option_name=new, number=number))
-                for number, demo in enumerate(option.demonstrations, self._history.number(new))
-            ]
-        withdrawn = [replace(demo, withdrawn=True) for demo in option.demonstrations]
+            moved = [*self._records(option).renamed(new, self._history.number(new))]
+        withdrawn = [replace(demo, withdrawn=True) for demo in option.everything]
         deleted = self._event('option deleted', option.name)
         self._write(*begun, *moved, *withdrawn, deleted)
         if new or option is self._option:
             self._switch_to(self._history.options.get(new))
-        if moved:
-            self.feedback.awaited = moved[-1]
+        if shown(moved):
+            self.feedback.awaited = shown(moved)[-1]
         return _ok(
             f'{option.name} is now called {new}' if new else f'{option.name} is deleted',
             known_options=tuple(self._history.options),

@@ -1,4 +1,4 @@
-"""Start states of demonstrations, drawn by a strategy; seeded by person, option and number."""
+"""Start states of demonstrations and runs in the exam; seeded by person, option and number."""
 
 from collections.abc import Collection
 from dataclasses import dataclass
@@ -8,8 +8,10 @@ from typing import Any
 from humanopts_env.domains.base import ActableDomain
 from humanopts_env.domains.described import can_simulate, simulated
 from humanopts_env.domains.replayed_domain import ReplayedDomain
+from humanopts_env.games import feature_rows
 from humanopts_env.seeding import generator
-from humanopts_learner.demonstrations import Demonstration
+from humanopts_learner.demonstrations import Demonstration, Kind, version_of
+from humanopts_learner.options.checks import Check, next_check
 from humanopts_learner.options.files import option_from_json
 from humanopts_learner.options.learned_option import LearnedOption
 from humanopts_learner.options.starts import (
@@ -23,6 +25,7 @@ from humanopts_teach.lesson.history import OptionHistory
 import numpy as np
 
 FAILURES = 'failures'  # the strategy that uses the learned option
+DRAWS, STATES = 5, 200  # draws of a start of the exam, and states in each
 MAX_PARSED = 8  # cached option objects, which take far more memory than their text
 
 
@@ -35,6 +38,7 @@ class LessonRules:
     seed: int = 0
     until_no_failures: bool = True  # with ``failures``: continue while the learned option fails
     method: str = METHOD  # default learning method, one of ``METHODS``
+    ask_about_runs: bool = True  # when the criteria hold, before the exam
     derive: tuple[str, ...] = ()  # derived features of every participant, as formulas
 
 
@@ -42,10 +46,10 @@ class SeededStarts:
     """
     The start states of one lesson.
 
-    A draw depends on the seed, participant, option, number of the demonstration and, with the
-    strategy ``failures``, the learned option. In a replayed domain, it depends on all learned
-    options of the participant, which lead to the start. A demonstration that is repeated, even
-    after a restart, thus starts in the same state.
+    A draw depends on the seed, participant, option, number of the demonstration and the learned
+    option. In a replayed domain, it depends on all learned options of the participant, which lead
+    to the start. A demonstration or a run in the exam that is repeated, even after a restart, thus
+    starts in the same state.
     """
 
     def __init__(self, domain: ActableDomain, rules: LessonRules) -> None:
@@ -54,19 +58,19 @@ class SeededStarts:
         self._texts: dict[tuple[str, str], str] = {}  # options, by participant and name
         self._parse = lru_cache(MAX_PARSED)(lambda text: option_from_json(text)[0])
         self._replayed = isinstance(domain, ReplayedDomain)
-        self._uses_options = rules.strategy == FAILURES or self._replayed
         # Key of the sample for the next start state, the sample, and its generator.
         self._ahead: tuple[Any, Sample | None, np.random.Generator] | None = None
+        self._check: tuple[Any, Check | None] | None = None  # the newest question, and its key
 
     def learned(self, participant: str, option_name: str, text: str) -> bool:
         """
-        Store an option published by the learner, if start states depend on it.
+        Store an option published by the learner.
 
         :return: whether it has changed.
         :raises OptionError: it is not an option, or it belongs to another domain.
         """
         key = participant, option_name
-        if not self._uses_options or self._texts.get(key) == text:
+        if self._texts.get(key) == text:
             return False
         self._parse(text).check_domain(self._domain)
         self._texts[key] = text
@@ -112,14 +116,64 @@ class SeededStarts:
             drawn = draw_sample(*parts)
             self._ahead = key, drawn, rng
 
-    def episode_seed(self, option: OptionHistory, repeated: int) -> int:
-        """Return the seed of the next demonstration's episode; chance differs if repeated."""
+    def episode_seed(self, option: OptionHistory, repeated: int, *, exam: bool = False) -> int:
+        """
+        Return the seed of the next demonstration's episode, or of the next run's in the exam.
+
+        :param repeated: number of times that the demonstration was repeated; chance then differs.
+        """
+        if exam:
+            return int(self._exam_generator('exam episode', option).integers(2**63))
         again = (repeated,) if repeated else ()
         return int(self._generator('episode', option, *again).integers(2**63))
 
+    def draw_for_exam(self, option: OptionHistory, names: Collection[str] = ()) -> str:
+        """
+        Return the start state of the next run in the exam, in the domain's notation.
+
+        It is drawn as the task draws it, and not chosen, from where the option can start. If no
+        such state comes, it is the start of a demonstration.
+
+        :param names: as in ``draw``.
+        :return: empty: the current state, in a domain that cannot be simulated.
+        """
+        domain, learned = self._domain, self._option(option)
+        if not can_simulate(domain) or learned is None:
+            return ''
+        rng = self._exam_generator('exam', option)
+        others = self._others(option, names)
+        for _ in range(DRAWS):
+            sample = draw_sample('random', domain, option.demonstrations, rng, others)
+            if sample is None:
+                states = domain.sample_states(rng, STATES)
+            else:
+                states = [sample.states[n] for n in rng.permutation(len(sample.states))]
+            can_start = learned.can_start(feature_rows(domain, states))
+            if can_start.any():
+                return domain.encode(states[int(can_start.argmax())])
+        starts = [demo.states[0] for demo in option.demonstrations if demo.actions]
+        return starts[int(rng.integers(len(starts)))]
+
+    def check(self, option: OptionHistory, names: Collection[str] = ()) -> Check | None:
+        """
+        Return the next question about a run of the option; None: there is no more.
+
+        :param names: as in ``draw``.
+        """
+        learned = self._option(option)
+        if not self.rules.ask_about_runs or learned is None or not option.n_trajectories:
+            return None
+        others = self._others(option, names)
+        key = learned.uuids, *(run.uuid for run in option.judged), *(each.uuids for each in others)
+        if self._check is None or self._check[0] != key:
+            rng = self._generator('check', option)
+            found = next_check(learned, self._domain, option.everything, rng, others)
+            self._check = key, found
+        return self._check[1]
+
     def counts(self, option: OptionHistory, demonstration: Demonstration) -> bool:
         """Return whether the next draw includes a demonstration or its withdrawal."""
-        if not option.n_trajectories or not self._uses_options:
+        if not option.n_trajectories or demonstration.kind is Kind.JUDGED:
             return True
         learned = self._option(option)
         if learned is None:
@@ -146,6 +200,11 @@ class SeededStarts:
     def _others(self, option: OptionHistory, names: Collection[str]) -> list[LearnedOption]:
         """Return the participant's other learned options, if start states depend on them."""
         return self.options(option.participant, [name for name in names if name != option.name])
+
+    def _exam_generator(self, purpose: str, option: OptionHistory) -> np.random.Generator:
+        version = version_of(option.demonstrations)
+        key = purpose, option.participant, option.name, version, option.exam_runs
+        return generator(self.rules.seed, *key)
 
     def _generator(self, purpose: str, option: OptionHistory, *key: int) -> np.random.Generator:
         known = option.participant, option.name, option.number

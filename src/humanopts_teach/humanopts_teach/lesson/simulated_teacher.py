@@ -9,6 +9,8 @@ Assumptions and simplifications:
   random order per participant (``own_habits``).
 - Before each step, it errs with probability ``error_rate``: it takes a uniformly random action
   among those that are not optimal. It does not undo the error, but continues.
+- It answers questions about runs, and judges runs in the exam, by the reference option
+  (``Examiner``). It watches step by step, stops a run that has gone wrong, and makes no errors.
 - It says "not here" exactly where the reference option cannot start, and "done" in the first state
   after at least one step in which the reference option ends. These verdicts are always correct.
 - A demonstration is discarded and repeated if an error ended it, if no optimal action is left, or
@@ -28,6 +30,7 @@ from humanopts_env.domains.reference import ReferenceOption, StartDependent
 from humanopts_env.domains.registry import reference_options
 from humanopts_env.game import Transition
 from humanopts_env.seeding import generator
+from humanopts_teach.lesson.examiner import Examiner
 from humanopts_teach.lesson.requests import (
     AnswerQuestion,
     BeginDemonstration,
@@ -38,6 +41,7 @@ from humanopts_teach.lesson.requests import (
     LessonView,
     OpenSession,
     Phase,
+    RunOption,
     Verdict,
 )
 import numpy as np
@@ -67,6 +71,11 @@ class TeacherSettings:
 
 
 @dataclass(frozen=True, slots=True)
+class Watch:
+    """Watch the next step of the running option, or its end."""
+
+
+@dataclass(frozen=True, slots=True)
 class Wait:
     """Wait until something changes."""
 
@@ -78,7 +87,7 @@ class Finish:
     """Everything was taught."""
 
 
-Act = LessonRequest | Drive | Wait | Finish
+Act = LessonRequest | Drive | RunOption | Watch | Wait | Finish
 
 
 class SimulatedTeacher:
@@ -116,26 +125,29 @@ class SimulatedTeacher:
         self._attempt = 0  # number of times it was discarded
         self._elsewhere = ''  # start state instead of the lesson's; empty: the lesson's
         self._erred = False  # whether the last step was an error
+        self._exam: Examiner | None = None  # of the current run in an exam
+        self._seen = (0, 0)  # episode and step that it has seen
         self._order: list[int] | None = None  # preferred actions first
         if settings.own_habits:
             habits = self._generator('habits').permutation(len(domain.actions))
             self._order = habits.tolist()
 
-    def next_act(self, lesson: LessonView, game: Transition) -> Act:
+    def next_act(self, lesson: LessonView, game: Transition, *, running: bool = False) -> Act:
         """
         Return the next action; call once per action carried out.
 
         :param game: newest state of the game; episode 0: not received yet.
+        :param running: whether the option that it ran is still running.
         :raises TeacherError: it cannot demonstrate the option from the start state.
         """
-        act = self._wanted(lesson, game)
+        act = self._wanted(lesson, game, running)
         if lesson.paused and isinstance(
             act, OpenSession | DefineOption | AnswerQuestion | BeginDemonstration
         ):
             return Wait(f'the lesson to resume; it is paused: {lesson.paused}')
         return act
 
-    def _wanted(self, lesson: LessonView, game: Transition) -> Act:
+    def _wanted(self, lesson: LessonView, game: Transition, running: bool) -> Act:
         settings = self._settings
         if (lesson.participant, lesson.session) != (settings.participant, settings.session):
             return OpenSession(settings.participant, settings.session)
@@ -155,11 +167,41 @@ class SimulatedTeacher:
         if lesson.phase is Phase.ASKING:
             yes = self.depends_on(lesson.option_name, lesson.question_feature)
             return AnswerQuestion(lesson.question_id, yes)
+        if lesson.phase is Phase.CHECKING:
+            examiner = self._examiner(lesson, lesson.question_states[0])
+            for state in lesson.question_states[1:]:
+                examiner.see(self._domain.decode(state))
+            return AnswerQuestion(lesson.question_id, examiner.right)
+        if lesson.phase is Phase.EXAM:
+            return BeginDemonstration(exam=True)
         if lesson.phase is Phase.READY:
             return self._begin(lesson)
+        if lesson.phase is Phase.DEMONSTRATING and lesson.exam:
+            return self._examine(lesson, game, running)
         if lesson.phase is Phase.DEMONSTRATING:
             return self._demonstrate(lesson, game)
         return Wait('the learner')
+
+    def _examiner(self, lesson: LessonView, start: str) -> Examiner:
+        reference = self._reference(lesson, start)
+        return Examiner(self._domain, reference, self._domain.decode(start))
+
+    def _examine(self, lesson: LessonView, game: Transition, running: bool) -> Act:
+        """Watch a run in the exam, and judge it."""
+        if game.episode != lesson.episode:
+            return Wait('the first state of the run')
+        if self._exam is None or game.episode != self._seen[0]:
+            self._exam, self._seen = self._examiner(lesson, game.state), (game.episode, 0)
+            return RunOption(lesson.option_name, lesson.participant)
+        here = game.episode, game.step
+        if here != self._seen:
+            self._exam.see(self._domain.decode(game.state), game.previous_action)
+            self._seen = here
+        failed = self._exam.failed
+        if running and not failed:
+            return Watch()
+        verdict = Verdict.RIGHT if game.step and self._exam.right else Verdict.WRONG
+        return EndDemonstration(verdict, *here, stopped=failed and self._exam.can_continue)
 
     def _show_where_stuck(self, lesson: LessonView, game: Transition) -> Act:
         """Show an option where a plan got stuck."""
@@ -167,8 +209,8 @@ class SimulatedTeacher:
             return self._demonstrate(lesson, game)
         if lesson.option_name != lesson.stuck_options[0]:
             return DefineOption(lesson.stuck_options[0])
-        ready = lesson.phase in (Phase.READY, Phase.FINISHED)
-        return self._begin(lesson) if ready else Wait('the learner')
+        waits = lesson.phase is Phase.LEARNING
+        return Wait('the learner') if waits else self._begin(lesson)
 
     def _begin(self, lesson: LessonView) -> BeginDemonstration:
         number = lesson.n_demonstrations + lesson.n_not_here + 1
@@ -188,7 +230,7 @@ class SimulatedTeacher:
         number = lesson.n_demonstrations + lesson.n_not_here + 1
         if self._tried != (lesson.option_name, number):
             self._tried, self._attempt, self._elsewhere = (lesson.option_name, number), 0, ''
-        reference = self._reference(lesson)
+        reference = self._reference(lesson, lesson.start_state)
         state = self._domain.decode(game.state)
         here = (game.episode, game.step)
         if game.step == 0 and not reference.can_start(state):
@@ -209,11 +251,11 @@ class SimulatedTeacher:
         action = int(rng.choice(wrong)) if self._erred else usual
         return Drive(self._domain.actions[action].name, *here)
 
-    def _reference(self, lesson: LessonView) -> ReferenceOption:
-        """Return what the option means in a run from the start state of the demonstration."""
+    def _reference(self, lesson: LessonView, start: str) -> ReferenceOption:
+        """Return what the option means in a run from a start state."""
         reference = self._references[lesson.option_name]
         if isinstance(reference, StartDependent):
-            return reference.begun(self._domain.decode(lesson.start_state))
+            return reference.begun(self._domain.decode(start))
         return reference
 
     def _discard(self, lesson: LessonView, here: tuple[int, int]) -> EndDemonstration:

@@ -6,7 +6,7 @@ import sys
 from typing import Any
 
 from humanopts_env.domains.described import NeedsRulesError, simulated
-from humanopts_interfaces.msg import NodeStatus
+from humanopts_interfaces.msg import NodeStatus, OptionResult
 from humanopts_ros.guarded_node import PATIENCE, SEEDS, StartError
 from humanopts_ros.node_base import NodeBase
 from humanopts_ros.process import run_node
@@ -16,7 +16,9 @@ from humanopts_teach.lesson.requests import (
     LessonRequest,
     Phase,
     RequestStatus,
+    RunOption,
     SetControl,
+    SetPace,
     Verdict,
 )
 from humanopts_teach.lesson.simulated_teacher import (
@@ -26,11 +28,24 @@ from humanopts_teach.lesson.simulated_teacher import (
     TeacherError,
     TeacherSettings,
     Wait,
+    Watch,
 )
-from humanopts_teach.ros.graph_client import ClientError, GraphClient, RefusedError
+from humanopts_teach.ros.convert import ACTIONS, TEACHING, TERMINAL_SERVICES
+from humanopts_teach.ros.graph_client import ClientError, Goal, GraphClient, RefusedError
 from rclpy.callback_groups import ReentrantCallbackGroup
 
 _TICK = 0.1  # s until a refused request is retried
+_ENDPOINTS = {
+    **TEACHING,
+    SetPace: TERMINAL_SERVICES[SetPace],
+    RunOption: ACTIONS[RunOption],
+}
+_ENDED = (
+    OptionResult.STATUS_REACHED,
+    OptionResult.STATUS_EPISODE_OVER,
+    OptionResult.STATUS_MAX_STEPS,
+)
+_LOST_RUNS = 10  # consecutive runs in the exam that did not end by themselves
 _REFUSALS = 3  # consecutive refusals before giving up; an unresponsive game gets more time
 
 
@@ -47,7 +62,11 @@ class SimulatedTeacherNode(NodeBase):
             PATIENCE,
         )
         self._teacher: SimulatedTeacher | None = None
-        self._client = GraphClient(self, patience=self._deadline, on_change=self._create_teacher)
+        self._client = GraphClient(
+            self, _ENDPOINTS, patience=self._deadline, on_change=self._create_teacher
+        )
+        self._run: Goal | None = None  # of the option in the exam
+        self._lost = 0  # consecutive runs that did not end by themselves
 
     def waits_for(self) -> str | None:
         """Wait for the rules, the lesson and its services."""
@@ -101,7 +120,7 @@ class SimulatedTeacherNode(NodeBase):
                     await self._client.ask(EndDemonstration(Verdict.DISCARD, lesson.episode, 0))
             while not isinstance(act := await self._next_act(), Finish):
                 try:
-                    await self._client.ask(act)
+                    await self._carry_out(act)
                     refused, answered = 0, self.monotonic()
                 except RefusedError as error:
                     silent = error.answer.status is RequestStatus.NO_GAME
@@ -122,7 +141,51 @@ class SimulatedTeacherNode(NodeBase):
         state = NodeStatus.STATE_PAUSED if cause else NodeStatus.STATE_READY
         self.set_status(state, cause or FINISHED)
 
-    async def _next_act(self) -> LessonRequest | Drive | Finish:
+    async def _carry_out(self, act: LessonRequest | Drive | RunOption | Watch) -> None:
+        """
+        Carry out an act; while a run is watched, the machine is paused and takes single steps.
+
+        :raises RefusedError: it was not carried out.
+        :raises ClientError: there was no answer.
+        """
+        client, run = self._client, self._run
+        period, seen = client.world.step_period, client.world.game
+        if isinstance(act, RunOption):
+            await client.ask(SetControl(hold=False))
+            await client.ask(SetPace(period, paused=True))
+            started = client.start(act, lambda feedback: None)
+            await client.until(started.accepted.done, 'an answer of execute_option')
+            if not (answer := started.accepted.result()).ok:
+                raise RefusedError('execute_option', answer)
+            self._run = started
+        elif isinstance(act, Watch):
+            assert run is not None
+            await client.ask(SetPace(period, paused=True, steps=1))
+            moved = lambda: client.world.game != seen or run.result.done()  # noqa: E731
+            await client.until(moved, 'a step of the machine')
+        else:
+            await client.ask(act)
+        if isinstance(act, EndDemonstration) and run is not None:
+            if not run.result.done():
+                await client.ask(SetControl(hold=True))  # ends the run
+            await client.ask(SetPace(period, paused=False))
+            await client.until(run.result.done, 'the end of the run')
+            self._run = None
+
+    def _is_lost(self, run: Goal) -> bool:
+        """
+        Return whether a run ended for another reason than its option.
+
+        :raises TeacherError: several runs did so, one after another.
+        """
+        result = run.result.result() if run.result.done() else None
+        lost = run.result.done() and (result is None or result.status not in _ENDED)
+        self._lost = self._lost + 1 if lost else 0
+        if self._lost > _LOST_RUNS:
+            raise TeacherError(f'runs in the exam do not end: {result and result.detail}')
+        return lost
+
+    async def _next_act(self) -> LessonRequest | Drive | RunOption | Watch | Finish:
         """
         Wait for and return the next act.
 
@@ -131,8 +194,11 @@ class SimulatedTeacherNode(NodeBase):
         client, teacher = self._client, self._teacher
         assert teacher is not None, 'the node waited for the game'
         while True:
-            lesson, game = client.world.lesson, client.world.game
-            act = teacher.next_act(lesson, game)
+            lesson, game, run = client.world.lesson, client.world.game, self._run
+            if run is not None and self._is_lost(run) and lesson.exam:
+                return EndDemonstration(Verdict.DISCARD, lesson.episode, 0)
+            running = run is not None and not run.result.done()
+            act = teacher.next_act(lesson, game, running=running)
             if not isinstance(act, Wait):
                 return act
 

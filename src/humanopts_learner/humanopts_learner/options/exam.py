@@ -1,0 +1,62 @@
+"""
+The exam of an option: runs that the person watched, and how many of them must be right.
+
+The starts are drawn as the task draws them, so the share of right runs is that of all starts, with
+the interval of Wilson (1927). All runs of an exam must be right. After a failed exam, another is
+taken, and passing one of several by luck is likelier than passing the only one. So exam number k
+has more runs: it gives the same lower limit at a confidence of 1 - 0.05 / k**2. Each limit is
+too high with a probability of at most half of 0.05 / k**2; the sum over all k is below 0.05.
+
+The exam does not change the criteria that it follows: for them, its runs are evidence only once a
+further demonstration has made another version of the option.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cache
+
+from humanopts_learner.demonstrations import Demonstration, judged, version_of
+from humanopts_learner.summary import OptionSummary, share_right
+
+
+@cache
+def exam_length(first: int, failed: int) -> int:
+    """
+    Return the number of runs of an exam.
+
+    :param first: number of runs of the first exam; 0: no exam.
+    :param failed: number of exams failed before.
+    """
+    runs = first
+    while share_right(runs, runs, failed).low < share_right(first, first, 0).low:
+        runs += 1
+    return runs
+
+
+def before_exam(demonstrations: Sequence[Demonstration]) -> list[Demonstration]:
+    """Return demonstrations and judged runs without those of the current version's exam."""
+    version = version_of(demonstrations)
+    return [demo for demo in demonstrations if not (demo.exam and demo.option_version == version)]
+
+
+def with_verdicts(
+    summary: OptionSummary, demonstrations: Sequence[Demonstration], first: int
+) -> OptionSummary:
+    """
+    Return a summary with the person's verdicts on runs of the option.
+
+    :param demonstrations: all demonstrations and judged runs of the option, none withdrawn.
+    :param first: number of runs of the first exam; 0: no exam.
+    """
+    runs, version = judged(demonstrations), version_of(demonstrations)
+    exam = [run for run in runs if run.exam]
+    now = [run.right for run in exam if run.option_version == version]
+    wrong = {run.option_version for run in exam if not run.right} - {version}
+    return replace(
+        summary,
+        n_questions=len(runs) - len(exam),
+        exam_right=sum(now),
+        exam_runs=len(now),
+        exam_needed=exam_length(first, len(wrong)),
+        exams_failed=len(wrong),
+    )

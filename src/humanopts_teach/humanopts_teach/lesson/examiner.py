@@ -1,0 +1,84 @@
+"""
+The verdicts of a simulated examiner, who knows the reference option.
+
+A run is right if the reference option can start where it starts, and the run ends in the first
+state, after at least one step, where the reference option ends. Without chance, it also takes at
+most twice the steps of the reference option. With chance, a longer run need not be a worse one:
+at most a quarter of its actions may be other than the best, which on a grid without chance makes a
+run twice as long. A run of no steps is right where the reference option cannot start either.
+"""
+
+from typing import Any
+
+from humanopts_env.domains.base import Domain
+from humanopts_env.domains.gymnasium_reference import WatchedOption
+from humanopts_env.domains.reference import ReferenceOption
+from humanopts_env.domains.replayed_domain import ReplayedDomain
+from humanopts_learner.options.rollout import is_deterministic
+import numpy as np
+
+TIMES = 2  # longest right run, relative to that of the reference option
+ERRORS = 0.25  # largest share of other than the best actions, with chance
+
+
+def reached(option: ReferenceOption, state: Any) -> bool:
+    """Return whether the end of an option is reached, and not another one."""
+    return option.reached(state) if isinstance(option, WatchedOption) else option.ends(state)
+
+
+class Examiner:
+    """
+    Watches one run of an option, step by step.
+
+    :ivar past: whether the run has continued after an end.
+    """
+
+    def __init__(self, domain: Domain, reference: ReferenceOption, start: Any) -> None:
+        self._domain, self._reference, self._last = domain, reference, start
+        self._names = [action.name for action in domain.actions]
+        self._steps = self._errors = 0
+        self._ended = self.past = False
+        self._can_start = reference.can_start(start)
+        known = isinstance(domain, ReplayedDomain) or is_deterministic(domain)
+        self._limit = TIMES * self._shortest() if known and self._can_start else None
+
+    def see(self, state: Any, action: str = '') -> None:
+        """
+        See the next state.
+
+        :param action: the action that led there; empty: unknown.
+        """
+        self.past |= self._ended
+        if action and self._limit is None:
+            best = self._reference.optimal_actions(self._last)
+            self._errors += self._names.index(action) not in best
+        self._last, self._steps = state, self._steps + 1
+        self._ended = reached(self._reference, state)
+
+    @property
+    def failed(self) -> bool:
+        """Whether the run is wrong, however it may continue."""
+        too_long = self._limit is not None and self._steps > self._limit
+        return self._steps > 0 and (not self._can_start or self.past or too_long)
+
+    @property
+    def right(self) -> bool:
+        """Whether the run is right if it ends now."""
+        if not self._steps:
+            return not self._can_start
+        return self._ended and not self.failed and self._errors <= ERRORS * self._steps
+
+    @property
+    def can_continue(self) -> bool:
+        """Whether a person can show from here what was wrong with the run."""
+        return self._can_start and not self.past and self._reference.can_start(self._last)
+
+    def _shortest(self) -> int:
+        """Return the number of steps of the reference option, without chance."""
+        rng, state, steps = np.random.default_rng(0), self._last, 0  # the generator is unused
+        while steps == 0 or not reached(self._reference, state):
+            best = self._reference.optimal_actions(state)
+            if not best:
+                break
+            state, steps = self._domain.step(state, best[0], rng).state, steps + 1
+        return steps
