@@ -151,8 +151,9 @@ def test_no_damage_ends_in_another_error(
 def test_files_are_kept_by_person_and_option(
     option: LearnedOption, fetching: Shown, tmp_path: Path
 ) -> None:
-    path = save_option(tmp_path, option, fetching)
+    path = save_option(tmp_path, option, fetching, 'learned: in a test')
     assert path == option_path(tmp_path, option.participant, option.name)
+    assert json.loads(path.read_text())['status'] == 'learned: in a test'
     assert path.name.startswith('go-to-passenger-and-pickup')
     assert load_option(path) == (option, list(fetching))
     assert load_options(tmp_path) == ([option], [])

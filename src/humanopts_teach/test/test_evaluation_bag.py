@@ -215,18 +215,19 @@ def test_a_fact_that_makes_no_sense_is_replaced_and_named(name: str, text: str) 
 
 def files_of(evaluation: BagEvaluation, lesson: Lesson) -> dict[tuple[str, str], dict[str, Any]]:
     """Return the option files of a lesson."""
-    options = [each.option for each in evaluation.options]
-    shown = {demo.uuid: demo for demo in lesson}
-    return {
-        (o.participant, o.name): json.loads(option_to_json(o, [shown[u] for u in o.uuids]))
-        for o in options
-    }
+    shown, files = {demo.uuid: demo for demo in lesson}, {}
+    for each in evaluation.options:
+        option = each.option
+        learned_from = [shown[uuid] for uuid in option.uuids]
+        text = option_to_json(option, learned_from, each.summary.status)
+        files[option.participant, option.name] = json.loads(text)
+    return files
 
 
 def test_options_learned_again_are_compared_with_their_files(
     taxi_lesson: Lesson, evaluation: BagEvaluation
 ) -> None:
-    files, options = files_of(evaluation, taxi_lesson), [e.option for e in evaluation.options]
+    files, options = files_of(evaluation, taxi_lesson), evaluation.options
     first, second = files
     assert compare_options(files, options, taxi_lesson) == ({first: True, second: True}, [])
     files[first]['policy']['nodes'][0]['counts'][0] += 1e-9
@@ -237,6 +238,10 @@ def test_options_learned_again_are_compared_with_their_files(
     assert 'was not learned again' in note
     files['automatic', 'down'] = {'uuids': []}  # without a teacher
     assert compare_options(files, options, taxi_lesson)[1] == notes
+    files[second]['status'] = 'learned: nobody knows why'
+    assert f'{second[1]!r} by p1 differs from its option file: status' in (
+        compare_options(files, options, taxi_lesson)[1]
+    )
 
 
 def test_a_bag_says_that_its_option_files_are_reproduced(

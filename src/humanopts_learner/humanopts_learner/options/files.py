@@ -35,11 +35,14 @@ class OptionFileError(OptionError):
     """An option file is unusable; the message names the file and the error."""
 
 
-def option_to_json(option: LearnedOption, demonstrations: Sequence[Demonstration] = ()) -> str:
+def option_to_json(
+    option: LearnedOption, demonstrations: Sequence[Demonstration] = (), status: str = ''
+) -> str:
     """
     Return the option as JSON, with one tree node or demonstration per line.
 
     :param demonstrations: those from which it was learned, or none.
+    :param status: how well it is learned (``OptionSummary.status``), for readers of the file.
     """
     values = {field.name: getattr(option, field.name) for field in fields(option)}
     if option.method == TREES:
@@ -51,7 +54,8 @@ def option_to_json(option: LearnedOption, demonstrations: Sequence[Demonstration
     for key in ('encoding', 'policy_encoding'):
         values |= {key: [asdict(encoded) for encoded in values[key]]} if key in values else {}
     values['demonstrations'] = [json.loads(demo.to_json()) for demo in demonstrations]
-    return _pretty({'format': FORMAT, 'version': VERSION, **values}) + '\n'
+    head = {'format': FORMAT, 'version': VERSION, **({'status': status} if status else {})}
+    return _pretty({**head, **values}) + '\n'
 
 
 class _Values(BaseModel):
@@ -106,6 +110,7 @@ class _OptionFile(BaseModel):
 
     format: Literal['humanopts-option']
     version: Literal[1]
+    status: str = ''
     domain_parameters: dict[str, Any]
     policy: _Tree
     initiation: _Tree
@@ -159,13 +164,17 @@ def option_path(directory: Path, participant: str, name: str) -> Path:
 
 
 def save_option(
-    directory: Path, option: LearnedOption, demonstrations: Sequence[Demonstration]
+    directory: Path,
+    option: LearnedOption,
+    demonstrations: Sequence[Demonstration],
+    status: str = '',
 ) -> Path:
     """
     Write an option file atomically.
 
     An existing file that is damaged or belongs to another option is renamed and kept.
 
+    :param demonstrations: as in ``option_to_json``, like ``status``.
     :return: path of the file.
     :raises OSError: writing failed; any existing file is unchanged.
     """
@@ -175,7 +184,7 @@ def save_option(
     temporary = path.with_name(f'.{path.name}.{os.getpid()}.tmp')
     try:
         with temporary.open('w', encoding='utf-8') as file:
-            file.write(option_to_json(option, demonstrations))
+            file.write(option_to_json(option, demonstrations, status))
             file.flush()
             os.fsync(file.fileno())
         if path.exists() and not _is_of(path, option.participant, option.name):

@@ -204,8 +204,7 @@ def evaluate_bag(
     warnings = [*opened.notes, *assumed, *software_notes(opened.facts)]
     jobs = jobs or int(is_enumerable(domain))
     found = evaluate(demonstrations, domain, settings, warnings, progress, episodes, jobs)
-    learned = [evaluated.option for evaluated in found.options]
-    equal, differing = compare_options(attached, learned, demonstrations)
+    equal, differing = compare_options(attached, found.options, demonstrations)
     options = (
         replace(each, reproduced=equal.get((each.option.participant, each.option.name)))
         for each in found.options
@@ -336,7 +335,7 @@ def attached_options(bag: Bag) -> dict[Key, Mapping[str, Any]]:
 
 def compare_options(
     attached: Mapping[Key, Mapping[str, Any]],
-    options: Sequence[LearnedOption],
+    evaluated: Sequence[OptionEvaluation],
     demonstrations: Sequence[Demonstration],
 ) -> tuple[dict[Key, bool], list[str]]:
     """
@@ -349,11 +348,11 @@ def compare_options(
     by_uuid = {demo.uuid: demo for demo in reversed(demonstrations)}
     equal: dict[Key, bool] = {}
     notes = []
-    for option in options:
-        key = (option.participant, option.name)
+    for each in evaluated:
+        option, key = each.option, (each.option.participant, each.option.name)
         if key in attached:
             file, shown = attached[key], [by_uuid[uuid] for uuid in option.uuids]
-            again = json.loads(option_to_json(option, shown))
+            again = json.loads(option_to_json(option, shown, each.summary.status))
             wrong = [part for part in again if again[part] != file.get(part)]
             equal[key] = not wrong
             if wrong:
