@@ -161,12 +161,13 @@ class OptionTrainer:
         if not shown(demos):
             self._unlearn(*key)
             self._options.pop(key, None)
-        elif known is not None and known.file and news is not None and news.kind is Kind.JUDGED:
+        elif known and news and news.kind is Kind.JUDGED and (option := known.option):
             if news.exam:
                 summary = with_verdicts(known.summary, demos, self._thresholds.exam)
             else:
-                summary = self._judge(demos, known.option)
+                summary = self._judge(demos, option)
             self._options[key] = replace(known, summary=summary)
+            self._save(option, demos, summary)
         else:
             self._options[key] = self._learned(demos)
 
@@ -178,14 +179,21 @@ class OptionTrainer:
         except NotLearnableError:
             self._unlearn(summary.participant, summary.option_name)
             return TaughtOption(summary, '')
+        summary = self._judge(demos, option)
+        self._save(option, demos, summary)
+        return TaughtOption(summary, option_to_json(option, []))
+
+    def _judge(self, demos: list[Demonstration], option: LearnedOption) -> OptionSummary:
+        return judge(demos, self._domain, self._thresholds, self._seed, option)
+
+    def _save(
+        self, option: LearnedOption, demos: list[Demonstration], summary: OptionSummary
+    ) -> None:
+        """Write the file of an option."""
         try:
-            save_option(self._directory, option, shown(demos))
+            save_option(self._directory, option, shown(demos), summary.status)
         except OSError as error:
             self.problems.append(f'cannot write the file of {option.name!r}: {error}')
-        return TaughtOption(self._judge(demos, option), option_to_json(option, []))
-
-    def _judge(self, demos: list[Demonstration], option: LearnedOption | None) -> OptionSummary:
-        return judge(demos, self._domain, self._thresholds, self._seed, option)
 
     def _unlearn(self, participant: str, option_name: str) -> None:
         """Remove the file of an option, after its demonstrations were withdrawn."""

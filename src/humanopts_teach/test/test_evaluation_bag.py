@@ -12,6 +12,7 @@ from humanopts_env.ros.convert import domain_to_info
 from humanopts_interfaces.msg import Demonstration as Message
 from humanopts_interfaces.msg import GameState, OptionResult
 from humanopts_learner.demonstrations import Demonstration, Kind
+from humanopts_learner.option_trainer import OptionTrainer
 from humanopts_learner.options.files import option_to_json
 from humanopts_learner.options.judge import judge, Thresholds
 from humanopts_learner.options.learn import learn_option
@@ -142,6 +143,35 @@ def test_nothing_is_learned_from_judged_runs(
         evaluate([*only, *runs], taxi, SETTINGS)
 
 
+@pytest.mark.heavy
+def test_a_bag_gives_the_status_of_the_learner_exams_and_answers_included(
+    tmp_path: Path, taxi: Domain, first: Lesson
+) -> None:
+    earlier, newest = first[:-1], first
+    failed = [judged_run(first[n], earlier, n, exam=True, right=n < 2) for n in (1, 2)]
+    back = judged_run(first[3], newest, 4, exam=True)
+    passed = [judged_run(first[n], newest, n, exam=True, right=True) for n in (5, 6)]
+    answer = judged_run(first[3], newest, 3, right=True)
+    given = [*earlier, *failed, newest[-1], answer, back, replace(back, withdrawn=True), *passed]
+    trainer = OptionTrainer(tmp_path / 'options', taxi, RECORDED.thresholds, RECORDED.seed)
+    for demo in given:
+        assert trainer.take(demo)
+    (live,) = trainer.options()
+    assert (live.summary.n_questions, live.summary.exams_failed) == (1, 1)
+    assert (live.summary.exam_right, live.summary.exam_runs) == (2, 2)
+    (file,) = (tmp_path / 'options').glob('*/*.json')
+    attached = json.loads(file.read_text('utf-8'))
+    assert attached['status'] == live.summary.status
+    messages = [domain_to_info(taxi), *map(demonstration_to_message, reversed(given))]
+    record(tmp_path / 'bag', messages, FACTS, {'options/p1/fetch.json': attached})
+    found = evaluate_bag(tmp_path / 'bag').options[0]
+    assert (found.summary, found.reproduced) == (live.summary, True)
+    before = found.learning.iloc[-2]  # the version that failed
+    assert (before.exam_right, before.exam_runs, before.exams_failed) == (1, 2, 0)
+    again = OptionTrainer(tmp_path / 'options', taxi, RECORDED.thresholds, RECORDED.seed)
+    assert again.options() == [live]
+
+
 def test_an_evaluation_has_learning_curves_and_plans(
     evaluation: BagEvaluation, progress: list[tuple[float, float]]
 ) -> None:
@@ -239,8 +269,9 @@ def test_options_learned_again_are_compared_with_their_files(
     files['automatic', 'down'] = {'uuids': []}  # without a teacher
     assert compare_options(files, options, taxi_lesson)[1] == notes
     files[second]['status'] = 'learned: nobody knows why'
-    assert f'{second[1]!r} by p1 differs from its option file: status' in (
-        compare_options(files, options, taxi_lesson)[1]
+    assert (
+        f'{second[1]!r} by p1 differs from its option file: status'
+        in (compare_options(files, options, taxi_lesson)[1])
     )
 
 
