@@ -7,6 +7,7 @@ from pathlib import Path
 from humanopts_env.domains.base import Domain
 from humanopts_env.game import Accepted, Command, Game, Source
 from humanopts_learner.demonstrations import group_by_option
+from humanopts_learner.options.exam import with_verdicts
 from humanopts_learner.summary import OptionSummary, unmeasured
 from humanopts_teach.dialogue.app import App
 from humanopts_teach.dialogue.menu import opening
@@ -54,6 +55,7 @@ class Desk:
     :ivar silent: nodes that do not answer.
     :ivar learns: the learner counts each demonstration in, or out, at once.
     :ivar reports: what it measures of an option, by name; else it measures nothing.
+    :ivar exam: number of runs in the first exam of an option.
     """
 
     def __init__(
@@ -76,6 +78,7 @@ class Desk:
         self.silent: set[str] = set()
         self.learns = True
         self.reports: dict[str, OptionSummary] = {}
+        self.exam = 0
         self.game.reset('', 0, Source.PERSON)
         self.publish()
 
@@ -146,7 +149,8 @@ class Desk:
             for (_, name), demos in counted.items():
                 measured = {key: getattr(self.reports[name], key)
                             for key in MEASURED if name in self.reports}  # fmt: skip
-                self.reports[name] = replace(unmeasured(demos), **measured)
+                summary = replace(unmeasured(demos), **measured)
+                self.reports[name] = with_verdicts(summary, demos, self.exam)
             names = {name for _, name in counted}
             self.world.summaries = [each for name, each in self.reports.items() if name in names]
             self.lesson.update_summaries(self.world.summaries)

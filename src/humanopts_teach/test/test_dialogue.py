@@ -95,6 +95,12 @@ def restart(desk: Desk) -> None:
     desk.publish = lambda: None  # type: ignore[method-assign]
 
 
+def meet_criteria(desk: Desk) -> None:
+    """Let all criteria be met, so that an exam of two runs is next."""
+    met = OptionSummary(NAME, 'p1', criteria=(Criterion.of('return', 0.0, 1.0),))
+    desk.exam, desk.reports = 2, {NAME: met}
+
+
 UNCOVERED = [(AT_R, 0.0), ('taxi 3,1 passenger B destination R', 0.25)]
 EVENTS: dict[str, Callable[[Desk], object]] = {
     'the code was given': give_code,
@@ -102,6 +108,8 @@ EVENTS: dict[str, Callable[[Desk], object]] = {
     'the next start is at R': lambda desk: setattr(desk.app, 'next_start', AT_R),
     'the machine takes two steps': lambda desk: desk.machine('north', 'east'),
     'the run ends': lambda desk: desk.run_ends('You took over.'),
+    'the option ends': lambda desk: desk.run_ends(f'{NAME}: it ends.'),
+    'its criteria are met': meet_criteria,
     'planning ends': lambda desk: desk.run_ends('Planned.'),
     'it plays': lambda desk: have(desk, running='action:north', execution='interrupted'),
     'an option wins': lambda desk: (
@@ -139,6 +147,15 @@ CONVERSATIONS = {  # by snapshot: domain, chosen features, first keys, and what 
         '| right | 1 | escape | 2 | 2 | left p enter | w | backspace | w '
         '| ... the machine takes two steps | - | + |   | . |   | left | ... the run ends | enter '
         '| 2',
+    ),
+    'exam': (
+        *('taxi', CHOSEN, 'left p'),
+        '... its criteria are met | enter | ? | x | r | enter | left | r '
+        '| ... the machine takes two steps | r | ... the option ends | ? | x | backspace '
+        '| ... the machine takes two steps | ... the option ends | r '
+        '| ... the machine takes two steps |   | . | w | backspace | enter '
+        '| ... the machine takes two steps | w | enter | n | m | escape 2 | 1 | enter '
+        '| ... the machine takes two steps | escape | enter | 2',
     ),
     'menu': (
         *('taxi', CHOSEN, 'left p enter escape'),
@@ -460,7 +477,7 @@ KEYS = [
     'escape',
     'backspace',
     ' ',
-    *'123456ynoelwsuqcx?t-.',
+    *'123456ynoelwsuqcx?t-.rm',
 ]
 
 
@@ -472,9 +489,11 @@ class DialogueMachine(RuleBasedStateMachine):
         self.folder = TemporaryDirectory()
         self.kept: set[str] = set()
 
-    @initialize(taught=st.booleans())
-    def sit_down(self, taught: bool) -> None:
+    @initialize(taught=st.booleans(), met=st.booleans())
+    def sit_down(self, taught: bool, met: bool) -> None:
         self.desk = Desk(make_domain('taxi'), Path(self.folder.name), budget=6)
+        if met:
+            meet_criteria(self.desk)
         if taught:
             self.desk.teach(NAME, CHOSEN, AT_R)
 

@@ -57,15 +57,18 @@ def progress_panel(app: App, *, questions: str, again: str, demonstrations: str)
     """
     world, lesson = app.world, app.world.lesson
     progress = world.summary_of(lesson.participant, lesson.option_name)
-    blocks: list[Block] = [_title(lesson), _position(app)]
+    step, blocks = world.game.step, list[Block]([_title(lesson), _position(app)])
     if lesson.phase is Phase.EXAM:
         blocks.append(Line(_EXAM))
     if app.run is not None:
-        words = 'The machine moves.' if lesson.exam else 'The machine shows what it learned.'
-        blocks += [Line(words, Tone.NEWS), pace_line(world)]
+        blocks += [Line('The machine shows what it learned.', Tone.NEWS), pace_line(world)]
+    elif lesson.exam and step:
+        blocks.append(Line('The run has ended. Was it right?', strong=True))
     if lesson.phase is Phase.DEMONSTRATING:
         blocks += last_step(world)
     blocks.append(_features(app))
+    if lesson.exam:
+        return Panel(blocks)
     if lesson.method == GOAL:
         blocks.append(Line(f'policy {METHODS[GOAL]}', Tone.QUIET))
     if progress is None or not progress.criteria:
@@ -95,7 +98,7 @@ def _position(app: App) -> Line:
     if lesson.exam or lesson.phase is Phase.EXAM:
         where = f'Exam: run {lesson.exam_runs + 1} of {lesson.exam_needed}'
         where += f', step {step}' if lesson.exam else '.'
-        counts = f'  ({lesson.exam_right} of {lesson.exam_runs} right)'
+        counts = f'  ({lesson.exam_right} of {lesson.exam_runs} right)' if lesson.exam_runs else ''
         return Line(where, Tone.NEWS, more=(Line(counts, Tone.QUIET),))
     match lesson.phase:
         case Phase.DEMONSTRATING:

@@ -25,7 +25,7 @@ from humanopts_teach.dialogue.keys import (
     SPACE,
 )
 from humanopts_teach.dialogue.lesson_panel import progress_panel, question_panel
-from humanopts_teach.dialogue.panel import Panel
+from humanopts_teach.dialogue.panel import GAP, Panel
 from humanopts_teach.dialogue.question import RunQuestion
 from humanopts_teach.lesson.question_groups import GroupAnswer
 from humanopts_teach.lesson.requests import (
@@ -59,6 +59,7 @@ class LessonScreen(Screen):
     redo: list[str] = field(default_factory=list)  # actions to repeat after an undo
     delete: str = ''  # uuid of the demonstration to withdraw when the learner is done
     ended: int = 0  # episode of the last run in the exam that ended here
+    stops: bool = False  # the person stopped that run
     question: RunQuestion | None = None  # the open question about a run
     answers_lesson = hides_features = True
 
@@ -260,9 +261,11 @@ class LessonScreen(Screen):
 
         first = lesson.question_feature == app.domain.features[0].name
         possible = lesson.phase is not Phase.ASKING or not first or said is not None
-        judged = lesson.phase in (Phase.CHECKING, Phase.EXAM, Phase.FINISHED)
-        words = 'take back the last answer' if judged else 'previous question'
-        possible &= not judged or lesson.n_questions + lesson.exam_runs > 0
+        asks = lesson.phase in (Phase.ASKING, Phase.READY)
+        words = (
+            'previous question' if lesson.phase is Phase.ASKING else 'take back the last answer'
+        )
+        possible &= asks or lesson.n_questions + lesson.exam_runs > 0
         return Command([BACKSPACE], words, go_back if possible else None)
 
     def _run_question(self, app: App) -> RunQuestion | None:
@@ -357,12 +360,15 @@ class LessonScreen(Screen):
         def judged(answer: Answer) -> None:
             self.automatic = None if app.world.lesson.paused else then
 
+        self.stops = runs
         end = EndDemonstration(verdict, game.episode, game.step, stopped=runs)
         app.ask(*([CancelRun()] if runs else []), end, then=judged)
         app.resume_machine()
 
     def run_ended(self, run: ActionGoal, well: bool, app: App) -> None:
         self.ended = app.world.lesson.episode
+        if self.stops:
+            app.message, self.stops = GAP, False  # the lesson says what comes next
 
     def _end(self, verdict: Verdict, app: App) -> None:
         """Give a verdict; ask for confirmation if the last step had no effect."""

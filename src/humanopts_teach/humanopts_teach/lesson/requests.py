@@ -434,7 +434,9 @@ def settled(request: Request, answer: Answer, world: World) -> bool:
         case DefineOption(name, derived_features=derived):
             return lesson.option_name == name and {*derived} <= {*lesson.derived_features}
         case AnswerQuestion(question_id):
-            return lesson.question_id != question_id or lesson.phase is Phase.LEARNING
+            taken_back = not question_id and bool(answer.uuid)  # a verdict: no question opens
+            learning = lesson.phase is Phase.LEARNING
+            return lesson.question_id != question_id or learning or taken_back
         case BeginDemonstration():
             return game.episode >= answer.episode == lesson.episode
         case EndDemonstration(episode=episode):
