@@ -21,7 +21,17 @@ from humanopts_teach.report.pages import counted, duration
 import pandas as pd
 import typer
 
-from experiments import demonstrations, figure2, figure3, figure4, table1, table2, transfer, worlds
+from experiments import (
+    demonstrations,
+    figure2,
+    figure3,
+    figure4,
+    judging,
+    table1,
+    table2,
+    transfer,
+    worlds,
+)
 from experiments.people import Participant, read_bag_lessons, Study
 from experiments.report import PAGE, Reproduction, Section, write_reproduction
 from experiments.trials import ClusterError, LIBRARIES, Rows, run_trials, Trial
@@ -31,19 +41,29 @@ app = typer.Typer(**PLAIN)
 # Each module has its command line ``NAME``, a ``TITLE``, ``trials`` of a study, and ``present``,
 # which makes a section from result rows.
 PAPER: list[ModuleType] = [figure2, figure3, figure4, table2]
-EXPERIMENTS = {each.NAME: each for each in (*PAPER, transfer, demonstrations, worlds)}
+EXPERIMENTS = {each.NAME: each for each in (*PAPER, transfer, demonstrations, worlds, judging)}
 
 
 @app.command(cls=SeveralValues, help="the paper's figures and tables, computed again")
 def reproduce(
     what: Annotated[
-        Literal['fig2', 'fig3', 'fig4', 'table2', 'all', 'transfer', 'demonstrations', 'worlds'],
+        Literal[
+            'fig2',
+            'fig3',
+            'fig4',
+            'table2',
+            'all',
+            'transfer',
+            'demonstrations',
+            'worlds',
+            'judging',
+        ],
         typer.Argument(
             metavar='WHAT',
             help='a figure or table: fig2, fig3, fig4, table2; or all of them; or, past the '
             'paper, transfer: options of one maze in others; or demonstrations: how many an '
             'option takes, by learning method; or worlds: options taught in MiniGrid, LunarLander '
-            'and others',
+            'and others; or judging: whether what a lesson calls learned is right',
         ),
     ],
     out: Annotated[
@@ -60,7 +80,8 @@ def reproduce(
             parser=whole(1),
             metavar='N',
             help=f'simulated, in each group; default: {Study.participants}, and '
-            f'{worlds.LESSONS} for worlds, where each gives one lesson in each environment',
+            f'{worlds.LESSONS} for worlds and {judging.LESSONS} for judging, where each gives one '
+            'lesson in each environment or row',
         ),
     ] = None,
     seeds: Annotated[
@@ -100,7 +121,8 @@ def reproduce(
         own_mazes = tuple(load_maze(source).text for source in mazes)
     except (BagError, MazeError) as error:
         raise CommandError(str(error)) from error
-    usual = worlds.LESSONS if what == worlds.NAME else Study.participants
+    lessons_each = {each.NAME: each.LESSONS for each in (worlds, judging)}
+    usual = lessons_each.get(what, Study.participants)
     study = Study(participants or usual, seeds, seed, lessons, own_mazes)
     out = out or Path('runs') / f'reproduce-{what}'
     wanted = PAPER if what == 'all' else [EXPERIMENTS[what]]

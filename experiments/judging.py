@@ -1,0 +1,489 @@
+"""
+Whether an option is right when the lesson says that it is learned.
+
+This goes beyond the paper. In a trial, a simulated teacher gives one lesson, and then the learned
+option runs from starts that the lesson did not choose (``right.py``). The teacher is careful, errs
+in a share of its steps, answers yes to needless features or no to a needed one, or means something
+that no option can express.
+
+In a *learnable* row of the table, demonstrations and answers determine the option: of the options
+called learned, at least ``SHARE`` have to be right. In the other rows, at most ``FALSE`` of all
+lessons may call an option learned that is wrong.
+"""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import cache, lru_cache, partial
+from typing import Any
+
+from humanopts_env.domains.base import Domain, EnumerableDomain
+from humanopts_env.domains.gymnasium_reference import WatchedOption
+from humanopts_env.domains.reference import ReferenceOption, TabularReferenceOption
+from humanopts_env.domains.registry import make_domain, reference_options
+from humanopts_env.domains.tabular import best_paths, distance_to, reachable
+from humanopts_env.domains.taxi import ABOARD, landmark_cells, Taxi, TaxiState
+from humanopts_env.seeding import generator
+from humanopts_learner.demonstrations import GOAL, TREES
+from humanopts_learner.intervals import Interval
+from humanopts_learner.options.judge import judge, Thresholds
+from humanopts_teach.lesson.in_process import teach
+from humanopts_teach.lesson.requests import (
+    AnswerQuestion,
+    BeginDemonstration,
+    Drive,
+    EndDemonstration,
+)
+from humanopts_teach.lesson.seeded_starts import LessonRules
+from humanopts_teach.lesson.simulated_teacher import TeacherSettings
+from humanopts_teach.report.figures import Drawing
+import numpy as np
+import pandas as pd
+
+from experiments import report
+from experiments.people import Study
+from experiments.right import Meant, meant, SHARE
+from experiments.trials import Rows, Trial
+
+NAME = 'judging'
+TITLE = 'Whether what a lesson calls learned is right'
+LESSONS = 6
+FALSE = 0.05
+BUDGET = 60  # start states per option
+ATTEMPTS = 100  # at a demonstration from one start: a teacher who errs in most steps is patient
+KEYS = ['world', 'method', 'teacher']
+KEYED = AnswerQuestion, BeginDemonstration, Drive, EndDemonstration  # one key each
+COSTS = ['demonstrations', 'not here', 'questions', 'exam answers', 'keys']
+
+
+# Meanings that depend on where a run begins.
+
+
+@dataclass(frozen=True, eq=False)
+class Relative:
+    """A reference option of a deterministic domain that ends in one state for each start."""
+
+    domain: EnumerableDomain
+    name: str
+    features: tuple[str, ...]
+    definition: str
+    end: tuple[int, ...]  # (S,) state in which a run ends; -1: it cannot start
+
+    def begun(self, state: Any) -> TabularReferenceOption:
+        """Return the shortest paths to the end of a run from a state."""
+        return _paths_to(self, self.end[self.domain.index(state)])
+
+    def can_start(self, state: Any) -> bool:
+        """Return whether a run from a state has an end."""
+        return self.end[self.domain.index(state)] >= 0
+
+    def ends(self, state: Any) -> bool:
+        """Return False: the end depends on the start."""
+        return False
+
+    def optimal_actions(self, state: Any) -> tuple[int, ...]:
+        """Return the first actions of a run that begins in a state."""
+        return self.begun(state).optimal_actions(state)
+
+
+@cache
+def _paths_to(option: Relative, end: int) -> TabularReferenceOption:
+    domain = option.domain
+    goal = np.arange(domain.n_states) == end
+    table, going = domain.transitions(), ~domain.over() & ~goal
+    distance, optimal = distance_to(table, goal[table.successor[:, :, 0]], going)
+    return TabularReferenceOption(
+        domain,
+        option.name,
+        option.features,
+        np.array(option.end) >= 0,
+        goal,
+        optimal,
+        distance,
+        reachable(domain),
+        option.definition,
+    )
+
+
+def _relative(
+    domain: Taxi,
+    name: str,
+    definition: str,
+    features: tuple[str, ...],
+    end: Callable[[TaxiState], TaxiState | None],
+) -> dict[str, ReferenceOption]:
+    open_states, ends = reachable(domain) & ~domain.over(), []
+    for number in range(domain.n_states):
+        found = end(domain.state_at(number)) if open_states[number] else None
+        ends.append(-1 if found is None else domain.index(found))
+    return {name: Relative(domain, name, features, definition, tuple(ends))}
+
+
+TAXI = 'taxi_row', 'taxi_col'
+PASSENGER = 'passenger_row', 'passenger_col', 'passenger_in_taxi'
+
+
+def next_thing(domain: Taxi) -> dict[str, ReferenceOption]:
+    """Return an option with two kinds of ends."""
+    cells = [*landmark_cells(domain.rows, domain.cols).values()]
+
+    def end(state: TaxiState) -> TaxiState:
+        if state.passenger == ABOARD:
+            there = cells[state.destination]
+            return TaxiState(*there, state.destination, state.destination)
+        return TaxiState(*cells[state.passenger], ABOARD, state.destination)
+
+    return _relative(
+        domain,
+        'do the next thing',
+        'Starts anywhere; picks the passenger up, or delivers one who is aboard; ends then.',
+        (*TAXI, *PASSENGER, 'destination_row', 'destination_col'),
+        end,
+    )
+
+
+def two_cells_north(domain: Taxi) -> dict[str, ReferenceOption]:
+    """Return an option with an end relative to its start."""
+
+    def end(state: TaxiState) -> TaxiState | None:
+        return replace(state, row=state.row - 2) if state.row >= 2 else None
+
+    definition = 'Starts in the third row or farther south; ends two cells farther north.'
+    return _relative(domain, 'two cells north', definition, TAXI, end)
+
+
+def fetch(domain: Taxi) -> dict[str, ReferenceOption]:
+    """Return an option whose end depends on its history: it goes back to where it began."""
+
+    def end(state: TaxiState) -> TaxiState | None:
+        return None if state.passenger == ABOARD else replace(state, passenger=ABOARD)
+
+    return _relative(
+        domain,
+        'fetch the passenger',
+        'Starts where the passenger waits; picks up; ends with the passenger aboard where it '
+        'began.',
+        (*TAXI, *PASSENGER),
+        end,
+    )
+
+
+def to_the_goal(domain: EnumerableDomain) -> dict[str, ReferenceOption]:
+    """Return the option of FrozenLake: the best paths to the goal, around the holes."""
+    table, over = domain.transitions(), domain.over()
+    goal = np.zeros(domain.n_states, dtype=np.bool_)
+    goal[table.successor[table.reward > 0]] = True
+    value, optimal = best_paths(table, goal[table.successor], ~over, domain.gamma)
+    starts = reachable(domain) & ~over & (value > 0)
+    option = TabularReferenceOption(
+        domain,
+        'walk to the goal',
+        tuple(feature.name for feature in domain.features),
+        starts,
+        goal,
+        optimal & starts[:, None],
+        np.where(starts, 1, -1).astype(np.int32),
+        starts | goal,
+        'Starts anywhere; walks to the goal by the paths with the least risk; ends there.',
+    )
+    return {option.name: option}
+
+
+# Rows of the table.
+
+
+@dataclass(frozen=True)
+class World:
+    """A domain of the table."""
+
+    domain: str
+    options: tuple[str, ...] = ()  # by turns; empty: all
+    together: bool = False  # each lesson teaches all of them: one leads to the starts of another
+    methods: tuple[str, ...] = (TREES,)
+    answers: bool = True  # whether there are needless features
+    share: float = 1.0  # of the lessons
+    references: Callable[[Any], dict[str, ReferenceOption]] = reference_options
+    cost: float = 3.0  # approximate processor seconds per lesson
+
+
+WORLDS = {
+    'Taxi': World('taxi', methods=(TREES, GOAL)),
+    'Rooms': World('rooms', methods=(TREES, GOAL), answers=False),
+    'FrozenLake 4x4': World(
+        'gymnasium:FrozenLake-v1',
+        methods=(TREES, GOAL),
+        answers=False,
+        references=to_the_goal,
+    ),
+    'FrozenLake 8x8': World(
+        'gymnasium:FrozenLake8x8-v1',
+        methods=(TREES, GOAL),
+        answers=False,
+        references=to_the_goal,
+    ),
+    'Pac-Man': World(
+        'pacman',
+        (
+            'go to the closest food',
+            'avoid ghost',
+            'go to the nearest power pellet',
+            'eat the ghost',
+        ),
+    ),
+    'DoorKey': World('gymnasium:MiniGrid-DoorKey-8x8-v0', together=True, share=1 / 3),
+    'LunarLander': World('gymnasium:LunarLander-v3', share=1 / 3),
+}
+
+
+@dataclass(frozen=True)
+class Teacher:
+    """A kind of teacher."""
+
+    error_rate: float = 0.0
+    needless: float = 0.0  # share of needless features with the answer yes
+    missing: bool = False  # one needed feature gets the answer no
+    learnable: bool = True
+    meaning: Callable[[Any], dict[str, ReferenceOption]] | None = None  # in Taxi only
+
+    def fits(self, world: World) -> bool:
+        """Return whether there are such lessons."""
+        if self.meaning is not None:
+            return world.domain == 'taxi'
+        return world.answers or not self.needless
+
+
+CAREFUL = 'careful'
+TEACHERS = {
+    CAREFUL: Teacher(),
+    '10 % slips': Teacher(error_rate=0.1),
+    '60 % slips': Teacher(error_rate=0.6, learnable=False),
+    'yes to 20 % needless features': Teacher(needless=0.2),
+    'yes to all features': Teacher(needless=1.0),
+    'no to a needed feature': Teacher(missing=True, learnable=False),
+    'two kinds of ends': Teacher(meaning=next_thing),
+    'two cells north': Teacher(meaning=two_cells_north, learnable=False),
+    'end by history': Teacher(meaning=fetch, learnable=False),
+}
+
+
+def trials(study: Study) -> list[Trial]:
+    """Return one trial per lesson; none with bags."""
+    lessons = 0 if study.bags else study.participants
+    return [
+        Trial(
+            NAME,
+            {**dict(zip(KEYS, row)), 'lesson': lesson, 'seed': study.seed},
+            give_lesson,
+            WORLDS[row[0]].cost,
+        )
+        for row in table_rows()
+        for lesson in range(1, round(lessons * WORLDS[row[0]].share + 0.49) + 1)
+    ]
+
+
+def table_rows() -> Iterator[tuple[str, str, str]]:
+    """Yield world, method and teacher of each row of the table."""
+    for name, world in WORLDS.items():
+        for method in world.methods:
+            for kind, teacher in TEACHERS.items():
+                if teacher.fits(world):
+                    yield name, method, kind
+
+
+@cache
+def _world(name: str) -> Domain:
+    """Return the domain of a world; each process makes it once."""
+    return make_domain(WORLDS[name].domain)
+
+
+@cache
+def _references(world: str, kind: str) -> dict[str, ReferenceOption]:
+    """Return what a kind of teacher means by the options of a world, in the order of teaching."""
+    if meaning := TEACHERS[kind].meaning:
+        return meaning(_world(world))
+    found = WORLDS[world].references(_world(world))
+    return {name: found[name] for name in WORLDS[world].options or found}
+
+
+@lru_cache(maxsize=32)
+def _meant(world: str, kind: str, option: str, seed: int) -> Meant:
+    """Return how the teacher itself performs; each process runs it once."""
+    return meant(_world(world), _references(world, kind), option, seed)
+
+
+def answering(
+    option: ReferenceOption, domain: Domain, teacher: Teacher, rng: np.random.Generator
+) -> ReferenceOption:
+    """Return an option with the features that a teacher says it depends on."""
+    features = option.features
+    if teacher.needless == 1.0:
+        known = [feature.name for feature in domain.features]
+        features = (*known, *(name for name in features if name not in known))
+    if teacher.missing and len(features) > 1:
+        features = tuple(np.delete(features, rng.integers(len(features))).tolist())
+    if features == option.features:
+        return option
+    changed: Any = option
+    if isinstance(option, WatchedOption):
+        return replace(option, rule=replace(option.rule, features=features))
+    return replace(changed, features=features)  # type: ignore[no-any-return]
+
+
+def give_lesson(parameters: Mapping[str, Any]) -> Rows:
+    """
+    Give one lesson, and run what it has taught.
+
+    :return: one row per option: learned (as the lesson says), right, right starts (their share),
+        elsewhere (share of other states in which it can start), faults (starts with each),
+        ``COSTS``, and the status in words.
+    """
+    world, method, kind = (parameters[key] for key in KEYS)
+    lesson, teacher, domain = parameters['lesson'], TEACHERS[kind], _world(world)
+    seed = int(generator(parameters['seed'], NAME, world, method, kind, lesson).integers(2**31))
+    references, thresholds = _references(world, kind), Thresholds()
+    names = [*references]
+    if not WORLDS[world].together:
+        names = [names[lesson % len(names)]]
+    rng = generator(seed, 'answers')
+    settings = TeacherSettings(
+        (*names,),
+        error_rate=teacher.error_rate,
+        extra_feature_rate=teacher.needless % 1.0,
+        own_habits=True,
+        attempts=ATTEMPTS,
+        seed=seed,
+    )
+    taught = teach(
+        domain,
+        settings,
+        LessonRules(budget=BUDGET, seed=seed, method=method),
+        references={
+            name: answering(option, domain, teacher, rng) for name, option in references.items()
+        },
+    )
+    keys = sum(taught.acts[act] for act in KEYED) + sum(len(name) + 1 for name in names)
+    options, rows = {option.name: option for option in taught.options}, list[dict[str, Any]]()
+    for name in names:
+        row = {**{key: parameters[key] for key in KEYS}, 'option': name, 'lesson': lesson}
+        row |= {'learned': False, 'right': False, 'cut short': taught.cut_short}
+        rows.append(row)
+        if name not in options:
+            continue
+        demos = [demo for demo in taught.demonstrations if demo.option_name == name]
+        summary = judge(demos, domain, thresholds, seed, options[name])
+        means = kind if teacher.meaning else CAREFUL
+        wanted = _meant(world, means, name, parameters['seed'])
+        found = wanted.performance(options[name])
+        right = found.right(wanted.teacher)
+        row |= {
+            'learned': summary.settled and len(demos) < BUDGET and not taught.cut_short,
+            'right': bool(right.mean() >= SHARE),
+            'right starts': float(right.mean()),
+            'elsewhere': found.elsewhere,
+            'faults': found.faults(wanted.teacher),
+            'demonstrations': summary.n_demonstrations,
+            'not here': summary.n_not_here,
+            'questions': 0,
+            'exam answers': 0,
+            'keys': keys / len(names),
+            'features': ', '.join(options[name].features),
+            'status': summary.result,
+        }
+    return rows
+
+
+def table_of(lessons: pd.DataFrame) -> pd.DataFrame:
+    """
+    Return the table: one row per world, method and teacher.
+
+    :param lessons: one row per option taught.
+    :return: ``KEYS``, learnable, lessons, learned (called so), right (of these; low and high:
+        Wilson's limits at 95 %; empty: none was called learned), false (share of all lessons that
+        call a wrong option learned, with limits), elsewhere (mean of those called learned), and
+        the medians of ``COSTS``.
+    """
+    rows = []
+    for key, mine in report.grouped(lessons, KEYS):
+        learned, right = mine['learned'].to_numpy(bool), mine['right'].to_numpy(bool)
+        share, wrong = (Interval.of_share(flags) for flags in (right[learned], learned & ~right))
+        rows.append(
+            {
+                **dict(zip(KEYS, key)),
+                'learnable': TEACHERS[key[2]].learnable,
+                'lessons': len(mine),
+                'learned': int(learned.sum()),
+                'right': share.mean,
+                'right: low': share.low,
+                'right: high': share.high,
+                'false': wrong.mean,
+                'false: low': wrong.low,
+                'false: high': wrong.high,
+                'elsewhere': mine.loc[learned, 'elsewhere'].mean(),
+                **mine[COSTS].median(),
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def present(rows: pd.DataFrame) -> report.Section:
+    """Return the section of the report; one row per lesson and option."""
+    lessons = rows.drop(columns='trial', errors='ignore')
+    lessons['faults'] = [
+        ', '.join(f'{name} {share:.2g}' for name, share in faults.items())
+        if isinstance(faults, dict)
+        else ''
+        for faults in lessons['faults']
+    ]
+    table = table_of(lessons)
+    tables = [
+        report.Table('judging-rows', 'Options called learned, and those that are right', table),
+        report.Table('judging-lessons', 'Each lesson', lessons, shown=False),
+    ]
+    height = 1.2 + 0.2 * len(table)
+    pictures = [
+        report.Picture(
+            'judging-right',
+            'Share of right options among those called learned, with 95 % limits. Dots below 0.95 '
+            'in learnable rows miss the goal; the other rows show the share of lessons that call '
+            'a wrong option learned, which must be at most 0.05.',
+            (7.6, height),
+            partial(_draw, table),
+        )
+    ]
+    facts = {'share': SHARE, 'false': FALSE, 'budget': BUDGET}
+    return report.Section(NAME, TITLE, _comparisons(table), pictures, tables, facts)
+
+
+def _comparisons(table: pd.DataFrame) -> list[report.Comparison]:
+    """Compare each row with its goal."""
+    found = []
+    for row in table.to_dict('records'):
+        case = ', '.join(row[key] for key in KEYS)
+        counts = f'{row["learned"]} of {row["lessons"]} called learned'
+        if row['learnable']:
+            said = f'{case}: at least {SHARE:.0%} of the options called learned are right.'
+            value = Interval(row['right'], row['right: low'], row['right: high'])
+            verdict = bool(value.mean >= SHARE) if row['learned'] else None
+        else:
+            said = f'{case}: at most {FALSE:.0%} of the lessons call a wrong option learned.'
+            value = Interval(row['false'], row['false: low'], row['false: high'])
+            verdict = bool(value.mean <= FALSE)
+        values = {'share': value} if row['learned'] or not row['learnable'] else {}
+        found.append(
+            report.compare(said, verdict, counts, values, '.2f', '' if values else counts)
+        )
+    return found
+
+
+def _draw(table: pd.DataFrame, work: Drawing) -> None:
+    places = np.arange(len(table))
+    for learnable, name, colour in ((True, 'right', 'C0'), (False, 'false', 'C1')):
+        mine = table['learnable'] == learnable
+        low, mean, high = (table.loc[mine, f'{name}{end}'] for end in (': low', '', ': high'))
+        label = 'right, of those called learned' if learnable else 'wrong, but called learned'
+        bars = [mean - low, high - mean]
+        work.axes.errorbar(mean, places[mine], xerr=bars, fmt='o', color=colour, label=label)
+    work.axes.set_yticks(places, [', '.join(row) for row in table[KEYS].to_numpy()])
+    work.axes.set(xlim=(0, 1.02), xlabel='share')
+    work.axes.invert_yaxis()
+    work.axes.legend()
+    work.axes.grid(axis='x')
