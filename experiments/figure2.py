@@ -94,7 +94,7 @@ LEVELS = (0.95, 1.0)  # of policy accuracy; the report gives the demonstrations 
 GOALS = {('failures', 0.95): 15, ('failures', 1.0): 30}  # max. demonstrations, careful, Taxi
 ROUNDING = 1e-9  # rounding error of an accuracy
 STYLES = {'random': 'C1--', 'coverage': 'C3-.', 'failures': 'C0-'}
-ACTS = ('name of an option', 'answer', 'start state', 'step', 'end of a demonstration')
+ACTS = ('name of an option', 'answer', 'start state', 'step', 'watched step', 'verdict')
 PACE = dict(zip(ACTS, SECONDS.values(), strict=True))  # s, assumed
 GROUP_NAMES = {
     CAREFUL: 'simulated people without errors',

@@ -25,13 +25,13 @@ from humanopts_env.domains.taxi import ABOARD, landmark_cells, Taxi, TaxiState
 from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import GOAL, TREES
 from humanopts_learner.intervals import Interval
-from humanopts_learner.options.judge import judge, Thresholds
 from humanopts_teach.lesson.in_process import teach
 from humanopts_teach.lesson.requests import (
     AnswerQuestion,
     BeginDemonstration,
     Drive,
     EndDemonstration,
+    RunOption,
 )
 from humanopts_teach.lesson.seeded_starts import LessonRules
 from humanopts_teach.lesson.simulated_teacher import TeacherSettings
@@ -50,8 +50,8 @@ LESSONS = 6
 FALSE = 0.05
 BUDGET = 60  # start states per option
 ATTEMPTS = 100  # at a demonstration from one start: a teacher who errs in most steps is patient
-KEYS = ['world', 'method', 'teacher']
-KEYED = AnswerQuestion, BeginDemonstration, Drive, EndDemonstration  # one key each
+KEYS = ['world', 'method', 'taught by']
+KEYED = AnswerQuestion, BeginDemonstration, Drive, EndDemonstration, RunOption  # one key each
 COSTS = ['demonstrations', 'not here', 'questions', 'exam answers', 'keys']
 
 
@@ -339,7 +339,7 @@ def give_lesson(parameters: Mapping[str, Any]) -> Rows:
     world, method, kind = (parameters[key] for key in KEYS)
     lesson, teacher, domain = parameters['lesson'], TEACHERS[kind], _world(world)
     seed = int(generator(parameters['seed'], NAME, world, method, kind, lesson).integers(2**31))
-    references, thresholds = _references(world, kind), Thresholds()
+    references = _references(world, kind)
     names = [*references]
     if not WORLDS[world].together:
         names = [names[lesson % len(names)]]
@@ -362,31 +362,31 @@ def give_lesson(parameters: Mapping[str, Any]) -> Rows:
     )
     keys = sum(taught.acts[act] for act in KEYED) + sum(len(name) + 1 for name in names)
     options, rows = {option.name: option for option in taught.options}, list[dict[str, Any]]()
+    summaries = {summary.option_name: summary for summary in taught.summaries}
     for name in names:
         row = {**{key: parameters[key] for key in KEYS}, 'option': name, 'lesson': lesson}
         row |= {'learned': False, 'right': False, 'cut short': taught.cut_short}
         rows.append(row)
         if name not in options:
             continue
-        demos = [demo for demo in taught.demonstrations if demo.option_name == name]
-        summary = judge(demos, domain, thresholds, seed, options[name])
+        summary = summaries[name]
         means = kind if teacher.meaning else CAREFUL
         wanted = _meant(world, means, name, parameters['seed'])
         found = wanted.performance(options[name])
         right = found.right(wanted.teacher)
         row |= {
-            'learned': summary.settled and len(demos) < BUDGET and not taught.cut_short,
+            'learned': summary.learned,
             'right': bool(right.mean() >= SHARE),
             'right starts': float(right.mean()),
             'elsewhere': found.elsewhere,
             'faults': found.faults(wanted.teacher),
             'demonstrations': summary.n_demonstrations,
             'not here': summary.n_not_here,
-            'questions': 0,
-            'exam answers': 0,
+            'questions': summary.n_questions,
+            'exam answers': sum(demo.exam for demo in taught.judged if demo.option_name == name),
             'keys': keys / len(names),
             'features': ', '.join(options[name].features),
-            'status': summary.result,
+            'status': summary.status,
         }
     return rows
 
