@@ -122,9 +122,9 @@ class Table:
         assert self.answer_all().ok
         return self
 
-    def began(self, start_state: str = '', *, watch: bool = False) -> 'Table':
+    def began(self, start_state: str = '', *, watch: bool = False, exam: bool = False) -> 'Table':
         """Let the game begin the episode that the lesson asks for."""
-        prepared = self.ask(BeginDemonstration(start_state, watch))
+        prepared = self.ask(BeginDemonstration(start_state, watch, exam))
         assert prepared.ok, prepared
         self.episode += 1
         self.arrives(prepared.state)

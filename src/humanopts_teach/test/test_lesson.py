@@ -1,6 +1,7 @@
 """The lesson: any order of requests against a model, and what it answers, as a transcript."""
 
 from collections import Counter
+from collections.abc import Collection
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from itertools import count
@@ -10,9 +11,18 @@ from typing import Any
 
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.game import Source, Transition
-from humanopts_learner.demonstrations import check_demonstration, GOAL, Kind, TREES
+from humanopts_learner.demonstrations import (
+    check_demonstration,
+    GOAL,
+    judged,
+    Kind,
+    shown,
+    TREES,
+)
+from humanopts_learner.options.checks import Check
 from humanopts_learner.summary import Criterion, OptionSummary
 from humanopts_teach.lesson import requests
+from humanopts_teach.lesson.history import OptionHistory
 from humanopts_teach.lesson.lesson import MAX_DERIVED
 from humanopts_teach.lesson.requests import (
     Answer,
@@ -51,10 +61,21 @@ from teach_support.lesson import (
 
 OK, WRONG, MACHINE = RequestStatus.OK, RequestStatus.WRONG_PHASE, Source.MACHINE
 FEATURES = [feature.name for feature in TAXI.features]
-BUDGET = 4
+BUDGET, EXAM = 4, 2
+READY = Phase.READY, Phase.CHECKING, Phase.EXAM, Phase.FINISHED
 RARELY = st.sampled_from([True, False, False, False])  # what begins anew
 NAMES = st.sampled_from(['go', 'fetch', 'leave'])
 Key = tuple[str, str]  # participant and option
+
+
+@dataclass(frozen=True)
+class Judged:
+    """What the model knows of a run that was judged."""
+
+    right: bool
+    exam: bool
+    version: frozenset[str]  # of the option that ran: what was shown before
+    start: str  # of the next demonstration, if it is wrong
 
 
 @dataclass
@@ -69,10 +90,48 @@ class Taught:
     not_here: set[str] = field(default_factory=set)
     withdrawn: dict[str, str] = field(default_factory=dict)
     starts: list[str] = field(default_factory=list)  # withdrawn, to be shown anew
+    judged: dict[str, Judged] = field(default_factory=dict)  # by uuid, the oldest first
+    taken_back: set[str] = field(default_factory=set)  # uuids of judged runs
+
+    @property
+    def verdicts(self) -> dict[str, Judged]:
+        now = self.shown.keys()
+        return {uuid: run for uuid, run in self.judged.items() if run.version == now}
+
+    @property
+    def wrong(self) -> str:
+        """Where the next demonstration starts after a wrong run."""
+        starts = [run.start for run in self.verdicts.values() if not run.right]
+        return starts[-1] if starts else ''
+
+    @property
+    def n_questions(self) -> int:
+        return sum(not run.exam for run in self.judged.values())
+
+    @property
+    def asked(self) -> bool:
+        """Whether the question about a run was answered."""
+        return any(not run.exam for run in self.verdicts.values())
 
     @property
     def chosen(self) -> tuple[str, ...]:
         return tuple(name for name, yes in zip(FEATURES, self.answers) if yes)
+
+
+ASKED = 'taxi 2,2 passenger aboard destination B'
+
+
+class Asked(Drawn):
+    """One question about a run of each version, and exams that start in one state."""
+
+    def check(self, option: OptionHistory, names: Collection[str] = ()) -> Check | None:
+        features = tuple(TAXI.feature_values(TAXI.decode(ASKED)).tolist())
+        if any(not run.exam for run in option.verdicts):
+            return None
+        return Check(None, 'It would not start here. Right?', (ASKED,), (features,))
+
+    def draw_for_exam(self, option: OptionHistory, names: Collection[str] = ()) -> str:
+        return OTHER
 
 
 class LessonMachine(RuleBasedStateMachine):
@@ -93,8 +152,9 @@ class LessonMachine(RuleBasedStateMachine):
         self._start_lesson()
 
     def _start_lesson(self) -> None:
-        self.table = Table(self.store, budget=BUDGET, starts=Drawn)
+        self.table = Table(self.store, budget=BUDGET, starts=Asked)
         self.reports: dict[Key, tuple[OptionSummary, bool]] = {}
+        self.exam = False  # whether a run in it is under way
         self.path: list[tuple[str, Source]] = []  # of the demonstration under way
         self.watch = False
         self.awaited = self.again = ''
@@ -124,12 +184,19 @@ class LessonMachine(RuleBasedStateMachine):
             assert (self.table.lesson.view, self.store.entries(self.who)) == (before, entries)
         return answer
 
-    @initialize(ready=st.sampled_from([True, True, True, False]))
-    def begin_lesson(self, ready: bool) -> None:
-        if ready:
+    @initialize(stage=st.sampled_from([1, 2, 2, 3, 4, 5, 5, 6, 0]))
+    def begin_lesson(self, stage: int) -> None:
+        if stage > 0:
             self.open('p1', 's1')
             self.define('go', False, '')
             self.answer(True, True, 0)
+        if stage > 1:
+            self.show(['north'], stage > 2)
+        if stage > 3:
+            self.answer(True, True, 0)
+            self.report(True)
+        for _ in range(stage - 4):
+            self.examine(2, True, False)
 
     def turn_to(self, name: str, *, anew: bool = False) -> None:
         if anew or name != self.name:
@@ -177,6 +244,15 @@ class LessonMachine(RuleBasedStateMachine):
         option = self.taught
         asking = option is not None and not self.path and len(option.answers) < len(FEATURES)
         number = self.answered[self.who] + 1
+        if option is not None and self.phase is Phase.CHECKING and stale != 5:
+            demo = self.ask(AnswerQuestion(number, yes), OK).demonstration
+            assert demo is not None
+            assert (demo.kind, demo.states, demo.right) == (Kind.JUDGED, (ASKED,), yes)
+            version = frozenset(option.shown)
+            option.judged[demo.uuid] = Judged(yes, False, version, ASKED)
+            self.answered[self.who] += 1
+            self.awaited = demo.uuid
+            return
         if option is None or not asking or stale == 5:
             self.ask(AnswerQuestion(number - (stale == 5), yes), RequestStatus.NOT_ASKED)
             return
@@ -191,29 +267,63 @@ class LessonMachine(RuleBasedStateMachine):
     def go_back(self) -> None:
         option = self.taught
         complete = option is not None and len(option.answers) == len(FEATURES)
-        number = 0 if complete or option is None else self.answered[self.who] + 1
+        asked = option is not None and (not complete or self.phase is Phase.CHECKING)
+        number = self.answered[self.who] + 1 if asked else 0
         can = option is not None and bool(option.answers) and not self.path
-        self.ask(AnswerQuestion(number, back=True), OK if can else RequestStatus.NOT_ASKED)
-        if can and option is not None:
+        verdict = option is not None and complete and bool(option.verdicts)
+        can = can and not (verdict and self.awaited)
+        answer = self.ask(
+            AnswerQuestion(number, back=True), OK if can else RequestStatus.NOT_ASKED
+        )
+        if can and verdict and option is not None:
+            assert answer.demonstration is not None
+            uuid = answer.demonstration.uuid
+            assert uuid == next(reversed(option.verdicts))
+            self.answered[self.who] += not option.judged.pop(uuid).exam
+            option.taken_back.add(uuid)
+            self.awaited, self.again = uuid, ''
+        elif can and option is not None:
             option.answers.pop()
             self.answered[self.who] += 1
 
     @rule(start=st.sampled_from(['', '', START, OTHER]), watch=st.booleans())
     def begin(self, start: str, watch: bool) -> None:
         option, phase = self.taught, self.phase
-        if option is None or phase not in (Phase.READY, Phase.FINISHED):
+        if option is None or phase not in READY:
             self.ask(BeginDemonstration(start, watch), WRONG)
         elif len(option.shown) >= BUDGET:
             self.ask(BeginDemonstration(start, watch), RequestStatus.BUDGET_SPENT)
         else:
             self.table.began(start, watch=watch)
             self.episode, begun = self.table.episode, self.table.lesson.view.start_state
-            expected = start or self.again or next(reversed(option.starts), '')
+            again = self.again or option.wrong
+            expected = start or again or next(reversed(option.starts), '')
             if not expected:  # the draw depends on nothing else
                 key = (self.who, self.name), option.number
                 expected = self.drawn.setdefault(key, begun)
             assert begun == expected
-            self.path, self.watch = [(begun, Source.PERSON)], watch
+            self.path, self.watch, self.exam = [(begun, Source.PERSON)], watch, False
+
+    @precondition(lambda self: self.phase is Phase.EXAM)
+    @rule(steps=st.integers(0, 3), right=st.booleans(), stopped=st.booleans())
+    def examine(self, steps: int, right: bool, stopped: bool) -> None:
+        """Watch a run in the exam, and judge it."""
+        self.begin_exam()
+        for action in ('north', 'west', 'west')[:steps]:
+            self.step(action, True)
+        verdict = Verdict.RIGHT if right else Verdict.WRONG
+        self.end(verdict, False, False, stopped)
+        self.report(True)
+
+    @rule()
+    def begin_exam(self) -> None:
+        if self.phase is not Phase.EXAM:
+            self.ask(BeginDemonstration(exam=True), WRONG)
+            return
+        self.table.began(exam=True)
+        assert self.table.lesson.view.exam
+        self.episode = self.table.episode
+        self.path, self.watch, self.exam = [(OTHER, Source.PERSON)], True, True
 
     @precondition(lambda self: self.path)
     @rule(
@@ -224,7 +334,8 @@ class LessonMachine(RuleBasedStateMachine):
         source = MACHINE if by_machine else Source.PERSON
         self.table.drive(action, source=source)
         taken = [each for _, each in self.path[1:]]
-        if by_machine and not (self.watch and Source.PERSON not in taken):
+        allowed = self.watch and Source.PERSON not in taken if by_machine else not self.exam
+        if not allowed:
             self.abandon()
         else:
             assert self.table.here is not None
@@ -234,20 +345,41 @@ class LessonMachine(RuleBasedStateMachine):
         self.again = self.again if self.watch else self.path[0][0]
         self.path = []
 
-    @rule(verdict=st.sampled_from(Verdict), count=st.booleans(), late=st.booleans())
-    def end(self, verdict: Verdict, count: bool, late: bool) -> None:
+    @rule(
+        verdict=st.sampled_from(Verdict),
+        count=st.booleans(),
+        late=st.booleans(),
+        stopped=st.booleans(),
+    )
+    def end(self, verdict: Verdict, count: bool, late: bool, stopped: bool = False) -> None:
         option, steps = self.taught, len(self.path) - 1
         by_machine = sum(source is MACHINE for _, source in self.path)
-        request = EndDemonstration(verdict, self.episode, max(steps, 0), count_machine_steps=count)
+        request = EndDemonstration(
+            verdict, self.episode, max(steps, 0), count_machine_steps=count, stopped=stopped
+        )
+        judges = verdict in (Verdict.RIGHT, Verdict.WRONG)
         if option is None or not self.path:
             self.ask(request, WRONG)
-        elif verdict in (Verdict.RIGHT, Verdict.WRONG):
-            self.ask(request, RequestStatus.BAD_VERDICT)
         elif verdict is Verdict.DISCARD:
             self.ask(request, OK)
             self.abandon()
+        elif judges != self.exam:
+            self.ask(request, RequestStatus.BAD_VERDICT)
         elif late:
             self.ask(replace(request, step=steps + 1), RequestStatus.NOT_CURRENT)
+        elif self.exam and verdict is Verdict.RIGHT and not steps:
+            self.ask(request, RequestStatus.NO_STEPS)
+        elif self.exam:
+            seen = steps - (count and steps > 0 and verdict is Verdict.WRONG)  # the run went on
+            demo = self.ask(replace(request, step=seen), OK).demonstration
+            states = [state for state, _ in self.path][: seen + 1]
+            assert demo is not None
+            assert (demo.kind, demo.exam, demo.states) == (Kind.JUDGED, True, tuple(states))
+            assert (demo.right, demo.stopped) == (verdict is Verdict.RIGHT, stopped)
+            start = states[-1] if stopped else states[0]
+            run = Judged(demo.right, True, frozenset(option.shown), start)
+            option.judged[demo.uuid] = run
+            self.path, self.again, self.awaited = [], '', demo.uuid
         elif verdict is Verdict.DONE and (steps == 0 or (steps == by_machine and not count)):
             self.ask(request, RequestStatus.NO_STEPS)
         elif verdict is Verdict.NOT_HERE and steps > by_machine:
@@ -270,7 +402,7 @@ class LessonMachine(RuleBasedStateMachine):
                 option.starts.remove(states[0])
             self.path, self.again, self.awaited = [], '', demo.uuid
 
-    @precondition(lambda self: self.phase in (Phase.READY, Phase.FINISHED))
+    @precondition(lambda self: self.phase in READY)
     @rule(actions=st.lists(st.sampled_from(['north', 'west']), max_size=3), met=st.booleans())
     def show(self, actions: list[str], met: bool) -> None:
         """Give a whole demonstration that is learned from."""
@@ -288,6 +420,7 @@ class LessonMachine(RuleBasedStateMachine):
         if option is not None and option.shown:
             criteria = (Criterion('return', 0.0, 1.0, met),)
             n_not_here = len(option.not_here & option.shown.keys())
+            exam = [run.right for run in option.verdicts.values() if run.exam]
             self.reports[key] = (
                 OptionSummary(
                     self.name,
@@ -298,13 +431,19 @@ class LessonMachine(RuleBasedStateMachine):
                     n_not_here,
                     next(reversed(option.shown)),
                     criteria,
+                    n_questions=option.n_questions,
+                    exam_right=sum(exam),
+                    exam_runs=len(exam),
+                    exam_needed=EXAM,
                 ),
                 met,
             )
         self.table.lesson.update_summaries([summary for summary, _ in self.reports.values()])
         newest = next(reversed(option.shown), '') if option is not None else ''
-        if option is not None and self.awaited in (newest, *option.withdrawn):
-            self.awaited = ''
+        if option is not None:
+            reported = [*option.withdrawn, *option.taken_back, newest]
+            if self.awaited in (*reported, *(option.judged if option.shown else ())):
+                self.awaited = ''
 
     @rule(silent=st.booleans())
     def learner_fails(self, silent: bool) -> None:
@@ -343,7 +482,8 @@ class LessonMachine(RuleBasedStateMachine):
         else:
             answer = self.ask(ChangeOption(name, new), OK)
             del self.options[self.who, name]
-            self.moved |= dict.fromkeys([*old.shown, *old.withdrawn], True)
+            gone = [*old.shown, *old.withdrawn, *old.judged, *old.taken_back]
+            self.moved |= dict.fromkeys(gone, True)
             self.numbers[self.who, name] = old.number
             assert answer.known_options == tuple(
                 n for w, n in (*self.options, *([key] if new else [])) if w == self.who
@@ -352,12 +492,19 @@ class LessonMachine(RuleBasedStateMachine):
                 moved = [demo for demo in answer.unsent if not demo.withdrawn]
                 for demo in moved:
                     check_demonstration(demo, TAXI)
+                runs = judged(moved)
+                moved = shown(moved)
                 assert [demo.states[0] for demo in moved] == list(old.shown.values())
                 number = self.numbers.get(key, 1)
                 fresh = self.options[key] = Taught(number + len(moved), old.method, old.answers)
                 fresh.shown = {demo.uuid: demo.states[0] for demo in moved}
                 fresh.not_here = {d.uuid for d in moved if d.kind is Kind.NOT_HERE}
-                self.answered[self.who] += len(old.answers)
+                new_version = frozenset(fresh.shown)
+                for run, known in zip(runs, old.judged.values(), strict=True):
+                    now = known.version == frozenset(old.shown)
+                    version = new_version if now else frozenset([run.option_version])
+                    fresh.judged[run.uuid] = replace(known, version=version)
+                self.answered[self.who] += len(old.answers) + fresh.n_questions
                 self.sessions[self.who, self.session] = new
                 self.turn_to(new)
                 self.awaited = moved[-1].uuid if moved else ''
@@ -379,7 +526,9 @@ class LessonMachine(RuleBasedStateMachine):
         assert self.table.lesson.resume(self.who, self.session).ok
         self.name = self.sessions[self.who, self.session]
         self.name = self.name if self.taught is not None else ''
-        self.awaited = next(reversed(self.taught.shown), '') if self.taught is not None else ''
+        self.awaited = ''
+        if self.taught is not None:
+            self.awaited = ['', *self.taught.shown, *self.taught.verdicts][-1]
 
     @rule()
     def pause(self) -> None:
@@ -420,7 +569,12 @@ class LessonMachine(RuleBasedStateMachine):
             return Phase.ASKING
         if self.awaited:
             return Phase.LEARNING
-        return Phase.FINISHED if self.met or len(option.shown) >= BUDGET else Phase.READY
+        if self.met and not option.wrong:
+            summary, _ = self.reports[self.who, self.name]
+            if summary.exam_passed:
+                return Phase.FINISHED
+            return Phase.EXAM if option.asked else Phase.CHECKING
+        return Phase.FINISHED if len(option.shown) >= BUDGET else Phase.READY
 
     @invariant()
     def the_view_is_that_of_the_model(self) -> None:
@@ -430,6 +584,7 @@ class LessonMachine(RuleBasedStateMachine):
         assert view.text
         if option is not None:
             asking = len(option.answers) < len(FEATURES)
+            checking = view.phase is Phase.CHECKING
             n_not_here = len(option.not_here & option.shown.keys())
             assert view.n_not_here == n_not_here
             assert view.n_demonstrations == len(option.shown) - n_not_here
@@ -437,14 +592,17 @@ class LessonMachine(RuleBasedStateMachine):
             assert view.chosen_features == option.chosen
             assert view.earlier_features == (option.earlier if asking else ())
             assert view.question_feature == (FEATURES[len(option.answers)] if asking else '')
-            assert view.question_id == (self.answered[self.who] + 1 if asking else 0)
+            open_id = self.answered[self.who] + 1 if asking or checking else 0
+            assert view.question_id == open_id
+            assert view.question_states == ((ASKED,) if checking else ())
             assert view.method == (option.method or TREES)
 
     @invariant()
     def no_demonstration_is_lost(self) -> None:
         expected = dict(self.moved)
         for option in self.options.values():
-            expected |= dict.fromkeys(option.shown, False) | dict.fromkeys(option.withdrawn, True)
+            expected |= dict.fromkeys([*option.shown, *option.judged], False)
+            expected |= dict.fromkeys([*option.withdrawn, *option.taken_back], True)
         kept = {demo.uuid: demo.withdrawn for demo in self.table.lesson.demonstrations()}
         assert kept == expected
 

@@ -6,7 +6,11 @@ from typing import Any
 from humanopts_env.domains.registry import make_domain, reference_options
 from humanopts_env.domains.taxi import TaxiState
 from humanopts_env.game import Transition
+from humanopts_learner.demonstrations import version_of
+from humanopts_learner.options.exam import exam_length
+from humanopts_learner.options.judge import judge, Thresholds
 from humanopts_teach import LessonRules, teach, TeacherSettings
+from humanopts_teach.lesson.examiner import Examiner
 from humanopts_teach.lesson.requests import (
     AnswerQuestion,
     BeginDemonstration,
@@ -16,6 +20,7 @@ from humanopts_teach.lesson.requests import (
     LessonView,
     OpenSession,
     Phase,
+    RunOption,
     Verdict,
 )
 from humanopts_teach.lesson.simulated_teacher import (
@@ -24,6 +29,7 @@ from humanopts_teach.lesson.simulated_teacher import (
     SimulatedTeacher,
     TeacherError,
     Wait,
+    Watch,
 )
 import numpy as np
 import pytest
@@ -253,3 +259,113 @@ def test_an_end_may_depend_on_the_start() -> None:
     by = SimulatedTeacher(TAXI, TeacherSettings(('drive on',)), {'drive on': NextRow()})
     shown, end = show(by, WAITING, 'drive on')
     assert (shown, end.verdict) == (['north'], Verdict.DONE)
+
+
+def examined(*actions: str, start: str = WAITING, option: str = PICKUP) -> Examiner:
+    """Let the examiner see a run."""
+    state = TAXI.decode(start)
+    found = Examiner(TAXI, REFERENCES[option], state)
+    for action in actions:
+        state = TAXI.step(state, NAMES.index(action), np.random.default_rng(0)).state
+        found.see(state, action)
+    return found
+
+
+BEST = ('north', 'north', *('west',) * 4, 'north', 'north', 'pickup')  # from WAITING
+
+
+@pytest.mark.parametrize(
+    ('actions', 'right', 'failed', 'can_continue'),
+    [
+        (BEST, True, False, False),
+        (BEST[:5], False, False, True),  # it stops too early
+        ((*BEST, 'south'), False, True, False),  # it went on after the end
+        (('north', 'south') * 4 + BEST, True, False, False),  # a detour of 8 steps
+        (('north', 'south') * 5 + BEST, False, True, False),  # of 10: more than twice the steps
+        (('north', 'south') * 10, False, True, True),
+        ((), False, False, True),
+    ],
+)
+def test_a_run_is_right_if_it_ends_where_the_reference_ends_within_twice_its_steps(
+    actions: tuple[str, ...], right: bool, failed: bool, can_continue: bool
+) -> None:
+    seen = examined(*actions)
+    assert (seen.right, seen.failed, seen.can_continue) == (right, failed, can_continue)
+
+
+def test_a_run_from_where_the_reference_cannot_start_is_wrong_and_none_is_right() -> None:
+    assert examined(start=ABOARD).right
+    assert examined('south', start=ABOARD).failed
+
+
+def test_with_chance_a_quarter_of_the_actions_may_be_other_than_the_best() -> None:
+    domain = make_domain('pacman')
+    reference = reference_options(domain)['go to the closest food']
+    names, rng = [action.name for action in domain.actions], np.random.default_rng(3)
+
+    def run(errors: int, steps: int = 12) -> bool | None:
+        """Return whether a run with errors at first is right; None: it does not end in time."""
+        state = domain.sample_states(rng, 1)[0]
+        seen = Examiner(domain, reference, state)
+        for step in range(steps):
+            best = reference.optimal_actions(state)
+            if not best:
+                return None
+            wrong = [action for action in range(len(names)) if action not in best]
+            action = wrong[0] if step < errors else best[0]
+            state = domain.step(state, action, rng).state
+            seen.see(state, names[action])
+            if reference.ends(state):
+                assert seen.right == (errors <= (step + 1) / 4 or not errors)
+                return seen.right
+        return None
+
+    assert {run(errors) for errors in (0, 1) for _ in range(60)} == {True, False, None}
+
+
+def test_the_examiner_watches_step_by_step_and_stops_a_run_that_has_gone_wrong() -> None:
+    by = teacher()
+    exam = replace(LESSON, phase=Phase.EXAM, exam_needed=5)
+    assert by.next_act(exam, Transition()) == BeginDemonstration(exam=True)
+    watched = replace(showing(WAITING), exam=True)
+    assert by.next_act(watched, at(WAITING)) == RunOption(PICKUP, 'simulated')
+    assert by.next_act(watched, at(WAITING), running=True) == Watch()
+    away = 'taxi 3,4 passenger R destination G', WAITING
+    for step in range(1, 19):
+        assert by.next_act(watched, at(away[step % 2], step), running=True) == Watch()
+    wrong = EndDemonstration(Verdict.WRONG, 1, 19, stopped=True)
+    assert by.next_act(watched, at(away[1], 19), running=True) == wrong
+    early = replace(wrong, step=1, stopped=False)
+    by = teacher()
+    by.next_act(watched, at(WAITING))
+    assert by.next_act(watched, at(away[0], 1)) == early  # the run has ended
+
+
+def test_it_answers_questions_about_runs_by_its_reference() -> None:
+    asked = replace(LESSON, phase=Phase.CHECKING, question_id=7)
+    moved = 'taxi 3,4 passenger R destination G'
+    for states, right in (((ABOARD,), True), ((WAITING,), False), ((WAITING, moved), False)):
+        act = teacher().next_act(replace(asked, question_states=states), Transition())
+        assert act == AnswerQuestion(7, right)
+    at_r = 'taxi 0,0 passenger R destination G', 'taxi 0,0 passenger aboard destination G'
+    act = teacher().next_act(replace(asked, question_states=at_r), Transition())
+    assert act == AnswerQuestion(7, yes=True)
+
+
+def test_after_a_wrong_run_the_next_demonstration_starts_there(taxi: Any) -> None:
+    """The criteria are met by anything, so that the exam finds what is wrong."""
+    anything = Thresholds(return_delta=1e9, initiation_error=1.0, termination_error=1.0)
+    rules = LessonRules('random', until_no_failures=False, ask_about_runs=False)
+    taught = teach(taxi, TeacherSettings((PICKUP,)), rules, thresholds=anything)
+    wrong = [run for run in taught.judged if not run.right]
+    assert wrong
+    for run in wrong:
+        shown = sorted(taught.demonstrations, key=lambda demo: demo.number)
+        count = next(n for n in range(60) if version_of(shown[:n]) == run.option_version)
+        assert shown[count].states[0] == run.states[-1 if run.stopped else 0]
+    (summary,) = taught.summaries
+    assert summary.learned
+    assert summary.exams_failed == len({run.option_version for run in wrong})
+    assert summary.exam_runs == exam_length(5, summary.exams_failed)
+    everything = [*taught.demonstrations, *taught.judged]
+    assert judge(everything, taxi, anything, rules.seed) == summary  # as from a bag

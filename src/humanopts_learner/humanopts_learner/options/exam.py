@@ -4,8 +4,9 @@ The exam of an option: runs that the person watched, and how many of them must b
 The starts are drawn as the task draws them, so the share of right runs is that of all starts, with
 the interval of Wilson (1927). All runs of an exam must be right. After a failed exam, another is
 taken, and passing one of several by luck is likelier than passing the only one. So exam number k
-has more runs: it gives the same lower limit at a confidence of 1 - 0.05 / k**2. Each limit is
-too high with a probability of at most half of 0.05 / k**2; the sum over all k is below 0.05.
+has more runs: it gives the same lower limit at a confidence of 1 - 0.05 / k**2. An option with
+exactly that share of right runs, 57 % if the first exam has 5, passes the first exam with a
+probability of 0.06, and any of all its exams with one below 0.07.
 
 The exam does not change the criteria that it follows: for them, its runs are evidence only once a
 further demonstration has made another version of the option.
