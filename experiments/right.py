@@ -108,21 +108,12 @@ def ending_of(ends: Flags, over: Flags, meant_ends: Flags, reached: Flags) -> In
 # Worlds whose states can be listed.
 
 
-def goal_of(reference: TabularReferenceOption) -> Flags:
-    """Return (S,): the ends that the teacher heads for, not those into which chance may push."""
-    table = reference.domain.transitions()
-    taken = reference.optimal[:, :, None] & (table.probability > 0)
-    goal = np.zeros(len(reference.distance), dtype=np.bool_)
-    goal[table.successor[taken]] = True
-    return goal & reference.termination & (reference.distance < 0)
-
-
 def chain(
     domain: EnumerableDomain, option: TabularOption, reference: TabularReferenceOption
 ) -> Performance:
     """Return the performance from each of the S states, exact, by forward recursion."""
     table, over, states = domain.transitions(), domain.over(), np.arange(domain.n_states)
-    ending = ending_of(option.termination, over, reference.termination, goal_of(reference))
+    ending = ending_of(option.termination, over, reference.termination, reference.goal)
     successor, chance = (
         part[states, option.action].astype(kind)
         for part, kind in ((table.successor, np.intp), (table.probability, float))
@@ -289,8 +280,7 @@ def _ends(reference: ReferenceOption, games: Games) -> tuple[Flags, Flags]:
     """Return (N,) each: whether the teacher ends in a game, and whether as meant."""
     if isinstance(reference, PacManOption):
         assert isinstance(games, PacManGames)
-        ends, batch = reference.judge(games.batch).termination, games.batch
-        return ends, ends & (~batch.over | (batch.ate & reference.meal > 0))
+        return reference.judge(games.batch).termination, reference.goal(games.batch)
     assert isinstance(reference, WatchedOption)
     reached = np.array([reference.reached(state) for state in games.states()], dtype=np.bool_)
     return reached | games.over(), reached

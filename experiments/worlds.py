@@ -20,7 +20,7 @@ import gymnasium
 from humanopts_env import OptionsEnv
 from humanopts_env.domains.base import Domain
 from humanopts_env.domains.formulas import feature_columns
-from humanopts_env.domains.reference import ReferenceOption
+from humanopts_env.domains.reference import reached, ReferenceOption
 from humanopts_env.domains.registry import make_domain, reference_options
 from humanopts_env.games import games_at
 from humanopts_env.seeding import generator
@@ -33,7 +33,6 @@ from humanopts_learner.planning.request import HUMAN, PlanRequest
 from humanopts_learner.planning.sampled_plan import make_sampled_plan
 from humanopts_learner.qlearning import EnvLearner
 from humanopts_learner.segments import cut, event_features, joined
-from humanopts_teach.lesson.examiner import reached
 from humanopts_teach.lesson.in_process import teach
 from humanopts_teach.lesson.seeded_starts import LessonRules
 from humanopts_teach.lesson.simulated_teacher import TeacherSettings

@@ -8,6 +8,7 @@ them.
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Protocol, runtime_checkable
 
 from humanopts_env.arrays import Flags, Ints
@@ -52,6 +53,19 @@ class StartDependent(Protocol):
 
     def begun(self, state: Any) -> ReferenceOption:
         """Return the option as it is meant in a run from a state."""
+
+
+@runtime_checkable
+class KnowsGoal(Protocol):
+    """A ``ReferenceOption`` that also ends elsewhere than at its goal."""
+
+    def reached(self, state: Any) -> bool:
+        """Return whether it ends in a state, as meant."""
+
+
+def reached(option: ReferenceOption, state: Any) -> bool:
+    """Return whether a reference option ends in a state, as meant."""
+    return option.reached(state) if isinstance(option, KnowsGoal) else option.ends(state)
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,6 +145,19 @@ class TabularReferenceOption(JudgedOption):
         if isinstance(games, TableGames):
             return self._at(games.state)
         return self.judge_states(games.states())
+
+    @cached_property
+    def goal(self) -> Flags:
+        """(S,): the ends to which shortest paths lead, not those into which chance may push."""
+        table = self.domain.transitions()
+        taken = self.optimal[:, :, None] & (table.probability > 0)
+        found = np.zeros(len(self.distance), dtype=np.bool_)
+        found[table.successor[taken]] = True
+        return found & self.termination & (self.distance < 0)
+
+    def reached(self, state: Any) -> bool:
+        """Return whether a shortest path ends in a state."""
+        return bool(self.goal[self.domain.index(state)])
 
     def _at(self, states: Ints) -> Judgement:
         return Judgement(self.initiation[states], self.termination[states], self.optimal[states])

@@ -2,28 +2,23 @@
 The verdicts of a simulated examiner, who knows the reference option.
 
 A run is right if the reference option can start where it starts, and the run ends in the first
-state, after at least one step, where the reference option ends. Without chance, it also takes at
-most twice the steps of the reference option. With chance, a longer run need not be a worse one:
-at most a quarter of its actions may be other than the best, which on a grid without chance makes a
-run twice as long. A run of no steps is right where the reference option cannot start either.
+state, after at least one step, where the reference option ends as meant. Without chance, it also
+takes at most twice the steps of the reference option. With chance, a longer run need not be a
+worse one: at most a quarter of its actions may be other than the best, which on a grid without
+chance makes a run twice as long; and the best actions may lead to an end that is not meant. A run
+of no steps is right where the reference option cannot start either.
 """
 
 from typing import Any
 
 from humanopts_env.domains.base import Domain
-from humanopts_env.domains.gymnasium_reference import WatchedOption
-from humanopts_env.domains.reference import ReferenceOption
+from humanopts_env.domains.reference import reached, ReferenceOption
 from humanopts_env.domains.replayed_domain import ReplayedDomain
 from humanopts_learner.options.rollout import is_deterministic
 import numpy as np
 
 TIMES = 2  # longest right run, relative to that of the reference option
 ERRORS = 0.25  # largest share of other than the best actions, with chance
-
-
-def reached(option: ReferenceOption, state: Any) -> bool:
-    """Return whether the end of an option is reached, and not another one."""
-    return option.reached(state) if isinstance(option, WatchedOption) else option.ends(state)
 
 
 class Examiner:
@@ -49,11 +44,15 @@ class Examiner:
         :param action: the action that led there; empty: unknown.
         """
         self.past |= self._ended
+        erred = False
         if action and self._limit is None:
             best = self._reference.optimal_actions(self._last)
-            self._errors += self._names.index(action) not in best
+            erred = self._names.index(action) not in best
+            self._errors += erred
         self._last, self._steps = state, self._steps + 1
         self._ended = reached(self._reference, state)
+        if self._limit is None and not erred:  # bad luck may lead to another end
+            self._ended |= self._reference.ends(state) or self._domain.is_over(state)
 
     @property
     def failed(self) -> bool:

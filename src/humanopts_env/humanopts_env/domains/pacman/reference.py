@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from humanopts_env.arrays import Flags
 from humanopts_env.domains.pacman.features import steps_after, steps_to
 from humanopts_env.domains.pacman.rules import (
     ATE_FOOD,
@@ -65,6 +66,15 @@ class PacManOption(JudgedOption):
             best = after == after.max(axis=1, keepdims=True)
         starts &= ~batch.over
         return Judgement(starts, ~starts | (batch.ate & self.meal > 0), best & starts[:, None])
+
+    def reached(self, state: PacManState) -> bool:
+        """Return whether the option has ended, and Pac-Man was not caught for the last time."""
+        return bool(self.goal(PacManBatch.from_states(self.rules, [state]))[0])
+
+    def goal(self, batch: PacManBatch) -> Flags:
+        """Return (N,): ``reached`` in N games."""
+        found: Flags = self.judge(batch).termination & (~batch.over | (batch.ate & self.meal > 0))
+        return found
 
 
 # Name, definition, thing, meal, features, and the prefixes of features for a domain with positions
