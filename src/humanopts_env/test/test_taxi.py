@@ -217,3 +217,10 @@ def test_optimal_actions_end_the_option_in_as_many_steps_as_its_distance(
             state = DOMAIN.step(state, action, generator(0, 'test')).state
             steps += 1
         assert steps == option.distance[index]
+        assert option.reached(state)
+
+
+def test_a_passenger_at_the_wrong_place_is_an_end_that_is_not_meant() -> None:
+    wrong = DOMAIN.decode('taxi 0,0 passenger R destination B')
+    assert OPTIONS[DROPOFF].ends(wrong)
+    assert not OPTIONS[DROPOFF].reached(wrong)

@@ -323,6 +323,18 @@ def test_with_chance_a_quarter_of_the_actions_may_be_other_than_the_best() -> No
     assert {run(errors) for errors in (0, 1) for _ in range(60)} == {True, False, None}
 
 
+def test_with_chance_bad_luck_is_right_and_a_wrong_end_is_not() -> None:
+    domain = make_domain('rooms')
+    reference = reference_options(domain)['north-west room to north doorway']
+    start, other = domain.decode('cell 4,1'), domain.decode('cell 5,1')
+    assert reference.ends(other)
+    best, down = reference.optimal_actions(start)[0], 1
+    for action, right in ((best, True), (down, False)):
+        seen = Examiner(domain, reference, start)
+        seen.see(other, domain.actions[action].name)
+        assert seen.right == right
+
+
 def test_the_examiner_watches_step_by_step_and_stops_a_run_that_has_gone_wrong() -> None:
     by = teacher()
     exam = replace(LESSON, phase=Phase.EXAM, exam_needed=5)
