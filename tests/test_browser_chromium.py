@@ -20,6 +20,7 @@ from urllib.parse import urlsplit
 
 from graph_support.command import Command
 from graph_support.live import free_domain_id
+from graph_support.terminal import key_for, run_to_judge
 from humanopts_env.domains.registry import make_domain, reference_options
 from humanopts_env.domains.taxi import landmark_cells, TaxiState
 from humanopts_teach.bags.contents import read_demonstrations
@@ -229,6 +230,16 @@ class Person:
             self.step()
         self.act('enter', 'done')
 
+    def judge(self) -> None:
+        """Answer questions about runs, and take the exam: all runs are right."""
+        buttons = {'y': 'yes', 'r': 'right', 'enter': 'begin the run'}
+        asked = ''
+        while 'This lesson is finished.' not in (found := self.window.text()):
+            time.sleep(0.1)
+            if (about := run_to_judge(found)) not in ('', asked):
+                asked, key = about, key_for(about)
+                self.act(key, buttons[key])
+
 
 @pytest.fixture
 def windows() -> Iterator[Callable[..., Window]]:
@@ -333,6 +344,27 @@ def test_two_people_teach_by_keys_and_by_buttons_while_strangers_flood_the_serve
         shown = [d for d in read_demonstrations(open_bag(bag)) if d.option_name == PICKUP]
         assert [demonstration.participant for demonstration in shown] == 4 * [person.code]
         assert severe(person.window) == []
+
+
+@pytest.mark.parametrize('keys', [True, False])
+def test_an_exam_is_taken_by_keys_or_by_buttons(
+    keys: bool, server: Served, windows: Callable[..., Window]
+) -> None:
+    window = windows(DESKTOP if keys else PHONE)
+    person = Person(window, server.address, f'emma{keys:d}', keys=keys)
+    person.name_option()
+    start, found = 1, ''
+    while not run_to_judge(found):
+        if f'next: start {start} ' in found:
+            person.show(start)
+            start += 1
+        found = window.text()
+    person.judge()
+    window.see('learned: 5 of 5 runs in the exam were right, so at least 57% are')
+    (bag,) = (server.data / person.code / 'bags').iterdir()
+    runs = [d for d in read_demonstrations(open_bag(bag)) if d.exam]
+    assert [run.right for run in runs] == 5 * [True]
+    assert severe(window) == []
 
 
 def test_closing_in_mid_demonstration_loses_nothing_that_was_finished(

@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 import fcntl
 import os
 import pty
+import re
 import select
 import struct
 import subprocess
@@ -19,6 +20,18 @@ LOOK = 0.02  # s between looks at the screen
 SIDE = 24  # column where the panel beside the board begins
 KEYS = {'down': '\x1b[B', 'up': '\x1b[A', 'right': '\x1b[C', 'left': '\x1b[D'}
 ENTER, ESCAPE, CTRL_C = '\r', '\x1b', '\x03'
+
+
+def run_to_judge(words: str) -> str:
+    """Return the question about a run, or which run of the exam is next; empty: none."""
+    asks = r'question \d+ about what|Exam: run \d+ of \d+\.|run \d+ of .* Was it right'
+    found = re.search(asks, words)
+    return found.group() if found else ''
+
+
+def key_for(about: str) -> str:
+    """Return the key that begins a run of the exam, or says that a run is right."""
+    return 'y' if 'question' in about else 'r' if 'right' in about else 'enter'
 
 
 class Terminal:
