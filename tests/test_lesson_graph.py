@@ -5,11 +5,21 @@ import os
 from pathlib import Path
 import re
 import shutil
+import signal
 import subprocess
 import sys
 from typing import Any
 
-from graph_support.live import GAME, Graph, LEARNER, LESSON, OPTION_SERVER, RECORDER, TEACHER
+from graph_support.live import (
+    GAME,
+    Graph,
+    LEARNER,
+    LESSON,
+    module_of,
+    OPTION_SERVER,
+    RECORDER,
+    TEACHER,
+)
 from graph_support.teaching import CHOSEN, Person, PICKUP, SERVICES, START
 from humanopts_interfaces.action import ExecuteOption
 from humanopts_interfaces.msg import (
@@ -35,9 +45,11 @@ from humanopts_interfaces.srv import (
 from humanopts_learner.demonstrations import GOAL
 from humanopts_learner.options.files import option_from_json
 from humanopts_learner.options.learn import learn_option
+from humanopts_learner.ros.convert import summary_to_message
 from humanopts_ros.qos import LATCHED, STREAM
 from humanopts_teach.bags.contents import read_demonstrations, read_domain, read_episodes
 from humanopts_teach.bags.reader import open_bag
+from humanopts_teach.evaluation.bag_evaluation import evaluate_bag
 from humanopts_teach.lesson.lesson import Lesson
 from humanopts_teach.lesson.requests import (
     Answer,
@@ -434,6 +446,61 @@ def test_what_the_machine_showed_is_told_apart_and_the_bag_learns_the_same(live:
     person_, machine = GameState.SOURCE_PERSON, GameState.SOURCE_MACHINE
     assert sources[-3:] == [[person_] * 2, [machine, person_], [machine] * 2]
     assert learn_option(list(demos.values()), read_domain(bag), 0) == option
+
+
+def test_an_exam_goes_on_after_a_restart_and_the_bag_has_its_status(live: Graph) -> None:
+    """The simulated teacher leaves in the middle of the exam, and a person goes on."""
+    recorder = live.start(RECORDER, path=live.folder / 'bag')
+    live.start(GAME)
+    live.start(LEARNER, directory=live.folder / 'options')
+    live.start(OPTION_SERVER)
+    person = Person(live)
+    lesson = person.start_lesson(strategy='failures', until_no_failures=True, learn=GOAL)
+    live.ready('/game', '/learner', '/option_server', '/recorder')
+    words = ['-m', module_of(TEACHER), '--ros-args', '-p', f'options:=["{PICKUP}"]']
+    teacher = live.run(words, 'teacher')
+    live.until(lambda: LessonState in person.latest and person.lesson.exam_runs > 0, 'a run', 90.0)
+    teacher.kill(signal.SIGKILL)
+    live.stop(lesson)
+    person.latest.pop(LessonState)
+    person.start_lesson(learn=GOAL, participant='simulated', session='simulated')
+    person.phase(LessonState.PHASE_EXAM)
+    known = person.lesson.exam_runs
+    assert 0 < known < person.lesson.exam_needed == 5
+
+    def watch(steps: int = 0) -> Any:
+        """Begin a run of the exam, and let the machine move; return its last state."""
+        person.phase(LessonState.PHASE_EXAM)
+        begun = person.ask(BeginDemonstration, exam=True)
+        assert begun.status == BeginDemonstration.Response.STATUS_OK, begun.detail
+        run = {'option_name': PICKUP, 'episode': begun.episode, 'max_steps': steps}
+        _, result = live.act(ExecuteOption, 'execute_option', **run).result()
+        return result
+
+    def judge(verdict: int, step: int, **fields: Any) -> Any:
+        said = {'verdict': verdict, 'episode': person.lesson.episode, 'step': step}
+        return person.ask(EndDemonstration, **said, **fields)
+
+    ends = EndDemonstration.Request
+    run = watch()
+    answer = judge(ends.VERDICT_DONE, run.step_count)
+    assert answer.status == EndDemonstration.Response.STATUS_BAD_VERDICT
+    assert (
+        judge(ends.VERDICT_RIGHT, run.step_count).detail == f'run {known + 1} of the exam is right'
+    )
+    live.until(lambda: person.lesson.exam_runs == known + 1, 'the run to count')
+    watch(3)
+    assert judge(ends.VERDICT_WRONG, 2, stopped=True).status == EndDemonstration.Response.STATUS_OK
+    person.phase(LessonState.PHASE_READY)
+    live.until(lambda: person.shown[-1].exam and not person.shown[-1].right, 'the wrong run')
+    wrong = person.shown[-1]
+    assert (len(wrong.states), wrong.stopped) == (3, True)
+    assert person.ask(BeginDemonstration).state == wrong.states[-1]
+    (status,) = person.latest[LearningStatus].options
+    assert status.status == f'not learned: {known + 1} of {known + 2} runs in the exam were right'
+    live.stop(recorder)
+    (option,) = evaluate_bag(live.folder / 'bag').options
+    assert summary_to_message(option.summary) == status
 
 
 PAGE = Path(__file__).parents[1] / 'docs' / 'how-to' / 'call-the-services.md'

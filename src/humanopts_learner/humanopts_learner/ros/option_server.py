@@ -11,6 +11,7 @@ from humanopts_env.domains.described import simulated
 from humanopts_env.game import Transition
 from humanopts_env.ros.game_subscriber import GameSubscriber
 from humanopts_interfaces.action import ExecuteOption
+from humanopts_interfaces.msg import LearnedOption as OptionMessage
 from humanopts_interfaces.msg import OptionResult
 from humanopts_interfaces.srv import ListOptions, QueryOption, RunOption
 from humanopts_learner.library import no_options_text, OptionLibrary, UnknownOptionError
@@ -95,8 +96,12 @@ class OptionServerNode(NodeBase):
                 self.get_logger().warning(str(problem))
         self._serve()
 
-    def _on_options(self, topic: str, options: list[LearnedOption], _: object) -> None:
+    def _on_options(
+        self, topic: str, options: list[LearnedOption], message: OptionMessage
+    ) -> None:
         self._options[topic] = options
+        if topic == _LEARNED:
+            self._runner.taught_sequence = message.sequence
         self._serve()
 
     def _serve(self) -> None:

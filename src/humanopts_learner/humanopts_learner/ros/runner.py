@@ -145,6 +145,7 @@ class Runner:
     ends as interrupted; if the game does not respond, it ends after a timeout.
 
     :ivar library: options that can be run; None: the game is not known yet.
+    :ivar taught_sequence: of the message that completed the taught options; 0: none has.
     :ivar patience: timeout in s for the game and for the values of a plan; may be changed.
     """
 
@@ -169,6 +170,7 @@ class Runner:
         self._unstick = unstick
         self._policy = PolicySubscriber(node)
         self.library: OptionLibrary | None = None
+        self.taught_sequence = 0
         self._state: Observed | None = None
         self._busy_with = ''  # option or execution of the request; empty: idle
         self._active: _Active | None = None  # set with the first command
@@ -190,6 +192,7 @@ class Runner:
     def serve(self, options: Iterable[LearnedOption]) -> list[str]:
         """Use the options that fit the game, once it is known; return why others do not."""
         self._policy.arbiters.clear()
+        self._node.waiting.check()
         return self.library.replace(options) if self.library is not None else []
 
     def newest_state(self) -> Observed | None:
@@ -273,6 +276,10 @@ class Runner:
             newer = _position(state)[0] == wanted[0] or state is not before
             return newer and wanted <= _position(state)
 
+        sequence = goal.options_sequence
+        if not await self._wait(request, lambda: self.taught_sequence >= sequence):
+            detail = f'learned_options {sequence} did not arrive, only {self.taught_sequence}'
+            raise RefusedError(RunStatus.FAILED, detail)
         if goal.episode:
             await self._wait(request, has_arrived)
         state = self._state

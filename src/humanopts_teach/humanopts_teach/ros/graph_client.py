@@ -331,6 +331,8 @@ class GraphClient:
         message = self._endpoints[type(goal)].request.encode(goal)
         if isinstance(goal, RunOption):
             message.episode, message.step = self.world.game.episode, self.world.game.step
+            if self.learning is not None and self.world.lesson.exam:  # run what is examined
+                message.options_sequence = self.learning.options_sequence
         sent = Goal(self._actions[type(goal)], message, on_feedback)
         self._goals = [known for known in self._goals if not known[1].result.done()]
         self._goals.append((server(goal), sent))
