@@ -244,10 +244,10 @@ class GraphClient:
         await self.ask(Drive(action, game.episode, game.step))
         return self.world.game
 
-    async def until_ready(self) -> bool:
-        """Wait until the learner is done; False: the option's lesson is finished."""
+    async def until_learned(self) -> Phase:
+        """Wait until the learner is done, and return the next phase."""
         await self.until(lambda: self.world.lesson.phase is not Phase.LEARNING, 'the learner')
-        return self.world.lesson.phase is Phase.READY
+        return self.world.lesson.phase
 
     def unsubscribe(self) -> None:
         """Stop tracking the graph and renewing control; no more requests may be sent."""
