@@ -9,6 +9,8 @@ from humanopts_env.domains.base import Domain
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.game import Source, Transition
 from humanopts_learner.demonstrations import Demonstration, TREES
+from humanopts_learner.options.checks import Check, CheckKind
+from humanopts_learner.options.exam import with_verdicts
 from humanopts_learner.summary import Criterion, OptionSummary
 from humanopts_teach.lesson.history import OptionHistory
 from humanopts_teach.lesson.lesson import Lesson
@@ -47,6 +49,7 @@ class Starts(SeededStarts):
 
     known: set[str] | None = None  # uuids counted in; None: all
     more = False  # the strategy has something left to ask
+    asked: Sequence[str] = ()  # states in which the option would not start, to be asked about
 
     def learned(self, participant: str, option_name: str, text: str) -> bool:
         return True
@@ -58,6 +61,21 @@ class Starts(SeededStarts):
 
     def exhausted(self, option: OptionHistory, names: Collection[str] = ()) -> bool:
         return not self.more
+
+    def check(self, option: OptionHistory, names: Collection[str] = ()) -> Check | None:
+        answered = {run.states[0] for run in option.judged if not run.exam}
+        left = (state for state in self.asked if state not in answered)
+        return next(map(not_here, left), None)
+
+    def draw_for_exam(self, option: OptionHistory, names: Collection[str] = ()) -> str:
+        return START
+
+
+def not_here(state: str) -> Check:
+    """Return the question whether the option should not start in a state."""
+    features = tuple(TAXI.feature_values(TAXI.decode(state)).tolist())
+    text = 'It would not start here. Right?'
+    return Check(CheckKind.OUTSIDE, text, (state,), (features,))
 
 
 def status(participant: str = 'p1', *, met: bool = False, **fields: Any) -> OptionSummary:
@@ -168,11 +186,18 @@ class Table:
         seen = self.here.episode, self.here.step
         return self.ask(EndDemonstration(verdict, *seen, again, machine))
 
-    def learned(self, *, met: bool = False, features: tuple[str, ...] = CHOSEN) -> None:
-        """Let the learner tell that the newest demonstration is counted in."""
-        self.lesson.update_summaries(
-            [status(features=features, last_uuid=self.lesson.awaited or 'old', met=met)]
-        )
+    def learned(
+        self, *, met: bool = False, features: tuple[str, ...] = CHOSEN, exam: int = 0
+    ) -> None:
+        """Let the learner tell that everything is counted in."""
+        newest = self.lesson.view.last_uuid or 'old'
+        summary = status(features=features, last_uuid=newest, met=met)
+        everything = [
+            demo
+            for demo in self.lesson.demonstrations()
+            if demo.option_name == OPTION and not demo.withdrawn
+        ]
+        self.lesson.update_summaries([with_verdicts(summary, everything, exam)])
 
     def shown(self) -> 'Table':
         """Give one demonstration, learned from."""
@@ -208,6 +233,19 @@ def spent(table: Table) -> Table:
     return table
 
 
+def checking(table: Table) -> Table:
+    """Let the criteria hold, and a question about a run be open."""
+    table.starts.asked = [OTHER]
+    learning(table).learned(met=True, exam=3)
+    return table
+
+
+def in_exam(table: Table) -> Table:
+    """Let the criteria hold, and an exam of three runs begin."""
+    learning(table).learned(met=True, exam=3)
+    return table
+
+
 # The way from no session to each phase.
 TO_PHASE: dict[Phase, Callable[[Table], Table]] = {
     Phase.NO_SESSION: lambda table: table,
@@ -216,6 +254,8 @@ TO_PHASE: dict[Phase, Callable[[Table], Table]] = {
     Phase.READY: Table.ready,
     Phase.DEMONSTRATING: lambda table: table.ready().began(),
     Phase.LEARNING: learning,
+    Phase.CHECKING: checking,
+    Phase.EXAM: in_exam,
     Phase.FINISHED: met,
 }
 

@@ -50,6 +50,7 @@ from teach_support.lesson import (
     CHOSEN,
     Drawn,
     fill_disk,
+    not_here,
     OPTION,
     OTHER,
     START,
@@ -125,10 +126,9 @@ class Asked(Drawn):
     """One question about a run of each version, and exams that start in one state."""
 
     def check(self, option: OptionHistory, names: Collection[str] = ()) -> Check | None:
-        features = tuple(TAXI.feature_values(TAXI.decode(ASKED)).tolist())
         if any(not run.exam for run in option.verdicts):
             return None
-        return Check(None, 'It would not start here. Right?', (ASKED,), (features,))
+        return not_here(ASKED)
 
     def draw_for_exam(self, option: OptionHistory, names: Collection[str] = ()) -> str:
         return OTHER
@@ -485,6 +485,7 @@ class LessonMachine(RuleBasedStateMachine):
             gone = [*old.shown, *old.withdrawn, *old.judged, *old.taken_back]
             self.moved |= dict.fromkeys(gone, True)
             self.numbers[self.who, name] = old.number
+            self.answered[self.who] += old.n_questions  # they are withdrawn
             assert answer.known_options == tuple(
                 n for w, n in (*self.options, *([key] if new else [])) if w == self.who
             )

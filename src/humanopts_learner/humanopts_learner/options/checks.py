@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+import enum
 from typing import Any
 
 from humanopts_env.domains.base import ActableDomain
@@ -9,6 +10,10 @@ from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.option import Option
 from humanopts_learner.options.learned_option import LearnedOption
 import numpy as np
+
+
+class CheckKind(enum.Enum):
+    OUTSIDE = 1
 
 
 @dataclass(frozen=True)

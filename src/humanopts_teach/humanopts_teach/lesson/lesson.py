@@ -410,8 +410,8 @@ class Lesson:
             )
         wrong = self._option.wrong_run if self._option is not None else None
         if phase is Phase.READY and wrong is not None:
-            where = 'where you stopped that run' if wrong.stopped else 'from the start of that run'
-            hint = f'Show {where} what the option should do.'
+            start = 'where you stopped that run' if wrong.stopped else 'the start of that run'
+            hint = f'Show what the option should do, from {start} on.'
         if self._under_way is not None and self._under_way.exam:
             hint = 'Watch the run of the option, then say right or wrong.'
         if self._paused and phase not in (Phase.DEMONSTRATING, Phase.LEARNING):

@@ -1,9 +1,9 @@
 """Start states of demonstrations and runs in the exam; seeded by person, option and number."""
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, TypeVar
 
 from humanopts_env.domains.base import ActableDomain
 from humanopts_env.domains.described import can_simulate, simulated
@@ -24,6 +24,7 @@ from humanopts_teach.lesson import BUDGET, METHOD, STRATEGY
 from humanopts_teach.lesson.history import OptionHistory
 import numpy as np
 
+T = TypeVar('T')
 FAILURES = 'failures'  # the strategy that uses the learned option
 DRAWS, STATES = 5, 200  # draws of a start of the exam, and states in each
 MAX_PARSED = 8  # cached option objects, which take far more memory than their text
@@ -60,7 +61,7 @@ class SeededStarts:
         self._replayed = isinstance(domain, ReplayedDomain)
         # Key of the sample for the next start state, the sample, and its generator.
         self._ahead: tuple[Any, Sample | None, np.random.Generator] | None = None
-        self._check: tuple[Any, Check | None] | None = None  # the newest question, and its key
+        self._known: dict[str, tuple[Any, Any]] = {}  # newest results that are slow, with keys
 
     def learned(self, participant: str, option_name: str, text: str) -> bool:
         """
@@ -163,13 +164,14 @@ class SeededStarts:
         learned = self._option(option)
         if not self.rules.ask_about_runs or learned is None or not option.n_trajectories:
             return None
-        others = self._others(option, names)
-        key = learned.uuids, *(run.uuid for run in option.judged), *(each.uuids for each in others)
-        if self._check is None or self._check[0] != key:
+        domain, others = self._domain, self._others(option, names)
+
+        def find() -> Check | None:
             rng = self._generator('check', option)
-            found = next_check(learned, self._domain, option.everything, rng, others)
-            self._check = key, found
-        return self._check[1]
+            return next_check(learned, domain, option.everything, rng, others)
+
+        judged = tuple(run.uuid for run in option.judged)
+        return self._once('check', find, judged, learned, others)
 
     def counts(self, option: OptionHistory, demonstration: Demonstration) -> bool:
         """Return whether the next draw includes a demonstration or its withdrawal."""
@@ -188,9 +190,28 @@ class SeededStarts:
             return True
         if not can_simulate(self._domain):  # failures are only found by running the option
             return True
-        rng = self._generator('exhausted', option)
-        others = self._others(option, names)
-        return nothing_fails(learned, self._domain, option.demonstrations, rng, others)
+        domain, others = self._domain, self._others(option, names)
+
+        def find() -> bool:
+            rng = self._generator('exhausted', option)
+            return nothing_fails(learned, domain, option.demonstrations, rng, others)
+
+        return self._once('exhausted', find, option.number, learned, others)
+
+    def _once(
+        self,
+        what: str,
+        find: Callable[[], T],
+        state: Any,
+        learned: LearnedOption,
+        others: Sequence[LearnedOption],
+    ) -> T:
+        """Return what was found in the same state of the lesson before, or find it."""
+        key = state, learned.participant, learned.name, *(o.uuids for o in (learned, *others))
+        if what not in self._known or self._known[what][0] != key:
+            self._known[what] = key, find()
+        found: T = self._known[what][1]
+        return found
 
     def _option(self, option: OptionHistory) -> LearnedOption | None:
         """Return the learned option; None: not learned yet."""
