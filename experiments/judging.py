@@ -376,7 +376,7 @@ def give_lesson(parameters: Mapping[str, Any]) -> Rows:
         right = found.right(wanted.teacher)
         row |= {
             'learned': summary.learned,
-            'right': bool(right.mean() >= SHARE),
+            'right': found.is_right(wanted.teacher),
             'right starts': float(right.mean()),
             'elsewhere': found.elsewhere,
             'faults': found.faults(wanted.teacher),

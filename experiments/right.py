@@ -10,8 +10,10 @@ Where chance matters, the probability of such a run must be at least ``SHARE`` o
 teacher's own runs, and its mean number of steps at most ``SLOWER`` times the teacher's. Where all
 states can be listed, both follow from the transitions, exactly and from every start. In Pac-Man,
 they are shares and means of ``RUNS`` runs from each of ``STARTS`` sampled starts, with the same
-random numbers as the teacher's runs. In a replayed environment, the seed of a start determines the
-run; the starts are those that the teacher reaches from resets of the task.
+random numbers as the teacher's runs. There, a start counts as wrong if the difference is
+significant (McNemar 1947, one-sided, 5 %), and the mean share over the starts that count as right
+must be at least ``SHARE`` of the teacher's. In a replayed environment, the seed of a start
+determines the run; the starts are those that the teacher reaches from resets of the task.
 """
 
 from collections import defaultdict
@@ -44,7 +46,8 @@ from experiments.worlds import starts_of
 
 SHARE = 0.95
 SLOWER = 2.0
-STARTS, RUNS = 50, 20
+STARTS, RUNS = 50, 50
+ONE_SIDED = 1.645  # standard errors that chance exceeds in 5 of 100 cases
 NAME = 'right'  # key of random draws
 LONGEST = 1000  # steps of a teacher's run, if the domain has no limit
 
@@ -69,12 +72,24 @@ class Performance:
     can_start: Flags  # (N,)
     endings: Floats  # (N, E) share of the runs with each ``Ending``
     steps: Floats  # (N,) mean number of steps of the right runs; NaN: none
+    doubt: Floats | float = 0.0  # (N,) difference from the teacher that chance explains
     elsewhere: float = 0.0  # share of the other states in which it can start, too
 
     def right(self, teacher: 'Performance') -> Flags:
         """Return (N,): whether it is right from each start, by the teacher's own performance."""
-        often = self.endings[:, Ending.RIGHT] >= SHARE * teacher.endings[:, Ending.RIGHT]
+        often = self.share + self.doubt >= SHARE * teacher.share
         return self.can_start & often & (self.steps <= SLOWER * teacher.steps)
+
+    def is_right(self, teacher: 'Performance') -> bool:
+        """Return whether the option is right."""
+        right = self.right(teacher)
+        enough = self.share[right].mean() >= SHARE * teacher.share[right].mean()
+        return bool(right.mean() >= SHARE and enough)
+
+    @property
+    def share(self) -> Floats:
+        """(N,) share of right runs."""
+        return self.endings[:, Ending.RIGHT]
 
     def faults(self, teacher: 'Performance') -> dict[str, float]:
         """Return the share of starts with each fault; those that are right have none."""
@@ -208,6 +223,7 @@ class MeantInSample:
             endings[:, Ending.RIGHT] = 1.0
             self.teacher = Performance(np.ones(len(steps), bool), endings, np.array(steps))
             self._limits: Ints = (SLOWER * self.teacher.steps).astype(np.intp)
+            self._teacher_right = np.ones((1, len(steps)), bool)
             return
         rng, self._runs = generator(seed, NAME, name), RUNS
         while len(self._starts) < STARTS:
@@ -224,6 +240,7 @@ class MeantInSample:
         self._starts = list(compress(self._starts, sure))
         ending, steps_taken = ending[:, sure], steps_taken[:, sure]
         self.teacher = _summary(np.ones(len(self._starts), bool), ending, steps_taken)
+        self._teacher_right = ending == Ending.RIGHT
         longest = np.where(ending == Ending.RIGHT, steps_taken, 0).max(axis=0)
         self._limits = (SLOWER * longest).astype(np.intp)
 
@@ -234,6 +251,9 @@ class MeantInSample:
             lambda games: option.ends(games.features()),
         )
         found = _summary(can_start, *played)
+        differs = (played[0] == Ending.RIGHT) != self._teacher_right
+        doubt = ONE_SIDED * np.sqrt(differs.sum(axis=0)) / self._runs if self._runs > 1 else 0.0
+        found = replace(found, doubt=doubt)
         if not self._others:
             return found
         elsewhere = option.can_start(feature_rows(self._domain, self._others))
