@@ -88,6 +88,14 @@ class OptionHistory:
         """The last of these runs that the person called wrong; None: none."""
         return next((run for run in reversed(self.verdicts) if not run.right), None)
 
+    @property
+    def correction(self) -> str:
+        """The start of the next demonstration because of that run; empty: none."""
+        run = self.wrong_run
+        if run is None:
+            return ''
+        return run.states[-1 if run.stopped and not run.terminated else 0]
+
     def add(self, entry: Entry) -> None:
         """Add an entry about the option."""
         if isinstance(entry, Demonstration) and entry.kind is Kind.JUDGED:

@@ -25,8 +25,9 @@ from humanopts_learner.demonstrations import (
     shown,
 )
 from humanopts_learner.options.conflicts import contradiction
-from humanopts_learner.summary import NOT_MET, OptionSummary
+from humanopts_learner.summary import OptionSummary
 from humanopts_ros.limits import composed
+from humanopts_teach.lesson.advice import advice
 from humanopts_teach.lesson.attempt import Attempt
 from humanopts_teach.lesson.examination import Examination
 from humanopts_teach.lesson.feedback import Feedback
@@ -75,17 +76,6 @@ _SILENT = {
     'learner starts.',
     True: 'The learner does not answer. The withdrawal is on disk, and is sent again when a '
     'learner starts.',
-}
-_HINTS = {
-    Phase.NO_SESSION: 'Open a session to begin.',
-    Phase.NO_OPTION: 'Name the option that you want to teach.',
-    Phase.ASKING: 'Answer the question.',
-    Phase.READY: 'Begin the next demonstration.',
-    Phase.DEMONSTRATING: 'Show the option, then say done; or say not here, or discard.',
-    Phase.LEARNING: 'The learner is working on the demonstration.',
-    Phase.FINISHED: 'Name the next option to teach.',
-    Phase.CHECKING: 'Answer the question.',
-    Phase.EXAM: 'Begin the next run of the exam.',
 }
 
 
@@ -157,6 +147,11 @@ class Lesson:
     @property
     def view(self) -> LessonView:
         """The data that terminals show."""
+        return replace(self._facts, text=' '.join(filter(None, (self._notice, self._advice))))
+
+    @property
+    def _facts(self) -> LessonView:
+        """The view without its text."""
         phase, rules = self.phase, self._starts.rules
         view = LessonView(
             phase=phase,
@@ -170,7 +165,6 @@ class Lesson:
             stuck_options=tuple(self.feedback.offers),
             stuck_games=tuple(map(len, self.feedback.offers.values())),
             suggested_column=self.feedback.suggested_column,
-            text=' '.join(filter(None, (self._notice, self._advice(phase)))),
         )
         option, attempt = self._option, self._under_way
         check = self._examination.check if phase is Phase.CHECKING else None
@@ -398,33 +392,11 @@ class Lesson:
         settled = self.feedback.settled(self._option)
         self._examination.update(self._option, settled, self._history.options)
 
-    def _advice(self, phase: Phase) -> str:
-        """Return advice on what to do next, with the reason if it is not obvious."""
-        summary, hint = self.feedback.settled(self._option), _HINTS[phase]
-        name = self._option.name if self._option is not None else ''
-        offers = () if self._spent else self.feedback.offers.get(name, ())
-        if phase in (Phase.READY, Phase.FINISHED) and offers:
-            hint = (
-                f'The plan got stuck in {len(offers)} of {self.feedback.trial_games} games while '
-                f"running '{name}', or in need of it: show what to do there."
-            )
-        wrong = self._option.wrong_run if self._option is not None else None
-        if phase is Phase.READY and wrong is not None:
-            start = 'where you stopped that run' if wrong.stopped else 'the start of that run'
-            hint = f'Show what the option should do, from {start} on.'
-        if self._under_way is not None and self._under_way.exam:
-            hint = 'Watch the run of the option, then say right or wrong.'
-        if self._paused and phase not in (Phase.DEMONSTRATING, Phase.LEARNING):
-            hint = 'The lesson is paused.'
-        if phase is Phase.FINISHED:
-            budget = self._starts.rules.budget
-            spent = f'The budget of {budget} is used up. ' if self._spent else ''
-            status = NOT_MET if summary is None else summary.status
-            return f'{spent}{status[0].upper()}{status[1:]}. {hint}'
-        ready = self._examination.stage is Phase.READY and wrong is None
-        if ready and phase in (Phase.READY, Phase.DEMONSTRATING) and summary is not None:
-            return f'{summary.result[:-1]}, but from some starts it still fails. {hint}'
-        return hint
+    @property
+    def _advice(self) -> str:
+        settled, option = self.feedback.settled(self._option), self._option
+        wrong = option.wrong_run if option is not None else None
+        return advice(self._facts, settled, wrong, self._examination.stage)
 
     # Handlers of requests; they raise RefusalError to refuse a request.
 
@@ -582,8 +554,7 @@ class Lesson:
         if option is None or phase not in ((Phase.EXAM,) if request.exam else _READY) or spent:
             spent = spent and phase in _READY
             status = RequestStatus.BUDGET_SPENT if spent else RequestStatus.WRONG_PHASE
-            raise RefusalError(status, self._advice(phase))
-        wrong = option.wrong_run
+            raise RefusalError(status, self._advice)
         if request.exam:
             state = self._starts.draw_for_exam(option, self._history.options)
         elif not can_simulate(self._domain):
@@ -598,11 +569,7 @@ class Lesson:
                 raise RefusalError(RequestStatus.BAD_STATE, detail)
             state = self._domain.encode(decoded)
         else:
-            state = self._again
-            if not state and wrong is not None:
-                stopped = wrong.stopped and not wrong.terminated
-                state = wrong.states[-1 if stopped else 0]
-            state = state or next(reversed(option.start_states), '')
+            state = self._again or option.correction or next(reversed(option.start_states), '')
             if not state and option.name in self.feedback.offers:
                 state = self._domain.encode(self.feedback.offers[option.name][0])
             state = state or self._starts.draw(option, self._history.options)
@@ -673,7 +640,7 @@ class Lesson:
         """Add demonstrations that were recorded elsewhere, all or none."""
         option, phase = self._option, self.phase
         if option is None or phase not in (*_READY, Phase.LEARNING):
-            raise _wrong_phase(self._advice(phase))
+            raise _wrong_phase(self._advice)
         left = self._starts.rules.budget - len(option.demonstrations)
         if len(request.demonstrations) > left:
             detail = f'{len(request.demonstrations)} are more than the budget leaves: {left}'

@@ -1,0 +1,56 @@
+"""What a lesson says: what to do next, and why."""
+
+from humanopts_learner.demonstrations import Demonstration
+from humanopts_learner.summary import NOT_MET, OptionSummary
+from humanopts_teach.lesson.requests import LessonView, Phase
+
+_HINTS = {
+    Phase.NO_SESSION: 'Open a session to begin.',
+    Phase.NO_OPTION: 'Name the option that you want to teach.',
+    Phase.ASKING: 'Answer the question.',
+    Phase.READY: 'Begin the next demonstration.',
+    Phase.DEMONSTRATING: 'Show the option, then say done; or say not here, or discard.',
+    Phase.LEARNING: 'The learner is working on the demonstration.',
+    Phase.FINISHED: 'Name the next option to teach.',
+    Phase.CHECKING: 'Answer the question.',
+    Phase.EXAM: 'Begin the next run of the exam.',
+}
+
+
+def advice(
+    lesson: LessonView,
+    settled: OptionSummary | None,
+    wrong: Demonstration | None,
+    stage: Phase,
+) -> str:
+    """
+    Return advice on what to do next, with the reason if it is not obvious.
+
+    :param lesson: the lesson; its text does not matter.
+    :param settled: summary of the option, if its criteria are settled; None: they are not.
+    :param wrong: last run of the option, if the person called it wrong.
+    :param stage: as in ``Examination``.
+    """
+    phase, hint = lesson.phase, _HINTS[lesson.phase]
+    spent = lesson.n_demonstrations + lesson.n_not_here >= lesson.budget > 0
+    stuck = dict(zip(lesson.stuck_options, lesson.stuck_games)).get(lesson.option_name)
+    if phase in (Phase.READY, Phase.FINISHED) and stuck and not spent:
+        hint = (
+            f'The plan got stuck in {stuck} of {lesson.trial_games} games while running '
+            f"'{lesson.option_name}', or in need of it: show what to do there."
+        )
+    if phase is Phase.READY and wrong is not None:
+        start = 'where you stopped that run' if wrong.stopped else 'the start of that run'
+        hint = f'Show what the option should do, from {start} on.'
+    if lesson.exam:
+        hint = 'Watch the run of the option, then say right or wrong.'
+    if lesson.paused and phase not in (Phase.DEMONSTRATING, Phase.LEARNING):
+        hint = 'The lesson is paused.'
+    if phase is Phase.FINISHED:
+        why = f'The budget of {lesson.budget} is used up. ' if spent else ''
+        status = NOT_MET if settled is None else settled.status
+        return f'{why}{status[0].upper()}{status[1:]}. {hint}'
+    fails = phase in (Phase.READY, Phase.DEMONSTRATING) and stage is Phase.READY and wrong is None
+    if fails and settled is not None:
+        return f'{settled.result[:-1]}, but from some starts it still fails. {hint}'
+    return hint
