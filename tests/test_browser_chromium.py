@@ -360,7 +360,7 @@ def test_an_exam_is_taken_by_keys_or_by_buttons(
             start += 1
         found = window.text()
     person.judge()
-    window.see('learned: 5 of 5 runs in the exam were right, so at least 57% are')
+    window.see('learned: 5 of 5 runs in the exam were right, so at least 57 % are')
     (bag,) = (server.data / person.code / 'bags').iterdir()
     runs = [d for d in read_demonstrations(open_bag(bag)) if d.exam]
     assert [run.right for run in runs] == 5 * [True]

@@ -197,7 +197,7 @@ def test_an_option_is_taught_by_key_presses_left_resumed_and_run(terminals: Term
     again.press(ENTER)
     show(again, *range(2, 12))
     judge(again)
-    again.see('learned: 5 of 5 runs in the exam were right, so at least 57% are')
+    again.see('learned: 5 of 5 runs in the exam were right, so at least 57 % are')
     again.see('initiation')
 
     again.press('r')

@@ -120,7 +120,8 @@ class OptionSummary:
             return f'not learned: the exam is missing ({runs})'
         if not self.exam_needed:
             return 'learned by its criteria, without an exam'
-        return f'learned: {runs}, so at least {self.exam.low:.0%} are, with 95 % confidence'
+        least = f'{100 * self.exam.low:.0f} %'
+        return f'learned: {runs}, so at least {least} are, with 95 % confidence'
 
     @property
     def result(self) -> str:

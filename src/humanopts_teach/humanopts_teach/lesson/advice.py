@@ -40,8 +40,8 @@ def advice(
             f"'{lesson.option_name}', or in need of it: show what to do there."
         )
     if phase is Phase.READY and wrong is not None:
-        start = 'where you stopped that run' if wrong.stopped else 'the start of that run'
-        hint = f'Show what the option should do, from {start} on.'
+        start = 'where you stopped the run' if wrong.stopped else 'where the run started'
+        hint = f'Show what the option should do, starting {start}.'
     if lesson.exam:
         hint = 'Watch the run of the option, then say right or wrong.'
     if lesson.paused and phase not in (Phase.DEMONSTRATING, Phase.LEARNING):
