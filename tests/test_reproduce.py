@@ -1,5 +1,6 @@
 """Lessons of a reproduction against those over the graph; bags in place of simulated people."""
 
+from collections.abc import Iterable
 import csv
 import json
 from pathlib import Path
@@ -8,8 +9,7 @@ from typing import Any
 
 from graph_support.command import Command, DemoRun
 from humanopts_env.domains.registry import make_domain
-from humanopts_learner.demonstrations import Demonstration
-from humanopts_learner.options.judge import judge, Thresholds
+from humanopts_learner.demonstrations import Demonstration, judged, shown
 from humanopts_teach.bags.contents import read_demonstrations
 from humanopts_teach.bags.reader import open_bag
 from humanopts_teach.cli import main
@@ -21,10 +21,10 @@ import pytest
 from experiments.people import options_of, owners, PERSON, read_bag_lessons, Study
 
 
-def without_time(demonstrations: list[Demonstration]) -> list[dict[str, Any]]:
+def without_time(demonstrations: Iterable[Demonstration]) -> list[dict[str, Any]]:
     """Return the demonstrations; only the clock differs between two lessons."""
-    shown = {d.uuid: json.loads(d.to_json()) for d in demonstrations}
-    return [{**values, 'seconds': 0} for values in shown.values()]
+    once = {d.uuid: json.loads(d.to_json()) for d in demonstrations}
+    return [{**values, 'seconds': 0} for values in once.values()]
 
 
 def test_lesson_in_one_process_is_that_over_the_graph(demo: DemoRun) -> None:
@@ -32,9 +32,6 @@ def test_lesson_in_one_process_is_that_over_the_graph(demo: DemoRun) -> None:
     domain, seed = make_domain('taxi'), 1
     settings = demo.summary['teaching']
     names = tuple(dict.fromkeys(d.option_name for d in live))
-
-    def enough(shown: Any, option: Any) -> bool:
-        return judge(shown, domain, Thresholds(), seed, option).criteria_met
 
     taught = teach(
         domain,
@@ -46,10 +43,10 @@ def test_lesson_in_one_process_is_that_over_the_graph(demo: DemoRun) -> None:
             seed=seed,
         ),
         LessonRules(settings['strategy'], settings['budget'], seed),
-        enough,
     )
     assert taught.cut_short == ''
-    assert without_time(list(taught.demonstrations)) == without_time(live)
+    assert without_time(taught.demonstrations) == without_time(shown(live))
+    assert without_time(taught.judged) == without_time(judged(live))
     assert [option.name for option in taught.options] == list(names)
 
 

@@ -6,6 +6,7 @@ import sys
 from typing import Any
 
 from humanopts_env.domains.described import NeedsRulesError, simulated
+from humanopts_env.game import Transition
 from humanopts_interfaces.msg import NodeStatus, OptionResult
 from humanopts_ros.guarded_node import PATIENCE, SEEDS, StartError
 from humanopts_ros.node_base import NodeBase
@@ -22,6 +23,7 @@ from humanopts_teach.lesson.requests import (
     Verdict,
 )
 from humanopts_teach.lesson.simulated_teacher import (
+    Act,
     Finish,
     FINISHED,
     SimulatedTeacher,
@@ -198,7 +200,10 @@ class SimulatedTeacherNode(NodeBase):
             if run is not None and self._is_lost(run) and lesson.exam:
                 return EndDemonstration(Verdict.DISCARD, lesson.episode, 0)
             running = run is not None and not run.result.done()
-            act = teacher.next_act(lesson, game, running=running)
+            if run is not None and not running and _is_ahead(run, game):
+                act: Act = Wait('the last state of the run')
+            else:
+                act = teacher.next_act(lesson, game, running=running)
             if not isinstance(act, Wait):
                 return act
 
@@ -206,6 +211,13 @@ class SimulatedTeacherNode(NodeBase):
                 return (client.world.lesson, client.world.game) != seen
 
             await client.until(is_news, act.reason)
+
+
+def _is_ahead(run: Goal, seen: Transition) -> bool:
+    """Return whether a run has ended in a state that has not arrived yet."""
+    result = run.result.result()
+    last = (0, 0) if result is None else (result.episode, result.first_step + result.step_count)
+    return (seen.episode, seen.step) < last
 
 
 main = partial(run_node, SimulatedTeacherNode)
