@@ -72,7 +72,7 @@ class Teacher:
 
     def ready(self) -> None:
         """Wait until another demonstration can begin, whether it is needed or not."""
-        phases = LessonState.PHASE_READY, LessonState.PHASE_FINISHED
+        phases = LessonState.PHASE_READY, LessonState.PHASE_EXAM
         self.graph.until(lambda: self.lessons[-1].phase in phases, 'the lesson to be ready')
 
     def name_the_option(self) -> None:
@@ -146,6 +146,22 @@ def test_the_option_server_runs_it_to_the_charger(teacher: Teacher) -> None:
             lambda r=result: teacher.states[-1].state == r.final_state, 'the final state'
         )
         assert teacher.states[-1].features[0] < AT_CHARGER + 0.6
+
+
+def test_the_exam_is_supervised_runs_from_where_it_is(teacher: Teacher) -> None:
+    for number in (1, 2):
+        begun = teacher.ask(BeginDemonstration, 'begin_demonstration', exam=True)
+        asked = {'option_name': DOCK, 'episode': begun.episode}
+        run = teacher.graph.ask(RunOption, 'run_option', **asked).result
+        assert run.status == run.STATUS_REACHED, run.detail
+        here = {'episode': begun.episode, 'step': run.step_count}
+        right = EndDemonstration.Request.VERDICT_RIGHT
+        teacher.ask(EndDemonstration, 'end_demonstration', verdict=right, **here)
+        missing = f'not learned: the exam is missing ({number} of 5 runs)'
+        teacher.graph.until(
+            lambda text=missing: teacher.learned[-1].options[0].status == text, 'the verdict'
+        )
+        teacher.ready()
 
 
 def test_the_current_state_can_be_asked_about_and_no_other(teacher: Teacher) -> None:
