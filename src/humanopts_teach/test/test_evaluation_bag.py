@@ -166,6 +166,7 @@ def test_a_bag_gives_the_status_of_the_learner_exams_and_answers_included(
     record(tmp_path / 'bag', messages, FACTS, {'options/p1/fetch.json': attached})
     found = evaluate_bag(tmp_path / 'bag').options[0]
     assert (found.summary, found.reproduced) == (live.summary, True)
+    assert {run.uuid for run in found.judged} == {run.uuid for run in (*failed, answer, *passed)}
     before = found.learning.iloc[-2]  # the version that failed
     assert (before.exam_right, before.exam_runs, before.exams_failed) == (1, 2, 0)
     again = OptionTrainer(tmp_path / 'options', taxi, RECORDED.thresholds, RECORDED.seed)

@@ -29,6 +29,7 @@ from humanopts_teach.report.people import (
     shown_demonstrations,
     shown_return,
     teachers,
+    wrong_ends,
 )
 from humanopts_teach.report.rules import option_rules
 from humanopts_teach.report.write import render_report, ReportData, write_evaluation_report
@@ -164,7 +165,12 @@ def test_a_plan_with_an_option_that_is_not_learned_says_so(
     evaluation: BagEvaluation,
 ) -> None:
     options = [
-        replace(o, summary=replace(o.summary, criteria=(Criterion('return', 1.0, 1.0, met),)))
+        replace(
+            o,
+            summary=replace(
+                o.summary, exam_needed=0, criteria=(Criterion('return', 1.0, 1.0, met),)
+            ),
+        )
         for o, met in zip(evaluation.options, (True, False))
     ]
     changed = replace(evaluation, options=tuple(options))
@@ -186,12 +192,19 @@ def test_judged_runs_are_listed_apart_from_demonstrations(
         replace(judged_run(shown[1], shown, 3, right=True), withdrawn=True),
     ]
     found = undrawn(replace(brief, demonstrations=[*shown, *runs]))
+    options = tuple(replace(each, judged=runs[:2]) for each in found.options)
+    found = replace(found, options=options)
     assert [demo for demo, _ in shown_demonstrations(found)] == shown
     assert judged_runs(found) == [(runs[0], False), (runs[1], True)]
     page = render_report(ReportData('Taxi', found))
     assert '2 runs, 1 of them wrong' in page
     assert 'wrong, stopped here</td><td class="muted">earlier version' in page
     assert f'{len(shown)} demonstrations and “not here” answers' in page
+    assert f'run 1:\nwrong after {len(shown[0].actions)} steps</p>' in page
+    assert [run for run, _ in wrong_ends(found)] == runs[:1]
+    said = ' '.join(finding.text for finding in findings(found))
+    assert f'“{name}” is {options[0].summary.status}' in said
+    assert ' .' not in said
 
 
 def test_numbers_on_the_page_are_those_of_the_data(data: ReportData, page: str) -> None:

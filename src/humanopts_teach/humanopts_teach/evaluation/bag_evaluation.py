@@ -79,12 +79,14 @@ class OptionEvaluation:
     :ivar learning: one row per demonstration, starting with the first trajectory, with the
         verdicts on the option as it was then; columns ``OPTIONS``.
     :ivar reproduced: whether it equals the option file in the bag; None: no file.
+    :ivar judged: its runs that the person judged, by number.
     """
 
     option: LearnedOption
     summary: OptionSummary
     learning: 'pd.DataFrame'
     reproduced: bool | None = None
+    judged: Sequence[Demonstration] = ()
 
     @property
     def row(self) -> Any:
@@ -297,7 +299,7 @@ def _learning_curve(
         known = [*seen, *(run for run in judged(demos) if run.option_version not in later)]
         summary = judge(known, domain, settings.thresholds, settings.seed, option)
         rows.append(option_row(summary, option, domain, sum(demo.seconds for demo in seen)))
-    return OptionEvaluation(option, summary, table(OPTIONS, rows))
+    return OptionEvaluation(option, summary, table(OPTIONS, rows), judged=judged(demos))
 
 
 def _evaluate_plan(

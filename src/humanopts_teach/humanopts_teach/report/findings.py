@@ -12,7 +12,7 @@ from humanopts_teach.evaluation.bag_evaluation import BagEvaluation
 from humanopts_teach.evaluation.games import gains
 from humanopts_teach.evaluation.summary import differences, Live
 from humanopts_teach.evaluation.tables import SECONDS
-from humanopts_teach.report.pages import counted, Finding, MARKS, MINUS, number, templates
+from humanopts_teach.report.pages import Finding, MARKS, MINUS, number, templates
 import numpy as np
 
 if TYPE_CHECKING:
@@ -58,7 +58,6 @@ def plans_by_name(plans: 'pd.DataFrame') -> dict[str, Any]:
 def _words() -> Any:
     """Return the macros of the template, with the functions they call."""
     known: dict[str, Any] = {
-        'counted': counted,
         'mark': MARKS.get,
         'difference': Interval.of_difference,
         'share_of': lambda good, count: Interval.of_share(np.arange(count) < good),

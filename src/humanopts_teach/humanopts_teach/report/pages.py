@@ -47,6 +47,7 @@ def templates(package: str) -> jinja2.Environment:
     environment.globals.update(
         style=Markup(page_style()),
         markup=Markup,
+        counted=counted,
         number=number,
         limits=limits,
         percent=percent,

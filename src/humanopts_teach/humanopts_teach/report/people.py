@@ -1,15 +1,18 @@
 """The demonstrations and verdicts given by people."""
 
+from humanopts_env.domains.capabilities import pictured_board_of
 from humanopts_learner.demonstrations import (
     Demonstration,
     each_once,
-    judged,
     Kind,
     shown,
     version_of,
 )
 from humanopts_learner.intervals import Interval
+from humanopts_teach.board_html import board_html
 from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, OptionEvaluation
+
+MAX_PICTURES = 12  # of runs that went wrong
 
 
 def shown_demonstrations(evaluation: BagEvaluation) -> list[tuple[Demonstration, str]]:
@@ -19,23 +22,30 @@ def shown_demonstrations(evaluation: BagEvaluation) -> list[tuple[Demonstration,
     Sorted by person and option in order of appearance, then by number.
     """
     used = {uuid for option in evaluation.options for uuid in option.option.uuids}
-    return [(demo, _use(demo, demo.uuid in used)) for demo in shown(_by_option(evaluation))]
+    demos = shown(each_once(evaluation.demonstrations))
+    order = list(dict.fromkeys((demo.participant, demo.option_name) for demo in demos))
+    demos.sort(key=lambda d: (order.index((d.participant, d.option_name)), d.number))
+    return [(demo, _use(demo, demo.uuid in used)) for demo in demos]
 
 
 def judged_runs(evaluation: BagEvaluation) -> list[tuple[Demonstration, bool]]:
-    """Return each judged run, sorted likewise, and whether its option is learned the same now."""
-    demos = _by_option(evaluation)
-    now = {
-        version_of(demo for demo in demos if demo.uuid in each.option.uuids)
-        for each in evaluation.options
-    }
-    return [(run, run.option_version in now) for run in judged(demos) if not run.withdrawn]
+    """Return each judged run by option, and whether the newest version of the option ran."""
+    found = []
+    for each in evaluation.options:
+        used = [d for d in evaluation.demonstrations if d.uuid in each.option.uuids]
+        version = version_of(each_once(used))
+        found += [(run, run.option_version == version) for run in each.judged]
+    return found
 
 
-def _by_option(evaluation: BagEvaluation) -> list[Demonstration]:
-    demos = each_once(evaluation.demonstrations)
-    order = list(dict.fromkeys((demo.participant, demo.option_name) for demo in demos))
-    return sorted(demos, key=lambda d: (order.index((d.participant, d.option_name)), d.number))
+def wrong_ends(evaluation: BagEvaluation) -> list[tuple[Demonstration, str]]:
+    """Return the newest wrong runs, each with a picture of its last state, in HTML."""
+    domain = evaluation.domain
+    wrong = [run for run, _ in judged_runs(evaluation) if not run.right][-MAX_PICTURES:]
+    return [
+        (run, board_html(pictured_board_of(domain, domain.decode(run.states[-1]))))
+        for run in wrong
+    ]
 
 
 def _use(demo: Demonstration, used: bool) -> str:

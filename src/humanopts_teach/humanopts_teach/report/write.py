@@ -29,6 +29,7 @@ from humanopts_teach.report.people import (
     shown_demonstrations,
     shown_return,
     teachers,
+    wrong_ends,
 )
 from humanopts_teach.report.rules import option_rules
 
@@ -115,6 +116,7 @@ def render_report(data: ReportData) -> str:
         ],
         'demonstrations': shown_demonstrations(evaluation),
         'judged_runs': judged_runs(evaluation),
+        'wrong_ends': wrong_ends(evaluation),
         'teachers': teachers(evaluation),
         'shown': [shown_return(evaluation, each) for each in evaluation.options],
         'references': reference_options(evaluation.domain),
