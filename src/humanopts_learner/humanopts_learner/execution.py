@@ -328,6 +328,7 @@ def play(
     once: bool = False,
     loops: Loops | None = None,
     on_step: Callable[[int, Execution[S], S, Games], object] | None = None,
+    final: Rows | None = None,
 ) -> Played:
     """
     Play games by a policy until each is over.
@@ -341,6 +342,7 @@ def play(
     :param loops: what happens to runs that repeat themselves; None: nothing.
     :param on_step: called in every step, after the choices, with the step number, the execution,
         and its observation and games; its exceptions propagate.
+    :param final: (N, F) receives the features with which each game ends; None: not needed.
     """
     outcomes = {name: values.copy() for name, values in games.outcomes().items()}
     execution, parts = Execution(options, policy, len(games), gamma, limits, loops), []
@@ -348,10 +350,15 @@ def play(
     over = done.copy()
     seen = options.see(games)
 
-    def drop(done: Flags) -> None:
-        nonlocal games, seen, chance
+    def note() -> None:
         for name, values in games.outcomes().items():
             outcomes[name][execution.games] = values
+        if final is not None:
+            final[execution.games] = games.features()
+
+    def drop(done: Flags) -> None:
+        nonlocal games, seen, chance
+        note()
         on = np.flatnonzero(~done)
         games, seen, chance = games.take(on), seen.take(on), chance_of(chance, on)
         execution.keep(on)
@@ -375,8 +382,7 @@ def play(
         done = steps.over | (execution.option == NONE) if once else steps.over
         if loops is not None:
             done = done | loops.ended
-    for name, values in games.outcomes().items():
-        outcomes[name][execution.games] = values
+    note()
     return Played(over, joined(parts), outcomes)
 
 

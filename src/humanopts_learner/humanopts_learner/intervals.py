@@ -136,6 +136,23 @@ class Interval:
         return False if self.low > value else None
 
 
+def level_of_look(number: int) -> float:
+    """
+    Return the level of the interval at look 1, 2, ... for which all looks hold jointly.
+
+    The errors 0.05 / (k * (k + 1)) sum to 0.05, so a decision after every demonstration is wrong
+    no more often than a single one at ``LEVEL``.
+    """
+    return 1 - (1 - LEVEL) / (number * (number + 1))
+
+
+def runs_needed(share: float, level: float) -> int:
+    """Return the fewest runs that, all being right, have a lower limit of at least a share."""
+    from scipy.special import ndtri  # slow to import
+
+    return math.ceil(float(ndtri((1 + level) / 2)) ** 2 * share / (1 - share))
+
+
 def level_of_each(count: int) -> float:
     """Return the level per interval for which all hold jointly at ``LEVEL`` (Bonferroni)."""
     return 1 - (1 - LEVEL) / count

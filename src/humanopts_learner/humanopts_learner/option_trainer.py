@@ -21,7 +21,7 @@ from humanopts_learner.options.files import (
     remove_option,
     save_option,
 )
-from humanopts_learner.options.judge import judge, Thresholds
+from humanopts_learner.options.judge import judge, taught_before, Thresholds
 from humanopts_learner.options.learn import learn_option, NotLearnableError
 from humanopts_learner.options.learned_option import LearnedOption
 from humanopts_learner.summary import OptionSummary, unmeasured
@@ -156,7 +156,8 @@ class OptionTrainer:
         :param news: what has changed since the last call; None: anything.
         """
         key = participant, option_name
-        demos = group_by_option(demonstrations).get(key, [])
+        every = list(demonstrations)
+        demos = group_by_option(every).get(key, [])
         known = self._options.get(key)
         if not shown(demos):
             self._unlearn(*key)
@@ -165,13 +166,13 @@ class OptionTrainer:
             if news.exam:
                 summary = with_verdicts(known.summary, demos, self._thresholds.exam)
             else:
-                summary = self._judge(demos, option)
+                summary = self._judge(demos, option, every)
             self._options[key] = replace(known, summary=summary)
             self._save(option, demos, summary)
         else:
-            self._options[key] = self._learned(demos)
+            self._options[key] = self._learned(demos, every)
 
-    def _learned(self, demos: list[Demonstration]) -> TaughtOption:
+    def _learned(self, demos: list[Demonstration], every: list[Demonstration]) -> TaughtOption:
         """Learn an option, judge it and write its file."""
         summary = unmeasured(demos)
         try:
@@ -179,12 +180,16 @@ class OptionTrainer:
         except NotLearnableError:
             self._unlearn(summary.participant, summary.option_name)
             return TaughtOption(summary, '')
-        summary = self._judge(demos, option)
+        summary = self._judge(demos, option, every)
         self._save(option, demos, summary)
         return TaughtOption(summary, option_to_json(option, []))
 
-    def _judge(self, demos: list[Demonstration], option: LearnedOption) -> OptionSummary:
-        return judge(demos, self._domain, self._thresholds, self._seed, option)
+    def _judge(
+        self, demos: list[Demonstration], option: LearnedOption, every: list[Demonstration]
+    ) -> OptionSummary:
+        """Judge an option; ``every`` has all demonstrations of the participant."""
+        before = taught_before(option.name, every, self._domain, self._seed)
+        return judge(demos, self._domain, self._thresholds, self._seed, option, before)
 
     def _save(
         self, option: LearnedOption, demos: list[Demonstration], summary: OptionSummary

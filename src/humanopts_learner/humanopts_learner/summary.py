@@ -1,17 +1,29 @@
 """Summaries of options and plans, for messages, lessons, reports and tables."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 import math
 
 from humanopts_learner.demonstrations import Demonstration, Kind, shown, TREES
 from humanopts_learner.intervals import Interval, LEVEL
 import numpy as np
 
+SUCCESS, AGREEMENT, IMITATION = 'success', 'agreement', 'imitation'
 RETURN, INITIATION, TERMINATION = 'return', 'initiation', 'termination'
+CRITERIA = {  # what each of them measures
+    SUCCESS: 'share of starts from which it reaches an end like a demonstrated one',
+    AGREEMENT: 'share of held-out demonstrations that it would repeat',
+    IMITATION: 'share of demonstrations with another end than the run from their start',
+    RETURN: 'held-out shortfall of the return, as a share of its range',
+    INITIATION: 'held-out balanced error of I',
+    TERMINATION: 'share of held-out demonstrations in which it ends early, late or never',
+}
+EVERY_START, SAMPLED_STARTS, RECORDED = 'every start', 'sampled starts', 'recorded'  # evidence
 NO_RANGE = 'random actions from the same starts return as much as the demonstrations'
-NO_RULES = 'this domain can only be acted in, and no option can be run in it for a test'
 NOT_MET = 'not learned: the criteria are not met'
+NO_REFUSAL = 'the option can start in every state that was shown'
+NO_OTHER_END = 'the option ends only where the task does'
+ALL_MET = 'All criteria are met.'
 UNKNOWN = Interval(math.nan, math.nan, math.nan)
 
 
@@ -19,25 +31,43 @@ UNKNOWN = Interval(math.nan, math.nan, math.nan)
 class Criterion:
     """One stopping criterion."""
 
-    name: str  # RETURN, INITIATION or TERMINATION
-    value: float | None  # None: not measurable yet
-    threshold: float | None  # None: return, while its range is not measured
+    name: str  # one of CRITERIA
+    value: float | None  # 0..1, or above for a return; None: not measurable yet
+    threshold: float | None  # smallest share, or largest error; None: there is none
     met: bool
-    high: float | None = None  # upper confidence limit of the value, if any
+    limit: float | None = None  # confidence limit that decides; None: the value decides
+    count: int = 0  # number of starts or demonstrations evaluated
+    possible: float | None = None  # of success, if all ends that nobody called wrong are right
     obstacle: str = ''  # why more demonstrations cannot make it measurable; empty: they can
 
     @classmethod
     def of(
-        cls, name: str, value: float | None, threshold: float | None, high: float | None = None
+        cls,
+        name: str,
+        value: float | None,
+        threshold: float | None,
+        limit: float | None = None,
+        count: int = 0,
+        possible: float | None = None,
     ) -> 'Criterion':
         """
-        Return a criterion, which is met if the upper limit is at most the threshold.
+        Return a criterion, which is met if its limit is on the right side of the threshold.
 
-        :param high: upper limit; None: the value itself.
+        :param limit: confidence limit; None: the value itself.
         """
-        decides = value if high is None else high
-        met = decides is not None and threshold is not None and decides <= threshold
-        return cls(name, value, threshold, met, high)
+        found = cls(name, value, threshold, False, limit, count, possible)
+        return replace(found, met=found.meets(value if limit is None else limit))
+
+    def meets(self, value: float | None) -> bool:
+        """Return whether a value is on the right side of the threshold."""
+        if value is None or self.threshold is None:
+            return False
+        return value >= self.threshold if self.at_least else value <= self.threshold
+
+    @property
+    def at_least(self) -> bool:
+        """Whether the threshold is the smallest good value, rather than the largest."""
+        return self.name in (SUCCESS, AGREEMENT)
 
     @property
     def measurable(self) -> bool:
@@ -46,10 +76,13 @@ class Criterion:
 
     @property
     def undecided(self) -> bool:
-        """Whether the value is at most the threshold, but its upper limit is above it."""
-        if self.value is None or self.threshold is None:
-            return False
-        return self.value <= self.threshold and not self.met
+        """Whether the value is good enough, but its confidence limit is not."""
+        return self.meets(self.value) and not self.met
+
+    @property
+    def unanswered(self) -> bool:
+        """Whether it would be met if the person called the other ends of the option right."""
+        return not self.met and self.meets(self.possible)
 
     @property
     def verdict(self) -> str:
@@ -74,12 +107,16 @@ class OptionSummary:
     n_demonstrations: int = 0  # trajectories
     n_not_here: int = 0  # "not here" answers
     last_uuid: str = ''  # newest demonstration or "not here" answer
-    criteria: tuple[Criterion, ...] = ()  # return, initiation, termination; empty: no trajectory
+    criteria: tuple[Criterion, ...] = ()  # in the order of CRITERIA; empty: no trajectory
     n_questions: int = 0  # answered questions about runs of the option
     exam_right: int = 0  # runs in the exam of this version that the person called right
     exam_runs: int = 0
     exam_needed: int = 0  # 0: there is no exam
     exams_failed: int = 0  # exams of earlier versions that ended with a wrong run
+    evidence: str = ''  # of success: EVERY_START, SAMPLED_STARTS or RECORDED
+    ended_early: int = 0  # held-out demonstrations in which the option ends too early
+    ended_late: int = 0  # later than the person
+    ended_never: int = 0  # not within as many steps again
     mean_return_demonstrations: float = math.nan  # undiscounted
     mean_return_policy: float = math.nan  # in-sample: from the same start states
     gain: Interval = UNKNOWN  # of the policy over the demonstrations, from the same start states
@@ -89,8 +126,20 @@ class OptionSummary:
 
     @property
     def criteria_met(self) -> bool:
-        """Whether all criteria are met."""
-        return bool(self.criteria) and all(criterion.met for criterion in self.criteria)
+        """Whether each criterion is met, or impossible to measure."""
+        return any(c.met for c in self.criteria) and all(
+            c.met or c.obstacle for c in self.criteria
+        )
+
+    @property
+    def settled(self) -> bool:
+        """
+        Whether more demonstrations would change nothing.
+
+        The criteria are then met, or will be if the person calls the ends of the option right.
+        """
+        met = any(c.met for c in self.criteria)
+        return met and all(c.met or c.obstacle or c.unanswered for c in self.criteria)
 
     @property
     def exam(self) -> Interval:
@@ -105,12 +154,12 @@ class OptionSummary:
     @property
     def learned(self) -> bool:
         """Whether criteria and exam are passed."""
-        return self.settled and self.exam_passed
+        return self.criteria_met and self.exam_passed
 
     @property
     def status(self) -> str:
         """Whether the option is learned, and how sure that is, or what is missing."""
-        if not self.settled:
+        if not self.criteria_met:
             return NOT_MET
         runs = f'{self.exam_right} of {self.exam_runs} runs in the exam were right'
         if self.exam_right < self.exam_runs:
@@ -126,11 +175,11 @@ class OptionSummary:
     @property
     def result(self) -> str:
         """Which criteria are met, as worded on screens."""
-        if self.criteria_met:
-            return 'All criteria are met.'
-        if self.settled:
-            return f'{self.obstacles} The other criteria are met.'
-        return 'Not all criteria are met.'
+        if not self.settled:
+            return 'Not all criteria are met.'
+        if not self.criteria_met:
+            return 'Whether some of its ends are right is not known yet.'
+        return f'{self.obstacles} The other criteria are met.' if self.obstacles else ALL_MET
 
     @property
     def obstacles(self) -> str:
@@ -140,13 +189,18 @@ class OptionSummary:
         )
 
     @property
-    def settled(self) -> bool:
-        """
-        Whether every criterion is either met or impossible to measure.
-
-        More demonstrations would then change nothing.
-        """
-        return bool(self.criteria) and all(c.met or c.obstacle for c in self.criteria)
+    def reach(self) -> str:
+        """From how many starts the option succeeds, as worded on screens; empty: unknown."""
+        found = next((c for c in self.criteria if c.at_least and c.value is not None), None)
+        if found is None or found.value is None:
+            return ''
+        of = f'{round(found.value * found.count)} of {found.count}'
+        if found.name == AGREEMENT:
+            return f'It would repeat {of} demonstrations that it was not learned from.'
+        other = round(((found.possible or 0.0) - found.value) * found.count)
+        also = f', and an end that nobody has judged from {other}' if other > 0 else ''
+        which = 'all of them' if self.evidence == EVERY_START else 'drawn at random'
+        return f'It reaches an end like yours from {of} starts ({which}){also}.'
 
 
 @dataclass(frozen=True, slots=True)

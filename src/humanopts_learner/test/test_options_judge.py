@@ -1,4 +1,4 @@
-"""The three criteria: held out by demonstration, whatever the order, honest when unmeasurable."""
+"""The criteria: of every start or held out, whatever the order, honest when unmeasurable."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -15,52 +15,85 @@ from humanopts_learner import Demonstration, judge, learn_option, Thresholds
 from humanopts_learner.options.conflicts import find_conflicts
 from humanopts_learner.options.files import option_to_json
 from humanopts_learner.options.judge import (
+    MIN_HELD_OUT,
+    more_needed,
+    return_range,
+)
+from humanopts_learner.options.learn import (
     fit_leave_fold_out,
     fold_of,
-    MIN_TRAJECTORIES,
-    more_needed,
+    make_dataset,
+    NotLearnableError,
 )
-from humanopts_learner.options.learn import make_dataset, NotLearnableError
 from humanopts_learner.options.rollout import rollouts
-from humanopts_learner.summary import Criterion, INITIATION, RETURN, TERMINATION
+from humanopts_learner.summary import (
+    Criterion,
+    IMITATION,
+    INITIATION,
+    NO_REFUSAL,
+    OptionSummary,
+    RETURN,
+    SUCCESS,
+    TERMINATION,
+)
 import numpy as np
 import pytest
+from scipy.special import stdtrit
 
 TAXI = Taxi()
+HELD_OUT = RETURN, INITIATION, TERMINATION
 FETCH = 'go to passenger and pickup'
 ABOARD = TaxiState(row=1, col=0, passenger=4, destination=1)
 Shown = Sequence[Demonstration]
 
 
+def named(judgement: OptionSummary) -> dict[str, Criterion]:
+    """Return the criteria by name."""
+    return {criterion.name: criterion for criterion in judgement.criteria}
+
+
 def values(shown: Shown) -> dict[str, float | None]:
     """Return the value of each criterion by name."""
-    return {c.name: c.value for c in judge(shown, TAXI, Thresholds(), 0).criteria}
+    found = named(judge(shown, TAXI, Thresholds(), 0))
+    return {name: criterion.value for name, criterion in found.items()}
+
+
+def span(shown: Shown, domain: Any = TAXI) -> float:
+    """Return the range of returns from random actions to the demonstrations."""
+    found = return_range(make_dataset(shown, domain), domain, learn_option(shown, domain, 0), 0)
+    assert found is not None
+    return found
 
 
 def test_too_few_demonstrations_are_not_measurable_and_not_met(
     fetching: Shown, person: Any
 ) -> None:
-    judgement = judge(fetching[: MIN_TRAJECTORIES - 1], TAXI, Thresholds(), 0)
-    assert [c.value for c in judgement.criteria] == [None] * 3
-    assert not any(c.measurable or c.met for c in judgement.criteria)
+    judgement = judge(fetching[: MIN_HELD_OUT - 1], TAXI, Thresholds(), 0)
+    held_out = judgement.criteria[2:]
+    assert [(c.name, c.value) for c in held_out] == [(n, None) for n in HELD_OUT]
+    assert not any(c.measurable or c.met for c in held_out)
     assert (judgement.criteria_met, judgement.more_needed) == (False, -1)
     ann = person()
     refused = [ann.show(ABOARD) for _ in range(12)]
-    assert None not in values([*refused, *ann.show_random(MIN_TRAJECTORIES)]).values()
+    assert None not in values([*refused, *ann.show_random(MIN_HELD_OUT)]).values()
     with pytest.raises(NotLearnableError):
         judge(refused, TAXI, Thresholds(), 0)
 
 
-def test_an_option_that_starts_wherever_it_ends_has_no_error_of_i(fetching: Shown) -> None:
+def test_i_of_an_option_that_starts_wherever_it_ends_cannot_be_measured(fetching: Shown) -> None:
+    """No tree could be wrong there, so it is no evidence; it does not keep the lesson going."""
     always = [replace(demo, can_start_at_end=True) for demo in fetching]
-    assert values(always)[INITIATION] == 0.0
-    assert values(always[: MIN_TRAJECTORIES - 1])[INITIATION] is None
+    for shown, obstacle in ((always, NO_REFUSAL), (always[: MIN_HELD_OUT - 1], '')):
+        found = named(judge(shown, TAXI, Thresholds(), 0))[INITIATION]
+        assert (found.value, found.met, found.obstacle) == (None, False, obstacle)
     assert values([*always[1:], fetching[0]])[INITIATION] not in (None, 0.0)
 
 
 def test_the_same_trajectory_shown_often_leaves_no_shortfall(fetching: Shown) -> None:
     again = [replace(fetching[0], uuid=demo.uuid, number=demo.number) for demo in fetching]
-    assert values(again) == {RETURN: 0.0, INITIATION: 0.0, TERMINATION: 0.0}
+    found = values(again)
+    assert [found.pop(name) for name in (*HELD_OUT, IMITATION)] == [0.0] * 4
+    assert found == {SUCCESS: pytest.approx(0.14)}  # of all starts
 
 
 def test_a_held_out_demonstration_is_not_learned_from(person: Any) -> None:
@@ -69,7 +102,8 @@ def test_a_held_out_demonstration_is_not_learned_from(person: Any) -> None:
     shown = [ann.show(TaxiState(1, 0, 0, 1)) for _ in range(9)] + [ann.show(TaxiState(4, 4, 3, 1))]
     judgement = judge(shown, TAXI, Thresholds(), 0)
     assert judgement.mean_return_policy == judgement.mean_return_demonstrations == -1
-    assert judgement.criteria[0].value == pytest.approx((4 - 1) / 10)  # twice the 2 steps, at -1
+    value = named(judgement)[RETURN].value
+    assert value == pytest.approx((4 - 1) / 10 / span(shown))  # twice the 2 steps, at -1
 
 
 def test_coming_to_another_end_counts_as_not_coming_to_the_end(person: Any) -> None:
@@ -77,8 +111,8 @@ def test_coming_to_another_end_counts_as_not_coming_to_the_end(person: Any) -> N
     bob = person('go to destination and dropoff')
     shown = [bob.show(TaxiState(1, 0, 4, destination)) for destination in [0] * 9 + [2]]
     assert [demo.total_reward for demo in shown] == [0] * 9 + [-2]
-    value = judge(shown, TAXI, Thresholds(), 0).criteria[0].value
-    assert value == pytest.approx((8 - 2) / 10)  # twice the 4 steps at -1, though it ended after 2
+    value = values(shown)[RETURN]  # twice the 4 steps at -1, though it ended after 2
+    assert value == pytest.approx((8 - 2) / 10 / span(shown))
 
 
 @pytest.fixture(scope='module')
@@ -103,13 +137,14 @@ def test_what_is_known_of_every_start_takes_the_place_of_the_held_out_return(
     assert runs.reached.all()
     worst = (1 - reference.distance[starts] - runs.total_reward).max()  # the pickup costs nothing
     assert worst == 2
+    share = 2 / span(from_everywhere)
     found, strict = (
-        judge(from_everywhere, TAXI, Thresholds(return_delta=delta), 0, option)
-        for delta in (2.0, 1.9)
+        named(judge(from_everywhere, TAXI, Thresholds(return_share=limit), 0, option))
+        for limit in (share, 0.95 * share)
     )
-    assert found.criteria[0] == Criterion(RETURN, 2.0, 2.0, met=True, high=2.0)
-    assert strict.criteria[0].value not in (2.0, None)  # that of the held-out runs
-    assert (found.more_needed, strict.criteria[1:]) == (0, found.criteria[1:])
+    assert found[RETURN] == Criterion(RETURN, share, share, met=True, count=len(from_everywhere))
+    assert strict.pop(RETURN).value not in (share, None)  # that of the held-out runs
+    assert all(found[name] == criterion for name, criterion in strict.items())
 
 
 def test_a_start_from_which_it_does_not_end_is_no_known_return(from_everywhere: Shown) -> None:
@@ -118,8 +153,11 @@ def test_a_start_from_which_it_does_not_end_is_no_known_return(from_everywhere: 
     starts = np.flatnonzero(reference_options(TAXI)[FETCH].initiation & ~TAXI.over())
     states = [TAXI.state_at(int(start)) for start in starts]
     assert not rollouts(learn_option(shown, TAXI, 0), TAXI, states).reached.all()
-    judged = judge(shown, TAXI, Thresholds(return_delta=0.0), 0)
-    assert not judged.criteria[0].met
+    judged = judge(shown, TAXI, Thresholds(return_share=0.0), 0)
+    found = named(judged)
+    assert not found[RETURN].met
+    assert found[SUCCESS].value is not None
+    assert found[SUCCESS].value < 1
     assert judged.more_needed == -1  # no law says when it will be known
 
 
@@ -136,11 +174,16 @@ def test_the_limit_is_that_of_differences_paired_by_demonstration(
         differences.append(demo.total_reward - run.total_reward[0])
     mean, error = np.mean(differences), np.std(differences, ddof=1) / math.sqrt(12)
     exact = judge(fetching[:12], TAXI, Thresholds(), 0)
-    assert (exact.criteria[0].value, exact.criteria[0].high) == (pytest.approx(mean),) * 2
+    of_range = span(fetching[:12])
+    found = named(exact)
+    assert (found[RETURN].value, found[RETURN].limit) == (pytest.approx(mean / of_range),) * 2
     stepwise = judge(fetching[:12], plain_taxi, Thresholds(), 0)
-    assert stepwise.criteria[0].value == pytest.approx(mean)
-    assert stepwise.criteria[0].high == pytest.approx(mean + 1.7959 * error, rel=1e-4)
-    assert stepwise.criteria[1:] == exact.criteria[1:]
+    t = float(stdtrit(11, 1 - 0.05 / (12 * 13)))  # the twelfth look
+    limited = named(stepwise)
+    of_range = span(fetching[:12], plain_taxi)
+    assert limited[RETURN].value == pytest.approx(mean / of_range)
+    assert limited[RETURN].limit == pytest.approx((mean + t * error) / of_range)
+    assert all(limited[name] == found[name] for name in (INITIATION, TERMINATION))
     assert stepwise.mean_return_policy == exact.mean_return_policy
     assert stepwise.conflicts == exact.conflicts
 
@@ -162,9 +205,10 @@ def test_a_run_has_the_luck_of_its_demonstration_as_long_as_it_does_the_same() -
     places = [{*demo.states} for demo in shown]
     known = [set[str]().union(*(p for p, at in zip(places, folds) if at != f)) for f in folds]
     alone = sum(not own <= others for own, others in zip(places, known))
-    value = judge(shown, rooms, Thresholds(), 0).criteria[0].value
+    value = named(judge(shown, rooms, Thresholds(), 0))[RETURN].value
     assert value is not None
-    assert abs(value) <= alone / 40 < 0.2  # a run differs only after a cell that no other shows
+    # A run differs only after a cell that no other shows.
+    assert abs(value) * span(shown, rooms) <= alone / 40 < 0.2
 
 
 @pytest.mark.parametrize('picked', [('taxi_row', 'taxi_col'), ('passenger_in_taxi',)])
@@ -185,19 +229,25 @@ def test_what_is_held_out_has_no_part_in_what_is_learned(
 
 
 def test_thresholds_decide_what_is_met_and_order_does_not_matter(fetching: Shown) -> None:
-    lax = judge(fetching, TAXI, Thresholds(1e6, 1.0, 1.0), 0)
+    lax = judge(fetching, TAXI, Thresholds(0.0, 1e6, 1.0, 1.0), 0)
     assert (lax.criteria_met, lax.more_needed) == (True, 0)
     assert lax.mean_return_policy == lax.mean_return_demonstrations  # in-sample
-    assert judge(fetching[::-1], TAXI, Thresholds(1e6, 1.0, 1.0), 0) == lax
-    strict = judge(fetching, TAXI, Thresholds(0.0, 0.0, 0.0), 0)
+    assert judge(fetching[::-1], TAXI, Thresholds(0.0, 1e6, 1.0, 1.0), 0) == lax
+    strict = judge(fetching, TAXI, Thresholds(0.0, 0.0, 0.0, 0.0), 0)
     assert (strict.criteria_met, strict.more_needed) == (False, -1)  # 1 / n is never zero
-    shortfall = strict.criteria[0].value
+    shortfall = named(strict)[RETURN].value
     assert shortfall is not None
     assert shortfall > 0
 
 
 @pytest.mark.parametrize(
-    'wrong', [{'return_delta': float('nan')}, {'initiation_error': 2.0}, {'termination_error': -1}]
+    'wrong',
+    [
+        {'return_share': float('nan')},
+        {'success': 1.5},
+        {'initiation_error': 2.0},
+        {'termination_error': -1},
+    ],
 )
 def test_senseless_thresholds_are_refused(wrong: dict[str, float]) -> None:
     with pytest.raises(ValueError, match='thresholds are'):

@@ -28,7 +28,7 @@ from humanopts_learner import (
 from humanopts_learner.demonstrations import check_demonstration, DemonstrationError, GOAL, TREES
 from humanopts_learner.option import DrawnOption
 from humanopts_learner.options.files import option_from_json, option_to_json
-from humanopts_learner.options.judge import MIN_TO_A_GOAL
+from humanopts_learner.options.judge import MIN_HELD_OUT
 from humanopts_learner.options.learn import NotLearnableError
 from humanopts_learner.options.learned_option import (
     OptionError,
@@ -292,7 +292,7 @@ def test_with_chance_the_way_is_the_one_that_best_arrives() -> None:
 
 
 def test_criteria_are_measured_from_three_demonstrations_on(person: Any) -> None:
-    shown = planned(person(FETCH).show_random(MIN_TO_A_GOAL))
+    shown = planned(person(FETCH).show_random(MIN_HELD_OUT))
     before = judge(shown[:-1], TAXI, Thresholds(), 0)
     assert [criterion.value for criterion in before.criteria] == [None] * 3
     assert judge(shown, TAXI, Thresholds(), 0).criteria_met

@@ -101,7 +101,6 @@ def several_games(count: int | None) -> int | None:
     return count
 
 
-any_number = number('a number', lambda value: True)
 share = number('from 0 to below 1', lambda value: 0 <= value < 1)
 seconds = number('from 0 to 60', lambda value: 0 <= value <= 60)
 
@@ -226,13 +225,22 @@ class LaunchOptions(DomainOptions):
             'three, in worlds that are restored by replay',
         ),
     ] = True
-    return_delta: Annotated[
+    success: Annotated[
         float | None,
         option(
-            'UNITS',
-            'largest shortfall of the return of an option, in reward units; default: a tenth '
-            'of the range from random actions to the demonstrations',
-            any_number,
+            'SHARE',
+            'smallest share of starts from which an option must reach an end like a demonstrated '
+            'one; default: 0.95',
+            share,
+        ),
+    ] = None
+    return_share: Annotated[
+        float | None,
+        option(
+            'SHARE',
+            'largest shortfall of the return of an option, as a share of the range from random '
+            'actions to the demonstrations; default: 0.1',
+            share,
         ),
     ] = None
     initiation_error: Annotated[
@@ -246,7 +254,10 @@ class LaunchOptions(DomainOptions):
     termination_error: Annotated[
         float | None,
         option(
-            'SHARE', 'largest held-out error of the termination of an option; default: 0.05', share
+            'SHARE',
+            'largest share of held-out demonstrations in which an option ends early, late or '
+            'never; default: 0.05',
+            share,
         ),
     ] = None
     exam: Annotated[

@@ -11,7 +11,7 @@ from typing import Any
 from humanopts_env.domains.base import Domain
 from humanopts_env.domains.registry import make_domain
 from humanopts_learner.demonstrations import GOAL
-from humanopts_learner.options.judge import MIN_TRAJECTORIES
+from humanopts_learner.options.judge import MIN_HELD_OUT
 from humanopts_learner.summary import Criterion, NO_RANGE, OptionSummary
 from humanopts_teach.browser.markup import parts
 from humanopts_teach.dialogue.app import App, REPLY_SECONDS, SETTLE_SECONDS
@@ -258,7 +258,7 @@ def test_in_a_browser_features_are_combined_by_clicks(tmp_path: Path) -> None:
     desk.store.close()
 
 
-FEW = OptionSummary(NAME, 'p1', tuple(CHOSEN), n_demonstrations=MIN_TRAJECTORIES, more_needed=6)
+FEW = OptionSummary(NAME, 'p1', tuple(CHOSEN), n_demonstrations=MIN_HELD_OUT, more_needed=6)
 VALUES = (Criterion.of('return', 0.25, 1.0), Criterion.of('initiation', 0.125, 0.05))
 CLASH = 'taxi row 4: cannot start here (2x), can start here (1x)'
 PROGRESS: dict[str, dict[str, Any]] = {

@@ -9,7 +9,7 @@ from typing import Any
 from humanopts_env import colours
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.seeding import generator
-from humanopts_learner.options.judge import MIN_TRAJECTORIES
+from humanopts_learner.options.judge import MIN_HELD_OUT
 from humanopts_learner.summary import Criterion, OptionSummary
 from humanopts_teach.dialogue.keys import Command, command_of, key_table, SUSPEND
 from humanopts_teach.lesson.requests import LessonView, Phase
@@ -55,7 +55,7 @@ def learned(features: tuple[str, ...], *values: float | None, **more: Any) -> Op
         NAME,
         'p1',
         features,
-        n_demonstrations=MIN_TRAJECTORIES,
+        n_demonstrations=MIN_HELD_OUT,
         criteria=criteria,
         more_needed=6,
         **more,

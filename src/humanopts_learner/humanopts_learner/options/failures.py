@@ -1,21 +1,30 @@
 """The states from which a learned option does not behave as demonstrated."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from humanopts_env.arrays import Flags, Floats, Rows
-from humanopts_env.domains.base import EnumerableDomain
-from humanopts_env.domains.formulas import feature_columns, stacked
-from humanopts_env.domains.tabular import distance_to, reachable
-from humanopts_learner.demonstrations import Demonstration, GOAL, Kind
+from humanopts_env.arrays import Flags, Floats, Ints, Rows
+from humanopts_env.domains.base import (
+    ActableDomain,
+    action_index,
+    EnumerableDomain,
+    FeatureKind,
+    is_enumerable,
+)
+from humanopts_env.domains.formulas import feature_columns, FeatureColumn, stacked
+from humanopts_env.domains.tabular import best_paths, distance_to, reachable
+from humanopts_learner.demonstrations import Demonstration, GOAL, judged, Kind, shown
 from humanopts_learner.options.decision_tree import encode_rows
+from humanopts_learner.options.goal import MAX_GAMMA, MOST
 from humanopts_learner.options.learned_option import LearnedOption, tabulate
 from humanopts_learner.options.rollout import rollouts_from_everywhere
 import numpy as np
 from numpy.typing import NDArray
 
-MEANT = 3  # demonstrations that make a detour intended; fewer may be slips
+MEANT = 3  # demonstrations of a detour after which it is asked about; fewer may be slips
 REFUSALS = 3  # "not here" answers required as evidence for a leaf outside I
+AS_LIKELY = 0.95  # a start succeeds at this share of the largest possible chance of a right end
+TOO_LONG = 2  # length of a path, relative to the shortest one
 
 
 @dataclass(frozen=True)
@@ -23,18 +32,118 @@ class Failures:
     """The outcome of running an option from each of the S states of an enumerable domain."""
 
     candidate: Flags  # (S,) open, reachable, and in the learned I
-    stuck: Flags  # (S,) candidates from which no demonstrated end is reached
-    detour: Flags  # (S,) candidates with a detour demonstrated fewer than MEANT times
+    stuck: Flags  # (S,) candidates from which no end is reached that is or may be right
+    unconfirmed: (
+        Flags  # (S,) candidates with a planned end that nothing shows to be right or wrong
+    )
+    detour: (
+        Flags  # (S,) candidates with a longer path than necessary, shown fewer than MEANT times
+    )
+    meant: Flags  # (S,) candidates with such a path, shown more often, which nobody called right
+    too_long: Flags  # (S,) those of either kind with a path of more than twice the length
     doubt: Flags  # (S,) open, reachable, and outside I without evidence (``uncertain``)
     times_shown: NDArray[np.int64]  # (S,) demonstrations with a state of equal features
-    distance: NDArray[np.int32]  # (S,) fewest steps to a demonstrated end; -1: no known path
+    distance: NDArray[np.int32]  # (S,) fewest steps to such an end; -1: no known path
     nearer: Flags  # (S, A) first actions of shortest paths
     shortfall: Floats  # (S,) return of the best shortest path - return of the run; stuck: inf
+    final: Ints  # (S,) state in which the run ends or is cut off
+
+    @property
+    def right(self) -> Flags:
+        """Return (S,): candidates from which the run is right, as far as anyone knows."""
+        return self.candidate & ~(self.stuck | self.unconfirmed | self.too_long)
+
+    @property
+    def possible(self) -> Flags:
+        """Return (S,): candidates from which it is right if the person says so."""
+        return self.candidate & ~(self.stuck | (self.too_long & self.detour))
 
     @property
     def failing(self) -> Flags:
         """Return (S,): stuck, on a detour, or in doubt."""
         return self.stuck | self.detour | self.doubt
+
+
+def ends_like_shown(
+    domain: ActableDomain,
+    features: Iterable[str],
+    demonstrations: Sequence[Demonstration],
+    rows: Rows,
+    over: Flags,
+) -> Flags:
+    """
+    Return (N,): whether states look like an end that was shown, or that the person called right.
+
+    If all states can be listed, the chosen features and whether the task is over must be equal to
+    those of such an end. If most demonstrations ended with the task over and one did not, or vice
+    versa, its end may be a slip and counts only if repeated. Elsewhere few ends are ever equal: a
+    state must agree in what most ends share, which is whether the task is over, and the values of
+    the chosen features that are not continuous.
+
+    :param features: names of the chosen features.
+    :param demonstrations: of one option, with the runs that the person judged.
+    :param rows: (N, F) all features of the states.
+    :param over: (N,) whether the task is over.
+    """
+    chosen = feature_columns(domain, features)
+    taught = [demo for demo in shown(demonstrations) if demo.actions]
+    right = [demo for demo in judged(demonstrations) if demo.actions and demo.right]
+    states = np.column_stack([over, stacked(chosen, rows)])
+    ends = np.concatenate([_ends(chosen, taught), _ends(chosen, right)])
+    mostly_over = ends[: len(taught), 0].mean() > 0.5 if taught else False
+    if is_enumerable(domain):
+        times, confirmed = _times(states, ends[: len(taught)]), _times(states, ends[len(taught) :])
+        return (times >= np.where(over == mostly_over, 1, 2)) | (confirmed > 0)
+    kinds = [None, *(column.feature.kind for column in chosen)]
+    agrees = np.ones(len(rows), dtype=np.bool_)
+    for values, shown_values, kind in zip(states.T, ends.T, kinds):
+        found, counts = np.unique(shown_values, return_counts=True)
+        if kind is not FeatureKind.CONTINUOUS and counts.max() >= MOST * len(ends):
+            agrees &= values == found[counts.argmax()]
+    return agrees
+
+
+def ends_called_wrong(
+    domain: ActableDomain,
+    features: Iterable[str],
+    demonstrations: Sequence[Demonstration],
+    rows: Rows,
+    over: Flags,
+) -> Flags:
+    """
+    Return (N,): whether states are equal, in the chosen features, to an end called wrong.
+
+    Parameters are those of ``ends_like_shown``. A run that the person stopped has no end.
+    """
+    chosen = feature_columns(domain, features)
+    wrong = [d for d in judged(demonstrations) if d.actions and not d.right and not d.stopped]
+    return _times(np.column_stack([over, stacked(chosen, rows)]), _ends(chosen, wrong)) > 0
+
+
+def _ends(chosen: Sequence[FeatureColumn], runs: Sequence[Demonstration]) -> Floats:
+    """Return (N, 1 + C): whether the task is over at the end of each run, and the features."""
+    rows = [np.append(run.terminated, stacked(chosen, run.feature_rows[-1:])) for run in runs]
+    return np.array(rows).reshape(len(runs), 1 + len(chosen))
+
+
+def _times(rows: Floats, among: Floats) -> NDArray[np.int64]:
+    """Return (N,): how often each row (N, C) is among others (M, C)."""
+    _, inverse = np.unique(np.concatenate([rows, among]), axis=0, return_inverse=True)
+    group = inverse.ravel()
+    times: NDArray[np.int64] = np.bincount(group[len(rows) :], minlength=group.max(initial=0) + 1)
+    return times[group[: len(rows)]]
+
+
+def repeats(option: LearnedOption, domain: ActableDomain, run: Demonstration) -> bool:
+    """Return whether an option would make a run again that the person judged."""
+    rows = run.feature_rows
+    starts = bool(option.can_start(rows[:1])[0])
+    if not run.actions or not starts:
+        return starts == bool(run.actions)
+    actions = [action_index(domain, name) for name in run.actions]
+    ends = option.ends(rows[1:])
+    ended = run.stopped or run.terminated or ends[-1]
+    return bool(ended and not ends[:-1].any() and (option.action(rows[:-1]) == actions).all())
 
 
 def find_failures(
@@ -45,60 +154,106 @@ def find_failures(
     """
     Run the option from every state of a deterministic domain.
 
-    An end counts as demonstrated if a demonstration ended in a state with equal features: a taxi
-    that drops its passenger at the wrong place has reached an end, but not a demonstrated one. If
-    most demonstrations ended with the task over and one did not, or vice versa, its end may be a
-    slip and counts only if repeated. A planned policy (``goal.py``) takes the best path to the end
-    most similar to the demonstrated ones, so each of its ends counts.
+    A taxi that drops its passenger at the wrong place has reached an end, but not one like the
+    demonstrated ones (``ends_like_shown``). A planned policy (``goal.py``) takes the best path to
+    the end most similar to the demonstrated ones; an end of another look is not known to be right,
+    but may be, unless the person called it wrong. Its paths are never longer than necessary.
 
-    :param demonstrations: those from which the option was learned.
+    :param demonstrations: those from which the option was learned, and the judged runs.
     :raises OptionError: the option was not learned in this domain.
     """
-    transitions, over = domain.transitions(), domain.over()
+    transitions, over, rows = domain.transitions(), domain.over(), domain.feature_table()
     table = tabulate(option, domain)
-    times_shown, known_end = _shown(option, domain, demonstrations)
-    planned = option.method == GOAL
-    known_end |= planned
+    known, possible = _ends_of(option, domain, demonstrations)
     runs = rollouts_from_everywhere(domain, table)
     successor = transitions.successor[:, :, 0]
     ends = (table.termination | over)[successor] | transitions.terminated[:, :, 0]
-    distance, nearer = distance_to(
-        transitions, ends & known_end[successor] & ~over[:, None], ~over
-    )
+    distance, nearer = distance_to(transitions, ends & possible[successor] & ~over[:, None], ~over)
     askable = reachable(domain) & ~over
     candidate = askable & table.initiation
-    reached = runs.reached & known_end[runs.final]
-    doubt = uncertain(option, domain.feature_table(), demonstrations)
+    reached = runs.reached & possible[runs.final]
+    times_shown = _times_visited(option, domain, shown(demonstrations))
+    called_right = [demo for demo in judged(demonstrations) if demo.right]
+    longer = candidate & reached & (runs.steps > distance) & (option.method != GOAL)
+    longer &= _times_visited(option, domain, called_right) == 0
     return Failures(
         candidate=candidate,
         stuck=candidate & ~reached,
-        detour=candidate
-        & reached
-        & (runs.steps > distance)
-        & (times_shown < MEANT)
-        & (not planned),
-        doubt=askable & doubt,
+        unconfirmed=candidate & reached & ~known[runs.final],
+        detour=longer & (times_shown < MEANT),
+        meant=longer & (times_shown >= MEANT),
+        too_long=longer & (runs.steps > TOO_LONG * distance),
+        doubt=askable & uncertain(option, rows, demonstrations),
         times_shown=times_shown,
         distance=distance,
         nearer=nearer,
         shortfall=np.where(
             reached, _best_return(domain, distance, nearer) - runs.total_reward, np.inf
         ),
+        final=runs.final,
     )
 
 
-def largest_shortfall(
-    option: LearnedOption,
-    domain: EnumerableDomain,
-    demonstrations: Sequence[Demonstration],
-) -> float:
-    """
-    Return the largest shortfall over all states where an option can start, in reward units.
+def _ends_of(
+    option: LearnedOption, domain: EnumerableDomain, demonstrations: Sequence[Demonstration]
+) -> tuple[Flags, Flags]:
+    """Return (S,): whether an end in each state is known to be right, and whether it may be."""
+    parts = option.features, demonstrations, domain.feature_table(), domain.over()
+    known = ends_like_shown(domain, *parts)
+    return known, known | ((option.method == GOAL) & ~ends_called_wrong(domain, *parts))
 
-    :return: infinite if it reaches no demonstrated end from some state, or can start nowhere.
+
+def successes_by_chance(
+    option: LearnedOption, domain: EnumerableDomain, demonstrations: Sequence[Demonstration]
+) -> tuple[Flags, Flags, Flags]:
     """
-    found = find_failures(option, domain, demonstrations)
-    return float(found.shortfall[found.candidate].max()) if found.candidate.any() else np.inf
+    Return where an option can start, and where it succeeds, if actions have several outcomes.
+
+    From each state, the chance that its run reaches an end like the shown ones, and the number of
+    steps if it does, are compared with those of the best policy. Both follow from the transitions.
+
+    :return: (S,) candidates as in ``Failures``; whether the chance is almost the largest one, in
+        at most twice the steps; and whether it is if all ends of a planned policy are right.
+    """
+    table, over, tabular = domain.transitions(), domain.over(), tabulate(option, domain)
+    candidate = reachable(domain) & ~over & tabular.initiation
+    found = []
+    for right in _ends_of(option, domain, demonstrations):
+        goal = right[table.successor] & (table.probability > 0)
+        _, optimal = best_paths(table, goal, ~over, MAX_GAMMA)
+        best, fewest = _chance_and_steps(domain, optimal.argmax(axis=1), right, right)
+        ends = tabular.termination
+        chance, steps = _chance_and_steps(domain, tabular.action, ends, right)
+        good = (best > 0) & (chance >= AS_LIKELY * best) & (steps <= TOO_LONG * fewest)
+        found.append(candidate & good)
+    return candidate, found[0], found[1]
+
+
+def _chance_and_steps(
+    domain: EnumerableDomain, action: Ints, ends: Flags, right: Flags
+) -> tuple[Floats, Floats]:
+    """
+    Return the chance that a run reaches a right end, and its mean steps if it does, (S,) each.
+
+    :param action: (S,) of its policy.
+    :param ends: (S,) where it ends, besides where the task is over.
+    """
+    from scipy.sparse import csc_array, eye_array  # slow to import
+    from scipy.sparse.linalg import splu
+
+    table, states = domain.transitions(), np.arange(domain.n_states)
+    taken = states, action
+    successor, probability = table.successor[taken], table.probability[taken]
+    ended = (ends | domain.over())[successor] | table.terminated[taken]
+    arrives = MAX_GAMMA * (probability * (ended & right[successor])).sum(axis=1)
+    origin = np.broadcast_to(states[:, None], successor.shape)
+    goes_on = csc_array(
+        ((probability * ~ended).ravel(), (origin.ravel(), successor.ravel())),
+        shape=(domain.n_states, domain.n_states),
+    )
+    solve = splu(eye_array(domain.n_states, format='csc') - MAX_GAMMA * goes_on).solve
+    chance: Floats = solve(arrives)  # a little less per step, so that every run comes to an end
+    return chance, solve(chance) / np.maximum(chance, np.finfo(float).tiny)
 
 
 def _best_return(domain: EnumerableDomain, distance: NDArray[np.int32], nearer: Flags) -> Floats:
@@ -118,10 +273,16 @@ def uncertain(option: LearnedOption, rows: Rows, demonstrations: Sequence[Demons
     Return (N,): whether rows (N, F) are outside I without evidence.
 
     They were not demonstrated, and their leaf of the tree has fewer than ``REFUSALS`` distinct
-    "not here" answers: it is negative mainly because of ends of the option.
+    "not here" answers, or answers that it rightly does not start: it is negative mainly because of
+    ends of the option.
     """
     seen = np.unique(_encoded(option, [demo.feature_rows for demo in demonstrations]), axis=0)
-    refusals = [demo.feature_rows for demo in demonstrations if demo.kind is Kind.NOT_HERE]
+    refusals = [
+        demo.feature_rows
+        for demo in demonstrations
+        if demo.kind is Kind.NOT_HERE or (demo.kind is Kind.JUDGED and demo.right)
+        if not demo.actions
+    ]
     refused = np.unique(_encoded(option, [rows[:0], *refusals]), axis=0)
     answers = np.bincount(option.initiation.leaves(refused), minlength=len(option.initiation.left))
     X = _encoded(option, [rows])
@@ -134,24 +295,11 @@ def _encoded(option: LearnedOption, parts: Sequence[Rows]) -> NDArray[np.float32
     return encode_rows(option.encoding, np.concatenate(parts)) + np.float32(0)  # no -0.0
 
 
-def _shown(
-    option: LearnedOption,
-    domain: EnumerableDomain,
-    demonstrations: Sequence[Demonstration],
-) -> tuple[NDArray[np.int64], Flags]:
-    """Return the number of demonstrations per state and the demonstrated ends, (S,) each."""
+def _times_visited(
+    option: LearnedOption, domain: EnumerableDomain, runs: Sequence[Demonstration]
+) -> NDArray[np.int64]:
+    """Return (S,): how many runs visit a state with equal chosen features."""
     chosen = feature_columns(domain, option.features)
     table = stacked(chosen, domain.feature_table())
-    rows = stacked(chosen, np.concatenate([demo.feature_rows for demo in demonstrations]))
-    lengths = [len(demo.states) for demo in demonstrations]
-    source = np.repeat(np.arange(len(demonstrations)), lengths)
-    _, inverse = np.unique(np.concatenate([table, rows]), axis=0, return_inverse=True)
-    group = inverse.ravel()
-    of_state, of_row, size = group[: len(table)], group[len(table) :], group.max() + 1
-    once = np.unique(np.stack([of_row, source]), axis=1)[0]  # per demonstration
-    trajectory = np.array([demo.kind is Kind.TRAJECTORY for demo in demonstrations])
-    ends = of_row[np.cumsum(lengths) - 1][trajectory]
-    times_ended = np.bincount(ends, minlength=size)[of_state]
-    mostly_over = np.mean([demo.terminated for demo in demonstrations if demo.actions]) > 0.5
-    known_end = times_ended >= np.where(domain.over() == mostly_over, 1, 2)
-    return np.bincount(once, minlength=size)[of_state], known_end
+    visited = [np.unique(stacked(chosen, run.feature_rows), axis=0) for run in runs]
+    return _times(table, np.concatenate([table[:0], *visited]))

@@ -1,23 +1,33 @@
 """
-Three stopping criteria for teaching an option, by ten-fold cross-validation.
+Stopping criteria for teaching an option: how it does from starts that were never demonstrated.
 
 The paper (section 6) compares the return of the learned policy with that of the demonstrations,
-and uses the cross-validation error of I and beta. Here folds are grouped by demonstration, because
-rows of one trajectory on both sides would hide errors, and the return is held out as well: each
-option runs from the starts of the demonstrations that it was not trained on. With chance, returns
-vary randomly: the criterion is met if the upper confidence limit of the shortfall is small enough,
-so few or noisy demonstrations do not meet it.
+and uses the cross-validation error of I and beta. Here each world gives the strongest evidence
+that it can.
 
-The threshold depends on the game: a shortfall of two is large if all returns are between 0 and 1.
-By default it is a tenth of the range between the demonstrated return and that of random actions,
-which run from the same starts as the held-out option, with the same ends and the same maximum
-number of steps. If random actions return as much as the demonstrations, there is no range: the
-criterion cannot be measured, and is not met.
+*Success* is the share of starts from which the option reaches an end like a demonstrated one
+(``ends_like_shown``). If all states can be listed, it is exact: the option runs from all starts,
+or its chances are computed where actions have several outcomes. If the world can only be simulated
+or replayed, fresh starts are drawn the way the task draws them, and the lower limit of the share
+decides (Wilson 1927). A world that can only be acted in gives *agreement* instead: the share of
+held-out demonstrations that the option would repeat. Without chance, *imitation* is required, too:
+from the start of a demonstration, the option must reach the end of that demonstration, and not
+only an end of some demonstration.
 
-Start states chosen because the option fails there bias the held-out return downwards. If all
-states can be listed and there is no chance, the return from every start is known: the return
-criterion is also met if the option reaches a demonstrated end from every state where it can start,
-and never falls short of the best path by more than the threshold (``failures.py``).
+Folds are grouped by demonstration, because rows of one trajectory on both sides would hide errors.
+The *return* is held out as well: each option runs from the starts of the demonstrations that it
+was not trained on. Its shortfall is a share of the range between the demonstrated return and that
+of random actions, which run from the same starts, with the same ends and the same maximum number
+of steps. If random actions return as much, there is no range, and no return to measure. Start
+states chosen because the option fails there bias the held-out return downwards. If all states can
+be listed and there is no chance, the criterion is also met if no run falls short of the best path
+by more than the threshold.
+
+*Termination* counts demonstrations, because an error balanced over rows hides that one run of five
+ends in the wrong place. A criterion that cannot fail is not measurable.
+
+Limits hold for all looks in a lesson (``level_of_look``): an option that is tried after every
+demonstration is not called good by luck.
 """
 
 from collections.abc import Callable, Sequence
@@ -26,25 +36,57 @@ import math
 from typing import Any
 
 from humanopts_env.arrays import Flags, Floats, Ints, Rows
-from humanopts_env.domains.base import ActableDomain, action_index, Domain
+from humanopts_env.domains.base import ActableDomain, action_index, Domain, is_enumerable
 from humanopts_env.domains.described import can_simulate
+from humanopts_env.domains.formulas import stacked
+from humanopts_env.domains.replayed_domain import ReplayedDomain
+from humanopts_env.games import HasGames
 from humanopts_env.seeding import generator
-from humanopts_learner.demonstrations import Demonstration, GOAL, Kind
-from humanopts_learner.intervals import Interval
-from humanopts_learner.option import RandomActions
+from humanopts_learner.demonstrations import Demonstration, judged, Kind
+from humanopts_learner.intervals import Interval, level_of_look, runs_needed
+from humanopts_learner.option import Option, RandomActions
 from humanopts_learner.options.conflicts import find_conflicts
 from humanopts_learner.options.exam import before_exam, with_verdicts
-from humanopts_learner.options.failures import largest_shortfall
-from humanopts_learner.options.learn import Dataset, Examples, fit_option, make_dataset
-from humanopts_learner.options.learned_option import LearnedOption, MEMBER
-from humanopts_learner.options.rollout import is_deterministic, rollouts, run_once
+from humanopts_learner.options.failures import (
+    ends_called_wrong,
+    ends_like_shown,
+    Failures,
+    find_failures,
+    repeats,
+    successes_by_chance,
+)
+from humanopts_learner.options.learn import (
+    Dataset,
+    Examples,
+    fit_leave_fold_out,
+    fit_option,
+    fold_of,
+    learn_option,
+    make_dataset,
+)
+from humanopts_learner.options.learned_option import LearnedOption, loops_of, MEMBER
+from humanopts_learner.options.rollout import (
+    is_deterministic,
+    Rollouts,
+    rollouts,
+    run_once,
+    without_chance,
+)
+from humanopts_learner.options.starts import fresh_starts
 from humanopts_learner.summary import (
+    AGREEMENT,
     Criterion,
+    EVERY_START,
+    IMITATION,
     INITIATION,
+    NO_OTHER_END,
     NO_RANGE,
-    NO_RULES,
+    NO_REFUSAL,
     OptionSummary,
+    RECORDED,
     RETURN,
+    SAMPLED_STARTS,
+    SUCCESS,
     TERMINATION,
     UNKNOWN,
     unmeasured,
@@ -52,41 +94,83 @@ from humanopts_learner.summary import (
 import numpy as np
 from numpy.typing import NDArray
 
-FOLDS = 10
-MIN_TRAJECTORIES = FOLDS  # minimum for any criterion to be measurable
-MIN_TO_A_GOAL = 3  # if the policy is planned: only I, beta and goal are learned
-LEVEL = 0.9  # two-sided: the shortfall is above the upper limit in 5 of 100 cases
+MIN_HELD_OUT = 3  # trajectories, for held-out criteria
 CUT_OFF = 2  # maximum length of a held-out run, relative to its demonstration
-SHARE = 0.1  # default threshold of the shortfall, relative to the range of returns
+LONGEST = 4  # maximum length of a run from a fresh start, relative to the longest demonstration
+SPARE = 1.5  # runs from fresh starts, relative to the fewest that could meet the threshold
+AMPLE = 3  # the same, where many games are played side by side
+MAX_RUNS = 2000  # from fresh starts
+REPEATED = 0.5  # smallest share of recorded demonstrations that the option would repeat
+OTHER_END = 0.2  # largest share of demonstrations with another end; one of five may be a slip
 RANDOM_RUNS = 200  # minimum over all starts
 RANDOM_RUNS_EACH = 10  # minimum per start
+RANGE_LEVEL = 0.9  # two-sided: the range is below the lower limit in 5 of 100 cases
 ONE_SIDED = 1.645  # standard errors below the range with 5 % confidence
 ROUNDING = 1e-9  # reward units
 
 
 @dataclass(frozen=True, slots=True)
 class Thresholds:
-    """The largest values that meet the criteria."""
+    """The values that meet the criteria."""
 
-    return_delta: float | None = None  # shortfall of the return, reward units; None: by the range
-    initiation_error: float = 0.05  # balanced error, 0..1
-    termination_error: float = 0.05  # balanced error, 0..1
+    success: float = 0.95  # smallest share of starts, 0..1
+    return_share: float = 0.1  # largest shortfall of the return, as a share of its range
+    initiation_error: float = 0.05  # largest balanced error, 0..1
+    termination_error: float = 0.05  # largest share of demonstrations, 0..1
     exam: int = 5  # runs of the first exam, all of which must be right; 0: no exam
 
     def __post_init__(self) -> None:
         """
         Check the values.
 
-        :raises ValueError: a value is not finite, or an error is not in 0..1.
+        :raises ValueError: the share of the return is not finite, or another value not in 0..1.
         """
         if self.exam < 0:
             raise ValueError(f'an exam has 0 or more runs, not {self.exam}')
-        errors = self.initiation_error, self.termination_error
-        if not math.isfinite(self.return_delta or 0.0) or not all(0 <= e <= 1 for e in errors):
+        shares = self.success, self.initiation_error, self.termination_error
+        if not math.isfinite(self.return_share) or not all(0 <= each <= 1 for each in shares):
             raise ValueError(
-                'thresholds are a number of reward units and two errors from 0 to 1, '
-                f'not {self.return_delta}, {errors[0]}, {errors[1]}'
+                'thresholds are a share of starts, a share of the range of returns and two '
+                f'errors, from 0 to 1, not {self.success}, {self.return_share}, {shares[1]}, '
+                f'{shares[2]}'
             )
+
+
+@dataclass(frozen=True)
+class _Look:
+    """What the criteria are measured from after one demonstration."""
+
+    data: Dataset
+    option: LearnedOption  # learned from all of the data
+    judged: Sequence[Demonstration]  # the data and the runs that the person judged
+    others: Sequence[Option]
+    seed: int
+
+    @property
+    def level(self) -> float:
+        """Confidence level of limits."""
+        return level_of_look(max(self.data.demonstrations[-1].number, 1))
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """The demonstrations, each with an option learned without it."""
+
+    data: Dataset
+    folds: Ints  # (D,) of all demonstrations
+    of_fold: Sequence[LearnedOption]
+
+    @property
+    def options(self) -> list[LearnedOption]:
+        """The option of each trajectory."""
+        fold = self.folds[[demo.kind is Kind.TRAJECTORY for demo in self.data.demonstrations]]
+        return [self.of_fold[f] for f in fold.tolist()]
+
+    @classmethod
+    def of(cls, data: Dataset, domain: ActableDomain, seed: int) -> 'HeldOut':
+        """Relearn an option without each fold."""
+        folds = fold_of(data, seed)
+        return cls(data, folds, fit_leave_fold_out(data, folds, domain, seed))
 
 
 def judge(
@@ -95,37 +179,76 @@ def judge(
     thresholds: Thresholds,
     seed: int,
     option: LearnedOption | None = None,
+    others: Sequence[Option] = (),
 ) -> OptionSummary:
     """
     Evaluate the stopping criteria of an option.
 
-    The return cannot be measured in a domain that cannot be simulated.
-
-    :param demonstrations: checked demonstrations and judged runs of one participant and option.
+    :param demonstrations: checked demonstrations of one participant and option, with the runs that
+        the person judged.
     :param option: result of ``learn_option`` with the same arguments; None: learn it here.
+    :param others: in a replayed domain, the options that lead to the starts of this one
+        (``taught_before``).
     :raises NotLearnableError: as ``learn_option``.
     """
     everything, demonstrations = demonstrations, before_exam(demonstrations)
     data = make_dataset(demonstrations, domain)
     option = option or fit_option(data, domain, seed)
-    shown = np.array([demo.total_reward for demo in data.trajectories])
-    known, gain, mean_return = None, UNKNOWN, math.nan
+    look = _Look(data, option, demonstrations, others, seed)
+    demos, criteria, evidence = data.trajectories, list[Criterion](), RECORDED
+    returns = np.array([demo.total_reward for demo in demos])
+    enough = len(demos) >= MIN_HELD_OUT
+    held_out = HeldOut.of(data, domain, seed) if enough else None
+    gain, mean_return, ends = UNKNOWN, math.nan, (0, 0, 0)
     if can_simulate(domain):
-        keys = [f'in-sample {demo.uuid}' for demo in data.trajectories]
-        returns = rollouts(option, domain, _starts(data, domain), seed, keys).total_reward
-        gain, mean_return = Interval.of_difference(returns, shown), float(returns.mean())
-        if option.method != GOAL and is_deterministic(domain):
-            known = largest_shortfall(option, domain, demonstrations)
-    criteria = _criteria(data, domain, thresholds, seed, option, known)
-    waits = known is not None and not criteria[0].met  # no estimate of when it will be met
+        known = None
+        if is_deterministic(domain):
+            known = find_failures(option, domain, demonstrations)
+        success, evidence = _success(look, domain, thresholds.success, known)
+        keys = [f'in-sample {demo.uuid}' for demo in demos]
+        in_sample = rollouts(option, domain, _starts(demos, domain), seed, keys)
+        gain = Interval.of_difference(in_sample.total_reward, returns)
+        mean_return = float(in_sample.total_reward.mean())
+        criteria.append(success)
+        if without_chance(domain):
+            criteria.append(_imitation(look, domain, in_sample))
+        criteria.append(_return(look, domain, thresholds.return_share, held_out, known))
+    else:
+        criteria.append(_agreement(look, domain, held_out))
+    errors: list[float | None] = [None, None]
+    if held_out is not None:
+        ends = _held_out_ends(held_out, domain, seed)
+        initiation = [each.can_start for each in held_out.of_fold]
+        errors = [
+            balanced_error(data.initiation, initiation, held_out.folds),
+            sum(ends) / len(demos),
+        ]
+    obstacles = ['', '']
+    asked = [demo.can_start_at_end for demo in demos if not demo.terminated]
+    if enough and ((bool(asked) and all(asked)) or data.ends_with_task) and errors[0] is None:
+        obstacles[0] = NO_REFUSAL
+    if data.ends_with_task and not (data.termination.labels == MEMBER).any():
+        errors[1], obstacles[1] = None, NO_OTHER_END
+    for name, error, obstacle, threshold in zip(
+        (INITIATION, TERMINATION),
+        errors,
+        obstacles,
+        (thresholds.initiation_error, thresholds.termination_error),
+    ):
+        found = Criterion.of(name, error, threshold, count=len(demos))
+        criteria.append(replace(found, obstacle=obstacle))
     conflicts, suggested = find_conflicts(data, domain)
     summary = replace(
         unmeasured(data.demonstrations),
         features=data.features,
-        criteria=criteria,
-        mean_return_demonstrations=float(shown.mean()),
+        criteria=tuple(criteria),
+        evidence=evidence,
+        ended_early=ends[0],
+        ended_late=ends[1],
+        ended_never=ends[2],
+        mean_return_demonstrations=float(returns.mean()),
         mean_return_policy=mean_return,
-        more_needed=-1 if waits else more_needed(criteria, len(shown)),
+        more_needed=more_needed(criteria, len(demos)),
         conflicts=conflicts,
         suggested_feature=suggested,
         gain=gain,
@@ -133,30 +256,62 @@ def judge(
     return with_verdicts(summary, everything, thresholds.exam)
 
 
-def _starts(data: Dataset, domain: Domain) -> list[Any]:
-    return [domain.decode(demo.states[0]) for demo in data.trajectories]
+def taught_before(
+    name: str, demonstrations: Sequence[Demonstration], domain: ActableDomain, seed: int
+) -> list[LearnedOption]:
+    """
+    Return the options of a participant that lead to the starts of an option: those before it.
+
+    They are learned from what was shown before its first demonstration, so the criteria do not
+    depend on what is shown of them later.
+
+    :param demonstrations: all those of the participant, in order.
+    :return: none unless the domain is replayed.
+    """
+    if not isinstance(domain, ReplayedDomain):
+        return []
+    groups: dict[str, list[Demonstration]] = {}
+    for demo in demonstrations:
+        if demo.option_name == name:
+            break
+        if not demo.withdrawn:
+            groups.setdefault(demo.option_name, []).append(demo)
+    return [
+        learn_option(demos, domain, seed)
+        for demos in groups.values()
+        if any(demo.kind is Kind.TRAJECTORY for demo in demos)
+    ]
+
+
+def _starts(demos: Sequence[Demonstration], domain: Domain) -> list[Any]:
+    return [domain.decode(demo.states[0]) for demo in demos]
 
 
 def more_needed(criteria: Sequence[Criterion], n_demonstrations: int) -> int:
     """
     Estimate the number of further demonstrations needed to meet all criteria.
 
-    Held-out errors come from situations in only one demonstration, whose share decreases roughly
-    as 1 / n: a value of twice its threshold needs about n more. The distance from the value to its
-    upper limit decreases as 1 / sqrt(n).
+    Errors come from situations in only one demonstration, whose share decreases roughly as 1 / n:
+    a value of twice its threshold needs about n more. The distance from the value to its limit
+    decreases as 1 / sqrt(n).
 
     :return: 0: none; -1: unknown, because a criterion is not measurable or its threshold is not
-        above the limit of the value.
+        above the limit of the value, or because its value is exact.
     """
     times = 1.0
     for criterion in criteria:
-        if criterion.met:
+        if criterion.met or criterion.obstacle:
             continue
         if criterion.value is None or criterion.threshold is None:
             return -1
-        high = criterion.value if criterion.high is None else criterion.high
-        width, falling = high - criterion.value, max(criterion.value, 0.0)
-        room = criterion.threshold - min(criterion.value, 0.0)
+        value, threshold, high = criterion.value, criterion.threshold, criterion.limit
+        if criterion.at_least:
+            if high is None:
+                return -1
+            value, threshold, high = 1 - value, 1 - threshold, 1 - high
+        high = value if high is None else high
+        width, falling = high - value, max(value, 0.0)
+        room = threshold - min(value, 0.0)
         if room <= 0:
             return -1
         # With x = 1 / sqrt(times), solve falling * x**2 + width * x = room.
@@ -178,86 +333,172 @@ def likely_range(more: int) -> tuple[int, int]:
     return max(1, more // 4), 3 * more
 
 
-def _criteria(
-    data: Dataset,
-    domain: ActableDomain,
-    thresholds: Thresholds,
-    seed: int,
-    option: LearnedOption,
-    known: float | None,
-) -> tuple[Criterion, ...]:
+def _success(
+    look: _Look, domain: Domain, threshold: float, known: Failures | None
+) -> tuple[Criterion, str]:
     """
-    Return the three criteria.
+    Return the criterion of success, and its evidence.
 
-    :param option: option learned from all of the data.
-    :param known: largest shortfall from any state; None: unknown.
+    :param known: outcomes from all states; None: there is chance, or they cannot be listed.
     """
-    delta, shortfall = thresholds.return_delta, None
-    obstacle = '' if can_simulate(domain) else NO_RULES
-    if len(data.trajectories) < min_trajectories(data.method):
-        initiation_error, termination_error = None, None
+    if known is not None:
+        found = [flags[known.candidate] for flags in (known.right, known.possible)]
+    elif is_enumerable(domain):
+        candidate, *outcomes = successes_by_chance(look.option, domain, look.judged)
+        found = [outcome[candidate] for outcome in outcomes]
     else:
-        if delta is None and can_simulate(domain):
-            found = return_range(data, domain, option, seed)
-            obstacle, delta = (NO_RANGE, None) if found is None else ('', SHARE * found)
-        folds = fold_of(data, seed)
-        options = fit_leave_fold_out(data, folds, domain, seed)
-        initiation = [option.can_start for option in options]
-        termination = [option.ends for option in options]
-        if can_simulate(domain) and not obstacle:
-            shortfall = held_out_shortfall(data, domain, options, folds, seed)
-        asked = [demo.can_start_at_end for demo in data.trajectories if not demo.terminated]
-        anywhere = (bool(asked) and all(asked)) or data.ends_with_task
-        initiation_error = balanced_error(data.initiation, initiation, folds, anywhere)
-        termination_error = balanced_error(
-            data.termination, termination, folds, data.ends_with_task
+        right = _from_fresh_starts(look, domain, threshold)
+        share = Interval.of_share(right, look.level)
+        mean, low = (share.mean, share.low) if len(right) else (0.0, 0.0)
+        return Criterion.of(SUCCESS, mean, threshold, low, len(right)), SAMPLED_STARTS
+    count = len(found[0])
+    value, possible_value = (float(flags.mean()) if count else 0.0 for flags in found)
+    criterion = Criterion.of(SUCCESS, value, threshold, None, count, possible_value)
+    return criterion, EVERY_START
+
+
+def _from_fresh_starts(look: _Look, domain: Domain, threshold: float) -> Flags:
+    """
+    Return (N,): whether the option reaches an end like a demonstrated one from fresh starts.
+
+    The fewest runs that meet the threshold suffice if all of them are right. Otherwise there are
+    some to spare, unless the limit cannot reach the threshold any more.
+    """
+    option, data, level = look.option, look.data, look.level
+    fewest = MAX_RUNS if threshold == 1 else min(runs_needed(threshold, level), MAX_RUNS)
+    side_by_side = isinstance(domain, HasGames) and not isinstance(domain, ReplayedDomain)
+    total = min(math.ceil((AMPLE if side_by_side else SPARE) * fewest), MAX_RUNS)
+    longest = LONGEST * max(len(demo.actions) for demo in data.trajectories)
+    steps = min(option.max_steps, longest)
+    rng = generator(look.seed, 'fresh starts', option.name, data.demonstrations[-1].uuid)
+    found = np.zeros(0, dtype=np.bool_)
+    for group in fresh_starts(option, domain, rng, look.others):
+        missing = (fewest if found.all() else total) - len(found)
+        if not (states := group[:missing]):
+            continue
+        count = len(states)
+        runs = run_once(
+            domain,
+            states,
+            [option],
+            np.zeros(count, dtype=np.intp),
+            np.full(count, steps),
+            rng,
+            loops_of(domain, [option], count, None),
         )
-    mean, high = (shortfall.mean, shortfall.high) if shortfall else (None, None)
-    if shortfall and known is not None and delta is not None and known <= delta:
-        mean = high = known
-    return (
-        replace(Criterion.of(RETURN, mean, delta, high), obstacle=obstacle),
-        Criterion.of(INITIATION, initiation_error, thresholds.initiation_error),
-        Criterion.of(TERMINATION, termination_error, thresholds.termination_error),
-    )
+        parts = domain, data.features, look.judged, runs.rows, runs.over
+        found = np.append(
+            found, runs.reached & ends_like_shown(*parts) & ~ends_called_wrong(*parts)
+        )
+        best = np.append(found, np.ones(total - len(found), dtype=np.bool_))
+        enough = len(found) == (fewest if found.all() else total)
+        if enough or Interval.of_share(best, level).low < threshold:
+            break
+    return found
 
 
-def min_trajectories(method: str) -> int:
-    """Return the minimum number of trajectories for measurable criteria."""
-    return MIN_TO_A_GOAL if method == GOAL else MIN_TRAJECTORIES
-
-
-def fold_of(data: Dataset, seed: int) -> Ints:
+def _imitation(look: _Look, domain: Domain, in_sample: Rollouts) -> Criterion:
     """
-    Return (D,): the fold of each demonstration, with ten folds or one per demonstration.
+    Return the criterion of imitation, in a domain without chance.
 
-    Demonstrations are ranked by draws keyed by seed, option and uuid, and dealt out in that order,
-    separately for trajectories and "not here" answers, so fold sizes differ by at most one.
+    If the option would repeat a run that the person called wrong, its value is 1.
     """
-    demos = data.demonstrations
-    draws = np.array(
-        [generator(seed, 'fold', demo.option_name, demo.uuid).random() for demo in demos]
-    )
-    not_here = np.array([demo.kind is Kind.NOT_HERE for demo in demos])
-    folds = np.empty(len(demos), dtype=np.int64)
-    folds[np.lexsort((draws, not_here))] = np.arange(len(demos)) % FOLDS
-    return folds
+    demos, data = look.data.trajectories, look.data
+    same = in_sample.reached & (in_sample.over == [demo.terminated for demo in demos])
+    if is_enumerable(domain):
+        ends = np.stack([demo.feature_rows[-1] for demo in demos])
+        same &= (stacked(data.chosen, in_sample.rows) == stacked(data.chosen, ends)).all(axis=1)
+    else:
+        parts = look.judged, in_sample.rows, in_sample.over
+        same &= ends_like_shown(domain, data.features, *parts)
+    wrong = [run for run in judged(look.judged) if not run.right]
+    again = any(repeats(look.option, domain, run) for run in wrong)
+    value = 1.0 if again else 1 - float(same.mean())
+    return Criterion.of(IMITATION, value, OTHER_END, count=len(demos))
 
 
-def fit_leave_fold_out(
-    data: Dataset, folds: Ints, domain: ActableDomain, seed: int
-) -> list[LearnedOption]:
-    """Return the options learned without fold 0, 1, ...; needs two or more trajectories."""
-    return [fit_option(data.of(folds != fold), domain, seed) for fold in range(folds.max() + 1)]
-
-
-def held_out_shortfall(
-    data: Dataset,
+def _return(
+    look: _Look,
     domain: Domain,
-    options: Sequence[LearnedOption],
-    folds: Ints,
-    seed: int,
-) -> Interval:
+    threshold: float,
+    held_out: HeldOut | None,
+    known: Failures | None,
+) -> Criterion:
+    """Return the criterion of the return."""
+    data, count = look.data, len(look.data.trajectories)
+    if held_out is None:
+        return Criterion.of(RETURN, None, threshold, count=count)
+    span = return_range(data, domain, look.option, look.seed)
+    if span is None:
+        return replace(Criterion.of(RETURN, None, threshold, count=count), obstacle=NO_RANGE)
+    if known is not None and known.candidate.any():
+        largest = float(known.shortfall[known.candidate].max()) / span
+        if largest <= threshold:
+            return Criterion.of(RETURN, largest, threshold, count=count)
+    found = held_out_shortfall(held_out, domain, look.seed, look.level)
+    mean, high = found.mean / span, found.high / span
+    return Criterion.of(RETURN, mean, threshold, high, count)
+
+
+def _agreement(look: _Look, domain: ActableDomain, held_out: HeldOut | None) -> Criterion:
+    """
+    Return the criterion of agreement, in a domain that can only be acted in.
+
+    An option would repeat a demonstration if it can start there, ends with it, and takes most of
+    its actions: runs with several wrong actions may still reach their end.
+    """
+    if held_out is None:
+        return Criterion.of(AGREEMENT, None, REPEATED, count=len(look.data.trajectories))
+    repeated = []
+    for option, demo in zip(held_out.options, look.data.trajectories):
+        rows = demo.feature_rows
+        actions = [action_index(domain, name) for name in demo.actions]
+        most = (option.action(rows[:-1]) == actions).mean() > 0.5
+        ends = _ends_along(option, demo)
+        repeated.append(
+            option.can_start(rows[:1])[0] and most and ends.argmax() == len(actions) > 0
+        )
+    share = Interval.of_share(np.array(repeated), look.level)
+    return Criterion.of(AGREEMENT, share.mean, REPEATED, share.low, len(repeated))
+
+
+def _ends_along(option: LearnedOption, demo: Demonstration) -> Flags:
+    """Return (T + 1,): whether an option ends in each state of a demonstration."""
+    ends = option.ends(demo.feature_rows)
+    ends[0] = False  # not checked before the first step
+    ends[-1] |= demo.terminated
+    return ends
+
+
+def _held_out_ends(held_out: HeldOut, domain: ActableDomain, seed: int) -> tuple[int, int, int]:
+    """
+    Return the numbers of demonstrations in which the option ends early, late and never.
+
+    An option that does not end with the demonstration goes on, for as many steps as it took, where
+    the domain can be simulated. Elsewhere it counts as never ending.
+    """
+    early, missed = 0, []
+    for option, demo in zip(held_out.options, held_out.data.trajectories):
+        ends = _ends_along(option, demo)
+        early += bool(ends[:-1].any())
+        if not ends.any():
+            missed.append((option, demo))
+    late = 0
+    if missed and can_simulate(domain):
+        options, demos = zip(*missed)
+        runs = rollouts(
+            options,
+            domain,
+            [domain.decode(demo.states[-1]) for demo in demos],
+            seed,
+            [f'after {demo.uuid}' for demo in demos],
+            max_steps=np.array([len(demo.actions) for demo in demos]),
+        )
+        late = int(runs.reached.sum())
+    return early, late, len(missed) - late
+
+
+def held_out_shortfall(held_out: HeldOut, domain: Domain, seed: int, level: float) -> Interval:
     """
     Return the mean of demonstrated return - return of the policy trained without it.
 
@@ -270,17 +511,16 @@ def held_out_shortfall(
     Student's t. Without chance, the limits are the mean itself, and exceeding one demonstration
     does not compensate for falling short of another.
     """
-    demos, limit = data.trajectories, held_out_limits(data, options[0])
-    fold = folds[[demo.kind is Kind.TRAJECTORY for demo in data.demonstrations]]
-    held_out = [options[f] for f in fold.tolist()]
+    options, demos = held_out.options, held_out.data.trajectories
+    limit = held_out_limits(held_out.data, options[0])
     lengths = np.array([len(demo.actions) for demo in demos])
-    steps, reached = _follow(held_out, demos, domain)
+    steps, reached = _follow(options, demos, domain)
     over = reached & (steps == lengths) & [demo.terminated for demo in demos]
     returns = np.array([math.fsum(demo.rewards[:n]) for demo, n in zip(demos, steps.tolist())])
     on = np.flatnonzero(~reached & (steps < limit))
     if on.size:
         runs = rollouts(
-            [held_out[run] for run in on],
+            [options[run] for run in on],
             domain,
             [domain.decode(demos[run].states[steps[run]]) for run in on],
             seed,
@@ -292,9 +532,9 @@ def held_out_shortfall(
         reached[on], over[on] = runs.reached, runs.over
     returns += _cost_of_other_end(demos, reached, over, limit - steps)
     missing = [demo.total_reward for demo in demos] - returns
-    if is_deterministic(domain):
+    if without_chance(domain):
         return Interval(*[float(np.maximum(missing, 0.0).mean())] * 3)
-    return Interval.of(missing, LEVEL)
+    return Interval.of(missing, 2 * level - 1)  # one-sided
 
 
 def held_out_limits(data: Dataset, option: LearnedOption) -> NDArray[np.int64]:
@@ -337,7 +577,7 @@ def return_range(data: Dataset, domain: Domain, option: LearnedOption, seed: int
     rng = generator(seed, 'random actions', *key)
     played = run_once(
         domain,
-        _starts(data, domain) * runs,
+        _starts(demos, domain) * runs,
         [RandomActions(option, len(domain.actions), rng)],
         np.zeros_like(limit),
         limit,
@@ -347,8 +587,8 @@ def return_range(data: Dataset, domain: Domain, option: LearnedOption, seed: int
     total = played.total_reward
     total += _cost_of_other_end(demos * runs, played.reached, played.over, left)
     total = total.reshape(runs, len(demos))
-    found = Interval.of([demo.total_reward for demo in demos] - total.mean(axis=0), LEVEL)
-    if is_deterministic(domain):  # the demonstrated returns are exact
+    found = Interval.of([demo.total_reward for demo in demos] - total.mean(axis=0), RANGE_LEVEL)
+    if without_chance(domain):  # the demonstrated returns are exact
         error = math.sqrt(float(total.var(axis=0, ddof=1).sum()) / runs) / len(demos)
         found = replace(found, low=found.mean - ONE_SIDED * error)
     return found.mean if found.low > ROUNDING else None
@@ -366,29 +606,21 @@ def _follow(
     """
     steps, ended = np.zeros(len(demos), dtype=np.int64), np.zeros(len(demos), dtype=np.bool_)
     for index, (option, demo) in enumerate(zip(options, demos, strict=True)):
-        rows = demo.feature_rows
         shown = [action_index(domain, action) for action in demo.actions]
-        acts_otherwise = np.append(option.action(rows[:-1]) != shown, True)
-        ends = option.ends(rows)
-        ends[0] = False  # not checked before the first step
-        ends[-1] |= demo.terminated
+        acts_otherwise = np.append(option.action(demo.feature_rows[:-1]) != shown, True)
+        ends = _ends_along(option, demo)
         steps[index] = (acts_otherwise | ends).argmax()
         ended[index] = ends[steps[index]]
     return steps, ended
 
 
 def balanced_error(
-    examples: Examples,
-    predict: Sequence[Callable[[Rows], Flags]],
-    folds: Ints,
-    one_class: bool = False,
+    examples: Examples, predict: Sequence[Callable[[Rows], Flags]], folds: Ints
 ) -> float | None:
     """
-    Return the mean of the errors among members and among non-members.
+    Return the mean of the errors among members and among non-members; None: only one class.
 
     :param predict: for each fold, the prediction for rows (N, F) learned without it.
-    :param one_class: if there is only one class, the other cannot be demonstrated; return the
-        error in it, instead of None.
     """
     predicted = np.empty(len(examples.labels), dtype=np.bool_)
     fold_of_row = folds[examples.source]
@@ -396,4 +628,4 @@ def balanced_error(
         predicted[fold_of_row == fold] = says(examples.rows[fold_of_row == fold])
     member = examples.labels == MEMBER
     errors = [(predicted != member)[of].mean() for of in (member, ~member) if of.any()]
-    return float(np.mean(errors)) if one_class or len(errors) > 1 else None
+    return float(np.mean(errors)) if len(errors) > 1 else None

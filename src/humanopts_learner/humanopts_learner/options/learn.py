@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import compress
 
-from humanopts_env.arrays import Flags, Rows
+from humanopts_env.arrays import Flags, Ints, Rows
 from humanopts_env.domains.base import ActableDomain, action_index, is_enumerable
 from humanopts_env.domains.formulas import feature_columns, FeatureColumn, stacked
 from humanopts_env.domains.registry import parameters_json
@@ -44,6 +44,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 MAX_STEPS = 200  # per option run, if the domain has no step limit
+FOLDS = 10
 
 
 class NotLearnableError(ValueError):
@@ -251,3 +252,27 @@ def _fit(data: Dataset, examples: Examples, classes: Sequence[int], seed: int) -
     rng = generator(seed, 'tree', demo.participant, demo.option_name)
     X = encode_rows(data.encoding, examples.rows)
     return fit_tree(X, examples.labels, classes, int(rng.integers(2**31)))
+
+
+def fold_of(data: Dataset, seed: int) -> Ints:
+    """
+    Return (D,): the fold of each demonstration, with ten folds or one per demonstration.
+
+    Demonstrations are ranked by draws keyed by seed, option and uuid, and dealt out in that order,
+    separately for trajectories and "not here" answers, so fold sizes differ by at most one.
+    """
+    demos = data.demonstrations
+    draws = np.array(
+        [generator(seed, 'fold', demo.option_name, demo.uuid).random() for demo in demos]
+    )
+    not_here = np.array([demo.kind is Kind.NOT_HERE for demo in demos])
+    folds = np.empty(len(demos), dtype=np.int64)
+    folds[np.lexsort((draws, not_here))] = np.arange(len(demos)) % FOLDS
+    return folds
+
+
+def fit_leave_fold_out(
+    data: Dataset, folds: Ints, domain: ActableDomain, seed: int
+) -> list[LearnedOption]:
+    """Return the options learned without fold 0, 1, ...; needs two or more trajectories."""
+    return [fit_option(data.of(folds != fold), domain, seed) for fold in range(folds.max() + 1)]

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, TypeGuard
 
-from humanopts_env.arrays import Flags, Floats, Ints
+from humanopts_env.arrays import Flags, Floats, Ints, Rows
 from humanopts_env.domains.base import (
     ActableDomain,
     Domain,
@@ -12,9 +12,10 @@ from humanopts_env.domains.base import (
     EnumerableDomain,
     is_enumerable,
 )
+from humanopts_env.domains.replayed_domain import ReplayedDomain
 from humanopts_env.games import Chance, games_at
 from humanopts_env.seeding import generator
-from humanopts_learner.execution import Fixed, play, Played, RowOptions
+from humanopts_learner.execution import Fixed, Loops, play, Played, RowOptions
 from humanopts_learner.option import Option
 from humanopts_learner.options.learned_option import (
     LearnedOption,
@@ -31,6 +32,11 @@ def is_deterministic(domain: ActableDomain) -> TypeGuard[EnumerableDomain]:
     return is_enumerable(domain) and domain.transitions().deterministic
 
 
+def without_chance(domain: ActableDomain) -> bool:
+    """Return whether a state and the actions determine the outcome of a run."""
+    return is_deterministic(domain) or isinstance(domain, ReplayedDomain)
+
+
 @dataclass(frozen=True)
 class Rollouts:
     """The outcomes of running an option from each of N start states."""
@@ -39,13 +45,14 @@ class Rollouts:
     steps: Ints  # (N,)
     reached: Flags  # (N,) beta holds or the task is over; else cut off
     over: Flags  # (N,) the task is over
+    rows: Rows  # (N, F) features at the end
 
     @classmethod
-    def of(cls, played: Played) -> 'Rollouts':
+    def of(cls, played: Played, rows: Rows) -> 'Rollouts':
         """Return the outcomes of games that ended with their first run."""
         runs, order = played.runs, np.argsort(played.runs.game)
         reached = (runs.reached | runs.over)[order]
-        return cls(runs.total[order], runs.steps[order], reached, runs.over[order])
+        return cls(runs.total[order], runs.steps[order], reached, runs.over[order], rows)
 
 
 def rollouts(
@@ -94,24 +101,27 @@ def run_once(
     which: Ints,
     limits: Ints,
     chance: Chance,
+    loops: Loops | None = None,
 ) -> Rollouts:
     """
     Run an option from each start state.
 
     :param which: (N,) index of the option of each run.
     :param limits: (N,) maximum number of steps per run, 1 or more.
+    :param loops: as in ``play``.
     :raises DomainError: the task is over in a start state.
     """
     games = games_at(domain, starts)
     if games.over().any():
         raise DomainError('the task is over in a start state, so no step can be taken')
-    policy, longest = Fixed(which), int(limits.max(initial=0))
+    longest, final = int(limits.max(initial=0)), games.features()
     learned = [option for option in options if isinstance(option, LearnedOption)]
+    more: dict[str, Any] = {'limits': limits, 'once': True, 'loops': loops, 'final': final}
     if is_deterministic(domain) and len(learned) == len(options):
         table = OptionTable([tabulate(option, domain) for option in learned])
-        return Rollouts.of(play(games, table, policy, chance, longest, limits=limits, once=True))
-    rows = RowOptions(options)
-    return Rollouts.of(play(games, rows, policy, chance, longest, limits=limits, once=True))
+        return Rollouts.of(play(games, table, Fixed(which), chance, longest, **more), final)
+    played = play(games, RowOptions(options), Fixed(which), chance, longest, **more)
+    return Rollouts.of(played, final)
 
 
 @dataclass(frozen=True)
@@ -143,4 +153,4 @@ def rollouts_from_everywhere(domain: EnumerableDomain, option: TabularOption) ->
         final[on], reached[on] = final[next_states], reached[next_states]
         length *= 2
     reached &= steps <= option.max_steps
-    return FinalRollouts(total, steps, reached, over[final], final)
+    return FinalRollouts(total, steps, reached, over[final], domain.feature_table()[final], final)

@@ -13,9 +13,9 @@ taught before lead to the starts of this one, and the option's own run leads on 
 it gets stuck, which is where the next demonstration starts.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import chain
+from itertools import chain, compress
 from typing import Any
 
 from humanopts_env.arrays import Flags, Floats, Ints, Rows
@@ -42,8 +42,7 @@ from humanopts_learner.options.failures import (
     find_failures,
     uncertain,
 )
-from humanopts_learner.options.judge import fit_leave_fold_out, fold_of
-from humanopts_learner.options.learn import make_dataset
+from humanopts_learner.options.learn import fit_leave_fold_out, fold_of, make_dataset
 from humanopts_learner.options.learned_option import LearnedOption, loops_of
 from humanopts_learner.options.rollout import is_deterministic, rollouts
 import numpy as np
@@ -53,6 +52,7 @@ SHOWN_WEIGHT = 0.1  # weight of a demonstrated failing situation; others: 1
 SAMPLE = 500  # number of states, if the option cannot be run from all
 RUNS = 50  # number of runs from sampled states
 GAMES, STEPS = 24, 300  # number of games played in a replayed domain; steps of each, at most
+DRAWS = 20  # maximum number of samples, or groups of games, for fresh starts
 TOLERATED = 0.1  # maximum share of failing states at the end of a lesson
 
 
@@ -208,7 +208,8 @@ def _instructive_state(domain: EnumerableDomain, found: Failures, rng: np.random
     Return the state from which a demonstration teaches the most.
 
     Stuck states come first, then detours. If nothing fails, return the state whose paths pass
-    through the least demonstrated states, so that no lesson relies on a single demonstration.
+    through the least demonstrated states, so that no lesson relies on a single demonstration; first
+    among those with an end that nothing shows to be right.
     """
     lost = found.stuck & (found.distance < 0) & (found.times_shown == 0)
     if lost.any():  # no path to a demonstrated end
@@ -216,7 +217,8 @@ def _instructive_state(domain: EnumerableDomain, found: Failures, rng: np.random
     among = found.stuck if found.stuck.any() else found.detour
     weight = np.where(found.times_shown == 0, 1.0, SHOWN_WEIGHT) * among
     if not among.any():
-        among, weight = found.candidate, found.candidate / (1.0 + found.times_shown) ** 2
+        among = found.unconfirmed if found.unconfirmed.any() else found.candidate
+        weight = among / (1.0 + found.times_shown) ** 2
     # Sum the weights along shortest paths, averaged over equally short ones.
     successor = domain.transitions().successor[:, :, 0]
     for steps in range(2, int(found.distance.max()) + 1):
@@ -448,3 +450,23 @@ def nothing_fails(
         return not find_failures(option, domain, demonstrations).failing.any()
     some = sample_failures(option, domain, demonstrations, rng, others=others)
     return some.share <= TOLERATED
+
+
+def fresh_starts(
+    option: LearnedOption,
+    domain: Domain,
+    rng: np.random.Generator,
+    others: Sequence[Option] = (),
+) -> Iterator[list[Any]]:
+    """
+    Yield groups of starts of an option, drawn the way its task draws them.
+
+    :param others: as in ``choose_start_state``.
+    :return: states in I, in at most ``DRAWS`` groups.
+    """
+    for _ in range(DRAWS):
+        replayed = isinstance(domain, ReplayedDomain)
+        states = (
+            _reached(domain, others, rng) if replayed else _random_sample(domain, rng)
+        ).states
+        yield [*compress(states, option.can_start(feature_rows(domain, states)))]

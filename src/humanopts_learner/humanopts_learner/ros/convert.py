@@ -19,7 +19,7 @@ if TYPE_CHECKING:  # slow to import, and not needed by terminals
     from humanopts_learner.planning.plan import AnyPlan, Performance
     from humanopts_learner.planning.stuck import Trial
 
-_CRITERION = Codec(Criterion, msg.Criterion, of_value=['high'], computed=['measurable'])
+_CRITERION = Codec(Criterion, msg.Criterion, computed=['measurable'])
 _SUMMARY = Codec(
     OptionSummary,
     msg.OptionStatus,
@@ -27,7 +27,7 @@ _SUMMARY = Codec(
     computed=['criteria_met', 'learned', 'status'],
     parts={'criteria': (_CRITERION.encode, _CRITERION.decode)},
 )
-# None is sent as NaN; confidence limits are omitted.
+# None is sent as NaN; the gain is omitted.
 summary_to_message, summary_from_message = _SUMMARY.encode, _SUMMARY.decode
 _DEMONSTRATION = Codec(
     Demonstration, msg.Demonstration, of_value=['features'], of_message=['features']

@@ -1,7 +1,6 @@
 """The node ``learner``, which fits and evaluates an option after every demonstration."""
 
 from functools import partial
-import math
 from pathlib import Path
 import sys
 from typing import Any
@@ -31,23 +30,18 @@ class LearnerNode(NodeBase):
             self.setting('directory', 'options', 'folder of option files and of the data set')
         )
         self._seed = self.setting('seed', 0, 'seed of all random draws', SEEDS)
-        delta = self.setting(
-            'return_delta',
-            math.nan,
-            'largest shortfall, reward units; NaN: a tenth of the range from random actions to '
-            'the demonstrations',
-        )
-        if delta < 0 or math.isinf(delta):
-            raise StartError(f'parameter return_delta: {delta} is below 0 or not finite')
-        usual = Thresholds(return_delta=None if math.isnan(delta) else delta)
         self._thresholds = self.settings(
-            usual,
+            Thresholds(),
             {
+                'success': 'smallest share of starts that lead to an end like a demonstrated one',
+                'return_share': 'largest shortfall of the return, as a share of its range',
                 'initiation_error': 'largest balanced error of I',
-                'termination_error': 'largest balanced error of beta',
+                'termination_error': 'largest share of demonstrations with another end',
                 'exam': 'runs of an option in its first exam; 0: no exam',
             },
             {
+                'success': (0.0, 1.0),
+                'return_share': (0.0, 1.0),
                 'initiation_error': (0.0, 1.0),
                 'termination_error': (0.0, 1.0),
                 'exam': (0, 1_000_000),

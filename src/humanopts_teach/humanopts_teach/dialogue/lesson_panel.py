@@ -9,7 +9,7 @@ from humanopts_env.domains.described import published_state
 from humanopts_env.domains.formulas import feature_columns, plain_name
 from humanopts_learner.demonstrations import GOAL, METHODS
 from humanopts_learner.options.conflicts import NO_START
-from humanopts_learner.options.judge import likely_range, min_trajectories
+from humanopts_learner.options.judge import likely_range, MIN_HELD_OUT
 from humanopts_learner.summary import Criterion, OptionSummary, RETURN
 from humanopts_teach.dialogue.app import App
 from humanopts_teach.dialogue.driving import last_step, pace_line
@@ -133,20 +133,23 @@ def _features(app: App) -> Features:
 
 def _criterion(criterion: Criterion) -> CriterionRow:
     value, threshold = criterion.value, criterion.threshold
+    side = 'wrong'
     if criterion.name == RETURN:
         side = 'better' if (value or 0.0) < 0 else 'worse'
-        now, needs = f'{abs(value or 0.0):.2f} {side}', f'{threshold or 0.0:.2f}'
-    else:
-        now, needs = f'{value or 0.0:.1%} wrong', f'{threshold or 0.0:.1%}'
+    elif criterion.at_least:
+        side = f'of {criterion.count}'
+    now, needs = f'{abs(value or 0.0):.1%} {side}', f'{threshold or 0.0:.1%}'
     share = None
-    if value is not None and threshold is not None:
+    if criterion.at_least:
+        share = value
+    elif value is not None and threshold is not None:
         full = TARGET * value / threshold if threshold > 0 else float(value > threshold)
         share = min(max(full, 0.0), 1.0)
     return CriterionRow(
         '✓' if criterion.met else '?' if criterion.undecided else '·',
         criterion.name,
         'not measured' if value is None else now,
-        f'≤ {"?" if threshold is None else needs}',
+        f'{"≥" if criterion.at_least else "≤"} {"?" if threshold is None else needs}',
         Tone.GOOD if criterion.met else Tone.WARNING,
         share,
     )
@@ -154,13 +157,15 @@ def _criterion(criterion: Criterion) -> CriterionRow:
 
 def _estimate(lesson: LessonView, progress: OptionSummary) -> Iterator[Line]:
     """Yield whether it is learned, or how many more demonstrations may be needed."""
-    measured = progress.n_demonstrations >= (least := min_trajectories(lesson.method))
+    measured = progress.n_demonstrations >= MIN_HELD_OUT
+    if progress.reach:
+        yield Line(progress.reach)
     if progress.obstacles and (progress.settled or measured):
         yield Line(progress.obstacles, Tone.WARNING)
     if progress.settled:
         yield Line(progress.status, Tone.GOOD if progress.learned else Tone.WARNING)
     elif not measured:
-        yield Line(f'Measured from {least} demonstrations on.')
+        yield Line(f'The rest is measured from {MIN_HELD_OUT} demonstrations on.')
     elif not progress.obstacles:
         undecided = [c.name for c in progress.criteria if c.undecided]
         why = f': {", ".join(undecided)} is not yet known well enough' if undecided else ''

@@ -22,7 +22,7 @@ from humanopts_learner.demonstrations import (
     version_of,
 )
 from humanopts_learner.options.files import FORMAT, option_to_json
-from humanopts_learner.options.judge import judge
+from humanopts_learner.options.judge import judge, taught_before
 from humanopts_learner.options.learn import learn_option
 from humanopts_learner.options.learned_option import LearnedOption
 from humanopts_learner.planning.exact_plan import ExactPlan
@@ -235,8 +235,10 @@ def evaluate(
         raise EvaluationError('; '.join(['the bag holds no demonstration to learn from', *notes]))
     requests = list(dict.fromkeys([*((person, HUMAN) for person, _ in groups), ('', PRIMITIVE)]))
     work: list[tuple[Callable[[], Any], str, float]] = []  # call, name and cost
-    for (_, name), demos in groups.items():
-        call = partial(_learning_curve, demos, domain, settings)
+    kept = {demo.uuid for demos in groups.values() for demo in demos}
+    for (person, name), demos in groups.items():
+        of_person = [d for d in demonstrations if d.participant == person and d.uuid in kept]
+        call = partial(_learning_curve, demos, of_person, domain, settings)
         count = len(shown(demos))
         work.append((call, f'{name}: {count} demonstrations', count))
     for person, action_set in requests:
@@ -287,9 +289,17 @@ def usable_demonstrations(
 
 
 def _learning_curve(
-    demos: Sequence[Demonstration], domain: Domain, settings: EvaluationSettings
+    demos: Sequence[Demonstration],
+    of_person: Sequence[Demonstration],
+    domain: Domain,
+    settings: EvaluationSettings,
 ) -> OptionEvaluation:
-    """Relearn an option after every demonstration, starting with the first trajectory."""
+    """
+    Relearn an option after every demonstration, starting with the first trajectory.
+
+    :param of_person: demonstrations of all options of the participant, in order.
+    """
+    before = taught_before(demos[0].option_name, of_person, domain, settings.seed)
     given, rows = shown(demos), []
     first = next(i for i, demo in enumerate(given, start=1) if demo.kind is Kind.TRAJECTORY)
     versions = [version_of(given[:count]) for count in range(len(given) + 1)]
@@ -297,7 +307,7 @@ def _learning_curve(
         seen, later = given[:count], versions[count + 1 :]
         option = learn_option(seen, domain, settings.seed)
         known = [*seen, *(run for run in judged(demos) if run.option_version not in later)]
-        summary = judge(known, domain, settings.thresholds, settings.seed, option)
+        summary = judge(known, domain, settings.thresholds, settings.seed, option, before)
         rows.append(option_row(summary, option, domain, sum(demo.seconds for demo in seen)))
     return OptionEvaluation(option, summary, table(OPTIONS, rows), judged=judged(demos))
 

@@ -29,9 +29,16 @@ LIVE_OPTIONS = {  # known while an option is taught; many are fields of OptionSu
     'n_questions': 'int64',  # answered questions about runs of the option
     'mean_return_demonstrations': 'float64',  # undiscounted, reward units
     'mean_return_policy': 'float64',  # from the same starts, undiscounted, reward units
-    'return': 'float64',  # shortfall of the return, reward units
+    'evidence': 'object',  # of success: every start, sampled starts or recorded
+    'success': 'float64',  # share of starts that lead to an end like a demonstrated one
+    'agreement': 'float64',  # share of held-out demonstrations that it would repeat
+    'imitation': 'float64',  # share of demonstrations with another end than its own run
+    'return': 'float64',  # held-out shortfall of the return, as a share of its range
     'initiation': 'float64',  # held-out balanced error of I, 0 to 1
-    'termination': 'float64',  # held-out balanced error of beta, 0 to 1
+    'termination': 'float64',  # share of held-out demonstrations that end elsewhere
+    'ended_early': 'int64',  # number of these
+    'ended_late': 'int64',
+    'ended_never': 'int64',
     'policy_accuracy': 'float64',  # share of states with one of the best actions
     'classification_accuracy_initiation': 'float64',  # share of states, of I
     'classification_accuracy_termination': 'float64',  # share of states, of beta
@@ -45,10 +52,13 @@ LIVE_OPTIONS = {  # known while an option is taught; many are fields of OptionSu
 }
 OPTIONS = {  # one row per demonstration of an option
     **LIVE_OPTIONS,
-    'return_high': 'float64',  # upper confidence limit of the shortfall
+    'success_limit': 'float64',  # lower confidence limit
+    'agreement_limit': 'float64',  # lower confidence limit
+    'return_limit': 'float64',  # upper confidence limit of the shortfall
+    'success_threshold': 'float64',  # smallest share allowed
     'return_threshold': 'float64',  # largest shortfall allowed
     'initiation_threshold': 'float64',  # largest error allowed
-    'termination_threshold': 'float64',  # largest error allowed
+    'termination_threshold': 'float64',  # largest share allowed
     'gain': 'float64',  # return of the policy minus that of the demonstrations, reward units
     'gain_low': 'float64',  # 95 % interval of the gain
     'gain_high': 'float64',  # 95 % interval of the gain
@@ -149,7 +159,7 @@ def option_row(
     found |= {'gain_low': summary.gain.low, 'gain_high': summary.gain.high}
     for criterion in summary.criteria:
         found[criterion.name] = criterion.value
-        found[f'{criterion.name}_high'] = criterion.high
+        found[f'{criterion.name}_limit'] = criterion.limit
         found[f'{criterion.name}_threshold'] = criterion.threshold
     return found | accuracies(option, domain)
 

@@ -15,7 +15,6 @@ from humanopts_teach.text_table import table
 if TYPE_CHECKING:
     import pandas as pd  # slow to import
 
-A_TENTH = 'a tenth of the range from random actions to the demonstrations'
 MAX_POINTS = 12  # printed per learning curve
 REPRODUCED = {
     True: 'equal to its option file in the bag, to the last digit',
@@ -24,6 +23,7 @@ REPRODUCED = {
 CURVE = {  # printed columns of a learning curve
     'shown': 'n_demonstrations',
     'not here': 'n_not_here',
+    'success': 'success',
     'return': 'return',
     'initiation': 'initiation',
     'termination': 'termination',
@@ -41,9 +41,7 @@ def evaluation_text(evaluation: BagEvaluation) -> str:
     domain, settings = evaluation.domain, evaluation.settings
     limits = settings.thresholds
     lines = [
-        f'domain {domain.name}, seed {settings.seed}; criteria: return <= '
-        f'{return_limit(limits)}, initiation <= {limits.initiation_error:g}, '
-        f'termination <= {limits.termination_error:g}',
+        f'domain {domain.name}, seed {settings.seed}; criteria: {limits_text(limits)}',
     ]
     for option in evaluation.options:
         lines += ['', *_option(option)]
@@ -61,9 +59,12 @@ def evaluation_text(evaluation: BagEvaluation) -> str:
     return '\n'.join(one_line(line) for text in lines for line in text.splitlines() or [''])
 
 
-def return_limit(limits: Thresholds) -> str:
-    """Return the largest shortfall allowed, as text."""
-    return A_TENTH if limits.return_delta is None else f'{limits.return_delta:g}'
+def limits_text(limits: Thresholds) -> str:
+    """Return the thresholds of the criteria."""
+    return (
+        f'success >= {limits.success:g}, return <= {limits.return_share:g}, '
+        f'initiation <= {limits.initiation_error:g}, termination <= {limits.termination_error:g}'
+    )
 
 
 def games_text(games: 'pd.DataFrame') -> list[str]:
@@ -144,12 +145,13 @@ def _cell(column: str, row: 'pd.Series') -> str:
 def _unmet(criterion: Criterion) -> str:
     is_now = criterion.verdict if criterion.value is None else number(criterion.value)
     if criterion.undecided:
-        limit = f'at most {number(criterion.high)} with 95 % confidence'
+        side = 'least' if criterion.at_least else 'most'
+        limit = f'at {side} {number(criterion.limit)} with 95 % confidence'
         is_now = f'{criterion.verdict}: about {is_now}, {limit}'
     if criterion.obstacle:
         return f'{criterion.name} is {is_now}: {criterion.obstacle}'
-    needs = A_TENTH if criterion.threshold is None else number(criterion.threshold)
-    return f'{criterion.name} is {is_now}, needs {needs} or less'
+    side = 'more' if criterion.at_least else 'less'
+    return f'{criterion.name} is {is_now}, needs {number(criterion.threshold)} or {side}'
 
 
 def _plan(name: Any, row: 'pd.Series') -> dict[str, str]:

@@ -44,5 +44,5 @@ class Examination:
             self.check = self._starts.check(option, names)
             if self.check is not None:
                 self.stage = Phase.CHECKING
-            else:
+            elif summary.criteria_met:  # and not only if the person called further ends right
                 self.stage = Phase.FINISHED if summary.exam_passed else Phase.EXAM

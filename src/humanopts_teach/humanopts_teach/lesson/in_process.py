@@ -18,7 +18,7 @@ from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import Demonstration, judged, Kind, shown
 from humanopts_learner.options.exam import with_verdicts
 from humanopts_learner.options.files import option_to_json
-from humanopts_learner.options.judge import judge, Thresholds
+from humanopts_learner.options.judge import judge, taught_before, Thresholds
 from humanopts_learner.options.learn import learn_option
 from humanopts_learner.options.learned_option import LearnedOption
 from humanopts_learner.planning.request import HUMAN, PlanRequest
@@ -126,7 +126,8 @@ def teach(
             elif demo.exam:
                 summary = with_verdicts(summaries[name], demos, thresholds.exam)
             else:
-                summary = judge(demos, domain, thresholds, rules.seed, options[name])
+                before = taught_before(name, lesson.demonstrations(), domain, rules.seed)
+                summary = judge(demos, domain, thresholds, rules.seed, options[name], before)
         summaries[name] = summary
         lesson.update_summaries(list(summaries.values()))
 

@@ -28,9 +28,10 @@ SIZE = (5.0, 2.9)  # inches
 MARGINS = {'left': 0.15, 'right': 0.985, 'bottom': 0.165, 'top': 0.9}  # shares; fit six digits
 MAX_MARKERS = 30  # per curve
 LEARNING = {  # title and unit of each chart
-    'return': ('Return: shortfall', 'reward units'),
+    'success': ('Success: reaches an end like a demonstrated one', 'share of starts'),
+    'return': ('Return: shortfall', 'share of its range'),
     'initiation': ('Initiation: held-out error (may it start?)', 'balanced error'),
-    'termination': ('Termination: held-out error (does it end?)', 'balanced error'),
+    'termination': ('Termination: held-out error (does it end?)', 'share of demonstrations'),
     'accuracy': ('Accuracy against the reference option', 'share of states'),
     'gain': ('Return of the policy less that shown', 'reward units'),
 }
@@ -82,8 +83,11 @@ def learning_curves(option: OptionEvaluation, name: str) -> list[str]:
     points = points.drop_duplicates('n_demonstrations', keep='last').set_index('n_demonstrations')
     if points.empty:
         return []
-    limit = points['return_high'].where(points['return_high'] != points['return'])
+    limit = points['return_limit'].where(points['return_limit'] != points['return'])
     of: dict[str, pd.DataFrame] = {
+        'success': pd.DataFrame(
+            {'measured': points['success'], 'lower limit': points['success_limit']}
+        ),
         'return': pd.DataFrame({'measured': points['return'], 'upper limit': limit}),
         'initiation': points[['initiation']].set_axis(['measured'], axis=1),
         'termination': points[['termination']].set_axis(['measured'], axis=1),

@@ -13,7 +13,7 @@ from humanopts_teach.bags.provenance import OWN_VERSION, software, UNKNOWN
 from humanopts_teach.bags.reader import Bag
 from humanopts_teach.evaluation.bag_evaluation import BagEvaluation
 from humanopts_teach.evaluation.summary import Live, write_text
-from humanopts_teach.evaluation.text import REPRODUCED, return_limit
+from humanopts_teach.evaluation.text import limits_text, REPRODUCED
 from humanopts_teach.report.boards import board_figures
 from humanopts_teach.report.charts import (
     games_figures,
@@ -40,8 +40,9 @@ MEASURES = (  # column of ``OPTIONS``, its label, whether it is a share
     ('exam_runs', 'runs in the exam', False),
     ('mean_return_demonstrations', 'mean return of the demonstrations', False),
     ('mean_return_policy', 'mean return of the policy, same starts', False),
+    ('success', 'success: starts that lead to an end like a demonstrated one', True),
     ('initiation', 'initiation: held-out balanced error', False),
-    ('termination', 'termination: held-out balanced error', False),
+    ('termination', 'termination: held-out demonstrations that end elsewhere', True),
     ('policy_accuracy', 'policy accuracy', True),
     ('classification_accuracy_initiation', 'classification accuracy of I', True),
     ('classification_accuracy_termination', 'classification accuracy of β', True),
@@ -125,7 +126,7 @@ def render_report(data: ReportData) -> str:
         'measures': MEASURES,
         'methods': METHODS,
         'reproduced': REPRODUCED,
-        'return_limit': return_limit,
+        'limits_text': limits_text,
         'boards': board_figures(exact, 'board'),
         'planning': plans_by_name(plans),
         'evaluation': evaluation,
