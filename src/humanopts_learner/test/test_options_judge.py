@@ -1,7 +1,7 @@
 """The criteria: of every start or held out, whatever the order, honest when unmeasurable."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, fields, replace
 import itertools
 import math
 from typing import Any
@@ -12,9 +12,14 @@ from humanopts_env.domains.rooms import RoomsState
 from humanopts_env.domains.taxi import Taxi, TaxiState
 from humanopts_env.seeding import generator
 from humanopts_learner import Demonstration, judge, learn_option, Thresholds
+from humanopts_learner.demonstrations import GOAL, Kind, version_of
+from humanopts_learner.intervals import Interval, level_of_look, runs_needed
 from humanopts_learner.options.conflicts import find_conflicts
+from humanopts_learner.options.failures import find_failures, repeats
 from humanopts_learner.options.files import option_to_json
 from humanopts_learner.options.judge import (
+    held_out_ends,
+    HeldOut,
     MIN_HELD_OUT,
     more_needed,
     return_range,
@@ -25,14 +30,17 @@ from humanopts_learner.options.learn import (
     make_dataset,
     NotLearnableError,
 )
+from humanopts_learner.options.learned_option import LearnedOption
 from humanopts_learner.options.rollout import rollouts
 from humanopts_learner.summary import (
     Criterion,
+    EVERY_START,
     IMITATION,
     INITIATION,
     NO_REFUSAL,
     OptionSummary,
     RETURN,
+    SAMPLED_STARTS,
     SUCCESS,
     TERMINATION,
 )
@@ -266,6 +274,128 @@ def test_a_criterion_is_met_when_its_limit_is_low_enough(value: float, high: flo
     other = Criterion.of(INITIATION, 0.0, 0.1)
     for exact, needed in ((1.0, 0), (2.0, 10), (1.01, 1), (5.0, 40), (None, -1)):
         assert more_needed([Criterion.of(RETURN, exact, 1.0), other], 10) == needed
+
+
+def by_goal(person: Any, *places: int) -> list[Demonstration]:
+    """Return demonstrations of fetching passengers, to be planned, and one "not here"."""
+    ann = person()
+    shown = [ann.show(TaxiState(2, 2, place, (place + 1) % 4)) for place in places]
+    return [replace(demo, method=GOAL) for demo in (*shown, ann.show(ABOARD))]
+
+
+def called(right: bool, person: Any, place: int, shown: Shown, **fields: Any) -> Demonstration:
+    """Return a run of the machine, as it should be, that the person judged."""
+    run = person(seed=place + 10).show(TaxiState(3, 2, place, (place + 1) % 4))
+    version = version_of(shown)
+    return replace(
+        run, kind=Kind.JUDGED, participant=shown[0].participant, method=GOAL, right=right,
+        option_version=version, **fields,
+    )  # fmt: skip
+
+
+def test_ends_of_a_plan_are_right_where_they_were_shown_or_called_right(person: Any) -> None:
+    """From each quarter of the starts, the passenger waits at another place."""
+    shown = by_goal(person, 0, 1, 2)
+    found = judge(shown, TAXI, Thresholds(), 0)
+    success = named(found)[SUCCESS]
+    assert (success.value, success.possible, success.count) == (0.75, 1.0, 300)
+    assert (success.met, success.unanswered, found.evidence) == (False, True, EVERY_START)
+    assert (found.settled, found.criteria_met) == (True, False)
+    assert 'from 225 of 300 starts' in found.reach
+    assert 'nobody has judged from 75' in found.reach
+    right = judge([*shown, called(True, person, 3, shown)], TAXI, Thresholds(), 0)
+    assert named(right)[SUCCESS].value == 1.0
+    assert right.criteria_met
+    wrong = judge([*shown, called(False, person, 3, shown)], TAXI, Thresholds(), 0)
+    success = named(wrong)[SUCCESS]
+    assert (success.value, success.possible) == (0.75, 0.75)
+    assert not wrong.settled
+    option = learn_option(shown, TAXI, 0)
+    failures = find_failures(option, TAXI, [*shown, called(False, person, 3, shown)])
+    assert failures.stuck.sum() == 75  # where it is to be shown
+
+
+def test_an_option_that_would_repeat_a_wrong_run_has_not_learned_from_it(person: Any) -> None:
+    shown = by_goal(person, 0, 1, 2, 3)
+    option = learn_option(shown, TAXI, 0)
+    run = called(False, person, 3, shown)
+    start = TAXI.decode(run.states[0])
+    steps = [TAXI.actions[int(option.action(TAXI.feature_values(start)[None])[0])].name]
+    stopped = person().walk(start, *steps)
+    judged_run = replace(
+        stopped, kind=Kind.JUDGED, right=False, stopped=True, option_version=version_of(shown)
+    )
+    assert repeats(option, TAXI, judged_run)
+    found = judge([*shown, judged_run], TAXI, Thresholds(), 0)
+    assert (named(found)[IMITATION].value, found.settled) == (1.0, False)
+    other = next(action.name for action in TAXI.actions if action.name not in steps)
+    elsewhere = replace(judged_run, actions=(other,))
+    assert not repeats(option, TAXI, elsewhere)
+    assert judge([*shown, elsewhere], TAXI, Thresholds(), 0).criteria_met
+
+
+def test_from_the_start_of_a_demonstration_its_own_end_must_be_reached(person: Any) -> None:
+    """Two cells north of each start: the planned way goes to the nearest of all those cells."""
+    ann = person()
+    ann.features = ('taxi_row', 'taxi_col')
+    for row in (4, 3, 2):
+        ann.walk(TaxiState(row, 2, 0, 1), 'north', 'north')
+    shown = [replace(demo, method=GOAL) for demo in ann.shown]
+    found = named(judge(shown, TAXI, Thresholds(), 0))[IMITATION]
+    assert found.value is not None
+    assert found.value > 0.2
+    assert not found.met
+
+
+def test_fresh_starts_decide_where_states_cannot_be_listed(
+    fetching: Shown, plain_taxi: Any
+) -> None:
+    """The share agrees with that of all starts, and more looks need more runs."""
+    for count in (6, 30):
+        shown = fetching[:count]
+        exact = named(judge(shown, TAXI, Thresholds(), 0))[SUCCESS]
+        found = judge(shown, plain_taxi, Thresholds(), 0)
+        success = named(found)[SUCCESS]
+        assert found.evidence == SAMPLED_STARTS
+        assert success.value == pytest.approx(exact.value, abs=0.1)
+        interval = Interval.of_share(
+            np.arange(success.count) < round(success.value * success.count),
+            level_of_look(count),
+        )
+        assert success.limit == pytest.approx(interval.low)
+    assert runs_needed(0.95, level_of_look(3)) == 156
+    assert runs_needed(0.95, level_of_look(20)) == 282
+    assert sum(1 - level_of_look(k) for k in range(1, 10_000)) == pytest.approx(0.05, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ('ends', 'counts'),
+    [
+        ({(1, 0), (0, 0)}, (1, 0, 0)),
+        ({(0, 0)}, (0, 0, 0)),
+        (set(), (0, 0, 1)),
+        ({(0, 1)}, (0, 1, 0)),
+    ],
+)
+def test_beta_counts_demonstrations_that_end_early_late_or_never(
+    person: Any, ends: set[tuple[int, int]], counts: tuple[int, int, int]
+) -> None:
+    """A demonstration of two steps north, tried with options that end in given cells."""
+    demo = person().walk(TaxiState(2, 0, 1, 2), 'north', 'north')
+    data = make_dataset([demo], TAXI)
+
+    @dataclass(frozen=True)
+    class Ends(LearnedOption):
+        def ends(self, rows: Any) -> Any:
+            return np.array([tuple(row[:2].astype(int)) in ends for row in rows])
+
+        def action(self, rows: Any) -> Any:
+            return np.full(len(rows), 2)  # east
+
+    learned = learn_option([demo], TAXI, 0)
+    option = Ends(**{field.name: getattr(learned, field.name) for field in fields(learned)})
+    held_out = HeldOut(data, np.zeros(1, dtype=int), [option])
+    assert held_out_ends(held_out, TAXI, 0) == counts
 
 
 @pytest.mark.parametrize('missing', ['passenger_in_taxi', 'passenger_col'])

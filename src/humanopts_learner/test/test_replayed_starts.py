@@ -6,7 +6,7 @@ from dataclasses import replace
 from humanopts_env.domains.base import Action, Feature
 from humanopts_env.domains.replayed_domain import History, ReplayedDomain, World
 from humanopts_learner.demonstrations import Demonstration, Kind
-from humanopts_learner.options.judge import judge, Thresholds
+from humanopts_learner.options.judge import judge, taught_before, Thresholds
 from humanopts_learner.options.learn import learn_option
 from humanopts_learner.options.learned_option import LearnedOption
 from humanopts_learner.options.starts import (
@@ -19,7 +19,7 @@ from humanopts_learner.planning.plan import make_plan
 from humanopts_learner.planning.request import HUMAN, PlanRequest, REPLAYED_STEPS
 from humanopts_learner.planning.sampled_plan import SampledPlan
 from humanopts_learner.planning.stuck import Trial, TRIALS, try_plan
-from humanopts_learner.summary import INITIATION, RETURN, TERMINATION
+from humanopts_learner.summary import INITIATION, SAMPLED_STARTS, SUCCESS, TERMINATION
 import numpy as np
 import pytest
 
@@ -170,11 +170,17 @@ def test_an_option_that_always_ended_with_the_task_over_has_no_other_end() -> No
     rows = np.array([[cell, way, key] for cell in range(12) for way in range(3) for key in (0, 1)])
     assert not option.ends(rows.astype(float)).any()
     assert option.can_start(rows.astype(float)).all()
-    criteria = {each.name: each.value for each in judge(demos, KEYS, Thresholds(), 0).criteria}
-    assert criteria == {RETURN: None, INITIATION: None, TERMINATION: None}  # only three
-    many = [replace(demo, uuid=f'{n}', number=n) for n, demo in enumerate(4 * demos)]
-    criteria = {each.name: each.value for each in judge(many, KEYS, Thresholds(), 0).criteria}
-    assert (criteria[INITIATION], criteria[TERMINATION]) == (0.0, 0.0)
+    before = taught_before(LEAVE, [*ends, *demos], KEYS, 0)
+    found = judge(demos, KEYS, Thresholds(), 0, others=before)
+    criteria = {each.name: each for each in found.criteria}
+    for name in (INITIATION, TERMINATION):  # neither could be wrong
+        assert (criteria[name].value, bool(criteria[name].obstacle)) == (None, True)
+    assert [option.name for option in before] == [FETCH]
+    assert found.evidence == SAMPLED_STARTS
+    alone = judge(demos, KEYS, Thresholds(), 0)  # without the other option, nobody has the key
+    assert alone.criteria[0].value == 0.0
+    assert criteria[SUCCESS].value is not None
+    assert criteria[SUCCESS].value > 0
     other = [replace(d, terminated=False, chosen_features=('cell', 'key')) for d in demos]
     assert learn_option(other, KEYS, 0).ends(rows.astype(float)).any()
 

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 MEANT = 3  # demonstrations of a detour after which it is asked about; fewer may be slips
 REFUSALS = 3  # "not here" answers required as evidence for a leaf outside I
 AS_LIKELY = 0.95  # a start succeeds at this share of the largest possible chance of a right end
+ACCIDENT = 0.1  # an end shown less often than this share of the commonest one may be an accident
 TOO_LONG = 2  # length of a path, relative to the shortest one
 
 
@@ -211,17 +212,23 @@ def successes_by_chance(
 
     From each state, the chance that its run reaches an end like the shown ones, and the number of
     steps if it does, are compared with those of the best policy. Both follow from the transitions.
+    An end that was shown much less often than another may be an accident: the best policy does not
+    aim at it.
 
     :return: (S,) candidates as in ``Failures``; whether the chance is almost the largest one, in
         at most twice the steps; and whether it is if all ends of a planned policy are right.
     """
     table, over, tabular = domain.transitions(), domain.over(), tabulate(option, domain)
     candidate = reachable(domain) & ~over & tabular.initiation
-    found = []
+    chosen = feature_columns(domain, option.features)
+    states = np.column_stack([over, stacked(chosen, domain.feature_table())])
+    times = _times(states, _ends(chosen, [d for d in shown(demonstrations) if d.actions]))
+    accident, found = (times > 0) & (times < ACCIDENT * times.max()), []
     for right in _ends_of(option, domain, demonstrations):
-        goal = right[table.successor] & (table.probability > 0)
+        aim = right & ~accident
+        goal = aim[table.successor] & (table.probability > 0)
         _, optimal = best_paths(table, goal, ~over, MAX_GAMMA)
-        best, fewest = _chance_and_steps(domain, optimal.argmax(axis=1), right, right)
+        best, fewest = _chance_and_steps(domain, optimal.argmax(axis=1), aim, aim)
         ends = tabular.termination
         chance, steps = _chance_and_steps(domain, tabular.action, ends, right)
         good = (best > 0) & (chance >= AS_LIKELY * best) & (steps <= TOO_LONG * fewest)

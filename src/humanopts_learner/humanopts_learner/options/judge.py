@@ -217,7 +217,7 @@ def judge(
         criteria.append(_agreement(look, domain, held_out))
     errors: list[float | None] = [None, None]
     if held_out is not None:
-        ends = _held_out_ends(held_out, domain, seed)
+        ends = held_out_ends(held_out, domain, seed)
         initiation = [each.can_start for each in held_out.of_fold]
         errors = [
             balanced_error(data.initiation, initiation, held_out.folds),
@@ -470,7 +470,7 @@ def _ends_along(option: LearnedOption, demo: Demonstration) -> Flags:
     return ends
 
 
-def _held_out_ends(held_out: HeldOut, domain: ActableDomain, seed: int) -> tuple[int, int, int]:
+def held_out_ends(held_out: HeldOut, domain: ActableDomain, seed: int) -> tuple[int, int, int]:
     """
     Return the numbers of demonstrations in which the option ends early, late and never.
 

@@ -208,8 +208,8 @@ def _instructive_state(domain: EnumerableDomain, found: Failures, rng: np.random
     Return the state from which a demonstration teaches the most.
 
     Stuck states come first, then detours. If nothing fails, return the state whose paths pass
-    through the least demonstrated states, so that no lesson relies on a single demonstration; first
-    among those with an end that nothing shows to be right.
+    through the least demonstrated states, so that no lesson relies on a single demonstration. An
+    end that nothing shows to be right comes first.
     """
     lost = found.stuck & (found.distance < 0) & (found.times_shown == 0)
     if lost.any():  # no path to a demonstrated end
