@@ -204,7 +204,7 @@ def test_a_shell_completes_what_is_typed(
         (('demo', '--seed', 2**40), ['--seed']),
         (('demo', '--seed'), ['--seed']),
         (('demo', '--initiation-error', 1.5), ['--initiation-error']),
-        (('up', 'taxi', '--return-delta', 'inf'), ['thresholds', 'inf']),
+        (('up', 'taxi', '--return-share', 'inf'), ['--return-share', 'inf']),
         (('demo', '--error-rate', 'nan'), ['--error-rate']),
         (('demo', '--strategy', 'luck'), ["'luck'", 'random', 'coverage', 'failures']),
         (('demo', '--domain', 'chess'), ["'chess'", 'taxi']),

@@ -25,7 +25,8 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> DemoRun:
         return run_demo(
             *(tmp_path_factory.mktemp('pacman'), number, '--domain', 'pacman'),
             *('--parameter', 'maze=yard', '--parameter', 'max_steps=60'),
-            *('--return-delta', 100, '--initiation-error', 0.2, '--termination-error', 0.2),
+            *('--success', 0, '--return-share', 1),
+            *('--initiation-error', 0.2, '--termination-error', 0.2),
             *('--strategy', 'random', '--seed', 2, '--episodes', 2),
             *('--games', 0, '--game-steps', STEPS),
             seconds=300.0,

@@ -42,7 +42,7 @@ BLOCK = 65536  # bytes
 WRONG: list[tuple[str, dict[str, Any], str]] = [
     *((node, {'seed': -1}, 'seed') for node in (LEARNER, LESSON, OPTION_SERVER, TEACHER)),
     *((node, {'expect_recorder': 3}, 'expect_recorder') for node in ALL),
-    (LEARNER, {'return_delta': -1.0}, 'return_delta'),
+    (LEARNER, {'return_share': -1.0}, 'return_share'),
     (LEARNER, {'initiation_error': 1.5}, 'initiation_error'),
     (OPTION_SERVER, {'no_progress_seconds': 0.0}, 'no_progress_seconds'),
     (RECORDER, {'path': ''}, 'path'),

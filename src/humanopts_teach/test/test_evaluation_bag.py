@@ -49,7 +49,8 @@ from teach_support.bags import judged_run
 SETTINGS = EvaluationSettings(seed=5)
 FACTS = {
     'seed': '5',
-    'return_delta': '0.75',
+    'success': '0.9',
+    'return_share': '0.75',
     'initiation_error': '0.05',
     'termination_error': '0.1',
     'exam': '7',
@@ -57,7 +58,7 @@ FACTS = {
     'budget': '40',
     'teacher_error_rate': '0.0',
 }
-RECORDED = EvaluationSettings(5, 'random', Thresholds(0.75, 0.05, 0.1, 7), 0.0, 40)  # these
+RECORDED = EvaluationSettings(5, 'random', Thresholds(0.9, 0.75, 0.05, 0.1, 7), 0.0, 40)  # these
 Lesson = list[Demonstration]
 
 
@@ -232,7 +233,7 @@ def test_settings_are_read_from_the_facts_in_the_bag() -> None:
         ('seed', '-1'),
         ('budget', 'many'),
         ('game_steps', '-1'),
-        ('return_delta', 'nan'),
+        ('return_share', 'nan'),
         ('initiation_error', '7'),
         ('teacher_error_rate', '2'),
         ('teacher_error_rate', 'nan'),

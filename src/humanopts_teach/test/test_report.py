@@ -41,7 +41,7 @@ from teach_support.bags import judged_run
 pytestmark = pytest.mark.heavy
 
 SETTINGS = EvaluationSettings(
-    seed=5, thresholds=Thresholds(2.25, 0.0625, 0.125), teacher_error_rate=0.02
+    seed=5, thresholds=Thresholds(0.875, 0.1875, 0.0625, 0.125), teacher_error_rate=0.02
 )
 TAUGHT = ('go to passenger and pickup', 'go to destination and dropoff')
 FRAMES = (
@@ -121,27 +121,28 @@ def test_figures_take_their_colours_from_the_page(page: str) -> None:
 
 def test_every_criterion_is_drawn_with_its_own_threshold(evaluation: BagEvaluation) -> None:
     figures = learning_curves(evaluation.options[0], 'curve')
-    assert len(figures) == 5
+    assert len(figures) == 6
     assert '95 % interval, same starts' in figures[-1]
-    for figure, threshold in zip(figures, ('2.25', '0.0625', '0.125')):
-        assert f'met at or below {threshold}' in figure
+    sides = 'above 0.875', 'below 0.1875', 'below 0.0625', 'below 0.125'
+    for figure, side in zip(figures, sides):
+        assert f'met at or {side}' in figure
         assert 'demonstrations' in figure
 
 
 def test_a_criterion_that_is_not_yet_known_is_called_so(brief: BagEvaluation) -> None:
     option = brief.options[0]
-    unsure = Criterion.of('return', 1.25, 2.25, 3.5)
-    criteria = (unsure, *option.summary.criteria[1:])
-    summary = replace(option.summary, criteria=criteria, more_needed=7)
-    columns = {'return': 1.25, 'return_high': 3.5, 'criteria_met': False}
+    unsure = Criterion.of('return', 0.125, 0.25, 0.375)
+    criteria = [unsure if c.name == 'return' else c for c in option.summary.criteria]
+    summary = replace(option.summary, criteria=tuple(criteria), more_needed=7)
+    columns = {'return': 0.125, 'return_limit': 0.375, 'criteria_met': False}
     found = replace(brief, options=(replace(shortened(option, **columns), summary=summary),))
     text = evaluation_text(found)
-    assert 'return is not yet known: about 1.25, at most 3.5 with 95 % confidence' in text
+    assert 'return is not yet known: about 0.125, at most 0.375 with 95 % confidence' in text
     assert 'perhaps 1 to 21 more demonstrations are needed' in text
     changed = [finding.text for finding in findings(found)]
-    assert any('(return not yet known: at most 3.5, needs 2.25' in each for each in changed)
+    assert any('(return not yet known: at most 0.375, needs 0.25' in each for each in changed)
     assert 'not yet known</td>' in render_report(ReportData('Taxi', undrawn(found)))
-    figure, *_ = learning_curves(found.options[0], 'curve')
+    _, figure, *_ = learning_curves(found.options[0], 'curve')
     assert 'upper limit' in figure
 
 
@@ -157,7 +158,7 @@ def test_an_option_that_nothing_is_known_of_is_drawn_without_accuracy(
         summary=replace(option.summary, criteria=unmeasured),
     )
     figures = learning_curves(first, 'curve')
-    assert len(figures) == 3
+    assert len(figures) == 4
     assert all('not yet measurable' in figure for figure in figures)
 
 

@@ -58,7 +58,8 @@ def test_every_argument_reaches_a_parameter() -> None:
         'derive': 'row * col',
         'budget': '9',
         'unstick': 'false',
-        'return_delta': '-3',
+        'success': '0.8',
+        'return_share': '0.4',
         'initiation_error': '0.2',
         'termination_error': '0.3',
         'exam': '3',
@@ -81,8 +82,8 @@ def test_every_argument_reaches_a_parameter() -> None:
     asked = [specs['lesson'][name] for name in ('strategy', 'learn', 'budget', 'derive')]
     assert asked == ['coverage', 'goal', 9, ['row * col']]
     assert (specs['option_server']['unstick'], specs['planner']['unstick']) == (False, False)
-    thresholds = ('return_delta', 'initiation_error', 'termination_error', 'exam')
-    assert [specs['learner'][name] for name in thresholds] == [-3.0, 0.2, 0.3, 3]
+    thresholds = ('success', 'return_share', 'initiation_error', 'termination_error', 'exam')
+    assert [specs['learner'][name] for name in thresholds] == [0.8, 0.4, 0.2, 0.3, 3]
     seeded = ('game', 'learner', 'lesson', 'option_server', 'simulated_teacher')
     assert [specs[name]['seed'] for name in seeded] == [12] * len(seeded)
     assert specs['learner']['directory'] == '/data/study/options'
@@ -178,7 +179,7 @@ def test_a_setup_is_the_same_after_json() -> None:
         'taxi',
         Path('/tmp/a\nfolder'),
         parameter=[['rows', 7], ['lively', True], ['name', 'é']],
-        return_delta=3.0,
+        return_share=0.3,
         taught=('go up', 'go down'),
         record_topics=['lesson/*'],
         only='game,lesson',

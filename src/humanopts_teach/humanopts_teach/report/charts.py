@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 from humanopts_learner.planning.exact_plan import build_model, ExactPlan
 from humanopts_learner.planning.solve import value_history
+from humanopts_learner.summary import Criterion
 from humanopts_teach.evaluation.bag_evaluation import OptionEvaluation
 from humanopts_teach.evaluation.tables import SECONDS
 from humanopts_teach.report.figures import Drawing, drawing, MUTED, SERIES
@@ -94,11 +95,11 @@ def learning_curves(option: OptionEvaluation, name: str) -> list[str]:
         'accuracy': points[[*ACCURACIES]].rename(columns=ACCURACIES),
         'gain': points[points['gain_low'].notna()][['gain']].set_axis(['mean'], axis=1),
     }
-    verdicts = {criterion.name: criterion.verdict for criterion in option.summary.criteria}
+    criteria = {criterion.name: criterion for criterion in option.summary.criteria}
     figures = []
     for part, (title, unit) in LEARNING.items():
         curves = of[part]
-        if part not in verdicts and not curves.notna().any(axis=None):
+        if part not in criteria and not curves.notna().any(axis=None):
             continue
         labels: dict[str, Any] = {'title': title, 'xlabel': 'demonstrations', 'ylabel': unit}
         with _chart(f'{name}-{part}', f'{title}: {option.option.name}', **labels) as work:
@@ -107,10 +108,11 @@ def learning_curves(option: OptionEvaluation, name: str) -> list[str]:
                 if len(known := curve.dropna()):
                     every = -(-len(known) // MAX_MARKERS)  # keeps markers from overlapping
                     axes.plot(known.index, known, markevery=every, label=str(label), **style)
-            if part in verdicts:
+            if part in criteria:
                 if curves.isna().all(axis=None):
-                    axes.text(0.5, 0.7, verdicts[part], transform=axes.transAxes, ha='center')
-                _draw_threshold(axes, points[f'{part}_threshold'], curves.min().min())
+                    verdict = criteria[part].verdict
+                    axes.text(0.5, 0.7, verdict, transform=axes.transAxes, ha='center')
+                _draw_threshold(axes, criteria[part], curves)
             elif part == 'accuracy':
                 axes.set_ylim(top=1.03)
                 axes.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
@@ -129,16 +131,15 @@ def learning_curves(option: OptionEvaluation, name: str) -> list[str]:
     return figures
 
 
-def _draw_threshold(axes: Axes, thresholds: 'pd.Series[float]', least: float) -> None:
-    """Shade the region where a criterion is met; ``least`` is the smallest value drawn."""
-    limits = thresholds.reindex(range(thresholds.index.max() + 1)).bfill().ffill()
-    if limits.notna().any():
-        constant = '' if limits.nunique() == 1 else ' in the end'
-        label = f'met at or below {limits.iloc[-1]:.3g}{constant}'
-        bottom = np.nanmin([0.0, limits.min(), least])
+def _draw_threshold(axes: Axes, criterion: Criterion, values: pd.DataFrame) -> None:
+    """Shade the region where a criterion is met, beside the values drawn."""
+    limit = criterion.threshold
+    if limit is not None:
+        side = 'above' if criterion.at_least else 'below'
         style: dict[str, Any] = {'color': SERIES[2]}
-        axes.plot(limits.index, limits, ls='--', lw=1.4, label=label, **style)
-        axes.fill_between(limits.index, bottom, limits, alpha=0.13, lw=0, **style)
+        axes.axhline(limit, ls='--', lw=1.4, label=f'met at or {side} {limit:.3g}', **style)
+        end = 1.0 if criterion.at_least else np.nanmin([0.0, limit, values.min().min()])
+        axes.axhspan(*sorted((end, limit)), alpha=0.13, lw=0, **style)
 
 
 def planning_figures(plans: pd.DataFrame, name: str) -> list[str]:
