@@ -12,6 +12,7 @@ from humanopts_env.games import feature_rows
 from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import Demonstration, Kind, version_of
 from humanopts_learner.options.checks import Check, next_check
+from humanopts_learner.options.exam import before_exam
 from humanopts_learner.options.files import option_from_json
 from humanopts_learner.options.learned_option import LearnedOption
 from humanopts_learner.options.starts import (
@@ -168,10 +169,10 @@ class SeededStarts:
 
         def find() -> Check | None:
             rng = self._generator('check', option)
-            return next_check(learned, domain, option.everything, rng, others)
+            return next_check(learned, domain, evidence, rng, others)
 
-        judged = tuple(run.uuid for run in option.judged)
-        return self._once('check', find, judged, learned, others)
+        evidence = before_exam(option.everything)  # so that no question interrupts an exam
+        return self._once('check', find, [each.uuid for each in evidence], learned, others)
 
     def counts(self, option: OptionHistory, demonstration: Demonstration) -> bool:
         """Return whether the next draw includes a demonstration or its withdrawal."""
