@@ -387,6 +387,7 @@ def give_lesson(parameters: Mapping[str, Any]) -> Rows:
             'keys': keys / len(names),
             'features': ', '.join(options[name].features),
             'status': summary.status,
+            'criteria': ', '.join(f'{each.name} {each.verdict}' for each in summary.criteria),
         }
     return rows
 

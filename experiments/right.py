@@ -83,7 +83,7 @@ class Performance:
     def is_right(self, teacher: 'Performance') -> bool:
         """Return whether the option is right."""
         right = self.right(teacher)
-        enough = self.share[right].mean() >= SHARE * teacher.share[right].mean()
+        enough = self.share[right].sum() >= SHARE * teacher.share[right].sum()
         return bool(right.mean() >= SHARE and enough)
 
     @property
