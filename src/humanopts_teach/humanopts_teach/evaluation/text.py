@@ -62,8 +62,8 @@ def evaluation_text(evaluation: BagEvaluation) -> str:
 def limits_text(limits: Thresholds) -> str:
     """Return the thresholds of the criteria."""
     return (
-        f'success >= {limits.success:g}, return <= {limits.return_share:g}, '
-        f'initiation <= {limits.initiation_error:g}, termination <= {limits.termination_error:g}'
+        f'success ≥ {limits.success:g}, return ≤ {limits.return_share:g}, '
+        f'initiation ≤ {limits.initiation_error:g}, termination ≤ {limits.termination_error:g}'
     )
 
 
