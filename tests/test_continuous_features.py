@@ -29,7 +29,7 @@ from humanopts_learner.demonstrations import (
     DemonstrationError,
     make_demonstration,
 )
-from humanopts_learner.options.conflicts import find_conflicts
+from humanopts_learner.options.conflicts import advise, SAY_AGAIN
 from humanopts_learner.options.decision_tree import encode_rows, feature_encoding, fit_tree
 from humanopts_learner.options.files import load_option, save_option
 from humanopts_learner.options.learn import learn_option, make_dataset
@@ -197,16 +197,16 @@ def test_the_next_start_is_far_from_those_shown_relative_to_the_range() -> None:
 
 
 def at(x: float, y: float) -> Demonstration:
-    """Show one stroke to the north that the option ends with."""
-    states = [LakeState(x, y), LakeState(x, y + 1.0)]
-    return make_demonstration(LAKE, 'stop', states, ['north'], [-1.0], features=['wind'])
+    """Show three strokes to the north that the option ends with."""
+    states = [LakeState(x, y + n) for n in range(4)]
+    return make_demonstration(LAKE, 'stop', states, 3 * ['north'], 3 * [-1.0], features=['wind'])
 
 
 def test_a_continuous_feature_is_suggested_only_on_more_evidence_than_chance() -> None:
-    """Any two values differ; that one threshold parts four starts from four ends is evidence."""
-    for count, suggested in ((1, None), (4, 'y')):
+    """Any two values differ; that one tenth of the range has four ends and no more is evidence."""
+    for count, expected in ((1, ()), (4, ('Add "y": it tells where the option ends.', SAY_AGAIN))):
         demos = [replace(at(5.0, 1.0 + 0.1 * n), number=n + 1) for n in range(count)]
-        assert find_conflicts(make_dataset(demos, LAKE), LAKE)[1] == (suggested or '')
+        assert advise(make_dataset(demos, LAKE), LAKE) == expected
 
 
 @pytest.mark.parametrize('high', [0.0, -1.0, float('inf'), float('nan')])

@@ -15,7 +15,7 @@ from humanopts_learner.demonstrations import (
     GOAL,
 )
 from humanopts_learner.options.accuracy import policy_accuracy
-from humanopts_learner.options.conflicts import find_conflicts
+from humanopts_learner.options.conflicts import advise
 from humanopts_learner.options.decision_tree import encode_rows, feature_encoding
 from humanopts_learner.options.files import load_option, save_option
 from humanopts_learner.options.judge import judge, Thresholds
@@ -83,7 +83,7 @@ def test_an_option_is_learned_from_them(
     rules = '\n'.join(rule.text for rule in option_rules(option, TAXI))
     assert '(taxi_row - passenger_row) ≤' in rules
     assert judge(demos, TAXI, Thresholds(), 0, option).criteria
-    find_conflicts(make_dataset(demos, TAXI), TAXI)
+    advise(make_dataset(demos, TAXI), TAXI)
     for strategy in STRATEGIES:
         rng = generator(1, strategy)
         assert TAXI.encode(choose_start_state(strategy, TAXI, option, demos, rng))

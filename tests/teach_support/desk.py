@@ -44,7 +44,7 @@ from rich.console import Console
 from teach_support.lesson import Drawn
 
 ME = 'terminal'
-MEASURED = ('criteria', 'more_needed', 'conflicts', 'suggested_feature', 'mean_return_policy')
+MEASURED = ('criteria', 'more_needed', 'conflicts', 'advice', 'mean_return_policy')
 
 
 class Desk:

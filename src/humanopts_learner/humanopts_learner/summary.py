@@ -122,7 +122,7 @@ class OptionSummary:
     gain: Interval = UNKNOWN  # of the policy over the demonstrations, from the same start states
     more_needed: int = -1  # estimated further demonstrations; 0: none; -1: unknown
     conflicts: tuple[str, ...] = ()  # situations with equal features but different labels
-    suggested_feature: str = ''  # would resolve most conflicts; empty: none
+    advice: tuple[str, ...] = ()  # on the chosen features, the most important first
 
     @property
     def criteria_met(self) -> bool:

@@ -14,7 +14,7 @@ from humanopts_env.seeding import generator
 from humanopts_learner import Demonstration, judge, learn_option, Thresholds
 from humanopts_learner.demonstrations import GOAL, Kind, version_of
 from humanopts_learner.intervals import Interval, level_of_look, runs_needed
-from humanopts_learner.options.conflicts import find_conflicts
+from humanopts_learner.options.conflicts import advise, find_conflicts
 from humanopts_learner.options.failures import find_failures, repeats
 from humanopts_learner.options.files import option_to_json
 from humanopts_learner.options.judge import (
@@ -405,11 +405,11 @@ def test_a_missing_feature_is_found_and_suggested(
     ann = person()
     every = 'taxi_row', 'taxi_col', 'passenger_row', 'passenger_col', 'passenger_in_taxi'
     ann.features = tuple(name for name in every if name != missing)
-    found = find_conflicts(make_dataset(ann.show_random(40), TAXI), TAXI)
-    assert found[1] == missing
-    assert 'taxi row' in found[0][0]
-    found = find_conflicts(make_dataset(fetching, TAXI), TAXI)  # with the right features
-    assert found == ((), '')
+    data = make_dataset(ann.show_random(40), TAXI)
+    assert f'Add "{missing.replace("_", " ")}"' in advise(data, TAXI)[0]
+    assert 'taxi row' in find_conflicts(data)[0]
+    data = make_dataset(fetching, TAXI)  # with the right features
+    assert (find_conflicts(data), advise(data, TAXI)) == ((), ())
 
 
 def test_a_slip_is_reported_but_suggests_no_feature(person: Any) -> None:
@@ -417,6 +417,7 @@ def test_a_slip_is_reported_but_suggests_no_feature(person: Any) -> None:
     for destination in (1, 2, 3):
         ann.show(TaxiState(1, 0, 0, destination))
     ann.walk(TaxiState(1, 0, 0, 1), 'west', 'north', 'pickup')
-    (text,), suggested = find_conflicts(make_dataset(ann.shown, TAXI), TAXI)
-    assert suggested == ''
+    data = make_dataset(ann.shown, TAXI)
+    (text,) = find_conflicts(data)
+    assert advise(data, TAXI) == ()
     assert 'north (4x), west (1x)' in text

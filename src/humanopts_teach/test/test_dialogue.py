@@ -11,6 +11,7 @@ from typing import Any
 from humanopts_env.domains.base import Domain
 from humanopts_env.domains.registry import make_domain
 from humanopts_learner.demonstrations import GOAL
+from humanopts_learner.options.conflicts import SAY_AGAIN, UNTOLD
 from humanopts_learner.options.judge import MIN_HELD_OUT
 from humanopts_learner.summary import Criterion, NO_RANGE, OptionSummary
 from humanopts_teach.browser.markup import parts
@@ -271,8 +272,8 @@ PROGRESS: dict[str, dict[str, Any]] = {
     'met': {'criteria': (Criterion.of('return', 0.5, 1.0),), 'mean_return_policy': -2.0},
     'by goal': {'criteria': (Criterion.of('return', None, 1.0),), 'method': GOAL},
     'conflict': {'criteria': VALUES, 'conflicts': ('taxi row 4: the end (2x)', 'more')},
-    'start and end': {'criteria': VALUES, 'conflicts': ('another', CLASH)},
-    'missing': {'criteria': VALUES, 'conflicts': (CLASH,), 'suggested_feature': 'blocked_moves'},
+    'start and end': {'criteria': VALUES, 'conflicts': (CLASH,), 'advice': (UNTOLD, SAY_AGAIN)},
+    'missing': {'criteria': VALUES, 'advice': ('Add "blocked moves": it tells what you do.',)},
 }
 
 

@@ -9,6 +9,7 @@ from typing import Any
 from humanopts_env import colours
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.seeding import generator
+from humanopts_learner.options.conflicts import SAY_AGAIN, UNTOLD
 from humanopts_learner.options.judge import MIN_HELD_OUT
 from humanopts_learner.summary import Criterion, OptionSummary
 from humanopts_teach.dialogue.keys import Command, command_of, key_table, SUSPEND
@@ -75,7 +76,7 @@ def test_the_fullest_screens_fit_in_80_by_24(desk: Desk, pacman: Desk) -> None:
             mean_return_demonstrations=-5.25,
             mean_return_policy=-6.5,
             conflicts=(f'{situation}: not the end (10x), the end (2x)', 'another'),
-            suggested_feature='passenger_in_taxi',
+            advice=(UNTOLD, SAY_AGAIN),
         )
     ]
     conflict = 'food direction north: cannot start here (12x), can start here (1x)'

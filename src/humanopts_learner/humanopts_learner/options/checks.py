@@ -1,31 +1,82 @@
-"""TEMPORARY: replaced by the slice checks."""
+"""
+Questions about runs of an option that its demonstrations leave open.
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-import enum
+Criteria compare an option with what was shown, and an exam of few runs finds only common errors. A
+question shows one run and is answered by one key, so it is asked where the answer says most: about
+ends and changes that were never shown, starts unlike all shown ones, states where I is a guess,
+and ways that are shorter than shown or longer than necessary. *Yes* is evidence for all runs that
+are alike in this respect; *no* leads to a demonstration. Questions of one kind are asked until at
+most ``UNASKED`` of the runs are left.
+"""
+
+from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import dataclass, replace
+from enum import Enum
+from itertools import chain, combinations
 from typing import Any
 
-from humanopts_env.domains.base import ActableDomain
-from humanopts_learner.demonstrations import Demonstration
+from humanopts_env.arrays import Flags, Floats, Ints, Rows
+from humanopts_env.domains.base import ActableDomain, Domain, FeatureKind
+from humanopts_env.domains.described import can_simulate
+from humanopts_env.domains.formulas import feature_columns, FeatureColumn, plain_name, stacked
+from humanopts_env.domains.tabular import reachable
+from humanopts_env.games import feature_rows, games_at
+from humanopts_learner.demonstrations import Demonstration, judged, shown, version_of
+from humanopts_learner.execution import Execution, Fixed, RowOptions
 from humanopts_learner.option import Option
-from humanopts_learner.options.learned_option import LearnedOption
+from humanopts_learner.options.decision_tree import encode_rows, feature_encoding, fit_tree
+from humanopts_learner.options.failures import ends_like_shown, find_failures, uncertain
+from humanopts_learner.options.learn import make_dataset
+from humanopts_learner.options.learned_option import (
+    LearnedOption,
+    loops_of,
+    MEMBER,
+    MEMBERSHIP,
+    tabulate,
+)
+from humanopts_learner.options.rollout import (
+    is_deterministic,
+    rollouts_from_everywhere,
+    run_once,
+)
+from humanopts_learner.options.starts import possible_starts
 import numpy as np
 
+MAX_CHECKS = 12  # questions between two demonstrations
+MAX_ENDS = 8  # of them about ends, which may be too many to ask about each
+UNASKED = 0.05  # share of the runs that no question is asked for
+COMMITTEE = 40  # sets of features drawn for a committee
+SOME = 0.2  # share of a committee that is a reason to ask
+RUNS = 200  # runs, if states cannot be listed
+FEW = 8  # values of a feature up to which each is compared; of others, PARTS of the range are
+PARTS = 4
+FEW_IN_PAIRS = 4  # values of a feature up to which pairs of values are compared
 
-class CheckKind(enum.Enum):
-    OUTSIDE = 1
+
+class CheckKind(Enum):
+    """What a question is about."""
+
+    END = 'end'  # an end or a change like none that was shown
+    VALUE = 'value'  # a value of a chosen feature that was never shown
+    CONSTANT = 'constant'  # a start that differs in a feature that was always the same
+    OUTSIDE = 'outside'  # a state outside I without evidence
+    INSIDE = 'inside'  # a state in I that other features would exclude
+    SHORTER = 'shorter'  # a plan that takes fewer steps than its demonstrations
+    DETOUR = 'detour'  # a run that takes more steps than necessary
 
 
 @dataclass(frozen=True)
 class Check:
-    kind: Any
-    text: str
-    states: tuple[str, ...]
-    features: tuple[tuple[float, ...], ...]
-    actions: tuple[str, ...] = ()
-    rewards: tuple[float, ...] = ()
+    """A run of an option, with the fields of a ``Demonstration``, and a question about it."""
+
+    kind: CheckKind
+    text: str  # answered by yes, if the run is right, or by no
+    states: tuple[str, ...]  # T + 1; T = 0: the option would not start there
+    features: tuple[tuple[float, ...], ...]  # T + 1 rows of all features
+    actions: tuple[str, ...] = ()  # T
+    rewards: tuple[float, ...] = ()  # T
     terminated: bool = False
-    compared: tuple[str, ...] = ()
+    compared: tuple[str, ...] = ()  # states of the demonstration to compare it with; empty: none
 
 
 def next_check(
@@ -35,4 +86,335 @@ def next_check(
     rng: np.random.Generator,
     others: Sequence[Option] = (),
 ) -> Check | None:
-    return None
+    """
+    Return the next question about an option.
+
+    :param demonstrations: those of this participant and option, with the judged runs.
+    :param others: as in ``choose_start_state``.
+    :return: None: answers would change little, or the domain can only be acted in.
+    :raises OptionError: the option was not learned in this domain.
+    """
+    if not can_simulate(domain):
+        return None
+    option.check_domain(domain)
+    demos, answers = shown(demonstrations), judged(demonstrations)
+    version, right = version_of(demos), [run for run in answers if run.right]
+    asked = sum(run.option_version == version and not run.exam for run in answers)
+    if asked >= MAX_CHECKS:
+        return None
+    starts = _starts(option, domain, demonstrations, rng, others)
+    questions = _Questions(option, domain, starts, [*demos, *right], answers, rng)
+    kinds = [questions.new_values(), questions.guesses()]
+    if asked < MAX_ENDS:
+        kinds.insert(0, questions.new_ends())
+    if is_deterministic(domain):
+        kinds += [questions.shorter(), questions.detours()]
+    return next(chain(*kinds), None)
+
+
+@dataclass(frozen=True)
+class _Starts:
+    """N states, and the runs of an option from those in I."""
+
+    state: Callable[[int], Any]  # by index
+    rows: Rows  # (N, F)
+    runs: Flags  # (N,) in I, and the run ends by beta or with the task over
+    last: Rows  # (N, F) features where it ends
+    over: Flags  # (N,) whether the task is over there
+    steps: Ints  # (N,) of the runs
+    unknown: Flags  # (N,) runs with an end unlike all that were shown or called right
+    outside: Flags  # (N,) may be a start, but is outside I
+    detour: Flags  # (N,) runs that are longer than necessary, as they were often shown
+    distance: Ints  # (N,) necessary number of steps, if it is known
+    seeds: Ints  # (N,) of chance in the runs
+
+
+@dataclass(frozen=True)
+class _Questions:
+    """The questions of each kind about an option."""
+
+    option: LearnedOption
+    domain: Domain
+    starts: _Starts
+    known: Sequence[Demonstration]  # demonstrations, and runs that the person called right
+    answers: Sequence[Demonstration]  # all judged runs
+    rng: np.random.Generator
+
+    def new_ends(self) -> Iterator[Check]:
+        """Ask about the commonest end that was never shown, or change from start to end."""
+        starts, chosen = self.starts, feature_columns(self.domain, self.option.features)
+        nominal = [column.feature.kind is FeatureKind.NOMINAL for column in chosen]
+
+        def changes(first: Rows, last: Rows) -> Flags:
+            found: Flags = (stacked(chosen, first) != stacked(chosen, last)) & nominal
+            return found
+
+        ends = np.stack([run.feature_rows[[0, -1]] for run in self.known if run.actions])
+        known, changed = changes(ends[:, 0], ends[:, 1]), changes(starts.rows, starts.last)
+        new = starts.runs & ~(changed[:, None] == known).all(axis=2).any(axis=1)
+        new |= starts.unknown
+        looks = [_parts(column, starts.last)(starts.last) for column in chosen]
+        like = np.column_stack([starts.over, changed, *looks])[new]
+        _, group, size = np.unique(like, axis=0, return_inverse=True, return_counts=True)
+        alike = np.zeros(len(new))
+        alike[new] = size[group.ravel()]
+        where = {True: ', where you never stopped', False: ''}
+        yield from self._ask(
+            CheckKind.END,
+            new,
+            alike,
+            lambda at: f'Here it would stop after {{}}{where[bool(starts.unknown[at])]}. Right?',
+        )
+
+    def new_values(self) -> Iterator[Check]:
+        """Ask about the start with the commonest values that were never shown."""
+        runs = [run for run in self.known if run.actions]
+        seen = np.concatenate([run.feature_rows for run in runs])
+        first = np.stack([run.feature_rows[0] for run in runs])
+        names = {feature.name for feature in self.domain.features}.difference(self.option.features)
+        for kind, columns, rows, words in (
+            (CheckKind.VALUE, feature_columns(self.domain, self.option.features), seen, 'it'),
+            (CheckKind.CONSTANT, feature_columns(self.domain, names), first, 'a start'),
+        ):
+            if kind is CheckKind.CONSTANT:
+                part = [_parts(column, self.starts.rows)(first) for column in columns]
+                columns = [c for c, values in zip(columns, part) if len(np.unique(values)) == 1]
+            yield from self._unlike(kind, columns, rows, words)
+
+    def _unlike(
+        self, kind: CheckKind, columns: Sequence[FeatureColumn], known: Rows, what: str
+    ) -> Iterator[Check]:
+        """Ask about a start with values that are in no known rows (M, F)."""
+        starts = self.starts
+        share = np.zeros((len(columns), len(starts.rows)))  # starts with the same new value
+        for number, column in enumerate(columns):
+            part = _parts(column, starts.rows)
+            here = part(starts.rows)
+            new = starts.runs & ~np.isin(here, part(known))
+            _, group, size = np.unique(here[new], return_inverse=True, return_counts=True)
+            share[number, new] = size[group]
+
+        def text(at: int) -> str:
+            column = columns[int(share[:, at].argmax())]
+            value = f'{plain_name(column.feature.name)} {column.text(starts.rows[at])}'
+            return f'You never showed {what} with {value}. Here it would stop after {{}}. Right?'
+
+        total = share.sum(axis=0)
+        yield from self._ask(kind, total > 0, total, text)
+
+    def guesses(self) -> Iterator[Check]:
+        """Ask about states outside I without evidence, and where a committee disagrees on I."""
+        starts = self.starts
+        evidence = [*self.known, *(run for run in self.answers if not run.right)]
+        doubt = starts.outside & uncertain(self.option, starts.rows, evidence)
+        not_here = 'It would not start here. Right?'
+        yield from self._ask(CheckKind.OUTSIDE, doubt, np.zeros(len(doubt)), lambda at: not_here)
+        votes = _votes(starts.rows, self.known, self.domain, self.rng)
+        pairs = self._new_pairs() * starts.outside
+        yield from self._ask(CheckKind.OUTSIDE, pairs > 0, pairs, lambda at: not_here)
+        missing, here = starts.outside & (votes >= SOME), starts.runs & (votes <= 1 - SOME)
+        yield from self._ask(CheckKind.OUTSIDE, missing, votes, lambda at: not_here)
+        text = 'Here it would start, and stop after {}. Right?'
+        yield from self._ask(CheckKind.INSIDE, here, -votes, lambda at: text)
+
+    def _new_pairs(self) -> Floats:
+        """Return (N,): the number of pairs of values that no start and no answer has shown."""
+        chosen = feature_columns(self.domain, self.option.features)
+        names = [c for c in chosen if 0 < len(c.feature.values) <= FEW_IN_PAIRS]
+        shown_rows = [run.feature_rows[: max(len(run.actions), 1)] for run in self.known]
+        here = stacked(names, self.starts.rows)
+        there = stacked(names, np.concatenate(shown_rows))
+        total = np.zeros(len(here))
+        for one, other in combinations(range(len(names)), 2):
+            seen = {tuple(pair) for pair in there[:, [one, other]].tolist()}
+            total += [tuple(pair) not in seen for pair in here[:, [one, other]].tolist()]
+        return total
+
+    def shorter(self) -> Iterator[Check]:
+        """Ask if runs are shorter than demonstrations by more than their spread."""
+        starts, domain = self.starts, self.domain
+        assert is_deterministic(domain)
+        demos = {run.states[0]: run for run in shown(self.known) if run.actions}
+        took = {start: len(demo.actions) for start, demo in demos.items()}
+        meant = [
+            took[run.states[0]] - len(run.actions)
+            for run in judged(self.known)
+            if run.states[0] in took
+        ]
+        at = [domain.index(domain.decode(start)) for start in took]
+        saved = np.where(starts.runs[at], [*took.values()] - starts.steps[at], 0)
+        start, most = [*took][saved.argmax()], int(saved.max())
+        usual = saved.mean() > saved.std() or 2 * most > took[start]
+        if usual and most > max(meant, default=0) and self._is_new(start):
+            text = f'You took {took[start]} steps here, it takes {took[start] - most}. '
+            state = domain.decode(start)
+            found = _check(
+                CheckKind.SHORTER, self.option, domain, state, 0, text + 'Is this what you meant?'
+            )
+            yield replace(found, compared=demos[start].states)
+
+    def detours(self) -> Iterator[Check]:
+        """Ask about the longest detour that was shown often."""
+        starts = self.starts
+        longer = (starts.steps - starts.distance).astype(np.float64)
+        text = 'It takes {{}} here; {} would do. Is the detour meant?'
+        yield from self._ask(
+            CheckKind.DETOUR,
+            starts.detour,
+            longer,
+            lambda at: text.format(starts.distance[at]),
+            few=0.0,
+        )
+
+    def _ask(
+        self,
+        kind: CheckKind,
+        among: Flags,
+        best: Floats,
+        text: Callable[[int], str],
+        few: float = UNASKED,
+    ) -> Iterator[Check]:
+        """
+        Yield a question about one of the best starts, unless they are few.
+
+        :param among: (N,) from which starts.
+        :param best: (N,) the largest come first.
+        :param text: returns the question, with ``{}`` for the number of steps.
+        :param few: share of the runs up to which nothing is asked.
+        """
+        if among.sum() <= few * self.starts.runs.sum():
+            return
+        order = self.rng.permutation(np.flatnonzero(among))
+        for at in order[np.argsort(-best[order], kind='stable')].tolist():
+            state, seed = self.starts.state(at), int(self.starts.seeds[at])
+            if self._is_new(self.domain.encode(state)):
+                yield _check(kind, self.option, self.domain, state, seed, text(at))
+                return
+
+    def _is_new(self, start: str) -> bool:
+        return all(run.states[0] != start for run in self.answers)
+
+
+def _starts(
+    option: LearnedOption,
+    domain: Domain,
+    demonstrations: Sequence[Demonstration],
+    rng: np.random.Generator,
+    others: Sequence[Option],
+) -> _Starts:
+    """Run an option from all states of a deterministic domain, or else from a sample."""
+    if is_deterministic(domain):
+        found, rows = find_failures(option, domain, demonstrations), domain.feature_table()
+        runs = rollouts_from_everywhere(domain, tabulate(option, domain))
+        return _Starts(
+            domain.state_at,
+            rows,
+            found.candidate & ~found.stuck,
+            runs.rows,
+            runs.over,
+            runs.steps,
+            found.unconfirmed,
+            reachable(domain) & ~domain.over() & ~option.can_start(rows),
+            found.meant,
+            found.distance.astype(np.intp),
+            np.zeros(len(rows), dtype=np.intp),
+        )
+    drawn = possible_starts(domain, rng, others)
+    states, rows = drawn.states, feature_rows(domain, drawn.states)
+    seeds = rng.integers(2**31, size=len(states))
+    at = np.flatnonzero(option.can_start(rows))[:RUNS]
+    none = np.zeros(len(states), dtype=np.intp)
+    ended, over, unknown, steps, last = none > 0, none > 0, none > 0, none.copy(), rows.copy()
+    ran = run_once(
+        domain,
+        [states[n] for n in at.tolist()],
+        [option],
+        none[at],
+        np.full(len(at), option.max_steps),
+        [np.random.default_rng(seed) for seed in seeds[at].tolist()],
+        loops_of(domain, [option], len(at), None),
+    )
+    ended[at], over[at], steps[at], last[at] = ran.reached, ran.over, ran.steps, ran.rows
+    unknown[at] = ran.reached & ~ends_like_shown(
+        domain, option.features, demonstrations, ran.rows, ran.over
+    )
+    outside = drawn.askable & ~option.can_start(rows)
+    parts = ended, last, over, steps, unknown, outside, none > 0, none, seeds
+    return _Starts(states.__getitem__, rows, *parts)
+
+
+def _parts(column: FeatureColumn, rows: Rows) -> Callable[[Rows], Floats]:
+    """Return how values of a feature are compared: each, or by parts of their range in rows."""
+    values = np.unique(column.values(rows))
+    if column.feature.kind is FeatureKind.NOMINAL or len(values) <= FEW:
+        return column.values
+    edges = np.linspace(values[0], values[-1], PARTS + 1)[1:-1]
+    return lambda some: np.digitize(column.values(some), edges).astype(np.float64)
+
+
+def _votes(
+    rows: Rows, runs: Sequence[Demonstration], domain: Domain, rng: np.random.Generator
+) -> Floats:
+    """
+    Return (N,): the share of a committee by which an option can start in rows (N, F).
+
+    The committee are trees of I over random features that explain all demonstrations and answers
+    as well as the chosen features do (query by committee, as ``committee_disagrees``).
+    """
+    data = make_dataset(runs, domain)
+    judged_rows = [run.feature_rows[:1] for run in judged(runs)]
+    known = np.concatenate([data.initiation.rows, *judged_rows])
+    labels = np.append(data.initiation.labels, [len(run.actions) > 0 for run in judged(runs)])
+    names = [feature.name for feature in domain.features]
+    encoding = feature_encoding(domain, [*names, *data.features])
+    X, Y = encode_rows(encoding, known), encode_rows(encoding, rows)
+
+    def fitted(chosen: Collection[str], seed: int) -> tuple[float, Flags]:
+        columns = [at for at, each in enumerate(encoding) if each.feature in chosen]
+        tree = fit_tree(X[:, columns], labels, MEMBERSHIP, seed)
+        errors = (tree.most_probable(X[:, columns]) != labels).mean()
+        return float(errors), tree.most_probable(Y[:, columns]) == MEMBER
+
+    allowed, vote = fitted(data.features, 0)
+    votes = [vote]
+    for number in range(COMMITTEE):
+        among = data.features if number % 2 else names
+        drawn = rng.permutation(among)[: int(rng.integers(1, len(among) + 1))].tolist()
+        errors, vote = fitted(drawn, number)
+        if errors <= allowed:
+            votes.append(vote)
+    share: Floats = np.mean(votes, axis=0)
+    return share
+
+
+def _check(
+    kind: CheckKind, option: LearnedOption, domain: Domain, state: Any, seed: int, text: str
+) -> Check:
+    """
+    Return a question with the run from a state.
+
+    :param text: with ``{}`` for the number of steps.
+    """
+    games, options = games_at(domain, [state]), RowOptions([option])
+    execution = Execution(options, Fixed(np.zeros(1, dtype=np.intp)), 1)
+    seen, chance, over = options.see(games), [np.random.default_rng(seed)], False
+    states, rows, actions, rewards = [state], [seen.rows[0]], list[str](), list[float]()
+    while kind is not CheckKind.OUTSIDE:
+        taken = execution.act(seen)
+        step = games.step(taken, chance)
+        seen, over = options.see(games), bool(step.over[0])
+        states += games.states()
+        rows.append(seen.rows[0])
+        actions.append(domain.actions[int(taken[0])].name)
+        rewards.append(float(step.reward[0]))
+        if execution.observe(seen, step).game.size:
+            break
+    return Check(
+        kind,
+        text.format(f'{len(actions)} step{"s"[: len(actions) != 1]}'),
+        tuple(map(domain.encode, states)),
+        tuple(tuple(row.tolist()) for row in rows),
+        tuple(actions),
+        tuple(rewards),
+        over,
+    )

@@ -1,79 +1,140 @@
 """
-Situations that the chosen features cannot distinguish, and the feature that could.
+Situations that the chosen features cannot distinguish, and advice on the features to choose.
 
 Examples with equal chosen features but different labels limit the accuracy of any policy,
-initiation set or termination condition over these features.
+initiation set or termination condition over these features. A feature that separates them by
+chance is easily found among many, so one is suggested only if it explains more than it would if
+the labels of whole demonstrations were shuffled (a permutation test; Fisher 1935), at a level that
+holds for all features together (Bonferroni). What tells the end comes first, since an option with
+a wrong end is useless; then what separates answers and actions.
 """
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from itertools import pairwise
-from math import factorial, prod
+from dataclasses import dataclass, replace
 
-from humanopts_env.arrays import Rows
-from humanopts_env.domains.base import ActableDomain, Feature, FeatureKind
-from humanopts_env.domains.formulas import FeatureColumn, plain_name, stacked
+from humanopts_env.arrays import Flags, Ints, Rows
+from humanopts_env.domains.base import ActableDomain, FeatureKind
+from humanopts_env.domains.formulas import feature_columns, FeatureColumn, plain_name, stacked
+from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import Demonstration, Kind, TREES
-from humanopts_learner.options.learn import Dataset, Examples, make_dataset
+from humanopts_learner.intervals import Interval, LEVEL
+from humanopts_learner.options.decision_tree import feature_encoding
+from humanopts_learner.options.learn import (
+    Dataset,
+    Examples,
+    fit_leave_fold_out,
+    make_dataset,
+)
+from humanopts_learner.options.learned_option import LearnedOption, MEMBER
 import numpy as np
-from numpy.typing import NDArray
 
 MAX_TEXTS = 10
-NO_START = 'cannot start here'  # wording in a situation
-CHANCE = 0.05  # significance level for separation by a continuous feature
-SLIP = 1  # number of deviating actions in a situation that may be a slip
+SHUFFLES = 2000  # least number of shuffles, to find out what a feature explains by chance
+TRIED = 5  # features that are tested: those that explain most
+TENTHS = 10  # equal parts of the range of a continuous feature; values in one count as equal
+MIN_SHOWN = 2  # demonstrations from which advice about ends is drawn
+MIN_UNUSED = 10  # demonstrations that show that a chosen feature is needless
+WORSE = 0.25  # largest share of them in which the option would then do worse
+UNTOLD = 'Nothing that you chose tells where it ends: choose what changes there.'
+SAY_AGAIN = 'If the option can start where it ends, say so before done.'
 
 
-@dataclass(frozen=True)
-class _Conflict:
-    """One situation with different labels."""
-
-    rows: Rows  # (N, F) examples with equal chosen features
-    labels: NDArray[np.int64]  # (N,)
-    text: str
-    structural: bool  # False: possibly a slip
-
-    def separated_by(self, index: int, feature: Feature) -> bool:
-        """
-        Return whether one more feature separates the labels.
-
-        Few examples have equal values of a continuous feature, so it must separate the labels into
-        ranges, with more examples than expected by chance.
-        """
-        if feature.kind is FeatureKind.CONTINUOUS:
-            classes, counts = np.unique(self.labels, return_counts=True)
-            of_class = [self.rows[self.labels == label, index] for label in classes]
-            ranges = sorted((values.min(), values.max()) for values in of_class)
-            apart = all(one[1] < other[0] for one, other in pairwise(ranges))
-            orders = factorial(len(self.labels)) // prod(map(factorial, counts.tolist()))
-            return apart and factorial(len(classes)) <= CHANCE * orders
-        pairs = set(zip(self.rows[:, index].tolist(), self.labels.tolist()))
-        return len(pairs) == len({value for value, _ in pairs})
-
-
-def find_conflicts(data: Dataset, domain: ActableDomain) -> tuple[tuple[str, ...], str]:
-    """
-    Find the situations of one option with different labels.
-
-    :return: descriptions of the situations, most frequent first; and the feature that separates
-        more than half of them, ignoring slips. Empty: none.
-    """
+def find_conflicts(data: Dataset) -> tuple[str, ...]:
+    """Return the situations of one option with different labels, most frequent first."""
     found = [
         conflict
-        for examples, words, may_slip in _parts(data)
-        for conflict in _conflicts(examples, data.chosen, words, may_slip)
+        for examples, words in _parts(data)
+        for conflict in _conflicts(examples, data.chosen, words)
     ]
-    found.sort(key=lambda conflict: -len(conflict.labels))
-    structural = [conflict for conflict in found if conflict.structural]
-    separated = {
-        feature.name: sum(conflict.separated_by(index, feature) for conflict in structural)
-        for index, feature in enumerate(domain.features)
-        if feature.name not in data.features
-    }
-    best = max(separated, key=lambda name: separated[name], default='')
-    suggested = best if 2 * separated.get(best, 0) > len(structural) else ''
-    return tuple(conflict.text for conflict in found[:MAX_TEXTS]), suggested
+    found.sort(key=lambda conflict: -conflict[0])
+    return tuple(text for _, text in found[:MAX_TEXTS])
+
+
+def advise(data: Dataset, domain: ActableDomain) -> tuple[str, ...]:
+    """Return advice on features that may be missing, the most important first."""
+    left = feature_columns(
+        domain, {feature.name for feature in domain.features}.difference(data.features)
+    )
+    rng = generator(0, 'advice', data.demonstrations[0].option_name)
+    advice = list[str]()
+    demos = data.trajectories
+    whole = Examples.of((demo.feature_rows, [0] * len(demo.actions) + [MEMBER]) for demo in demos)
+    looks = _looks(whole.rows, data.chosen)
+    ends = whole.labels == MEMBER
+    first = np.append(True, ends[:-1])
+    like_any, like_passed = (
+        np.isin(looks[ends], looks[rows]).sum() for rows in (~ends, ~ends & ~first)
+    )
+    alike = len(demos) >= MIN_SHOWN and 2 * like_any > len(demos)
+    if missing := _missing(whole, data.chosen, left, rng, whole.source, first):
+        advice.append(f'Add "{plain_name(missing)}": it tells where the option ends.')
+    elif alike and like_passed:
+        advice.append(UNTOLD)
+    else:
+        _, (starts, _), (actions, _) = _parts(data)
+        for examples, what in ((starts, 'where the option can start'), (actions, 'what you do')):
+            units = _one_per_demonstration(examples, data.chosen)
+            if missing := _missing(units, data.chosen, left, rng):
+                advice.append(f'Add "{plain_name(missing)}": it tells {what}.')
+                break
+    if alike and not any(demo.can_start_at_end or demo.terminated for demo in demos):
+        advice.append(SAY_AGAIN)
+    return tuple(advice)
+
+
+def find_needless(
+    held_out: Sequence[LearnedOption], data: Dataset, folds: Ints, domain: ActableDomain, seed: int
+) -> tuple[str, ...]:
+    """
+    Return advice on the chosen feature that trees use least, if the option does without it.
+
+    Options are relearned without it and tested on the demonstrations that they were not learned
+    from. It is needless if they do worse in few of these: the upper limit of their share counts.
+
+    :param held_out: options learned without each fold.
+    :param folds: (D,) of the demonstrations.
+    """
+    if data.method != TREES or len(data.chosen) < 2 or len(data.trajectories) < MIN_UNUSED:
+        return ()
+    used = Counter(
+        option.encoding[at].feature
+        for option in held_out
+        for tree in (option.policy, option.initiation, option.termination)
+        for at in tree.tested.tolist()
+    )
+    least = min(data.features, key=lambda name: used[name])
+    left = [name for name in data.features if name != least]
+    without = replace(
+        data,
+        chosen=tuple(feature_columns(domain, left)),
+        encoding=feature_encoding(domain, left),
+    )
+    errors = [
+        _held_out_errors(options, data, folds)
+        for options in (held_out, fit_leave_fold_out(without, folds, domain, seed))
+    ]
+    if Interval.of_share(errors[1] > errors[0]).high > WORSE:
+        return ()
+    return (
+        f'"{plain_name(least)}" seems needless: without it, as much is learned from your '
+        f'{len(data.trajectories)} demonstrations.',
+    )
+
+
+def _held_out_errors(options: Sequence[LearnedOption], data: Dataset, folds: Ints) -> Ints:
+    """Return (D,): the number of examples of each demonstration that options get wrong."""
+    errors = np.zeros(len(folds), dtype=np.intp)
+    for fold, option in enumerate(options):
+        for examples, answer in (
+            (data.policy, option.action),
+            (data.initiation, option.can_start),
+            (data.termination, option.ends),
+        ):
+            at = np.flatnonzero(folds[examples.source] == fold)
+            wrong = at[answer(examples.rows[at]) != examples.labels[at]]
+            errors += np.bincount(examples.source[wrong], minlength=len(folds))
+    return errors
 
 
 @dataclass(frozen=True)
@@ -103,8 +164,8 @@ def contradiction(
     chosen, last = data.chosen, len(earlier)
     ends, *others = _parts(data)
     starts_first = newest.kind is Kind.NOT_HERE
-    for examples, words, is_action in [others[0], ends] if starts_first else [ends, *others]:
-        if is_action and data.method != TREES:
+    for examples, words in [others[0], ends] if starts_first else [ends, *others]:
+        if words is data.actions and data.method != TREES:
             continue
         keys = list(map(tuple, stacked(chosen, examples.rows).astype(np.float32).tolist()))
         shown = list(zip(keys, examples.labels.tolist(), examples.source.tolist()))
@@ -127,32 +188,101 @@ def contradiction(
     return None
 
 
-def _parts(data: Dataset) -> Iterator[tuple[Examples, Sequence[str], bool]]:
-    """Yield examples of beta, I and policy, words for labels, and whether slips are possible."""
-    yield data.termination, ('not the end', 'the end'), False
-    yield data.initiation, (NO_START, 'can start here'), False
-    yield data.policy, data.actions, True
+def _parts(data: Dataset) -> Iterator[tuple[Examples, Sequence[str]]]:
+    """
+    Yield examples of beta, I and policy, and words for labels.
+
+    Of I, there is only what the person said: the ends of demonstrations are not refused.
+    """
+    yield data.termination, ('not the end', 'the end')
+    labelled = []
+    for demo in data.demonstrations:
+        members = len(demo.actions) + (demo.can_start_at_end and not demo.terminated)
+        said = members or len(demo.states)
+        labelled.append((demo.feature_rows[:said], [int(members > 0)] * said))
+    yield Examples.of(labelled), ('cannot start here', 'can start here')
+    yield data.policy, data.actions
 
 
 def _conflicts(
-    examples: Examples,
-    chosen: Sequence[FeatureColumn],
-    words: Sequence[str],
-    may_slip: bool,
-) -> list[_Conflict]:
-    seen = stacked(chosen, examples.rows).astype(np.float32)  # precision of the trees
-    _, group = np.unique(seen, axis=0, return_inverse=True)
-    pairs = np.unique(np.stack([group.ravel(), examples.labels]), axis=1)[0]
-    found = []
+    examples: Examples, chosen: Sequence[FeatureColumn], words: Sequence[str]
+) -> Iterator[tuple[int, str]]:
+    """Yield situations with different labels, as number of examples and text."""
+    looks = _looks(examples.rows, chosen)
+    pairs = np.unique(np.stack([looks, examples.labels]), axis=1)[0]
     for number in np.flatnonzero(np.bincount(pairs) > 1):
-        in_region = group.ravel() == number
-        rows, labels = examples.rows[in_region], examples.labels[in_region]
-        counts = Counter(labels.tolist()).most_common()
+        at = np.flatnonzero(looks == number)
+        counts = Counter(examples.labels[at].tolist()).most_common()
         answers = ', '.join(f'{words[label]} ({count}x)' for label, count in counts)
-        text = f'{_situation(rows[0], chosen)}: {answers}'
-        found.append(_Conflict(rows, labels, text, not may_slip or counts[1][1] > SLIP))
-    return found
+        yield len(at), f'{_situation(examples.rows[at[0]], chosen)}: {answers}'
 
 
 def _situation(row: Rows, chosen: Sequence[FeatureColumn]) -> str:
     return ', '.join(f'{plain_name(column.feature.name)} {column.text(row)}' for column in chosen)
+
+
+def _looks(rows: Rows, chosen: Sequence[FeatureColumn]) -> Ints:
+    """Return (N,): a number per row; rows with equal chosen features have the same."""
+    seen = stacked(chosen, rows).astype(np.float32)  # precision of the trees
+    return np.unique(seen, axis=0, return_inverse=True)[1].ravel()
+
+
+def _missing(
+    examples: Examples,
+    chosen: Sequence[FeatureColumn],
+    left: Sequence[FeatureColumn],
+    rng: np.random.Generator,
+    blocks: Ints | None = None,
+    first: Flags | None = None,
+) -> str:
+    """
+    Return the feature that explains most exceptions from what the chosen features tell.
+
+    :param left: the other features.
+    :param blocks: (N,) labels are shuffled within these; None: within equal chosen features.
+    :param first: (N,) starts, which count only if labelled as ends; None: all examples count.
+    :return: empty: none explains more than it would by chance.
+    """
+    labels, looks = examples.labels, _looks(examples.rows, chosen)
+    blocks = looks if blocks is None else blocks
+    in_order = np.argsort(blocks, kind='stable')
+
+    def exceptions(cells: Ints, labels: Ints) -> int:
+        """Return how many examples do not have the most frequent label of their cell."""
+        if first is not None:
+            counted = ~first | (labels == MEMBER)
+            cells, labels = cells[counted], labels[counted]
+        table = np.bincount(cells * (labels.max() + 1) + labels)
+        table.resize((cells.max() + 1, labels.max() + 1))
+        return int(len(labels) - table.max(axis=1).sum())
+
+    cells, explained, all_ = dict[str, Ints](), dict[str, int](), exceptions(looks, labels)
+    for column in left:
+        values, feature = column.values(examples.rows), column.feature
+        if feature.kind is FeatureKind.CONTINUOUS:
+            values = np.floor(TENTHS * (values - feature.low) / feature.span)
+        value = np.unique(values, return_inverse=True)[1].ravel()
+        cells[feature.name] = cell = looks * (value.max() + 1) + value
+        explained[feature.name] = all_ - exceptions(cell, labels)
+    best = sorted(cells, key=lambda name: (-explained[name], len(np.unique(cells[name]))))
+    shuffles = max(SHUFFLES, round(2 * len(left) / (1 - LEVEL)))
+    for name in best[:TRIED]:
+        if explained[name] <= 0:
+            break
+        chances = (1 - LEVEL) / len(left) * (shuffles + 1) - 1
+        for _ in range(shuffles):
+            drawn = np.empty_like(labels)
+            drawn[in_order] = labels[np.lexsort((rng.random(len(labels)), blocks))]
+            chances -= exceptions(looks, drawn) - exceptions(cells[name], drawn) >= explained[name]
+            if chances < 0:
+                break
+        else:
+            return name
+    return ''
+
+
+def _one_per_demonstration(examples: Examples, chosen: Sequence[FeatureColumn]) -> Examples:
+    """Return the first example of each demonstration in each situation: others repeat it."""
+    key = np.stack([_looks(examples.rows, chosen), examples.source])
+    first = np.unique(key, axis=1, return_index=True)[1]
+    return Examples(examples.rows[first], examples.labels[first], examples.source[first])

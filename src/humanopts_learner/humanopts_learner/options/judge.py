@@ -45,7 +45,7 @@ from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import Demonstration, judged, Kind
 from humanopts_learner.intervals import Interval, level_of_look, runs_needed
 from humanopts_learner.option import Option, RandomActions
-from humanopts_learner.options.conflicts import find_conflicts
+from humanopts_learner.options.conflicts import advise, find_conflicts, find_needless
 from humanopts_learner.options.exam import before_exam, with_verdicts
 from humanopts_learner.options.failures import (
     ends_called_wrong,
@@ -237,7 +237,9 @@ def judge(
     ):
         found = Criterion.of(name, error, threshold, count=len(demos))
         criteria.append(replace(found, obstacle=obstacle))
-    conflicts, suggested = find_conflicts(data, domain)
+    needless = (
+        find_needless(held_out.of_fold, data, held_out.folds, domain, seed) if held_out else ()
+    )
     summary = replace(
         unmeasured(data.demonstrations),
         features=data.features,
@@ -249,8 +251,8 @@ def judge(
         mean_return_demonstrations=float(returns.mean()),
         mean_return_policy=mean_return,
         more_needed=more_needed(criteria, len(demos)),
-        conflicts=conflicts,
-        suggested_feature=suggested,
+        conflicts=find_conflicts(data),
+        advice=(*advise(data, domain), *needless),
         gain=gain,
     )
     return with_verdicts(summary, everything, thresholds.exam)

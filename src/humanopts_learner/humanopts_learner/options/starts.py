@@ -103,11 +103,8 @@ def choose_start_state(
         drawn = drawn if replayed else None  # a different sample
     if not replayed and (strategy == 'random' or not demonstrations):
         return domain.sample_states(rng, 1)[0]
-    if is_enumerable(domain):
-        states = _states(domain, reachable(domain) & ~domain.over(), rng)
-        drawn = Sample(states, np.ones(len(states), dtype=np.bool_))
-    elif drawn is None:
-        drawn = _random_sample(domain, rng)
+    if drawn is None:
+        drawn = possible_starts(domain, rng, others)
     states = drawn.states
     if option is not None:
         rows = feature_rows(domain, states)
@@ -131,11 +128,26 @@ def draw_sample(
     :param others: as in ``choose_start_state``.
     :return: the states; None: it does not use a sample.
     """
+    replayed = isinstance(domain, ReplayedDomain)
+    if not replayed and (strategy == 'random' or is_enumerable(domain) or not demonstrations):
+        return None
+    return possible_starts(domain, rng, others)
+
+
+def possible_starts(
+    domain: Domain, rng: np.random.Generator, others: Sequence[Option] = ()
+) -> Sample:
+    """
+    Draw states in which an option might start.
+
+    :param others: as in ``choose_start_state``.
+    """
     if isinstance(domain, ReplayedDomain):
         return _reached(domain, others, rng)
-    if strategy == 'random' or is_enumerable(domain) or not demonstrations:
-        return None
-    return _random_sample(domain, rng)
+    if not is_enumerable(domain):
+        return _random_sample(domain, rng)
+    states = _states(domain, reachable(domain) & ~domain.over(), rng)
+    return Sample(states, np.ones(len(states), dtype=np.bool_))
 
 
 def _random_sample(domain: Domain, rng: np.random.Generator) -> Sample:

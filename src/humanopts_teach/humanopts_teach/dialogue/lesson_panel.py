@@ -8,7 +8,7 @@ from humanopts_env.domains.capabilities import feature_groups
 from humanopts_env.domains.described import published_state
 from humanopts_env.domains.formulas import feature_columns, plain_name
 from humanopts_learner.demonstrations import GOAL, METHODS
-from humanopts_learner.options.conflicts import NO_START
+from humanopts_learner.options.conflicts import SAY_AGAIN
 from humanopts_learner.options.judge import likely_range, MIN_HELD_OUT
 from humanopts_learner.summary import Criterion, OptionSummary, RETURN
 from humanopts_teach.dialogue.app import App
@@ -26,6 +26,7 @@ from humanopts_teach.dialogue.panel import (
 )
 from humanopts_teach.lesson.requests import LessonView, Phase
 
+ADVICE = 2  # most important lines of advice on features
 _EXAM = (
     'Enter begins a run from a start that nobody chose. Watch it; press r if it was right, or w '
     'as soon as it is wrong.'
@@ -190,19 +191,17 @@ def _results(lesson: LessonView, progress: OptionSummary) -> Iterator[Line]:
 def _conflicts(
     progress: OptionSummary, questions: str, again: str, demonstrations: str
 ) -> Iterator[Line]:
-    """Yield conflicts between demonstrations and advice on resolving them."""
-    if not progress.conflicts:
-        return
-    more = len(progress.conflicts) - 1
-    also = f' (and {more} more)' if more else ''
-    yield Line(f'Same situation, shown differently{also}:', Tone.WARNING)
-    yield Line(progress.conflicts[0])
-    if progress.suggested_feature:
-        key = f' ({questions})' if questions else ''
-        text = f'Add "{plain_name(progress.suggested_feature)}"{key}: it separates most of them.'
-        yield Line(text, Tone.WARNING)
-    elif any(NO_START in text for text in progress.conflicts):
-        # Demonstrations disagree on whether the option can start here; no feature explains it.
-        slip = f'If the last one was a mistake, delete it ({demonstrations}).'
-        text = f'{slip} If the option can start where it ends, press {again} before done.'
+    """Yield conflicts between demonstrations, and advice on the chosen features."""
+    if progress.conflicts and len(progress.advice) < ADVICE:
+        more = len(progress.conflicts) - 1
+        also = f' (and {more} more)' if more else ''
+        yield Line(f'Same situation, shown differently{also}:', Tone.WARNING)
+        yield Line(progress.conflicts[0])
+        if not progress.advice:
+            yield Line(f'If one was a mistake, delete it ({demonstrations}).', Tone.WARNING)
+    for text in progress.advice[:ADVICE]:
+        if text == SAY_AGAIN:
+            text = f'If the option can start where it ends, press {again} before done.'
+        elif questions:
+            text = f'{text[:-1]} ({questions}).'
         yield Line(text, Tone.WARNING)
