@@ -48,7 +48,7 @@ NAME = 'judging'
 TITLE = 'Whether what a lesson calls learned is right'
 LESSONS = 6
 FALSE = 0.05
-BUDGET = 60  # start states per option
+BUDGET = 40  # start states per option
 ATTEMPTS = 100  # at a demonstration from one start: a teacher who errs in most steps is patient
 KEYS = ['world', 'method', 'taught by']
 KEYED = AnswerQuestion, BeginDemonstration, Drive, EndDemonstration, RunOption  # one key each
@@ -387,6 +387,7 @@ def give_lesson(parameters: Mapping[str, Any]) -> Rows:
             'keys': keys / len(names),
             'features': ', '.join(options[name].features),
             'status': summary.status,
+            'criteria': ', '.join(f'{each.name} {each.verdict}' for each in summary.criteria),
         }
     return rows
 

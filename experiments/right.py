@@ -9,11 +9,12 @@ option. How often it can start where the reference cannot is measured beside it.
 Where chance matters, the probability of such a run must be at least ``SHARE`` of that of the
 teacher's own runs, and its mean number of steps at most ``SLOWER`` times the teacher's. Where all
 states can be listed, both follow from the transitions, exactly and from every start. In Pac-Man,
-they are shares and means of ``RUNS`` runs from each of ``STARTS`` sampled starts, with the same
-random numbers as the teacher's runs. There, a start counts as wrong if the difference is
-significant (McNemar 1947, one-sided, 5 %), and the mean share over the starts that count as right
-must be at least ``SHARE`` of the teacher's. In a replayed environment, the seed of a start
-determines the run; the starts are those that the teacher reaches from resets of the task.
+the probability is the share of ``RUNS`` runs from each of ``STARTS`` sampled starts, with the same
+random numbers as the teacher's runs, and no run may be longer than ``SLOWER`` times the longest of
+these. A start counts as wrong if the difference is significant (McNemar 1947, one-sided, 5 %), and
+the mean share over the starts that count as right must be at least ``SHARE`` of the teacher's. In
+a replayed environment, the seed of a start determines the run; the starts are those that the
+teacher reaches from resets of the task.
 """
 
 from collections import defaultdict
@@ -71,7 +72,9 @@ class Performance:
 
     can_start: Flags  # (N,)
     endings: Floats  # (N, E) share of the runs with each ``Ending``
-    steps: Floats  # (N,) mean number of steps of the right runs; NaN: none
+    steps: (
+        Floats  # (N,) mean number of steps of the right runs, in a sample the largest; NaN: none
+    )
     doubt: Floats | float = 0.0  # (N,) difference from the teacher that chance explains
     elsewhere: float = 0.0  # share of the other states in which it can start, too
 
@@ -83,7 +86,7 @@ class Performance:
     def is_right(self, teacher: 'Performance') -> bool:
         """Return whether the option is right."""
         right = self.right(teacher)
-        enough = self.share[right].mean() >= SHARE * teacher.share[right].mean()
+        enough = self.share[right].sum() >= SHARE * teacher.share[right].sum()
         return bool(right.mean() >= SHARE and enough)
 
     @property
@@ -241,8 +244,7 @@ class MeantInSample:
         ending, steps_taken = ending[:, sure], steps_taken[:, sure]
         self.teacher = _summary(np.ones(len(self._starts), bool), ending, steps_taken)
         self._teacher_right = ending == Ending.RIGHT
-        longest = np.where(ending == Ending.RIGHT, steps_taken, 0).max(axis=0)
-        self._limits = (SLOWER * longest).astype(np.intp)
+        self._limits = (SLOWER * self.teacher.steps).astype(np.intp)
 
     def performance(self, option: Option) -> Performance:
         can_start = option.can_start(feature_rows(self._domain, self._starts))
@@ -291,9 +293,8 @@ def _summary(can_start: Flags, ending: Ints, steps: Ints) -> Performance:
     """
     right = ending == Ending.RIGHT
     endings = np.stack([(ending == each).mean(axis=0) for each in Ending], axis=1)
-    with np.errstate(invalid='ignore'):
-        mean = np.where(right, steps, 0).sum(axis=0) / right.sum(axis=0)
-    return Performance(can_start, endings, mean)
+    longest = np.where(right.any(axis=0), np.where(right, steps, 0).max(axis=0), np.nan)
+    return Performance(can_start, endings, longest)
 
 
 def _ends(reference: ReferenceOption, games: Games) -> tuple[Flags, Flags]:
