@@ -366,7 +366,7 @@ def test_it_answers_questions_about_runs_by_its_reference() -> None:
 
 def test_after_a_wrong_run_the_next_demonstration_starts_there(taxi: Any) -> None:
     """The criteria are met by anything, so that the exam finds what is wrong."""
-    anything = Thresholds(return_delta=1e9, initiation_error=1.0, termination_error=1.0)
+    anything = Thresholds(0.0, 1e9, initiation_error=1.0, termination_error=1.0)
     rules = LessonRules('random', until_no_failures=False, ask_about_runs=False)
     taught = teach(taxi, TeacherSettings((PICKUP,)), rules, thresholds=anything)
     wrong = [run for run in taught.judged if not run.right]

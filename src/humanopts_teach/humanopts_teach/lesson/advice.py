@@ -51,6 +51,6 @@ def advice(
         status = NOT_MET if settled is None else settled.status
         return f'{why}{status[0].upper()}{status[1:]}. {hint}'
     fails = phase in (Phase.READY, Phase.DEMONSTRATING) and stage is Phase.READY and wrong is None
-    if fails and settled is not None:
+    if fails and settled is not None and settled.criteria_met:
         return f'{settled.result[:-1]}, but from some starts it still fails. {hint}'
     return hint
