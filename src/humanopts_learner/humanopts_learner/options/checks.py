@@ -209,23 +209,29 @@ class _Questions:
         doubt = starts.outside & uncertain(self.option, starts.rows, evidence)
         not_here = 'It would not start here. Right?'
         yield from self._ask(CheckKind.OUTSIDE, doubt, np.zeros(len(doubt)), lambda at: not_here)
+        pairs, text = self._new_pairs(), 'Here it would start, and stop after {}. Right?'
+        out, here = (among & (pairs > 0) for among in (starts.outside, starts.runs))
+        yield from self._ask(CheckKind.OUTSIDE, out, pairs, lambda at: not_here)
+        yield from self._ask(CheckKind.INSIDE, here, pairs, lambda at: text)
         votes = _votes(starts.rows, self.known, self.domain, self.rng)
-        pairs = self._new_pairs() * starts.outside
-        yield from self._ask(CheckKind.OUTSIDE, pairs > 0, pairs, lambda at: not_here)
         missing, here = starts.outside & (votes >= SOME), starts.runs & (votes <= 1 - SOME)
         yield from self._ask(CheckKind.OUTSIDE, missing, votes, lambda at: not_here)
-        text = 'Here it would start, and stop after {}. Right?'
         yield from self._ask(CheckKind.INSIDE, here, -votes, lambda at: text)
 
     def _new_pairs(self) -> Floats:
-        """Return (N,): the number of pairs of values that no start and no answer has shown."""
-        chosen = feature_columns(self.domain, self.option.features)
-        names = [c for c in chosen if 0 < len(c.feature.values) <= FEW_IN_PAIRS]
+        """
+        Return (N,): the number of pairs of values that no start and no answer has shown.
+
+        The features that were not chosen count, too, since one of them may be missing.
+        """
+        names = {*self.option.features, *(feature.name for feature in self.domain.features)}
+        every = feature_columns(self.domain, names)
+        few = [c for c in every if 0 < len(c.feature.values) <= FEW_IN_PAIRS]
         shown_rows = [run.feature_rows[: max(len(run.actions), 1)] for run in self.known]
-        here = stacked(names, self.starts.rows)
-        there = stacked(names, np.concatenate(shown_rows))
+        here = stacked(few, self.starts.rows)
+        there = stacked(few, np.concatenate(shown_rows))
         total = np.zeros(len(here))
-        for one, other in combinations(range(len(names)), 2):
+        for one, other in combinations(range(len(few)), 2):
             seen = {tuple(pair) for pair in there[:, [one, other]].tolist()}
             total += [tuple(pair) not in seen for pair in here[:, [one, other]].tolist()]
         return total
