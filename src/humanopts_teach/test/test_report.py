@@ -146,6 +146,26 @@ def test_a_criterion_that_is_not_yet_known_is_called_so(brief: BagEvaluation) ->
     assert 'upper limit' in figure
 
 
+def test_where_held_out_demonstrations_end_is_told_and_what_cannot_fail_is_not_unmet(
+    brief: BagEvaluation,
+) -> None:
+    option = brief.options[0]
+    criteria = (
+        Criterion.of('success', 1.0, 0.95, count=404),
+        replace(Criterion.of('return', None, 0.1), obstacle='nothing to gain'),
+        Criterion.of('termination', 0.25, 0.05, count=12),
+    )
+    summary = replace(option.summary, criteria=criteria, ended_early=2, ended_never=1)
+    found = undrawn(replace(brief, options=(replace(option, summary=summary),)))
+    text = evaluation_text(found).splitlines()
+    ends = 'termination is 0.25 (early: 2, late: 0, never: 1), needs 0.05 or less'
+    assert f'not met: {ends}' in text
+    assert 'return is not measurable: nothing to gain' in text
+    page = render_report(ReportData('Taxi', found))
+    assert 'not met: 2 early, 0 late, 1 never</td>' in page
+    assert 'every start: 404</td>' in page
+
+
 def test_an_option_that_nothing_is_known_of_is_drawn_without_accuracy(
     evaluation: BagEvaluation,
 ) -> None:

@@ -5,7 +5,7 @@ from typing import Any, TYPE_CHECKING
 
 from humanopts_learner.demonstrations import METHODS
 from humanopts_learner.options.judge import likely_range, Thresholds
-from humanopts_learner.summary import Criterion
+from humanopts_learner.summary import Criterion, OptionSummary, TERMINATION
 from humanopts_ros.limits import one_line
 from humanopts_teach.evaluation.bag_evaluation import BagEvaluation, OptionEvaluation
 from humanopts_teach.evaluation.games import gains
@@ -123,7 +123,7 @@ def _option(option: OptionEvaluation) -> list[str]:
     lines += [
         f'mean return: demonstrations {number(summary.mean_return_demonstrations)}, '
         f'policy {number(summary.mean_return_policy)}',
-        *(f'not met: {_unmet(c)}' for c in summary.criteria if not c.met),
+        *(_unmet(c, summary) for c in summary.criteria if not c.met),
     ]
     if summary.more_needed > 0:
         low, high = likely_range(summary.more_needed)
@@ -142,7 +142,7 @@ def _cell(column: str, row: 'pd.Series') -> str:
     return share(value) if 'accuracy' in column else number(value, 3)
 
 
-def _unmet(criterion: Criterion) -> str:
+def _unmet(criterion: Criterion, summary: OptionSummary) -> str:
     is_now = criterion.verdict if criterion.value is None else number(criterion.value)
     if criterion.undecided:
         side = 'least' if criterion.at_least else 'most'
@@ -150,8 +150,12 @@ def _unmet(criterion: Criterion) -> str:
         is_now = f'{criterion.verdict}: about {is_now}, {limit}'
     if criterion.obstacle:
         return f'{criterion.name} is {is_now}: {criterion.obstacle}'
+    if criterion.name == TERMINATION and criterion.value:
+        early, late, never = summary.ended_early, summary.ended_late, summary.ended_never
+        is_now += f' (early: {early}, late: {late}, never: {never})'
     side = 'more' if criterion.at_least else 'less'
-    return f'{criterion.name} is {is_now}, needs {number(criterion.threshold)} or {side}'
+    needs = f'needs {number(criterion.threshold)} or {side}'
+    return f'not met: {criterion.name} is {is_now}, {needs}'
 
 
 def _plan(name: Any, row: 'pd.Series') -> dict[str, str]:
