@@ -228,6 +228,7 @@ WORLDS = {
             'go to the nearest power pellet',
             'eat the ghost',
         ),
+        share=1 / 3,
     ),
     'DoorKey': World('gymnasium:MiniGrid-DoorKey-8x8-v0', together=True, share=1 / 3),
     'LunarLander': World('gymnasium:LunarLander-v3', share=1 / 3),

@@ -47,7 +47,8 @@ from experiments.worlds import starts_of
 
 SHARE = 0.95
 SLOWER = 2.0
-STARTS, RUNS = 50, 50
+STARTS, RUNS = 200, 20
+REPLAYED = 100  # starts in a replayed environment
 ONE_SIDED = 1.645  # standard errors that chance exceeds in 5 of 100 cases
 NAME = 'right'  # key of random draws
 LONGEST = 1000  # steps of a teacher's run, if the domain has no limit
@@ -216,7 +217,7 @@ class MeantInSample:
         if self._replayed:
             steps = list[float]()
             for each in references:
-                for state, taken in starts_of(domain, each, seed, STARTS):
+                for state, taken in starts_of(domain, each, seed, REPLAYED):
                     if each == name and taken:
                         self._starts.append(state)
                         steps.append(taken)
