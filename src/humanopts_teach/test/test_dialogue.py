@@ -13,7 +13,7 @@ from humanopts_env.domains.registry import make_domain
 from humanopts_learner.demonstrations import GOAL
 from humanopts_learner.options.conflicts import SAY_AGAIN, UNTOLD
 from humanopts_learner.options.judge import MIN_HELD_OUT
-from humanopts_learner.summary import Criterion, NO_RANGE, OptionSummary
+from humanopts_learner.summary import Criterion, NO_RANGE, OptionSummary, SAMPLED_STARTS
 from humanopts_teach.browser.markup import parts
 from humanopts_teach.dialogue.app import App, REPLY_SECONDS, SETTLE_SECONDS
 from humanopts_teach.dialogue.entry import Item, ListScreen
@@ -264,6 +264,21 @@ VALUES = (Criterion.of('return', 0.25, 1.0), Criterion.of('initiation', 0.125, 0
 CLASH = 'taxi row 4: cannot start here (2x), can start here (1x)'
 PROGRESS: dict[str, dict[str, Any]] = {
     'nothing': {},
+    'the first': {
+        'criteria': (Criterion.of('success', 0.25, 0.95, 0.0, count=12, possible=0.5),),
+        'n_demonstrations': 1,
+        'evidence': SAMPLED_STARTS,
+    },
+    'with limits': {
+        'criteria': (
+            Criterion.of('success', 0.98, 0.95, 0.94, count=300),
+            Criterion.of('return', -0.02, 0.1, 0.04),
+            Criterion.of('termination', 0.3, 0.05),
+        ),
+        'evidence': SAMPLED_STARTS,
+        'ended_early': 2,
+        'ended_never': 1,
+    },
     'measured': {'criteria': (*VALUES, Criterion.of('termination', None, 0.05))},
     'undecided': {'criteria': (Criterion('return', 0.25, 1.0, met=False),)},
     'too few': {'criteria': (Criterion.of('return', None, 1.0),), 'n_demonstrations': 4},

@@ -99,11 +99,11 @@ def test_without_rules_the_features_of_the_state_are_listed(app: App) -> None:
     ('value', 'threshold', 'share'),
     [
         *((0.05, 0.05, TARGET), (0.0, 0.05, 0.0), (0.1, 0.05, 2 * TARGET), (0.9, 0.05, 1.0)),
-        *((-3.0, 0.5, 0.0), (0.0, 0.0, 0.0), (0.1, 0.0, 1.0), (None, 0.05, None)),
+        *((-3.0, 0.5, 0.0), (0.0, 0.0, 0.0), (0.1, 0.0, 1.0)),
     ],
 )
 def test_a_bar_reaches_its_mark_at_the_threshold_and_its_end_at_three_times_that(
-    app: App, value: float | None, threshold: float, share: float | None
+    app: App, value: float, threshold: float, share: float
 ) -> None:
     found = Criterion('initiation', value, threshold, met=False)
     app.world.summaries = [OptionSummary('fetch', 'p1', criteria=(found,))]
@@ -111,8 +111,15 @@ def test_a_bar_reaches_its_mark_at_the_threshold_and_its_end_at_three_times_that
     assert isinstance(criteria, Criteria)
     assert criteria.rows[0].share == pytest.approx(share)
     (bar,) = [div for div in tree(view(app)).iter('div') if div.get('class') == 'bar']
-    filled = [] if share is None else [f'width:{100 * share:.1f}%']
-    assert [part.get('style') for part in bar] == [*filled, 'left:33.3%']
+    assert [part.get('style') for part in bar] == [f'width:{100 * share:.1f}%', 'left:33.3%']
+
+
+def test_a_bar_of_a_share_shows_what_is_missing(app: App) -> None:
+    found = Criterion.of('success', 0.9, 0.95)
+    app.world.summaries = [OptionSummary('fetch', 'p1', criteria=(found,))]
+    criteria = block(app, Criteria)
+    assert isinstance(criteria, Criteria)
+    assert criteria.rows[0].share == pytest.approx(2 * TARGET)
 
 
 def test_every_kind_of_block_is_drawn_and_its_texts_are_escaped() -> None:

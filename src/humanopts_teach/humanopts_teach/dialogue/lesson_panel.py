@@ -76,8 +76,7 @@ def progress_panel(app: App, *, questions: str, again: str, demonstrations: str)
         blocks.append(Line('Nothing has been learned yet.'))
     else:
         blocks += [
-            Line(f'By {progress.method}, tested on unseen starts:', Tone.QUIET),
-            Criteria([_criterion(criterion) for criterion in progress.criteria]),
+            *_criteria(progress),
             *_estimate(lesson, progress),
         ]
     if progress is None:
@@ -132,42 +131,63 @@ def _features(app: App) -> Features:
     return Features(shown, hidden if hides else '')
 
 
+def _criteria(progress: OptionSummary) -> Iterator[Block]:
+    """Yield how often the option succeeds, the measured criteria, and how its runs end."""
+    if progress.reach:
+        yield Line(progress.reach, Tone.NEWS)
+    if measured := [c for c in progress.criteria if c.value is not None]:
+        yield Line(f'By {progress.method}, tested on unseen starts:', Tone.QUIET)
+        yield Criteria([_criterion(criterion) for criterion in measured])
+    missing = [c.name for c in progress.criteria if c.value is None and not c.obstacle]
+    if progress.n_demonstrations < MIN_HELD_OUT:
+        words = f'Other criteria are measured from {MIN_HELD_OUT} demonstrations on.'
+        yield Line(words, Tone.QUIET)
+    elif missing:
+        yield Line(f'Not measured yet: {", ".join(missing)}.', Tone.QUIET)
+    ends = {
+        'too early': progress.ended_early,
+        'too late': progress.ended_late,
+        'never': progress.ended_never,
+    }
+    if found := [f'{words} in {count}' for words, count in ends.items() if count]:
+        yield Line(f'Of your demonstrations, it ends {", ".join(found)}.', Tone.WARNING)
+
+
 def _criterion(criterion: Criterion) -> CriterionRow:
-    value, threshold = criterion.value, criterion.threshold
-    side = 'wrong'
-    if criterion.name == RETURN:
-        side = 'better' if (value or 0.0) < 0 else 'worse'
-    elif criterion.at_least:
-        side = f'of {criterion.count}'
-    now, needs = f'{abs(value or 0.0):.1%} {side}', f'{threshold or 0.0:.1%}'
-    share = None
+    value, threshold = criterion.value or 0.0, criterion.threshold or 0.0
+    side, limit, needs = 'wrong', 'at most', '≤'
+    error, most = value, threshold
     if criterion.at_least:
-        share = value
-    elif value is not None and threshold is not None:
-        full = TARGET * value / threshold if threshold > 0 else float(value > threshold)
-        share = min(max(full, 0.0), 1.0)
+        side, limit, needs = f'of {criterion.count}', 'at least', '≥'
+        error, most = 1 - value, 1 - threshold
+    elif criterion.name == RETURN:
+        side = 'better' if value < 0 else 'worse'
+    now = f'{_percent(abs(value))} {side}'
+    if criterion.limit is not None:
+        now = f'{now}, {limit} {_percent(criterion.limit)}'
+    full = TARGET * error / most if most > 0 else float(error > most)
     return CriterionRow(
         '✓' if criterion.met else '?' if criterion.undecided else '·',
         criterion.name,
-        'not measured' if value is None else now,
-        f'{"≥" if criterion.at_least else "≤"} {"?" if threshold is None else needs}',
+        now,
+        f'{needs} {_percent(threshold)}',
         Tone.GOOD if criterion.met else Tone.WARNING,
-        share,
+        min(max(full, 0.0), 1.0),
     )
+
+
+def _percent(share: float) -> str:
+    return f'{100 * share:.3g}%'
 
 
 def _estimate(lesson: LessonView, progress: OptionSummary) -> Iterator[Line]:
     """Yield whether it is learned, or how many more demonstrations may be needed."""
     measured = progress.n_demonstrations >= MIN_HELD_OUT
-    if progress.reach:
-        yield Line(progress.reach)
     if progress.obstacles and (progress.settled or measured):
-        yield Line(progress.obstacles, Tone.WARNING)
+        yield Line(progress.obstacles, Tone.QUIET)
     if progress.settled:
         yield Line(progress.status, Tone.GOOD if progress.learned else Tone.WARNING)
-    elif not measured:
-        yield Line(f'The rest is measured from {MIN_HELD_OUT} demonstrations on.')
-    elif not progress.obstacles:
+    elif measured:
         undecided = [c.name for c in progress.criteria if c.undecided]
         why = f': {", ".join(undecided)} is not yet known well enough' if undecided else ''
         text = f'Too early to say how many more are needed{why}.'

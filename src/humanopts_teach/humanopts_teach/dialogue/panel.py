@@ -81,7 +81,7 @@ class CriterionRow:
     now: str
     needs: str
     tone: Tone
-    share: float | None  # filled share of the bar, 0 to 1; None: not measured
+    share: float  # filled share of the bar, 0 to 1
 
 
 @dataclass(frozen=True, slots=True)
