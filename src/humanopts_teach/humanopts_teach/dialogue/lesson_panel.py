@@ -163,7 +163,7 @@ def _criterion(criterion: Criterion) -> CriterionRow:
     elif criterion.name == RETURN:
         side = 'better' if value < 0 else 'worse'
     now = f'{_percent(abs(value))} {side}'
-    if criterion.limit is not None:
+    if criterion.limit not in (None, value):
         now = f'{now}, {limit} {_percent(criterion.limit)}'
     full = TARGET * error / most if most > 0 else float(error > most)
     return CriterionRow(
