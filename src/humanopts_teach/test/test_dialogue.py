@@ -20,6 +20,7 @@ from humanopts_teach.dialogue.entry import Item, ListScreen
 from humanopts_teach.dialogue.menu import opening
 from humanopts_teach.dialogue.view import view
 from humanopts_teach.lesson.requests import (
+    AddDemonstrations,
     AnswerQuestion,
     BeginDemonstration,
     CancelRun,
@@ -29,6 +30,7 @@ from humanopts_teach.lesson.requests import (
     SetControl,
     SetPace,
     UNKNOWN,
+    WithdrawDemonstration,
 )
 from humanopts_teach.terminal.drawing import frame
 from hypothesis import settings
@@ -349,6 +351,21 @@ def test_who_is_displaced_asks_nothing_of_the_others_lesson_and_gives_control_ba
     assert not any(isinstance(each, EndDemonstration) for each in desk.app.last_requests())
     desk.press(key, 'enter', 'y', 'left')
     assert desk.asked == [SetPace(0.0, paused=False), SetControl(hold=False)]
+
+
+def test_earlier_demonstrations_can_start_again_at_their_end_too(desk: Desk) -> None:
+    desk.press('left', 'p', 'enter', 'n')
+    assert 'where your 1 earlier demonstration ended, too?' in desk.press('s').see()
+    desk.press('2', 's', 's')
+    desk.asked.clear()
+    assert desk.press('1').asked == []
+    desk.press('n')  # the demonstration under way is the next to be counted
+    kinds = [EndDemonstration, WithdrawDemonstration, AddDemonstrations, BeginDemonstration]
+    assert [type(each) for each in desk.asked] == kinds
+    (changed,) = [d for d in desk.lesson.demonstrations() if d.actions and not d.withdrawn]
+    assert changed.can_start_at_end
+    assert changed.actions == ('west', 'pickup')
+    assert 'earlier' not in desk.press('s', 's').see()
 
 
 def test_a_long_list_is_shown_a_page_at_a_time(taxi: Domain) -> None:

@@ -194,6 +194,8 @@ def _estimate(lesson: LessonView, progress: OptionSummary) -> Iterator[Line]:
         if progress.more_needed >= 0 and progress.method != GOAL:
             low, high = likely_range(progress.more_needed)
             text = f'Perhaps {low} to {high} more are needed{why}.'
+            if low > lesson.budget - progress.n_demonstrations:
+                text = f'More seem to be needed than the {lesson.budget} of this lesson{why}.'
         yield Line(text)
 
 

@@ -30,12 +30,14 @@ from humanopts_teach.dialogue.question import RunQuestion
 from humanopts_teach.lesson.question_groups import GroupAnswer
 from humanopts_teach.lesson.requests import (
     ActionGoal,
+    AddDemonstrations,
     Answer,
     AnswerQuestion,
     BeginDemonstration,
     CancelRun,
     DefineOption,
     EndDemonstration,
+    LessonRequest,
     LessonView,
     ListDemonstrations,
     Phase,
@@ -57,7 +59,8 @@ class LessonScreen(Screen):
     automatic: Phase | None = None  # phase in which the next demonstration begins by itself
     rest: bool = False  # answer all remaining questions with no, or as before
     redo: list[str] = field(default_factory=list)  # actions to repeat after an undo
-    delete: str = ''  # uuid of the demonstration to withdraw when the learner is done
+    changes: list[LessonRequest] = field(default_factory=list)  # when the learner has counted all
+    counted: int = -1  # demonstrations and "not here" answers after the last change; -1: none
     ended: int = 0  # episode of the last run in the exam that ended here
     stops: bool = False  # the person stopped that run
     question: RunQuestion | None = None  # the open question about a run
@@ -287,11 +290,12 @@ class LessonScreen(Screen):
         if self.redo:
             if lesson.phase is Phase.DEMONSTRATING:
                 app.drive(self.redo.pop(0))
-        elif self.delete:
-            if lesson.phase is not Phase.LEARNING:
-                self._discard(app)
-                app.ask(WithdrawDemonstration(self.delete))
-                self.delete = ''
+        elif self.changes and lesson.phase is not Phase.DEMONSTRATING:
+            count = lesson.n_demonstrations + lesson.n_not_here
+            if lesson.phase is not Phase.LEARNING and self.counted in (-1, count):
+                change = self.changes.pop(0)
+                self.counted = count + (1 if isinstance(change, AddDemonstrations) else -1)
+                app.ask(change)
         elif lesson.phase is Phase.ASKING:
             reply = app.groups.reply(app.domain, lesson)
             if self.rest and _can_skip(lesson) and not _is_derived(lesson):
@@ -306,7 +310,7 @@ class LessonScreen(Screen):
 
     def refused(self, app: App) -> None:
         """Stop all automatic actions."""
-        self.automatic, self.rest, self.redo = None, False, []
+        self.automatic, self.rest, self.redo, self.changes = None, False, [], []
         if app.world.lesson.phase is Phase.ASKING:
             app.groups.forget()
 
@@ -441,7 +445,32 @@ class LessonScreen(Screen):
             app.ask(BeginDemonstration(since.state))
 
     def _toggle_start(self, app: App) -> None:
-        app.can_start_again[app.world.lesson.option_name] = not _can_start_again(app)
+        again = app.can_start_again[app.world.lesson.option_name] = not _can_start_again(app)
+        if again and app.world.lesson.n_demonstrations:
+            app.ask(ListDemonstrations(), then=partial(self._start_again_too, app))
+
+    def _start_again_too(self, app: App, answer: Answer) -> None:
+        """Ask whether the option can start again at the end of earlier demonstrations, too."""
+        shown = [
+            demo
+            for demo in answer.demonstrations
+            if demo.actions and not (demo.can_start_at_end or demo.withdrawn or demo.terminated)
+        ]
+
+        def change(app: App) -> None:
+            for demo in shown:
+                again = replace(demo, can_start_at_end=True)
+                self.changes += [WithdrawDemonstration(demo.uuid), AddDemonstrations((again,))]
+            self.counted = -1
+            app.show(self)
+
+        if shown:
+            items = [
+                Item('Yes', 'they are changed', change),
+                Item('No', 'only from now on', self.again),
+            ]
+            ends = f'{len(shown)} earlier demonstration{"s"[: len(shown) != 1]} ended'
+            app.show(ListScreen(f'Could it start again where your {ends}, too?', items))
 
     def _watch_new(self, app: App) -> None:
         """Watch the option from a random start of the task, or the default one without rules."""
@@ -487,7 +516,9 @@ class LessonScreen(Screen):
 
     def _delete(self, uuid: str, app: App) -> None:
         """Return to the lesson; withdraw a demonstration as soon as possible; empty: none."""
-        self.delete = uuid
+        if uuid:
+            self._discard(app)
+            self.changes, self.counted = [WithdrawDemonstration(uuid)], -1
         app.show(self)
 
     def _leave(self, words: str, go: Do, app: App) -> None:
