@@ -177,7 +177,7 @@ def _criterion(criterion: Criterion) -> CriterionRow:
 
 
 def _percent(share: float) -> str:
-    return f'{100 * share:.3g}%'
+    return f'{100 * share:.3g} %'
 
 
 def _estimate(lesson: LessonView, progress: OptionSummary) -> Iterator[Line]:
