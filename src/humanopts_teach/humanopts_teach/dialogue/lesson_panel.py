@@ -133,7 +133,7 @@ def _features(app: App) -> Features:
 
 def _criteria(progress: OptionSummary) -> Iterator[Block]:
     """Yield how often the option succeeds, the measured criteria, and how its runs end."""
-    if progress.reach:
+    if not progress.settled and progress.reach:
         yield Line(progress.reach, Tone.NEWS)
     if measured := [c for c in progress.criteria if c.value is not None]:
         yield Line(f'By {progress.method}, tested on unseen starts:', Tone.QUIET)
