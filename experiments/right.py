@@ -7,14 +7,14 @@ steps. *An option is right* if it is right from at least ``SHARE`` of the starts
 option. How often it can start where the reference cannot is measured beside it.
 
 Where chance matters, the probability of such a run must be at least ``SHARE`` of that of the
-teacher's own runs, and its mean number of steps at most ``SLOWER`` times the teacher's. Where all
-states can be listed, both follow from the transitions, exactly and from every start. In Pac-Man,
-the probability is the share of ``RUNS`` runs from each of ``STARTS`` sampled starts, with the same
-random numbers as the teacher's runs, and no run may be longer than ``SLOWER`` times the longest of
-these. A start counts as wrong if the difference is significant (McNemar 1947, one-sided, 5 %), and
-the mean share over the starts that count as right must be at least ``SHARE`` of the teacher's. In
-a replayed environment, the seed of a start determines the run; the starts are those that the
-teacher reaches from resets of the task.
+teacher's own runs, and its mean number of steps at most ``SLOWER`` times the teacher's; a run may
+go on where only chance led to an end. Where all states can be listed, both follow from the
+transitions, exactly and from every start. In Pac-Man, the probability is the share of ``RUNS``
+runs from each of ``STARTS`` sampled starts, with the same random numbers as the teacher's runs,
+and no run may be longer than ``SLOWER`` times the longest of these. A start counts as wrong if the
+difference is significant (McNemar 1947, one-sided, 5 %), and the mean share over the starts that
+count as right must be at least ``SHARE`` of the teacher's. In a replayed environment, the seed of
+a start determines the run; the starts are those that the teacher reaches from resets of the task.
 """
 
 from collections import defaultdict
@@ -133,6 +133,8 @@ def chain(
     """Return the performance from each of the S states, exact, by forward recursion."""
     table, over, states = domain.transitions(), domain.over(), np.arange(domain.n_states)
     ending = ending_of(option.termination, over, reference.termination, reference.goal)
+    if not table.deterministic:  # where chance led to another end, going on may be as good
+        ending[(ending == Ending.LATE) & ~reference.goal] = ON
     successor, chance = (
         part[states, option.action].astype(kind)
         for part, kind in ((table.successor, np.intp), (table.probability, float))
