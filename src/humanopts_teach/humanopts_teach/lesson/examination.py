@@ -38,7 +38,7 @@ class Examination:
         self.stage, self.check = Phase.READY, None
         if option is None or summary is None or option.wrong_run is not None:
             return
-        if summary.exam_needed and summary.exam_passed:
+        if summary.exam_needed and summary.learned:
             self.stage = Phase.FINISHED
         elif self._starts.exhausted(option, names):
             self.check = self._starts.check(option, names)

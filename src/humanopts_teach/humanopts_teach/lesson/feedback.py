@@ -52,12 +52,30 @@ class Feedback:
         return self._summaries.get((option.participant, option.name))
 
     def settled(self, option: OptionHistory | None) -> OptionSummary | None:
-        """Return the summary if all measurable criteria hold for an option; otherwise None."""
+        """Return the summary of an option if its criteria are settled; otherwise None."""
         summary = self.summary(option)
         if not option or not summary or not summary.settled or not _is_current(summary, option):
             return None
         same = summary.method == self.method(option)
         return summary if same and set(summary.features) == set(option.chosen) else None
+
+    def shown(self, option: OptionHistory | None) -> dict[str, Any]:
+        """
+        Return the fields of the lesson's view that depend on learner and planner.
+
+        :param option: option of the lesson; None: none is named.
+        """
+        summary, settled = self.summary(option), self.settled(option)
+        fields = ('n_questions', 'exam_right', 'exam_runs', 'exam_needed') if summary else ()
+        return {
+            'trial_games': self.trial_games,
+            'stuck_options': tuple(self.offers),
+            'stuck_games': tuple(map(len, self.offers.values())),
+            'suggested_column': self.suggested_column,
+            **{name: getattr(summary, name) for name in fields},
+            'criteria_met': settled is not None and settled.criteria_met,
+            'learned': settled is not None and settled.learned,
+        }
 
     def has_processed(self, option: OptionHistory) -> bool:
         """Return whether learner and start states include the awaited demonstration, if any."""

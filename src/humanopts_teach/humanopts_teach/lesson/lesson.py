@@ -24,6 +24,7 @@ from humanopts_learner.demonstrations import (
     option_name_fault,
     shown,
 )
+from humanopts_learner.options.checks import Check
 from humanopts_learner.options.conflicts import contradiction
 from humanopts_learner.summary import OptionSummary
 from humanopts_ros.limits import composed
@@ -139,12 +140,6 @@ class Lesson:
         return self.feedback.awaited.uuid if self.feedback.awaited is not None else ''
 
     @property
-    def criteria_met(self) -> bool:
-        """Whether the learner reports the criteria as met, for the current features and method."""
-        summary = self.feedback.settled(self._option)
-        return summary is not None and summary.criteria_met
-
-    @property
     def view(self) -> LessonView:
         """The data that terminals show."""
         return replace(self._facts, text=' '.join(filter(None, (self._notice, self._advice))))
@@ -161,16 +156,12 @@ class Lesson:
             strategy=rules.strategy,
             derived_features=self._history.derived,
             paused=self._paused,
-            trial_games=self.feedback.trial_games,
-            stuck_options=tuple(self.feedback.offers),
-            stuck_games=tuple(map(len, self.feedback.offers.values())),
-            suggested_column=self.feedback.suggested_column,
+            **self.feedback.shown(self._option),
         )
         option, attempt = self._option, self._under_way
-        check = self._examination.check if phase is Phase.CHECKING else None
         if option is None:
             return view
-        if check is not None:
+        if (check := self._check) is not None:
             view = replace(
                 view,
                 question_id=self._question_id,
@@ -191,16 +182,6 @@ class Lesson:
         if attempt is not None:
             start, steps = attempt.start_state, attempt.machine_steps
             view = replace(view, start_state=start, machine_steps=steps, exam=attempt.exam)
-        summary, settled = self.feedback.summary(option), self.feedback.settled(option)
-        if summary is not None:
-            view = replace(
-                view,
-                n_questions=summary.n_questions,
-                exam_right=summary.exam_right,
-                exam_runs=summary.exam_runs,
-                exam_needed=summary.exam_needed,
-                learned=settled is not None and settled.learned,
-            )
         return replace(
             view,
             option_name=option.name,
@@ -211,7 +192,6 @@ class Lesson:
             n_not_here=len(option.demonstrations) - option.n_trajectories,
             last_uuid=option.newest.uuid if option.newest is not None else '',
             episode=self._episode,
-            criteria_met=self.criteria_met,
         )
 
     def demonstrations(self) -> list[Demonstration]:
@@ -377,6 +357,11 @@ class Lesson:
         return option is not None and len(option.demonstrations) >= budget
 
     @property
+    def _check(self) -> Check | None:
+        """The open question about a run; None: none is open."""
+        return self._examination.check if self.phase is Phase.CHECKING else None
+
+    @property
     def _question_id(self) -> int:
         """The id of the open question, unique across options; 0: none is open."""
         return self._history.n_answers + 1 if self.phase in (Phase.ASKING, Phase.CHECKING) else 0
@@ -507,46 +492,46 @@ class Lesson:
         self._check_done()
 
     def _answer_question(self, request: AnswerQuestion) -> Answer:
-        """Answer the open question, or withdraw the last answer to reopen its question."""
+        """Answer the open question, about a feature or a run, or reopen the one before it."""
         option = self._option
-        feature = option.open_feature if option is not None else None
-        check = self._examination.check if self.phase is Phase.CHECKING else None
-        none = feature is None and check is None and not request.back
-        fault = ''
-        if option is None or none or self._attempt is not None:
-            fault = 'no question is open'
-        elif request.back:
-            verdict = feature is None and bool(option.verdicts)
-            if verdict and self.feedback.awaited is not None:
-                fault = 'the learner is still working on the last answer; wait for it'
-            elif request.question_id != self._question_id or not (option.answers or verdict):
-                fault = 'there is no question before this one to go back to'
-            elif verdict:
-                return self._withdraw(WithdrawDemonstration(option.verdicts[-1].uuid))
-        elif request.question_id != self._question_id:
-            about = 'a run' if feature is None else feature.name
-            fault = (
+        if option is None or self._attempt is not None:
+            raise _not_asked('no question is open')
+        if request.back:
+            return self._take_back(request, option)
+        feature, check = option.open_feature, self._check
+        if feature is None and check is None:
+            raise _not_asked('no question is open')
+        if request.question_id != self._question_id:
+            raise _not_asked(
                 f'question {request.question_id} is not open; question {self._question_id} '
-                f'is, about {about}'
+                f'is, about {"a run" if feature is None else feature.name}'
             )
-        if fault:
-            raise RefusalError(RequestStatus.NOT_ASKED, fault)
-        assert option is not None
-        if check is not None and not request.back:
+        if check is not None:
             run = self._records(option).answered(check, yes=request.yes)
             return self._keep(run, 'the run is right' if request.yes else 'the run is wrong')
-        if feature is None or request.back:
-            self._write(self._event('answer taken back', option.name))
-            answer = _ok('the question before is open again')
-        else:
-            yes = request.yes
-            self._write(self._event('answer', option.name, feature=feature.name, yes=yes))
-            answer = _ok(f'{feature.name}: {"yes" if yes else "no"}')
-            if not option.answers:
-                answer = Answer(RequestStatus.NO_FEATURE, _ALL_NO)
+        assert feature is not None
+        yes = request.yes
+        self._write(self._event('answer', option.name, feature=feature.name, yes=yes))
+        answer = _ok(f'{feature.name}: {"yes" if yes else "no"}')
+        if not option.answers:
+            answer = Answer(RequestStatus.NO_FEATURE, _ALL_NO)
         self._notice = '' if answer.ok else answer.detail
         self._check_done()
         return answer
+
+    def _take_back(self, request: AnswerQuestion, option: OptionHistory) -> Answer:
+        """Withdraw the last verdict on a run of the option, or the last answer about a feature."""
+        verdicts = option.verdicts if option.open_feature is None else []
+        if verdicts and self.feedback.awaited is not None:
+            raise _not_asked('the learner is still working on the last answer; wait for it')
+        if request.question_id != self._question_id or not (option.answers or verdicts):
+            raise _not_asked('there is no question before this one to go back to')
+        if verdicts:
+            return self._withdraw(WithdrawDemonstration(verdicts[-1].uuid))
+        self._write(self._event('answer taken back', option.name))
+        self._notice = ''
+        self._check_done()
+        return _ok('the question before is open again')
 
     def _prepare(self, request: BeginDemonstration) -> Answer:
         option, phase = self._option, self.phase
@@ -727,6 +712,10 @@ class Lesson:
 
 def _ok(detail: str, **found: Any) -> Answer:
     return Answer(RequestStatus.OK, detail, **found)
+
+
+def _not_asked(detail: str) -> RefusalError:
+    return RefusalError(RequestStatus.NOT_ASKED, detail)
 
 
 def _wrong_phase(detail: str) -> RefusalError:

@@ -7,7 +7,14 @@ import uuid
 
 from humanopts_env.domains.base import ActableDomain
 from humanopts_env.domains.registry import parameters_json
-from humanopts_learner.demonstrations import check_demonstration, Demonstration, Kind, version_of
+from humanopts_learner.demonstrations import (
+    check_demonstration,
+    Demonstration,
+    DemonstrationError,
+    judged,
+    Kind,
+    version_of,
+)
 from humanopts_learner.options.checks import Check
 from humanopts_teach.lesson.attempt import Attempt, demonstration_of
 from humanopts_teach.lesson.history import OptionHistory
@@ -73,6 +80,8 @@ class Records:
 
     def added(self, demonstrations: Sequence[Demonstration]) -> tuple[Demonstration, ...]:
         """Return demonstrations that were recorded elsewhere."""
+        if judged(demonstrations):
+            raise DemonstrationError('a judged run is no demonstration')
         numbered = enumerate(demonstrations, self.option.number)
         return tuple(
             self._checked(replace(demo, **self._fields | {'number': number, 'withdrawn': False}))
