@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 MEANT = 3  # demonstrations of a detour after which it is asked about; fewer may be slips
 REFUSALS = 3  # "not here" answers required as evidence for a leaf outside I
 AS_LIKELY = 0.95  # a start succeeds at this share of the largest possible chance of a right end
-ACCIDENT = 0.1  # an end shown less often than this share of the commonest one may be an accident
+ACCIDENT = 0.25  # an end shown less often than this share of the commonest one may be an accident
 TOO_LONG = 2  # length of a path, relative to the shortest one
 
 
@@ -223,14 +223,13 @@ def successes_by_chance(
     chosen = feature_columns(domain, option.features)
     states = np.column_stack([over, stacked(chosen, domain.feature_table())])
     times = _times(states, _ends(chosen, [d for d in shown(demonstrations) if d.actions]))
-    accident, found = (times > 0) & (times < ACCIDENT * times.max()), []
-    for right in _ends_of(option, domain, demonstrations):
-        aim = right & ~accident
-        goal = aim[table.successor] & (table.probability > 0)
-        _, optimal = best_paths(table, goal, ~over, MAX_GAMMA)
-        best, fewest = _chance_and_steps(domain, optimal.argmax(axis=1), aim, aim)
-        ends = tabular.termination
-        chance, steps = _chance_and_steps(domain, tabular.action, ends, right)
+    known, possible = _ends_of(option, domain, demonstrations)
+    aim, found = known & ((times == 0) | (times >= ACCIDENT * times.max())), []
+    goal = aim[table.successor] & (table.probability > 0)
+    _, optimal = best_paths(table, goal, ~over, MAX_GAMMA)
+    best, fewest = _chance_and_steps(domain, optimal.argmax(axis=1), aim, aim)
+    for right in (known, possible):
+        chance, steps = _chance_and_steps(domain, tabular.action, tabular.termination, right)
         good = (best > 0) & (chance >= AS_LIKELY * best) & (steps <= TOO_LONG * fewest)
         found.append(candidate & good)
     return candidate, found[0], found[1]

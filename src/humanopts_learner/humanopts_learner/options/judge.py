@@ -7,12 +7,13 @@ that it can.
 
 *Success* is the share of starts from which the option reaches an end like a demonstrated one
 (``ends_like_shown``). If all states can be listed, it is exact: the option runs from all starts,
-or its chances are computed where actions have several outcomes. If the world can only be simulated
-or replayed, fresh starts are drawn the way the task draws them, and the lower limit of the share
-decides (Wilson 1927). A world that can only be acted in gives *agreement* instead: the share of
-held-out demonstrations that the option would repeat. Without chance, *imitation* is required, too:
-from the start of a demonstration, the option must reach the end of that demonstration, and not
-only an end of some demonstration.
+or its chances are computed where actions have several outcomes. Only half of the other starts that
+the threshold allows may then fail, since some are right by mistake or outside I. If the world can
+only be simulated or replayed, fresh starts are drawn the way the task draws them, and the lower
+limit of the share decides (Wilson 1927). A world that can only be acted in gives *agreement*
+instead: the share of held-out demonstrations that the option would repeat. Without chance,
+*imitation* is required, too: from the start of a demonstration, the option must reach the end of
+that demonstration, and not only an end of some demonstration.
 
 Folds are grouped by demonstration, because rows of one trajectory on both sides would hide errors.
 The *return* is held out as well: each option runs from the starts of the demonstrations that it
@@ -355,7 +356,8 @@ def _success(
         return Criterion.of(SUCCESS, mean, threshold, low, len(right)), SAMPLED_STARTS
     count = len(found[0])
     value, possible_value = (float(flags.mean()) if count else 0.0 for flags in found)
-    criterion = Criterion.of(SUCCESS, value, threshold, None, count, possible_value)
+    exact = (1 + threshold) / 2  # room for starts that are right by mistake, or outside I
+    criterion = Criterion.of(SUCCESS, value, exact, None, count, possible_value)
     return criterion, EVERY_START
 
 

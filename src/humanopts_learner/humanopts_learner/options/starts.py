@@ -24,7 +24,7 @@ from humanopts_env.domains.formulas import feature_columns
 from humanopts_env.domains.replayed_domain import ReplayedDomain
 from humanopts_env.domains.tabular import reachable
 from humanopts_env.games import feature_rows, Games, games_at, new_games
-from humanopts_learner.demonstrations import Demonstration, Kind
+from humanopts_learner.demonstrations import Demonstration, Kind, shown
 from humanopts_learner.execution import (
     draw_among,
     Execution,
@@ -40,6 +40,7 @@ from humanopts_learner.options.decision_tree import encode_rows, feature_encodin
 from humanopts_learner.options.failures import (
     Failures,
     find_failures,
+    successes_by_chance,
     uncertain,
 )
 from humanopts_learner.options.learn import fit_leave_fold_out, fold_of, make_dataset
@@ -253,9 +254,9 @@ def _farthest(
     Ordinal and continuous features differ by 0..1; nominal ones by 0 or 1, split equally between
     two encoded features.
     """
-    shown = np.unique(np.concatenate([demo.feature_rows for demo in demonstrations]), axis=0)
-    chosen = demonstrations[-1].chosen_features
-    distance = _differences(domain, chosen, feature_rows(domain, states), shown)
+    visited = np.unique(np.concatenate([demo.feature_rows for demo in demonstrations]), axis=0)
+    chosen = shown(demonstrations)[-1].chosen_features
+    distance = _differences(domain, chosen, feature_rows(domain, states), visited)
     return states[_best(distance.min(axis=1), rng)]
 
 
@@ -344,7 +345,7 @@ class SampledFailures:
 
     states: list[Any]  # (N,); in a replayed domain, where a run got stuck instead of its start
     member: Flags  # (N,) in the learned I
-    stuck: Flags  # (N,) the run from there reaches no end
+    stuck: Flags  # (N,) the run from there reaches no end, or is less likely to than it might be
     failing: Flags  # (N,) stuck, in doubt, or the committee disagrees
 
     @property
@@ -382,6 +383,10 @@ def sample_failures(
         for at, state in zip(some.tolist(), _where_stuck(option, domain, starts)):
             stuck[at] = state is not None
             states[at] = states[at] if state is None else state
+    elif is_enumerable(domain):
+        candidate, _, possible = successes_by_chance(option, domain, demonstrations)
+        at = [domain.index(state) for state in states]
+        stuck = (candidate & ~possible)[at]
     else:
         stuck[some] = ~rollouts(option, domain, starts, int(rng.integers(2**31))).reached
     return SampledFailures(states, member, stuck, failing | stuck)

@@ -98,7 +98,7 @@ class SeededStarts:
             self.rules.strategy,
             domain,
             self._option(option),
-            option.demonstrations,
+            option.everything,
             rng,
             drawn,
             self._others(option, names),
@@ -195,7 +195,7 @@ class SeededStarts:
 
         def find() -> bool:
             rng = self._generator('exhausted', option)
-            return nothing_fails(learned, domain, option.demonstrations, rng, others)
+            return nothing_fails(learned, domain, option.everything, rng, others)
 
         return self._once('exhausted', find, option.number, learned, others)
 
