@@ -10,8 +10,8 @@ a wrong end is useless; then what separates answers and actions.
 """
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 
 from humanopts_env.arrays import Flags, Ints, Rows
 from humanopts_env.domains.base import ActableDomain, FeatureKind
@@ -19,13 +19,8 @@ from humanopts_env.domains.formulas import feature_columns, FeatureColumn, plain
 from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import Demonstration, Kind, TREES
 from humanopts_learner.intervals import Interval, LEVEL
-from humanopts_learner.options.decision_tree import feature_encoding
-from humanopts_learner.options.learn import (
-    Dataset,
-    Examples,
-    fit_leave_fold_out,
-    make_dataset,
-)
+from humanopts_learner.options.decision_tree import encode_rows, fit_tree, Tree
+from humanopts_learner.options.learn import Dataset, Examples, make_dataset
 from humanopts_learner.options.learned_option import LearnedOption, MEMBER
 import numpy as np
 
@@ -84,57 +79,48 @@ def advise(data: Dataset, domain: ActableDomain) -> tuple[str, ...]:
 
 
 def find_needless(
-    held_out: Sequence[LearnedOption], data: Dataset, folds: Ints, domain: ActableDomain, seed: int
+    held_out: Sequence[LearnedOption], data: Dataset, folds: Ints, domain: ActableDomain
 ) -> tuple[str, ...]:
     """
-    Return advice on the chosen feature that trees use least, if the option does without it.
+    Return advice on the chosen feature that is used least, if the option does without it.
 
-    Options are relearned without it and tested on the demonstrations that they were not learned
-    from. It is needless if they do worse in few of these: the upper limit of their share counts.
+    It is one that I and beta do not use. Policies are relearned without it and tested on the
+    demonstrations that they were not learned from. It is needless if they do worse in few of
+    these: the upper limit of their share counts.
 
     :param held_out: options learned without each fold.
     :param folds: (D,) of the demonstrations.
     """
     if data.method != TREES or len(data.chosen) < 2 or len(data.trajectories) < MIN_UNUSED:
         return ()
-    used = Counter(
-        option.encoding[at].feature
-        for option in held_out
-        for tree in (option.policy, option.initiation, option.termination)
-        for at in tree.tested.tolist()
-    )
-    least = min(data.features, key=lambda name: used[name])
-    left = [name for name in data.features if name != least]
-    without = replace(
-        data,
-        chosen=tuple(feature_columns(domain, left)),
-        encoding=feature_encoding(domain, left),
-    )
-    errors = [
-        _held_out_errors(options, data, folds)
-        for options in (held_out, fit_leave_fold_out(without, folds, domain, seed))
-    ]
-    if Interval.of_share(errors[1] > errors[0]).high > WORSE:
+
+    def used(parts: Iterable[Tree]) -> list[str]:
+        return [data.encoding[at].feature for tree in parts for at in tree.tested.tolist()]
+
+    needed = {*used(tree for o in held_out for tree in (o.initiation, o.termination))}
+    if not (left := [name for name in data.features if name not in needed]):
+        return ()
+    times = Counter(used(option.policy for option in held_out))
+    least = min(left, key=lambda name: times[name])
+    encoding = [each for each in data.encoding if each.feature != least]
+    rows, labels = data.policy.rows, data.policy.labels
+    X, of_row = encode_rows(encoding, rows), folds[data.policy.source]
+    worse = np.zeros(len(folds), dtype=np.intp)  # more errors without the feature
+    for fold, option in enumerate(held_out):
+        out = of_row == fold
+        without = fit_tree(X[~out], labels[~out], range(len(data.actions)), 0)
+        wrong, wrong_with = (
+            found != labels[out]
+            for found in (without.most_probable(X[out]), option.action(rows[out]))
+        )
+        np.add.at(worse, data.policy.source[out], wrong.astype(np.intp) - wrong_with)
+    shown = [demo.kind is Kind.TRAJECTORY for demo in data.demonstrations]
+    if Interval.of_share(worse[shown] > 0).high > WORSE:
         return ()
     return (
         f'"{plain_name(least)}" seems needless: without it, as much is learned from your '
         f'{len(data.trajectories)} demonstrations.',
     )
-
-
-def _held_out_errors(options: Sequence[LearnedOption], data: Dataset, folds: Ints) -> Ints:
-    """Return (D,): the number of examples of each demonstration that options get wrong."""
-    errors = np.zeros(len(folds), dtype=np.intp)
-    for fold, option in enumerate(options):
-        for examples, answer in (
-            (data.policy, option.action),
-            (data.initiation, option.can_start),
-            (data.termination, option.ends),
-        ):
-            at = np.flatnonzero(folds[examples.source] == fold)
-            wrong = at[answer(examples.rows[at]) != examples.labels[at]]
-            errors += np.bincount(examples.source[wrong], minlength=len(folds))
-    return errors
 
 
 @dataclass(frozen=True)

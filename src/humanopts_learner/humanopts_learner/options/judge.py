@@ -238,9 +238,7 @@ def judge(
     ):
         found = Criterion.of(name, error, threshold, count=len(demos))
         criteria.append(replace(found, obstacle=obstacle))
-    needless = (
-        find_needless(held_out.of_fold, data, held_out.folds, domain, seed) if held_out else ()
-    )
+    needless = find_needless(held_out.of_fold, data, held_out.folds, domain) if held_out else ()
     summary = replace(
         unmeasured(data.demonstrations),
         features=data.features,
