@@ -25,6 +25,9 @@ class Measured:
     met: bool = True
 
 
+MEASURED = ['threshold', 'limit', 'count', 'possible', 'obstacle', 'measurable']  # not in it
+
+
 @dataclass
 class Phased:
     phase: Word
@@ -34,7 +37,7 @@ class Phased:
     ('kind', 'message', 'options', 'lacks'),
     [
         (Named, ActionInfo, {}, 'do not share .*description'),
-        (Measured, Criterion, {'of_message': ['threshold', 'obstacle']}, "{'measurable'}"),
+        (Measured, Criterion, {'of_message': MEASURED[:-1]}, "{'measurable'}"),
         (Named, ActionInfo, {'of_message': ['key', 'description'], 'of_value': ['name']}, 'name'),
         (Phased, LessonState, {'subset': True}, 'do not share'),
     ],
@@ -53,7 +56,7 @@ def test_a_constant_without_a_member_is_an_error() -> None:
 
 
 def test_none_is_nan_and_what_only_the_message_has_is_given() -> None:
-    codec = Codec(Measured, Criterion, of_message=['threshold', 'obstacle', 'measurable'])
+    codec = Codec(Measured, Criterion, of_message=MEASURED)
     message = codec.encode(Measured('return', None), threshold=2.0)
     assert (message.name, message.threshold, message.met) == ('return', 2.0, True)
     assert math.isnan(message.value)

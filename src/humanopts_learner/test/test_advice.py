@@ -115,7 +115,7 @@ def test_a_needless_feature_is_named_if_as_much_is_learned_without_it(
     def needless(some: Sequence[Demonstration]) -> tuple[str, ...]:
         data = make_dataset(some, TAXI)
         folds = fold_of(data, 0)
-        return find_needless(fit_leave_fold_out(data, folds, TAXI), data, folds, TAXI)
+        return find_needless(fit_leave_fold_out(data, folds, TAXI, 0), data, folds, TAXI)
 
     (text,) = needless(demos)
     assert text.split('"')[1] == 'taxi at destination'
