@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 from functools import cache, lru_cache, partial
 from typing import Any
 
+from humanopts_env.arrays import Flags
 from humanopts_env.domains.base import Domain, EnumerableDomain
 from humanopts_env.domains.gymnasium_reference import WatchedOption
 from humanopts_env.domains.reference import ReferenceOption, TabularReferenceOption
@@ -167,6 +168,14 @@ def fetch(domain: Taxi) -> dict[str, ReferenceOption]:
     )
 
 
+class OnIce(TabularReferenceOption):
+    """A reference option whose best action next to the goal may be one that slips there."""
+
+    @property
+    def goal(self) -> Flags:
+        return self.termination
+
+
 def to_the_goal(domain: EnumerableDomain) -> dict[str, ReferenceOption]:
     """Return the option of FrozenLake: the best paths to the goal, around the holes."""
     table, over = domain.transitions(), domain.over()
@@ -174,7 +183,7 @@ def to_the_goal(domain: EnumerableDomain) -> dict[str, ReferenceOption]:
     goal[table.successor[table.reward > 0]] = True
     value, optimal = best_paths(table, goal[table.successor], ~over, domain.gamma)
     starts = reachable(domain) & ~over & (value > 0)
-    option = TabularReferenceOption(
+    option = OnIce(
         domain,
         'walk to the goal',
         tuple(feature.name for feature in domain.features),
@@ -183,7 +192,7 @@ def to_the_goal(domain: EnumerableDomain) -> dict[str, ReferenceOption]:
         optimal & starts[:, None],
         np.where(starts, 1, -1).astype(np.int32),
         starts | goal,
-        'Starts anywhere; walks to the goal by the paths with the least risk; ends there.',
+        'Starts anywhere; walks to the goal by the best paths around the holes; ends there.',
     )
     return {option.name: option}
 

@@ -113,6 +113,7 @@ def test_it_starts_in_the_room_and_its_other_doorway_and_ends_outside_the_room()
     assert (option.initiation & room).sum() == 25
     assert others.tolist() == [at(5, 1)]
     assert (option.termination == ~room).all()
+    assert np.flatnonzero(option.goal).tolist() == [at(2, 5)]
 
 
 @pytest.mark.parametrize(

@@ -149,10 +149,8 @@ class TabularReferenceOption(JudgedOption):
     @cached_property
     def goal(self) -> Flags:
         """(S,): the ends to which shortest paths lead, not those into which chance may push."""
-        table = self.domain.transitions()
-        taken = self.optimal[:, :, None] & (table.probability > 0)
         found = np.zeros(len(self.distance), dtype=np.bool_)
-        found[table.successor[taken]] = True
+        found[self.domain.transitions().successor[:, :, 0][self.optimal]] = True
         return found & self.termination & (self.distance < 0)
 
     def reached(self, state: Any) -> bool:
