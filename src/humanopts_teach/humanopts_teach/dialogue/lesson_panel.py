@@ -28,8 +28,8 @@ from humanopts_teach.lesson.requests import LessonView, Phase
 
 ADVICE = 2  # most important lines of advice on features
 _EXAM = (
-    'Enter begins a run from a start that nobody chose. Watch it; press r if it was right, or w '
-    'as soon as it is wrong.'
+    'The criteria are met. Enter begins a run from a start that nobody chose. Watch it; press r if '
+    'it was right, or w as soon as it is wrong.'
 )
 
 
@@ -68,7 +68,7 @@ def progress_panel(app: App, *, questions: str, again: str, demonstrations: str)
     if lesson.phase is Phase.DEMONSTRATING:
         blocks += last_step(world)
     blocks.append(_features(app))
-    if lesson.exam:
+    if lesson.exam or lesson.phase is Phase.EXAM:
         return Panel(blocks)
     if lesson.method == GOAL:
         blocks.append(Line(f'policy {METHODS[GOAL]}', Tone.QUIET))
