@@ -11,11 +11,11 @@ from typing import Any
 
 from humanopts_env.domains.base import Domain
 from humanopts_env.domains.pacman.maze import load_maze
-from humanopts_learner.summary import OptionSummary
+from humanopts_learner.summary import Criterion, OptionSummary
 from humanopts_teach.cli import main
 from humanopts_teach.commands.study_session import simulated_part
 from humanopts_teach.dialogue.study import StudyApp
-from humanopts_teach.lesson.requests import SetControl, World
+from humanopts_teach.lesson.requests import EndDemonstration, SetControl, Verdict, World
 from humanopts_teach.study.plan import (
     balanced_latin_square,
     Part,
@@ -396,6 +396,23 @@ def test_a_crash_takes_no_more_of_the_time_at_a_part_than_five_seconds(
     record = OpenRecord(path)
     assert record.seconds_in('a/teach') == 205.0
     assert [len(event.options) for event in record.of('learned')] == [1]
+
+
+def test_a_run_of_the_exam_is_still_judged_when_the_time_is_over(
+    tmp_path: Path, taxi: Domain
+) -> None:
+    app = StudyApp(
+        [PARTS_OF['teach'], PAGE], OpenRecord(tmp_path / 'a.jsonl'), 'p1', World(), seed=1
+    )
+    desk = Desk(taxi, tmp_path, app=app).advance().advance()
+    met = Criterion.of('success', 1.0, 0.95)
+    desk.exam, desk.reports = 2, {'fetch': OptionSummary('fetch', 'p1', criteria=(met,))}
+    desk.press(*BEGIN.split(), 'enter', 'enter').machine('east').advance(600.0)
+    assert 'The time for this part is over: this run is the last.' in desk.see()
+    desk.run_ends('It ended.').press('r')
+    assert EndDemonstration(Verdict.RIGHT, 3, 1) in desk.asked
+    assert 'Read this.' in desk.advance().see()
+    desk.store.close()
 
 
 def test_teaching_that_another_person_has_taken_over_ends_without_a_request_to_their_lesson(

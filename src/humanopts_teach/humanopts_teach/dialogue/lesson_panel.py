@@ -28,8 +28,8 @@ from humanopts_teach.lesson.requests import LessonView, Phase
 
 ADVICE = 2  # most important lines of advice on features
 _EXAM = (
-    'The criteria are met. Enter begins a run from a start that nobody chose. Watch it; press r if '
-    'it was right, or w as soon as it is wrong.'
+    'The criteria are met. Enter begins a run from a start that nobody chose. Watch it; press r '
+    'if it was right, or w as soon as it is wrong.'
 )
 
 
