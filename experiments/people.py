@@ -197,7 +197,7 @@ def options_of(
     owner: Mapping[str, Any], domain: Domain, names: Sequence[str] = ()
 ) -> OwnedOptions:
     """
-    Return the options of one owner; simulated people teach until the criteria are met.
+    Return the options of one owner; simulated people teach until the options are learned.
 
     :param owner: one of ``owners``.
     :param names: options taught by a simulated person; empty: those of the paper.

@@ -43,7 +43,8 @@ def learn_options(
         for criterion in judgement.criteria:
             value = ''
             if criterion.measurable:
-                value = f' {criterion.value:.3f} (at most {criterion.threshold:.3g})'
+                side = 'least' if criterion.at_least else 'most'
+                value = f' {criterion.value:.3f} (at {side} {criterion.threshold:.3g})'
             print(f'{name}: {criterion.name}{value}: {criterion.verdict}')
         options.append(option)
     return options
