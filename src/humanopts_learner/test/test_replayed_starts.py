@@ -3,9 +3,10 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
-from humanopts_env.domains.base import Action, Feature
+from humanopts_env.domains.base import Action, action_index, Feature
 from humanopts_env.domains.replayed_domain import History, ReplayedDomain, World
 from humanopts_learner.demonstrations import Demonstration, Kind
+from humanopts_learner.options.checks import next_check
 from humanopts_learner.options.judge import judge, taught_before, Thresholds
 from humanopts_learner.options.learn import learn_option
 from humanopts_learner.options.learned_option import LearnedOption
@@ -113,6 +114,20 @@ def taught(name: str, *starts: History) -> tuple[LearnedOption, list[Demonstrati
 
 
 FETCHING, _ = taught(FETCH, begins_in(0), begins_in(9))
+
+
+def test_the_run_of_a_question_is_repeated_by_replay() -> None:
+    """The key was fetched from cells near it alone."""
+    option, demos = taught(FETCH, begins_in(6), begins_in(7))
+    check = next_check(option, KEYS, demos, np.random.default_rng(0))
+    assert check is not None
+    assert check.features[0][0] not in (6, 7)
+    states, rng = [KEYS.decode(text) for text in check.states], np.random.default_rng(0)
+    assert check.features == tuple(tuple(state.features) for state in states)
+    for before, action, reward, after in zip(states, check.actions, check.rewards, states[1:]):
+        outcome = KEYS.step(before, action_index(KEYS, action), rng)
+        assert (outcome.state, outcome.reward) == (after, reward)
+    assert check.terminated == states[-1].over
 
 
 @pytest.mark.parametrize('strategy', ['random', 'coverage', 'failures'])

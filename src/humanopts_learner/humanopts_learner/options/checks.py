@@ -100,7 +100,7 @@ def next_check(
     demos, answers = shown(demonstrations), judged(demonstrations)
     version, right = version_of(demos), [run for run in answers if run.right]
     asked = sum(run.option_version == version and not run.exam for run in answers)
-    if asked >= MAX_CHECKS:
+    if asked >= MAX_CHECKS or not any(demo.actions for demo in demos):
         return None
     starts = _starts(option, domain, demonstrations, rng, others)
     questions = _Questions(option, domain, starts, [*demos, *right], answers, rng)
@@ -232,8 +232,8 @@ class _Questions:
         there = stacked(few, np.concatenate(shown_rows))
         total = np.zeros(len(here))
         for one, other in combinations(range(len(few)), 2):
-            seen = {tuple(pair) for pair in there[:, [one, other]].tolist()}
-            total += [tuple(pair) not in seen for pair in here[:, [one, other]].tolist()]
+            seen, pairs = (rows[:, one] * FEW_IN_PAIRS + rows[:, other] for rows in (there, here))
+            total += ~np.isin(pairs, seen)
         return total
 
     def shorter(self) -> Iterator[Check]:
