@@ -163,7 +163,7 @@ class OptionTrainer:
             self._unlearn(*key)
             self._options.pop(key, None)
         elif known and news and news.kind is Kind.JUDGED and (option := known.option):
-            if news.exam:
+            if news.exam and not news.withdrawn:
                 summary = with_verdicts(known.summary, demos, self._thresholds.exam)
             else:
                 summary = self._judge(demos, option, every)

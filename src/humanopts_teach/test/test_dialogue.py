@@ -157,7 +157,8 @@ CONVERSATIONS = {  # by snapshot: domain, chosen features, first keys, and what 
         '| ... the machine takes two steps | r | ... the option ends | ? | x | backspace '
         '| ... the machine takes two steps | ... the option ends | r '
         '| ... the machine takes two steps |   | . | w | backspace | enter '
-        '| ... the machine takes two steps | w | enter | n | m | escape 2 | 1 | enter '
+        '| ... the machine takes two steps | w | l | 1 | escape escape | enter | n | m '
+        '| escape 2 | 1 | enter '
         '| ... the machine takes two steps | escape | enter | 2',
     ),
     'menu': (

@@ -10,7 +10,7 @@ from humanopts_env.domains.formulas import feature_columns, plain_name
 from humanopts_learner.demonstrations import GOAL, METHODS
 from humanopts_learner.options.conflicts import SAY_AGAIN
 from humanopts_learner.options.judge import likely_range, MIN_HELD_OUT
-from humanopts_learner.summary import Criterion, OptionSummary, RETURN
+from humanopts_learner.summary import Criterion, IMITATION, OptionSummary, RETURN
 from humanopts_teach.dialogue.app import App
 from humanopts_teach.dialogue.driving import last_step, pace_line
 from humanopts_teach.dialogue.panel import (
@@ -221,6 +221,10 @@ def _conflicts(
         yield Line(progress.conflicts[0])
         if not progress.advice:
             yield Line(f'If one was a mistake, delete it ({demonstrations}).', Tone.WARNING)
+    repeats = any(c.name == IMITATION and c.value == 1.0 for c in progress.criteria)
+    if repeats and progress.n_questions + progress.exam_runs + progress.exams_failed:
+        text = 'It may still repeat a run that you called wrong. If that was a slip, delete it'
+        yield Line(f'{text} ({demonstrations}).', Tone.WARNING)
     for text in progress.advice[:ADVICE]:
         if text == SAY_AGAIN:
             text = f'If the option can start where it ends, press {again} before done.'

@@ -8,7 +8,7 @@ from humanopts_env.domains.capabilities import FeatureGroup
 from humanopts_env.domains.described import can_simulate
 from humanopts_env.domains.replayed_domain import ReplayedDomain
 from humanopts_env.seeding import generator
-from humanopts_learner.demonstrations import Demonstration
+from humanopts_learner.demonstrations import Demonstration, Kind
 from humanopts_learner.options.rollout import is_deterministic
 from humanopts_teach.dialogue.app import App, Screen
 from humanopts_teach.dialogue.combine import CombineScreen
@@ -109,7 +109,10 @@ class LessonScreen(Screen):
         """Return the commands of a phase."""
         lesson = app.world.lesson
         listed = Command(
-            'lb', 'demonstrations', self._list, 'list all demonstrations; view or delete any'
+            'lb',
+            'demonstrations',
+            self._list,
+            'list all demonstrations and verdicts; view or delete any',
         )
         watch = Command(
             'wv',
@@ -454,7 +457,8 @@ class LessonScreen(Screen):
         shown = [
             demo
             for demo in answer.demonstrations
-            if demo.actions and not (demo.can_start_at_end or demo.withdrawn or demo.terminated)
+            if demo.kind is Kind.TRAJECTORY
+            and not (demo.can_start_at_end or demo.withdrawn or demo.terminated)
         ]
 
         def change(app: App) -> None:
@@ -511,6 +515,8 @@ class LessonScreen(Screen):
         items = [Item('Watch the option from its start', 'and correct it', watch, states)]
         if not demo.withdrawn:
             note = 'it no longer counts, and its start comes again'
+            if demo.kind is Kind.JUDGED:
+                note = 'this verdict no longer counts'
             items.append(Item('Delete it', note, partial(self._delete, demo.uuid), states))
         app.show(ListScreen(' '.join(_in_words(demo)), items, back))
 
@@ -551,11 +557,14 @@ def _in_words(demo: Demonstration) -> tuple[str, str]:
     steps = len(demo.actions)
     what = f'{steps} step{"s"[: steps != 1]}, return {demo.total_reward:g}'
     notes = [f'by {demo.method}', f'{demo.seconds:.0f} s']
-    if demo.machine_steps:
+    text = f'no. {demo.number}: {what if steps else "not here"}'
+    if demo.kind is Kind.JUDGED:
+        verdict = 'right' if demo.right else 'wrong'
+        text = f'run {demo.number}, called {verdict}: {what if steps else "it would not start"}'
+        notes = ['in an exam' if demo.exam else 'in a question']
+    elif demo.machine_steps:
         notes.append(f'{demo.machine_steps} by the machine')
-    if demo.withdrawn:
-        notes.append('DELETED')
-    return f'no. {demo.number}: {what if steps else "not here"}', ', '.join(notes)
+    return text, ', '.join([*notes, *(['DELETED'] if demo.withdrawn else [])])
 
 
 def _run(app: App) -> tuple[SetControl, RunOption]:

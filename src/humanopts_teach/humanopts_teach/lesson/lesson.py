@@ -664,12 +664,12 @@ class Lesson:
         return _ok(text, uuid=wanted, unsent=(withdrawn,))
 
     def _list(self, request: ListDemonstrations) -> Answer:
-        """List the demonstrations of an option, including withdrawn ones."""
+        """List the demonstrations and judged runs of an option, including withdrawn ones."""
         option = self._known(request.option_name) if request.option_name else self._option
         if option is None:
             raise RefusalError(RequestStatus.NO_OPTION, 'no option is being taught: name one')
         everything = self._demonstrations(self._history.participant)
-        found = tuple(demo for demo in shown(everything) if demo.option_name == option.name)
+        found = tuple(demo for demo in everything if demo.option_name == option.name)
         return _ok(f'{len(found)} of {option.name}', demonstrations=found)
 
     def _known(self, option_name: str) -> OptionHistory:
