@@ -43,7 +43,6 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 _NO_NAME_YET = '_NODE_NAME_UNKNOWN_'  # the middleware's placeholder for a newly discovered node
 _TICK = 0.1  # s between checks of deadlines
 _GAME_DEADLINE = 5.0  # s for the game to respond, and for an announced state to arrive
-_KEEPING = (Verdict.DONE, Verdict.NOT_HERE)
 _RESEND_DELAY = 0.5  # s from a learner's first status until its subscription is surely matched
 
 
@@ -180,7 +179,7 @@ class LessonNode(NodeBase):
 
         async def handle(message: Any, response: Any) -> Any:
             request: LessonRequest = service.request.decode(message)
-            if isinstance(request, EndDemonstration) and request.verdict in _KEEPING:
+            if isinstance(request, EndDemonstration) and request.verdict is not Verdict.DISCARD:
                 # The state that the person saw may not have arrived yet.
                 seen = request.episode, request.step
                 await self.waiting.until(lambda: self._lesson.reached(*seen), _GAME_DEADLINE)
