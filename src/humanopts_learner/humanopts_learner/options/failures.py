@@ -17,7 +17,7 @@ from humanopts_learner.demonstrations import Demonstration, GOAL, judged, Kind, 
 from humanopts_learner.options.decision_tree import encode_rows
 from humanopts_learner.options.goal import MAX_GAMMA, MOST
 from humanopts_learner.options.learned_option import LearnedOption, tabulate
-from humanopts_learner.options.rollout import rollouts_from_everywhere
+from humanopts_learner.options.rollout import rollouts_from_everywhere, without_chance
 import numpy as np
 from numpy.typing import NDArray
 
@@ -88,7 +88,10 @@ def ends_like_shown(
     """
     chosen = feature_columns(domain, features)
     taught = [demo for demo in shown(demonstrations) if demo.actions]
-    right = [demo for demo in judged(demonstrations) if demo.actions and demo.right]
+    certain = without_chance(domain)  # with chance, a right run of the exam may end anywhere
+    right = [
+        d for d in judged(demonstrations) if d.actions and d.right and (certain or not d.exam)
+    ]
     states = np.column_stack([over, stacked(chosen, rows)])
     ends = np.concatenate([_ends(chosen, taught), _ends(chosen, right)])
     mostly_over = ends[: len(taught), 0].mean() > 0.5 if taught else False

@@ -44,14 +44,14 @@ class Examiner:
         :param action: the action that led there; empty: unknown.
         """
         self.past |= self._ended
-        erred = False
+        unlucky = False  # whether only bad luck can have led to another end
         if action and self._limit is None:
             best = self._reference.optimal_actions(self._last)
-            erred = self._names.index(action) not in best
-            self._errors += erred
+            unlucky = self._names.index(action) in best
+            self._errors += not unlucky
         self._last, self._steps = state, self._steps + 1
         self._ended = reached(self._reference, state)
-        if self._limit is None and not erred:  # bad luck may lead to another end
+        if unlucky:
             self._ended |= self._reference.ends(state) or self._domain.is_over(state)
 
     @property
