@@ -263,12 +263,12 @@ class _Questions:
         """Ask about the longest detour that was shown often."""
         starts = self.starts
         longer = (starts.steps - starts.distance).astype(np.float64)
-        text = 'It takes {{}} here; {} would do. Is the detour meant?'
+        text = 'It takes {} here; %d would do. Is the detour meant?'
         yield from self._ask(
             CheckKind.DETOUR,
             starts.detour,
             longer,
-            lambda at: text.format(starts.distance[at]),
+            lambda at: text % starts.distance[at],
             few=0.0,
         )
 
@@ -417,7 +417,7 @@ def _check(
             break
     return Check(
         kind,
-        text.format(f'{len(actions)} step{"s"[: len(actions) != 1]}'),
+        text.replace('{}', f'{len(actions)} step{"s"[: len(actions) != 1]}'),
         tuple(map(domain.encode, states)),
         tuple(tuple(row.tolist()) for row in rows),
         tuple(actions),
