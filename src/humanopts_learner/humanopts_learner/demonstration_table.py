@@ -35,7 +35,12 @@ from humanopts_env.domains.base import (
     FeatureKind,
     is_enumerable,
 )
-from humanopts_learner.demonstrations import Demonstration, DemonstrationError, make_demonstration
+from humanopts_learner.demonstrations import (
+    Demonstration,
+    DemonstrationError,
+    make_demonstration,
+    shown,
+)
 from humanopts_learner.spreadsheet import EXCEL, from_cell
 from humanopts_ros.limits import composed
 from humanopts_ros.text_files import fault_in
@@ -118,7 +123,7 @@ def demonstrations_from_table(
 
 
 def demonstrations_to_table(demonstrations: Sequence[Demonstration]) -> 'pd.DataFrame':
-    """Return demonstrations as a table that ``demonstrations_from_table`` reads."""
+    """Return demonstrations, without judged runs, for ``demonstrations_from_table``."""
     import pandas as pd
 
     return pd.DataFrame(
@@ -132,7 +137,7 @@ def demonstrations_to_table(demonstrations: Sequence[Demonstration]) -> 'pd.Data
             'reward': demo.rewards[step] if step < len(demo.actions) else None,
             'can_start_at_end': demo.can_start_at_end and step == len(demo.actions),
         }
-        for demo in demonstrations
+        for demo in shown(demonstrations)
         for step, state in enumerate(demo.states)
     )
 

@@ -212,7 +212,8 @@ def test_a_table_of_demonstrations_reads_back_to_the_same_option(
     fetching: list[Demonstration],
 ) -> None:
     taxi = make_domain('taxi')
-    table = demonstrations_to_table(fetching)
+    run = replace(fetching[0], kind=Kind.JUDGED, uuid=str(uuid.uuid4()), option_version='v')
+    table = demonstrations_to_table([*fetching, run])
     back = demonstrations_from_table(table, taxi, features=fetching[0].chosen_features)
     assert [(d.states, d.actions, d.rewards) for d in back] == [
         (d.states, d.actions, d.rewards) for d in fetching
