@@ -216,7 +216,7 @@ def successes_by_chance(
     From each state, the chance that its run reaches an end like the shown ones, and the number of
     steps if it does, are compared with those of the best policy. Both follow from the transitions.
     An end that was shown much less often than another may be an accident: the best policy does not
-    aim at it.
+    aim at it. Nor does it pass through ends and "not here" states.
 
     :return: (S,) candidates as in ``Failures``; whether the chance is almost the largest one, in
         at most twice the steps; and whether it is if all ends of a planned policy are right.
@@ -226,11 +226,13 @@ def successes_by_chance(
     chosen = feature_columns(domain, option.features)
     states = np.column_stack([over, stacked(chosen, domain.feature_table())])
     times = _times(states, _ends(chosen, [d for d in shown(demonstrations) if d.actions]))
+    refused = _ends(chosen, [d for d in shown(demonstrations) if not d.actions])
+    barred = over | (times > 0) | (_times(states, refused) > 0)
     known, possible = _ends_of(option, domain, demonstrations)
     aim, found = known & ((times == 0) | (times >= ACCIDENT * times.max())), []
     goal = aim[table.successor] & (table.probability > 0)
-    _, optimal = best_paths(table, goal, ~over, MAX_GAMMA)
-    best, fewest = _chance_and_steps(domain, optimal.argmax(axis=1), aim, aim)
+    _, optimal = best_paths(table, goal, ~barred, MAX_GAMMA)
+    best, fewest = _chance_and_steps(domain, optimal.argmax(axis=1), aim | barred, aim)
     for right in (known, possible):
         chance, steps = _chance_and_steps(domain, tabular.action, tabular.termination, right)
         good = (best > 0) & (chance >= AS_LIKELY * best) & (steps <= TOO_LONG * fewest)
