@@ -14,6 +14,7 @@ lessons may call an option learned that is wrong.
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache, partial
+import math
 from typing import Any
 
 from humanopts_env.arrays import Flags
@@ -49,6 +50,7 @@ NAME = 'judging'
 TITLE = 'Whether what a lesson calls learned is right'
 LESSONS = 6
 FALSE = 0.05
+SLOW = 1 / 3  # share of the lessons in rows where a lesson takes long
 BUDGET = 40  # start states per option
 ATTEMPTS = 100  # at a demonstration from one start: a teacher who errs in most steps is patient
 KEYS = ['world', 'method', 'taught by']
@@ -209,7 +211,7 @@ class World:
     together: bool = False  # each lesson teaches all of them: one leads to the starts of another
     methods: tuple[str, ...] = (TREES,)
     answers: bool = True  # whether there are needless features
-    share: float = 1.0  # of the lessons
+    slow: bool = False  # a third of the lessons
     references: Callable[[Any], dict[str, ReferenceOption]] = reference_options
     cost: float = 3.0  # approximate processor seconds per lesson
 
@@ -227,7 +229,9 @@ WORLDS = {
         'gymnasium:FrozenLake8x8-v1',
         methods=(TREES, GOAL),
         answers=False,
+        slow=True,
         references=to_the_goal,
+        cost=25.0,
     ),
     'Pac-Man': World(
         'pacman',
@@ -237,10 +241,11 @@ WORLDS = {
             'go to the nearest power pellet',
             'eat the ghost',
         ),
-        share=1 / 3,
+        slow=True,
+        cost=20.0,
     ),
-    'DoorKey': World('gymnasium:MiniGrid-DoorKey-8x8-v0', together=True, share=1 / 3),
-    'LunarLander': World('gymnasium:LunarLander-v3', share=1 / 3),
+    'DoorKey': World('gymnasium:MiniGrid-DoorKey-8x8-v0', together=True, slow=True, cost=15.0),
+    'LunarLander': World('gymnasium:LunarLander-v3', slow=True, cost=60.0),
 }
 
 
@@ -286,8 +291,15 @@ def trials(study: Study) -> list[Trial]:
             WORLDS[row[0]].cost,
         )
         for row in table_rows()
-        for lesson in range(1, round(lessons * WORLDS[row[0]].share + 0.49) + 1)
+        for lesson in range(1, math.ceil(lessons * share_of(row[0], row[2])) + 1)
     ]
+
+
+def share_of(world: str, kind: str) -> float:
+    """Return the share of the lessons of a row: a third where they are slow."""
+    teacher = TEACHERS[kind]
+    slow = WORLDS[world].slow or not teacher.learnable or teacher.meaning is not None
+    return SLOW if slow else 1.0
 
 
 def table_rows() -> Iterator[tuple[str, str, str]]:

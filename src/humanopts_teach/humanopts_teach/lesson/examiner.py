@@ -44,15 +44,16 @@ class Examiner:
         :param action: the action that led there; empty: unknown.
         """
         self.past |= self._ended
-        unlucky = False  # whether only bad luck can have led to another end
-        if action and self._limit is None:
+        chance, erred = self._limit is None, False
+        if action and chance:
             best = self._reference.optimal_actions(self._last)
-            unlucky = self._names.index(action) in best
-            self._errors += not unlucky
+            erred = self._names.index(action) not in best
+            self._errors += erred
         self._last, self._steps = state, self._steps + 1
         self._ended = reached(self._reference, state)
-        if unlucky:
-            self._ended |= self._reference.ends(state) or self._domain.is_over(state)
+        if chance and not erred:  # bad luck may lead to another end, or to that of the task
+            over = self._domain.is_over(state)
+            self._ended |= bool(action) if over else self._reference.ends(state)
 
     @property
     def failed(self) -> bool:
