@@ -230,7 +230,7 @@ class LaunchOptions(DomainOptions):
         option(
             'SHARE',
             'smallest share of starts from which an option must reach an end like a demonstrated '
-            'one; default: 0.95',
+            'one; default: 0.9',
             share,
         ),
     ] = None
@@ -256,7 +256,7 @@ class LaunchOptions(DomainOptions):
         option(
             'SHARE',
             'largest share of held-out demonstrations in which an option ends early, late or '
-            'never; default: 0.05',
+            'never; default: 0.1',
             share,
         ),
     ] = None

@@ -117,11 +117,16 @@ def ends_called_wrong(
     """
     Return (N,): whether states are equal, in the chosen features, to an end called wrong.
 
-    Parameters are those of ``ends_like_shown``. A run that the person stopped has no end.
+    Parameters are those of ``ends_like_shown``. A run that the person stopped has no end, and a
+    run to an end that was shown is wrong because of its way there.
     """
     chosen = feature_columns(domain, features)
+    taught = [demo for demo in shown(demonstrations) if demo.actions]
     wrong = [d for d in judged(demonstrations) if d.actions and not d.right and not d.stopped]
-    return _times(np.column_stack([over, stacked(chosen, rows)]), _ends(chosen, wrong)) > 0
+    states = np.column_stack([over, stacked(chosen, rows)])
+    times_shown, times_wrong = (_times(states, _ends(chosen, runs)) for runs in (taught, wrong))
+    called_wrong: Flags = (times_wrong > 0) & (times_shown == 0)
+    return called_wrong
 
 
 def _ends(chosen: Sequence[FeatureColumn], runs: Sequence[Demonstration]) -> Floats:

@@ -7,7 +7,7 @@ that it can.
 
 *Success* is the share of starts from which the option reaches an end like a demonstrated one
 (``ends_like_shown``). If all states can be listed, it is exact: the option runs from all starts,
-or its chances are computed where actions have several outcomes. Only half of the other starts that
+or its chances are computed where actions have several outcomes. Only a quarter of the starts that
 the threshold allows may then fail, since some are right by mistake or outside I. If the world can
 only be simulated or replayed, fresh starts are drawn the way the task draws them, and the lower
 limit of the share decides (Wilson 1927). A world that can only be acted in gives *agreement*
@@ -114,10 +114,10 @@ ROUNDING = 1e-9  # reward units
 class Thresholds:
     """The values that meet the criteria."""
 
-    success: float = 0.95  # smallest share of starts, 0..1
+    success: float = 0.9  # smallest share of starts, 0..1
     return_share: float = 0.1  # largest shortfall of the return, as a share of its range
     initiation_error: float = 0.05  # largest balanced error, 0..1
-    termination_error: float = 0.05  # largest share of demonstrations, 0..1
+    termination_error: float = 0.1  # largest share of demonstrations, 0..1
     exam: int = 5  # runs of the first exam, all of which must be right; 0: no exam
 
     def __post_init__(self) -> None:
@@ -354,7 +354,7 @@ def _success(
         return Criterion.of(SUCCESS, mean, threshold, low, len(right)), SAMPLED_STARTS
     count = len(found[0])
     value, possible_value = (float(flags.mean()) if count else 0.0 for flags in found)
-    exact = (1 + threshold) / 2  # room for starts that are right by mistake, or outside I
+    exact = 1 - (1 - threshold) / 4  # room for starts that are right by mistake, or outside I
     criterion = Criterion.of(SUCCESS, value, exact, None, count, possible_value)
     return criterion, EVERY_START
 
