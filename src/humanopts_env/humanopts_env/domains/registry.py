@@ -1,10 +1,11 @@
 """Domains and their reference options by name, found through Python entry points."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Hashable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from importlib.metadata import EntryPoint
 import json
-from typing import Any, cast
+from typing import Any, cast, Self
 
 from humanopts_env.domains.base import ActableDomain, Domain, DomainError, Parameter
 from humanopts_env.domains.check import check_domain
@@ -55,6 +56,18 @@ def domain_from_json(name: str, parameters: str, *, checked: bool = False) -> Do
 def parameters_json(domain: ActableDomain) -> str:
     """Return the domain's parameters as a JSON object for messages and files."""
     return json.dumps(dict(domain.parameters), sort_keys=True)
+
+
+@dataclass(frozen=True)
+class KeyedDomain:
+    """A domain as an argument of a cached function, compared by name and parameters."""
+
+    key: Hashable
+    value: Domain = field(compare=False)
+
+    @classmethod
+    def of(cls, domain: Domain) -> Self:
+        return cls((domain.name, parameters_json(domain)), domain)
 
 
 def reference_options(domain: Domain) -> dict[str, ReferenceOption]:

@@ -13,8 +13,8 @@ Each part is measured where it is used:
   one of its optimal actions leads to. Beta in a room that the option never enters is irrelevant.
 """
 
-from collections.abc import Hashable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -26,7 +26,7 @@ from humanopts_env.domains.reference import (
     ReferenceOption,
     TabularReferenceOption,
 )
-from humanopts_env.domains.registry import parameters_json
+from humanopts_env.domains.registry import KeyedDomain
 from humanopts_env.games import Chance, Games, games_at
 from humanopts_env.seeding import generator
 from humanopts_learner.execution import Fixed, play
@@ -154,8 +154,7 @@ def classification_accuracy(
 def _answers(domain: Domain, reference: ReferenceOption) -> _Answers:
     if is_enumerable(domain) and isinstance(reference, TabularReferenceOption):
         return _of_all_states(domain, reference)
-    game = _Keyed((domain.name, parameters_json(domain)), domain)
-    return _of_a_sample(game, reference)
+    return _of_a_sample(KeyedDomain.of(domain), reference)
 
 
 def _of_all_states(domain: EnumerableDomain, reference: TabularReferenceOption) -> _Answers:
@@ -182,23 +181,15 @@ def _of_all_states(domain: EnumerableDomain, reference: TabularReferenceOption) 
     )
 
 
-@dataclass(frozen=True)
-class _Keyed:
-    """A domain as an argument of a cached function, compared by its key."""
-
-    key: Hashable
-    value: Domain = field(compare=False)
-
-
 @lru_cache(maxsize=4)
-def _sample(game: _Keyed) -> Games:
+def _sample(game: KeyedDomain) -> Games:
     """Return ``SAMPLE`` games in non-terminal states from all parts of the game."""
     states = game.value.sample_states(generator(0, 'accuracy', 'states', game.value.name), SAMPLE)
     return games_at(game.value, states)
 
 
 @lru_cache(maxsize=32)
-def _of_a_sample(game: _Keyed, reference: ReferenceOption) -> _Answers:
+def _of_a_sample(game: KeyedDomain, reference: ReferenceOption) -> _Answers:
     """Return answers for a sample, with ends added by one optimal step from acting states."""
     domain, games = game.value, _sample(game)
     rows, judged = games.features(), judge_games(reference, games)

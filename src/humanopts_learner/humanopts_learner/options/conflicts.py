@@ -238,9 +238,9 @@ def _missing(
         if first is not None:
             counted = ~first | (labels == MEMBER)
             cells, labels = cells[counted], labels[counted]
-        table = np.bincount(cells * (labels.max() + 1) + labels)
-        table.resize((cells.max() + 1, labels.max() + 1))
-        return int(len(labels) - table.max(axis=1).sum())
+        shape = cells.max() + 1, labels.max() + 1
+        table = np.bincount(cells * shape[1] + labels, minlength=shape[0] * shape[1])
+        return int(len(labels) - table.reshape(shape).max(axis=1).sum())
 
     cells, explained, all_ = dict[str, Ints](), dict[str, int](), exceptions(looks, labels)
     for column in left:

@@ -236,7 +236,7 @@ def successes_by_chance(
     known, possible = _ends_of(option, domain, demonstrations)
     aim, found = known & ((times == 0) | (times >= ACCIDENT * times.max())), []
     goal = aim[table.successor] & (table.probability > 0)
-    _, optimal = best_paths(table, goal, ~barred, MAX_GAMMA)
+    _, optimal = best_paths(table, goal, ~barred, _gamma(domain))
     best, fewest = _chance_and_steps(domain, optimal.argmax(axis=1), aim | barred, aim)
     for right in (known, possible):
         chance, steps = _chance_and_steps(domain, tabular.action, tabular.termination, right)
@@ -257,19 +257,24 @@ def _chance_and_steps(
     from scipy.sparse import csc_array, eye_array  # slow to import
     from scipy.sparse.linalg import splu
 
-    table, states = domain.transitions(), np.arange(domain.n_states)
+    table, states, gamma = domain.transitions(), np.arange(domain.n_states), _gamma(domain)
     taken = states, action
     successor, probability = table.successor[taken], table.probability[taken]
     ended = (ends | domain.over())[successor] | table.terminated[taken]
-    arrives = MAX_GAMMA * (probability * (ended & right[successor])).sum(axis=1)
+    arrives = gamma * (probability * (ended & right[successor])).sum(axis=1)
     origin = np.broadcast_to(states[:, None], successor.shape)
     goes_on = csc_array(
         ((probability * ~ended).ravel(), (origin.ravel(), successor.ravel())),
         shape=(domain.n_states, domain.n_states),
     )
-    solve = splu(eye_array(domain.n_states, format='csc') - MAX_GAMMA * goes_on).solve
-    chance: Floats = solve(arrives)  # a little less per step, so that every run comes to an end
+    solve = splu(eye_array(domain.n_states, format='csc') - gamma * goes_on).solve
+    chance: Floats = solve(arrives)  # discounted, as the best policy is
     return chance, solve(chance) / np.maximum(chance, np.finfo(float).tiny)
+
+
+def _gamma(domain: EnumerableDomain) -> float:
+    """Return the discount of planned policies, with which every run comes to an end."""
+    return min(domain.gamma, MAX_GAMMA)
 
 
 def _best_return(domain: EnumerableDomain, distance: NDArray[np.int32], nearer: Flags) -> Floats:

@@ -8,12 +8,12 @@ that it can.
 *Success* is the share of starts from which the option reaches an end like a demonstrated one
 (``ends_like_shown``). If all states can be listed, it is exact: the option runs from all starts,
 or its chances are computed where actions have several outcomes. Only a quarter of the starts that
-the threshold allows may then fail, since some are right by mistake or outside I. If the world can
-only be simulated or replayed, fresh starts are drawn the way the task draws them, and the lower
-limit of the share decides (Wilson 1927). A world that can only be acted in gives *agreement*
-instead: the share of held-out demonstrations that the option would repeat. Without chance,
-*imitation* is required, too: from the start of a demonstration, the option must reach the end of
-that demonstration, and not only an end of some demonstration.
+the threshold allows may then fail, or half of them with chance, since some are right by mistake or
+outside I. If the world can only be simulated or replayed, fresh starts are drawn the way the task
+draws them, and the lower limit of the share decides (Wilson 1927). A world that can only be acted
+in gives *agreement* instead: the share of held-out demonstrations that the option would repeat.
+Without chance, *imitation* is required, too: from the start of a demonstration, the option must
+reach the end of that demonstration, and not only an end of some demonstration.
 
 Folds are grouped by demonstration, because rows of one trajectory on both sides would hide errors.
 The *return* is held out as well: each option runs from the starts of the demonstrations that it
@@ -354,8 +354,8 @@ def _success(
         return Criterion.of(SUCCESS, mean, threshold, low, len(right)), SAMPLED_STARTS
     count = len(found[0])
     value, possible_value = (float(flags.mean()) if count else 0.0 for flags in found)
-    exact = 1 - (1 - threshold) / 4  # room for starts that are right by mistake, or outside I
-    criterion = Criterion.of(SUCCESS, value, exact, None, count, possible_value)
+    room = (1 - threshold) / (2 if known is None else 4)  # some starts are right by mistake
+    criterion = Criterion.of(SUCCESS, value, 1 - room, None, count, possible_value)
     return criterion, EVERY_START
 
 
@@ -372,9 +372,9 @@ def _from_fresh_starts(look: _Look, domain: Domain, threshold: float) -> Flags:
     total = min(math.ceil((AMPLE if side_by_side else SPARE) * fewest), MAX_RUNS)
     longest = LONGEST * max(len(demo.actions) for demo in data.trajectories)
     steps = min(option.max_steps, longest)
-    rng = generator(look.seed, 'fresh starts', option.name, data.demonstrations[-1].uuid)
+    rng = generator(look.seed, 'runs from fresh starts', option.name, data.demonstrations[-1].uuid)
     found = np.zeros(0, dtype=np.bool_)
-    for group in fresh_starts(option, domain, rng, look.others):
+    for group in fresh_starts(option, domain, look.seed, rng, look.others):
         missing = (fewest if found.all() else total) - len(found)
         if not (states := group[:missing]):
             continue

@@ -15,15 +15,18 @@ it gets stuck, which is where the next demonstration starts.
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import chain, compress
 from typing import Any
 
 from humanopts_env.arrays import Flags, Floats, Ints, Rows
 from humanopts_env.domains.base import Domain, EnumerableDomain, is_enumerable
 from humanopts_env.domains.formulas import feature_columns
+from humanopts_env.domains.registry import KeyedDomain
 from humanopts_env.domains.replayed_domain import ReplayedDomain
 from humanopts_env.domains.tabular import reachable
 from humanopts_env.games import feature_rows, Games, games_at, new_games
+from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import Demonstration, Kind, shown
 from humanopts_learner.execution import (
     draw_among,
@@ -472,18 +475,29 @@ def nothing_fails(
 def fresh_starts(
     option: LearnedOption,
     domain: Domain,
+    seed: int,
     rng: np.random.Generator,
     others: Sequence[Option] = (),
 ) -> Iterator[list[Any]]:
     """
     Yield groups of starts of an option, drawn the way its task draws them.
 
+    :param seed: seed of the states, if they can be sampled: always the same, as drawing is slow.
+    :param rng: generator for the games that lead to the states, if they cannot.
     :param others: as in ``choose_start_state``.
     :return: states in I, in at most ``DRAWS`` groups.
     """
-    for _ in range(DRAWS):
-        replayed = isinstance(domain, ReplayedDomain)
-        states = (
-            _reached(domain, others, rng) if replayed else _random_sample(domain, rng)
-        ).states
-        yield [*compress(states, option.can_start(feature_rows(domain, states)))]
+    for number in range(DRAWS):
+        if isinstance(domain, ReplayedDomain):
+            states = _reached(domain, others, rng).states
+            rows = feature_rows(domain, states)
+        else:
+            states, rows = _fresh_sample(KeyedDomain.of(domain), seed, number)
+        yield [*compress(states, option.can_start(rows))]
+
+
+@lru_cache(maxsize=DRAWS)
+def _fresh_sample(domain: KeyedDomain, seed: int, number: int) -> tuple[list[Any], Rows]:
+    """Return states, and their features (N, F)."""
+    sample = _random_sample(domain.value, generator(seed, 'fresh starts', number))
+    return sample.states, feature_rows(domain.value, sample.states)
