@@ -38,6 +38,7 @@ from humanopts_learner.options.rollout import (
     is_deterministic,
     rollouts_from_everywhere,
     run_once,
+    without_chance,
 )
 from humanopts_learner.options.starts import possible_starts
 import numpy as np
@@ -340,10 +341,10 @@ def _starts(
         [np.random.default_rng(seed) for seed in seeds[at].tolist()],
         loops_of(domain, [option], len(at), None),
     )
-    ended[at], over[at], steps[at], last[at] = ran.reached, ran.over, ran.steps, ran.rows
-    unknown[at] = ran.reached & ~ends_like_shown(
-        domain, option.features, demonstrations, ran.rows, ran.over
-    )
+    unlike = ~ends_like_shown(domain, option.features, demonstrations, ran.rows, ran.over)
+    reached = ran.reached & ~(ran.over & unlike & (not without_chance(domain)))  # bad luck: no end
+    ended[at], over[at], steps[at], last[at] = reached, ran.over, ran.steps, ran.rows
+    unknown[at] = reached & unlike
     outside = drawn.askable & ~option.can_start(rows)
     parts = ended, last, over, steps, unknown, outside, none > 0, none, seeds
     return _Starts(states.__getitem__, rows, *parts)
