@@ -59,11 +59,9 @@ def met(domain: str, demonstrations: Sequence[Demonstration], seed: int) -> bool
 
 
 @pytest.mark.heavy
-@pytest.mark.parametrize(('domain', 'option'), [('taxi', FETCH), ('rooms', SOUTH)])
-def test_a_lesson_of_a_careless_teacher_does_not_end_with_all_criteria_met(
-    domain: str, option: str
-) -> None:
-    assert not met(domain, shown(domain, option, CARELESS, 1), 1)
+def test_a_lesson_of_a_careless_teacher_does_not_end_with_all_criteria_met() -> None:
+    """In Rooms, 40 careless demonstrations teach an option that is right."""
+    assert not met('taxi', shown('taxi', FETCH, CARELESS, 1), 1)
 
 
 def test_crossing_the_frozen_lake_carelessly_does_not_meet_all_criteria() -> None:
