@@ -101,6 +101,8 @@ def _position(app: App) -> Line:
         counts = f'  ({lesson.exam_right} of {lesson.exam_runs} right)' if lesson.exam_runs else ''
         return Line(where, Tone.NEWS, more=(Line(counts, Tone.QUIET),))
     match lesson.phase:
+        case Phase.DEMONSTRATING if not _is_there(app):
+            where = f'start {start} comes ...'
         case Phase.DEMONSTRATING:
             where = f'start {start}, step {step}' if step else f'next: start {start}'
         case Phase.LEARNING:
@@ -114,11 +116,16 @@ def _position(app: App) -> Line:
     return Line(where, Tone.NEWS, more=(note,))
 
 
+def _is_there(app: App) -> bool:
+    """Return whether the state of the demonstration under way has arrived."""
+    return app.world.game.episode == app.world.lesson.episode
+
+
 def _features(app: App) -> Features:
     """Return the features the option depends on, with their values in the displayed state."""
     domain, game, lesson = app.domain, app.world.game, app.world.lesson
     row: Floats | None = None
-    if game.state and lesson.phase is Phase.DEMONSTRATING:
+    if game.state and lesson.phase is Phase.DEMONSTRATING and _is_there(app):
         row = domain.feature_values(published_state(domain, game.state, game.features))
     shown = [
         (plain_name(column.feature.name), '' if row is None else column.text(row))
