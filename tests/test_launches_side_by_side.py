@@ -24,7 +24,8 @@ TAUGHT = {
     'anna': 'go west',
     'ben': 'go west',
 }
-PART = ('--only', 'recorder,game,lesson,learner,option_server,simulated_teacher')  # what a lesson needs
+NODES = 'recorder,game,lesson,learner,option_server,simulated_teacher'
+PART = ('--only', NODES)  # what a lesson needs
 QUESTIONS = len(make_domain('taxi').features)
 ROBOT = """
 import rclpy
