@@ -183,7 +183,10 @@ def test_a_demo_whose_status_is_asked_for_and_that_is_interrupted_stops_everythi
     command.send(how)
     command.send(how)  # an impatient second one changes nothing
     assert command.ended(PATIENCE) == 130
-    said = [line for line in command.errors.splitlines() if ': the node ' not in line]
+    # On a busy machine the teacher may have been stopped for so long that it ends.
+    others = ': the node ', 'the process was stopped for'
+    lines = command.errors.splitlines()
+    said = [line for line in lines if not any(words in line for words in others)]
     assert said == ['humanopts demo: interrupted; everything is stopped']
     command.gone(2.0)
     bag = bag_of(tmp_path)
