@@ -247,6 +247,9 @@ def test_a_key_takes_the_wheel_from_the_machine_and_a_cut_connection_ends_the_te
     result = terminals.witness(
         OptionResult, lambda m: m.status == OptionResult.STATUS_INTERRUPTED, terminal
     )
+    refused = [m for m in terminals.messages if isinstance(m, ActionRefusal)]
+    reasons = {m.reason for m in refused if m.episode == result.episode}
+    assert reasons <= {ActionRefusal.REASON_HELD_BY_PERSON}  # none if the run stops sooner
     terminal.see('you drive')
     terminal.press('left')
 
