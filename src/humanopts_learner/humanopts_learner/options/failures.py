@@ -254,7 +254,7 @@ def _chance_and_steps(
     :param action: (S,) of its policy.
     :param ends: (S,) where it ends, besides where the task is over.
     """
-    from scipy.sparse import csc_array, eye_array  # slow to import
+    from scipy.sparse import csc_array, eye  # slow to import
     from scipy.sparse.linalg import splu
 
     table, states, gamma = domain.transitions(), np.arange(domain.n_states), _gamma(domain)
@@ -267,7 +267,7 @@ def _chance_and_steps(
         ((probability * ~ended).ravel(), (origin.ravel(), successor.ravel())),
         shape=(domain.n_states, domain.n_states),
     )
-    solve = splu(eye_array(domain.n_states, format='csc') - gamma * goes_on).solve
+    solve = splu(eye(domain.n_states, format='csc') - gamma * goes_on).solve
     chance: Floats = solve(arrives)  # discounted, as the best policy is
     return chance, solve(chance) / np.maximum(chance, np.finfo(float).tiny)
 
