@@ -37,6 +37,7 @@ class Reason(IntEnum):
     NO_SUCH_SOURCE = 5
     PAUSED = 6
     FAILED = 7
+    LOCKED = 8
 
 
 class Holder(IntEnum):
@@ -44,6 +45,7 @@ class Holder(IntEnum):
 
     NOBODY = 0
     PERSON = 1
+    LOCKED = 2  # a robot that no person has enabled
 
 
 class ResetStatus(IntEnum):
@@ -89,6 +91,8 @@ class Transition:
     reward: float = 0.0
     terminated: bool = False
     truncated: bool = False
+    cut_short: bool = False  # the action was stopped before its end
+    refreshed: bool = False  # the world changed while no action was under way
 
     @property
     def open(self) -> bool:
@@ -160,6 +164,7 @@ class Control:
     holder: Holder
     holder_id: str
     reason: str
+    supervisor_id: str = ''  # who enabled the machine of a robot; empty: no one
 
 
 @dataclass(frozen=True, slots=True)

@@ -138,6 +138,8 @@ class Action:
     name: str  # snake_case
     key: str  # one character, or up, down, left, right
     description: str
+    seconds: float = 0.0  # longest duration; 0: it is taken at once
+    idle: bool = False  # it waits
 
 
 @dataclass(frozen=True, slots=True)

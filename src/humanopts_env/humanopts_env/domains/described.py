@@ -80,7 +80,7 @@ def described_domain(message: Any) -> DescribedDomain:
             Feature(f.name, f.question, kinds[f.kind], tuple(f.value_names), f.unit, f.low, f.high)
             for f in message.features
         ],
-        [Action(action.name, action.key, action.description) for action in message.actions],
+        [Action(a.name, a.key, a.description, a.seconds, a.idle) for a in message.actions],
         message.gamma,
         message.max_steps,
     )

@@ -78,7 +78,7 @@ TERMINAL_SERVICES = dict(
         _service(requests.SetExecution, 'set_execution', answers=('previous',)),
     ]
 )
-_OF_RUNS = 'max_steps', 'episode', 'step', 'options_sequence', 'execution', 'plan_id'
+_OF_RUNS = 'max_steps', 'episode', 'step', 'options_sequence', 'execution', 'plan_id', 'preempt'
 _OF_PLANS = 'options', 'gamma', 'tolerance', 'max_sweeps'
 ACTIONS: Mapping[type, Endpoint] = {
     request: Endpoint(kind, name, Codec(request, kind.Goal, of_message=more))
