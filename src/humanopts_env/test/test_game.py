@@ -129,6 +129,8 @@ def test_a_machine_step_is_the_transition_that_led_to_the_next_state() -> None:
         'reward': -1.0,
         'terminated': False,
         'truncated': False,
+        'cut_short': False,
+        'refreshed': False,
     }
     assert game.transition == answer.transition
 
