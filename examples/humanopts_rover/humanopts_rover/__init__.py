@@ -1,0 +1,1 @@
+"""A simulated rover: a differential drive with a laser scanner in a house of two rooms."""
