@@ -103,6 +103,10 @@ class Transition:
         """Return whether this transition is the step after another."""
         return (self.episode, self.step) == (other.episode, other.step + 1)
 
+    def replaces(self, other: 'Transition') -> bool:
+        """Return whether this is the same step again, because the world has changed since."""
+        return self.refreshed and (self.episode, self.step) == (other.episode, other.step)
+
 
 def effect_between(domain: ActableDomain, before: Transition, after: Transition) -> StepEffect:
     """Return the effect of the step between two successive transitions of an episode."""

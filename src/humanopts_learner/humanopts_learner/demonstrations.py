@@ -12,7 +12,7 @@ from functools import cache, cached_property
 import json
 import math
 from sys import intern
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, Final, TypeVar
 import uuid as uuid_module
 
 from humanopts_env.arrays import Rows
@@ -21,10 +21,11 @@ from humanopts_env.domains.base import (
     action_index,
     Domain,
     DomainError,
+    FeatureKind,
     is_enumerable,
 )
 from humanopts_env.domains.described import can_simulate
-from humanopts_env.domains.formulas import feature_columns
+from humanopts_env.domains.formulas import feature_columns, FeatureColumn, stacked
 from humanopts_env.domains.parameters import MAX_PARAMETERS
 from humanopts_env.domains.registry import parameters_json
 from humanopts_env.game import check_features
@@ -33,6 +34,8 @@ from humanopts_ros.limits import composed, JsonError, MAX_WHOLE, parse_json
 from humanopts_ros.text_files import fault_in
 import numpy as np
 from pydantic import AfterValidator, Field, Strict, TypeAdapter, ValidationError
+
+T = TypeVar('T')
 
 
 class DemonstrationError(ValueError):
@@ -57,6 +60,7 @@ PRIMITIVE_PREFIX = 'action:'  # of primitive actions used as options
 MACHINE = (
     'automatic:'  # prefix of participant codes of automatic options; people's codes have no colon
 )
+CHANGE = 0.01  # of the range of a continuous feature, which counts as a change
 MAX_NAME = 60  # characters of option names, and of codes of people and sessions
 # KIND_* of Demonstration.msg
 KIND_NUMBERS = {Kind.TRAJECTORY: 1, Kind.NOT_HERE: 2, Kind.JUDGED: 3}
@@ -328,6 +332,46 @@ def each_once(demonstrations: Iterable[Demonstration]) -> list[Demonstration]:
         if demo.withdrawn and not known.withdrawn:
             once[demo.uuid] = demo
     return list(once.values())
+
+
+def without_idle_steps(
+    demo: Demonstration, domain: ActableDomain, chosen: Sequence[FeatureColumn]
+) -> Demonstration:
+    """
+    Return a demonstration without the steps in which the person only waited.
+
+    A step is dropped if its action is idle and no chosen feature changed during it, compared with
+    the last step that was kept. Waiting for a change is thus learned, and hesitating is not. If
+    nothing would be left, the person has shown how to wait, and nothing is dropped.
+
+    :param chosen: features; a continuous one changes by ``CHANGE`` of its range.
+    """
+    idle = {action.name for action in domain.actions if action.idle}
+    if idle.isdisjoint(demo.actions):
+        return demo
+    scale = [c.feature.span if c.feature.kind is FeatureKind.CONTINUOUS else 0.0 for c in chosen]
+    rows, least = stacked(chosen, demo.feature_rows), CHANGE * np.array(scale)
+    kept, last, first = list[int](), len(demo.actions) - 1, 0  # first row since the last kept step
+    for step, action in enumerate(demo.actions):
+        changed = (np.abs(rows[step + 1] - rows[first]) > least).any()
+        if action not in idle or changed or (step == last and demo.terminated):
+            kept.append(step)
+            first = step + 1
+    if not kept:
+        return demo
+    seen = [*kept, kept[-1] + 1]
+
+    def of(values: Sequence[T], rows: Sequence[int]) -> tuple[T, ...]:
+        return tuple(values[row] for row in rows)
+
+    return replace(
+        demo,
+        features=of(demo.features, seen),
+        states=of(demo.states, seen),
+        actions=of(demo.actions, kept),
+        rewards=of(demo.rewards, kept),
+        machine_steps=sum(step < demo.machine_steps for step in kept),
+    )
 
 
 def group_by_option(

@@ -29,6 +29,7 @@ from humanopts_learner.demonstrations import (
     Kind,
     shown,
     TREES,
+    without_idle_steps,
 )
 from humanopts_learner.execution import looks_of
 from humanopts_learner.options.decision_tree import (
@@ -167,10 +168,11 @@ def make_dataset(demonstrations: Sequence[Demonstration], domain: ActableDomain)
     for name in {name for demo in demos for name in demo.actions}:
         action_index(domain, name)
     newest = demos[-1]
+    chosen = feature_columns(domain, newest.chosen_features)
     return Dataset(
-        tuple(demos),
+        tuple(without_idle_steps(demo, domain, chosen) for demo in demos),
         tuple(action.name for action in domain.actions),
-        tuple(feature_columns(domain, newest.chosen_features)),
+        tuple(chosen),
         feature_encoding(domain, newest.chosen_features),
         newest.method,
         isinstance(domain, ReplayedDomain)

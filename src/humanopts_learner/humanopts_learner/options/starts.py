@@ -20,7 +20,12 @@ from itertools import chain, compress
 from typing import Any
 
 from humanopts_env.arrays import Flags, Floats, Ints, Rows
-from humanopts_env.domains.base import Domain, EnumerableDomain, is_enumerable
+from humanopts_env.domains.base import (
+    ActableDomain,
+    Domain,
+    EnumerableDomain,
+    is_enumerable,
+)
 from humanopts_env.domains.formulas import feature_columns
 from humanopts_env.domains.registry import KeyedDomain
 from humanopts_env.domains.replayed_domain import ReplayedDomain
@@ -429,7 +434,7 @@ def _where_stuck(option: LearnedOption, domain: Domain, starts: Sequence[Any]) -
 
 def committee_disagrees(
     option: LearnedOption,
-    domain: Domain,
+    domain: ActableDomain,
     demonstrations: Sequence[Demonstration],
     rows: Rows,
     seed: int,

@@ -190,7 +190,7 @@ def _group_episodes(bag: Bag, between: tuple[int, int] = ALWAYS) -> Iterator[Epi
     """
     Yield each episode when its game begins a later one or the bag ends, decoded on demand.
 
-    Later messages of the episode are omitted.
+    Later messages of the episode are omitted. A refreshed state replaces that of its step.
     """
 
     def episode(game: tuple[str, str], number: int, states: dict[int, Recorded]) -> Episode:

@@ -290,7 +290,7 @@ def summarise(bag: Bag, topics: Collection[str] | None = None) -> BagInfo:
             continue
         if recorded.topic in states and (stamp := read_stamp(recorded.data, with_step=True)):
             episode = recorded.topic, stamp.publisher_id, stamp.episode
-            if stamp.episode and last_states.get(episode, (-1,))[0] < stamp.step:
+            if stamp.episode and last_states.get(episode, (-1,))[0] <= stamp.step:
                 last_states[episode] = stamp.step, recorded
         elif recorded.type == DEMONSTRATION and (demo := decode(recorded)):
             demonstrations.append(demo)

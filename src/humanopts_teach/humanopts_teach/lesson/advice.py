@@ -15,6 +15,10 @@ _HINTS = {
     Phase.CHECKING: 'Answer the question.',
     Phase.EXAM: 'Begin the next run of the exam.',
 }
+_WITHOUT_STARTS = {  # where the person drives to each start
+    Phase.READY: 'Drive to where the option can start, then begin.',
+    Phase.EXAM: 'Drive to any start of the option, then begin the next run of the exam.',
+}
 
 
 def advice(
@@ -22,6 +26,7 @@ def advice(
     settled: OptionSummary | None,
     wrong: Demonstration | None,
     stage: Phase,
+    missing: str | None = None,
 ) -> str:
     """
     Return advice on what to do next, with the reason if it is not obvious.
@@ -30,6 +35,7 @@ def advice(
     :param settled: summary of the option, if its criteria are settled; None: they are not.
     :param wrong: last run of the option, if the person called it wrong.
     :param stage: as in ``Examination``.
+    :param missing: as in ``NextStart``; None: the lesson chooses the starts.
     """
     phase, hint = lesson.phase, _HINTS[lesson.phase]
     spent = lesson.n_demonstrations + lesson.n_not_here >= lesson.budget > 0
@@ -39,6 +45,11 @@ def advice(
             f'The plan got stuck in {stuck} of {lesson.trial_games} games while running '
             f"'{lesson.option_name}', or in need of it: show what to do there."
         )
+    if missing is not None:
+        hint = _WITHOUT_STARTS.get(phase, hint)
+        if phase is Phase.READY and lesson.n_demonstrations:
+            why = f': {missing}' if missing else ''
+            hint = f'Drive to another start{why}. Or run the option and take over where it errs.'
     if phase is Phase.READY and wrong is not None:
         start = 'where you stopped the run' if wrong.stopped else 'where the run started'
         hint = f'Show what the option should do, starting {start}.'

@@ -50,7 +50,10 @@ class Attempt:
         return [*by_machine, False].index(False)
 
     def add(self, transition: Transition) -> None:
-        """Append the next state; step 0 or a different episode begins a new trajectory."""
+        """Append or refresh a state; step 0 or a different episode begins a new trajectory."""
+        if self.transitions and transition.replaces(self.transitions[-1]):
+            self.transitions[-1] = transition
+            return
         (last_episode, last_step), step = self.here, transition.step
         if step == 0 or transition.episode != last_episode:
             self.transitions, self.gap = [], ''
@@ -74,7 +77,8 @@ class Attempt:
         self.seen = True
         if self.gap:
             return f'states of the game were lost ({self.gap})'
-        if transition.step == 0 and transition.state != self.start_state:
+        moved = transition.state != self.start_state and not transition.refreshed
+        if transition.step == 0 and moved:
             return f'the game began in {transition.state} and not in {self.start_state}'
         watched = self.watch and self.machine_steps == transition.step
         if self.exam and not watched:

@@ -11,7 +11,7 @@ from dataclasses import replace
 from itertools import count
 from typing import Any
 
-from humanopts_env.domains.base import ActableDomain, DomainError
+from humanopts_env.domains.base import ActableDomain
 from humanopts_env.domains.described import can_simulate
 from humanopts_env.domains.formulas import derive, FormulaError
 from humanopts_env.game import Source, Transition
@@ -33,6 +33,7 @@ from humanopts_teach.lesson.attempt import Attempt
 from humanopts_teach.lesson.examination import Examination
 from humanopts_teach.lesson.feedback import Feedback
 from humanopts_teach.lesson.history import History, OptionHistory
+from humanopts_teach.lesson.next_start import NextStart
 from humanopts_teach.lesson.records import Records
 from humanopts_teach.lesson.requests import (
     AddDemonstrations,
@@ -111,8 +112,7 @@ class Lesson:
         self._examination = Examination(starts)
         self._attempt: Attempt | None = None  # set with the request for an episode
         self._episode = 0  # of the newest demonstration begun
-        self._again = ''  # start state of a discarded or abandoned demonstration
-        self._repeated = 0  # number of times it was
+        self._next = NextStart(domain, starts, self.feedback)
         self._notice = ''
         self._paused = ''  # why nothing new can begin; empty: it can
 
@@ -279,6 +279,7 @@ class Lesson:
         :return: whether the view has changed.
         """
         if self._attempt is None:
+            self._next.drive_past(transition)
             return False
         self._attempt.add(transition)
         return self._watch(transition)
@@ -376,12 +377,14 @@ class Lesson:
         """Check what comes next: a demonstration, a question about a run, the exam or nothing."""
         settled = self.feedback.settled(self._option)
         self._examination.update(self._option, settled, self._history.options)
+        self._next.look(self._option)
 
     @property
     def _advice(self) -> str:
         settled, option = self.feedback.settled(self._option), self._option
         wrong = option.wrong_run if option is not None else None
-        return advice(self._facts, settled, wrong, self._examination.stage)
+        missing = None if can_simulate(self._domain) else self._next.missing
+        return advice(self._facts, settled, wrong, self._examination.stage, missing)
 
     # Handlers of requests; they raise RefusalError to refuse a request.
 
@@ -487,7 +490,8 @@ class Lesson:
 
     def _switch_to(self, option: OptionHistory | None) -> None:
         if option is not self._option:
-            self.feedback.awaited, self._again, self._repeated = None, '', 0
+            self.feedback.awaited = None
+            self._next.forget()
         self._option, self._notice = option, ''
         self._check_done()
 
@@ -540,26 +544,8 @@ class Lesson:
             spent = spent and phase in _READY
             status = RequestStatus.BUDGET_SPENT if spent else RequestStatus.WRONG_PHASE
             raise RefusalError(status, self._advice)
-        if request.exam:
-            state = self._starts.draw_for_exam(option, self._history.options)
-        elif not can_simulate(self._domain):
-            state = request.start_state  # validated by the game; empty: the current state
-        elif request.start_state:
-            try:
-                decoded = self._domain.decode(request.start_state)
-            except DomainError as error:
-                raise RefusalError(RequestStatus.BAD_STATE, str(error)) from error
-            if self._domain.is_over(decoded):
-                detail = f'the task is over in {request.start_state}: nothing can be shown there'
-                raise RefusalError(RequestStatus.BAD_STATE, detail)
-            state = self._domain.encode(decoded)
-        else:
-            state = self._again or option.correction or next(reversed(option.start_states), '')
-            if not state and option.name in self.feedback.offers:
-                state = self._domain.encode(self.feedback.offers[option.name][0])
-            state = state or self._starts.draw(option, self._history.options)
+        state, seed = self._next.choose(option, self._history.options, request)
         self._attempt = Attempt(state, request.watch or request.exam, request.exam)
-        seed = self._starts.episode_seed(option, self._repeated, exam=request.exam)
         return _ok('the start state is chosen', state=state, seed=seed)
 
     def _watch(self, transition: Transition) -> bool:
@@ -578,7 +564,7 @@ class Lesson:
 
     def _abandon(self, notice: str) -> None:
         if self._under_way is not None and not self._under_way.watch:
-            self._again, self._repeated = self._under_way.start_state, self._repeated + 1
+            self._next.repeat(self._under_way.start_state)
         self._attempt, self._notice = None, notice
 
     def _end_demonstration(self, request: EndDemonstration) -> Answer:
@@ -614,7 +600,8 @@ class Lesson:
     def _keep(self, demo: Demonstration, text: str) -> Answer:
         """Keep a demonstration or a judged run, and wait for the learner."""
         self._write(demo)
-        self._attempt, self._again, self._repeated, self._notice = None, '', 0, ''
+        self._attempt, self._notice = None, ''
+        self._next.forget()
         self.feedback.awaited = demo
         if self._paused:
             self._notice = f'The demonstration is {_UNRECORDED}.'
@@ -655,7 +642,8 @@ class Lesson:
         withdrawn = replace(demo, withdrawn=True)
         self._write(withdrawn)
         self.feedback.awaited = withdrawn
-        self._again = self._notice = ''  # the start state is in the option's history
+        self._notice = ''
+        self._next.forget()  # the start state is in the option's history
         steps = len(demo.actions)
         what = f'the demonstration of {steps} step{"s"[: steps != 1]}' if steps else '"not here"'
         text = f'{what} is withdrawn; its start comes again'

@@ -389,7 +389,12 @@ class World:
     def update_game(self, game: Transition) -> None:
         """Store the newest state of the game, and its predecessor if no step is missing."""
         now = self.game
-        if (game.episode, game.step) != (now.episode, now.step):
+        if game.replaces(now):
+            if self.driven:
+                self.driven[-1] = game
+            else:
+                self.since = game
+        elif (game.episode, game.step) != (now.episode, now.step):
             self.before = now if game.follows(now) else None
             if self.before is None or game.action_source is not Source.PERSON:
                 self.since, self.driven = game, []

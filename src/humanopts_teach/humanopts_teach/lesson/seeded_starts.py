@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, TypeVar
 
+from humanopts_env.arrays import Rows
 from humanopts_env.domains.base import ActableDomain
 from humanopts_env.domains.described import can_simulate, simulated
 from humanopts_env.domains.replayed_domain import ReplayedDomain
@@ -15,6 +16,7 @@ from humanopts_learner.options.checks import Check, next_check
 from humanopts_learner.options.exam import before_exam
 from humanopts_learner.options.files import option_from_json
 from humanopts_learner.options.learned_option import LearnedOption
+from humanopts_learner.options.missing import missing_start
 from humanopts_learner.options.starts import (
     choose_start_state,
     draw_sample,
@@ -198,6 +200,22 @@ class SeededStarts:
             return nothing_fails(learned, domain, option.everything, rng, others)
 
         return self._once('exhausted', find, option.number, learned, others)
+
+    def missing(self, option: OptionHistory, passed: Rows) -> str:
+        """
+        Return what no demonstration has shown yet, in words; empty: nothing is known.
+
+        :param passed: (N, F) features of states between demonstrations.
+        """
+        learned = self._option(option)
+        if learned is None or not option.n_trajectories:
+            return ''
+
+        def find() -> str:
+            demos = option.demonstrations
+            return missing_start(learned, self._domain, demos, passed, self.rules.seed)
+
+        return self._once('missing', find, version_of(option.demonstrations), learned, ())
 
     def _once(
         self,

@@ -1,0 +1,147 @@
+"""
+What the demonstrations of an option leave open, in a world whose states cannot be chosen.
+
+A person drives such a world to the next start, and needs to know which start would help. The
+reason is found in rows of features that were seen: those of demonstrations, and those that were
+driven past in between. In this order, it is
+
+1. a value of a nominal feature, seen where the option does not end, with which nothing starts;
+2. the range of a feature in which a tenth of the demonstrations decides what the option does
+   (``committee_disagrees``), if one range holds most such rows and few others;
+3. the largest gap between starts in the range of a feature, if rows were seen in it;
+4. the same as 1 and 3 without such rows, while there are few starts.
+
+Only the chosen features count. *Not here* answers are starts, too: they say what to do there.
+"""
+
+from collections.abc import Iterator, Sequence
+
+from humanopts_env.arrays import Flags, Floats, Rows
+from humanopts_env.domains.base import ActableDomain, Feature, FeatureKind
+from humanopts_env.domains.formulas import plain_name
+from humanopts_learner.demonstrations import Demonstration, Kind
+from humanopts_learner.options.learn import make_dataset
+from humanopts_learner.options.learned_option import LearnedOption
+from humanopts_learner.options.starts import committee_disagrees
+import numpy as np
+
+GAP = 0.25  # smallest gap between starts that counts, as a share of the range of the feature
+FEW = 5  # starts, up to which states that were never seen are asked for
+SHARE = 0.05  # smallest share of rows in which the committee disagrees
+APART = 0.3  # smallest difference between the shares of such rows, and of others, in a range
+PARTS = 10  # of the range of a feature, at which ranges begin or end
+
+
+def missing_start(
+    option: LearnedOption,
+    domain: ActableDomain,
+    demonstrations: Sequence[Demonstration],
+    passed: Rows,
+    seed: int,
+) -> str:
+    """
+    Return in words what no demonstration has shown yet; empty: nothing was found.
+
+    :param option: learned from the demonstrations.
+    :param demonstrations: checked, of this option, with at least one trajectory.
+    :param passed: (N, F) features of states in between, without those of demonstrations.
+    :param seed: of the folds.
+    """
+    data = make_dataset(demonstrations, domain)
+    starts = np.concatenate([demo.feature_rows[:1] for demo in data.demonstrations])
+    seen = np.concatenate(
+        [
+            passed,
+            *(
+                demo.feature_rows[:-1] if demo.kind is Kind.TRAJECTORY else demo.feature_rows
+                for demo in data.demonstrations
+            ),
+        ]
+    )
+    columns = [(each.feature, each.values(starts), each.values(seen)) for each in data.chosen]
+    absent = [
+        (f'no demonstration starts with {plain_name(feature.name)} {feature.text(value)}', known)
+        for feature, of_starts, of_seen in columns
+        if feature.kind is FeatureKind.NOMINAL
+        for value in range(len(feature.values))
+        if value not in of_starts
+        for known in [value in of_seen]
+    ]
+    gaps = [
+        (f'no demonstration starts with {plain_name(feature.name)} {_words(feature, *gap)}', known)
+        for _, feature, gap, known in sorted(_gaps(columns), key=lambda gap: -gap[0])
+    ]
+    disagreed = committee_disagrees(option, domain, demonstrations, seen, seed)
+    reasons = [
+        *(text for text, known in absent if known),
+        *_where(columns, disagreed),
+        *(text for text, known in gaps if known),
+        *(text for text, known in (*absent, *gaps) if not known and len(starts) <= FEW),
+    ]
+    return next(iter(reasons), '')
+
+
+def _gaps(
+    columns: Sequence[tuple[Feature, Floats, Floats]],
+) -> Iterator[tuple[float, Feature, tuple[float, float], bool]]:
+    """Yield gaps between starts: share of the range, feature, ends, and whether it was seen."""
+    for feature, starts, seen in columns:
+        if feature.kind is FeatureKind.NOMINAL:
+            continue
+        low, high = _limits(feature)
+        edges = np.unique([low, *starts, high])
+        for begin, end in zip(edges[:-1].tolist(), edges[1:].tolist()):
+            share = (end - begin) / feature.span
+            if share > GAP:
+                inside = (seen > begin) & (seen < end)
+                yield share, feature, (begin, end), bool(inside.any())
+
+
+def _where(columns: Sequence[tuple[Feature, Floats, Floats]], disagreed: Flags) -> Iterator[str]:
+    """Yield in which range of a feature the committee disagrees, if one stands out."""
+    if not SHARE <= disagreed.mean() < 1:
+        return
+    best, text = APART, ''
+    for feature, _, seen in columns:
+        name = plain_name(feature.name)
+        if feature.kind is FeatureKind.NOMINAL:
+            ranges = [
+                (seen == value, f'{name} is {feature.text(value)}')
+                for value in np.unique(seen).tolist()
+            ]
+        else:
+            low, high = _limits(feature)
+            edges = np.linspace(low, high, PARTS + 1)[1:-1].tolist()
+            if feature.kind is FeatureKind.ORDINAL:
+                edges = list(range(int(low) + 1, int(high)))
+            ranges = [
+                (inside, f'{name} is {_words(feature, *ends)}')
+                for edge in edges
+                for inside, ends in (
+                    (seen < edge, (low, edge)),
+                    (seen > edge, (edge, high)),
+                )
+            ]
+        for inside, words in ranges:
+            apart = inside[disagreed].mean() - inside[~disagreed].mean()
+            if apart > best:
+                best, text = float(apart), f'demonstrations disagree where {words}'
+    if text:
+        yield text
+
+
+def _limits(feature: Feature) -> tuple[float, float]:
+    """Return the lowest and the highest value of a feature that is not nominal."""
+    if feature.kind is FeatureKind.CONTINUOUS:
+        return feature.low, feature.high
+    return 0.0, float(len(feature.values) - 1)
+
+
+def _words(feature: Feature, begin: float, end: float) -> str:
+    """Return a range of a feature in words."""
+    low, high = _limits(feature)
+    if begin <= low:
+        return f'below {feature.text(end)}'
+    if end >= high:
+        return f'above {feature.text(begin)}'
+    return f'between {feature.text(begin)} and {feature.text(end)}'
