@@ -6,6 +6,7 @@ import sys
 
 DOMAINS = 'humanopts.domains'
 GYMNASIUM = 'gymnasium:'  # prefix of the id of a Gymnasium environment
+ROBOT = 'ros:'  # prefix of the file of a robot's world
 PACKAGES = {'MiniGrid-': 'minigrid', 'BabyAI-': 'minigrid'}  # that register ids, by their start
 
 
