@@ -19,6 +19,7 @@ from humanopts_teach.dialogue.keys import (
     INTERRUPT,
     key_table,
     label,
+    SPACE,
 )
 from humanopts_teach.dialogue.panel import GAP, Line, Panel, Tone
 from humanopts_teach.lesson.question_groups import QuestionGroups
@@ -59,12 +60,14 @@ class Screen:
     :cvar shows_board: show the board next to the panel.
     :cvar hides_features: during a lesson, the board shows only the features the option depends on.
     :cvar claims_lesson: the screen may take over another participant's lesson.
+    :cvar takes_text: the person types a text.
     """
 
     answers_lesson: bool = False
     shows_board: bool = True
     hides_features: bool = False
     claims_lesson: bool = False
+    takes_text: bool = False
 
     @property
     def state(self) -> str:
@@ -160,6 +163,7 @@ class App:
         self._outbox: deque[tuple[Request, Then | None]] = deque()
         self._keys: deque[tuple[str, _Seen]] = deque()  # each with the frame seen when pressed
         self._waiting: _Waiting | None = None
+        self._stops = False  # the robot must stop at once
         self._owned = False  # this participant has owned the lesson
         self._displaced = first  # shown when another participant takes over the lesson
 
@@ -203,10 +207,13 @@ class App:
         """
         Take a primitive action on the person's behalf; between episodes, only take control.
 
-        After a typed number it is repeated, until a step is refused.
+        After a typed number it is repeated, until a step is refused. A robot can move between
+        episodes, too: the next one begins where it is.
         """
-        game = self.world.game
-        if game.open:
+        game, shows = self.world.game, self.world.lesson.phase is Phase.DEMONSTRATING
+        if self.world.robot and not game.open and not shows:
+            self.ask(NewEpisode(self.seed), then=lambda answer: self.drive(action))
+        elif game.open:
             steps = range(game.step, game.step + int(self.times or 1))
             self.ask(*(Drive(action, game.episode, step) for step in steps))
         elif self.run is not None:
@@ -239,7 +246,10 @@ class App:
 
     def type(self, keys: Iterable[str], frame: int | None = None) -> None:
         """
-        Queue key presses; Ctrl-C takes effect immediately.
+        Queue key presses; Ctrl-C takes effect immediately, and so does Space with a robot.
+
+        While an action of a robot lasts, its key repeats it once, and the key of another action
+        ends it.
 
         :param frame: frame on which the keys were pressed; they count only while its screen is
             shown. None: the latest frame, with typing ahead for later screens allowed.
@@ -251,8 +261,40 @@ class App:
         for key in keys:
             if key in (INTERRUPT, END_OF_FILE):
                 self.ended = True
-            elif key and len(self._keys) < MAX_KEYS:
+                continue
+            if key == SPACE and self.world.robot:
+                self.stop()
+                if not self.screen.takes_text:
+                    continue
+            if self._lasts is not None and (action := self._action_of(key)):
+                if action != self._lasts.action:
+                    self._drop()
+                    self._waiting = None
+                elif any(queued == key for queued, _ in self._keys):
+                    continue
+            if key and len(self._keys) < MAX_KEYS:
                 self._keys.append((key, seen))
+
+    def stop(self) -> None:
+        """Stop the robot at once, and take control; what was asked for meanwhile is dropped."""
+        self._drop()
+        if self._lasts is not None:
+            self._waiting = None
+        self._stops = True
+
+    @property
+    def _lasts(self) -> Drive | None:
+        """The pending action of a robot, which may take a while; None: there is none."""
+        request = self.waits_for
+        return request if isinstance(request, Drive) and self._lasting(request) else None
+
+    def _action_of(self, key: str) -> str:
+        """Return the action bound to a key; empty: the screen does not drive, or has none."""
+        if not self.screen.plays(self):
+            return ''
+        command = command_of(key, key_table(self.screen.commands(self)))
+        names = {action.name for action in self.domain.actions}
+        return command.words if command is not None and command.words in names else ''
 
     def drawn(self) -> int:
         """
@@ -270,9 +312,14 @@ class App:
         Process queued requests and keys as far as possible.
 
         :param now: monotonic time in seconds.
-        :return: the next request to make; its answer is passed to ``replied``.
+        :return: the next request to make; its answer is passed to ``replied``. An empty ``Drive``
+            stops a robot, whatever is pending, and is not answered.
         """
         self.now = now
+        if self._stops:
+            self._stops = False
+            self.say('Stopped. You have control.')
+            return Drive('', self.world.game.episode, self.world.game.step)
         self._check_waiting(now)
         self._owned |= self.world.lesson.participant == self.participant
         while self._waiting is None and not self.ended:
@@ -281,7 +328,9 @@ class App:
                 if self._is_anothers(request):
                     self._yield_lesson()
                     continue
-                self._waiting = _Waiting(request, then, now + REPLY_SECONDS)
+                self._waiting = _Waiting(
+                    request, then, now + REPLY_SECONDS + self._lasting(request)
+                )
                 return request
             if self._keys:
                 self.message = GAP
@@ -298,6 +347,12 @@ class App:
             if not self._outbox:
                 break
         return None
+
+    def _lasting(self, request: Request) -> float:
+        """Return the longest duration of a request, s."""
+        actions = self.world.domain.actions if self.world.domain is not None else ()
+        name = request.action if isinstance(request, Drive) else ''
+        return next((action.seconds for action in actions if action.name == name), 0.0)
 
     def replied(self, request: Request, answer: Answer, now: float) -> None:
         """Accept the answer to the pending request; ignore any other answer as late."""
@@ -319,6 +374,16 @@ class App:
             self.resume_machine()
             self.screen.run_ended(run, well, self)
 
+    def release(self) -> list[Request]:
+        """
+        Return the requests that let the machine move.
+
+        Whoever lets a robot move supervises it, and needs to have taken control of it before.
+        """
+        world = self.world
+        takes = world.robot and (world.locked or world.supervisor != world.me)
+        return [*([SetControl(hold=True)] if takes else []), SetControl(hold=False)]
+
     def resume_machine(self) -> None:
         """Resume the machine if it is paused."""
         if self.world.paused_by:
@@ -338,7 +403,9 @@ class App:
             requests.append(CancelRun())
         if is_own_lesson and lesson.phase is Phase.DEMONSTRATING:
             requests.append(EndDemonstration(Verdict.DISCARD, game.episode, game.step))
-        if self.world.in_control:
+        if self.world.robot:  # it is locked when this terminal leaves
+            requests += [Drive('', game.episode, game.step)] if self.world.progress.action else []
+        elif self.world.in_control:
             requests.append(SetControl(hold=False))
         return requests
 

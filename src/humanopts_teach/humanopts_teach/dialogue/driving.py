@@ -1,6 +1,6 @@
 """Screens for playing the game: by the person, a taught option or a plan."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, KW_ONLY
 from functools import partial
 
@@ -12,6 +12,7 @@ from humanopts_teach.dialogue.keys import Command, Do, ENTER, ESCAPE, key_table,
 from humanopts_teach.dialogue.panel import GAP, Line, Panel, Tone
 from humanopts_teach.lesson.requests import (
     ActionGoal,
+    Answer,
     CancelRun,
     NewEpisode,
     PlanOptions,
@@ -31,6 +32,7 @@ EXECUTIONS = {
     Arbitration.MODULAR_MASS: 'all options act at once; the greatest mass wins',
     Arbitration.MODULAR_STRONGEST: 'all options act at once; the strongest wins',
 }
+TAKE = 'take control'
 PERIODS = (2.0, 1.0, 0.5, 0.25, 0.1, 0.0)  # s between steps of the machine
 _UNKNOWN_COVERAGE = (
     'Uncovered places are known only for plans with your options alone, in games whose states '
@@ -39,8 +41,12 @@ _UNKNOWN_COVERAGE = (
 
 
 def pace(app: App) -> list[Command]:
-    """Return the commands that pause, resume, single-step, slow down and speed up the machine."""
-    if app.run is None:
+    """
+    Return the commands that pause, resume, single-step, slow down and speed up the machine.
+
+    A robot has its own speed; it is stopped instead.
+    """
+    if app.run is None or app.world.robot:
         return []
     now, paused = app.world.step_period, bool(app.world.paused_by)
     near = min(range(len(PERIODS)), key=lambda n: abs(PERIODS[n] - now))
@@ -59,6 +65,8 @@ def pace(app: App) -> list[Command]:
 
 def pace_line(world: World) -> Line:
     """Return a line that describes the machine's speed."""
+    if world.robot:
+        return Line('An action key takes over.', Tone.QUIET)
     if world.paused_by:
         return Line('The machine is paused.', Tone.WARNING)
     limit = f'At most one step every {world.step_period:g} s.'
@@ -71,7 +79,47 @@ def last_step(world: World) -> Iterator[Line]:
     if game.step:
         text = effect.text if effect is not None else f'last: {game.previous_action}'
         without = effect is not None and not effect.changed
-        yield Line(f'{text} (reward {game.reward:g})', Tone.WARNING if without else Tone.PLAIN)
+        cut = ', cut short' if game.cut_short else ''
+        tone = Tone.WARNING if without or cut else Tone.PLAIN
+        yield Line(f'{text} (reward {game.reward:g}{cut})', tone)
+
+
+def control(app: App) -> list[Command]:
+    """Return the command that takes control of a robot, or lets the machine move it."""
+    world = app.world
+    if not world.robot:
+        return []
+    if not world.in_control:
+        return [Command('t', TAKE, lambda app: app.ask(SetControl(hold=True)))]
+
+    def released(app: App, answer: Answer) -> None:
+        app.say('The machine may move now. If you leave, the robot stops.')
+
+    def give_back(app: App) -> None:
+        app.ask(SetControl(hold=False), then=partial(released, app))
+
+    text = 'let the machine move the robot, while you supervise it'
+    return [Command('t', 'give control back', give_back, text)]
+
+
+def robot_lines(app: App) -> Iterator[Line]:
+    """Yield what a robot does now, or why it does not move."""
+    world, now = app.world, app.world.progress
+    if not world.robot:
+        return
+    if now.stopped:
+        yield Line(f'The robot does not move: {now.stopped}.', Tone.BAD)
+    if world.locked:
+        table = key_table(app.screen.commands(app)).items()
+        key = next((f': press {key}' for key, each in table if each.words == TAKE), '')
+        yield Line(f'Nothing moves before you take control{key}.', Tone.WARNING)
+    if now.action:
+        longest = next((a.seconds for a in app.domain.actions if a.name == now.action), 0.0)
+        feedback = f'; {now.feedback}' if now.feedback else ''
+        text = f'{now.action}: {now.seconds:.1f} of {longest:g} s{feedback}'
+        yield Line(text, Tone.NEWS, more=(Line('  Space stops the robot.', Tone.QUIET),))
+    elif world.supervisor == world.me and not world.in_control:
+        yield Line('The machine may move. If you leave, the robot stops.', Tone.QUIET)
 
 
 @dataclass
@@ -89,12 +137,13 @@ class PlayScreen(Screen):
 
     def commands(self, app: App) -> list[Command]:
         idle, stop = app.run is None, Command([ESCAPE], 'stop', _stop)
+        restarts = idle and not app.world.robot
         commands = [
-            *(*app.actions(), *pace(app), *self.machine(app)),
+            *(*app.actions(), *pace(app), *self.machine(app), *control(app)),
             Command(
                 'no',
                 'new start',
-                (lambda app: app.ask(self.new_start(app))) if idle else None,
+                (lambda app: app.ask(self.new_start(app))) if restarts else None,
                 'begin an episode from a start of the task',
             ),
             Command([ESCAPE], self.leave, self.menu) if idle else stop,
@@ -139,6 +188,16 @@ def _stop(app: App) -> None:
     app.ask(CancelRun())
 
 
+Correct = Callable[[str, App], None]
+
+
+def _correction(option_name: str, correct: Correct, app: App) -> Command:
+    """Return the command that takes over a running option, to show what it should do."""
+    text = 'stop the option, and show from here what it should do'
+    here = option_name and (app.world.game.open or app.world.robot)
+    return Command('wc', 'correct it', partial(correct, option_name) if here else None, text)
+
+
 @dataclass
 class RunScreen(PlayScreen):
     """The machine runs one taught option; a person's action key takes over."""
@@ -146,12 +205,14 @@ class RunScreen(PlayScreen):
     text: str = 'The machine runs it from the state shown. An action key takes over.'
     _: KW_ONLY
     option_name: str
+    correct: Correct
 
     def __post_init__(self) -> None:
         self.title = f'Run: {self.option_name}'
 
     def machine(self, app: App) -> list[Command]:
-        return [Command([ENTER], 'run it from here', self._run if app.run is None else None)]
+        run = Command([ENTER], 'run it from here', self._run if app.run is None else None)
+        return [run, _correction(self.option_name, self.correct, app)]
 
     def mode(self, app: App) -> Iterator[Line]:
         summary = app.world.summary_of(app.participant, self.option_name)
@@ -161,7 +222,7 @@ class RunScreen(PlayScreen):
     def _run(self, app: App) -> None:
         """Release control and run the option from the current state."""
         first = [] if app.world.game.open else [self.new_start(app)]
-        app.ask(*first, SetControl(hold=False), RunOption(self.option_name, app.participant))
+        app.ask(*first, *app.release(), RunOption(self.option_name, app.participant))
 
 
 @dataclass
@@ -172,14 +233,17 @@ class WatchScreen(PlayScreen):
     text: str = 'It plans first, then plays. An action key takes over.'
     _: KW_ONLY
     teach: Do
+    correct: Correct
     action_set: str
     columns: tuple[str, ...] = ()  # features that the choice between options depends on
     execution: Arbitration = Arbitration.RUN_TO_END
 
     def machine(self, app: App) -> list[Command]:
-        idle = app.run is None
+        idle, running = app.run is None, app.world.running
+        taught = running if not idle and running in app.known_options else ''
         return [
             Command([ENTER], 'plan and play', self._plan if idle else None),
+            _correction(taught, self.correct, app),
             Command('xm', 'other arbitration', self._change, 'choose between options differently'),
             Command(
                 'cy',
@@ -231,7 +295,7 @@ class WatchScreen(PlayScreen):
 
     def _plan(self, app: App) -> None:
         plan = PlanOptions(self.action_set, app.participant, app.seed, columns=self.columns)
-        app.ask(SetControl(hold=False), plan)
+        app.ask(*app.release(), plan)
 
     def _change(self, app: App) -> None:
         """Switch to the next arbitration, also for an active run."""

@@ -118,6 +118,7 @@ class TextScreen(Screen):
     submit: Callable[[str, App], None] = lambda text, app: None
     back: Do | None = None
     back_words: str = 'back'
+    takes_text = True
     _edited: bool = field(default=False, init=False)
 
     def press(self, key: str, app: App) -> None:

@@ -31,6 +31,10 @@ _EXAM = (
     'The criteria are met. Enter begins a run from a start that nobody chose. Watch it; press r '
     'if it was right, or w as soon as it is wrong.'
 )
+_EXAM_OF_ROBOT = (
+    'The criteria are met. Drive to a start that you have not shown; Enter runs the option there. '
+    'Watch it; press r if it was right, or w as soon as it is wrong: the robot stops.'
+)
 
 
 def question_panel(app: App) -> Panel:
@@ -60,7 +64,7 @@ def progress_panel(app: App, *, questions: str, again: str, demonstrations: str)
     progress = world.summary_of(lesson.participant, lesson.option_name)
     step, blocks = world.game.step, list[Block]([_title(lesson), _position(app)])
     if lesson.phase is Phase.EXAM:
-        blocks.append(Line(_EXAM))
+        blocks.append(Line(_EXAM_OF_ROBOT if world.robot else _EXAM))
     if app.run is not None:
         blocks += [Line('The machine shows what it learned.', Tone.NEWS), pace_line(world)]
     elif lesson.exam and step:
@@ -110,7 +114,10 @@ def _position(app: App) -> Line:
         case Phase.FINISHED:
             where = 'This lesson is finished.'
         case _:
-            where = 'The lesson is paused.' if lesson.paused else f'Enter shows start {start}.'
+            where = f'Enter shows start {start}.'
+            if app.world.robot:
+                where = f'Drive to start {start}; Enter begins there.'
+            where = 'The lesson is paused.' if lesson.paused else where
     counts = f'{lesson.n_demonstrations} shown, {lesson.n_not_here} not here'
     note = Line(f'  ({counts}; at most {lesson.budget})', Tone.QUIET)
     return Line(where, Tone.NEWS, more=(note,))

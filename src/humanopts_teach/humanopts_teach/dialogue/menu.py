@@ -23,6 +23,7 @@ from humanopts_teach.dialogue.segments import WholeTaskScreen
 from humanopts_teach.dialogue.teaching import LessonScreen
 from humanopts_teach.lesson.requests import (
     Answer,
+    BeginDemonstration,
     ChangeOption,
     DefineOption,
     EndDemonstration,
@@ -119,8 +120,8 @@ def _know(app: App, answer: Answer) -> None:
 
 
 def to_menu(app: App) -> None:
-    """Release control and show the main menu."""
-    if app.world.in_control:
+    """Release control, except of a robot, and show the main menu."""
+    if app.world.in_control and not app.world.robot:
         app.ask(SetControl(hold=False))
     app.next_start = ''
     known = len(app.known_options)
@@ -149,7 +150,19 @@ def to_lesson(app: App) -> None:
 
 def to_run(option_name: str, app: App) -> None:
     """Show the screen that runs one option."""
-    app.show(RunScreen(to_menu, option_name=option_name))
+    app.show(RunScreen(to_menu, option_name=option_name, correct=correct))
+
+
+def correct(option_name: str, app: App) -> None:
+    """Take over from an option, and begin a demonstration in the state where it is."""
+
+    def begin(answer: Answer) -> None:
+        app.ask(BeginDemonstration('' if app.world.robot else app.world.game.state))
+
+    if app.world.robot:
+        app.stop()
+    to_lesson(app)
+    app.ask(SetControl(hold=True), DefineOption(option_name), then=begin)
 
 
 def _name_option(app: App) -> None:
@@ -250,7 +263,9 @@ def _watch(action_set: str, app: App) -> None:
         _ask_columns(action_set, app)
         return
     columns = app.choice_columns.get(app.participant, ()) if sampled else ()
-    screen = WatchScreen(to_menu, teach=_choose_known, action_set=action_set, columns=columns)
+    screen = WatchScreen(
+        to_menu, teach=_choose_known, correct=correct, action_set=action_set, columns=columns
+    )
     app.show(screen)
 
 

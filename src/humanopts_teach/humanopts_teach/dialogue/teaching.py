@@ -12,7 +12,7 @@ from humanopts_learner.demonstrations import Demonstration, Kind
 from humanopts_learner.options.rollout import is_deterministic
 from humanopts_teach.dialogue.app import App, Screen
 from humanopts_teach.dialogue.combine import CombineScreen
-from humanopts_teach.dialogue.driving import pace
+from humanopts_teach.dialogue.driving import control, pace
 from humanopts_teach.dialogue.entry import confirm, end, Item, ListScreen, QUIT, with_help
 from humanopts_teach.dialogue.keys import (
     BACKSPACE,
@@ -41,6 +41,7 @@ from humanopts_teach.lesson.requests import (
     LessonView,
     ListDemonstrations,
     Phase,
+    Request,
     RunOption,
     SetControl,
     Verdict,
@@ -73,7 +74,10 @@ class LessonScreen(Screen):
     def plays(self, app: App) -> bool:
         lesson = app.world.lesson
         examines = lesson.exam or self.automatic is Phase.EXAM
-        return lesson.phase in {Phase.DEMONSTRATING, Phase.LEARNING} and not examines
+        playing = {Phase.DEMONSTRATING, Phase.LEARNING}
+        if app.world.robot:  # it is driven to each start
+            playing |= {Phase.READY, Phase.EXAM, Phase.FINISHED}
+        return lesson.phase in playing and not examines
 
     def panel(self, app: App) -> Panel:
         phase, question = app.world.lesson.phase, self._run_question(app)
@@ -107,7 +111,8 @@ class LessonScreen(Screen):
 
     def _commands(self, phase: Phase, app: App) -> list[Command]:
         """Return the commands of a phase."""
-        lesson = app.world.lesson
+        lesson, robot = app.world.lesson, app.world.robot
+        start = 'where the robot is' if robot else 'a start of the task'
         listed = Command(
             'lb',
             'demonstrations',
@@ -116,9 +121,9 @@ class LessonScreen(Screen):
         )
         watch = Command(
             'wv',
-            'watch and correct',
+            'run it and correct' if robot else 'watch and correct',
             self._watch_new if lesson.n_demonstrations else None,
-            'watch the option from a start of the task; an action key takes over',
+            f'watch the option from {start}; an action key takes over',
         )
         learned = [watch, listed]
         questions = Command(
@@ -127,9 +132,11 @@ class LessonScreen(Screen):
             self._ask_again,
             'answer again what the option depends on; Enter keeps an answer',
         )
-        begin = Command([ENTER], 'begin', self._begin)
+        begin = Command([ENTER], 'begin here' if robot else 'begin', self._begin)
         more = Command('m', 'show one more', self._begin, 'show the option once more instead')
-        commands, question = pace(app), self._run_question(app)
+        commands, question = [*pace(app), *control(app)], self._run_question(app)
+        if robot and phase in (Phase.READY, Phase.EXAM, Phase.FINISHED):
+            commands = [*app.actions(), *commands]  # the person drives to the next start
         match phase:
             case Phase.DEMONSTRATING if lesson.exam:
                 commands = [*self._verdicts(app), *commands]
@@ -167,7 +174,9 @@ class LessonScreen(Screen):
                         [BACKSPACE],
                         'discard',
                         self._discard,
-                        'forget this demonstration and try the same start again',
+                        'forget this demonstration'
+                        if robot
+                        else 'forget this demonstration and try the same start again',
                     ),
                     Command(
                         'uz',
@@ -187,7 +196,13 @@ class LessonScreen(Screen):
                 commands += [*self._answers(app), self._previous(app), combine]
             case Phase.READY:
                 space = Command([SPACE], 'begin', self._begin, label='')
-                commands += [begin, space, *learned, self._previous(app), questions]
+                commands += [
+                    begin,
+                    *([] if robot else [space]),
+                    *learned,
+                    self._previous(app),
+                    questions,
+                ]
             case Phase.FINISHED:
                 run = Command('rg', 'run it', partial(self.run, lesson.option_name))
                 commands += [replace(more, wanted=[ENTER]), run, *learned]
@@ -329,6 +344,7 @@ class LessonScreen(Screen):
     def _verdicts(self, app: App) -> list[Command]:
         """Return the verdicts on the run of the exam, which can be stopped at any time."""
         idle, begun = app.run is None, app.world.game.step > 0
+        robot = app.world.robot
         ended = idle and self.ended == app.world.lesson.episode
 
         def judge(verdict: Verdict, then: Phase | None) -> Do:
@@ -339,7 +355,7 @@ class LessonScreen(Screen):
                 'r',
                 'right',
                 judge(Verdict.RIGHT, Phase.EXAM) if ended and begun else None,
-                'the option did what it should; the next run begins',
+                'the option did what it should' + ('' if robot else '; the next run begins'),
             ),
             Command(
                 'w',
@@ -354,9 +370,9 @@ class LessonScreen(Screen):
             ),
             Command(
                 [BACKSPACE],
-                'watch it again',
+                'does not count' if robot else 'watch it again',
                 judge(Verdict.DISCARD, Phase.EXAM) if idle and begun else None,
-                'this run does not count; it is repeated from the same start',
+                'this run does not count' + ('' if robot else '; it is repeated from its start'),
             ),
         ]
 
@@ -365,15 +381,23 @@ class LessonScreen(Screen):
         game, runs = app.world.game, app.run is not None
 
         def judged(answer: Answer) -> None:
-            self.automatic = None if app.world.lesson.paused else then
+            self._go_on(then, app)
 
         self.stops = runs
         end = EndDemonstration(verdict, game.episode, game.step, stopped=runs)
         app.ask(*([CancelRun()] if runs else []), end, then=judged)
         app.resume_machine()
 
+    def _go_on(self, phase: Phase | None, app: App) -> None:
+        """Begin by itself in a phase, unless the lesson is paused or the robot is driven first."""
+        self.automatic = None if app.world.lesson.paused or app.world.robot else phase
+
     def run_ended(self, run: ActionGoal, well: bool, app: App) -> None:
-        self.ended = app.world.lesson.episode
+        lesson = app.world.lesson
+        self.ended = lesson.episode
+        watched = lesson.phase is Phase.DEMONSTRATING and not lesson.exam
+        if app.world.robot and watched and well and not app.world.in_control:
+            self._verdict(Verdict.DISCARD, app)  # nothing was shown, and driving on is not either
         if self.stops:
             app.message, self.stops = GAP, False  # the lesson says what comes next
 
@@ -394,7 +418,7 @@ class LessonScreen(Screen):
     def _count(self, app: App) -> None:
         """Keep the demonstration; ask whether the machine's leading steps belong to it."""
         steps = app.world.lesson.machine_steps
-        if not steps:
+        if not steps or (app.world.robot and app.world.game.step > steps):
             self._verdict(Verdict.DONE, app)
             return
 
@@ -415,7 +439,7 @@ class LessonScreen(Screen):
 
     def _ended(self, app: App, answer: Answer) -> None:
         """Continue with the next start; let the person resolve a contradiction first."""
-        self.automatic = None if app.world.lesson.paused else Phase.READY
+        self._go_on(Phase.READY, app)
         if answer.contradiction:
             items = [
                 Item(text, note, partial(self._delete, deleted), (answer.situation,))
@@ -567,9 +591,9 @@ def _in_words(demo: Demonstration) -> tuple[str, str]:
     return text, ', '.join([*notes, *(['DELETED'] if demo.withdrawn else [])])
 
 
-def _run(app: App) -> tuple[SetControl, RunOption]:
+def _run(app: App) -> list[Request]:
     """Return the requests that run the option of the lesson."""
-    return SetControl(hold=False), RunOption(app.world.lesson.option_name, app.participant)
+    return [*app.release(), RunOption(app.world.lesson.option_name, app.participant)]
 
 
 def _can_skip(lesson: LessonView) -> bool:

@@ -7,7 +7,8 @@ from humanopts_env.domains.capabilities import caption_of, pictured_board_of
 from humanopts_env.domains.described import can_simulate, published_state
 from humanopts_env.domains.formulas import feature_columns, plain_name
 from humanopts_teach.dialogue.app import App
-from humanopts_teach.dialogue.keys import key_table, label
+from humanopts_teach.dialogue.driving import robot_lines
+from humanopts_teach.dialogue.keys import key_table, label, SPACE
 from humanopts_teach.dialogue.panel import Features, GAP, Key, Line, Panel, ScreenView, Tone
 from humanopts_teach.lesson.requests import Phase
 
@@ -23,20 +24,24 @@ def view(app: App, *, images: bool = True) -> ScreenView:
     :param images: whether images can be shown; False: the screen says that they cannot.
     """
     screen, world = app.screen, app.world
+    keys = [
+        Key(key, label(key) if each.label is None else each.label, each.words)
+        for key, each in key_table(screen.commands(app)).items()
+        if each.do is not None and not (world.robot and key == SPACE)
+    ]
+    if world.robot:
+        keys.insert(0, Key(SPACE, label(SPACE), 'stop the robot'))
     board, panel = Board(), Panel((Line('Waiting for the game ...'),))
     if world.domain is not None:
         panel = screen.panel(app)
+        panel = replace(panel, beside=(*robot_lines(app), *panel.beside))
         if screen.shows_board:
             board, panel = _drawn(app, panel, images)
     return ScreenView(
         _head(app),
         panel,
         _message_line(app),
-        [
-            Key(key, label(key) if each.label is None else each.label, each.words)
-            for key, each in key_table(screen.commands(app)).items()
-            if each.do is not None
-        ],
+        keys,
         world.lesson.paused,
         board if board.drawn else None,
         screen.plays(app),

@@ -12,6 +12,7 @@ from enum import Enum
 
 from humanopts_env.domains.base import ActableDomain
 from humanopts_env.domains.capabilities import StepEffect
+from humanopts_env.domains.described import can_simulate
 from humanopts_env.game import effect_between, Source, Transition
 from humanopts_learner.demonstrations import Demonstration
 from humanopts_learner.summary import OptionSummary
@@ -169,7 +170,7 @@ LessonRequest = (
 class Drive:
     """Take one primitive action as a person: an ActionCommand, which the game answers."""
 
-    action: str
+    action: str  # empty: stop the action under way, and take control
     episode: int  # of the last state that the person saw
     step: int
 
@@ -359,6 +360,22 @@ UNKNOWN = LessonView(Phase.NO_SESSION)  # the lesson has not published its state
 _NO_GAME = Transition()
 
 
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """The action that a robot carries out, as in ActionProgress."""
+
+    episode: int = 0
+    step: int = 0
+    action: str = ''  # empty: none is under way
+    source: int = 0
+    seconds: float = 0.0  # since it began
+    feedback: str = ''
+    stopped: str = ''  # why the robot does not move; empty: it can
+
+
+_AT_REST = Progress()
+
+
 @dataclass(slots=True)
 class World:
     """The newest data published on the graph."""
@@ -370,7 +387,10 @@ class World:
     summaries: Sequence[OptionSummary] = ()
     running: str = ''  # last goal of option_server: an option, or action:NAME
     execution: str = ''  # of the current or last policy run; empty: none
+    progress: Progress = _AT_REST
     holder: str = ''  # publisher_id of the driving terminal; empty: none
+    locked: bool = False  # a robot that nothing may move before a person takes control
+    supervisor: str = ''  # publisher_id of the terminal that lets it move by itself; empty: none
     me: str = ''  # our own publisher_id
     step_period: float = 0.0  # minimum time between machine steps, s
     paused_by: str = ''  # publisher_id of the pausing terminal; empty: none
@@ -380,6 +400,11 @@ class World:
     uncovered: Sequence[tuple[str, float]] | None = None  # by the last plan; None: unknown
     since: Transition | None = None  # state from which the person has been driving
     driven: list[Transition] = field(default_factory=list)  # the person's steps since then
+
+    @property
+    def robot(self) -> bool:
+        """Whether states cannot be chosen, and stopping matters: the rules are unknown."""
+        return self.domain is not None and not can_simulate(self.domain)
 
     @property
     def in_control(self) -> bool:

@@ -9,9 +9,10 @@ from humanopts_learner.demonstrations import demonstration_from_message
 from humanopts_learner.ros.convert import demonstration_to_message
 from humanopts_ros.codec import Codec
 from humanopts_teach.lesson import requests
-from humanopts_teach.lesson.requests import Answer, Drive, LessonView
+from humanopts_teach.lesson.requests import Answer, Drive, LessonView, Progress
 
 LESSON_STATE = Codec(LessonView, msg.LessonState)
+PROGRESS = Codec(Progress, msg.ActionProgress)
 
 _DEMONSTRATIONS = {'demonstrations': (demonstration_to_message, demonstration_from_message)}
 

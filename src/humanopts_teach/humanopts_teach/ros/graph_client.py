@@ -27,6 +27,7 @@ from humanopts_teach.lesson.requests import (
     ListOptions,
     NewEpisode,
     Phase,
+    Progress,
     RequestStatus,
     RunOption,
     server,
@@ -37,7 +38,7 @@ from humanopts_teach.lesson.requests import (
     UNKNOWN,
     World,
 )
-from humanopts_teach.ros.convert import Endpoint, LESSON_STATE, TEACHING
+from humanopts_teach.ros.convert import Endpoint, LESSON_STATE, PROGRESS, TEACHING
 from rclpy.action.client import ActionClient
 from rclpy.client import Client
 from rclpy.executors import SingleThreadedExecutor
@@ -173,6 +174,13 @@ class GraphClient:
             self._subscriptions += [
                 self.game_topics.follow('current_state', self._on_game, CURRENT),
                 self.game_topics.follow_control(self._on_control),
+                self.game_topics.subscribe(
+                    msg.ActionProgress,
+                    'action_progress',
+                    PROGRESS.decode,
+                    self._on_progress,
+                    CURRENT,
+                ),
                 self.game_topics.follow_refusals(self._on_refusal, DISPLAY),
             ]
 
@@ -380,18 +388,31 @@ class GraphClient:
         game = observed.transition
         self.world.update_game(game)
 
-        def has_left(request: ServiceRequest | Drive, _: int) -> bool:
+        def has_left(request: ServiceRequest | Drive, sequence: int) -> bool:
+            """Ignore the end of an earlier action, which this one has cut short."""
             here = game.episode, game.step
-            return isinstance(request, Drive) and (request.episode, request.step) != here
+            earlier = game.action_sequence < sequence
+            if not isinstance(request, Drive) or (self._is_mine(game) and earlier):
+                return False
+            return (request.episode, request.step) != here
 
         self._answer(has_left, _OK)
+
+    def _is_mine(self, game: Transition) -> bool:
+        return game.action_publisher_id == self._node.publisher_id
+
+    def _on_progress(self, progress: Progress) -> None:
+        self.world.progress = progress
+        self._changed()
 
     def _on_control(self, control: msg.ControlState) -> None:
         """Renew control or the pause of the machine while this node holds it."""
         world = self.world
         world.holder, world.paused_by = control.holder_id, control.paused_by
+        world.locked = control.holder == control.HOLDER_LOCKED
+        world.supervisor = control.supervisor_id
         world.step_period = control.step_period
-        if world.me in (world.holder, world.paused_by):
+        if world.me in (world.holder, world.supervisor, world.paused_by):
             self._node.publish_status_again()
             self._renewal.reset()
         else:

@@ -30,6 +30,7 @@ from humanopts_teach.lesson.requests import (
     ActionGoal,
     Answer,
     CancelRun,
+    Drive,
     Request,
     RequestStatus,
 )
@@ -147,6 +148,9 @@ class TeleopNode(NodeBase):
 
     def _send(self, request: Request | None) -> None:
         """Send the pending request, or hold it until its server is available."""
+        if isinstance(request, Drive) and not request.action:
+            self._client.send(request)  # whatever is pending: the robot stops
+            return
         self._unsent = None
         if request is None or request is not self.app.waits_for:
             return
