@@ -174,13 +174,6 @@ class GraphClient:
             self._subscriptions += [
                 self.game_topics.follow('current_state', self._on_game, CURRENT),
                 self.game_topics.follow_control(self._on_control),
-                self.game_topics.subscribe(
-                    msg.ActionProgress,
-                    'action_progress',
-                    PROGRESS.decode,
-                    self._on_progress,
-                    CURRENT,
-                ),
                 self.game_topics.follow_refusals(self._on_refusal, DISPLAY),
             ]
 
@@ -373,6 +366,10 @@ class GraphClient:
 
     def _on_domain(self, domain: ActableDomain) -> None:
         self.world.domain = domain
+        if self.world.robot and Drive in self._endpoints:
+            kind, topic, read = msg.ActionProgress, 'action_progress', PROGRESS.decode
+            progress = self.game_topics.subscribe(kind, topic, read, self._on_progress, CURRENT)
+            self._subscriptions.append(progress)
         self._changed()
 
     def _on_lesson(self, lesson: LessonView) -> None:
