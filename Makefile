@@ -11,11 +11,15 @@ STEP := @tools/step.sh
 TWO_STEPS := $(MAKE) --no-print-directory --silent --jobs 2
 PAGE := -name '*.md' -o -name '*.rst'
 INTERFACES := $(shell find src/humanopts_interfaces -type f -not \( $(PAGE) \))
+BUILD_INTERFACES := tools/build_interfaces.sh tools/wheels.cmake tools/generate_interfaces.py
+ROBOT_INTERFACES := humanopts_rover_interfaces tf2_msgs
+ROBOTS := $(shell find examples/humanopts_rover examples/humanopts_gripper -name '*.py')
 PACKAGES := $(shell find src -type f -not -path 'src/humanopts_interfaces/*' \
   -not -path '*/test/*' -not -name '*.pyc' -not \( $(PAGE) \))
 # Checked by mypy: the packages, and the code built on them.
 PURE := $(shell find src -name '*.py' -path '*/humanopts_*/humanopts_*') \
-  $(wildcard experiments/*.py benchmarks/*.py)
+  $(wildcard experiments/*.py benchmarks/*.py) \
+  $(wildcard examples/*/humanopts_*/simulation.py) examples/humanopts_rover/humanopts_rover/driving.py
 CHECKED := conftest.py src experiments benchmarks tests tools examples
 WITH_ROS := root=$(CURDIR); . tools/environment.sh; ROS_PYTHON_CHECK_FIELDS=1
 # Six processes, each with one test file at a time: some compute while others wait for graphs.
@@ -33,7 +37,7 @@ unexport PYTHONDONTWRITEBYTECODE COLCON_DEFAULTS_FILE
 unexport $(shell sed -n 's/^unset //p' tools/environment.sh)
 export COLCON_HOME := $(CURDIR)/build/colcon
 
-.PHONY: help setup checked demo test test-quick test-floor test-whole test-slow test-browser test-hosts test-stress soak lint docs format lock clean
+.PHONY: help setup checked robots demo test test-quick test-floor test-whole test-slow test-browser test-hosts test-stress soak lint docs format lock clean
 
 help:
 	@echo 'make demo    let a simulated teacher teach two options for Taxi; plan, play, report (OUT=, SEED=)'
@@ -48,6 +52,7 @@ help:
 	@echo 'make soak    run a long lesson with random faults and garbage (SECONDS=, SEED=)'
 	@echo 'make lint    run ruff and mypy --strict; check rosdep keys and pages of the packages'
 	@echo 'make docs    build the documentation as a site, build/site/index.html'
+	@echo 'make robots  build the simulated robots of the examples: a rover and a gripper'
 	@echo 'make setup   do only the set-up, which the other targets do when needed'
 	@echo 'make format  reformat the Python code'
 	@echo 'make lock    resolve requirements*.in into requirements*.lock'
@@ -79,8 +84,8 @@ build/floor/.locked: requirements-floor.lock $(VENV)/.locked tools/install_packa
 	$(STEP) 'Installing the oldest supported packages' tools/install_packages.sh $(VENV) $< $(@D)
 	@touch $@
 
-build/.interfaces: $(VENV)/.build-locked $(INTERFACES) tools/build_interfaces.sh tools/wheels.cmake tools/generate_interfaces.py
-	$(STEP) 'Building the ROS interfaces' tools/build_interfaces.sh $(VENV)
+build/.interfaces: $(VENV)/.build-locked $(INTERFACES) $(BUILD_INTERFACES)
+	$(STEP) 'Building the ROS interfaces' tools/build_interfaces.sh $(VENV) src/humanopts_interfaces install
 	@touch $@
 
 # The types of messages, for mypy: a misspelt field is an error.
@@ -92,6 +97,16 @@ build/.packages: build/.interfaces $(VENV)/.locked $(PACKAGES) tools/build_packa
 	$(STEP) 'Building the Python packages' tools/build_packages.sh $(VENV)
 	@touch $@
 
+# The simulated robots of the examples, with interfaces of their own.
+.SECONDEXPANSION:
+build/robots/.interfaces-%: $$(shell find examples/$$* -type f) $(VENV)/.build-locked $(BUILD_INTERFACES)
+	$(STEP) 'Building $*' tools/build_interfaces.sh $(VENV) examples/$* build/robots
+	@touch $@
+
+build/robots/.built: $(ROBOT_INTERFACES:%=build/robots/.interfaces-%) $(ROBOTS) tools/build_robots.sh
+	$(STEP) 'Building the simulated robots' tools/build_robots.sh $(VENV)
+	@touch $@
+
 # Compile the modules that the packages import. Only the order matters: they exist by now.
 $(VENV)/.compiled: $(VENV)/.locked tools/compile_imports.py | build/.packages
 	$(STEP) 'Compiling the modules that the packages import' $(SHELL) -c \
@@ -101,7 +116,10 @@ $(VENV)/.compiled: $(VENV)/.locked tools/compile_imports.py | build/.packages
 # What tests and checks need. setuptools loads installed packages, so the packages are built last.
 checked:
 	@$(TWO_STEPS) $(VENV)/.test-locked build/.stubs
-	@$(TWO_STEPS) build/.packages
+	@$(TWO_STEPS) build/.packages build/robots/.built
+
+robots: setup
+	@$(TWO_STEPS) build/robots/.built
 
 demo: setup
 	@./humanopts demo taxi --out $(OUT) --seed $(SEED)

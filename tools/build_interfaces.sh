@@ -1,22 +1,24 @@
 #!/usr/bin/env bash
-# build_interfaces.sh VENV: builds src/humanopts_interfaces into install/ with the ROS of a virtual
-# environment: only the C type support, which Python loads. The user's cache folder keeps the
-# result for other clones, by these files, this Python and these ROS packages.
+# build_interfaces.sh VENV PACKAGE INTO: builds a package of interfaces, such as
+# src/humanopts_interfaces, into a folder such as install/ with the ROS of a virtual environment:
+# only the C type support, which Python loads. The user's cache folder keeps the result for other
+# clones, by these files, this Python and these ROS packages.
 set -euo pipefail
 venv=$(cd "$1" && pwd)
+package=$2
 root=$PWD
-built=install/humanopts_interfaces
-name=humanopts_interfaces
+name=$(basename "$package")
+built=$3/$name
 
 key=$({
-  find "src/$name" tools/{build_interfaces.sh,wheels.cmake,generate_interfaces.py} \
+  find "$package" tools/{build_interfaces.sh,wheels.cmake,generate_interfaces.py} \
     -type f -not -name '*.md' -not -name '*.rst' -print0 |
     LC_ALL=C sort -z | xargs -0 sha256sum
   grep -E '^(ros-|numpy)' requirements-build.lock
   "$venv/bin/python" -c 'import sysconfig; print(sysconfig.get_config_var("SOABI"))'
   ldd --version 2>&1 | sed -n 1p  # reads to the end, so that ldd is not cut off
 } | sha256sum | cut -c1-20)
-cache=${XDG_CACHE_HOME:-${HOME:-/nonexistent}/.cache}/humanopts/interfaces-$key
+cache=${XDG_CACHE_HOME:-${HOME:-/nonexistent}/.cache}/humanopts/$name-$key
 
 # Copies a tree, and replaces its old path in text files by the new one.
 copy() {
@@ -28,8 +30,8 @@ copy() {
     rm -rf "$2" && mv "$part" "$2" || { rm -rf "$part"; return 1; }
 }
 
-mkdir -p install build
-touch install/COLCON_IGNORE build/COLCON_IGNORE
+mkdir -p "$3" build
+touch "$3/COLCON_IGNORE" build/COLCON_IGNORE
 if [ -d "$cache" ]; then
   copy "$cache" "$built" @ROOT@ "$root"
   "$venv/bin/python" -m compileall -q "$built"
@@ -40,9 +42,9 @@ rm -rf "$built"  # with messages that were deleted
 light='-O1 -DNDEBUG'  # a tenth less time than -O3; messages are converted as quickly
 export AMENT_PREFIX_PATH=$venv CMAKE_PREFIX_PATH=$venv MAKEFLAGS=-j$(nproc)
 PATH="$venv/bin:$PATH" "$venv/bin/colcon" --log-level error build \
-  --event-handlers console_direct- summary- --packages-select "$name" --cmake-args \
+  --event-handlers console_direct- summary- --base-paths "$package" --install-base "$3" --cmake-args \
   -DPython3_EXECUTABLE="$venv/bin/python" -DBUILD_TESTING=OFF -DCMAKE_BUILD_TYPE=Release \
   -DCMAKE_C_FLAGS_RELEASE="$light" -DCMAKE_CXX_FLAGS_RELEASE="$light" \
   -DCMAKE_PROJECT_INCLUDE="$root/tools/wheels.cmake" \
-  -DHUMANOPTS_PYTHON_ONLY=ON > build/interfaces.log 2>&1 || { cat build/interfaces.log; exit 1; }
+  > "build/$name.log" 2>&1 || { cat "build/$name.log"; exit 1; }
 copy "$built" "$cache" "$root" @ROOT@ || echo "$cache cannot be written"

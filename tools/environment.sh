@@ -3,14 +3,18 @@
 unset PYTHONHOME PYTHONPATH PYTHONPLATLIBDIR VIRTUAL_ENV LD_LIBRARY_PATH
 unset AMENT_PREFIX_PATH AMENT_CURRENT_PREFIX CMAKE_PREFIX_PATH COLCON_PREFIX_PATH
 unset ROS_DISTRO ROS_VERSION ROS_PYTHON_VERSION ROS_PACKAGE_PATH _ROS_WHEELS_BOOTSTRAP_COMPLETE
-for prefix in "$root"/install/humanopts_*; do
+# Beside our packages: those of make robots, and those that colcon built into HUMANOPTS_OVERLAY.
+for prefix in "$root"/install/humanopts_* "$root"/build/robots/*/ \
+  ${HUMANOPTS_OVERLAY:+"$HUMANOPTS_OVERLAY"/*/}; do
+  prefix=${prefix%/}
+  [ -d "$prefix" ] || continue
   AMENT_PREFIX_PATH="$prefix${AMENT_PREFIX_PATH:+:$AMENT_PREFIX_PATH}"
+  LD_LIBRARY_PATH="$prefix/lib${LD_LIBRARY_PATH:+:$LD_LIBRARY_PATH}"
   for site in "$prefix"/lib/python3.*/site-packages; do
     PYTHONPATH="$site${PYTHONPATH:+:$PYTHONPATH}"
   done
 done
-export PYTHONPATH AMENT_PREFIX_PATH="$AMENT_PREFIX_PATH:$root/.venv"
-export LD_LIBRARY_PATH="$root/install/humanopts_interfaces/lib"
+export PYTHONPATH LD_LIBRARY_PATH AMENT_PREFIX_PATH="$AMENT_PREFIX_PATH:$root/.venv"
 export PATH="$root/.venv/bin:$PATH"
 export ROS_DISTRO=jazzy ROS_VERSION=2 ROS_PYTHON_VERSION=3
 # Graphs stay on this machine unless the user changes the range.

@@ -1,5 +1,9 @@
-# Changes for building interfaces with ROS from wheels: passed as CMAKE_PROJECT_INCLUDE, and applied
-# once everything is configured.
+# Changes for building interfaces with ROS from wheels: passed as CMAKE_PROJECT_INCLUDE. They build
+# what Python loads and no C++ interface; the others are applied once everything is configured.
+
+# Introspection stays: by it the middleware registers each type.
+find_package(rosidl_default_generators REQUIRED)
+list(FILTER AMENT_EXTENSIONS_rosidl_generate_idl_interfaces EXCLUDE REGEX "_cpp")
 
 # Remove include paths that exist only on the machine that built the wheels.
 function(humanopts_drop_missing_includes)

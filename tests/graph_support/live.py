@@ -151,7 +151,7 @@ class Goal:
         """Wait for its end; return its GoalStatus and the result."""
         self._graph.until(self._reply.done, 'the result', seconds)
         reply = self._reply.result()
-        return reply.status, reply.result.result
+        return reply.status, getattr(reply.result, 'result', reply.result)
 
 
 class Graph:

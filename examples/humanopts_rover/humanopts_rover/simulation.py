@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 
 WIDTH, HEIGHT = 8.0, 5.0  # of the house
 RADIUS = 0.18  # of the rover, a disc
+CLEAR = RADIUS + 0.02  # from a planned path to walls
 MAX_LINEAR, MAX_ANGULAR = 0.6, 1.6  # m/s, rad/s
 ACCELERATION = 3.0, 12.0  # m/s^2, rad/s^2; it stops from full speed within 0.2 s
 BEAMS, MIN_RANGE, MAX_RANGE = 24, 0.05, 10.0
 TICK = 0.02  # s, of the integration
-TRACK = 0.3  # m between the wheels
 CHARGING_RADIUS = 0.4  # m around the charger
 DRAIN, DRAIN_MOVING, CHARGE = 0.0005, 0.002, 0.05  # of the battery in a second
 GRIP, RANGE_NOISE, POSE_NOISE = 0.03, 0.01, 0.004  # standard deviations: share of speed, m, m
@@ -172,19 +172,30 @@ class Simulation:
         :return: empty if closed doors are in the way.
         :raises KeyError: there is no such place.
         """
-        here, goal = self.pose[:2], self._goals[place]
-        margin = min(RADIUS + 0.02, self.clearance(here) - 0.01)
-        sees = self._sees(here, self._corners, margin)
-        length = np.hypot(*(self._corners - here).T)
-        through = np.where(sees, length + self._lengths[:, goal], np.inf)
-        node = int(through.argmin())
-        if not math.isfinite(through[node]):
+        return self.path_to(PLACES[place][:2])
+
+    def path_to(self, goal: Point) -> list[Point]:
+        """Return the corners of the shortest way to a point, as ``path`` does."""
+        here, corners = self.pose[:2], self._corners
+        if not self.is_free(*goal):
             return []
-        way = [here, _point(self._corners[node])]
-        while node != goal:
-            node = int(self._next[node, goal])
-            way.append(_point(self._corners[node]))
-        return way
+        if goal not in self._near:
+            self._near[goal] = self._reach(goal, corners)
+        begin = self._reach(here, np.vstack([corners, goal]))
+        through = begin[:-1, None] + self._lengths + self._near[goal]
+        first, last = (int(i) for i in np.unravel_index(through.argmin(), through.shape))
+        if begin[-1] <= through[first, last]:
+            return [here, goal] if math.isfinite(begin[-1]) else []
+        way = [first]
+        while way[-1] != last:
+            way.append(int(self._next[way[-1], last]))
+        return [here, *((float(x), float(y)) for x, y in corners[way]), goal]
+
+    def _reach(self, here: Point, there: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the distances (N,) to points (N, 2); infinite without a straight free way."""
+        margin = min(CLEAR, self.clearance(here) - 0.01)
+        away = np.hypot(*(there - here).T)
+        return np.where(self._sees(here, there, margin), away, np.inf)
 
     def place(self, x: float, y: float, yaw: float) -> None:
         """
@@ -238,10 +249,10 @@ class Simulation:
         return float(_distances(np.array(at), self._solid).min())
 
     def _furnish(self) -> None:
-        """Find all shortest ways between places, doorways and corners of tables (Floyd)."""
+        """Find the shortest ways between doorways and corners of tables (Floyd's algorithm)."""
         shut = [DOORS[name] for name, is_open in self.doors.items() if not is_open]
         self._solid = np.array([*WALLS, *shut])
-        corners: list[Point] = [pose[:2] for pose in PLACES.values()]
+        corners: list[Point] = []
         for _, low, _, high in (DOORS[name] for name, is_open in self.doors.items() if is_open):
             middle = (low + high) / 2
             corners += [(WALL - 0.35, middle), (WALL, middle), (WALL + 0.35, middle)]
@@ -249,13 +260,10 @@ class Simulation:
             xs, ys = (x - 0.3, x + width + 0.3), (y - 0.3, y + height + 0.3)
             corners += [(a, b) for a in xs for b in ys]
         self._corners = np.array(corners)
-        self._goals = {name: number for number, name in enumerate(PLACES)}
         count = len(corners)
-        self._lengths = np.full((count, count), np.inf)
+        self._near: dict[Point, NDArray[np.float64]] = {}  # distances from goals to corners
+        self._lengths = np.array([self._reach(corner, self._corners) for corner in corners])
         self._next = np.tile(np.arange(count), (count, 1))
-        for a, corner in enumerate(corners):
-            seen = self._sees(corner, self._corners, RADIUS + 0.02)
-            self._lengths[a, seen] = np.hypot(*(self._corners[seen] - corner).T)
         for middle in range(count):
             through = self._lengths[:, middle, None] + self._lengths[None, middle]
             shorter = through < self._lengths - 1e-9
@@ -275,10 +283,6 @@ class Simulation:
         far, share = _crossings(at, (there - at)[:, None], solid)
         crossed = (far > 0) & (far < 1) & (share > 0) & (share < 1)
         return np.asarray((np.min(gaps, axis=0) >= margin) & ~crossed.any(axis=1))
-
-
-def _point(corner: NDArray[np.float64]) -> Point:
-    return float(corner[0]), float(corner[1])
 
 
 def _cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -29,7 +29,7 @@ def test_it_accelerates_drives_straight_and_stops_within_a_fifth_of_a_second(
     assert rover.pose == pytest.approx((2.0 + 0.3 * 0.95, 3.5, 0.0), abs=0.01)
     rover.step(MAX_LINEAR, 0.0, 1.0)
     rover.step(0.0, 0.0, 0.2)
-    assert rover.linear == 0.0
+    assert rover.linear == pytest.approx(0.0, abs=1e-9)
 
 
 @pytest.mark.parametrize(('commanded', 'reached'), [(9.0, 0.6), (-9.0, -0.6)])

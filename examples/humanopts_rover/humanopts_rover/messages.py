@@ -1,0 +1,88 @@
+"""What the rover's sensors publish: values of the simulation as ROS messages."""
+
+import math
+
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import PoseStamped, Quaternion, TransformStamped
+from humanopts_rover.simulation import BEAMS, MAX_RANGE, MIN_RANGE, Odometry, Simulation
+from nav_msgs.msg import Odometry as OdometryMessage
+from nav_msgs.msg import Path
+from sensor_msgs.msg import BatteryState, LaserScan
+from std_msgs.msg import Header
+
+FRAME, BASE, LASER = 'odom', 'base_link', 'laser'
+
+
+def stamped(seconds: float, frame: str) -> Header:
+    """Return the header of what was measured at a time, s."""
+    sec = math.floor(seconds)
+    return Header(stamp=Time(sec=sec, nanosec=int((seconds - sec) * 1e9)), frame_id=frame)
+
+
+def quaternion(yaw: float) -> Quaternion:
+    """Return a turn about the vertical axis."""
+    return Quaternion(z=math.sin(yaw / 2), w=math.cos(yaw / 2))
+
+
+def yaw_of(turned: Quaternion) -> float:
+    """Return the turn about the vertical axis, rad."""
+    return math.atan2(
+        2 * (turned.w * turned.z + turned.x * turned.y), 1 - 2 * (turned.y**2 + turned.z**2)
+    )
+
+
+def odometry_message(measured: Odometry, seconds: float = 0.0) -> OdometryMessage:
+    """Return the measured pose in the frame ``odom``, and the speeds in ``base_link``."""
+    message = OdometryMessage(header=stamped(seconds, FRAME), child_frame_id=BASE)
+    at = message.pose.pose
+    at.position.x, at.position.y, at.orientation = measured.x, measured.y, quaternion(measured.yaw)
+    message.twist.twist.linear.x = measured.linear
+    message.twist.twist.angular.z = measured.angular
+    return message
+
+
+def transform_message(measured: Odometry, seconds: float = 0.0) -> TransformStamped:
+    """Return the measured pose as the transform from ``odom`` to ``base_link``."""
+    message = TransformStamped(header=stamped(seconds, FRAME), child_frame_id=BASE)
+    at = message.transform
+    at.translation.x, at.translation.y = measured.x, measured.y
+    at.rotation = quaternion(measured.yaw)
+    return message
+
+
+def scan_message(rover: Simulation, seconds: float = 0.0) -> LaserScan:
+    """Return a scan all around, counterclockwise from behind."""
+    step = 2 * math.pi / BEAMS
+    return LaserScan(
+        header=stamped(seconds, LASER),
+        angle_min=-math.pi,
+        angle_max=math.pi - step,
+        angle_increment=step,
+        range_min=MIN_RANGE,
+        range_max=MAX_RANGE,
+        ranges=rover.scan(),
+    )
+
+
+def path_message(rover: Simulation, place: str, seconds: float = 0.0) -> Path:
+    """Return the corners of the way from the rover to a place; no poses if none leads there."""
+    message = Path(header=stamped(seconds, FRAME))
+    for x, y in rover.path(place):
+        pose = PoseStamped(header=message.header)
+        pose.pose.position.x, pose.pose.position.y = x, y
+        message.poses.append(pose)
+    return message
+
+
+def battery_message(rover: Simulation, seconds: float = 0.0) -> BatteryState:
+    """Return the charge of the battery, 0 to 1."""
+    charging = rover.is_charging()
+    return BatteryState(
+        header=stamped(seconds, BASE),
+        voltage=11.0 + 2.0 * rover.battery,
+        percentage=rover.battery,
+        power_supply_status=BatteryState.POWER_SUPPLY_STATUS_CHARGING
+        if charging
+        else BatteryState.POWER_SUPPLY_STATUS_DISCHARGING,
+        present=True,
+    )
