@@ -213,6 +213,7 @@ def test_a_shell_completes_what_is_typed(
         (('demo', 'gymnasium:FrozenLake-v1'), ['no reference options']),
         (('up',), ['DOMAIN']),
         (('teach', 'taxi', '--linger', 0), ['--linger']),
+        (('up', 'taxi', '--joy', '/no/pad.yaml'), ['cannot read /no/pad.yaml']),
         (('up', 'taxi', '--parameter', 'rows=2'), ['rows', '4 to 1000']),
         (('up', 'taxi', '--parameter', 'rows=abc'), ['rows of taxi is "abc"', 'a whole number']),
         (('up', 'taxi', '--parameter', 'nope=1'), ['the parameter nope', 'rows, cols']),

@@ -28,6 +28,7 @@ setup(
         NAME: [
             'py.typed',
             '__init__.pyi',
+            'gamepad.yaml',
             'report/*.html',
             'report/*.css',
             'report/*.txt',
@@ -50,6 +51,7 @@ setup(
         'console_scripts': [
             'humanopts = humanopts_teach.cli:main',
             'diagnostics = humanopts_teach.ros.diagnostics:main',
+            'joy_teleop = humanopts_teach.ros.joy_teleop:main',
             'keyboard_teleop = humanopts_teach.ros.keyboard_teleop:main',
             'lesson = humanopts_teach.ros.lesson_node:main',
             'recorder = humanopts_teach.ros.recorder:main',

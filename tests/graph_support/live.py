@@ -43,6 +43,7 @@ LESSON = 'humanopts_teach.ros.lesson_node:LessonNode'
 TEACHER = 'humanopts_teach.ros.simulated_teacher:SimulatedTeacherNode'
 RECORDER = 'humanopts_teach.ros.recorder:Recorder'
 KEYBOARD = 'humanopts_teach.ros.keyboard_teleop:KeyboardTeleopNode'
+JOY = 'humanopts_teach.ros.joy_teleop:JoyTeleopNode'
 
 SPIN = 0.02  # s that an executor waits for something to do
 HURRY = 50.0  # s of the nodes' clock in a second, where a test waits for a deadline

@@ -3,11 +3,15 @@
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 
-def _profile(durability: DurabilityPolicy, depth: int) -> QoSProfile:
-    """Build a reliable profile; depth 0 keeps all messages."""
+def _profile(
+    durability: DurabilityPolicy,
+    depth: int,
+    reliability: ReliabilityPolicy = ReliabilityPolicy.RELIABLE,
+) -> QoSProfile:
+    """Build a profile; depth 0 keeps all messages."""
     history = HistoryPolicy.KEEP_LAST if depth else HistoryPolicy.KEEP_ALL
     return QoSProfile(
-        reliability=ReliabilityPolicy.RELIABLE,
+        reliability=reliability,
         durability=durability,
         history=history,
         depth=depth,
@@ -24,6 +28,8 @@ CURRENT = _profile(DurabilityPolicy.TRANSIENT_LOCAL, 0)
 # the writer, so displays use LATCHED topics or DISPLAY instead.
 STREAM = _profile(DurabilityPolicy.VOLATILE, 0)
 DISPLAY = _profile(DurabilityPolicy.VOLATILE, 1)
+# For reading what devices publish, whether reliable or not.
+SENSOR = _profile(DurabilityPolicy.VOLATILE, 10, ReliabilityPolicy.BEST_EFFORT)
 # For requests and responses. Each client also receives responses to other clients; the depth
 # absorbs bursts. A stalled client does not block the server.
 SERVICE = _profile(DurabilityPolicy.VOLATILE, 1000)

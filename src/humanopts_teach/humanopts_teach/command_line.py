@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass, MISSING
 import inspect
+import os
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -310,6 +311,16 @@ class LaunchOptions(DomainOptions):
         False
     )
     views: Annotated[bool, flag('--views', 'publish the game for RViz and Foxglove')] = False
+    joy: Annotated[
+        str,
+        option(
+            'FILE',
+            'a person drives with a gamepad, too: the file that maps its buttons and axes, or '
+            'the word default, for an Xbox pad',
+            lambda text: text if text in ('', 'default') else os.path.abspath(text),
+            show_default=False,
+        ),
+    ] = ''
 
 
 @dataclass(frozen=True)

@@ -70,6 +70,7 @@ def test_every_argument_reaches_a_parameter() -> None:
         'step_period': '2',
         'diagnostics': 'true',
         'views': 'true',
+        'joy': 'default',
         'taught': 'go up; go down',
     }
     assert {*values, 'no_record', 'only', 'features'} == set(DEFAULTS)
@@ -89,6 +90,7 @@ def test_every_argument_reaches_a_parameter() -> None:
     assert specs['learner']['directory'] == '/data/study/options'
     assert str(specs['recorder']['path']).startswith('/data/study/bags/up-')
     assert specs['simulated_teacher']['options'] == ['go up', 'go down']
+    assert specs['joy_teleop']['mapping'] == 'default'
     for parameters in specs.values():
         assert parameters['record_topics'] == ['/odom', 'camera/*']
         assert parameters['record_exclude'] == ['rosout']

@@ -31,6 +31,7 @@ from humanopts_teach.commands import (
     refusing,
 )
 from humanopts_teach.commands.output import tolerant_output
+from humanopts_teach.gamepad import Gamepad, read_mapping
 from humanopts_teach.launching import LaunchError, RECORDER, USUAL
 from humanopts_teach.launching.job import shell_job_ended
 from humanopts_teach.launching.launcher import Launcher
@@ -77,6 +78,8 @@ def setup_from(
             check_method(setup.learn, game)
             for formula in setup.derive:
                 derive(game, formula)
+            if setup.joy:
+                Gamepad(read_mapping(setup.joy), game.actions)
             if 'ranges' in game.parameters:  # the nodes need not measure them again
                 setup = replace(setup, parameter=[*game.parameters.items()], features=None)
         processes(setup)

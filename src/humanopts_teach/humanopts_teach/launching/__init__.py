@@ -9,6 +9,7 @@ MODULES = {  # of the nodes, in the order in which they start
     'planner': 'humanopts_learner.ros.planner_node',
     'diagnostics': 'humanopts_teach.ros.diagnostics',
     'views': 'humanopts_teach.ros.views',
+    'joy_teleop': 'humanopts_teach.ros.joy_teleop',
     'simulated_teacher': 'humanopts_teach.ros.simulated_teacher',
     'keyboard_teleop': 'humanopts_teach.ros.keyboard_teleop',
 }

@@ -107,6 +107,7 @@ def processes(setup: Setup) -> list[ProcessSpec]:
         'lesson': setup.teach,
         'diagnostics': setup.diagnostics,
         'views': setup.views,
+        'joy_teleop': bool(setup.joy),
         'simulated_teacher': bool(setup.taught),
         'keyboard_teleop': setup.keyboard,
     }
@@ -170,6 +171,7 @@ def _own_parameters(setup: Setup) -> dict[str, dict[str, Value]]:
             'unstick': setup.unstick,
         },
         'planner': {'unstick': setup.unstick},
+        'joy_teleop': {'mapping': setup.joy},
         'simulated_teacher': {
             'options': list(setup.taught),
             'participant': setup.participant,
