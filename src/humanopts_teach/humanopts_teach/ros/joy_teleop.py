@@ -249,11 +249,14 @@ class JoyTeleopNode(NodeBase):
 
     def _requests(self, deed: Deed) -> list[ServiceRequest]:
         """Return the requests that carry out what a button asks for."""
-        lesson, game = self._client.world.lesson, self._client.world.game
+        world = self._client.world
+        lesson, game = world.lesson, world.game
         runs = self._run is not None and not self._run.result.done()
         match deed:
             case Deed.BEGIN if lesson.phase is Phase.EXAM:
-                return [BeginDemonstration(exam=True), SetControl(hold=False)]
+                takes = world.robot and (world.locked or world.supervisor != world.me)
+                take = [SetControl(hold=True)] if takes else []  # only then it can be given
+                return [BeginDemonstration(exam=True), *take, SetControl(hold=False)]
             case Deed.BEGIN:
                 return [BeginDemonstration()]
             case Deed.YES | Deed.NO if lesson.exam:
