@@ -2,16 +2,21 @@
 
 from collections.abc import Callable, Iterator
 import math
+from pathlib import Path
 import signal
 import time
 from typing import Any
 
-from geometry_msgs.msg import PoseStamped, Twist
+from geometry_msgs.msg import PointStamped, PoseStamped, Twist
 from graph_support.live import Graph, NodeProcess, open_graph
+from humanopts_env.worlds.sensors import Sensors
+from humanopts_env.worlds.world import load_world
+from humanopts_gripper.simulation import MOTIONS
+from humanopts_rover import messages
 from humanopts_rover.messages import quaternion, yaw_of
-from humanopts_rover.simulation import BEAMS, PLACES
+from humanopts_rover.simulation import BEAMS, PLACES, Simulation
 from humanopts_rover_interfaces.action import DriveTo
-from nav_msgs.msg import Odometry, Path
+from nav_msgs.msg import Odometry
 import pytest
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
@@ -22,6 +27,7 @@ from std_msgs.msg import Bool
 from std_srvs.srv import SetBool, Trigger
 from tf2_msgs.msg import TFMessage
 
+EXAMPLES = Path(__file__).parents[1] / 'examples'
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
@@ -113,7 +119,7 @@ def test_its_sensors_agree_with_each_other(rover: Driver) -> None:
     graph = rover.graph
     scans = graph.listen(LaserScan, 'scan', 10)
     frames = graph.listen(TFMessage, '/tf', 10)
-    ways = graph.listen(Path, 'path/charger', 10)
+    ways = graph.listen(PointStamped, 'waypoint/charger', 10)
     charge = graph.listen(BatteryState, 'battery', 10)
     rover.carry(3.0, 4.5, 0.0)
     for heard in (scans, frames, ways, charge):
@@ -126,20 +132,20 @@ def test_its_sensors_agree_with_each_other(rover: Driver) -> None:
     moved = frames[-1].transforms[0]
     assert (moved.header.frame_id, moved.child_frame_id) == ('odom', 'base_link')
     assert moved.transform.translation.x == pytest.approx(3.0, abs=0.05)
-    way = [pose.pose.position for pose in ways[-1].poses]
-    assert (way[-1].x, way[-1].y) == PLACES['charger'][:2]
-    assert len(way) > 2
+    corner = ways[-1].point
+    assert (corner.x, corner.y) == (4.0, 2.5)  # in the door
     assert 0.5 < charge[-1].percentage <= 1.0
 
 
 def test_doors_are_closed_by_a_service_and_then_no_way_leads_through(rover: Driver) -> None:
     graph = rover.graph
     states = graph.listen(Bool, 'doors/door', LATCHED)
-    ways = graph.listen(Path, 'path/charger', 10)
+    ways = graph.listen(PointStamped, 'waypoint/charger', 10)
     rover.carry(1.0, 3.5, 0.0)
     assert graph.ask(SetBool, 'doors/door/set', data=False).success
     graph.until(lambda: states and not states[-1].data, 'the closed door')
-    graph.until(lambda: ways and not ways[-1].poses, 'no way')
+    place = PLACES['charger'][:2]
+    graph.until(lambda: ways and (ways[-1].point.x, ways[-1].point.y) == place, 'no way')
     goal = graph.act(DriveTo, 'drive_to', pose=goal_at(*PLACES['charger']))
     assert goal.result()[1].status == DriveTo.Result.STATUS_NO_PATH
     assert graph.ask(SetBool, 'doors/door/set', data=True).success
@@ -222,13 +228,43 @@ def test_the_gripper_moves_by_services_that_answer_at_the_end(live: Graph) -> No
     def slider() -> float:
         return dict(zip(joints[-1].name, joints[-1].position))['slider']
 
-    while abs(off := at[-1].pose.position.x - slider()) > 0.05:
+    while abs(off := at[-1].pose.position.x) > 0.05:
+        before = slider()
         assert live.ask(Trigger, 'right' if off > 0 else 'left').success
         known = len(joints)
         live.until(lambda n=known: len(joints) > n + 1, 'the joints')
+        assert abs(slider() - before) > 0.05
     assert live.ask(Trigger, 'lower').success
     refused = live.ask(Trigger, 'left')
     assert (refused.success, refused.message) == (False, 'raise the gripper before it travels')
     assert live.ask(Trigger, 'close').success
     live.until(lambda: holding[-1].data, 'the grasp')
     process.kill(signal.SIGKILL)
+
+
+def test_the_world_file_of_the_rover_reads_what_it_publishes() -> None:
+    world = load_world(f'ros:{EXAMPLES}/humanopts_rover/worlds/rover.yaml')
+    rover = Simulation(noise=False)
+    rover.place(3.0, 4.5, 0.0)
+    sensors = Sensors(world.file.topics)
+    heard = {
+        'odom': messages.odometry_message(rover.odometry()),
+        'scan': messages.scan_message(rover),
+        'battery': messages.battery_message(rover),
+        'door': Bool(data=rover.doors['door']),
+        **{f'to_{p}': messages.waypoint_message(rover, p) for p in ('charger', 'east', 'dock')},
+    }
+    for name, message in heard.items():
+        sensors.note(name, message, 1.0)
+    values = dict(zip(world.file.features, world.features(sensors)))
+    assert values['x'] == 3.0
+    assert values['ahead'] == pytest.approx(1.0)
+    assert values['left'] == pytest.approx(0.5)
+    assert values['door'] == 1.0
+    assert values['charger_bearing'] == pytest.approx(math.atan2(2.5 - 4.5, 4.0 - 3.0))
+    assert values['dock_turn'] == pytest.approx(math.pi)
+
+
+def test_the_world_file_of_the_gripper_can_be_used() -> None:
+    world = load_world(f'ros:{EXAMPLES}/humanopts_gripper/worlds/gripper.yaml')
+    assert [action.name for action in world.domain.actions] == [*MOTIONS]

@@ -1,9 +1,10 @@
 """
 The node ``gripper``: a device that is driven by services, in plain ROS 2.
 
-Publishes ``joint_states``, ``object`` (its pose), ``holding`` and ``in_bin``. Each motion is a
-service of std_srvs/Trigger that answers when the motion has ended: ``left``, ``right``, ``lower``,
-``raise``, ``open``, ``close``. ``stop`` ends a motion. ``put_object`` is the hand of a person.
+Publishes ``joint_states``, ``object`` (its pose, from the camera in the gripper), ``holding`` and
+``in_bin``. Each motion is a service of std_srvs/Trigger that answers when the motion has ended:
+``left``, ``right``, ``lower``, ``raise``, ``open``, ``close``. ``stop`` ends a motion.
+``put_object`` is the hand of a person.
 """
 
 import threading
@@ -76,7 +77,8 @@ class GripperNode(Node):
         joints.header.stamp, joints.header.frame_id = stamp, 'rail'
         self._joints.publish(joints)
         at = PoseStamped(header=joints.header)
-        at.pose.position.x = gripper.object
+        at.header.frame_id = 'gripper'
+        at.pose.position.x = gripper.object - gripper.joints['slider']
         self._object.publish(at)
         self._holding.publish(Bool(data=gripper.holding))
         self._in_bin.publish(Bool(data=gripper.is_in_bin()))

@@ -3,10 +3,9 @@
 import math
 
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import PoseStamped, Quaternion, TransformStamped
+from geometry_msgs.msg import Point, PointStamped, Quaternion, TransformStamped
 from humanopts_rover.simulation import BEAMS, MAX_RANGE, MIN_RANGE, Odometry, Simulation
 from nav_msgs.msg import Odometry as OdometryMessage
-from nav_msgs.msg import Path
 from sensor_msgs.msg import BatteryState, LaserScan
 from std_msgs.msg import Header
 
@@ -64,14 +63,10 @@ def scan_message(rover: Simulation, seconds: float = 0.0) -> LaserScan:
     )
 
 
-def path_message(rover: Simulation, place: str, seconds: float = 0.0) -> Path:
-    """Return the corners of the way from the rover to a place; no poses if none leads there."""
-    message = Path(header=stamped(seconds, FRAME))
-    for x, y in rover.path(place):
-        pose = PoseStamped(header=message.header)
-        pose.pose.position.x, pose.pose.position.y = x, y
-        message.poses.append(pose)
-    return message
+def waypoint_message(rover: Simulation, place: str, seconds: float = 0.0) -> PointStamped:
+    """Return the next corner of the way to a place; the place itself if no way leads there."""
+    x, y = rover.waypoint(place)
+    return PointStamped(header=stamped(seconds, FRAME), point=Point(x=x, y=y))
 
 
 def battery_message(rover: Simulation, seconds: float = 0.0) -> BatteryState:

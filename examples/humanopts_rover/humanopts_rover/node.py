@@ -1,21 +1,22 @@
 """
 The node ``rover``: the driver of a robot as it is found on many, in plain ROS 2.
 
-Publishes ``odom``, ``scan``, ``battery``, ``path/PLACE``, ``doors/DOOR`` and, with tf2_msgs,
-``/tf``. Obeys ``cmd_vel`` for 0.25 s after each command, and the action ``drive_to``. The hands of
-people are the services ``doors/DOOR/set`` and ``carry_somewhere``, and the topic ``carry_to``.
+Publishes ``odom``, ``scan``, ``battery``, ``waypoint/PLACE`` (the next corner of the way there),
+``doors/DOOR`` and, with tf2_msgs, ``/tf``. Obeys ``cmd_vel`` for 0.25 s after each command, and the
+action ``drive_to``. The hands of people are the services ``doors/DOOR/set`` and ``carry_somewhere``
+and the topic ``carry_to``.
 """
 
 import math
 import time
 from typing import Any
 
-from geometry_msgs.msg import PoseStamped, TransformStamped, Twist
+from geometry_msgs.msg import PointStamped, PoseStamped, TransformStamped, Twist
 from humanopts_rover import messages
 from humanopts_rover.driving import drive
 from humanopts_rover.simulation import DOORS, PLACES, Pose, Simulation, TICK
 from humanopts_rover_interfaces.action import DriveTo
-from nav_msgs.msg import Odometry, Path
+from nav_msgs.msg import Odometry
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
 import rclpy
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
@@ -37,7 +38,7 @@ except ImportError:  # not among the wheels on PyPI
     TFMessage = None
 
 COMMAND_TIMEOUT = 0.25  # s of the simulation after which a command is no longer obeyed
-SENSORS_EVERY, PATHS_EVERY, SLOW_EVERY = 2, 4, 10  # ticks of TICK s between messages
+SENSORS_EVERY, WAYS_EVERY, SLOW_EVERY = 2, 4, 10  # ticks of TICK s between messages
 STUCK = 5.0  # s without coming closer to a goal
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 FAULTS = {
@@ -80,7 +81,10 @@ class Rover(Node):
             'odom': self.create_publisher(Odometry, 'odom', 10),
             'scan': self.create_publisher(LaserScan, 'scan', 10),
             'battery': self.create_publisher(BatteryState, 'battery', 10),
-            **{f'path/{p}': self.create_publisher(Path, f'path/{p}', 10) for p in PLACES},
+            **{
+                f'waypoint/{p}': self.create_publisher(PointStamped, f'waypoint/{p}', 10)
+                for p in PLACES
+            },
             **{f'doors/{d}': self.create_publisher(Bool, f'doors/{d}', LATCHED) for d in DOORS},
         }
         if self._has_clock:
@@ -138,10 +142,10 @@ class Rover(Node):
             self._out['/clock'].publish(Clock(clock=stamp))
         if self._ticks % SENSORS_EVERY == 0:
             self._measure()
-        if self._ticks % PATHS_EVERY == 0:
+        if self._ticks % WAYS_EVERY == 0:
             for place in PLACES:
-                way = messages.path_message(self.rover, place, self._now)
-                self._out[f'path/{place}'].publish(way)
+                corner = messages.waypoint_message(self.rover, place, self._now)
+                self._out[f'waypoint/{place}'].publish(corner)
         if self._ticks % SLOW_EVERY == 0:
             self._out['battery'].publish(messages.battery_message(self.rover, self._now))
             for door, is_open in self.rover.doors.items():

@@ -174,6 +174,10 @@ class Simulation:
         """
         return self.path_to(PLACES[place][:2])
 
+    def waypoint(self, place: str) -> Point:
+        """Return the next corner of the path to a place; the place itself if there is no path."""
+        return next(iter(self.path(place)[1:]), PLACES[place][:2])
+
     def path_to(self, goal: Point) -> list[Point]:
         """Return the corners of the shortest way to a point, as ``path`` does."""
         here, corners = self.pose[:2], self._corners
