@@ -2,9 +2,9 @@
 The node ``rover``: the driver of a robot as it is found on many, in plain ROS 2.
 
 Publishes ``odom``, ``scan``, ``battery``, ``waypoint/PLACE`` (the next corner of the way there),
-``doors/DOOR`` and, with tf2_msgs, ``/tf``. Obeys ``cmd_vel`` for 0.25 s after each command, and the
-action ``drive_to``. The hands of people are the services ``doors/DOOR/set`` and ``carry_somewhere``
-and the topic ``carry_to``.
+``doors/DOOR`` and, with tf2_msgs, ``/tf``. Obeys ``cmd_vel`` for 0.25 s after each command, and
+the action ``drive_to``. The hands of people are the services ``doors/DOOR/set`` and
+``carry_somewhere`` and the topic ``carry_to``.
 """
 
 import math
