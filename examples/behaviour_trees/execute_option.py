@@ -18,7 +18,7 @@ class ExecuteOption(Behaviour):
     """
     Runs an option by the action ``execute_option``.
 
-    RUNNING until it has ended; SUCCESS if the option has ended as it should, otherwise FAILURE. The
+    RUNNING until it has ended; SUCCESS if the option ended as it should, otherwise FAILURE. The
     reason is in ``feedback_message``. If the tree stops the leaf, the run is canceled.
     """
 
