@@ -251,3 +251,19 @@ def test_commands_work_in_a_shell_that_has_sourced_another_ros(
         theirs = [line for line in environment.splitlines() if str(tmp_path) in line]
         assert [line for line in theirs if not line.startswith(('PATH=', 'OLDPWD=', 'PWD='))] == []
         assert 'humble\n' not in environment
+
+
+def test_packages_that_a_user_built_with_colcon_are_found(tmp_path: Path) -> None:
+    prefix = tmp_path / 'my_robot'
+    (prefix / 'lib/python3.11/site-packages').mkdir(parents=True)
+    given = {**os.environ, 'HUMANOPTS_OVERLAY': str(tmp_path)}
+    told = subprocess.run(
+        ['bash', '-c', f'root={ROOT}; . $root/tools/environment.sh; env'], env=given, **TEXT
+    )
+    environment = dict(line.split('=', 1) for line in told.stdout.splitlines() if '=' in line)
+    for name, folder in (
+        ('AMENT_PREFIX_PATH', prefix),
+        ('LD_LIBRARY_PATH', prefix / 'lib'),
+        ('PYTHONPATH', prefix / 'lib/python3.11/site-packages'),
+    ):
+        assert str(folder) in environment[name].split(':')

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 WIDTH, HEIGHT = 8.0, 5.0  # of the house
 RADIUS = 0.18  # of the rover, a disc
 CLEAR = RADIUS + 0.02  # from a planned path to walls
+PASSED = 0.15  # from a corner of the path
 MAX_LINEAR, MAX_ANGULAR = 0.6, 1.6  # m/s, rad/s
 ACCELERATION = 3.0, 12.0  # m/s^2, rad/s^2; it stops from full speed within 0.2 s
 BEAMS, MIN_RANGE, MAX_RANGE = 24, 0.05, 10.0
@@ -175,8 +176,14 @@ class Simulation:
         return self.path_to(PLACES[place][:2])
 
     def waypoint(self, place: str) -> Point:
-        """Return the next corner of the path to a place; the place itself if there is no path."""
-        return next(iter(self.path(place)[1:]), PLACES[place][:2])
+        """
+        Return the next corner of the path to a place; the place itself if there is no path.
+
+        A corner is passed within PASSED of it.
+        """
+        corners = self.path(place)[1:-1]
+        ahead = (corner for corner in corners if math.dist(self.pose[:2], corner) > PASSED)
+        return next(ahead, PLACES[place][:2])
 
     def path_to(self, goal: Point) -> list[Point]:
         """Return the corners of the shortest way to a point, as ``path`` does."""
