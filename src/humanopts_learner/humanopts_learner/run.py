@@ -36,7 +36,7 @@ class RunStatus(Enum):
     EPISODE_OVER = 'the episode ended'
     MAX_STEPS = 'it was cut off at its step limit'
     NO_PROGRESS = 'the game did not answer before the deadline'
-    INTERRUPTED = 'a person or another node acted, or the game was reset'
+    INTERRUPTED = 'it was interrupted'
     CANCELED = 'it was canceled'
     BUSY = 'refused: another run is under way'
     UNKNOWN_OPTION = 'refused: the option does not exist'

@@ -4,6 +4,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 import functools
+import inspect
 import time
 from typing import Any, TypeVar
 
@@ -12,6 +13,7 @@ from humanopts_ros.middleware import MiddlewareError
 from humanopts_ros.publisher import without_source
 from humanopts_ros.qos import STREAM
 from humanopts_ros.senders import sender_of, signer
+from humanopts_ros.waiting import drive
 from humanopts_ros.workarounds import prepare_discovery
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 import rclpy
@@ -144,13 +146,22 @@ class GuardedNode(Node):
     def create_service(
         self, srv_type: Any, srv_name: str, callback: Callable[..., Any], **options: Any
     ) -> Service:
-        """Create a service with a guarded callback that always responds."""
+        """Create a service with a guarded callback, or coroutine, that always responds."""
 
         def failed(text: str, request: Any, response: Any) -> Any:
             return failed_response(srv_type.Response(), text)
 
         guarded = self.guard.guarded(callback, failed)
-        return super().create_service(srv_type, srv_name, guarded, **options)
+        if not inspect.iscoroutinefunction(callback):
+            return super().create_service(srv_type, srv_name, guarded, **options)
+        service = super().create_service(srv_type, srv_name, lambda *r: guarded(*r), **options)
+        send = self.guard.guarded(service.send_response)
+
+        def respond(coroutine: Any, header: Any) -> None:
+            drive(coroutine, lambda response: send(response, header))
+
+        service.send_response = respond  # type: ignore[method-assign, assignment]
+        return service
 
     def subscribe(
         self,

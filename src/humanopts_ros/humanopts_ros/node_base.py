@@ -1,6 +1,6 @@
 """The base class of all nodes: recorded endpoints, status, readiness, shutdown."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine
 from contextlib import suppress
 import functools
 from itertools import chain
@@ -18,9 +18,14 @@ from humanopts_ros.publisher import M, PublishError, StampedPublisher
 from humanopts_ros.qos import ACTION, LATCHED, SERVICE, STREAM
 from humanopts_ros.recording import Selection
 from humanopts_ros.senders import id_topic, Role
-from humanopts_ros.waiting import Waiting
+from humanopts_ros.waiting import drive, Waiting
 from humanopts_ros.workarounds import watch_time
-from rclpy.action.server import ActionServer, CancelResponse, ServerGoalHandle
+from rclpy.action.server import (
+    ActionServer,
+    CancelResponse,
+    GoalResponse,
+    ServerGoalHandle,
+)
 from rclpy.callback_groups import CallbackGroup
 from rclpy.client import Client
 from rclpy.exceptions import InvalidHandle
@@ -34,6 +39,7 @@ from std_msgs.msg import Empty
 RECORDER = 'recorder'
 _RESULT_TIMEOUT = 10  # s to keep the result of a finished goal; kept goals slow down each status
 _LAST_ROUNDS = 10  # number of callbacks run to send the last responses
+_SHORT = 0.001  # s to wait for each of them; the ``EventsExecutor`` runs nothing in no time
 _DRAIN = 0.3  # s, time for readers to receive pending messages before a node ends
 _REMARK_PERIOD = 1.0  # s between statuses that differ only in refusals or errors
 _REPEAT_PERIOD = 1.0  # s between checks for competing publishers of a node's current values
@@ -42,6 +48,26 @@ _LATE = 5.0  # s after which a starting node reports what it is waiting for
 _CHECK_PERIOD = 0.02  # s between checks during startup and shutdown
 
 E = TypeVar('E', Service, Client)
+
+
+class _ActionServer(ActionServer):
+    """
+    Runs the coroutines of its goals with ``drive``, and answers when they are done.
+
+    Executors would handle the future of every result that is kept, in each event of the action.
+    """
+
+    def add_future(self, future: Any) -> None:
+        """No-op."""
+
+    def remove_future(self, future: Any) -> None:
+        """No-op."""
+
+    def notify_execute(self, goal_handle: ServerGoalHandle, execute_callback: Any) -> None:
+        def finish(result: Any) -> None:
+            ActionServer.notify_execute(self, goal_handle, lambda _: result)
+
+        drive(self._execute_callback(goal_handle), finish)
 
 
 class NodeBase(GuardedNode):
@@ -158,14 +184,16 @@ class NodeBase(GuardedNode):
         self,
         kind: Any,
         name: str,
-        execute: Callable[..., Any],
-        group: CallbackGroup,
+        execute: Callable[[ServerGoalHandle], Coroutine[Any, Any, Any]],
         on_cancel: Callable[[ServerGoalHandle], object] = lambda handle: None,
+        accepts: Callable[[Any], bool] = lambda goal: True,
     ) -> ActionServer:
         """
-        Create an action server that accepts every goal and every cancel request.
+        Create an action server that accepts every cancel request.
 
+        :param execute: coroutine that waits only by ``waiting``.
         :param on_cancel: callback invoked with the goal handle just before the goal is canceled.
+        :param accepts: returns whether to accept a goal.
         """
         self._hidden += [f'{name}/_action/feedback', f'{name}/_action/status']
 
@@ -178,12 +206,16 @@ class NodeBase(GuardedNode):
             self.guard.guarded(on_cancel)(handle)
             return CancelResponse.ACCEPT
 
-        return ActionServer(
+        def answer(goal: Any) -> GoalResponse:
+            accepted = self.guard.guarded(accepts)(goal)
+            return GoalResponse.ACCEPT if accepted else GoalResponse.REJECT
+
+        return _ActionServer(  # type: ignore[no-untyped-call]
             self,
             kind,
             name,
             self.guard.guarded(execute, failed),
-            callback_group=group,
+            goal_callback=answer,
             cancel_callback=cancel,
             result_timeout=_RESULT_TIMEOUT,
             **ACTION,
@@ -265,7 +297,7 @@ class NodeBase(GuardedNode):
         while busy() and time.monotonic() < deadline:
             self.turn(executor, _CHECK_PERIOD)
         for _ in range(_LAST_ROUNDS):
-            self.turn(executor, 0.0)
+            self.turn(executor, _SHORT)
 
     def drain(self) -> None:
         """Wait briefly for the readers to receive pending messages."""

@@ -18,7 +18,7 @@ GAME_TOPICS = frozenset(
 _TOPICS = {
     'lesson': ('lesson_state',),
     'learner': ('learned_options', 'learning_status', 'demonstration_receipts'),
-    'option_server': ('option_goals', 'option_results'),
+    'option_server': ('option_goals', 'option_results', 'available_options'),
     'planner': (
         *('automatic_options', 'option_values', 'execution'),
         *('plan_goals', 'plan_results', 'policy_goals', 'policy_results'),

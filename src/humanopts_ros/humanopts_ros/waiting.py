@@ -1,23 +1,58 @@
 """Waiting in the coroutines of a node."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine, Generator
 from typing import Any
 
-from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.client import Client
 from rclpy.node import Node
-from rclpy.task import Future
 
 _CHECK_PERIOD = 0.02  # s between checks of the conditions
 _DISCOVERY = 1.0  # s, maximum wait for the server of a request
+
+
+class _Wake:
+    """What a waiting coroutine yields; ``set`` resumes it."""
+
+    def __init__(self) -> None:
+        self._set = False
+        self.resume: Callable[[], object] = lambda: None
+
+    def __await__(self) -> Generator['_Wake', None, None]:
+        while not self._set:  # a task of an executor is resumed all the time
+            yield self
+
+    def set(self) -> None:
+        """End the wait."""
+        self._set = True
+        self.resume()
+
+
+def drive(
+    coroutine: Coroutine[Any, Any, Any], use: Callable[[Any], object] = lambda result: None
+) -> None:
+    """
+    Run a coroutine that waits only by ``Waiting``, which resumes it.
+
+    The executors of rclpy resume a waiting coroutine again and again instead: the
+    ``EventsExecutor`` keeps a core busy with it, and does not accept one as a service.
+
+    :param use: called with the result.
+    """
+
+    def resume() -> None:
+        try:
+            coroutine.send(None).resume = resume
+        except StopIteration as end:
+            use(end.value)
+
+    resume()
 
 
 class Waiting:
     """
     Lets a node's coroutines wait for conditions and for responses of services.
 
-    The coroutines must be in a reentrant callback group. Pending conditions are checked
-    periodically; ``check`` checks them immediately.
+    Pending conditions are checked periodically; ``check`` checks them immediately.
     """
 
     def __init__(self, node: Node, monotonic: Callable[[], float]) -> None:
@@ -26,28 +61,28 @@ class Waiting:
 
         :param monotonic: clock for deadlines, s.
         """
-        self._node, self._monotonic = node, monotonic
-        self._open: list[tuple[Future, Callable[[], bool], float]] = []
-        self._timer = node.create_timer(
-            _CHECK_PERIOD, self.check, callback_group=ReentrantCallbackGroup(), autostart=False
-        )
+        self._monotonic = monotonic
+        self._open: list[tuple[_Wake, Callable[[], bool], float]] = []
+        self._timer = node.create_timer(_CHECK_PERIOD, self.check, autostart=False)
 
     def check(self) -> None:
-        """Wake coroutines with a true condition or an expired deadline."""
-        now = self._monotonic()
-        still = []
-        for entry in self._open:
-            future, condition, deadline = entry
+        """Resume coroutines with a true condition or an expired deadline."""
+        now, pending = self._monotonic(), self._open
+        due: list[_Wake] = []
+        self._open = []
+        for wake, condition, deadline in pending:
             try:
-                if condition() or now > deadline:
-                    future.set_result(None)
-                else:
-                    still.append(entry)
-            except Exception as error:  # raised in the waiting coroutine
-                future.set_exception(error)
-        self._open = still
-        if not still:
+                over = condition() or now > deadline
+            except Exception:  # raised again in the coroutine
+                over = True
+            if over:
+                due.append(wake)
+            else:
+                self._open.append((wake, condition, deadline))
+        if not self._open:
             self._timer.cancel()
+        for wake in due:
+            wake.set()
 
     async def until(self, condition: Callable[[], bool], seconds: float) -> bool:
         """Wait until a condition is true; return whether it became true in time."""
@@ -55,11 +90,11 @@ class Waiting:
         while not condition():  # may be false again when the coroutine resumes
             if self._monotonic() > deadline:
                 return False
-            future = Future(executor=self._node.executor)
-            self._open.append((future, condition, deadline))
+            wake = _Wake()
+            self._open.append((wake, condition, deadline))
             if self._timer.is_canceled():
                 self._timer.reset()
-            await future
+            await wake
         return True
 
     async def answer(

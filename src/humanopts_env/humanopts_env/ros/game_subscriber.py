@@ -36,6 +36,7 @@ class Observed:
     publisher_id: str  # of the game; changes when the game is restarted
     transition: Transition
     state: Any  # decoded; None before the first episode
+    stamp: tuple[int, int]  # s and ns, when it was published
 
 
 class GameSubscriber:
@@ -115,7 +116,8 @@ class GameSubscriber:
         assert self.domain is not None, 'states are read once the rules are known'
         transition = transition_from_message(message)
         state = check_transition(transition, self.domain)
-        return Observed(message.publisher_id, transition, state)
+        stamp = message.header.stamp
+        return Observed(message.publisher_id, transition, state, (stamp.sec, stamp.nanosec))
 
     def follow_control(self, use: Callable[[ControlState], object]) -> Subscription:
         """Subscribe to the control of the game and the pace of the machine."""

@@ -1,5 +1,6 @@
 """The node ``option_server``, which runs learned options and answers queries about them."""
 
+from array import array
 from functools import partial
 from itertools import chain
 from pathlib import Path
@@ -8,34 +9,28 @@ from typing import Any
 
 from humanopts_env.domains.base import ActableDomain, DomainError
 from humanopts_env.domains.described import simulated
-from humanopts_env.game import Transition
 from humanopts_env.ros.game_subscriber import GameSubscriber
 from humanopts_interfaces.action import ExecuteOption
+from humanopts_interfaces.msg import AvailableOptions, OptionResult
 from humanopts_interfaces.msg import LearnedOption as OptionMessage
-from humanopts_interfaces.msg import OptionResult
 from humanopts_interfaces.srv import ListOptions, QueryOption, RunOption
-from humanopts_learner.library import no_options_text, OptionLibrary, UnknownOptionError
+from humanopts_learner.library import no_options_text, UnknownOptionError
 from humanopts_learner.option import Mode
 from humanopts_learner.options.files import load_options
 from humanopts_learner.options.learned_option import LearnedOption
 from humanopts_learner.ros import OPTION_SERVER
 from humanopts_learner.ros.learned_options import OptionSubscriber
 from humanopts_learner.ros.runner import Runner, RunRequest
-from humanopts_learner.run import Run
+from humanopts_learner.run import Run, RunStatus
 from humanopts_ros.guarded_node import PATIENCE, SEEDS
 from humanopts_ros.node_base import end_goal, NodeBase
 from humanopts_ros.process import run_node
-import numpy as np
+from humanopts_ros.qos import LATCHED
 from rclpy.action.server import ServerGoalHandle
-from rclpy.callback_groups import ReentrantCallbackGroup
 
-_DONE = (
-    OptionResult.STATUS_REACHED,
-    OptionResult.STATUS_EPISODE_OVER,
-    OptionResult.STATUS_STOPPED_BY_PLAN,
-)
 _LEARNED = 'learned_options'  # the topic
 _FAREWELL = 0.5  # s to answer the client of the current run on shutdown
+_FEEDBACK_PERIOD = 0.05  # s, minimum time between feedback messages
 
 
 class OptionServerNode(NodeBase):
@@ -67,15 +62,22 @@ class OptionServerNode(NodeBase):
         )
         self._options: dict[str, list[LearnedOption]] = {}  # by topic
         self._results = self.stamped_publisher(OptionResult, 'option_results')
+        self._available = self.stamped_publisher(AvailableOptions, 'available_options', LATCHED)
         game = GameSubscriber(self, self._on_domain)
         self._runner = Runner(self, game, Mode(mode), seed, deadline, unstick=unstick)
         for topic in (_LEARNED, 'automatic_options'):
             OptionSubscriber(self, topic, partial(self._on_options, topic))
-        group = ReentrantCallbackGroup()
-        self.recorded_service(RunOption, 'run_option', self._on_run, group)
-        self.recorded_service(ListOptions, 'list_options', self._on_list, group)
-        self.recorded_service(QueryOption, 'query_option', self._on_query, group)
-        self.recorded_action(ExecuteOption, 'execute_option', self._execute, group)
+        self.recorded_service(RunOption, 'run_option', self._on_run)
+        self.recorded_service(ListOptions, 'list_options', self._on_list)
+        self.recorded_service(QueryOption, 'query_option', self._on_query)
+        self.recorded_action(
+            ExecuteOption, 'execute_option', self._execute, self._on_cancel, self._accepts
+        )
+        self._of_goal: dict[bytes, RunRequest] = {}  # by goal id
+        self._unsent: tuple[ServerGoalHandle, Run, str] | None = None  # newest progress
+        self._feedback_timer = self.create_timer(
+            _FEEDBACK_PERIOD, self._send_feedback, autostart=False
+        )
 
     def _on_deadline(self, seconds: float) -> None:
         self._runner.patience = seconds
@@ -89,7 +91,7 @@ class OptionServerNode(NodeBase):
         self.finish(lambda: self._runner.busy, _FAREWELL)
 
     def _on_domain(self, domain: ActableDomain) -> None:
-        self._runner.library = OptionLibrary(domain)
+        self._runner.open(domain)
         if _LEARNED not in self._options and self._directory and Path(self._directory).is_dir():
             self._options[_LEARNED], problems = load_options(Path(self._directory))
             for problem in problems:
@@ -105,9 +107,17 @@ class OptionServerNode(NodeBase):
         self._serve()
 
     def _serve(self) -> None:
-        """Serve the options that fit the game, once it is known, and log the others."""
+        """Serve and publish the options that fit the game, once it is known; log the others."""
         for fault in self._runner.serve(chain(*self._options.values())):
             self.get_logger().warning(f'not served: {fault}')
+        if (library := self._runner.library) is None:
+            return
+        fields, known = _listed(library.options()), self._available.newest
+        if known is None or any(getattr(known, name) != fields[name] for name in fields):
+            primitive = library.primitive_names
+            self._available.publish(AvailableOptions(primitive_actions=primitive, **fields))
+            names = ', '.join(fields['option_names']) or 'none'
+            self.get_logger().info(f'available options: {names}')
 
     async def _on_run(
         self, request: RunOption.Request, response: RunOption.Response
@@ -116,36 +126,74 @@ class OptionServerNode(NodeBase):
         response.result = await self._run(asked)
         return response
 
-    async def _execute(self, handle: ServerGoalHandle) -> ExecuteOption.Result:
-        def on_step(run: Run, state: Transition) -> None:
-            row = np.array([state.features])
-            handle.publish_feedback(
-                ExecuteOption.Feedback(
-                    step_count=run.step_count,
-                    action=state.previous_action,
-                    total_reward=run.total_reward,
-                    state=state.state,
-                    termination=float(run.acting.termination_probability(row)[0]),
-                    option_name=run.acting.name,
-                )
-            )
+    def _accepts(self, goal: ExecuteOption.Goal) -> bool:
+        """Return whether a goal can run, as far as is known; publish the refusal otherwise."""
+        refused = self._runner.refusal(goal) if self.waits_for() is None else None
+        if refused is not None:
+            self._publish(refused, 'execute_option')
+        return refused is None
 
-        result = await self._run(
-            RunRequest(
-                handle.request,
-                'execute_option',
-                canceled=lambda: bool(handle.is_cancel_requested),
-                on_step=on_step,
+    def _on_cancel(self, handle: ServerGoalHandle) -> None:
+        """End the run once its goal is in the state canceling."""
+        request = self._of_goal.get(bytes(handle.goal_id.uuid))
+        if request is not None and self.executor is not None:
+            end = self.guard.guarded(self._runner.end)
+            self.executor.create_task(end, request, RunStatus.CANCELED)
+
+    async def _execute(self, handle: ServerGoalHandle) -> ExecuteOption.Result:
+        def on_progress(run: Run, action: str) -> None:
+            self._unsent = handle, run, action
+            if self._feedback_timer.is_canceled():
+                self._send_feedback()
+                self._feedback_timer.reset()
+
+        request = RunRequest(handle.request, 'execute_option', on_progress=on_progress)
+        key = bytes(handle.goal_id.uuid)
+        self._of_goal[key] = request
+        try:
+            result = await self._run(request)
+        finally:
+            del self._of_goal[key]
+        if self._unsent is not None and self._unsent[0] is handle:
+            self._unsent = None
+        done = result.status == result.STATUS_REACHED or (  # modules have no other end
+            result.status == result.STATUS_EPISODE_OVER
+            and result.terminated
+            and not result.option_name
+        )
+        end_goal(handle, done, result.status == result.STATUS_CANCELED)
+        return ExecuteOption.Result(result=result)
+
+    def _send_feedback(self) -> None:
+        """Publish the newest progress; stop the timer if there is none."""
+        if self._unsent is None:
+            self._feedback_timer.cancel()
+            return
+        (handle, run, action), self._unsent = self._unsent, None
+        row = run.domain.feature_values(run.state)[None]
+        handle.publish_feedback(
+            ExecuteOption.Feedback(
+                step_count=run.step_count,
+                action=action,
+                total_reward=run.total_reward,
+                state=run.domain.encode(run.state),
+                termination=float(run.acting.termination_probability(row)[0]),
+                option_name=run.acting.name,
             )
         )
-        end_goal(handle, result.status in _DONE, result.status == result.STATUS_CANCELED)
-        return ExecuteOption.Result(result=result)
 
     async def _run(self, request: RunRequest) -> OptionResult:
         await self.provided()
         result = await self._runner.run(request)
-        self._results.publish(result)
+        self._publish(result, request.via)
         return result
+
+    def _publish(self, result: OptionResult, via: str) -> None:
+        """Publish a result; log a refusal."""
+        self._results.publish(result)
+        if not result.run_id:
+            name = result.option_name or 'a run of modules'
+            self.get_logger().warning(f'{via} of {name}: {result.detail}')
 
     async def _on_list(
         self, request: ListOptions.Request, response: ListOptions.Response
@@ -162,9 +210,8 @@ class OptionServerNode(NodeBase):
             response.status = response.STATUS_UNKNOWN_PARTICIPANT
             people = [option.participant for option in library.options()]
             response.detail = no_options_text(request.participant, people)
-        response.option_names = [option.name for option in options]
-        response.participants = [option.participant for option in options]
-        response.n_demonstrations = [option.n_demonstrations for option in options]
+        for name, values in _listed(options).items():
+            setattr(response, name, values)
         response.primitive_actions = library.primitive_names
         return response
 
@@ -172,7 +219,7 @@ class OptionServerNode(NodeBase):
         self, request: QueryOption.Request, response: QueryOption.Response
     ) -> QueryOption.Response:
         await self.provided()
-        library, current = self._runner.library, self._runner.newest_state()
+        library, current = self._runner.library, self._runner.state
         try:
             if library is None or (current is None and not request.state):
                 raise DomainError('no state is given and no episode was begun')
@@ -199,7 +246,16 @@ class OptionServerNode(NodeBase):
         return response
 
 
-main = partial(run_node, OptionServerNode)
+def _listed(options: list[LearnedOption]) -> dict[str, Any]:
+    """Return the fields of messages that list options."""
+    return {
+        'option_names': [option.name for option in options],
+        'participants': [option.participant for option in options],
+        'n_demonstrations': array('I', [option.n_demonstrations for option in options]),
+    }
+
+
+main = partial(run_node, OptionServerNode, by_events=True)  # every step waits for its answer
 
 if __name__ == '__main__':
     sys.exit(main())

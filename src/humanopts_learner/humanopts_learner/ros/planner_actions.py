@@ -2,9 +2,9 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-import concurrent.futures
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+import math
 import time
 from typing import Any, TypeVar
 import uuid
@@ -46,8 +46,6 @@ from humanopts_learner.ros.learned_options import OptionPublisher
 from humanopts_learner.summary import PlanSummary
 from humanopts_ros.node_base import end_goal, NodeBase
 from rclpy.action.server import ServerGoalHandle
-from rclpy.callback_groups import CallbackGroup
-from rclpy.task import Future
 
 _OPTIONS_SECONDS = 5.0  # s to wait for the options of a request
 _FEEDBACK_PERIOD = 0.1  # s
@@ -84,16 +82,10 @@ class PlannerState:
 
 async def in_thread(node: NodeBase, pool: ThreadPoolExecutor, work: Callable[[], T]) -> T:
     """Run a function in a worker thread, and return its result or raise its exception."""
-    executor = node.executor
+    executor, task = node.executor, pool.submit(work)
     assert executor is not None, 'a callback of the node waits for this'
-    done = Future(executor=executor)
-
-    def wake(task: concurrent.futures.Future[T]) -> None:
-        done.set_result(task)
-        executor.wake()
-
-    pool.submit(work).add_done_callback(wake)
-    task: concurrent.futures.Future[T] = await done
+    task.add_done_callback(lambda _: executor.create_task(node.waiting.check))
+    await node.waiting.until(task.done, math.inf)
     return task.result()
 
 
@@ -119,12 +111,12 @@ class GoalServer(ABC):
     result_kind: Any
     occupation: str  # noun in "the planner is at work on another ..."
 
-    def __init__(self, node: NodeBase, group: CallbackGroup, state: PlannerState) -> None:
+    def __init__(self, node: NodeBase, state: PlannerState) -> None:
         self.busy = False
         self._node, self._state = node, state
         self._goals = node.stamped_publisher(self.goal_kind, f'{self.topics}_goals')
         self._results = node.stamped_publisher(self.result_kind, f'{self.topics}_results')
-        node.recorded_action(self.kind, self.name, self._execute, group, self.on_cancel)
+        node.recorded_action(self.kind, self.name, self._execute, self.on_cancel)
 
     @abstractmethod
     def blank(self, goal: Any) -> Any:
@@ -266,8 +258,8 @@ class ExtractionServer(GoalServer):
     goal_kind, result_kind = ExtractionGoal, ExtractionResult
     occupation = 'search for options'
 
-    def __init__(self, node: NodeBase, group: CallbackGroup, state: PlannerState) -> None:
-        super().__init__(node, group, state)
+    def __init__(self, node: NodeBase, state: PlannerState) -> None:
+        super().__init__(node, state)
         self._found = OptionPublisher(node, 'automatic_options')
 
     def blank(self, goal: ExtractOptions.Goal) -> ExtractionResult:

@@ -14,7 +14,6 @@ from humanopts_learner.ros.planner_actions import ExtractionServer, PlannerState
 from humanopts_learner.ros.policy_server import PolicyServer
 from humanopts_ros.node_base import NodeBase
 from humanopts_ros.process import run_node
-from rclpy.callback_groups import ReentrantCallbackGroup
 
 _FAREWELL = 1.0  # s to answer the clients of current goals on shutdown
 
@@ -32,9 +31,9 @@ class PlannerNode(NodeBase):
         self._state = PlannerState(unstick=unstick)
         GameSubscriber(self, self._on_domain)
         OptionSubscriber(self, 'learned_options', self._on_options)
-        shared = self, ReentrantCallbackGroup(), self._state
-        self._policies = PolicyServer(*shared)
-        self._actions = self._policies, PlanServer(*shared), ExtractionServer(*shared)
+        self._policies = PolicyServer(self, self._state)
+        others = PlanServer(self, self._state), ExtractionServer(self, self._state)
+        self._actions = self._policies, *others
 
     def waits_for(self) -> str | None:
         return None if self._state.domain is not None else 'domain_info'
@@ -54,7 +53,7 @@ class PlannerNode(NodeBase):
         self.waiting.check()
 
 
-main = partial(run_node, PlannerNode)
+main = partial(run_node, PlannerNode, by_events=True)
 
 if __name__ == '__main__':
     sys.exit(main())

@@ -30,7 +30,6 @@ from humanopts_learner.run import execution_named, RefusedError, RunStatus
 from humanopts_ros.node_base import NodeBase
 from humanopts_ros.qos import LATCHED
 from rclpy.action.server import ServerGoalHandle
-from rclpy.callback_groups import CallbackGroup
 
 _RESET_SECONDS = 5.0  # s to wait for an answer
 # Timeout of a run: modules may run for a whole paced episode. The server itself uses a short
@@ -69,16 +68,16 @@ class PolicyServer(GoalServer):
     kind, name, topics = RunPolicy, 'run_policy', 'policy'
     goal_kind, result_kind, occupation = PolicyGoal, PolicyResult, 'policy run'
 
-    def __init__(self, node: NodeBase, group: CallbackGroup, state: PlannerState) -> None:
-        super().__init__(node, group, state)
+    def __init__(self, node: NodeBase, state: PlannerState) -> None:
+        super().__init__(node, state)
         self._run: _PolicyRun | None = None
         self._published = ''  # plan_id of the newest OptionValues
         self._values = node.stamped_publisher(OptionValues, 'option_values', LATCHED)
         self._executions = node.stamped_publisher(ExecutionState, 'execution', LATCHED)
         self._peers = node.peers
-        self._reset_client = node.recorded_client(ResetGame, 'reset_game', group)
-        self._run_client = node.recorded_client(RunOption, 'run_option', group)
-        node.recorded_service(SetExecution, 'set_execution', self._on_set, group)
+        self._reset_client = node.recorded_client(ResetGame, 'reset_game')
+        self._run_client = node.recorded_client(RunOption, 'run_option')
+        node.recorded_service(SetExecution, 'set_execution', self._on_set)
 
     def stop(self) -> None:
         """End the run on shutdown."""

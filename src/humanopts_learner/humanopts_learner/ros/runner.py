@@ -5,16 +5,18 @@ It receives the option values and the current execution of the policy that ``pla
 """
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+import math
 import uuid
 
+from humanopts_env.domains.base import ActableDomain
 from humanopts_env.domains.described import NeedsRulesError, simulated
-from humanopts_env.game import Transition
 from humanopts_env.ros.game_subscriber import GameSubscriber, Observed
 from humanopts_env.seeding import generator
 from humanopts_interfaces.action import ExecuteOption
 from humanopts_interfaces.msg import (
     ActionCommand,
+    ActionProgress,
     ActionRefusal,
     ControlState,
     ExecutionState,
@@ -40,12 +42,20 @@ from humanopts_learner.run import (
 from humanopts_ros.codec import Codec
 from humanopts_ros.limits import shown
 from humanopts_ros.node_base import NodeBase
-from humanopts_ros.qos import CURRENT
-from rclpy.task import Future
+from humanopts_ros.qos import CURRENT, LATCHED
 
 _STOPS = 'option_server stops'
+_FAREWELL = 0.3  # s to wait for the end of an action that is stopped on shutdown
 _CHECK_PERIOD = 0.1  # s between checks for command timeouts
+_INTERRUPTED = (
+    ActionRefusal.REASON_HELD_BY_PERSON,
+    ActionRefusal.REASON_STALE,
+    ActionRefusal.REASON_PAUSED,
+    ActionRefusal.REASON_LOCKED,
+)
 _RESULT = Codec(RunResult, OptionResult)
+Goal = RunOption.Request | ExecuteOption.Goal
+Ending = tuple[RunStatus, str]  # status and details
 
 
 @dataclass
@@ -55,15 +65,16 @@ class RunRequest:
 
     :ivar via: name of the service or action.
     :ivar execution_sequence: sequence of the ExecutionState; 0: the execution is fixed.
-    :ivar canceled: returns whether the client has canceled.
-    :ivar on_step: called after each step with the run and the new state.
+    :ivar on_progress: called after each step, and while an action lasts, with the run and the name
+        of the action.
+    :ivar ending: why the run ends early; None: it does not.
     """
 
-    goal: RunOption.Request | ExecuteOption.Goal
+    goal: Goal
     via: str
     execution_sequence: int = 0
-    canceled: Callable[[], bool] = lambda: False
-    on_step: Callable[[Run, Transition], object] = lambda run, state: None
+    on_progress: Callable[[Run, str], object] = lambda run, action: None
+    ending: Ending | None = None
 
 
 @dataclass
@@ -73,16 +84,23 @@ class _Active:
     run: Run
     run_id: str
     request: RunRequest
-    done: Future = field(default_factory=Future)
     deadline: float = 0.0
     command: int = 0  # sequence of the pending command
+    seconds: float = 0.0  # longest duration of its action
+    stopped: bool = False  # whether a stop of the action was sent
+    result: RunResult | None = None
 
 
 class PolicySubscriber:
     """Stores the newest option values and execution, and creates arbiters from them."""
 
-    def __init__(self, node: NodeBase) -> None:
-        self._node = node
+    def __init__(self, node: NodeBase, on_execution: Callable[[], object]) -> None:
+        """
+        Subscribe.
+
+        :param on_execution: called with each new execution.
+        """
+        self._node, self._changed = node, on_execution
         self._message = OptionValues()
         self._values: PlanValues | None = None  # of the message
         self._state = ExecutionState()
@@ -133,20 +151,23 @@ class PolicySubscriber:
 
     def _on_execution(self, message: ExecutionState) -> None:
         self._state = message
+        self._changed()
 
 
 class Runner:
     """
-    Runs options or modules in the current episode; a second request is answered with BUSY.
+    Runs options or modules in the current episode, one request at a time.
 
-    The runner decides after each state and before each command whether the run continues, so no
-    command is pending when the run ends, canceled or not. It also arbitrates: the same states,
-    values and execution give the same run. If a person takes control or the game is reset, the run
-    ends as interrupted; if the game does not respond, it ends after a timeout.
+    The runner decides after each state and before each command whether the run continues, and
+    stops an action that takes time where the run ends early, so no command is pending when the run
+    ends, canceled or not. It also arbitrates: the same states, values and execution give the same
+    run. If a person takes control, an action is cut short or the game is reset, the run ends as
+    interrupted; if the game does not respond, it ends after a timeout.
 
     :ivar library: options that can be run; None: the game is not known yet.
     :ivar taught_sequence: of the message that completed the taught options; 0: none has.
     :ivar patience: timeout in s for the game and for the values of a plan; may be changed.
+    :ivar state: newest state of the game; None: none published yet.
     """
 
     def __init__(
@@ -167,27 +188,36 @@ class Runner:
         :param unstick: whether runs that repeat themselves take random moves.
         """
         self._node, self._mode, self._seed, self.patience = node, mode, seed, patience
-        self._unstick = unstick
-        self._policy = PolicySubscriber(node)
+        self._game, self._unstick = game, unstick
+        self._policy = PolicySubscriber(node, self._on_execution)
         self.library: OptionLibrary | None = None
         self.taught_sequence = 0
-        self._state: Observed | None = None
-        self._busy_with = ''  # option or execution of the request; empty: idle
+        self.state: Observed | None = None
+        self._requests: list[RunRequest] = []  # the first runs; others preempted those before them
         self._active: _Active | None = None  # set with the first command
         self._stopping = False
         self._actions = node.stamped_publisher(ActionCommand, 'action')
         self._goals = node.stamped_publisher(OptionGoal, 'option_goals')
         game.follow('game_state', self._on_state)
-        self._current = game.newest()  # published before the subscription to the stream
+        game.follow('current_state', self._on_state, LATCHED)  # published before the subscription
         game.follow_refusals(self._on_refusal)
-        self._pace = ControlState()  # the newest
+        self._control = ControlState()  # the newest
         game.follow_control(self._on_control)
-        node.create_timer(_CHECK_PERIOD, self._check)
+        self._stopped_by = ''  # why the robot does not move, as in ``ActionProgress``
+        self._check_timer = node.create_timer(_CHECK_PERIOD, self._check, autostart=False)
 
     @property
     def busy(self) -> bool:
         """Whether there is a run, or a request waiting for its first state."""
-        return bool(self._busy_with)
+        return bool(self._requests)
+
+    def open(self, domain: ActableDomain) -> None:
+        """Begin to serve options of the game."""
+        self.library = OptionLibrary(domain)
+        if any(action.seconds for action in domain.actions):
+            self._game.subscribe(
+                ActionProgress, 'action_progress', lambda m: m, self._on_progress, CURRENT
+            )
 
     def serve(self, options: Iterable[LearnedOption]) -> list[str]:
         """Use the options that fit the game, once it is known; return why others do not."""
@@ -195,29 +225,43 @@ class Runner:
         self._node.waiting.check()
         return self.library.replace(options) if self.library is not None else []
 
-    def newest_state(self) -> Observed | None:
-        """Return the newest state of the game; None: none published yet."""
-        if self.library is not None and (observed := self._current.take()) is not None:
-            self._on_state(observed)
-        return self._state
-
     def stop(self) -> None:
         """End the current run, or the wait for its first state, on shutdown."""
         self._stopping = True
-        self._finish(RunStatus.FAILED, _STOPS)
+        for request in list(self._requests):
+            self.end(request, RunStatus.FAILED, _STOPS)
+        if self._active is not None and not self._active.stopped:
+            self._finish(RunStatus.FAILED, _STOPS)
+
+    def end(self, request: RunRequest, status: RunStatus, detail: str = '') -> None:
+        """
+        End a run early: at once if it has not begun, otherwise with the next state.
+
+        :param status: of the result, unless the run ends for another reason before.
+        :param detail: details of the status.
+        """
+        request.ending = request.ending or (status, detail)
+        if self._active is not None and self._active.request is request:
+            self._stop_action(self._active)
+        self._node.waiting.check()
+
+    def refusal(self, goal: Goal) -> OptionResult | None:
+        """Return the result of a goal that cannot run now; None: it can, as far as is known."""
+        try:
+            execution = self._check_goal(goal)
+            waits = self._requests or goal.options_sequence > self.taught_sequence
+            if execution is Arbitration.RUN_TO_END and not waits and not goal.episode:
+                self._new_run(goal, execution)
+        except (PlanError, UnknownOptionError) as error:
+            return _refused(goal, error)
+        return None
 
     async def run(self, request: RunRequest) -> OptionResult:
         """Execute a run to its end, or refuse it."""
         try:
             return _RESULT.encode(await self._run(request))
-        except RefusedError as error:
-            status, detail = error.status, str(error)
-        except UnknownOptionError as error:
-            status, detail = RunStatus.UNKNOWN_OPTION, str(error)
-        except (NeedsRulesError, PlanError) as error:
-            status, detail = RunStatus.NO_VALUES, str(error)
-        name = request.goal.option_name
-        return _RESULT.encode(RunResult(status, status.explained(detail), name))
+        except (NeedsRulesError, PlanError, UnknownOptionError) as error:
+            return _refused(request.goal, error)
 
     async def _run(self, request: RunRequest) -> RunResult:
         """
@@ -225,18 +269,15 @@ class Runner:
 
         :raises RefusedError: or UnknownOptionError, NeedsRulesError, PlanError: it cannot run.
         """
-        if self._stopping:
-            raise RefusedError(RunStatus.FAILED, _STOPS)
-        if self.library is None:
-            raise RefusedError(RunStatus.NO_EPISODE, 'game has not announced itself')
-        if self._busy_with:
-            raise RefusedError(RunStatus.BUSY, self._busy_with)
-        execution = _check(request.goal, self.library)
-        self._busy_with = request.goal.option_name or execution.value
+        goal, execution = request.goal, self._check_goal(request.goal)
+        name, others = goal.option_name or execution.value, list(self._requests)
+        self._requests.append(request)
         try:
-            run = await self._begin(request, execution, self.library)
+            for other in others:
+                self.end(other, RunStatus.INTERRUPTED, f'{name} preempted it')
+            await self._wait(request, lambda: self._requests[0] is request, math.inf)
+            run = await self._begin(request, execution)
             self._active = active = _Active(run, str(uuid.uuid4()), request)
-            goal = request.goal
             self._goals.publish(
                 OptionGoal(
                     run_id=active.run_id,
@@ -248,20 +289,57 @@ class Runner:
                     plan_id=goal.plan_id,
                 )
             )
+            if not request.execution_sequence:  # a policy has too many runs
+                where = 'episode {} step {}'.format(*run.position)
+                self._node.get_logger().info(f'{name} runs from {where} ({request.via})')
+            self._check_timer.reset()
             self._send(active)
-            end: RunResult = await active.done
-            return replace(end, run_id=active.run_id)
+            await self._node.waiting.until(lambda: active.result is not None, math.inf)
+            assert active.result is not None
+            result = replace(active.result, run_id=active.run_id)
+            if not request.execution_sequence:
+                text = f'{name} ended after {result.step_count} steps: {result.detail}'
+                self._node.get_logger().info(text)
+            return result
         finally:
-            self._busy_with = ''
+            self._requests.remove(request)
+            self._node.waiting.check()
 
-    async def _begin(
-        self, request: RunRequest, execution: Arbitration, library: OptionLibrary
-    ) -> Run:
-        """Wait for option values and start state, and begin the run; errors as in ``_run``."""
-        goal, before = request.goal, self.newest_state()
-        arbitrated, wanted = execution is not Arbitration.RUN_TO_END, (goal.episode, goal.step)
-        values = self._policy
-        if arbitrated and not await self._wait(request, lambda: values.plan_id == goal.plan_id):
+    def _check_goal(self, goal: Goal) -> Arbitration:
+        """
+        Check what does not depend on the start state, and return the execution.
+
+        :raises RefusedError: the goal cannot run now.
+        :raises UnknownOptionError: the option does not exist.
+        """
+        if self._stopping:
+            raise RefusedError(RunStatus.FAILED, _STOPS)
+        if self.library is None:
+            raise RefusedError(RunStatus.NO_EPISODE, 'game has not announced itself')
+        execution = execution_named(goal.execution)
+        if self._requests and not goal.preempt:
+            under_way = self._requests[0].goal
+            raise RefusedError(RunStatus.BUSY, under_way.option_name or under_way.execution)
+        fault = ''
+        if execution is not Arbitration.RUN_TO_END and not goal.plan_id:
+            fault = f'{execution} needs the values of a plan: give its plan_id'
+        elif execution not in MODULAR:
+            self.library.resolve(goal.option_name, goal.participant)
+        elif goal.option_name or goal.participant:
+            fault = f'{execution} runs all options of the plan: leave option_name empty'
+        if fault:
+            raise RefusedError(RunStatus.BAD_REQUEST, fault)
+        if self._control.holder == ControlState.HOLDER_LOCKED:
+            raise RefusedError(RunStatus.INTERRUPTED, _locked(self._control.reason))
+        return execution
+
+    async def _begin(self, request: RunRequest, execution: Arbitration) -> Run:
+        """Wait for option values and start state, and return the run; errors as in ``_run``."""
+        goal, before = request.goal, self.state
+        wanted, values = (goal.episode, goal.step), self._policy
+        if execution is not Arbitration.RUN_TO_END and not await self._wait(
+            request, lambda: values.plan_id == goal.plan_id
+        ):
             newest = (
                 f'the newest are those of {values.plan_id}'
                 if values.plan_id
@@ -270,7 +348,7 @@ class Runner:
             raise PlanError(f'the option values of plan {goal.plan_id} did not arrive; {newest}')
 
         def has_arrived() -> bool:  # a restarted game counts from 1
-            state = self._state
+            state = self.state
             if state is None:
                 return False
             newer = _position(state)[0] == wanted[0] or state is not before
@@ -282,11 +360,16 @@ class Runner:
             raise RefusedError(RunStatus.FAILED, detail)
         if goal.episode:
             await self._wait(request, has_arrived)
-        state = self._state
+        return self._new_run(goal, execution)
+
+    def _new_run(self, goal: Goal, execution: Arbitration) -> Run:
+        """Return a run from the newest state; errors as in ``_run``."""
+        library, state = self.library, self.state
+        assert library is not None
         if state is None or not _position(state)[0]:
             raise RefusedError(RunStatus.NO_EPISODE, 'the game has published no state')
         here = _position(state)
-        if goal.episode and here != wanted:
+        if goal.episode and here != (goal.episode, goal.step):
             raise RefusedError(
                 RunStatus.NO_EPISODE,
                 f'episode {goal.episode} step {goal.step} did not arrive; the game is at episode '
@@ -294,7 +377,7 @@ class Runner:
             )
         if not state.transition.open:
             raise RefusedError(RunStatus.NO_EPISODE, 'the episode has ended')
-        named = execution not in MODULAR
+        arbitrated, named = execution is not Arbitration.RUN_TO_END, execution not in MODULAR
         key = goal.option_name or execution, *here
         return Run(
             library.resolve(goal.option_name, goal.participant) if named else None,
@@ -307,43 +390,64 @@ class Runner:
             unstick=generator(self._seed, 'random moves', *key) if self._unstick else None,
         )
 
-    async def _wait(self, request: RunRequest, condition: Callable[[], bool]) -> bool:
+    async def _wait(
+        self, request: RunRequest, condition: Callable[[], bool], seconds: float | None = None
+    ) -> bool:
         """
-        Wait for a start condition of a run, with a timeout; return whether it holds.
+        Wait for a start condition of a run; return whether it holds.
 
-        :raises RefusedError: the client has canceled, or the node is shutting down.
+        :param seconds: timeout; None: the patience.
+        :raises RefusedError: the run is to end before it begins.
         """
+        seconds = self.patience if seconds is None else seconds
         await self._node.waiting.until(
-            lambda: condition() or self._stopping or self._canceled(request), self.patience
+            lambda: condition() or self._ending(request) is not None, seconds
         )
-        if self._stopping:
-            raise RefusedError(RunStatus.FAILED, _STOPS)
-        if self._canceled(request):
-            raise RefusedError(RunStatus.CANCELED)
+        if (ending := self._ending(request)) is not None:
+            raise RefusedError(*ending)
         return condition()
 
     def _send(self, active: _Active) -> None:
         """Send the next action to the game."""
         run = active.run
         episode, step = run.position
+        action = run.domain.actions[run.next_action()]
         command = ActionCommand(
             source=ActionCommand.SOURCE_MACHINE,
             episode=episode,
             step=step,
-            action=run.domain.actions[run.next_action()].name,
+            action=action.name,
             option_name=run.acting.name,
         )
-        active.deadline = self._node.monotonic() + self._pace.step_period + self.patience
+        active.seconds = action.seconds
+        self._set_deadline(active)
         self._actions.publish(command)
         active.command = self._actions.sequence
 
+    def _set_deadline(self, active: _Active) -> None:
+        allowed = active.seconds + self._control.step_period + self.patience
+        active.deadline = self._node.monotonic() + allowed
+
+    def _stop_action(self, active: _Active) -> None:
+        """Stop the pending action if it takes time; the state that answers ends the run."""
+        if not active.seconds or active.stopped:
+            return
+        episode, step = active.run.position
+        active.stopped = True
+        patience = _FAREWELL if self._stopping else self.patience
+        active.deadline = self._node.monotonic() + patience
+        machine = ActionCommand.SOURCE_MACHINE
+        self._actions.publish(ActionCommand(source=machine, episode=episode, step=step))
+
     def _on_state(self, observed: Observed) -> None:
         """Handle a state; ``current_state`` repeats states of ``game_state``."""
-        known, here = self._state, _position(observed)
+        known, here = self.state, _position(observed)
         same_game = known is not None and known.publisher_id == observed.publisher_id
         if known is not None and same_game and here <= _position(known):
-            return
-        self._state = observed
+            newer = observed.transition.refreshed and observed.stamp > known.stamp
+            if here < _position(known) or not newer:
+                return
+        self.state = observed
         self._node.waiting.check()
         active = self._active
         if active is None:
@@ -355,6 +459,8 @@ class Runner:
             self._finish(RunStatus.INTERRUPTED, 'the game was reset')
         elif here > position:
             self._on_step(active, observed)
+        else:  # refreshed, before the command arrived
+            active.run.state = observed.state
 
     def _on_step(self, active: _Active, observed: Observed) -> None:
         """Handle the state after the current command, or after an action of another driver."""
@@ -367,19 +473,23 @@ class Runner:
         end = run.observe(
             observed.state, transition.reward, transition.terminated, transition.truncated
         )
-        active.request.on_step(run, transition)
+        active.request.on_progress(run, transition.previous_action)
+        if transition.cut_short:
+            why = self._stopped_by or self._control.reason
+            text = f'{transition.previous_action} was stopped before its end'
+            cut = RunStatus.INTERRUPTED, f'{text}: {why}' if why else text
+            end = run.end(*self._ending(active.request) or cut)
         end = end or self._stopped(active)
         if end is not None:
-            self._active = None
-            active.done.set_result(end)
+            self._finish_with(end)
         else:
             self._send(active)
 
     def _stopped(self, active: _Active) -> RunResult | None:
         """Return the result if the run ends before its next command; None: it continues."""
         run, request, plan_id = active.run, active.request, active.request.goal.plan_id
-        if self._canceled(request):
-            return run.end(RunStatus.CANCELED)
+        if (ending := self._ending(request)) is not None:
+            return run.end(*ending)
         newer, before = self._policy.newer(request), run.execution
         if newer is None or newer.plan_id != plan_id or newer.execution == before:
             return run.stopped()
@@ -395,9 +505,17 @@ class Runner:
                 return run.end(RunStatus.FAILED, str(error))
         return run.stopped()
 
-    def _canceled(self, request: RunRequest) -> bool:
+    def _ending(self, request: RunRequest) -> Ending | None:
+        """Return why a run ends early; None: it does not."""
         newer = self._policy.newer(request)
-        return request.canceled() or (newer is not None and newer.canceled)
+        canceled = newer is not None and newer.canceled
+        return (RunStatus.CANCELED, '') if canceled else request.ending
+
+    def _on_execution(self) -> None:
+        """End the run of a canceled policy."""
+        for request in list(self._requests):
+            if (ending := self._ending(request)) is not None:
+                self.end(request, *ending)
 
     def _on_refusal(self, message: ActionRefusal) -> None:
         """End the run because the game refused its command."""
@@ -405,30 +523,51 @@ class Runner:
         is_own = message.command_publisher_id == self._node.publisher_id
         if active is None or not is_own or message.command_sequence != active.command:
             return
-        interrupted = (ActionRefusal.REASON_HELD_BY_PERSON, ActionRefusal.REASON_STALE)
-        status = RunStatus.INTERRUPTED if message.reason in interrupted else RunStatus.FAILED
-        self._finish(status, message.detail)
+        status = RunStatus.INTERRUPTED if message.reason in _INTERRUPTED else RunStatus.FAILED
+        locked = message.reason == ActionRefusal.REASON_LOCKED
+        detail = _locked(message.detail) if locked else message.detail
+        self._finish(*self._ending(active.request) or (status, detail))
+
+    def _on_progress(self, message: ActionProgress) -> None:
+        """Report the action under way, and keep why the robot does not move."""
+        self._stopped_by = message.stopped
+        active, at = self._active, (message.episode, message.step)
+        if active is not None and message.action and at == active.run.position:
+            active.request.on_progress(active.run, message.action)
 
     def _on_control(self, control: ControlState) -> None:
         """Restart the timeout of a command when the pace changes."""
-        self._pace = control
-        if self._active is not None:
-            self._active.deadline = self._node.monotonic() + control.step_period + self.patience
+        self._control = control
+        if self._active is not None and not self._active.stopped:
+            self._set_deadline(self._active)
 
     def _check(self) -> None:
-        """Handle a state missing from the stream, or an unresponsive game."""
-        self.newest_state()
+        """End the run if the game is unresponsive."""
         active = self._active
-        if active is None or self._pace.paused_by:
+        if active is None or (self._control.paused_by and not active.stopped):
             return
-        if self._node.monotonic() > active.deadline:
-            self._finish(RunStatus.NO_PROGRESS, f'{self.patience:g} s')
+        if self._node.monotonic() <= active.deadline:
+            return
+        ending = self._ending(active.request)
+        if ending is not None and active.stopped:
+            status, detail = ending
+            text = 'the game did not answer the stop'
+            self._finish(status, f'{detail}; {text}' if detail else text)
+        else:
+            self._stop_action(active)
+            self._finish(RunStatus.NO_PROGRESS, f'{active.seconds + self.patience:g} s')
 
     def _finish(self, status: RunStatus, detail: str) -> None:
         """End the current run, if any."""
+        if self._active is not None:
+            self._finish_with(self._active.run.end(status, detail))
+
+    def _finish_with(self, result: RunResult) -> None:
         active, self._active = self._active, None
-        if active is not None:
-            active.done.set_result(active.run.end(status, detail))
+        assert active is not None
+        self._check_timer.cancel()
+        active.result = result
+        self._node.waiting.check()
 
 
 def _position(observed: Observed) -> tuple[int, int]:
@@ -436,24 +575,19 @@ def _position(observed: Observed) -> tuple[int, int]:
     return observed.transition.episode, observed.transition.step
 
 
-def _check(goal: RunOption.Request | ExecuteOption.Goal, library: OptionLibrary) -> Arbitration:
-    """
-    Check the parts of a request that do not depend on the start state.
+def _locked(detail: str) -> str:
+    """Return that the robot is locked, and what to do."""
+    return f'the robot is locked ({detail}): take control of it, and return it'
 
-    :raises RefusedError: the request is invalid.
-    :raises UnknownOptionError: the option does not exist.
-    """
-    execution = execution_named(goal.execution)
-    fault = ''
-    if execution is not Arbitration.RUN_TO_END and not goal.plan_id:
-        fault = f'{execution} needs the values of a plan: give its plan_id'
-    elif execution not in MODULAR:
-        library.resolve(goal.option_name, goal.participant)
-    elif goal.option_name or goal.participant:
-        fault = f'{execution} runs all options of the plan: leave option_name empty'
-    if fault:
-        raise RefusedError(RunStatus.BAD_REQUEST, fault)
-    return execution
+
+def _refused(goal: Goal, error: Exception) -> OptionResult:
+    """Return the result of a request that was refused with an error."""
+    status = RunStatus.NO_VALUES
+    if isinstance(error, RefusedError):
+        status = error.status
+    elif isinstance(error, UnknownOptionError):
+        status = RunStatus.UNKNOWN_OPTION
+    return _RESULT.encode(RunResult(status, status.explained(str(error)), goal.option_name))
 
 
 def _checked(message: ExecutionState) -> ExecutionState:
