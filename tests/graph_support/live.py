@@ -339,7 +339,16 @@ class Graph:
         return client.call_async(kind.Request(**fields))
 
     def act(self, kind: Any, action: str, /, **fields: Any) -> Goal:
-        """Send a goal to an action."""
+        """Send a goal to an action, which accepts it."""
+        handle, feedback = self._send_goal(kind, action, **fields)
+        assert handle.accepted
+        return Goal(self, handle, feedback)
+
+    def accepts(self, kind: Any, action: str, /, **fields: Any) -> bool:
+        """Send a goal to an action, and return whether it accepts it."""
+        return bool(self._send_goal(kind, action, **fields)[0].accepted)
+
+    def _send_goal(self, kind: Any, action: str, /, **fields: Any) -> tuple[Any, list[Any]]:
         if action not in self._clients:
             self._clients[action] = ActionClient(self.node, kind, action)
         client = self._clients[action]
@@ -349,9 +358,7 @@ class Graph:
             kind.Goal(**fields), feedback_callback=lambda m: feedback.append(m.feedback)
         )
         self.until(sent.done, 'the goal to be accepted')
-        handle = sent.result()
-        assert handle.accepted
-        return Goal(self, handle, feedback)
+        return sent.result(), feedback
 
     def close(self) -> list[str]:
         """End everything; say which processes did not end as they should."""
