@@ -84,10 +84,18 @@ class Goal:
     """
 
     def __init__(
-        self, client: ActionClient, message: Any, on_feedback: Callable[[Any], object]
+        self,
+        client: ActionClient,
+        message: Any,
+        on_feedback: Callable[[Any], object],
+        rejection: Callable[[], Answer],
     ) -> None:
-        """Send the goal; the server must be matched, or the goal is lost."""
-        self.accepted, self.result = Future(), Future()
+        """
+        Send the goal; the server must be matched, or the goal is lost.
+
+        :param rejection: returns the answer if it is rejected.
+        """
+        self.accepted, self.result, self._rejection = Future(), Future(), rejection
         self._handle: Any = None
         sent = client.send_goal_async(
             message, feedback_callback=lambda message: on_feedback(message.feedback)
@@ -111,7 +119,7 @@ class Goal:
             return
         if self._handle.accepted:
             self._handle.get_result_async().add_done_callback(self._on_result)
-        self.accepted.set_result(_OK if self._handle.accepted else _REJECTED)
+        self.accepted.set_result(_OK if self._handle.accepted else self._rejection())
 
     def _on_result(self, done: Future) -> None:
         if not self.result.done():
@@ -168,6 +176,13 @@ class GraphClient:
                 msg.LearningStatus, 'learning_status', self._on_learning, CURRENT
             ),
         ]
+        self._refused_run = msg.OptionResult()  # the newest
+        if RunOption in endpoints:
+            self._subscriptions.append(
+                node.create_subscription(
+                    msg.OptionResult, 'option_results', self._on_option_result, DISPLAY
+                )
+            )
         self._renewal = node.create_timer(_RENEWAL, node.publish_status_again, autostart=False)
         if Drive in endpoints:
             self._action = node.stamped_publisher(msg.ActionCommand, endpoints[Drive].name)
@@ -334,7 +349,13 @@ class GraphClient:
             message.episode, message.step = self.world.game.episode, self.world.game.step
             if self.learning is not None and self.world.lesson.exam:  # run what is examined
                 message.options_sequence = self.learning.options_sequence
-        sent = Goal(self._actions[type(goal)], message, on_feedback)
+
+        def rejection() -> Answer:
+            refused = self._refused_run
+            of_run = isinstance(goal, RunOption) and goal.option_name == refused.option_name
+            return Answer(RequestStatus.REFUSED, refused.detail) if of_run else _REJECTED
+
+        sent = Goal(self._actions[type(goal)], message, on_feedback, rejection)
         self._goals = [known for known in self._goals if not known[1].result.done()]
         self._goals.append((server(goal), sent))
         return sent
@@ -380,6 +401,10 @@ class GraphClient:
         self.learning = learning
         self.world.summaries = [*map(summary_from_message, learning.options)]
         self._changed()
+
+    def _on_option_result(self, result: msg.OptionResult) -> None:
+        if not result.run_id:
+            self._refused_run = result
 
     def _on_game(self, observed: Observed) -> None:
         game = observed.transition
