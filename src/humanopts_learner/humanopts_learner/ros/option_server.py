@@ -116,8 +116,9 @@ class OptionServerNode(NodeBase):
         if known is None or any(getattr(known, name) != fields[name] for name in fields):
             primitive = library.primitive_names
             self._available.publish(AvailableOptions(primitive_actions=primitive, **fields))
-            names = ', '.join(fields['option_names']) or 'none'
-            self.get_logger().info(f'available options: {names}')
+            if known is None or known.option_names != fields['option_names']:  # not just retrained
+                names = ', '.join(fields['option_names']) or 'none'
+                self.get_logger().info(f'available options: {names}')
 
     async def _on_run(
         self, request: RunOption.Request, response: RunOption.Response
