@@ -1,5 +1,5 @@
 """
-The game in lock-step: one step per accepted command of a person or a machine.
+A world in lock-step: one step per accepted command of a person or a machine.
 
 The values mirror the messages of humanopts_interfaces: the enums have the numbers of
 ``ActionCommand``, ``ActionRefusal``, ``ControlState``, ``GameState``, ``ResetGame`` and
@@ -180,6 +180,14 @@ class Accepted:
 
 
 @dataclass(frozen=True, slots=True)
+class Begun:
+    """A command with an action that takes time; its state follows when the action has ended."""
+
+    command: Command
+    control: Control | None  # new, if the command took control; None: unchanged
+
+
+@dataclass(frozen=True, slots=True)
 class Refused:
     """A refused command, which changed nothing: one ``ActionRefusal``."""
 
@@ -200,23 +208,27 @@ class Reply:
     control: Control | None = None  # the new state of control; None: unchanged
 
 
-class Game:
+class LockStep:
     """
-    One game of a domain, in lock-step. A command must refer to the newest step, otherwise it is
-    refused as stale. A refused request changes nothing.
+    Who may act when: the rules of control and refusal, shared by games and robots.
+
+    A command of a machine must refer to the newest step, otherwise it is refused as stale. A
+    refused request changes nothing.
 
     :ivar transition: the newest transition; episode 0 before the first reset.
     :ivar control: current control of the game.
     :ivar paused: reason why commands are refused now; empty: they are executed.
     """
 
-    def __init__(self, domain: Domain) -> None:
+    def __init__(self, domain: ActableDomain) -> None:
         self.domain = domain
         self.transition = Transition()
         self.control = Control(Holder.NOBODY, '', 'the game started')
         self.paused = ''
-        self._state: Any = None
-        self._rng = generator(0, 'episode', domain.name)
+
+    def command(self, command: Command) -> 'Result':
+        """Execute a command, or refuse it."""
+        raise NotImplementedError
 
     def reset(self, start_state: str, seed: int, source: int) -> Reply:
         """
@@ -231,28 +243,12 @@ class Game:
             return Reply(ResetStatus.BAD_SOURCE, _no_such_source(source))
         if source == Source.MACHINE and self.control.holder is Holder.PERSON:
             return Reply(ResetStatus.HELD_BY_PERSON, self._held())
-        rng = generator(seed, 'episode', self.domain.name)
         try:
-            state = self._start(start_state) if start_state else self.domain.reset(rng)
+            state, features = self._begin(start_state, seed)
         except DomainError as error:
             return Reply(ResetStatus.BAD_STATE, str(error))
-        self._rng, self._state = rng, state
-        self.transition = Transition(self.transition.episode + 1, 0, *self._observed())
+        self.transition = Transition(self.transition.episode + 1, 0, state, features)
         return Reply(ResetStatus.OK, '', self.transition)
-
-    def command(self, command: Command) -> Accepted | Refused:
-        """Take one step, or refuse it."""
-        refused = self.refusal(command)
-        if refused is not None:
-            return refused
-        try:
-            transition = self._step(command)
-        except DomainError as error:
-            return self.refuse(command, Reason.FAILED, str(error))
-        control = None
-        if command.source == Source.PERSON and self.control.holder is Holder.NOBODY:
-            control = self._give(command.publisher_id, 'a person pressed a key')
-        return Accepted(transition, control)
 
     def refusal(self, command: Command) -> Refused | None:
         """Return the refusal of a command at this moment; None: it would be executed."""
@@ -272,20 +268,32 @@ class Game:
         """
         if not holder_id:
             return Reply(ControlStatus.NOT_HOLDER, 'holder_id is empty: name the terminal')
-        if self._held_by_another(holder_id):
+        if self.held_by_another(holder_id):
             return Reply(ControlStatus.NOT_HOLDER, self._held())
         if hold == (self.control.holder is Holder.PERSON):
             return Reply(ControlStatus.OK, 'nothing changed')
         if hold:
             control = self._give(holder_id, 'a person took control')
         else:
-            control = self.release('the person gave control back')
+            control = self._returned('the person gave control back')
         return Reply(ControlStatus.OK, control.reason, control=control)
 
     def release(self, reason: str) -> Control:
         """Release control on behalf of its holder, such as a terminal that has left the graph."""
         self.control = Control(Holder.NOBODY, '', reason)
         return self.control
+
+    def held_by_another(self, publisher_id: str) -> bool:
+        """Return whether a person at another terminal holds control."""
+        return self.control.holder is Holder.PERSON and self.control.holder_id != publisher_id
+
+    def _begin(self, start_state: str, seed: int) -> tuple[str, tuple[float, ...]]:
+        """
+        Begin an episode; return the text and the features of its first state.
+
+        :raises DomainError: it cannot begin there.
+        """
+        raise NotImplementedError
 
     def _objection(self, command: Command) -> tuple[Reason, str] | None:
         """Return the reason to refuse a command; None: it can be executed."""
@@ -296,8 +304,13 @@ class Game:
             return Reason.NO_SUCH_SOURCE, _no_such_source(command.source)
         if not machine and not command.publisher_id:
             return Reason.NO_SUCH_SOURCE, 'a command of a person must carry its publisher_id'
-        if self._held_by_another('' if machine else command.publisher_id):
+        if self.held_by_another('' if machine else command.publisher_id):
             return Reason.HELD_BY_PERSON, self._held()
+        if machine and self.control.holder is Holder.LOCKED:
+            return Reason.LOCKED, (
+                'no person has enabled the robot: take control and give it back '
+                f'({self.control.reason})'
+            )
         if not transition.open:
             return Reason.EPISODE_OVER, self._ending()
         if machine and (command.episode, command.step) != (transition.episode, transition.step):
@@ -311,41 +324,19 @@ class Game:
             return Reason.NO_SUCH_ACTION, str(error)
         return None
 
-    def _step(self, command: Command) -> Transition:
-        action = action_index(self.domain, command.action)
-        outcome = self.domain.step(self._state, action, self._rng)
-        self._state = outcome.state
-        step = self.transition.step + 1
-        self.transition = Transition(
-            self.transition.episode,
-            step,
-            *self._observed(),
-            previous_action=command.action,
-            action_source=Source(command.source),
-            action_publisher_id=command.publisher_id,
-            action_sequence=command.sequence,
-            reward=outcome.reward,
-            terminated=outcome.terminated,
-            truncated=not outcome.terminated and 0 < self.domain.max_steps <= step,
-        )
-        return self.transition
-
-    def _start(self, text: str) -> Any:
-        state = self.domain.decode(text)
-        if self.domain.is_over(state):
-            raise StateError(f'the task is already over in {text!r}')
-        return state
-
-    def _observed(self) -> tuple[str, tuple[float, ...]]:
-        values = self.domain.feature_values(self._state)
-        return self.domain.encode(self._state), tuple(values.tolist())
+    def _claim(self, command: Command) -> Control | None:
+        """Give control to the person of a command; return it if it is new."""
+        if command.source != Source.PERSON or self.control.holder is Holder.PERSON:
+            return None
+        return self._give(command.publisher_id, 'a person pressed a key')
 
     def _give(self, holder_id: str, reason: str) -> Control:
         self.control = Control(Holder.PERSON, holder_id, reason)
         return self.control
 
-    def _held_by_another(self, publisher_id: str) -> bool:
-        return self.control.holder is Holder.PERSON and self.control.holder_id != publisher_id
+    def _returned(self, reason: str) -> Control:
+        """Take control back from its holder, who is still there."""
+        return self.release(reason)
 
     def _held(self) -> str:
         return f'control is held by the person at {self.control.holder_id}'
@@ -353,15 +344,87 @@ class Game:
     def _ending(self) -> str:
         if self.transition.episode == 0:
             return 'no episode has begun; call reset_game'
-        why = 'the task is over' if self.transition.terminated else 'it was cut off at max_steps'
+        why = 'the task is over' if self.transition.terminated else 'it was cut off'
         return f'episode {self.transition.episode} has ended: {why}; call reset_game'
+
+
+def step_transition(
+    before: Transition,
+    command: Command,
+    state: str,
+    features: tuple[float, ...],
+    *,
+    reward: float,
+    terminated: bool,
+    truncated: bool,
+    cut_short: bool = False,
+) -> Transition:
+    """Return the transition of a step that a command has caused."""
+    return Transition(
+        before.episode,
+        before.step + 1,
+        state,
+        features,
+        previous_action=command.action,
+        action_source=Source(command.source),
+        action_publisher_id=command.publisher_id,
+        action_sequence=command.sequence,
+        reward=reward,
+        terminated=terminated,
+        truncated=truncated and not terminated,
+        cut_short=cut_short,
+    )
+
+
+class Game(LockStep):
+    """One game of a domain, in lock-step: one step per accepted command."""
+
+    domain: Domain
+
+    def __init__(self, domain: Domain) -> None:
+        super().__init__(domain)
+        self._state: Any = None
+        self._rng = generator(0, 'episode', domain.name)
+
+    def command(self, command: Command) -> 'Accepted | Refused':
+        """Take one step, or refuse it."""
+        refused = self.refusal(command)
+        if refused is not None:
+            return refused
+        action = action_index(self.domain, command.action)
+        try:
+            outcome = self.domain.step(self._state, action, self._rng)
+        except DomainError as error:
+            return self.refuse(command, Reason.FAILED, str(error))
+        self._state = outcome.state
+        self.transition = step_transition(
+            self.transition,
+            command,
+            *self._observed(),
+            reward=outcome.reward,
+            terminated=outcome.terminated,
+            truncated=0 < self.domain.max_steps <= self.transition.step + 1,
+        )
+        return Accepted(self.transition, self._claim(command))
+
+    def _begin(self, start_state: str, seed: int) -> tuple[str, tuple[float, ...]]:
+        rng = generator(seed, 'episode', self.domain.name)
+        state = self.domain.decode(start_state) if start_state else self.domain.reset(rng)
+        if start_state and self.domain.is_over(state):
+            raise StateError(f'the task is already over in {start_state!r}')
+        self._rng, self._state = rng, state
+        return self._observed()
+
+    def _observed(self) -> tuple[str, tuple[float, ...]]:
+        values = self.domain.feature_values(self._state)
+        return self.domain.encode(self._state), tuple(values.tolist())
 
 
 def _no_such_source(source: int) -> str:
     return f'source {source} is neither person (1) nor machine (2)'
 
 
-Result = Accepted | Refused
+Result = Accepted | Begun | Refused
 
 
 MAX_PERIOD = 60.0  # s between steps of the machine
@@ -381,7 +444,7 @@ class Pacing:
     :ivar paused_by: publisher id of the terminal that paused the machine; empty: none.
     """
 
-    def __init__(self, game: Game, period: float = 0.0) -> None:
+    def __init__(self, game: LockStep, period: float = 0.0) -> None:
         self._game = game
         self.waiting: Command | None = None
         self.period = period

@@ -86,7 +86,7 @@ REFUSALS = {
     'none begun, person': (lambda: Game(Taxi()), PERSON, Reason.EPISODE_OVER, 'no episode'),
     'delivered': (ended, replace(MACHINE, step=1), Reason.EPISODE_OVER, 'the task is over'),
     'delivered, person': (ended, PERSON, Reason.EPISODE_OVER, 'the task is over'),
-    'cut off': (cut_off, replace(MACHINE, step=1), Reason.EPISODE_OVER, 'max_steps'),
+    'cut off': (cut_off, replace(MACHINE, step=1), Reason.EPISODE_OVER, 'it was cut off'),
     'earlier episode': (begun, replace(MACHINE, episode=0), Reason.STALE, 'episode 0'),
     'repeated': (stepped, MACHINE, Reason.STALE, 'step 0'),
     'later step': (begun, replace(MACHINE, step=1), Reason.STALE, 'step 1'),

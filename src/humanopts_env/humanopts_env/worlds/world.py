@@ -59,6 +59,15 @@ class WorldClass(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
+class Timing:
+    """How long an action takes."""
+
+    seconds: float  # until it ends, or at most
+    settle: float = 0.0  # s from its end until its effect can be sensed
+    timed: bool = True  # it ends after this time; False: it should have ended before
+
+
+@dataclass(frozen=True, slots=True)
 class Ending:
     """The reward of a step, and whether the episode has ended."""
 
@@ -73,6 +82,7 @@ class World:
 
     :ivar file: the description.
     :ivar domain: features and actions, for all other nodes.
+    :ivar timings: how long each action takes, by name.
     """
 
     def __init__(self, file: WorldFile, where: str, own: WorldClass | None = None) -> None:
@@ -84,6 +94,12 @@ class World:
         :raises WorldFileError: they do not.
         """
         self.file, self._own = file, own
+        self.timings = {
+            name: Timing(
+                file.seconds_of(spec), file.settle_of(spec), spec.way in ('twist', 'topic')
+            )
+            for name, spec in file.actions.items()
+        }
         try:
             self.domain = _described(file)
             self._readers = {

@@ -1,0 +1,284 @@
+"""A robot in lock-step: a step is an action that takes time, and that can be stopped."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+from humanopts_env.domains.base import (
+    ActableDomain,
+    DomainError,
+    FeatureKind,
+    StateError,
+)
+from humanopts_env.game import (
+    Begun,
+    Command,
+    Control,
+    ControlStatus,
+    Holder,
+    LockStep,
+    Reason,
+    Refused,
+    Reply,
+    Result,
+    Source,
+    step_transition,
+    Transition,
+)
+from humanopts_env.worlds.world import Ending, Timing
+
+CHANGE = 0.01  # share of the range by which a continuous feature has changed
+_SLACK = 0.002  # s by which a timer may be early
+
+
+class Robot(Protocol):
+    """What acts and senses for an ``ActedGame``."""
+
+    def start(self, action: str) -> None:
+        """
+        Begin an action.
+
+        :raises DomainError: it cannot begin; the text says why.
+        """
+
+    def halt(self) -> None:
+        """Stand still, and cancel what was begun; it may be called at any time."""
+
+    def features(self) -> tuple[float, ...]:
+        """
+        Return the features that are sensed now.
+
+        :raises DomainError: they cannot be sensed.
+        """
+
+    def text(self, features: tuple[float, ...]) -> str:
+        """Return the state as a text."""
+
+    def ending(self, before: tuple[float, ...], action: str, after: tuple[float, ...]) -> Ending:
+        """
+        Return the reward of a step and whether it ends the episode.
+
+        :raises DomainError: the reward is unknown.
+        """
+
+    def show(self, transition: Transition) -> None:
+        """Publish a state."""
+
+
+@dataclass(frozen=True, slots=True)
+class UnderWay:
+    """The action that is being carried out."""
+
+    command: Command
+    since: float  # s
+    cut_short: bool = False
+    done: float | None = None  # time at which it ended and began to settle, s; None: it lasts
+
+
+class ActedGame(LockStep):
+    """
+    A robot in lock-step.
+
+    An accepted command begins an action; ``tick`` ends it at its deadline, ``finish`` when it
+    reports its end, and a stop, a key of the person or a fault cut it short. Then the state of
+    the next step is published. If it cannot be sensed after a fault, the state is the last one
+    that was sensed.
+
+    :ivar under_way: the action that is carried out; None: none.
+    :ivar supervised: whether machines may move only after a person has enabled them.
+    """
+
+    def __init__(
+        self,
+        domain: ActableDomain,
+        robot: Robot,
+        clock: Callable[[], float],
+        timings: Mapping[str, Timing],
+        *,
+        step: float,
+        supervised: bool,
+    ) -> None:
+        """
+        Start without an episode.
+
+        :param clock: time, s.
+        :param timings: of each action, by name.
+        :param step: least time between states that are published because the world changed, s.
+        """
+        super().__init__(domain)
+        self._robot, self._clock, self._timings, self._step = robot, clock, timings, step
+        self.supervised = supervised
+        self.under_way: UnderWay | None = None
+        self._shown_at = 0.0
+        if supervised:
+            self.control = Control(Holder.LOCKED, '', 'the world started')
+
+    def command(self, command: Command) -> Result:
+        """Begin an action, or refuse it; a person's command ends the action under way."""
+        refused = self.refusal(command)
+        if refused is None and self.under_way is not None:
+            self.cut_short()
+            refused = self.refusal(command)  # the episode may be over
+        if refused is not None:
+            return refused
+        try:
+            self._robot.start(command.action)
+        except DomainError as error:
+            self._robot.halt()
+            return self.refuse(command, Reason.FAILED, str(error))
+        self.under_way = UnderWay(command, self._clock())
+        return Begun(command, self._claim(command))
+
+    def stop(self, command: Command) -> Control | Refused | None:
+        """
+        Execute a stop, a command without an action.
+
+        A person's stop always ends the action under way; a machine's only its own action.
+
+        :return: control, if the person took it; the refusal; None: nothing else changed.
+        """
+        machine, under_way = command.source == Source.MACHINE, self.under_way
+        if command.source not in (Source.PERSON, Source.MACHINE) or not command.publisher_id:
+            detail = 'a stop must carry its source and publisher_id'
+            return self.refuse(command, Reason.NO_SUCH_SOURCE, detail)
+        if machine and under_way is not None:
+            by = under_way.command.publisher_id
+            if by != command.publisher_id:
+                return self.refuse(command, Reason.STALE, f'the action under way is that of {by}')
+        self.cut_short()
+        another = self.held_by_another(command.publisher_id)
+        return None if machine or another else self._claim(command)
+
+    def tick(self) -> None:
+        """End an action that has reached its deadline, and publish a world that has changed."""
+        now, under_way = self._clock(), self.under_way
+        if under_way is None:
+            if now - self._shown_at >= self._step - _SLACK:
+                self._refresh()
+            return
+        timing = self._timings[under_way.command.action]
+        if under_way.done is not None:
+            if now - under_way.done >= timing.settle - _SLACK:
+                self._end(under_way)
+        elif now - under_way.since >= timing.seconds - _SLACK:
+            self.finish(cut_short=not timing.timed)
+
+    def finish(self, *, cut_short: bool = False) -> None:
+        """
+        Note that the action under way has ended.
+
+        :param cut_short: it has not done what it should.
+        """
+        under_way = self.under_way
+        if under_way is None or under_way.done is not None:
+            return
+        self._robot.halt()
+        self.under_way = replace(under_way, done=self._clock(), cut_short=cut_short)
+        if not self._timings[under_way.command.action].settle:
+            self._end(self.under_way)
+
+    def cut_short(self) -> None:
+        """Stand still at once; the action under way, if any, is cut short."""
+        self._robot.halt()
+        if (under_way := self.under_way) is not None:
+            lasted = under_way.done is None
+            self._end(replace(under_way, cut_short=lasted or under_way.cut_short))
+
+    def pause(self, reason: str) -> None:
+        """Refuse commands and stand still until the reason is gone; empty: it is."""
+        if reason and not self.paused:
+            self.cut_short()
+        self.paused = reason
+
+    def lock(self, reason: str) -> Control:
+        """Stand still until a person takes control."""
+        self.cut_short()
+        self.control = Control(Holder.LOCKED, '', reason)
+        return self.control
+
+    def release(self, reason: str) -> Control:
+        """Stand still because the holder or the supervisor has left."""
+        if self.supervised:
+            return self.lock(reason)
+        self.cut_short()
+        return super().release(reason)
+
+    def set_control(self, hold: bool, holder_id: str) -> Reply:
+        """Take or release control for a person; taking it stops a machine."""
+        reply = super().set_control(hold, holder_id)
+        if hold and reply.status is ControlStatus.OK and reply.control is not None:
+            self.cut_short()
+        return reply
+
+    def _returned(self, reason: str) -> Control:
+        supervisor = self.control.holder_id if self.supervised else ''
+        self.control = Control(Holder.NOBODY, '', reason, supervisor)
+        return self.control
+
+    def _objection(self, command: Command) -> tuple[Reason, str] | None:
+        objection, under_way = super()._objection(command), self.under_way
+        if objection is None and command.source == Source.MACHINE and under_way is not None:
+            name = under_way.command.action
+            return Reason.STALE, f'step {command.step} is answered: {name!r} is under way'
+        return objection
+
+    def _begin(self, start_state: str, seed: int) -> tuple[str, tuple[float, ...]]:
+        if start_state:
+            raise StateError(
+                f'an episode of {self.domain.name} begins where it is: drive it to another start'
+            )
+        self.cut_short()
+        features = self._robot.features()
+        self._shown_at = self._clock()
+        return self._robot.text(features), features
+
+    def _end(self, under_way: UnderWay) -> None:
+        """Publish the state after an action."""
+        before, cut_short = self.transition, under_way.cut_short
+        self.under_way = None
+        try:
+            features = self._robot.features()
+            ending = self._robot.ending(before.features, under_way.command.action, features)
+        except DomainError:
+            features, ending, cut_short = before.features, Ending(0.0), True
+        self.transition = step_transition(
+            before,
+            under_way.command,
+            self._robot.text(features),
+            features,
+            reward=ending.reward,
+            terminated=ending.terminated,
+            truncated=ending.truncated or 0 < self.domain.max_steps <= before.step + 1,
+            cut_short=cut_short,
+        )
+        self._show()
+
+    def _refresh(self) -> None:
+        """Publish the state again if a feature has changed."""
+        if not self.transition.open:
+            return
+        try:
+            features = self._robot.features()
+        except DomainError:
+            return
+        if self._differs(features):
+            self.transition = replace(
+                self.transition,
+                state=self._robot.text(features),
+                features=features,
+                refreshed=True,
+            )
+            self._show()
+
+    def _differs(self, features: tuple[float, ...]) -> bool:
+        rows = zip(self.domain.features, self.transition.features, features)
+        return any(
+            abs(new - old) >= CHANGE * feature.span
+            if feature.kind is FeatureKind.CONTINUOUS
+            else new != old
+            for feature, old, new in rows
+        )
+
+    def _show(self) -> None:
+        self._shown_at = self._clock()
+        self._robot.show(self.transition)
