@@ -15,7 +15,7 @@ from humanopts_ros.guarded_node import failed_response, GuardedNode, STEADY
 from humanopts_ros.middleware import INSTANCE, RESTARTS
 from humanopts_ros.peers import Peers
 from humanopts_ros.publisher import M, PublishError, StampedPublisher
-from humanopts_ros.qos import ACTION, LATCHED, SERVICE, STREAM
+from humanopts_ros.qos import ACTION, LATCHED, LIVELY, SERVICE, STREAM
 from humanopts_ros.recording import Selection
 from humanopts_ros.senders import id_topic, Role
 from humanopts_ros.waiting import drive, Waiting
@@ -79,6 +79,7 @@ class NodeBase(GuardedNode):
     """
 
     role: ClassVar[Role] = 'node'
+    drives: ClassVar[bool] = False  # whether it can drive a robot: its liveliness is announced
 
     def __init__(
         self, name: str, *, monotonic: Callable[[], float] = time.monotonic, **options: Any
@@ -107,7 +108,8 @@ class NodeBase(GuardedNode):
             self._patterns('record_exclude', 'topics not to record'),
         )
         # Announce the publisher id before the first message.
-        self.create_publisher(Empty, id_topic(self.publisher_id, self.role), LATCHED)
+        qos = LIVELY if self.drives else LATCHED
+        self.create_publisher(Empty, id_topic(self.publisher_id, self.role), qos)
         self._restarts = int(os.environ.pop(RESTARTS, '0'))
         self._status = self.stamped_publisher(NodeStatus, 'node_status', LATCHED)
         self.ready = False

@@ -1,12 +1,24 @@
 """The QoS profiles of the graph; all endpoints use them, except the recorder's reader."""
 
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from typing import Any
+
+from rclpy.duration import Duration
+from rclpy.qos import (
+    DurabilityPolicy,
+    HistoryPolicy,
+    LivelinessPolicy,
+    QoSProfile,
+    ReliabilityPolicy,
+)
+
+LEASE = 0.3  # s after which a process that drives a robot counts as gone if it is not heard
 
 
 def _profile(
     durability: DurabilityPolicy,
     depth: int,
     reliability: ReliabilityPolicy = ReliabilityPolicy.RELIABLE,
+    **more: Any,
 ) -> QoSProfile:
     """Build a profile; depth 0 keeps all messages."""
     history = HistoryPolicy.KEEP_LAST if depth else HistoryPolicy.KEEP_ALL
@@ -15,12 +27,21 @@ def _profile(
         durability=durability,
         history=history,
         depth=depth,
+        **more,
     )
 
 
 # For publishing current values: a newer value replaces an older one, and late subscribers receive
 # the newest. Messages that must not be lost use STREAM.
 LATCHED = _profile(DurabilityPolicy.TRANSIENT_LOCAL, 1)
+# For announcing a node that drives a robot: the middleware notices within LEASE that its process
+# was killed or stopped, or that the network was cut.
+LIVELY = _profile(
+    DurabilityPolicy.TRANSIENT_LOCAL,
+    1,
+    liveliness=LivelinessPolicy.AUTOMATIC,
+    liveliness_lease_duration=Duration(seconds=LEASE),
+)
 # For reading current values: keeps the messages of all publishers, so that one publisher does not
 # displace another.
 CURRENT = _profile(DurabilityPolicy.TRANSIENT_LOCAL, 0)

@@ -248,10 +248,17 @@ class WorldFile(_Part):
     places: dict[Name, Place] = Field(default_factory=dict)
     features: dict[Name, FeatureSpec]
     actions: dict[Name, ActionSpec]
-    velocity: Velocity = Field(default_factory=Velocity)
+    velocity: Velocity | None = None  # None: the defaults, if an action is a twist
     reward: Reward = Field(default_factory=Reward)
     ends: tuple[End, ...] = ()
     safety: Safety = Field(default_factory=Safety)
+    use_sim_time: bool = False  # the time is that of /clock
+
+    @property
+    def velocity_topic(self) -> Velocity | None:
+        """Where velocities are sent; None: the robot does not drive."""
+        drives = any(action.twist is not None for action in self.actions.values())
+        return self.velocity or (Velocity() if drives else None)
 
     def seconds_of(self, action: ActionSpec) -> float:
         """Return how long an action may take, without the time to settle, s."""

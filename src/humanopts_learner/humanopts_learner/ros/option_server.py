@@ -5,7 +5,7 @@ from functools import partial
 from itertools import chain
 from pathlib import Path
 import sys
-from typing import Any
+from typing import Any, ClassVar
 
 from humanopts_env.domains.base import ActableDomain, DomainError
 from humanopts_env.domains.described import simulated
@@ -38,6 +38,8 @@ class OptionServerNode(NodeBase):
     Serves the options published by ``learner``, or those in option files until they arrive, and
     the automatic options of ``planner``.
     """
+
+    drives: ClassVar[bool] = True
 
     def __init__(self, **options: Any) -> None:
         super().__init__(OPTION_SERVER, **options)

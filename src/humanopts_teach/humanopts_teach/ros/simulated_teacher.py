@@ -3,7 +3,7 @@
 from contextlib import suppress
 from functools import partial
 import sys
-from typing import Any
+from typing import Any, ClassVar
 
 from humanopts_env.domains.described import NeedsRulesError, simulated
 from humanopts_env.game import Transition
@@ -53,6 +53,8 @@ _REFUSALS = 3  # consecutive refusals before giving up; an unresponsive game get
 
 class SimulatedTeacherNode(NodeBase):
     """Performs one act at a time and waits for its effect before the next."""
+
+    drives: ClassVar[bool] = True
 
     def __init__(self, **options: Any) -> None:
         super().__init__('simulated_teacher', **options)

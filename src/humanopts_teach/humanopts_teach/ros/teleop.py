@@ -9,7 +9,7 @@ from functools import partial
 from operator import attrgetter
 from pathlib import Path
 import time
-from typing import Any
+from typing import Any, ClassVar
 
 from humanopts_interfaces import action as actions
 from humanopts_interfaces.msg import (
@@ -57,6 +57,8 @@ class TeleopNode(NodeBase):
     The owner passes keys to ``press``, calls ``process_pending`` repeatedly, and draws a frame
     when ``frame_due`` returns True.
     """
+
+    drives: ClassVar[bool] = True
 
     def __init__(self, **options: Any) -> None:
         """Start the dialogue; the options are those of the base class."""

@@ -1,0 +1,335 @@
+"""The node ``world``, which makes a robot or simulator on the graph into a world."""
+
+from functools import partial
+import sys
+from typing import Any, ClassVar
+
+from humanopts_env.domains.names import ROBOT
+from humanopts_env.game import Begun, Command, Control, Refused, Transition
+from humanopts_env.ros.actuators import Actuator, make_actuators, Velocities
+from humanopts_env.ros.interfaces import interface
+from humanopts_env.ros.lock_step_node import LockStepNode
+from humanopts_env.worlds.acted_game import ActedGame
+from humanopts_env.worlds.sensors import SensorError, Sensors
+from humanopts_env.worlds.world import Ending, load_world, World
+from humanopts_env.worlds.world_file import Topic, WorldFileError
+from humanopts_interfaces.msg import ActionProgress
+from humanopts_ros.guarded_node import StartError
+from humanopts_ros.liveliness import Liveliness
+from humanopts_ros.peers import announced_ids
+from humanopts_ros.process import run_node
+from humanopts_ros.qos import CURRENT, LATCHED, SENSOR
+from humanopts_ros.senders import signer
+from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy
+from rosgraph_msgs.msg import Clock
+from std_msgs.msg import Bool
+from std_srvs.srv import Trigger
+
+_DRIVE_PERIOD = 0.05  # s between velocities, and between checks while an action lasts
+_WATCH_PERIOD = 0.1  # s between checks while none lasts
+_GRAPH_PERIOD = 1.0  # s between looks for another world
+_CLOCK_SILENCE = 0.4  # s without /clock after which it counts as missing
+_PROGRESS_PERIOD = 0.1  # s between reports of progress
+
+
+class _Report:
+    """What is known of one action that was begun."""
+
+    def __init__(self, node: 'WorldNode') -> None:
+        self._node = node
+        self.text = ''
+
+    def ended(self, text: str, *, well: bool) -> None:
+        self.text = text
+        self._node.on_ended(self, well=well)
+
+    def feedback(self, text: str) -> None:
+        self.text = text
+
+
+class RosRobot:
+    """The robot of a world: its topics, and the actuators of its actions."""
+
+    def __init__(self, node: 'WorldNode', world: World) -> None:
+        """
+        Subscribe to its topics.
+
+        :raises WorldFileError: a type is not installed, or lacks a field.
+        """
+        file = world.file
+        kinds = {name: interface(topic.type) for name, topic in file.topics.items()}
+        world.check_types({name: kind() for name, kind in kinds.items()})
+        self._node, self._world = node, world
+        velocity = file.velocity_topic
+        self._velocities = Velocities(node, velocity) if velocity is not None else None
+        self._actuators = make_actuators(node, file, self._velocities)
+        self._actuator = Actuator()
+        self._repeated = 0.0
+        self.report = _Report(node)  # of the newest action
+        self.sensors = Sensors(file.topics)
+        for name, topic in file.topics.items():
+            qos = CURRENT if topic.latched else SENSOR
+            node.create_subscription(kinds[name], topic.topic, partial(self._note, name), qos)
+
+    def _note(self, name: str, message: Any) -> None:
+        self.sensors.note(name, message, self._node.now())
+
+    def start(self, action: str) -> None:
+        self._actuator, self.report = self._actuators[action], _Report(self._node)
+        self._repeated = self._node.now()
+        self._actuator.start(self.report)
+
+    def repeat(self) -> None:
+        """Send the velocity again, if it is time."""
+        now = self._node.now()
+        if now - self._repeated > 0.9 * _DRIVE_PERIOD:
+            self._repeated = now
+            self._actuator.repeat()
+
+    def halt(self) -> None:
+        self._actuator.stop()
+        self._actuator = Actuator()
+        if self._velocities is not None:
+            self._velocities.send()
+
+    def features(self) -> tuple[float, ...]:
+        self.sensors.check(self._node.now())
+        return self._world.features(self.sensors)
+
+    def text(self, features: tuple[float, ...]) -> str:
+        return self._world.text(features)
+
+    def ending(self, before: tuple[float, ...], action: str, after: tuple[float, ...]) -> Ending:
+        return self._world.ending(before, action, after, self.sensors)
+
+    def show(self, transition: Transition) -> None:
+        self._node.send_transition(transition)
+        if not transition.refreshed:
+            self._node.report_progress()
+
+
+class WorldNode(LockStepNode):
+    """
+    The world of a robot.
+
+    It moves nothing by itself. An action ends, and the robot stands, as soon as something is
+    wrong: a stale or invalid sensor, the emergency stop, another world in the namespace, or the
+    end of the process that acts or supervises.
+    """
+
+    drives: ClassVar[bool] = True
+    _game: ActedGame
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__('world', **options)
+        self._progress = self.stamped_publisher(ActionProgress, 'action_progress', LATCHED)
+        self._progress_at = 0.0
+        self._lively = Liveliness(self, 'node', self._on_lost)
+        self._twins = Liveliness(self, 'game')  # worlds with the name of this one
+        self._others: list[str] = []  # publisher ids of other worlds
+        self._emergency = False
+        safety = self._world.file.safety
+        if safety.emergency is not None:
+            for qos in (CURRENT, SENSOR):  # latched or not
+                self.create_subscription(Bool, safety.emergency, self._on_emergency, qos)
+        self.create_service(Trigger, 'stop', self._on_stop)
+        self._drive = self.create_timer(_DRIVE_PERIOD, self._tick, autostart=False)
+        self.create_timer(_WATCH_PERIOD, self._tick)
+        self.create_timer(_GRAPH_PERIOD, self._look_around)
+
+    def make_game(self) -> ActedGame:
+        """Return the game of the world file in the parameters."""
+        self._simulated = -1.0  # s, of the newest /clock; below 0: none has arrived
+        self._clock_at = self.monotonic()  # when it arrived
+        path = self.setting('world', '', 'absolute path of a world file, or FILE.py:CLASS')
+        try:
+            self._world = load_world(f'{ROBOT}{path}')
+            self._robot = RosRobot(self, self._world)
+        except WorldFileError as error:
+            raise StartError(str(error)) from error
+        file = self._world.file
+        if file.use_sim_time:
+            self.set_parameters([Parameter('use_sim_time', value=True)])
+        self._by_clock = bool(self.get_parameter('use_sim_time').value)
+        if self._by_clock:
+            self.create_subscription(Clock, '/clock', self._on_clock, SENSOR)
+        return ActedGame(
+            self._world.domain,
+            self._robot,
+            self.now,
+            self._world.timings,
+            step=file.step,
+            supervised=file.safety.supervised,
+        )
+
+    def now(self) -> float:
+        """Return the time of sensors and actions, s; with use_sim_time, that of /clock."""
+        return self._simulated if self._by_clock else self.monotonic()
+
+    def waits_for(self) -> str | None:
+        """Return what keeps the world from being sensed."""
+        if self._by_clock and self._simulated < 0:
+            return '/clock, because use_sim_time is set'
+        for name, topic in self._world.file.topics.items():
+            if not self._robot.sensors.has(name):
+                return self._missing(topic)
+        return self._fault() or None
+
+    def close(self) -> None:
+        """Stand still."""
+        if self.ready:
+            self._game.cut_short()
+        super().close()
+
+    def offer(self, command: Command) -> None:
+        """Execute a command or a stop, unless something is wrong."""
+        self._check()
+        if command.action:
+            super().offer(command)
+            return
+        result = self._game.stop(command)
+        if isinstance(result, Refused):
+            self.send_refusal(result)
+        elif result is not None:
+            self.send_control(result)
+
+    def on_begun(self, begun: Begun) -> None:
+        """Watch who acts, and end the action in time."""
+        self._watch(begun.command.publisher_id)
+        self.report_progress()
+        self._drive.reset()
+        if not self._world.timings[begun.command.action].seconds:
+            self._game.tick()
+
+    def on_ended(self, report: _Report, *, well: bool) -> None:
+        """Handle the end of an action that reports it."""
+        if report is not self._robot.report:
+            return
+        if not well:
+            self.get_logger().warning(report.text)
+        self._game.finish(cut_short=not well)
+
+    def send_control(self, control: Control) -> None:
+        """Publish control, and watch who holds or supervises it."""
+        super().send_control(control)
+        self._watch('')
+
+    def pause(self, reason: str) -> None:
+        """Stand still, and refuse commands until the reason is gone; empty: it is."""
+        self._game.pause(reason)
+        super().pause(reason)
+        self.report_progress()
+        if reason:
+            self.get_logger().warning(f'the robot stands: {reason}')
+
+    def report_progress(self) -> None:
+        """Publish what is being done."""
+        under_way = self._game.under_way
+        message = ActionProgress(stopped=self._game.paused)
+        if under_way is not None:
+            command = under_way.command
+            message.episode = self._game.transition.episode
+            message.step = self._game.transition.step
+            message.action, message.source = command.action, command.source
+            message.seconds = max(self.now() - under_way.since, 0.0)
+        message.feedback = self._robot.report.text
+        self._progress_at = self.monotonic()
+        self._progress.publish(message)
+
+    def _watch(self, actor: str) -> None:
+        control, under_way = self._game.control, self._game.under_way
+        acting = under_way.command.publisher_id if under_way is not None else actor
+        self._lively.watch(control.holder_id, control.supervisor_id, acting)
+
+    def _on_lost(self, publisher_id: str) -> None:
+        """Stand still because a process is not alive any more."""
+        control, under_way = self._game.control, self._game.under_way
+        if publisher_id in (control.holder_id, control.supervisor_id):
+            self.send_control(self._game.release(f'{publisher_id} is not alive any more'))
+        elif under_way is not None and under_way.command.publisher_id == publisher_id:
+            self._game.cut_short()
+
+    def _on_emergency(self, message: Bool) -> None:
+        pressed, self._emergency = message.data and not self._emergency, message.data
+        if pressed:
+            self.send_control(self._game.lock('the emergency stop was pressed'))
+        self._check()
+
+    def _on_stop(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self.send_control(self._game.lock('the service stop was called'))
+        response.success, response.message = True, 'it stands; take control to go on'
+        return response
+
+    def _on_clock(self, message: Clock) -> None:
+        self._simulated = message.clock.sec + message.clock.nanosec * 1e-9
+        self._clock_at = self.monotonic()
+        if self.ready and self._game.under_way is not None:
+            self._tick()
+
+    def _tick(self) -> None:
+        """Check the robot, and continue what it does."""
+        if not self.ready:
+            return
+        self._check()
+        if self._game.under_way is not None:
+            self._robot.repeat()
+        self._game.tick()
+        if self._game.under_way is None:
+            self._drive.cancel()
+        elif self.monotonic() - self._progress_at >= _PROGRESS_PERIOD:
+            self.report_progress()
+
+    def _check(self) -> None:
+        """Stand still if something is wrong, and continue when it is right again."""
+        if not self.ready or any(self._unsent.values()):
+            return
+        fault, known = self._fault(), self._game.paused
+        if fault.partition(':')[0] != known.partition(':')[0]:
+            self.pause(fault)
+
+    def _fault(self) -> str:
+        """Return why nothing may move; empty: it may."""
+        if self._by_clock and self.monotonic() - self._clock_at > _CLOCK_SILENCE:
+            return 'use_sim_time is set, and no time arrives on /clock'
+        if self._emergency:
+            return 'the emergency stop is pressed'
+        if self._others:
+            return f'two worlds in one namespace: stop this one or {self._others[0]}'
+        try:
+            self._robot.features()
+        except SensorError as error:
+            return str(error)
+        return ''
+
+    def _look_around(self) -> None:
+        """Find other worlds, which would act on the same commands."""
+        found = [i for i in announced_ids(self, 'game') if i != self.publisher_id]
+        twins = [each for each in found if signer(each) == signer(self.publisher_id)]
+        self._twins.watch(*twins)
+        # A killed world is announced for a while; only its liveliness tells that it has ended.
+        self._others = [i for i in found if i not in twins or i in self._twins.alive]
+        self._check()
+
+    def _missing(self, topic: Topic) -> str:
+        """Describe a topic that has no message yet."""
+        name = self.resolve_topic_name(topic.topic)
+        publishers = self.get_publishers_info_by_topic(name)
+        other = sorted({each.topic_type for each in publishers} - {topic.type})
+        if other:
+            return f'{topic.topic} as {topic.type}: it is published as {other[0]}'
+        text = f'a message on {topic.topic} ({topic.type})'
+        if not publishers:
+            return f'{text}: nothing publishes it'
+        latched = any(
+            each.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for each in publishers
+        )
+        return (
+            f'{text}: it is latched, add latched: yes' if latched and not topic.latched else text
+        )
+
+
+main = partial(run_node, WorldNode)
+
+if __name__ == '__main__':
+    sys.exit(main())
