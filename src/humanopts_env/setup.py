@@ -13,7 +13,10 @@ setup(
         (f'share/{NAME}', ['package.xml']),
     ],
     entry_points={
-        'console_scripts': ['game = humanopts_env.ros.game_node:main'],
+        'console_scripts': [
+            'game = humanopts_env.ros.game_node:main',
+            'world = humanopts_env.ros.world_node:main',
+        ],
         'humanopts.domains': [
             'pacman = humanopts_env.domains.pacman.domain:PacMan',
             'rooms = humanopts_env.domains.rooms:Rooms',

@@ -27,7 +27,7 @@ from humanopts_ros.qos import CURRENT, STREAM
 import rclpy
 from rclpy.action import ActionClient
 from rclpy.context import Context
-from rclpy.event_handler import EventHandler, QoSPublisherEventType
+from rclpy.event_handler import EventHandler, QoSPublisherEventType, QoSSubscriptionEventType
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -36,6 +36,7 @@ import yaml
 
 # Nodes, each as module:class.
 GAME = 'humanopts_env.ros.game_node:GameNode'
+WORLD = 'humanopts_env.ros.world_node:WorldNode'
 LEARNER = 'humanopts_learner.ros.learner_node:LearnerNode'
 OPTION_SERVER = 'humanopts_learner.ros.option_server:OptionServerNode'
 PLANNER = 'humanopts_learner.ros.planner_node:PlannerNode'
@@ -125,15 +126,18 @@ class Clock:
         self._before, self._since, self._rate = self(), time.monotonic(), rate
 
 
-_MATCHED = QoSPublisherEventType.RCL_PUBLISHER_MATCHED
+_USED = (
+    QoSPublisherEventType.RCL_PUBLISHER_MATCHED,
+    QoSSubscriptionEventType.RCL_SUBSCRIPTION_LIVELINESS_CHANGED,
+)
 
 
 class Server(SingleThreadedExecutor):
-    """Serves many nodes; of their QoS events, which take half of every wait, those of matches."""
+    """Serves many nodes; of their QoS events, which take half of a wait, those in use."""
 
     def can_execute(self, entity: Any) -> bool:
         """Return whether the executor serves a part of a node."""
-        unused = isinstance(entity, EventHandler) and entity.event_type != _MATCHED
+        unused = isinstance(entity, EventHandler) and entity.event_type not in _USED
         return not unused and bool(super().can_execute(entity))
 
 

@@ -108,9 +108,9 @@ class Player:
         return answers[0]
 
     def _renew(self) -> None:
-        """Renew control, as a terminal does, where this player holds it."""
-        holder = self.controls[-1].holder_id if self.controls else ''
-        if holder == ME:
+        """Renew control, as a terminal does, where this player holds it or supervises."""
+        control = self.controls[-1] if self.controls else ControlState()
+        if ME in (control.holder_id, control.supervisor_id):
             self.renewals += 1
             self._status.publish(
                 NodeStatus(publisher_id=ME, node='/person', state=NodeStatus.STATE_READY)

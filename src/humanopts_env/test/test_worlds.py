@@ -344,6 +344,10 @@ MISTAKES = {
     ),
     'wrong type of value': ({'step': 'fast'}, 'step: it should be a valid number, not "fast"'),
     'type of a topic': ({'topics.odom.type': 'Odometry'}, 'topics odom type: String should match'),
+    'two types of a topic': (
+        {'topics.scan.topic': '/odom'},
+        'topics: /odom has two types, nav_msgs/msg/Odometry and sensor_msgs/msg/LaserScan',
+    ),
     'unknown feature of an end': (
         {'ends': [{'when': 'distanze < 1'}]},
         'ends 1 when: ',

@@ -11,7 +11,7 @@ from humanopts_env.ros.interfaces import interface
 from humanopts_env.ros.lock_step_node import LockStepNode
 from humanopts_env.worlds.acted_game import ActedGame
 from humanopts_env.worlds.sensors import SensorError, Sensors
-from humanopts_env.worlds.world import Ending, load_world, World
+from humanopts_env.worlds.world import Ending, load_world, robot_file, World
 from humanopts_env.worlds.world_file import Topic, WorldFileError
 from humanopts_interfaces.msg import ActionProgress
 from humanopts_ros.guarded_node import StartError
@@ -128,6 +128,7 @@ class WorldNode(LockStepNode):
         self._lively = Liveliness(self, 'node', self._on_lost)
         self._twins = Liveliness(self, 'game')  # worlds with the name of this one
         self._others: list[str] = []  # publisher ids of other worlds
+        self._found_at: dict[str, float] = {}  # s, when each was found
         self._emergency = False
         safety = self._world.file.safety
         if safety.emergency is not None:
@@ -145,9 +146,12 @@ class WorldNode(LockStepNode):
         path = self.setting('world', '', 'absolute path of a world file, or FILE.py:CLASS')
         try:
             self._world = load_world(f'{ROBOT}{path}')
-            self._robot = RosRobot(self, self._world)
         except WorldFileError as error:
             raise StartError(str(error)) from error
+        try:
+            self._robot = RosRobot(self, self._world)
+        except WorldFileError as error:
+            raise StartError(f'{robot_file(path)[0].name}: {error}') from error
         file = self._world.file
         if file.use_sim_time:
             self.set_parameters([Parameter('use_sim_time', value=True)])
@@ -174,7 +178,15 @@ class WorldNode(LockStepNode):
         for name, topic in self._world.file.topics.items():
             if not self._robot.sensors.has(name):
                 return self._missing(topic)
+        self._look_around()
+        if self._others:
+            return f'the end of {self._others[0]}, another world in this namespace'
         return self._fault() or None
+
+    def on_ready(self) -> None:
+        """Publish the world, where it is, and that it does nothing."""
+        super().on_ready()
+        self.report_progress()
 
     def close(self) -> None:
         """Stand still."""
@@ -304,11 +316,13 @@ class WorldNode(LockStepNode):
 
     def _look_around(self) -> None:
         """Find other worlds, which would act on the same commands."""
-        found = [i for i in announced_ids(self, 'game') if i != self.publisher_id]
-        twins = [each for each in found if signer(each) == signer(self.publisher_id)]
+        found, now = {*announced_ids(self, 'game')} - {self.publisher_id}, self.monotonic()
+        self._found_at = {each: self._found_at.get(each, now) for each in found}
+        twins = {each for each in found if signer(each) == signer(self.publisher_id)}
         self._twins.watch(*twins)
         # A killed world is announced for a while; only its liveliness tells that it has ended.
-        self._others = [i for i in found if i not in twins or i in self._twins.alive]
+        ended = {i for i in twins - self._twins.alive if now - self._found_at[i] > _GRAPH_PERIOD}
+        self._others = sorted(found - ended)
         self._check()
 
     def _missing(self, topic: Topic) -> str:

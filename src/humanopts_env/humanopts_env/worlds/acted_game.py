@@ -172,9 +172,11 @@ class ActedGame(LockStep):
         under_way = self.under_way
         if under_way is None or under_way.done is not None:
             return
-        self._robot.halt()
+        timing = self._timings[under_way.command.action]
+        if timing.timed or cut_short:
+            self._robot.halt()
         self.under_way = replace(under_way, done=self._clock(), cut_short=cut_short)
-        if not self._timings[under_way.command.action].settle:
+        if not timing.settle:
             self._end(self.under_way)
 
     def cut_short(self) -> None:

@@ -254,6 +254,16 @@ class WorldFile(_Part):
     safety: Safety = Field(default_factory=Safety)
     use_sim_time: bool = False  # the time is that of /clock
 
+    @model_validator(mode='after')
+    def _check(self) -> Self:
+        types: dict[str, str] = {}
+        for each in self.topics.values():
+            if types.setdefault(each.topic, each.type) != each.type:
+                raise ValueError(
+                    f'topics: {each.topic} has two types, {types[each.topic]} and {each.type}'
+                )
+        return self
+
     @property
     def velocity_topic(self) -> Velocity | None:
         """Where velocities are sent; None: the robot does not drive."""
