@@ -6,6 +6,7 @@ Game and option_server are measured from this process, as is a bare peer that an
 
 from collections.abc import Iterator
 from contextlib import closing, ExitStack
+import time
 from typing import Any
 
 from humanopts_env.domains.taxi import Taxi
@@ -14,6 +15,7 @@ from humanopts_interfaces.msg import ActionCommand, GameState, NodeStatus, Optio
 from humanopts_interfaces.srv import ResetGame, RunOption
 from humanopts_learner.options.files import save_option
 from humanopts_learner.options.learn import learn_option
+from humanopts_ros.node_base import RESULT_TIMEOUT
 from humanopts_ros.qos import CURRENT, STREAM
 from humanopts_teach.launching.launcher import Launcher
 from humanopts_teach.launching.processes import processes, Setup
@@ -130,6 +132,7 @@ def bench_run(benchmark: Any, game: Game, via: str, length: int) -> None:
         else:
             action = ActionClient(client.node, ExecuteOption, prefix + via)
             stack.callback(action.destroy)
+            time.sleep(RESULT_TIMEOUT)  # results that are kept slow down each status of a goal
             client.until(action.server_is_ready, via)
 
         def run() -> Any:

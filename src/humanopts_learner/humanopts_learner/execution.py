@@ -271,6 +271,8 @@ class Execution(Generic[S]):
             moves, stuck = self.loops.moves, self.loops.stuck
             stuck = np.where(stuck == NONE, NONE, self._age - self._ran + stuck)
         at = np.flatnonzero(ended | stopped)
+        if not at.size:
+            return NO_RUNS
         runs = Runs(
             self.games.take(at),
             self.option.take(at),
@@ -393,6 +395,9 @@ def joined(parts: Sequence[Runs]) -> Runs:
     return Runs(
         *(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Runs))
     )
+
+
+NO_RUNS = joined(())
 
 
 class RowOptions:

@@ -37,7 +37,7 @@ from rclpy.service_introspection import ServiceIntrospectionState
 from std_msgs.msg import Empty
 
 RECORDER = 'recorder'
-_RESULT_TIMEOUT = 10  # s to keep the result of a finished goal; kept goals slow down each status
+RESULT_TIMEOUT = 10  # s to keep the result of a finished goal; kept goals slow down each status
 _LAST_ROUNDS = 10  # number of callbacks run to send the last responses
 _SHORT = 0.001  # s to wait for each of them; the ``EventsExecutor`` runs nothing in no time
 _DRAIN = 0.3  # s, time for readers to receive pending messages before a node ends
@@ -219,7 +219,7 @@ class NodeBase(GuardedNode):
             self.guard.guarded(execute, failed),
             goal_callback=answer,
             cancel_callback=cancel,
-            result_timeout=_RESULT_TIMEOUT,
+            result_timeout=RESULT_TIMEOUT,
             **ACTION,
         )
 

@@ -149,6 +149,12 @@ class Tree:
         if X.ndim != 2 or X.shape[1] != self.n_features:
             raise TreeError(f'the tree takes rows of {self.n_features} features, not {X.shape}')
         values = X.astype(np.float32, copy=False)
+        if len(X) == 1:  # in a live run
+            row, at, ways = values[0].tolist(), 0, self._ways
+            while at in ways:
+                left, right, feature, threshold = ways[at]
+                at = right if row[feature] > threshold else left
+            return np.array([at])
         if len(self.left) <= FEW_NODES:  # from the last node to the root, with all rows at once
             leaf: list[Any] = [*range(len(self.left))]
             for at, left, right, feature, threshold in self._tests:
@@ -191,6 +197,13 @@ class Tree:
         parts = (part.tolist() for part in (self.left, self.right, self.feature))
         tests = zip(range(len(self.left)), *parts, self.threshold)  # not rounded to float32
         return [test for test in tests if test[1] != LEAF][::-1]
+
+    @cached_property
+    def _ways(self) -> dict[int, tuple[int, int, int, float]]:
+        """Left, right, feature and threshold of each test, by node."""
+        return {
+            at: (left, right, feature, float(t)) for at, left, right, feature, t in self._tests
+        }
 
     @cached_property
     def tested(self) -> Ints:

@@ -144,10 +144,15 @@ class OptionServerNode(NodeBase):
             self.executor.create_task(end, request, RunStatus.CANCELED)
 
     async def _execute(self, handle: ServerGoalHandle) -> ExecuteOption.Result:
+        due = self.monotonic() + _FEEDBACK_PERIOD  # shorter runs have none
+
         def on_progress(run: Run, action: str) -> None:
-            self._unsent = handle, run, action
-            if self._feedback_timer.is_canceled():
+            nonlocal due
+            self._unsent, now = (handle, run, action), self.monotonic()
+            if now >= due:
                 self._send_feedback()
+                due = now + _FEEDBACK_PERIOD
+            elif self._feedback_timer.is_canceled():
                 self._feedback_timer.reset()
 
         request = RunRequest(handle.request, 'execute_option', on_progress=on_progress)
@@ -168,9 +173,9 @@ class OptionServerNode(NodeBase):
         return ExecuteOption.Result(result=result)
 
     def _send_feedback(self) -> None:
-        """Publish the newest progress; stop the timer if there is none."""
+        """Publish the newest progress, if it is not published yet."""
+        self._feedback_timer.cancel()
         if self._unsent is None:
-            self._feedback_timer.cancel()
             return
         (handle, run, action), self._unsent = self._unsent, None
         row = run.domain.feature_values(run.state)[None]
