@@ -40,6 +40,7 @@ def test_own_evaluator_agrees_with_scikit_learn(
     tree = fit_tree(X, y, range(6), seed)
     assert tree.probabilities(Z) == pytest.approx(expected)
     assert tree.most_probable(Z).tolist() == expected.argmax(axis=1).tolist()
+    assert [int(tree.leaves(row[None])[0]) for row in Z] == tree.leaves(Z).tolist()
     assert tree.probability_of(2, Z).tolist() == tree.probabilities(Z)[:, 2].tolist()
     assert tree == (again := fit_tree(X, y, range(6), seed))
     assert hash(tree) == hash(again)
