@@ -7,6 +7,7 @@ SEED ?= 1
 ROUNDS ?= 10
 LIMIT ?= 7200
 SECONDS ?= 600
+FAULTS ?= 100
 STEP := @tools/step.sh
 TWO_STEPS := $(MAKE) --no-print-directory --silent --jobs 2
 PAGE := -name '*.md' -o -name '*.rst'
@@ -37,7 +38,7 @@ unexport PYTHONDONTWRITEBYTECODE COLCON_DEFAULTS_FILE
 unexport $(shell sed -n 's/^unset //p' tools/environment.sh)
 export COLCON_HOME := $(CURDIR)/build/colcon
 
-.PHONY: help setup checked robots demo test test-quick test-floor test-whole test-slow test-browser test-hosts test-stress soak lint docs format lock clean
+.PHONY: help setup checked robots demo test test-quick test-floor test-whole test-slow test-browser test-hosts test-stress soak faults lint docs format lock clean
 
 help:
 	@echo 'make demo    let a simulated teacher teach two options for Taxi; plan, play, report (OUT=, SEED=)'
@@ -50,6 +51,7 @@ help:
 	@echo 'make test-stress  run the graph tests ten times, with busy cores and late discovery'
 	@echo '             (ROUNDS=, SEED=, LIMIT= in seconds, ARGS= for files)'
 	@echo 'make soak    run a long lesson with random faults and garbage (SECONDS=, SEED=)'
+	@echo 'make faults  kill, stop, blind and cut off what drives the simulated rover (FAULTS=, SEED=)'
 	@echo 'make lint    run ruff and mypy --strict; check rosdep keys and pages of the packages'
 	@echo 'make docs    build the documentation as a site, build/site/index.html'
 	@echo 'make robots  build the simulated robots of the examples: a rover and a gripper'
@@ -160,6 +162,10 @@ test-stress: checked
 soak: checked
 	@$(WITH_ROS); PYTHONPATH="$$PYTHONPATH:tests" $(VENV)/bin/python -m graph_support.soak \
 	  --seconds $(SECONDS) --seed $(SEED) $(ARGS)
+
+faults: checked
+	@$(WITH_ROS); export PYTHONPATH="$$PYTHONPATH:$(CURDIR)/tests"; \
+	  $(VENV)/bin/python -m graph_support.faults --faults $(FAULTS) --seed $(SEED) $(ARGS)
 
 lint: checked
 	@$(VENV)/bin/ruff check $(CHECKED)

@@ -21,13 +21,25 @@ _WAIT = 'ip link set lo up && mount -t tmpfs tmpfs /dev/shm && echo ready && exe
 _ENDING = 30.0  # s
 
 
+def enter_network(pid: int, *more: str) -> list[str]:
+    """Return what goes before a command that runs on the host of a process."""
+    return [
+        'nsenter',
+        f'--target={pid}',
+        *more,
+        '--net',
+        '--mount',
+        '--preserve-credentials',
+        '--',
+    ]
+
+
 class Host:
     """One of the hosts."""
 
     def __init__(self, pid: int, address: str, peer: str, folder: Path) -> None:
-        self.address, self.peer, self.folder = address, peer, folder
-        self._enter = ['nsenter', f'--target={pid}', '--user', '--net', '--mount']
-        self._enter += ['--preserve-credentials', '--']
+        self.pid, self.address, self.peer, self.folder = pid, address, peer, folder
+        self._enter = enter_network(pid, '--user')
         folder.mkdir()
 
     def run(self, *command: str) -> None:

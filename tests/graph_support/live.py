@@ -5,7 +5,7 @@ One executor serves them all, and only while the test waits. What only a process
 signals, an exit status or a terminal, is a process that the test starts.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 import gc
@@ -261,9 +261,11 @@ class Graph:
         command: list[str],
         name: str,
         parameters: dict[str, Any] | None = None,
+        *,
+        before: Sequence[str] = (),
         **options: Any,
     ) -> NodeProcess:
-        """Start Python in its own process."""
+        """Start Python in its own process; a command before it runs it, such as nsenter."""
         stem = self.folder / f'{len(self.started)}-{name}'
         if parameters:
             file = stem.with_suffix('.yaml')
@@ -275,7 +277,7 @@ class Graph:
         environment = {**os.environ, 'ROS_DOMAIN_ID': str(self.domain_id)}
         with log.open('wb') as stderr:
             process = subprocess.Popen(
-                [sys.executable, *command],
+                [*before, sys.executable, *command],
                 stderr=stderr,
                 env=environment,
                 **{'stdin': subprocess.DEVNULL, 'stdout': subprocess.DEVNULL, **options},
