@@ -46,6 +46,7 @@ _REPEAT_PERIOD = 1.0  # s between checks for competing publishers of a node's cu
 _PROVISION = 5.0  # s, maximum time a request waits until the node is ready
 _LATE = 5.0  # s after which a starting node reports what it is waiting for
 _CHECK_PERIOD = 0.02  # s between checks during startup and shutdown
+_SERVE_PERIOD = 1.0  # s, longest wait of a node that has nothing to do
 
 E = TypeVar('E', Service, Client)
 
@@ -273,7 +274,7 @@ class NodeBase(GuardedNode):
     def serve(self, executor: Executor, stop: Callable[[], bool]) -> None:
         """Run callbacks until ``stop`` returns True. May be overridden to read input."""
         while not stop():
-            self.turn(executor, 0.1)
+            self.turn(executor, _SERVE_PERIOD)
 
     def turn(self, executor: Executor, seconds: float) -> None:
         """

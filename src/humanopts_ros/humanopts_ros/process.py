@@ -1,8 +1,11 @@
 """A node as a process: signals, launcher exit, and exit status."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from functools import partial
 import os
 import signal
+import socket
 import sys
 import threading
 import time
@@ -15,6 +18,7 @@ from humanopts_ros.limits import accept_any_text, one_line
 from humanopts_ros.middleware import LAUNCHER_PID, MiddlewareError
 from humanopts_ros.node_base import NodeBase
 from humanopts_ros.publisher import PublishError
+from rclpy.exceptions import InvalidHandle
 from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.utilities import try_shutdown
@@ -55,6 +59,34 @@ class _Stop:
         return self.requested or self.paused > 0.0 or orphaned
 
 
+@contextmanager
+def woken_by_signals(wake: Callable[[], object]) -> Iterator[None]:
+    """
+    Call ``wake`` from another thread at each signal.
+
+    Python runs the handler of a signal only when the main thread is not in the middleware, so an
+    executor that waits for long has to be woken.
+    """
+    reader, writer = socket.socketpair()
+    writer.setblocking(False)
+    former = signal.set_wakeup_fd(writer.fileno(), warn_on_full_buffer=False)
+
+    def watch() -> None:
+        while reader.recv(64):
+            with suppress(InvalidHandle, AttributeError):  # it may just have been shut down
+                wake()
+
+    thread = threading.Thread(target=watch, name='signals', daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        signal.set_wakeup_fd(former)
+        writer.close()
+        thread.join()
+        reader.close()
+
+
 def run_node(
     factory: Callable[[], NodeBase],
     args: list[str] | None = None,
@@ -92,7 +124,8 @@ def run_node(
         if by_events:
             workarounds.restart_postponed_timers(node, served)
         try:
-            node.serve(executor, ended)
+            with woken_by_signals(partial(executor.create_task, lambda: None)):
+                node.serve(executor, ended)
         finally:  # also after an error, so that its files are complete
             served.set()
             node.close()

@@ -20,6 +20,7 @@ from humanopts_env.domains.registry import make_domain, reference_options
 from humanopts_learner.demonstrations import check_method
 from humanopts_ros.limits import printable
 from humanopts_ros.middleware import check_settings
+from humanopts_ros.process import woken_by_signals
 from humanopts_ros.recording import Selection
 from humanopts_teach.bags.writer import parts
 from humanopts_teach.command_line import LaunchOptions
@@ -303,7 +304,8 @@ def session(
                 report(end.text)
 
         launcher.on_start, launcher.on_end = graph.note_start, on_end
-        launcher.report = graph.report = report
+        launcher.report, launcher.wake = report, graph.wake
+        graph.report = report
         try:
             for late in (False, True):
                 launcher.start(late=late)
@@ -344,7 +346,8 @@ def run_until_interrupt(
 
             started(launched)
             try:
-                launched.graph.run_until_interrupt(check, report)
+                with woken_by_signals(launched.graph.wake):
+                    launched.graph.run_until_interrupt(check, report)
             except KeyboardInterrupt:
                 launched.check_recording()
                 raise

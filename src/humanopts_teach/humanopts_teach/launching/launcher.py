@@ -8,12 +8,14 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 import json
+from multiprocessing.connection import wait
 from multiprocessing.process import BaseProcess
 import os
 from pathlib import Path
 import signal
 import sys
 import termios
+import threading
 import time
 import uuid
 
@@ -74,6 +76,7 @@ class Launcher:
     :ivar on_start: called with a node's name and the end of its publisher_id before each start of
         a process, other than the terminal's.
     :ivar on_end: called with each of ``ends`` and the end of that publisher_id.
+    :ivar wake: called in another thread when ``check`` has something to do.
     :ivar report: called with a line when a process is stopped, and when it continues.
     """
 
@@ -98,6 +101,7 @@ class Launcher:
         self.on_start: Callable[[str, str], object] = lambda name, instance: None
         self.on_end: Callable[[NodeExit, str], object] = lambda ended, instance: None
         self.report: Callable[[str], object] = lambda line: None
+        self.wake: Callable[[], object] = lambda: None
         self._checked = 0.0  # when stopped processes were last looked for, s
         self._running: list[_Running] = []
 
@@ -248,7 +252,14 @@ class Launcher:
         environment = {**os.environ, INSTANCE: instance, RESTARTS: str(restarts)}
         arguments += [PARAMETERS, str(settings)]
         log = self._log(spec.name)
-        return start(spec.module, arguments, environment, log, terminal=spec.terminal)
+        process = start(spec.module, arguments, environment, log, terminal=spec.terminal)
+
+        def wake_at_end() -> None:
+            wait([process.sentinel])
+            self.wake()
+
+        threading.Thread(target=wake_at_end, daemon=True).start()
+        return process
 
     def _ended(self, running: _Running, status: int, what: str, now: float) -> None:
         """
@@ -258,6 +269,10 @@ class Launcher:
         """
         name, policy = running.spec.name, running.policy
         running.due = policy.end(now, status)
+        if running.due is not None:
+            timer = threading.Timer(running.due - now, lambda: self.wake())
+            timer.daemon = True
+            timer.start()
         end = NodeExit(
             name, what, self._last_lines(name), policy.restarts, running.due is not None
         )

@@ -48,7 +48,7 @@ class Recorders:
         self._published.add(recorder)
         self._known[recorder] = _Recorder(complete, stopped, text)
 
-    def check(self, present: bool) -> str:
+    def check(self, present: bool, checks: int = 1) -> str:
         """
         Return the reason why nothing is recorded and what to do; empty: it is recorded.
 
@@ -56,9 +56,10 @@ class Recorders:
         one for a single check, so that the lesson publishes everything again for it.
 
         :param present: whether a recorder is on the graph; a killed one remains for a while.
+        :param checks: number of checks that this one stands for.
         """
         for recorder in self._known.values():
-            recorder.checks += 1
+            recorder.checks += checks
         self._known = {
             who: recorder
             for who, recorder in self._known.items()

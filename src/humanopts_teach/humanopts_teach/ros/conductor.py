@@ -1,6 +1,7 @@
 """The command line's node: supervises a launched graph, and plans and plays in it."""
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from functools import partial
 import json
 import math
@@ -26,6 +27,7 @@ from humanopts_teach.lesson.requests import ActionGoal, Phase, PlanOptions, Play
 from humanopts_teach.lesson.simulated_teacher import FINISHED
 from humanopts_teach.ros.convert import ACTIONS, Endpoint
 from humanopts_teach.ros.graph_client import ClientError, GraphClient, LESSON
+from rclpy.exceptions import InvalidHandle
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.utilities import try_shutdown
 
@@ -34,6 +36,7 @@ _ANSWER = 10.0  # s, timeout for the planner to accept a goal
 _PATIENCE = 5.0  # s; a pause may be temporary, or another node may report its cause
 _LEASE = 20.0  # s for which killed readers still block their writers
 _WORK_SECONDS = 600.0  # timeout for a plan or for episodes
+_IDLE_PERIOD = 0.5  # s, longest wait for a message or a call of ``wake``
 _NAMES_PERIOD = 1.0  # s between checks for other processes with names of this launch
 _ROUNDS = 100  # number of callbacks run to catch up; exceeds the number of topics and statuses
 _READY, _PAUSED = msg.NodeStatus.STATE_READY, msg.NodeStatus.STATE_PAUSED
@@ -219,7 +222,7 @@ class Conductor(NodeBase):
         """
         paused: dict[str, str] = {}  # reported pauses
         while True:
-            self.take(0.05)
+            self.take(_IDLE_PERIOD)
             check()
             self._check_names()
             for name in sorted({*self._launched.values()}):
@@ -229,6 +232,11 @@ class Conductor(NodeBase):
                     report(f'{self.full_name(name)} is paused: {text}')
                 elif state == _READY and paused.pop(name, None) is not None:
                     report(f'{self.full_name(name)} goes on')
+
+    def wake(self) -> None:
+        """End a wait of ``take``; thread-safe."""
+        with suppress(InvalidHandle):  # it may just have been shut down
+            self._executor.wake()
 
     def take(self, seconds: float) -> None:
         """Wait for one message and process it."""

@@ -39,9 +39,11 @@ from humanopts_teach.lesson.seeded_starts import LessonRules, SeededStarts
 from humanopts_teach.lesson.store import DemonstrationStore, OpenSessionFile, StoreError
 from humanopts_teach.ros.convert import Endpoint, LESSON_SERVICES, LESSON_STATE
 from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.event_handler import SubscriptionEventCallbacks
 
 _NO_NAME_YET = '_NODE_NAME_UNKNOWN_'  # the middleware's placeholder for a newly discovered node
-_TICK = 0.1  # s between checks of deadlines
+_TICK = 0.1  # s between checks while something is pending
+_IDLE_TICKS = 5  # ticks between checks while nothing is
 _GAME_DEADLINE = 5.0  # s for the game to respond, and for an announced state to arrive
 _RESEND_DELAY = 0.5  # s from a learner's first status until its subscription is surely matched
 
@@ -92,13 +94,19 @@ class LessonNode(NodeBase):
         self._reentrant = ReentrantCallbackGroup()
         self._reset = self.recorded_client(ResetGame, 'reset_game', self._reentrant)
         self._resend = self.create_timer(_RESEND_DELAY, self._send_again, autostart=False)
-        self.create_timer(_TICK, self._tick)
+        self._ticks = 1  # between checks
+        self._timer = self.create_timer(_TICK, self._tick)
         self._game = GameSubscriber(self, self._on_domain)
         self.peers.on_restart.append(self._on_restart)
         self._game_states = self._game.follow('game_state', self._on_game_state)
         self._recorder_status = self.create_subscription(
-            msg.RecorderStatus, 'recorder_status', self._on_recorder, CURRENT
+            msg.RecorderStatus,
+            'recorder_status',
+            self._on_recorder,
+            CURRENT,
+            event_callbacks=SubscriptionEventCallbacks(matched=self._on_recorder_matched),
         )
+        self._recorder_said: tuple[object, ...] = ()  # significant part of its last status
 
     def _read_rules(self) -> LessonRules:
         what, default = f'of start states: {", ".join(STRATEGIES)}', LessonRules().strategy
@@ -191,6 +199,7 @@ class LessonNode(NodeBase):
             if answer.unsent:
                 self._asked_learner = self.monotonic()
                 self._unsent.extend(answer.unsent)
+                self._check_each(1)
             self._show()
             if answer.unsent:
                 self._lesson.draw_ahead()
@@ -278,10 +287,22 @@ class LessonNode(NodeBase):
             stopped=status.stopped,
             text=status.text,
         )
+        said = status.publisher_id, status.complete, status.stopped
+        if said != self._recorder_said:
+            self._recorder_said = said
+            self._check_each(1)
+
+    def _on_recorder_matched(self, event: Any) -> None:
+        self._check_each(1)
+
+    def _check_each(self, ticks: int) -> None:
+        """Check what is pending every few ticks from now on."""
+        self._ticks, self._timer.timer_period_ns = ticks, int(ticks * _TICK * 1e9)
+        self._timer.reset()
 
     def _check_recording(self) -> None:
         """Pause while nothing is recorded, then republish everything for the new bag."""
-        fault = self._recorders.check(self._recorder_status.get_publisher_count() > 0)
+        fault = self._recorders.check(self._recorder_status.get_publisher_count() > 0, self._ticks)
         if self._unrecorded and not fault:
             # Other nodes may publish on the topic. Also count stopped recorders and nodes without
             # a known name: a bag misses messages sent before its recorder subscribes.
@@ -308,6 +329,10 @@ class LessonNode(NodeBase):
         if self.ready:
             self._check_recording()
         self._show()
+        pending = self._lesson.awaited or self._unrecorded or self._reported
+        ticks = 1 if pending or not self.ready else _IDLE_TICKS
+        if ticks != self._ticks:
+            self._check_each(ticks)
 
     def _show(self) -> None:
         """Publish changes; pause while publishing fails or nothing is recorded."""

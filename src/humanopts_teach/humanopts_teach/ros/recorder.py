@@ -47,9 +47,11 @@ from rclpy.serialization import deserialize_message
 _NS = 10**9
 _MAX_ATTACHED = 2**31  # maximum size of an attached file, bytes
 _PERIOD, _IDLE_PERIOD = 0.02, 0.1  # s between takes under load, and otherwise
+_SILENT_PERIOD = 0.25  # s until the next take after one without messages
 _MANY = 10  # number of messages in a take that counts as load
 _DISCOVERY_PERIOD = 0.05  # s between discoveries until all publishers are matched
 _MATCHED_PERIOD = 0.25  # s between discoveries after that
+_COUNT_PERIOD = 1.0  # s between counts of the publishers of known topics
 _FLUSH_PERIOD = 0.25  # s; maximum loss if the recorder is killed
 _STATUS_PERIOD = 1.0  # s between statuses that differ only in their counts
 _QUIET = 0.1  # s without a message before a recording ends
@@ -135,7 +137,8 @@ class Recorder(NodeBase):
         self._text = self.selection.missing_for_evaluation
         if self._text:
             self.get_logger().warning(self._text)
-        self._discover_at = self._flush_at = 0.0  # s, due times
+        self._discover_at = self._flush_at = self._count_at = 0.0  # s, due times
+        self._topics: list[tuple[str, list[str]]] = []  # at the last count
         self._unflushed = False  # whether a new topic may not be on disk yet
         self._behind = False
         self._published: tuple[object, ...] = ()  # the significant part of the last status
@@ -225,13 +228,19 @@ class Recorder(NodeBase):
         if now >= self._flush_at or (batch and self._unflushed):
             self._flush_at, self._unflushed = now + _FLUSH_PERIOD, False
             self._attempt(self._bag.flush)
-        idle = _IDLE_PERIOD if self._complete else _DISCOVERY_PERIOD
+        idle = _IDLE_PERIOD if batch else _SILENT_PERIOD
+        idle = idle if self._complete else _DISCOVERY_PERIOD
         period = int((_PERIOD if len(batch) > _MANY else idle) * _NS)
         if period != self._timer.timer_period_ns:
             self._timer.timer_period_ns = period
 
     def _discover(self) -> None:
-        """Subscribe to new topics on the graph."""
+        """Subscribe to new topics on the graph; count all publishers less often."""
+        now, topics = time.monotonic(), self.get_topic_names_and_types()
+        if self._complete and topics == self._topics and now < self._count_at:
+            self._publish_status()
+            return
+        self._topics, self._count_at = topics, now + _COUNT_PERIOD
         before = self._subscriber.complete
         added = self._subscriber.discover()
         self._complete = before and self._subscriber.complete  # also matched by the publishers
