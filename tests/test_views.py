@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 import re
+import sys
 import signal
 from typing import Any
 
@@ -93,6 +94,33 @@ def test_a_game_is_shown_in_its_namespace(live: Graph) -> None:
         OptionValues(**plan, sampled=True, option_values=table, continuation_values=table)
     )
     live.until(lambda: not texts(late[-1], 'values'), 'no values of abstract states by cell')
+
+
+def test_the_board_lies_in_a_frame_of_the_graph(live: Graph) -> None:
+    messages = pytest.importorskip('tf2_msgs.msg')
+    placed = live.listen(messages.TFMessage, '/tf_static', CURRENT)
+    live.start(GAME, domain='rooms')
+    live.start(VIEWS, frame_id='board', parent_frame='map', transform=[2.0, 0.0, 0.5, np.pi / 2])
+    live.ready('/game', '/views')
+    drawn = live.listen(MarkerArray, '/views/markers', CURRENT)
+    live.until(lambda: placed and drawn, 'the transform and the board')
+    assert {marker.header.frame_id for marker in drawn[-1].markers} == {'board'}
+    (there,) = placed[0].transforms
+    assert (there.header.frame_id, there.child_frame_id) == ('map', 'board')
+    assert (there.transform.translation.x, there.transform.translation.z) == (2.0, 0.5)
+    assert there.transform.rotation.z == pytest.approx(np.sqrt(0.5))
+
+
+def test_without_tf2_msgs_one_line_says_so(
+    live: Graph, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, 'tf2_msgs.msg', None)
+    live.start(GAME, domain='rooms')
+    live.start(VIEWS, parent_frame='map')
+    live.ready('/views')
+    said = capfd.readouterr().err
+    assert said.count('no transform is published: install tf2_msgs') == 1
+    assert 'four numbers' in live.refused(VIEWS, transform=[1.0])
 
 
 def test_rviz_is_set_up_for_what_is_published() -> None:

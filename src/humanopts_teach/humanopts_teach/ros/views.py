@@ -6,10 +6,11 @@ The node ``views``: the game for RViz, Foxglove and other ROS viewers.
 
 from collections.abc import Iterator, Sequence
 from functools import partial
+import math
 import sys
 from typing import Any
 
-from geometry_msgs.msg import Point, Vector3
+from geometry_msgs.msg import Point, Quaternion, TransformStamped, Vector3
 from humanopts_env.board import Board
 from humanopts_env.domains.base import ActableDomain, BoardSlice, is_enumerable
 from humanopts_env.domains.capabilities import board_of
@@ -19,6 +20,7 @@ from humanopts_env.seeding import generator
 from humanopts_interfaces.msg import OptionGoal, OptionResult, OptionValues
 from humanopts_learner.planning.interruption import OptionValues as PlanValues
 from humanopts_learner.ros.convert import option_values_from_message
+from humanopts_ros.guarded_node import StartError
 from humanopts_ros.node_base import NodeBase
 from humanopts_ros.process import run_node
 from humanopts_ros.qos import CURRENT, DISPLAY, LATCHED
@@ -37,7 +39,7 @@ import numpy as np
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
-FRAME = 'humanopts'  # below the namespace
+FRAME = 'humanopts'  # below the namespace, unless a parameter names another
 _PERIOD = 0.05  # s, polling period of the game and minimum time between drawings
 _OCCUPIED = 100  # value in OccupancyGrid
 _ALONE = (Kind.BALL, Kind.BOX, Kind.TEXT)  # kinds placed at the pose of the marker
@@ -50,7 +52,16 @@ class ViewsNode(NodeBase):
 
     def __init__(self, **options: Any) -> None:
         super().__init__('views', **options)
-        self.frame = self.full_name(FRAME).lstrip('/')
+        frame = self.setting('frame_id', '', 'frame of the board; empty: NAMESPACE/humanopts')
+        self.frame = frame or self.full_name(FRAME).lstrip('/')
+        self._parent = self.setting(
+            'parent_frame', '', 'frame in which the board lies; empty: no transform is published'
+        )
+        self._pose = self.setting(
+            'transform', [0.0] * 4, 'x, y, z (m) and yaw (rad) of the board in parent_frame'
+        )
+        if len(self._pose) != 4:
+            raise StartError('parameter transform: give four numbers, x, y, z and yaw')
         self._board = self.create_publisher(OccupancyGrid, '~/board', LATCHED)
         self._markers = self.create_publisher(MarkerArray, '~/markers', LATCHED)
         self._game = GameSubscriber(self, self._begin)
@@ -65,10 +76,31 @@ class ViewsNode(NodeBase):
         read, use = option_values_from_message, self._on_values
         self.subscribe(OptionValues, 'option_values', read, use, CURRENT)
         self._timer = self.create_timer(_PERIOD, self._draw_newest, autostart=False)
+        self._place_board()
 
     def waits_for(self) -> str | None:
         """Wait for the domain of the game."""
         return None if self._game.domain else 'domain_info'
+
+    def _place_board(self) -> None:
+        """Publish where the board lies, if asked and possible."""
+        if not self._parent:
+            return
+        try:
+            from tf2_msgs.msg import TFMessage  # not among the wheels
+        except ImportError:
+            self.get_logger().warning(
+                'no transform is published: install tf2_msgs (ros-jazzy-tf2-msgs)'
+            )
+            return
+        x, y, z, yaw = self._pose
+        placed = TransformStamped(child_frame_id=self.frame)
+        placed.header.frame_id = self._parent
+        placed.header.stamp = self.get_clock().now().to_msg()
+        placed.transform.translation = Vector3(x=x, y=y, z=z)
+        placed.transform.rotation = Quaternion(z=math.sin(yaw / 2), w=math.cos(yaw / 2))
+        self._transforms = self.create_publisher(TFMessage, '/tf_static', LATCHED)
+        self._transforms.publish(TFMessage(transforms=[placed]))
 
     def _begin(self, domain: ActableDomain) -> None:
         self._layouts = domain.board_slices() if is_enumerable(domain) else ()
