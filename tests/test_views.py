@@ -3,8 +3,8 @@
 import json
 from pathlib import Path
 import re
-import sys
 import signal
+import sys
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
