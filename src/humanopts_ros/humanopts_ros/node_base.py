@@ -363,6 +363,7 @@ class NodeBase(GuardedNode):
         self.ready = True
         self.on_ready()
         self.set_status(NodeStatus.STATE_READY)
+        self.get_logger().info('ready')
 
     def _lacks_recorder(self) -> str | None:
         """Describe a topic that the recorder lacks; None: no topic, or no recorder is expected."""

@@ -42,6 +42,7 @@ from humanopts_ros.qos import CURRENT, LATCHED, STREAM
 from humanopts_ros.senders import Role
 from rclpy.parameter import Parameter
 
+_LOG_PERIOD = 1.0  # s between lines about episodes
 _RETRY_PERIOD = 1.0  # s between attempts to publish again
 _LEASE_PERIOD = 0.25  # s between checks of the leases
 _SHOW_PERIOD = 0.02  # s, minimum time between current states while the machine plays
@@ -79,6 +80,7 @@ class LockStepNode(NodeBase):
         self._pace = self.create_timer(period or 1.0, self._on_pace, autostart=False)
         self.create_timer(_RETRY_PERIOD, self._retry)
         self._lease, self._pause_lease = Lease(), Lease()
+        self._logged_control: Control | None = None
         self._lease_timer = self.create_timer(_LEASE_PERIOD, self._check_lease, autostart=False)
         self._show_timer = self.create_timer(_SHOW_PERIOD, self._show, autostart=False)
         self._unshown: GameState | None = None  # the newest state, if current_state is behind
@@ -217,6 +219,10 @@ class LockStepNode(NodeBase):
     def send_control(self, control: Control) -> None:
         """Publish control, and begin the lease of who holds or supervises it."""
         responsible = control.holder_id or control.supervisor_id
+        if control != self._logged_control:
+            self._logged_control = control
+            who = f' ({responsible})' if responsible else ''
+            self.get_logger().info(f'control: {control.reason}{who}')
         self._lease.begin(responsible)
         if responsible or self._pacing.paused_by:
             self._lease_timer.reset()
@@ -226,6 +232,11 @@ class LockStepNode(NodeBase):
 
     def send_transition(self, transition: Transition) -> None:
         """Publish a state; also as the current one, unless the machine plays too fast."""
+        if not transition.step and not transition.refreshed:
+            self.get_logger().info(
+                f'episode {transition.episode} begins: {shown(transition.state)}',
+                throttle_duration_sec=_LOG_PERIOD,  # a plan may play hundreds a second
+            )
         message = transition_to_message(transition)  # each publisher adds its own sequence
         self._send(self._stream, message)
         self._unshown = message

@@ -79,6 +79,7 @@ class LearnerNode(NodeBase):
                 receipt.status = receipt.STATUS_ACCEPTED
                 self._log_problems(self._trainer)
                 self._publish(self._trainer)
+                self._log_learned(self._trainer, message)
             else:
                 receipt.status, receipt.detail = receipt.STATUS_DUPLICATE, 'it is known already'
         except DemonstrationError as error:
@@ -95,6 +96,16 @@ class LearnerNode(NodeBase):
         """Log errors in the folder that are new since the last call."""
         while trainer.problems:
             self.get_logger().warning(trainer.problems.pop(0))
+
+    def _log_learned(self, trainer: OptionTrainer, message: Demonstration) -> None:
+        """Log how far the option of a demonstration has been learned."""
+        for each in trainer.options():
+            summary = each.summary
+            if (summary.participant, summary.option_name) == (
+                message.participant,
+                message.option_name,
+            ):
+                self.get_logger().info(f'{shown(summary.option_name)}: {summary.status}')
 
     def _publish(self, trainer: OptionTrainer) -> None:
         options = trainer.options()

@@ -153,6 +153,7 @@ class GoalServer(ABC):
         if status:
             result.status = getattr(result, f'STATUS_{status}')
         self._results.publish(result)
+        self._node.get_logger().info(f'{self.occupation}: {result.detail or "done"}')
         end_goal(handle, not status, status == 'CANCELED')
         return self.kind.Result(result=result)
 

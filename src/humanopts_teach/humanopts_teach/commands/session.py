@@ -20,7 +20,6 @@ from humanopts_env.domains.registry import make_domain, reference_options
 from humanopts_learner.demonstrations import check_method
 from humanopts_ros.limits import printable
 from humanopts_ros.middleware import check_settings
-from humanopts_ros.process import woken_by_signals
 from humanopts_ros.recording import Selection
 from humanopts_teach.bags.writer import parts
 from humanopts_teach.command_line import LaunchOptions
@@ -346,8 +345,7 @@ def run_until_interrupt(
 
             started(launched)
             try:
-                with woken_by_signals(launched.graph.wake):
-                    launched.graph.run_until_interrupt(check, report)
+                launched.graph.run_until_interrupt(check, report)
             except KeyboardInterrupt:
                 launched.check_recording()
                 raise

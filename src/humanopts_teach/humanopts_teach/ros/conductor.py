@@ -18,6 +18,7 @@ from humanopts_ros.guarded_node import start_ros
 from humanopts_ros.limits import one_line, shown
 from humanopts_ros.node_base import NodeBase
 from humanopts_ros.peers import announced_ids
+from humanopts_ros.process import woken_by_signals
 from humanopts_ros.qos import CURRENT
 from humanopts_ros.senders import signer
 from humanopts_teach.launching import CONDUCTOR, LaunchError, OccupiedError, RECORDER
@@ -221,17 +222,18 @@ class Conductor(NodeBase):
         :raises LaunchError: raised by ``check``.
         """
         paused: dict[str, str] = {}  # reported pauses
-        while True:
-            self.take(_IDLE_PERIOD)
-            check()
-            self._check_names()
-            for name in sorted({*self._launched.values()}):
-                state, text = self.peers.state(name), self._text(name)
-                if state == _PAUSED and text != paused.get(name):
-                    paused[name] = text
-                    report(f'{self.full_name(name)} is paused: {text}')
-                elif state == _READY and paused.pop(name, None) is not None:
-                    report(f'{self.full_name(name)} goes on')
+        with woken_by_signals(self.wake):
+            while True:
+                self.take(_IDLE_PERIOD)
+                check()
+                self._check_names()
+                for name in sorted({*self._launched.values()}):
+                    state, text = self.peers.state(name), self._text(name)
+                    if state == _PAUSED and text != paused.get(name):
+                        paused[name] = text
+                        report(f'{self.full_name(name)} is paused: {text}')
+                    elif state == _READY and paused.pop(name, None) is not None:
+                        report(f'{self.full_name(name)} goes on')
 
     def wake(self) -> None:
         """End a wait of ``take``; thread-safe."""

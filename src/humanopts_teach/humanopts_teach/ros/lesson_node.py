@@ -200,6 +200,11 @@ class LessonNode(NodeBase):
                 self._asked_learner = self.monotonic()
                 self._unsent.extend(answer.unsent)
                 self._check_each(1)
+                for demo in answer.unsent:
+                    done = 'withdrawn' if demo.withdrawn else 'kept'
+                    self.get_logger().info(
+                        f'{demo.option_name}: demonstration {demo.number} is {done}'
+                    )
             self._show()
             if answer.unsent:
                 self._lesson.draw_ahead()

@@ -150,6 +150,10 @@ class Recorder(NodeBase):
         """Wait until all publishers are matched."""
         return self._stopped or (None if self._complete else 'the publishers on the graph')
 
+    def on_ready(self) -> None:
+        """Log where the bag is."""
+        self.get_logger().info(f'records to {self._bag.path}')
+
     def serve(self, executor: Executor, stop: Callable[[], bool]) -> None:
         """Run callbacks until ``stop`` returns True and the nodes to outlast are gone."""
         super().serve(executor, stop)
