@@ -3,8 +3,9 @@
 from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
-from humanopts_env.domains.base import Domain
+from humanopts_env.domains.base import ActableDomain
 from humanopts_env.game import Accepted, Command, Game, Source
 from humanopts_learner.demonstrations import group_by_option
 from humanopts_learner.options.exam import with_verdicts
@@ -59,13 +60,13 @@ class Desk:
     """
 
     def __init__(
-        self, domain: Domain, folder: Path, *, budget: int = 100, app: App | None = None
+        self, domain: ActableDomain, folder: Path, *, budget: int = 100, app: App | None = None
     ) -> None:
         self.app = app or App(opening('p1'))
         self.world = self.app.world
         self.world.domain, self.world.me = domain, ME
         self.store = DemonstrationStore(folder)
-        self.game = Game(domain)
+        self.game = self.make_game()
         self.now = 0.0
         self.lesson = Lesson(
             domain,
@@ -81,6 +82,10 @@ class Desk:
         self.exam = 0
         self.game.reset('', 0, Source.PERSON)
         self.publish()
+
+    def make_game(self) -> Any:
+        """Return what is acted in."""
+        return Game(self.app.domain)
 
     def press(self, *keys: str) -> 'Desk':
         """Look at the screen and press keys, one after the other."""

@@ -262,10 +262,10 @@ class App:
             if key in (INTERRUPT, END_OF_FILE):
                 self.ended = True
                 continue
-            if key == SPACE and self.world.robot:
+            moves = self.run is not None or bool(self.world.progress.action)
+            if key == SPACE and self.world.robot and (moves or not self.screen.takes_text):
                 self.stop()
-                if not self.screen.takes_text:
-                    continue
+                continue
             if self._lasts is not None and (action := self._action_of(key)):
                 if action != self._lasts.action:
                     self._drop()
@@ -316,13 +316,15 @@ class App:
             stops a robot, whatever is pending, and is not answered.
         """
         self.now = now
-        if self._stops:
-            self._stops = False
-            self.say('Stopped. You have control.')
-            return Drive('', self.world.game.episode, self.world.game.step)
         self._check_waiting(now)
         self._owned |= self.world.lesson.participant == self.participant
-        while self._waiting is None and not self.ended:
+        while not self.ended:
+            if self._stops:
+                self._stops = False
+                self.say('Stopped. You have control.')
+                return Drive('', self.world.game.episode, self.world.game.step)
+            if self._waiting is not None:
+                break
             if self._outbox:
                 request, then = self._outbox.popleft()
                 if self._is_anothers(request):

@@ -15,6 +15,7 @@ from humanopts_teach.lesson.requests import (
     Answer,
     CancelRun,
     NewEpisode,
+    Phase,
     PlanOptions,
     PlayEpisodes,
     Request,
@@ -66,7 +67,9 @@ def pace(app: App) -> list[Command]:
 def pace_line(world: World) -> Line:
     """Return a line that describes the machine's speed."""
     if world.robot:
-        return Line('An action key takes over.', Tone.QUIET)
+        shows = world.lesson.phase is Phase.DEMONSTRATING
+        where = ', and your demonstration begins there' if shows else ''
+        return Line(f'An action key takes over{where}.', Tone.QUIET)
     if world.paused_by:
         return Line('The machine is paused.', Tone.WARNING)
     limit = f'At most one step every {world.step_period:g} s.'

@@ -32,8 +32,8 @@ _EXAM = (
     'if it was right, or w as soon as it is wrong.'
 )
 _EXAM_OF_ROBOT = (
-    'The criteria are met. Drive to a start that you have not shown; Enter runs the option there. '
-    'Watch it; press r if it was right, or w as soon as it is wrong: the robot stops.'
+    'The criteria are met. Enter runs the option from here. Watch it; press r if it was right, or '
+    'w as soon as it is wrong: the robot stops.'
 )
 
 
@@ -66,7 +66,9 @@ def progress_panel(app: App, *, questions: str, again: str, demonstrations: str)
     if lesson.phase is Phase.EXAM:
         blocks.append(Line(_EXAM_OF_ROBOT if world.robot else _EXAM))
     if app.run is not None:
-        blocks += [Line('The machine shows what it learned.', Tone.NEWS), pace_line(world)]
+        blocks.append(Line('The machine shows what it learned.', Tone.NEWS))
+        if not (lesson.exam and world.robot):
+            blocks.append(pace_line(world))
     elif lesson.exam and step:
         blocks.append(Line('The run has ended. Was it right?', strong=True))
     if lesson.phase is Phase.DEMONSTRATING:

@@ -159,8 +159,6 @@ def correct(option_name: str, app: App) -> None:
     def begin(answer: Answer) -> None:
         app.ask(BeginDemonstration('' if app.world.robot else app.world.game.state))
 
-    if app.world.robot:
-        app.stop()
     to_lesson(app)
     app.ask(SetControl(hold=True), DefineOption(option_name), then=begin)
 

@@ -360,7 +360,7 @@ class LessonScreen(Screen):
             Command(
                 'w',
                 'wrong',
-                judge(Verdict.WRONG, None) if begun or ended else None,
+                judge(Verdict.WRONG, None) if begun or ended or (robot and not idle) else None,
                 'stop the run; next you show what the option should do there',
             ),
             Command(
@@ -379,12 +379,15 @@ class LessonScreen(Screen):
     def _judge(self, verdict: Verdict, then: Phase | None, app: App) -> None:
         """Give a verdict on the run of the exam, and stop the run."""
         game, runs = app.world.game, app.run is not None
+        self.stops |= runs
+        if runs and app.world.robot:
+            app.stop()  # the verdict follows when the run has ended, with its last state
+            return
 
         def judged(answer: Answer) -> None:
             self._go_on(then, app)
 
-        self.stops = runs
-        end = EndDemonstration(verdict, game.episode, game.step, stopped=runs)
+        end = EndDemonstration(verdict, game.episode, game.step, stopped=self.stops)
         app.ask(*([CancelRun()] if runs else []), end, then=judged)
         app.resume_machine()
 
@@ -399,7 +402,10 @@ class LessonScreen(Screen):
         if app.world.robot and watched and well and not app.world.in_control:
             self._verdict(Verdict.DISCARD, app)  # nothing was shown, and driving on is not either
         if self.stops:
-            app.message, self.stops = GAP, False  # the lesson says what comes next
+            app.message = GAP  # the lesson says what comes next
+            if app.world.robot:
+                self._judge(Verdict.WRONG, None, app)
+            self.stops = False
 
     def _end(self, verdict: Verdict, app: App) -> None:
         """Give a verdict; ask for confirmation if the last step had no effect."""

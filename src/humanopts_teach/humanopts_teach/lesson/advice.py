@@ -17,7 +17,7 @@ _HINTS = {
 }
 _WITHOUT_STARTS = {  # where the person drives to each start
     Phase.READY: 'Drive to where the option can start, then begin.',
-    Phase.EXAM: 'Drive to any start of the option, then begin the next run of the exam.',
+    Phase.EXAM: 'Drive to a start that you have not shown, then begin the next run of the exam.',
 }
 
 
