@@ -140,8 +140,9 @@ def _limits(feature: Feature) -> tuple[float, float]:
 def _words(feature: Feature, begin: float, end: float) -> str:
     """Return a range of a feature in words."""
     low, high = _limits(feature)
+    ends = [feature.text(value) for value in (begin, end)]
+    if feature.kind is FeatureKind.CONTINUOUS:
+        ends = [f'{value:.2g} {feature.unit}'.strip() for value in (begin, end)]
     if begin <= low:
-        return f'below {feature.text(end)}'
-    if end >= high:
-        return f'above {feature.text(begin)}'
-    return f'between {feature.text(begin)} and {feature.text(end)}'
+        return f'below {ends[1]}'
+    return f'above {ends[0]}' if end >= high else f'between {ends[0]} and {ends[1]}'

@@ -286,7 +286,9 @@ class App:
     def _lasts(self) -> Drive | None:
         """The pending action of a robot, which may take a while; None: there is none."""
         request = self.waits_for
-        return request if isinstance(request, Drive) and self._lasting(request) else None
+        return (
+            request if isinstance(request, Drive) and self.world.longest(request.action) else None
+        )
 
     def _action_of(self, key: str) -> str:
         """Return the action bound to a key; empty: the screen does not drive, or has none."""
@@ -330,9 +332,8 @@ class App:
                 if self._is_anothers(request):
                     self._yield_lesson()
                     continue
-                self._waiting = _Waiting(
-                    request, then, now + REPLY_SECONDS + self._lasting(request)
-                )
+                lasts = self.world.longest(request.action) if isinstance(request, Drive) else 0.0
+                self._waiting = _Waiting(request, then, now + REPLY_SECONDS + lasts)
                 return request
             if self._keys:
                 self.message = GAP
@@ -349,12 +350,6 @@ class App:
             if not self._outbox:
                 break
         return None
-
-    def _lasting(self, request: Request) -> float:
-        """Return the longest duration of a request, s."""
-        actions = self.world.domain.actions if self.world.domain is not None else ()
-        name = request.action if isinstance(request, Drive) else ''
-        return next((action.seconds for action in actions if action.name == name), 0.0)
 
     def replied(self, request: Request, answer: Answer, now: float) -> None:
         """Accept the answer to the pending request; ignore any other answer as late."""

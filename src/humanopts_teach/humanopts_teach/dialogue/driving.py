@@ -117,9 +117,8 @@ def robot_lines(app: App) -> Iterator[Line]:
         key = next((f': press {key}' for key, each in table if each.words == TAKE), '')
         yield Line(f'Nothing moves before you take control{key}.', Tone.WARNING)
     if now.action:
-        longest = next((a.seconds for a in app.domain.actions if a.name == now.action), 0.0)
         feedback = f'; {now.feedback}' if now.feedback else ''
-        text = f'{now.action}: {now.seconds:.1f} of {longest:g} s{feedback}'
+        text = f'{now.action}: {now.seconds:.1f} of {world.longest(now.action):g} s{feedback}'
         yield Line(text, Tone.NEWS, more=(Line('  Space stops the robot.', Tone.QUIET),))
     elif world.supervisor == world.me and not world.in_control:
         yield Line('The machine may move. If you leave, the robot stops.', Tone.QUIET)

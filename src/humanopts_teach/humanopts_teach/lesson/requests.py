@@ -435,6 +435,11 @@ class World:
             return None
         return effect_between(domain, before, game)
 
+    def longest(self, action: str) -> float:
+        """Return the longest duration of an action, s; 0: it is taken at once."""
+        actions = self.domain.actions if self.domain is not None else ()
+        return next((each.seconds for each in actions if each.name == action), 0.0)
+
     def summary_of(self, participant: str, option_name: str) -> OptionSummary | None:
         """Return the learner's summary of an option; None: not reported yet."""
         wanted = (participant, option_name)

@@ -211,7 +211,8 @@ class GraphClient:
         """
         what = await self._found(request)
         future, before = self.send(request), self._place()
-        await self.until(future.done, f'an answer of {what}')
+        lasts = self.world.longest(request.action) if isinstance(request, Drive) else 0.0
+        await self.until(future.done, f'an answer of {what}', self._patience + lasts)
         answer: Answer = future.result()
         if not answer.carried_out:
             raise RefusedError(what, answer)
