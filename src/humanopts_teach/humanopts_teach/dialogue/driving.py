@@ -122,6 +122,8 @@ def robot_lines(app: App) -> Iterator[Line]:
         yield Line(text, Tone.NEWS, more=(Line('  Space stops the robot.', Tone.QUIET),))
     elif world.supervisor == world.me and not world.in_control:
         yield Line('The machine may move. If you leave, the robot stops.', Tone.QUIET)
+    elif not (world.locked or now.stopped):
+        yield Line('The robot stands still.', Tone.QUIET)
 
 
 @dataclass
