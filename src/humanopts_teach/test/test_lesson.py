@@ -23,7 +23,7 @@ from humanopts_learner.options.checks import Check
 from humanopts_learner.summary import Criterion, OptionSummary
 from humanopts_teach.lesson import requests
 from humanopts_teach.lesson.history import OptionHistory
-from humanopts_teach.lesson.lesson import MAX_DERIVED
+from humanopts_teach.lesson.notebook import MAX_DERIVED
 from humanopts_teach.lesson.requests import (
     Answer,
     AnswerQuestion,

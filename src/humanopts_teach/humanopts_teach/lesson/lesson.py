@@ -8,18 +8,15 @@ changes nothing.
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from itertools import count
 from typing import Any
 
 from humanopts_env.domains.base import ActableDomain
 from humanopts_env.domains.described import can_simulate
-from humanopts_env.domains.formulas import derive, FormulaError
 from humanopts_env.game import Source, Transition
 from humanopts_learner.demonstrations import (
     check_method,
     Demonstration,
     DemonstrationError,
-    each_once,
     Kind,
     option_name_fault,
     shown,
@@ -32,8 +29,9 @@ from humanopts_teach.lesson.advice import advice
 from humanopts_teach.lesson.attempt import Attempt
 from humanopts_teach.lesson.examination import Examination
 from humanopts_teach.lesson.feedback import Feedback
-from humanopts_teach.lesson.history import History, OptionHistory
+from humanopts_teach.lesson.history import OptionHistory
 from humanopts_teach.lesson.next_start import NextStart
+from humanopts_teach.lesson.notebook import Notebook
 from humanopts_teach.lesson.records import Records
 from humanopts_teach.lesson.requests import (
     AddDemonstrations,
@@ -54,17 +52,8 @@ from humanopts_teach.lesson.requests import (
     WithdrawDemonstration,
 )
 from humanopts_teach.lesson.seeded_starts import SeededStarts
-from humanopts_teach.lesson.store import (
-    CODE,
-    CODE_RULE,
-    DemonstrationStore,
-    Entry,
-    LessonEvent,
-    similar_code,
-    StoreError,
-)
+from humanopts_teach.lesson.store import DemonstrationStore, Entry
 
-MAX_DERIVED = 100  # derived features of a participant
 _ALL_NO = 'All answers were no, but an option depends on something: please answer again.'
 _READY = Phase.READY, Phase.CHECKING, Phase.EXAM, Phase.FINISHED  # a demonstration can begin
 _UNRECORDED = 'on disk but not in this recording; the next recording will have it'
@@ -103,10 +92,9 @@ class Lesson:
         :param clock: monotonic clock, s.
         :param today: returns the date as YYYYMMDD, for session codes.
         """
-        self._domain, self._store, self._starts = domain, store, starts
+        self._domain, self._starts = domain, starts
         self._clock, self._today = clock, today
-        self._session = ''
-        self._history = History(domain, '')
+        self._book = Notebook(domain, store)
         self._option: OptionHistory | None = None
         self.feedback = Feedback(domain, starts)
         self._examination = Examination(starts)
@@ -123,7 +111,7 @@ class Lesson:
         """The phase of the lesson."""
         option = self._option
         for phase, holds in (
-            (Phase.NO_SESSION, not self._history.participant),
+            (Phase.NO_SESSION, not self._book.history.participant),
             (Phase.NO_OPTION, option is None),
             (Phase.DEMONSTRATING, self._under_way is not None),
             (Phase.ASKING, option is not None and option.open_feature is not None),
@@ -150,11 +138,11 @@ class Lesson:
         phase, rules = self.phase, self._starts.rules
         view = LessonView(
             phase=phase,
-            participant=self._history.participant,
-            session=self._session,
+            participant=self._book.history.participant,
+            session=self._book.session,
             budget=rules.budget,
             strategy=rules.strategy,
-            derived_features=self._history.derived,
+            derived_features=self._book.history.derived,
             paused=self._paused,
             **self.feedback.shown(self._option),
         )
@@ -185,7 +173,7 @@ class Lesson:
         return replace(
             view,
             option_name=option.name,
-            questions_total=len(self._history.features),
+            questions_total=len(self._book.history.features),
             chosen_features=option.chosen,
             method=self.feedback.method(option),
             n_demonstrations=option.n_trajectories,
@@ -202,7 +190,7 @@ class Lesson:
 
         :raises RefusalError: a participant's file cannot be read.
         """
-        return self._demonstrations(*self._store.participants())
+        return self._book.demonstrations()
 
     # Requests of the person.
 
@@ -229,7 +217,7 @@ class Lesson:
             if self._paused and not isinstance(request, EndDemonstration | ListDemonstrations):
                 raise RefusalError(RequestStatus.PAUSED, f'the lesson is paused: {self._paused}')
             if self._attempt is not None and not during:
-                who = self._history.participant
+                who = self._book.history.participant
                 raise _wrong_phase(f'{who} has a demonstration under way; end it first')
             taken_back = isinstance(request, WithdrawDemonstration | ChangeOption)
             if self.feedback.awaited is not None and taken_back:
@@ -241,7 +229,7 @@ class Lesson:
     def draw_ahead(self) -> None:
         """Draw the sample for the next start state while the learner is busy."""
         if self.phase is Phase.LEARNING and self._option is not None:
-            self._starts.draw_ahead(self._option, self._history.options)
+            self._starts.draw_ahead(self._option, self._book.history.options)
 
     def began(self, episode: int, state: str) -> Answer:
         """Begin the prepared demonstration, after the game has begun its episode."""
@@ -365,7 +353,9 @@ class Lesson:
     @property
     def _question_id(self) -> int:
         """The id of the open question, unique across options; 0: none is open."""
-        return self._history.n_answers + 1 if self.phase in (Phase.ASKING, Phase.CHECKING) else 0
+        return (
+            self._book.history.n_answers + 1 if self.phase in (Phase.ASKING, Phase.CHECKING) else 0
+        )
 
     def _check_processed(self) -> None:
         """Stop waiting once learner and start states include the awaited demonstration."""
@@ -376,7 +366,7 @@ class Lesson:
     def _check_done(self) -> None:
         """Check what comes next: a demonstration, a question about a run, the exam or nothing."""
         settled = self.feedback.settled(self._option)
-        self._examination.update(self._option, settled, self._history.options)
+        self._examination.update(self._option, settled, self._book.history.options)
         self._next.look(self._option)
 
     @property
@@ -388,105 +378,46 @@ class Lesson:
 
     # Handlers of requests; they raise RefusalError to refuse a request.
 
-    @property
-    def _who(self) -> tuple[str, str, str, str]:
-        """Domain, domain parameters, participant and session of an entry."""
-        return (*self._history.key, self._history.participant, self._session)
-
-    def _event(self, entry: Any, option_name: str, **more: Any) -> LessonEvent:
-        """Return an entry about an option in the open session."""
-        return LessonEvent(entry, *self._who, option_name, **more)
-
-    def _entries(self, participant: str) -> tuple[Entry, ...]:
-        try:
-            return self._store.entries(participant)
-        except StoreError as error:
-            raise RefusalError(RequestStatus.NOT_SAVED, str(error)) from error
-
-    def _demonstrations(self, *participants: str) -> list[Demonstration]:
-        return each_once(
-            entry
-            for participant in participants
-            for entry in self._entries(participant)
-            if isinstance(entry, Demonstration)
-            and (entry.domain, entry.domain_parameters) == self._history.key
-        )
-
-    def _write(self, *entries: Entry, history: History | None = None) -> None:
-        try:
-            self._store.append(*entries)
-        except StoreError as error:
-            raise RefusalError(RequestStatus.NOT_SAVED, str(error)) from error
-        for entry in entries:
-            (history or self._history).add(entry)
+    def _write(self, *entries: Entry) -> None:
+        self._book.write(*entries)
         self.feedback.sort_stuck()
 
     def _open_session(self, request: OpenSession) -> Answer:
         """Open a session, or resume it."""
-        participant, session = request.participant, request.session
-        for what, code in (('participant', participant), ('session', session or 'new')):
-            if not CODE.fullmatch(code):
-                detail = f'{what} {code!r} is not a code: {CODE_RULE}'
-                raise RefusalError(RequestStatus.BAD_NAME, detail)
-        if similar := similar_code(participant, self._store.participants()):
-            detail = (
-                f'{participant!r} differs only in case from {similar!r}: give {similar!r}, '
-                'or another code'
-            )
-            raise RefusalError(RequestStatus.BAD_NAME, detail)
-        history = History(self._domain, participant, self._entries(participant))
-        codes = (f'{self._today()}-{number}' for number in count(1))
-        session = session or next(code for code in codes if code not in history.sessions)
-        opened = LessonEvent('session', *history.key, participant, session)
-        self._write(opened, history=history)
-        self._history, self._session = history, session
+        self._book.open(request.participant, request.session, self._today)
+        history, session = self._book.history, self._book.session
         self.feedback.begin(history)
         self._switch_to(history.options.get(history.sessions[session]))
         return _ok(
-            f'session {session} of {participant} is open',
+            f'session {session} of {history.participant} is open',
             session=session,
             known_options=tuple(history.options),
         )
 
     def _define_option(self, request: DefineOption) -> Answer:
         """Name an option to teach, or resume it."""
-        if not self._history.participant:
+        if not self._book.history.participant:
             raise _wrong_phase('open a session first')
         name = composed(request.name.strip())
         if fault := option_name_fault(name):
             raise RefusalError(RequestStatus.BAD_NAME, fault)
-        known = self._history.options.get(name)
+        known = self._book.history.options.get(name)
         method = request.method or (known.method if known is not None else '')
         try:
             check_method(method or self._starts.rules.method, self._domain)
         except DemonstrationError as error:
             raise RefusalError(RequestStatus.BAD_METHOD, str(error)) from error
-        derived = self._new_features(request.derived_features)
+        derived = self._book.new_features((*self._starts.rules.derive, *request.derived_features))
         again = request.ask_again
         self._write(
-            *(self._event('feature', '', feature=feature) for feature in derived),
-            self._event('option', name, ask_again=again, method=request.method),
+            *(self._book.event('feature', '', feature=feature) for feature in derived),
+            self._book.event('option', name, ask_again=again, method=request.method),
         )
-        self._switch_to(self._history.options[name])
+        self._switch_to(self._book.history.options[name])
         text = f'{"begun" if known is None else "going on with"}: {name}'
         if derived:
             text += f'; it is also asked about {", ".join(derived)}'
         return _ok(text, resumed=known is not None)
-
-    def _new_features(self, requested: Sequence[str]) -> list[str]:
-        """Return the derived features that the participant does not have yet, by name."""
-        found: list[str] = []
-        for text in (*self._starts.rules.derive, *requested):
-            try:
-                name = derive(self._domain, text).feature.name
-            except FormulaError as error:
-                raise RefusalError(RequestStatus.BAD_FEATURE, str(error)) from error
-            if name not in (*self._history.derived, *found):
-                found.append(name)
-        if len(self._history.derived) + len(found) > MAX_DERIVED:
-            detail = f'{MAX_DERIVED} derived features are the most'
-            raise RefusalError(RequestStatus.BAD_FEATURE, detail)
-        return found
 
     def _switch_to(self, option: OptionHistory | None) -> None:
         if option is not self._option:
@@ -515,7 +446,7 @@ class Lesson:
             return self._keep(run, 'the run is right' if request.yes else 'the run is wrong')
         assert feature is not None
         yes = request.yes
-        self._write(self._event('answer', option.name, feature=feature.name, yes=yes))
+        self._write(self._book.event('answer', option.name, feature=feature.name, yes=yes))
         answer = _ok(f'{feature.name}: {"yes" if yes else "no"}')
         if not option.answers:
             answer = Answer(RequestStatus.NO_FEATURE, _ALL_NO)
@@ -532,7 +463,7 @@ class Lesson:
             raise _not_asked('there is no question before this one to go back to')
         if verdicts:
             return self._withdraw(WithdrawDemonstration(verdicts[-1].uuid))
-        self._write(self._event('answer taken back', option.name))
+        self._write(self._book.event('answer taken back', option.name))
         self._notice = ''
         self._check_done()
         return _ok('the question before is open again')
@@ -544,7 +475,7 @@ class Lesson:
             spent = spent and phase in _READY
             status = RequestStatus.BUDGET_SPENT if spent else RequestStatus.WRONG_PHASE
             raise RefusalError(status, self._advice)
-        state, seed = self._next.choose(option, self._history.options, request)
+        state, seed = self._next.choose(option, self._book.history.options, request)
         self._attempt = Attempt(state, request.watch or request.exam, request.exam)
         return _ok('the start state is chosen', state=state, seed=seed)
 
@@ -595,7 +526,7 @@ class Lesson:
         )
 
     def _records(self, option: OptionHistory) -> Records:
-        return Records(self._domain, option, self._session, self.feedback.method(option))
+        return Records(self._domain, option, self._book.session, self.feedback.method(option))
 
     def _keep(self, demo: Demonstration, text: str) -> Answer:
         """Keep a demonstration or a judged run, and wait for the learner."""
@@ -653,47 +584,40 @@ class Lesson:
 
     def _list(self, request: ListDemonstrations) -> Answer:
         """List the demonstrations and judged runs of an option, including withdrawn ones."""
-        option = self._known(request.option_name) if request.option_name else self._option
+        option = self._book.option(request.option_name) if request.option_name else self._option
         if option is None:
             raise RefusalError(RequestStatus.NO_OPTION, 'no option is being taught: name one')
-        everything = self._demonstrations(self._history.participant)
+        everything = self._book.demonstrations(self._book.history.participant)
         found = tuple(demo for demo in everything if demo.option_name == option.name)
         return _ok(f'{len(found)} of {option.name}', demonstrations=found)
 
-    def _known(self, option_name: str) -> OptionHistory:
-        option = self._history.options.get(composed(option_name))
-        if option is None:
-            detail = f'unknown option {option_name!r} of {self._history.participant or "no one"}'
-            raise RefusalError(RequestStatus.NO_OPTION, detail)
-        return option
-
     def _change_option(self, request: ChangeOption) -> Answer:
         """Delete an option, or rename it by copying answers and demonstrations to a new one."""
-        option, new = self._known(request.name), composed(request.new_name.strip())
+        option, new = self._book.option(request.name), composed(request.new_name.strip())
         begun: list[Entry] = []
         moved: list[Demonstration] = []
         if request.new_name:
             if fault := option_name_fault(new):
                 raise RefusalError(RequestStatus.BAD_NAME, fault)
-            if new in self._history.options:
+            if new in self._book.history.options:
                 detail = f'an option is called {new!r} already'
                 raise RefusalError(RequestStatus.NAME_TAKEN, detail)
-            begun.append(self._event('option', new, method=option.method))
+            begun.append(self._book.event('option', new, method=option.method))
             begun += [
-                self._event('answer', new, feature=feature, yes=yes)
+                self._book.event('answer', new, feature=feature, yes=yes)
                 for feature, yes in option.answers.items()
             ]
-            moved = [*self._records(option).renamed(new, self._history.number(new))]
+            moved = [*self._records(option).renamed(new, self._book.history.number(new))]
         withdrawn = [replace(demo, withdrawn=True) for demo in option.everything]
-        deleted = self._event('option deleted', option.name)
+        deleted = self._book.event('option deleted', option.name)
         self._write(*begun, *moved, *withdrawn, deleted)
         if new or option is self._option:
-            self._switch_to(self._history.options.get(new))
+            self._switch_to(self._book.history.options.get(new))
         if shown(moved):
             self.feedback.awaited = shown(moved)[-1]
         return _ok(
             f'{option.name} is now called {new}' if new else f'{option.name} is deleted',
-            known_options=tuple(self._history.options),
+            known_options=tuple(self._book.history.options),
             unsent=(*moved, *withdrawn),
         )
 
