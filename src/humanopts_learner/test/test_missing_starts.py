@@ -73,7 +73,7 @@ def test_gaps_between_starts_are_named_the_largest_first() -> None:
         'no demonstration starts with distance above 4 m'
     )
     both = [drive(9, 1), drive(4, 2)]
-    assert missing(both) == 'no demonstration starts with distance between 4 m and 9 m'
+    assert missing(both) == 'no demonstration starts with distance 4 m to 9 m'
 
 
 def test_what_was_never_seen_is_asked_for_only_while_there_are_few_starts() -> None:
@@ -88,7 +88,7 @@ def test_disagreement_is_named_by_the_range_that_holds_it() -> None:
     """One demonstration says what to do at the closed door: without it, the others say else."""
     demos = [drive(start, n) for n, start in enumerate((9, 7, 5, 3, 2, 8), 1)]
     demos += [drive(4, 7, door=1, action='left'), demonstration([(2, 5, 0)], [], 8)]
-    assert missing(demos) == 'demonstrations disagree where door is closed'
+    assert missing(demos) == 'demonstrations disagree with door closed'
     assert (
         missing([*demos, drive(4, 9, door=1, action='left'), demonstration([(2, 4, 0)], [], 10)])
         == ''

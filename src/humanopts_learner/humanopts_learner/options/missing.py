@@ -68,8 +68,8 @@ def missing_start(
         for known in [value in of_seen]
     ]
     gaps = [
-        (f'no demonstration starts with {plain_name(feature.name)} {_words(feature, *gap)}', known)
-        for _, feature, gap, known in sorted(_gaps(columns), key=lambda gap: -gap[0])
+        (f'no demonstration starts with {text}', known)
+        for _, text, known in sorted(_gaps(columns), key=lambda gap: -gap[0])
     ]
     disagreed = committee_disagrees(option, domain, demonstrations, seen, seed)
     reasons = [
@@ -83,18 +83,21 @@ def missing_start(
 
 def _gaps(
     columns: Sequence[tuple[Feature, Floats, Floats]],
-) -> Iterator[tuple[float, Feature, tuple[float, float], bool]]:
-    """Yield gaps between starts: share of the range, feature, ends, and whether it was seen."""
+) -> Iterator[tuple[float, str, bool]]:
+    """Yield gaps between starts: share of the range, words, and whether rows were seen there."""
     for feature, starts, seen in columns:
         if feature.kind is FeatureKind.NOMINAL:
             continue
         low, high = _limits(feature)
-        edges = np.unique([low, *starts, high])
+        known, others = (float(seen.min()), float(seen.max())), np.setdiff1d(seen, starts)
+        edges = np.unique([low, *known, *starts, high])
         for begin, end in zip(edges[:-1].tolist(), edges[1:].tolist()):
             share = (end - begin) / feature.span
             if share > GAP:
-                inside = (seen > begin) & (seen < end)
-                yield share, feature, (begin, end), bool(inside.any())
+                inside = known[0] <= begin and end <= known[1]
+                inside &= bool(((others >= begin) & (others <= end)).any())
+                limits = known if inside else (low, high)
+                yield share, _words(feature, (begin, end), limits), inside
 
 
 def _where(columns: Sequence[tuple[Feature, Floats, Floats]], disagreed: Flags) -> Iterator[str]:
@@ -103,10 +106,9 @@ def _where(columns: Sequence[tuple[Feature, Floats, Floats]], disagreed: Flags) 
         return
     best, text = APART, ''
     for feature, _, seen in columns:
-        name = plain_name(feature.name)
         if feature.kind is FeatureKind.NOMINAL:
             ranges = [
-                (seen == value, f'{name} is {feature.text(value)}')
+                (seen == value, f'{plain_name(feature.name)} {feature.text(value)}')
                 for value in np.unique(seen).tolist()
             ]
         else:
@@ -115,7 +117,7 @@ def _where(columns: Sequence[tuple[Feature, Floats, Floats]], disagreed: Flags) 
             if feature.kind is FeatureKind.ORDINAL:
                 edges = list(range(int(low) + 1, int(high)))
             ranges = [
-                (inside, f'{name} is {_words(feature, *ends)}')
+                (inside, _words(feature, ends, (low, high)))
                 for edge in edges
                 for inside, ends in (
                     (seen < edge, (low, edge)),
@@ -125,7 +127,7 @@ def _where(columns: Sequence[tuple[Feature, Floats, Floats]], disagreed: Flags) 
         for inside, words in ranges:
             apart = inside[disagreed].mean() - inside[~disagreed].mean()
             if apart > best:
-                best, text = float(apart), f'demonstrations disagree where {words}'
+                best, text = float(apart), f'demonstrations disagree with {words}'
     if text:
         yield text
 
@@ -137,12 +139,11 @@ def _limits(feature: Feature) -> tuple[float, float]:
     return 0.0, float(len(feature.values) - 1)
 
 
-def _words(feature: Feature, begin: float, end: float) -> str:
-    """Return a range of a feature in words."""
-    low, high = _limits(feature)
-    ends = [feature.text(value) for value in (begin, end)]
+def _words(feature: Feature, ends: tuple[float, float], limits: tuple[float, float]) -> str:
+    """Return a range of a feature in words, without the end that is the limit."""
+    name, texts = plain_name(feature.name), [feature.text(end) for end in ends]
     if feature.kind is FeatureKind.CONTINUOUS:
-        ends = [f'{value:.2g} {feature.unit}'.strip() for value in (begin, end)]
-    if begin <= low:
-        return f'below {ends[1]}'
-    return f'above {ends[0]}' if end >= high else f'between {ends[0]} and {ends[1]}'
+        texts = [f'{end:.2g} {feature.unit}'.strip() for end in ends]
+    if ends[0] <= limits[0]:
+        return f'{name} below {texts[1]}'
+    return f'{name} above {texts[0]}' if ends[1] >= limits[1] else f'{name} {" to ".join(texts)}'
