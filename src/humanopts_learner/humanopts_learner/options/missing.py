@@ -96,8 +96,9 @@ def _gaps(
             if share > GAP:
                 inside = known[0] <= begin and end <= known[1]
                 inside &= bool(((others >= begin) & (others <= end)).any())
-                limits = known if inside else (low, high)
-                yield share, _words(feature, (begin, end), limits), inside
+                at_limit = begin in (low, known[0]), end in (high, known[1])
+                is_open = [at and edge not in starts for at, edge in zip(at_limit, (begin, end))]
+                yield share, _words(feature, (begin, end), *is_open), inside
 
 
 def _where(columns: Sequence[tuple[Feature, Floats, Floats]], disagreed: Flags) -> Iterator[str]:
@@ -117,12 +118,9 @@ def _where(columns: Sequence[tuple[Feature, Floats, Floats]], disagreed: Flags) 
             if feature.kind is FeatureKind.ORDINAL:
                 edges = list(range(int(low) + 1, int(high)))
             ranges = [
-                (inside, _words(feature, ends, (low, high)))
+                (inside, _words(feature, (edge, edge), below, not below))
                 for edge in edges
-                for inside, ends in (
-                    (seen < edge, (low, edge)),
-                    (seen > edge, (edge, high)),
-                )
+                for inside, below in ((seen < edge, True), (seen > edge, False))
             ]
         for inside, words in ranges:
             apart = inside[disagreed].mean() - inside[~disagreed].mean()
@@ -139,11 +137,11 @@ def _limits(feature: Feature) -> tuple[float, float]:
     return 0.0, float(len(feature.values) - 1)
 
 
-def _words(feature: Feature, ends: tuple[float, float], limits: tuple[float, float]) -> str:
-    """Return a range of a feature in words, without the end that is the limit."""
+def _words(feature: Feature, ends: tuple[float, float], below: bool, above: bool) -> str:
+    """Return a range of a feature in words; it may be open below or above."""
     name, texts = plain_name(feature.name), [feature.text(end) for end in ends]
     if feature.kind is FeatureKind.CONTINUOUS:
         texts = [f'{end:.2g} {feature.unit}'.strip() for end in ends]
-    if ends[0] <= limits[0]:
+    if below:
         return f'{name} below {texts[1]}'
-    return f'{name} above {texts[0]}' if ends[1] >= limits[1] else f'{name} {" to ".join(texts)}'
+    return f'{name} above {texts[0]}' if above else f'{name} {" to ".join(texts)}'
