@@ -59,29 +59,6 @@ class PrimitiveOption:
 
 
 @dataclass(frozen=True)
-class RandomActions:
-    """An option that takes random actions until another option would end."""
-
-    other: Option
-    n_actions: int
-    rng: np.random.Generator
-    name: str = 'random actions'
-
-    @property
-    def max_steps(self) -> int:
-        return self.other.max_steps
-
-    def can_start(self, rows: Rows) -> Flags:
-        return np.ones(len(rows), dtype=np.bool_)
-
-    def action(self, rows: Rows) -> Ints:
-        return self.rng.integers(self.n_actions, size=len(rows))
-
-    def ends(self, rows: Rows) -> Flags:
-        return self.other.ends(rows)
-
-
-@dataclass(frozen=True)
 class DrawnOption:
     """An option whose decisions are drawn from its probabilities."""
 

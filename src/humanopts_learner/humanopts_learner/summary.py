@@ -21,6 +21,7 @@ CRITERIA = {  # what each of them measures
 EVERY_START, SAMPLED_STARTS, RECORDED = 'every start', 'sampled starts', 'recorded'  # evidence
 NO_RANGE = 'random actions from the same starts return as much as the demonstrations'
 NOT_MET = 'not learned: the criteria are not met'
+NOT_JUDGED = 'not learned: some of its ends have not been judged'
 NO_REFUSAL = 'the option can start in every state that was shown'
 NO_OTHER_END = 'the option ends only where the task does'
 ALL_MET = 'All criteria are met.'
@@ -37,7 +38,7 @@ class Criterion:
     met: bool
     limit: float | None = None  # confidence limit that decides; None: the value decides
     count: int = 0  # number of starts or demonstrations evaluated
-    possible: float | None = None  # of success, if all ends that nobody called wrong are right
+    possible: float | None = None  # of success, if all ends not called wrong are right
     obstacle: str = ''  # why more demonstrations cannot make it measurable; empty: they can
 
     @classmethod
@@ -160,7 +161,7 @@ class OptionSummary:
     def status(self) -> str:
         """Whether the option is learned, and how sure that is, or what is missing."""
         if not self.criteria_met:
-            return NOT_MET
+            return NOT_JUDGED if self.settled else NOT_MET
         runs = f'{self.exam_right} of {self.exam_runs} runs in the exam were right'
         if self.exam_right < self.exam_runs:
             return f'not learned: {runs}'
@@ -198,7 +199,7 @@ class OptionSummary:
         if found.name == AGREEMENT:
             return f'It would repeat {of} demonstrations that it was not learned from.'
         other = round(((found.possible or 0.0) - found.value) * found.count)
-        also = f', and an end that nobody has judged from {other}' if other > 0 else ''
+        also = f', and an end that you have not judged from {other}' if other > 0 else ''
         which = 'all of them' if self.evidence == EVERY_START else 'drawn at random'
         return f'It reaches an end like yours from {of} starts ({which}){also}.'
 

@@ -25,7 +25,7 @@ from humanopts_learner.demonstrations import Demonstration, judged, shown, versi
 from humanopts_learner.execution import Execution, Fixed, RowOptions
 from humanopts_learner.option import Option
 from humanopts_learner.options.decision_tree import encode_rows, feature_encoding, fit_tree
-from humanopts_learner.options.failures import ends_like_shown, find_failures, uncertain
+from humanopts_learner.options.failures import find_failures, KnownEnds, uncertain
 from humanopts_learner.options.learn import make_dataset
 from humanopts_learner.options.learned_option import (
     LearnedOption,
@@ -341,7 +341,8 @@ def _starts(
         [np.random.default_rng(seed) for seed in seeds[at].tolist()],
         loops_of(domain, [option], len(at), None),
     )
-    unlike = ~ends_like_shown(domain, option.features, demonstrations, ran.rows, ran.over)
+    ends = KnownEnds(domain, option.features, demonstrations)
+    unlike = ~ends.like_shown(ran.rows, ran.over)
     reached = ran.reached & ~(ran.over & unlike & (not without_chance(domain)))  # bad luck: no end
     ended[at], over[at], steps[at], last[at] = reached, ran.over, ran.steps, ran.rows
     unknown[at] = reached & unlike

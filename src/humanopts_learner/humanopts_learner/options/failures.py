@@ -1,6 +1,6 @@
 """The states from which a learned option does not behave as demonstrated."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from humanopts_env.arrays import Flags, Floats, Ints, Rows
@@ -40,7 +40,7 @@ class Failures:
     detour: (
         Flags  # (S,) candidates with a longer path than necessary, shown fewer than MEANT times
     )
-    meant: Flags  # (S,) candidates with such a path, shown more often, which nobody called right
+    meant: Flags  # (S,) candidates with such a path, shown more often and not yet called right
     too_long: Flags  # (S,) those of either kind with a path of more than twice the length
     doubt: Flags  # (S,) open, reachable, and outside I without evidence (``uncertain``)
     times_shown: NDArray[np.int64]  # (S,) demonstrations with a state of equal features
@@ -65,68 +65,69 @@ class Failures:
         return self.stuck | self.detour | self.doubt
 
 
-def ends_like_shown(
-    domain: ActableDomain,
-    features: Iterable[str],
-    demonstrations: Sequence[Demonstration],
-    rows: Rows,
-    over: Flags,
-) -> Flags:
-    """
-    Return (N,): whether states look like an end that was shown, or that the person called right.
+@dataclass(frozen=True)
+class KnownEnds:
+    """The ends of an option that were shown, and those that the person judged."""
 
-    If all states can be listed, the chosen features and whether the task is over must be equal to
-    those of such an end. If most demonstrations ended with the task over and one did not, or vice
-    versa, its end may be a slip and counts only if repeated. Elsewhere few ends are ever equal: a
-    state must agree in what most ends share, which is whether the task is over, and the values of
-    the chosen features that are not continuous.
+    domain: ActableDomain
+    features: Sequence[str]  # names of the chosen features
+    demonstrations: Sequence[Demonstration]  # of one option, with the judged runs
 
-    :param features: names of the chosen features.
-    :param demonstrations: of one option, with the runs that the person judged.
-    :param rows: (N, F) all features of the states.
-    :param over: (N,) whether the task is over.
-    """
-    chosen = feature_columns(domain, features)
-    taught = [demo for demo in shown(demonstrations) if demo.actions]
-    certain = without_chance(domain)  # with chance, a right run of the exam may end anywhere
-    right = [
-        d for d in judged(demonstrations) if d.actions and d.right and (certain or not d.exam)
-    ]
-    states = np.column_stack([over, stacked(chosen, rows)])
-    ends = np.concatenate([_ends(chosen, taught), _ends(chosen, right)])
-    mostly_over = ends[: len(taught), 0].mean() > 0.5 if taught else False
-    if is_enumerable(domain):
-        times, confirmed = _times(states, ends[: len(taught)]), _times(states, ends[len(taught) :])
-        return (times >= np.where(over == mostly_over, 1, 2)) | (confirmed > 0)
-    kinds = [None, *(column.feature.kind for column in chosen)]
-    agrees = np.ones(len(rows), dtype=np.bool_)
-    for values, shown_values, kind in zip(states.T, ends.T, kinds):
-        found, counts = np.unique(shown_values, return_counts=True)
-        if kind is not FeatureKind.CONTINUOUS and counts.max() >= MOST * len(ends):
-            agrees &= values == found[counts.argmax()]
-    return agrees
+    def like_shown(self, rows: Rows, over: Flags) -> Flags:
+        """
+        Return (N,): whether states look like an end that was shown or called right.
 
+        If all states can be listed, the chosen features and whether the task is over must be equal
+        to those of such an end. If most demonstrations ended with the task over and one did not,
+        or vice versa, its end may be a slip and counts only if repeated. Elsewhere few ends are
+        ever equal: a state must agree in what most ends share, which is whether the task is over,
+        and the values of the chosen features that are not continuous.
 
-def ends_called_wrong(
-    domain: ActableDomain,
-    features: Iterable[str],
-    demonstrations: Sequence[Demonstration],
-    rows: Rows,
-    over: Flags,
-) -> Flags:
-    """
-    Return (N,): whether states are equal, in the chosen features, to an end called wrong.
+        :param rows: (N, F) all features of the states.
+        :param over: (N,) whether the task is over.
+        """
+        chosen, taught, states = self._compared(rows, over)
+        certain = without_chance(self.domain)  # with chance, a right exam run may end anywhere
+        runs = [run for run in judged(self.demonstrations) if run.actions and run.right]
+        right = [run for run in runs if certain or not run.exam]
+        ends = np.concatenate([_ends(chosen, taught), _ends(chosen, right)])
+        mostly_over = ends[: len(taught), 0].mean() > 0.5 if taught else False
+        if is_enumerable(self.domain):
+            times, confirmed = (_times(states, part) for part in np.split(ends, [len(taught)]))
+            return (times >= np.where(over == mostly_over, 1, 2)) | (confirmed > 0)
+        kinds = [None, *(column.feature.kind for column in chosen)]
+        agrees = np.ones(len(rows), dtype=np.bool_)
+        for values, shown_values, kind in zip(states.T, ends.T, kinds):
+            found, counts = np.unique(shown_values, return_counts=True)
+            if kind is not FeatureKind.CONTINUOUS and counts.max() >= MOST * len(ends):
+                agrees &= values == found[counts.argmax()]
+        return agrees
 
-    Parameters are those of ``ends_like_shown``. A run that the person stopped has no end, and a
-    run to an end that was shown is wrong because of its way there.
-    """
-    chosen = feature_columns(domain, features)
-    taught = [demo for demo in shown(demonstrations) if demo.actions]
-    wrong = [d for d in judged(demonstrations) if d.actions and not d.right and not d.stopped]
-    states = np.column_stack([over, stacked(chosen, rows)])
-    times_shown, times_wrong = (_times(states, _ends(chosen, runs)) for runs in (taught, wrong))
-    called_wrong: Flags = (times_wrong > 0) & (times_shown == 0)
-    return called_wrong
+    def called_wrong(self, rows: Rows, over: Flags) -> Flags:
+        """
+        Return (N,): whether states are equal, in the chosen features, to an end called wrong.
+
+        A run that the person stopped has no end, and a run to an end that was shown is wrong
+        because of its way there.
+
+        :param rows: (N, F) all features of the states.
+        :param over: (N,) whether the task is over.
+        """
+        chosen, taught, states = self._compared(rows, over)
+        runs = [run for run in judged(self.demonstrations) if run.actions and not run.right]
+        wrong = [run for run in runs if not run.stopped]
+        called_wrong: Flags = (_times(states, _ends(chosen, wrong)) > 0) & (
+            _times(states, _ends(chosen, taught)) == 0
+        )
+        return called_wrong
+
+    def _compared(
+        self, rows: Rows, over: Flags
+    ) -> tuple[Sequence[FeatureColumn], list[Demonstration], Floats]:
+        """Return the chosen features, the trajectories, and what is compared of N states."""
+        chosen = feature_columns(self.domain, self.features)
+        taught = [demo for demo in shown(self.demonstrations) if demo.actions]
+        return chosen, taught, np.column_stack([over, stacked(chosen, rows)])
 
 
 def _ends(chosen: Sequence[FeatureColumn], runs: Sequence[Demonstration]) -> Floats:
@@ -164,7 +165,7 @@ def find_failures(
     Run the option from every state of a deterministic domain.
 
     A taxi that drops its passenger at the wrong place has reached an end, but not one like the
-    demonstrated ones (``ends_like_shown``). A planned policy (``goal.py``) takes the best path to
+    demonstrated ones (``KnownEnds``). A planned policy (``goal.py``) takes the best path to
     the end most similar to the demonstrated ones; an end of another look is not known to be right,
     but may be, unless the person called it wrong. Its paths are never longer than necessary.
 
@@ -207,9 +208,12 @@ def _ends_of(
     option: LearnedOption, domain: EnumerableDomain, demonstrations: Sequence[Demonstration]
 ) -> tuple[Flags, Flags]:
     """Return (S,): whether an end in each state is known to be right, and whether it may be."""
-    parts = option.features, demonstrations, domain.feature_table(), domain.over()
-    known = ends_like_shown(domain, *parts)
-    return known, known | ((option.method == GOAL) & ~ends_called_wrong(domain, *parts))
+    ends, states = (
+        KnownEnds(domain, option.features, demonstrations),
+        (domain.feature_table(), domain.over()),
+    )
+    known = ends.like_shown(*states)
+    return known, known | ((option.method == GOAL) & ~ends.called_wrong(*states))
 
 
 def successes_by_chance(

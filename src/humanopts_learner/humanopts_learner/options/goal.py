@@ -8,15 +8,19 @@ path (``tabular.best_paths``) to an outcome where beta holds or the task is over
 
 With few demonstrations, beta holds in too many states, so an end must also resemble the
 demonstrated ones. First, the task must be over or continue there, as in most of them. If
-demonstrations then pass nearer ends, the goal is more specific: paths lead to the reachable end
-with the most values that the chosen features share in most demonstrated ends.
+demonstrations then pass nearer ends, the goal is more specific. An option may have several kinds
+of ends, such as a pickup and a delivery, so the last step of a path must change the same nominal
+features as that of a demonstration. If demonstrations still pass nearer ends, paths lead to the
+reachable end with the most values that the chosen features share in most demonstrated ends.
+
+A path from a state that looks like an end leads to another end, unless a demonstration led back.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 from humanopts_env.arrays import Flags, Floats, Ints
-from humanopts_env.domains.base import action_index, EnumerableDomain
+from humanopts_env.domains.base import action_index, EnumerableDomain, FeatureKind
 from humanopts_env.domains.formulas import FeatureColumn, stacked
 from humanopts_env.domains.tabular import best_paths, TIE
 from humanopts_learner.demonstrations import Demonstration
@@ -50,37 +54,62 @@ def paths_to_goal(
     table, stops = domain.transitions(), termination | domain.over()
     gamma = min(domain.gamma, MAX_GAMMA)
 
+    columns = np.column_stack([domain.over(), stacked(chosen, domain.feature_table())])
+    starts, last, ends = (
+        np.array([domain.index(domain.decode(demo.states[at])) for demo in trajectories])
+        for at in (0, -2, -1)
+    )
+    at_end = np.flatnonzero(termination & ~domain.over())
+    if not table.deterministic or (columns[starts] == columns[ends]).all(axis=1).any():
+        at_end = at_end[:0]  # a run may lead back
+
     def paths(ends: Flags) -> Paths:
-        """Return the paths to a subset (S,) of the states where the option ends."""
-        goal = (stops & ends)[table.successor] & (table.probability > 0)
-        return Paths(*best_paths(table, goal, ~stops, gamma))
+        """Return the paths to a subset of the outcomes (S, A, B) at which the option ends."""
+        goal = stops[table.successor] & ends & (table.probability > 0)
+        value, optimal = best_paths(table, goal, ~stops, gamma)
+        if at_end.size:
+            states = np.arange(len(stops))
+            final = np.where(stops, states, table.successor[states, optimal.argmax(axis=1), 0])
+            for _ in range(len(stops).bit_length()):
+                final = final[final]
+            after = table.successor[at_end, :, 0]
+            back = (columns[final[after]] == columns[at_end][:, None]).all(axis=2)
+            ahead = np.where(goal[at_end, :, 0], 1.0, value[after] * ~stops[after]) * ~back
+            value[at_end] = gamma * ahead.max(axis=1)
+            optimal[at_end] = ahead >= ahead.max(axis=1, keepdims=True) - TIE
+        return Paths(value, optimal)
 
     def paths_to_best(rank: Ints) -> Paths:
-        """Return the paths to the reachable ends with the highest rank (S,)."""
+        """Return the paths to the reachable ends with the highest rank (S, A, B)."""
         value, optimal = np.zeros(len(stops)), np.zeros(table.successor.shape[:2], dtype=np.bool_)
-        for best in np.unique(rank[stops])[::-1]:
+        for best in np.unique(rank[stops[table.successor]])[::-1]:
             found = paths(rank == best)
             fresh = (found.value > 0) & (value == 0)
             value[fresh], optimal[fresh] = found.value[fresh], found.optimal[fresh]
         return Paths(value, optimal)
 
-    columns = np.column_stack([domain.over(), stacked(chosen, domain.feature_table())])
-    starts, ends = (
-        np.array([domain.index(domain.decode(demo.states[at])) for demo in trajectories])
-        for at in (0, -1)
-    )
-    agreement = np.column_stack([_as_most(values, values[ends]) for values in columns.T])
-    nearest = paths_to_best(agreement[:, 0].astype(np.intp))
-    passed = np.zeros(len(ends), dtype=np.bool_)
+    demonstrated = np.zeros(len(ends))
     for values_of_end in np.unique(columns[ends], axis=0):
         same = (columns == values_of_end).all(axis=1)
-        paths_to_same, at_same = paths(same), same[ends]
-        passed[at_same] = (
-            nearest.value[starts[at_same]] > paths_to_same.value[starts[at_same]] + TIE
-        )
-    if passed.mean() <= 1 - MOST:
+        at_same = same[ends]
+        demonstrated[at_same] = paths(same[table.successor]).value[starts[at_same]]
+
+    def passed(found: Paths) -> bool:
+        """Return whether demonstrations pass nearer ends."""
+        return bool((found.value[starts] > demonstrated + TIE).mean() > 1 - MOST)
+
+    agreement = np.column_stack([_as_most(values, values[ends]) for values in columns.T])
+    over_as_most = agreement[:, 0].astype(np.intp)[table.successor]
+    if not passed(nearest := paths_to_best(over_as_most)):
         return nearest
-    return paths_to_best(agreement @ [1 + len(chosen), *[1] * len(chosen)])
+    nominal = [True, *(column.feature.kind is FeatureKind.NOMINAL for column in chosen)]
+    kinds = columns[:, nominal]
+    changes = (kinds[:, None, None] != kinds[table.successor]) @ 2.0 ** np.arange(sum(nominal))
+    shown = (kinds[last] != kinds[ends]) @ 2.0 ** np.arange(sum(nominal))
+    if not passed(similar := paths_to_best(2 * over_as_most + np.isin(changes, shown))):
+        return similar
+    rank = agreement @ [1 + len(chosen), *[1] * len(chosen)]
+    return paths_to_best(rank[table.successor])
 
 
 def preferred_actions(

@@ -6,9 +6,9 @@ and uses the cross-validation error of I and beta. Here each world gives the str
 that it can.
 
 *Success* is the share of starts from which the option reaches an end like a demonstrated one
-(``ends_like_shown``). If all states can be listed, it is exact: the option runs from all starts,
-or its chances are computed where actions have several outcomes. Only a quarter of the starts that
-the threshold allows may then fail, or half of them with chance, since some are right by mistake or
+(``KnownEnds``). If all states can be listed, it is exact: the option runs from all starts, or its
+chances are computed where actions have several outcomes. Only a quarter of the starts that the
+threshold allows may then fail, or half of them with chance, since some are right by mistake or
 outside I. If the world can only be simulated or replayed, fresh starts are drawn the way the task
 draws them, and the lower limit of the share decides (Wilson 1927). A world that can only be acted
 in gives *agreement* instead: the share of held-out demonstrations that the option would repeat.
@@ -33,6 +33,7 @@ demonstration is not called good by luck.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 import math
 from typing import Any
 
@@ -40,19 +41,19 @@ from humanopts_env.arrays import Flags, Floats, Ints, Rows
 from humanopts_env.domains.base import ActableDomain, action_index, Domain, is_enumerable
 from humanopts_env.domains.described import can_simulate
 from humanopts_env.domains.formulas import stacked
+from humanopts_env.domains.registry import KeyedDomain
 from humanopts_env.domains.replayed_domain import ReplayedDomain
-from humanopts_env.games import HasGames
+from humanopts_env.games import games_at, HasGames
 from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import Demonstration, judged, Kind
 from humanopts_learner.intervals import Interval, level_of_look, runs_needed
-from humanopts_learner.option import Option, RandomActions
+from humanopts_learner.option import Option
 from humanopts_learner.options.conflicts import advise, find_conflicts, find_needless
 from humanopts_learner.options.exam import before_exam, with_verdicts
 from humanopts_learner.options.failures import (
-    ends_called_wrong,
-    ends_like_shown,
     Failures,
     find_failures,
+    KnownEnds,
     repeats,
     successes_by_chance,
 )
@@ -103,8 +104,10 @@ AMPLE = 3  # the same, where many games are played side by side
 MAX_RUNS = 2000  # from fresh starts
 REPEATED = 0.5  # smallest share of recorded demonstrations that the option would repeat
 OTHER_END = 0.2  # largest share of demonstrations with another end; one of five may be a slip
-RANDOM_RUNS = 200  # minimum over all starts
-RANDOM_RUNS_EACH = 10  # minimum per start
+RANDOM_RUNS = 200  # at least over all starts, unless fewer are precise
+RANDOM_RUNS_EACH = 10  # per start in each group; at least one group
+PRECISE = 0.1  # standard error of the range, relative to it
+MAX_GROUPS = 256  # of random runs, kept for the next look
 RANGE_LEVEL = 0.9  # two-sided: the range is below the lower limit in 5 of 100 cases
 ONE_SIDED = 1.645  # standard errors below the range with 5 % confidence
 ROUNDING = 1e-9  # reward units
@@ -373,7 +376,7 @@ def _from_fresh_starts(look: _Look, domain: Domain, threshold: float) -> Flags:
     longest = LONGEST * max(len(demo.actions) for demo in data.trajectories)
     steps = min(option.max_steps, longest)
     rng = generator(look.seed, 'runs from fresh starts', option.name, data.demonstrations[-1].uuid)
-    found = np.zeros(0, dtype=np.bool_)
+    found, ends = np.zeros(0, dtype=np.bool_), KnownEnds(domain, data.features, look.judged)
     for group in fresh_starts(option, domain, look.seed, rng, look.others):
         missing = (fewest if found.all() else total) - len(found)
         if not (states := group[:missing]):
@@ -388,10 +391,8 @@ def _from_fresh_starts(look: _Look, domain: Domain, threshold: float) -> Flags:
             rng,
             loops_of(domain, [option], count, None),
         )
-        parts = domain, data.features, look.judged, runs.rows, runs.over
-        found = np.append(
-            found, runs.reached & ends_like_shown(*parts) & ~ends_called_wrong(*parts)
-        )
+        right = ends.like_shown(runs.rows, runs.over) & ~ends.called_wrong(runs.rows, runs.over)
+        found = np.append(found, runs.reached & right)
         best = np.append(found, np.ones(total - len(found), dtype=np.bool_))
         enough = len(found) == (fewest if found.all() else total)
         if enough or Interval.of_share(best, level).low < threshold:
@@ -411,8 +412,8 @@ def _imitation(look: _Look, domain: Domain, in_sample: Rollouts) -> Criterion:
         ends = np.stack([demo.feature_rows[-1] for demo in demos])
         same &= (stacked(data.chosen, in_sample.rows) == stacked(data.chosen, ends)).all(axis=1)
     else:
-        parts = look.judged, in_sample.rows, in_sample.over
-        same &= ends_like_shown(domain, data.features, *parts)
+        ends_known = KnownEnds(domain, data.features, look.judged)
+        same &= ends_known.like_shown(in_sample.rows, in_sample.over)
     wrong = [run for run in judged(look.judged) if not run.right]
     again = any(repeats(look.option, domain, run) for run in wrong)
     value = 1.0 if again else 1 - float(same.mean())
@@ -567,33 +568,63 @@ def return_range(data: Dataset, domain: Domain, option: LearnedOption, seed: int
     Random actions run like a held-out option: to an end of the option, the end of the task, or
     twice the steps of the demonstration. The range is thus the shortfall of a worthless policy. It
     neither grows with the option's step limit, nor vanishes if random actions eventually reach the
-    same end.
+    same end. There are runs until their standard error is small, and they serve all options
+    learned from a demonstration, as only their ends depend on the option.
 
     :param option: option that determines where the runs end.
     :return: None: random actions return as much, as far as these runs show.
     """
-    demos = data.trajectories
-    runs = max(RANDOM_RUNS_EACH, math.ceil(RANDOM_RUNS / len(demos)))
-    key = (option.name, *(demo.uuid for demo in demos))
-    limit = np.tile(held_out_limits(data, option), runs)
-    rng = generator(seed, 'random actions', *key)
-    played = run_once(
-        domain,
-        _starts(demos, domain) * runs,
-        [RandomActions(option, len(domain.actions), rng)],
-        np.zeros_like(limit),
-        limit,
-        generator(seed, 'chance of random actions', *key),
-    )
-    left = limit - played.steps
-    total = played.total_reward
-    total += _cost_of_other_end(demos * runs, played.reached, played.over, left)
-    total = total.reshape(runs, len(demos))
-    found = Interval.of([demo.total_reward for demo in demos] - total.mean(axis=0), RANGE_LEVEL)
+    demos, game = data.trajectories, KeyedDomain.of(domain)
+    demonstrated = np.array([demo.total_reward for demo in demos])
+    limits, total = held_out_limits(data, option), np.zeros((0, len(demos)))
+    mean, error = 0.0, math.inf
+    while total.size < RANDOM_RUNS and error > PRECISE * mean:
+        group = np.zeros((RANDOM_RUNS_EACH, len(demos)))
+        for number, (demo, limit) in enumerate(zip(demos, limits.tolist())):
+            runs = _random_runs(game, demo.states[0], limit, len(total), seed, demo.uuid)
+            ends = option.ends(runs.rows.reshape(-1, runs.rows.shape[2])).reshape(runs.over.shape)
+            ends |= runs.over
+            reached = np.asarray(ends.any(axis=1))
+            last = np.where(reached, ends.argmax(axis=1), limit - 1)
+            over = runs.over[np.arange(len(last)), last]
+            taken = np.arange(runs.reward.shape[1]) <= last[:, None]
+            cost = _cost_of_other_end([demo] * len(last), reached, over, limit - 1 - last)
+            group[:, number] = (runs.reward * taken).sum(axis=1) + cost
+        total = np.concatenate([total, group])
+        mean = float((demonstrated - total.mean(axis=0)).mean())
+        error = math.sqrt(float(total.var(axis=0, ddof=1).sum()) / len(total)) / len(demos)
+    found = Interval.of(demonstrated - total.mean(axis=0), RANGE_LEVEL)
     if without_chance(domain):  # the demonstrated returns are exact
-        error = math.sqrt(float(total.var(axis=0, ddof=1).sum()) / runs) / len(demos)
         found = replace(found, low=found.mean - ONE_SIDED * error)
     return found.mean if found.low > ROUNDING else None
+
+
+@dataclass(frozen=True)
+class _RandomRuns:
+    """R runs of random actions of at most T steps; nothing happens after the end of the task."""
+
+    reward: Floats  # (R, T)
+    rows: Rows  # (R, T, F) features after each step
+    over: Flags  # (R, T) whether the task is over then
+
+
+@lru_cache(maxsize=MAX_GROUPS)
+def _random_runs(
+    game: KeyedDomain, start: str, limit: int, number: int, seed: int, uuid: str
+) -> _RandomRuns:
+    """Return ``RANDOM_RUNS_EACH`` runs from a state, the next ones after a number of others."""
+    domain, rng = game.value, generator(seed, 'random actions', uuid, number)
+    games = games_at(domain, [domain.decode(start)] * RANDOM_RUNS_EACH)
+    shape, playing = (RANDOM_RUNS_EACH, limit), np.arange(RANDOM_RUNS_EACH)
+    reward, over, step = np.zeros(shape), np.zeros(shape, dtype=np.bool_), 0
+    rows = np.zeros((*shape, len(domain.features)))
+    while playing.size and step < limit:
+        taken = games.step(rng.integers(len(domain.actions), size=len(playing)), rng)
+        reward[playing, step], rows[playing, step] = taken.reward, games.features()
+        over[playing[taken.over], step:] = True
+        on, step = np.flatnonzero(~taken.over), step + 1
+        games, playing = games.take(on), playing[on]
+    return _RandomRuns(reward[:, :step], rows[:, :step], over[:, :step])
 
 
 def _follow(

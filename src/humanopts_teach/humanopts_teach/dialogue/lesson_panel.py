@@ -28,7 +28,7 @@ from humanopts_teach.lesson.requests import LessonView, Phase
 
 ADVICE = 2  # most important lines of advice on features
 _EXAM = (
-    'The criteria are met. Enter begins a run from a start that nobody chose. Watch it; press r '
+    'The criteria are met. Enter begins a run from a start drawn at random. Watch it; press r '
     'if it was right, or w as soon as it is wrong.'
 )
 _EXAM_OF_ROBOT = (
