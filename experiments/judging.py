@@ -22,6 +22,7 @@ from humanopts_env.domains.base import Domain, EnumerableDomain
 from humanopts_env.domains.gymnasium_reference import WatchedOption
 from humanopts_env.domains.reference import ReferenceOption, TabularReferenceOption
 from humanopts_env.domains.registry import make_domain, reference_options
+from humanopts_env.domains.replayed_domain import ReplayedDomain
 from humanopts_env.domains.tabular import best_paths, distance_to, reachable
 from humanopts_env.domains.taxi import ABOARD, landmark_cells, Taxi, TaxiState
 from humanopts_env.seeding import generator
@@ -53,6 +54,7 @@ FALSE = 0.05
 SLOW = 1 / 3  # share of the lessons in rows where a lesson takes long
 BUDGET = 40  # start states per option
 ATTEMPTS = 100  # at a demonstration from one start: a teacher who errs in most steps is patient
+REPLAYED = 10  # the same, where runs are slow; without errors and chance, one attempt is enough
 KEYS = ['world', 'method', 'taught by']
 KEYED = AnswerQuestion, BeginDemonstration, Drive, EndDemonstration, RunOption  # one key each
 COSTS = ['demonstrations', 'not here', 'questions', 'exam answers', 'keys']
@@ -365,13 +367,15 @@ def give_lesson(parameters: Mapping[str, Any]) -> Rows:
     names = [*references]
     if not WORLDS[world].together:
         names = [names[lesson % len(names)]]
-    rng = generator(seed, 'answers')
+    rng, attempts = generator(seed, 'answers'), ATTEMPTS
+    if isinstance(domain, ReplayedDomain):
+        attempts = REPLAYED if teacher.error_rate else 1
     settings = TeacherSettings(
         (*names,),
         error_rate=teacher.error_rate,
         extra_feature_rate=teacher.needless % 1.0,
         own_habits=True,
-        attempts=ATTEMPTS,
+        attempts=attempts,
         seed=seed,
     )
     taught = teach(

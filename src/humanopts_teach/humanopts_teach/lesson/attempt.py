@@ -46,8 +46,9 @@ class Attempt:
     @property
     def machine_steps(self) -> int:
         """Number of leading steps taken by the machine."""
-        by_machine = [step.action_source is Source.MACHINE for step in self.transitions[1:]]
-        return [*by_machine, False].index(False)
+        steps = enumerate(self.transitions[1:])
+        by_person = (at for at, step in steps if step.action_source is not Source.MACHINE)
+        return next(by_person, len(self.transitions) - 1 if self.transitions else 0)
 
     def add(self, transition: Transition) -> None:
         """Append or refresh a state; step 0 or a different episode begins a new trajectory."""
