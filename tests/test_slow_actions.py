@@ -159,17 +159,23 @@ def test_an_action_without_duration_is_not_stopped(robot: Robot) -> None:
 
 
 def test_an_action_that_is_cut_short_interrupts_the_run_and_says_why(robot: Robot) -> None:
-    for stopped, said in (('/scan is silent', '/scan is silent'), ('', 'the world started')):
+    nobody = ControlState.HOLDER_NOBODY
+    for stopped, holder, said in (
+        ('/scan is silent', nobody, '/scan is silent'),
+        ('', ControlState.HOLDER_LOCKED, 'the service stop was called'),
+    ):
         goal = robot.begin()
-        robot.world.progress(stopped=stopped)
-        robot.graph.until(lambda goal=goal: goal.feedback, 'the progress')
         robot.world.finish(0.25, cut_short=True)
+        robot.world.progress(stopped=stopped)  # the reason comes after the state
+        robot.world.control(holder, said)
         status, result = goal.result()
         assert status == GoalStatus.STATUS_ABORTED
         assert result.status == OptionResult.STATUS_INTERRUPTED
         assert result.detail == f'it was interrupted: drive was stopped before its end: {said}'
         assert (result.step_count, result.final_state) == (1, 'x 0.25')
-        robot.world.progress()
+    robot.world.progress()
+    robot.world.control(nobody, 'the person gave control back')
+    robot.graph.until(lambda: robot.beep() == OptionResult.STATUS_REACHED, 'its end')
 
 
 def test_a_refreshed_state_replaces_the_one_from_which_a_run_starts(robot: Robot) -> None:

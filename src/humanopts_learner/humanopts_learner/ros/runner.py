@@ -88,6 +88,7 @@ class _Active:
     command: int = 0  # sequence of the pending command
     seconds: float = 0.0  # longest duration of its action
     stopped: bool = False  # whether a stop of the action was sent
+    cut_short: str = ''  # the action that was stopped by others; empty: none
     result: RunResult | None = None
 
 
@@ -203,7 +204,7 @@ class Runner:
         game.follow_refusals(self._on_refusal)
         self._control = ControlState()  # the newest
         game.follow_control(self._on_control)
-        self._stopped_by = ''  # why the robot does not move, as in ``ActionProgress``
+        self._progress = ActionProgress()  # the newest
         self._check_timer = node.create_timer(_CHECK_PERIOD, self._check, autostart=False)
 
     @property
@@ -474,11 +475,13 @@ class Runner:
             observed.state, transition.reward, transition.terminated, transition.truncated
         )
         active.request.on_progress(run, transition.previous_action)
-        if transition.cut_short:
-            why = self._stopped_by or self._control.reason
-            text = f'{transition.previous_action} was stopped before its end'
-            cut = RunStatus.INTERRUPTED, f'{text}: {why}' if why else text
-            end = run.end(*self._ending(active.request) or cut)
+        ending = self._ending(active.request)
+        if transition.cut_short and ending is None:  # the reason arrives later
+            active.cut_short, active.seconds = transition.previous_action, 0.0
+            active.deadline = self._node.monotonic() + _CHECK_PERIOD
+            return
+        if transition.cut_short and ending is not None:
+            end = run.end(*ending)
         end = end or self._stopped(active)
         if end is not None:
             self._finish_with(end)
@@ -530,7 +533,7 @@ class Runner:
 
     def _on_progress(self, message: ActionProgress) -> None:
         """Report the action under way, and keep why the robot does not move."""
-        self._stopped_by = message.stopped
+        self._progress = message
         active, at = self._active, (message.episode, message.step)
         if active is not None and message.action and at == active.run.position:
             active.request.on_progress(active.run, message.action)
@@ -538,22 +541,28 @@ class Runner:
     def _on_control(self, control: ControlState) -> None:
         """Restart the timeout of a command when the pace changes."""
         self._control = control
-        if self._active is not None and not self._active.stopped:
-            self._set_deadline(self._active)
+        active = self._active
+        if active is not None and not active.stopped and not active.cut_short:
+            self._set_deadline(active)
 
     def _check(self) -> None:
         """End the run if the game is unresponsive."""
         active = self._active
-        if active is None or (self._control.paused_by and not active.stopped):
-            return
-        if self._node.monotonic() <= active.deadline:
+        if active is None or self._node.monotonic() <= active.deadline:
             return
         ending = self._ending(active.request)
-        if ending is not None and active.stopped:
+        if active.cut_short:
+            why, control = self._progress.stopped or self._progress.feedback, self._control
+            if control.holder != ControlState.HOLDER_NOBODY:
+                why = control.reason
+            text = f'{active.cut_short} was stopped before its end'
+            cut = RunStatus.INTERRUPTED, f'{text}: {why}' if why else text
+            self._finish(*ending or cut)
+        elif ending is not None and active.stopped:
             status, detail = ending
             text = 'the game did not answer the stop'
             self._finish(status, f'{detail}; {text}' if detail else text)
-        else:
+        elif not self._control.paused_by:
             self._stop_action(active)
             self._finish(RunStatus.NO_PROGRESS, f'{active.seconds + self.patience:g} s')
 
