@@ -1,6 +1,7 @@
 """The node option_server on the real graph: options run to their end, and it says which."""
 
 from pathlib import Path
+import signal
 from typing import Any
 
 from action_msgs.msg import GoalStatus
@@ -391,3 +392,35 @@ def sampled(seed: int, episode: int) -> list[str]:
         truncated = not outcome.terminated and len(actions) == TAXI.max_steps
         end = run.observe(state, outcome.reward, outcome.terminated, truncated)
     return actions
+
+
+def test_a_process_runs_rejects_preempts_cancels_and_ends_what_is_under_way(
+    live: Graph, folder: Path
+) -> None:
+    """It has another executor than the nodes of the test's own process."""
+    live.spawn(GAME)
+    server = live.spawn(OPTION_SERVER, options_directory=folder)
+    live.ready('/game', '/option_server')
+    runs = Runs(live)
+    assert runs.run(FETCH).status == OptionResult.STATUS_REACHED
+    assert live.ask(ListOptions, 'list_options').option_names == sorted(OPTIONS)
+    assert not live.accepts(ExecuteOption, 'execute_option', option_name='fly')
+    live.ask(SetPace, 'set_pace', step_period=0.06)
+    goal = runs.begin(CIRCLE)
+    assert not live.accepts(ExecuteOption, 'execute_option', option_name=FETCH)
+    asked = {'option_name': WANDER, 'preempt': True}
+    preempting = live.act(ExecuteOption, 'execute_option', **asked)
+    assert goal.result()[1].status == OptionResult.STATUS_INTERRUPTED
+    live.until(lambda: preempting.feedback, 'feedback')
+    preempting.cancel()
+    assert preempting.result()[0] == GoalStatus.STATUS_CANCELED
+    goal = runs.begin(CIRCLE)
+    request = live.request(RunOption, 'run_option', **asked)
+    assert goal.result()[1].status == OptionResult.STATUS_INTERRUPTED
+    assert server.kill(signal.SIGTERM) == 0
+    live.until(request.done, 'an answer')
+    result = request.result().result
+    assert (result.status, result.detail) == (
+        OptionResult.STATUS_FAILED,
+        'it failed: option_server stops',
+    )
