@@ -106,10 +106,13 @@ class PolicyServer(GoalServer):
             text = f'{domain.name} never cuts an episode off: give max_decisions'
             raise GoalError('BAD_REQUEST', text if goal.episodes else 'episodes is 0')
         self._run = run = _PolicyRun(handle, made, execution, result, limit)
+        log, policy = self._node.get_logger(), f'the policy over {goal.action_set}'
+        log.info(f'{policy} begins: episodes 1 to {goal.episodes}, {execution}')
         try:
             await self._play(run, goal)
         finally:
             self._run, result.execution = None, run.execution
+            log.info(f'{policy} ended after {result.episodes} of {goal.episodes} episodes')
         result.status = result.STATUS_DONE
         return result
 
