@@ -6,9 +6,12 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-from humanopts_env.domains.base import FeatureKind
+from humanopts_env.domains.base import DomainError, FeatureKind
+from humanopts_env.domains.described import NeedsRulesError
+from humanopts_env.domains.names import robot_file
+from humanopts_env.domains.registry import make_domain, open_domain
 from humanopts_env.worlds.sensors import SensorError, Sensors
-from humanopts_env.worlds.world import load_world, robot_file, World
+from humanopts_env.worlds.world import load_world, World
 from humanopts_env.worlds.world_file import checked_world, read_world_file, WorldFileError
 import pytest
 import yaml
@@ -463,3 +466,15 @@ def test_a_class_that_cannot_be_used_is_one_line(
     with pytest.raises(WorldFileError) as refused:
         load_world(f'ros:{tmp_path}/rover.py{name}')
     assert sentence in str(refused.value)
+
+
+def test_a_robot_is_opened_to_act_in_and_cannot_be_simulated(tmp_path: Path) -> None:
+    (tmp_path / 'scout.yaml').write_text(TEXT)
+    name = f'ros:{tmp_path}/scout.yaml'
+    assert open_domain(name, {}) == world().domain
+    with pytest.raises(DomainError, match='takes no parameters: change its file'):
+        open_domain(name, {'rows': 5})
+    with pytest.raises(
+        NeedsRulesError, match=r'scout.yaml is a robot, which can only be acted in'
+    ):
+        make_domain(name)

@@ -87,9 +87,10 @@ class DomainCommand(TyperCommand):
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
         """Add the list of domains; they are looked up only when help is shown."""
-        from humanopts_env.domains.names import domain_names, GYMNASIUM
+        from humanopts_env.domains.names import domain_names, GYMNASIUM, ROBOT
 
-        self.epilog = f'DOMAIN is one of {", ".join(domain_names())}, or {GYMNASIUM}ENV_ID.'
+        known = ', '.join([*domain_names(), f'{GYMNASIUM}ENV_ID'])
+        self.epilog = f'DOMAIN is one of {known}, or {ROBOT}FILE.yaml for a robot.'
         super().format_help(ctx, formatter)
 
 

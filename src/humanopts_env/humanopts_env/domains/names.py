@@ -2,6 +2,7 @@
 
 from functools import lru_cache
 from importlib.metadata import entry_points, EntryPoints
+from pathlib import Path
 import sys
 
 DOMAINS = 'humanopts.domains'
@@ -20,6 +21,19 @@ def is_registered(name: str) -> bool:
     return name.startswith(GYMNASIUM) or name in registered(DOMAINS).names
 
 
+def is_robot(name: str) -> bool:
+    """Return whether a domain is the world of a robot: ros:FILE.yaml or ros:FILE.py:CLASS."""
+    return name.startswith(ROBOT)
+
+
+def robot_file(name: str) -> tuple[Path, str]:
+    """Return the absolute path of a robot's file, and its class; empty: it is a world file."""
+    path, colon, kind = name.removeprefix(ROBOT).rpartition(':')
+    if not colon or not path.endswith('.py'):
+        path, kind = name.removeprefix(ROBOT), ''
+    return Path(path).absolute(), kind
+
+
 def package_of(env_id: str) -> str:
     """Return the module to import before an environment can be made; empty: none."""
     module, colon, _ = env_id.partition(':')
@@ -29,7 +43,9 @@ def package_of(env_id: str) -> str:
 
 
 def modules_of(name: str) -> list[str]:
-    """Return modules that a domain needs, slow to import: those of a Gymnasium environment."""
+    """Return modules that a domain needs, slow to import: of robots, Gymnasium environments."""
+    if is_robot(name):
+        return ['humanopts_env.ros.world_node']
     if not name.startswith(GYMNASIUM):
         return []
     package = package_of(name.removeprefix(GYMNASIUM))

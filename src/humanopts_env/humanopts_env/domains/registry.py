@@ -9,7 +9,15 @@ from typing import Any, cast, Self
 
 from humanopts_env.domains.base import ActableDomain, Domain, DomainError, Parameter
 from humanopts_env.domains.check import check_domain
-from humanopts_env.domains.names import domain_names, DOMAINS, GYMNASIUM, registered
+from humanopts_env.domains.described import NeedsRulesError
+from humanopts_env.domains.names import (
+    domain_names,
+    DOMAINS,
+    GYMNASIUM,
+    is_robot,
+    registered,
+    ROBOT,
+)
 from humanopts_env.domains.parameters import check_parameters, parameters_from_json
 from humanopts_env.domains.reference import ReferenceOption
 from humanopts_env.domains.replayed_domain import ReplayedDomain
@@ -41,6 +49,21 @@ def make_domain(
                 domain.check_replay()
         check_domain(domain, name)
     return domain
+
+
+def open_domain(name: str, parameters: Mapping[str, Parameter]) -> ActableDomain:
+    """
+    Build the domain of a launch, which may be a robot: ``ros:FILE.yaml``.
+
+    :raises DomainError: as of ``make_domain``, or the world of the robot cannot be used.
+    """
+    if not is_robot(name):
+        return make_domain(name, parameters)
+    if parameters:
+        raise DomainError(f'{name} takes no parameters: change its file')
+    from humanopts_env.worlds.world import load_world  # slow to import
+
+    return load_world(name).domain
 
 
 def domain_from_json(name: str, parameters: str, *, checked: bool = False) -> Domain:
@@ -87,6 +110,11 @@ def reference_options(domain: Domain) -> dict[str, ReferenceOption]:
 
 def _factory(name: str) -> tuple[Callable[..., Any], bool]:
     """Return the factory of a domain, and whether it is built in and needs no check."""
+    if is_robot(name):
+        raise NeedsRulesError(
+            f'{name} is a robot, which can only be acted in; this needs a domain that can be '
+            'simulated'
+        )
     if name.startswith(GYMNASIUM):
         with _explained(f'{name} needs the package gymnasium'):  # slow to import
             from humanopts_env.domains.gymnasium_replayed import domain_of_environment
@@ -94,7 +122,7 @@ def _factory(name: str) -> tuple[Callable[..., Any], bool]:
         return domain_of_environment(name.removeprefix(GYMNASIUM)), False
     point = _entry_point(DOMAINS, name)
     if point is None:
-        known = ', '.join([*domain_names(), f'{GYMNASIUM}ENV_ID'])
+        known = ', '.join([*domain_names(), f'{GYMNASIUM}ENV_ID', f'{ROBOT}FILE.yaml'])
         raise DomainError(f'no domain {name!r}; there is {known}')
     return _load(point), point.value.startswith(OURS)
 

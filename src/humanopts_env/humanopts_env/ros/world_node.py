@@ -4,14 +4,14 @@ from functools import partial
 import sys
 from typing import Any, ClassVar
 
-from humanopts_env.domains.names import ROBOT
+from humanopts_env.domains.names import ROBOT, robot_file
 from humanopts_env.game import Begun, Command, Control, Refused, Transition
 from humanopts_env.ros.actuators import Actuator, make_actuators, Velocities
 from humanopts_env.ros.interfaces import interface
 from humanopts_env.ros.lock_step_node import LockStepNode
 from humanopts_env.worlds.acted_game import ActedGame
 from humanopts_env.worlds.sensors import SensorError, Sensors
-from humanopts_env.worlds.world import Ending, load_world, robot_file, World
+from humanopts_env.worlds.world import Ending, load_world, World
 from humanopts_env.worlds.world_file import Topic, WorldFileError
 from humanopts_interfaces.msg import ActionProgress
 from humanopts_ros.guarded_node import StartError

@@ -12,7 +12,7 @@ from humanopts_env.domains.base import Action, Feature
 from humanopts_env.domains.check import check_description, ContractError
 from humanopts_env.domains.described import DescribedDomain
 from humanopts_env.domains.formulas import derive, FeatureColumn, FormulaError, NO_YES
-from humanopts_env.domains.names import ROBOT
+from humanopts_env.domains.names import robot_file
 from humanopts_env.worlds.sensors import (
     as_feature,
     checked_value,
@@ -196,19 +196,6 @@ class World:
                 f'the features of {type(self._own).__name__} cannot be computed: '
                 f'{type(error).__name__}: {error}'
             ) from error
-
-
-def is_robot(domain: str) -> bool:
-    """Return whether a domain on the command line is a robot: ros:FILE.yaml or FILE.py:CLASS."""
-    return domain.startswith(ROBOT)
-
-
-def robot_file(domain: str) -> tuple[Path, str]:
-    """Return the absolute path of a robot's file, and its class; empty: it is a world file."""
-    path, colon, name = domain.removeprefix(ROBOT).rpartition(':')
-    if not colon or not path.endswith('.py'):
-        path, name = domain.removeprefix(ROBOT), ''
-    return Path(path).absolute(), name
 
 
 def load_world(domain: str) -> World:

@@ -12,6 +12,7 @@ import sys
 import traceback
 from typing import Any
 
+from humanopts_env.domains.names import is_robot
 from humanopts_teach.browser.pages import serve
 from humanopts_teach.browser.seats import (
     ConditionSeat,
@@ -24,7 +25,7 @@ from humanopts_teach.browser.seats import (
 )
 from humanopts_teach.command_line import PageOptions
 from humanopts_teach.commands import catch_interrupts, CommandError
-from humanopts_teach.commands.session import new_name
+from humanopts_teach.commands.session import new_name, title
 from humanopts_teach.commands.study_session import Study, Turn
 from humanopts_teach.dialogue.panel import ScreenView
 from humanopts_teach.launching.place import only_launch
@@ -48,6 +49,10 @@ def teach_in_browser(setup: Setup, pages: PageOptions, participant: str) -> int:
     :param setup: of each participant's graph, except for its folder and bag.
     :raises OccupiedError: another server uses the namespace.
     """
+    if is_robot(setup.domain):
+        if (pages.seats or 1) > 1:
+            raise CommandError('a robot is taught by one person at a time: --seats 1')
+        pages = replace(pages, seats=1)
 
     def open_game(thread: TeleopThread, seat: Seat) -> AbstractAsyncContextManager[Press]:
         own = replace(
@@ -64,7 +69,7 @@ def teach_in_browser(setup: Setup, pages: PageOptions, participant: str) -> int:
 
     with only_launch(setup.namespace, [_SERVER]):
         print(f'Each participant has a folder in {setup.directory}.')
-        return _serve_seats(setup.domain, open_game, pages, participant, known)
+        return _serve_seats(title(setup.domain), open_game, pages, participant, known)
 
 
 def _serve_seats(

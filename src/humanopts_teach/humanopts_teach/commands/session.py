@@ -14,9 +14,10 @@ from typing import Any
 
 from humanopts_env.domains.base import Domain
 from humanopts_env.domains.capabilities import HasTeachingDefaults
+from humanopts_env.domains.described import simulated
 from humanopts_env.domains.formulas import derive
-from humanopts_env.domains.names import is_registered
-from humanopts_env.domains.registry import make_domain, reference_options
+from humanopts_env.domains.names import is_registered, is_robot, ROBOT, robot_file
+from humanopts_env.domains.registry import open_domain, reference_options
 from humanopts_learner.demonstrations import check_method
 from humanopts_ros.limits import printable
 from humanopts_ros.middleware import check_settings
@@ -67,14 +68,22 @@ def setup_from(
         invalid, or a bag to be evaluated would lack a topic.
     """
     check_place(launch.namespace)
+    if is_robot(domain):
+        path, kind = robot_file(domain)
+        domain = ':'.join(filter(None, (f'{ROBOT}{path}', kind)))
     given = {name: value for name, value in vars(launch).items() if value is not None}
+    if is_robot(domain):
+        own.pop('step_period', None)  # it would stand between actions
     folder = given.get('out', own.pop('directory', default_folder(domain)))
     directory = Path(os.path.abspath(folder))
     with refusing(ValueError):
         setup = Setup(domain=domain, **{**own, **given, 'directory': directory})
         only = node_names(setup.only)
-        if is_registered(domain) or not only or 'game' in only:  # else the game is elsewhere
-            game = make_domain(domain, setup.domain_parameters)
+        known = is_registered(domain) or is_robot(domain)
+        if known or not only or 'game' in only:  # else the game is elsewhere
+            game = open_domain(domain, setup.domain_parameters)
+            if setup.taught:
+                simulated(game, 'the simulated teacher')
             check_method(setup.learn, game)
             for formula in setup.derive:
                 derive(game, formula)
@@ -110,7 +119,12 @@ def new_name(prefix: str) -> str:
 
 def default_folder(domain: str) -> Path:
     """Return the folder for data of a domain, without characters that paths dislike."""
-    return Path('runs') / re.sub(r'[^\w.-]+', '-', domain)
+    return Path('runs') / re.sub(r'[^\w.-]+', '-', title(domain))
+
+
+def title(domain: str) -> str:
+    """Return a short name of a domain: of a robot, the name of its file."""
+    return robot_file(domain)[0].stem if is_robot(domain) else domain
 
 
 def check_place(namespace: str) -> None:

@@ -3,6 +3,7 @@
 MODULES = {  # of the nodes, in the order in which they start
     'recorder': 'humanopts_teach.ros.recorder',
     'game': 'humanopts_env.ros.game_node',
+    'world': 'humanopts_env.ros.world_node',
     'learner': 'humanopts_learner.ros.learner_node',
     'lesson': 'humanopts_teach.ros.lesson_node',
     'option_server': 'humanopts_learner.ros.option_server',

@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 from humanopts_env.domains.base import Parameter
+from humanopts_env.domains.names import is_robot, ROBOT, robot_file
 from humanopts_learner.options.judge import Thresholds
 from humanopts_teach.command_line import LaunchOptions
 from humanopts_teach.launching import MODULES, RECORDER
@@ -101,8 +102,11 @@ def processes(setup: Setup) -> list[ProcessSpec]:
 
     :raises UnknownNodeError: ``only`` names a node that the launch does not have.
     """
+    robot = is_robot(setup.domain)
     wanted = {
         RECORDER: setup.record,
+        'game': not robot,
+        'world': robot,
         'learner': setup.teach,
         'lesson': setup.teach,
         'diagnostics': setup.diagnostics,
@@ -143,12 +147,16 @@ def _own_parameters(setup: Setup) -> dict[str, dict[str, Value]]:
             'metadata': json.dumps(recorded_facts(setup)),
             'max_bytes': setup.split_bytes or 0,
             'max_seconds': setup.split_seconds or 0.0,
-            'attach': [str(setup.options)],
+            'attach': [str(setup.options), *_world_files(setup)],
         },
         'game': {
             'domain': setup.domain,
             'domain_parameters': json.dumps(setup.domain_parameters),
             'seed': setup.seed,
+            'step_period': setup.step_period or 0.0,
+        },
+        'world': {
+            'world': setup.domain.removeprefix(ROBOT),
             'step_period': setup.step_period or 0.0,
         },
         'learner': {
@@ -188,6 +196,10 @@ def _own_parameters(setup: Setup) -> dict[str, dict[str, Value]]:
     }
 
 
+def _world_files(setup: Setup) -> list[str]:
+    return [str(robot_file(setup.domain)[0])] if is_robot(setup.domain) else []
+
+
 def recorded_facts(setup: Setup) -> dict[str, str]:
     """Return the settings that an evaluation of the bag needs, as texts."""
     facts = {
@@ -199,6 +211,8 @@ def recorded_facts(setup: Setup) -> dict[str, str]:
         'budget': str(setup.budget),
         'teacher_error_rate': repr(setup.teacher_error_rate if setup.taught else None),
     }
+    for path in _world_files(setup):
+        facts |= {'domain': ROBOT + Path(path).name, 'world_file': Path(path).name}
     if not setup.unstick:
         facts['unstick'] = 'False'
     if setup.game_steps:

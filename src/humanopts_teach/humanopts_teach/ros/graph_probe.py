@@ -74,13 +74,14 @@ def check_free(namespace: str, names: Collection[str]) -> None:
     if on_loopback() and not _participants_here():
         return
     wanted = {f'{namespace.rstrip("/")}/{name}' for name in names}
+    plays = not {'game', 'world'}.isdisjoint(names)
     with _listener(namespace, 'newcomer') as node:
         began = now = time.monotonic()
         earliest = began if on_loopback() else began + _REMOTE
         complete = leaving = 0.0  # s, start of these conditions; 0: not met
         while True:
             found = node_names(node)
-            games = [*map(signer, announced_ids(node, 'game'))] if 'game' in names else []
+            games = [*map(signer, announced_ids(node, 'game'))] if plays else []
             present = sorted({*wanted.intersection(found), *games})
             leaving = (leaving or now) if present else 0.0
             if present and now > leaving + _LEAVING:

@@ -14,7 +14,8 @@ import re
 from typing import Annotated, Any, ClassVar, Self, TypeVar
 
 from humanopts_env.domains.formulas import derive
-from humanopts_env.domains.registry import make_domain
+from humanopts_env.domains.names import is_robot, ROBOT
+from humanopts_env.domains.registry import open_domain
 from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import check_method
 from humanopts_learner.options.starts import STRATEGIES
@@ -331,8 +332,11 @@ def _playable(conditions: Iterable[Condition], folder: Path) -> Iterable[Conditi
 
     :param folder: of files with features.
     """
-    made = cache(lambda domain, parameters: make_domain(domain, json.loads(parameters)))
+    made = cache(lambda domain, parameters: open_domain(domain, json.loads(parameters)))
     for each in conditions:
+        if is_robot(each.domain):
+            path = folder / each.domain.removeprefix(ROBOT)
+            each = each.model_copy(update={'domain': f'{ROBOT}{path.absolute()}'})
         features = each.parameters.get('features')
         if isinstance(features, str) and '.py:' in features:
             each.parameters['features'] = str(folder / features)
