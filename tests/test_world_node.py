@@ -359,6 +359,33 @@ def test_two_worlds_in_one_namespace_both_stand(course: Course) -> None:
     assert isinstance(course.player.do('forward'), GameState)
 
 
+def test_a_process_of_its_own_acts_and_stops_as_well(tmp_path: Path) -> None:
+    """It has another executor than the nodes of a test."""
+    with open_graph(tmp_path) as graph:
+        robot = Robot(graph)
+        world = graph.spawn(WORLD, world=robot.file())
+        graph.ready('/world')
+        player = Player(graph)
+        player.send(player.command('go', PERSON))
+        graph.until(lambda: robot.goals, 'the goal')
+        robot.ended.set_result('succeed')
+        graph.until(lambda: player.state.previous_action == 'go', 'its end')
+        assert not player.state.cut_short
+        assert player.do('grip', PERSON).features[3] == 1.0
+        player.hold(False)
+        words = [str(DRIVER), '--ros-args'], 'driver'
+        driver = graph.run(*words, {'source': PERSON, 'action': 'forward'})
+        graph.until(lambda: player.state.step > 4, 'it to drive')
+        time_to_match = time.monotonic() + 1.0
+        graph.until(lambda: time.monotonic() > time_to_match, 'its liveliness')
+        driver.kill(signal.SIGKILL)
+        began, locked = time.monotonic(), ControlState.HOLDER_LOCKED
+        graph.until(lambda: player.controls[-1].holder == locked, 'the lock')
+        assert time.monotonic() - began < LATE + 0.1
+        assert world.kill(signal.SIGTERM) == 0
+        graph.until(lambda: robot.stands, 'the robot to stand')
+
+
 # Start
 
 

@@ -90,6 +90,10 @@ class LockStepNode(NodeBase):
         """Publish the domain and start the first episode."""
         self._info.publish(domain_to_info(self._game.domain))
         self.send_control(self._game.control)
+        self.begin_first_episode()
+
+    def begin_first_episode(self) -> None:
+        """Begin an episode, as far as that is possible now, and publish where it is."""
         self._game.reset('', self._seed, Source.MACHINE)
         self.send_transition(self._game.transition)
 

@@ -284,6 +284,8 @@ class WorldNode(LockStepNode):
         if not self.ready:
             return
         self._check()
+        if not self._game.transition.episode and not self._game.paused:
+            self.begin_first_episode()  # the first messages were stale
         if self._game.under_way is not None:
             self._robot.repeat()
         self._game.tick()
@@ -343,7 +345,7 @@ class WorldNode(LockStepNode):
         )
 
 
-main = partial(run_node, WorldNode)
+main = partial(run_node, WorldNode, by_events=True)  # sensors send a hundred messages a second
 
 if __name__ == '__main__':
     sys.exit(main())
