@@ -26,7 +26,7 @@ from humanopts_env.domains.replayed_domain import ReplayedDomain
 from humanopts_env.domains.tabular import best_paths, distance_to, reachable
 from humanopts_env.domains.taxi import ABOARD, landmark_cells, Taxi, TaxiState
 from humanopts_env.seeding import generator
-from humanopts_learner.demonstrations import GOAL, TREES
+from humanopts_learner.demonstrations import GOAL, METHODS, TREES
 from humanopts_learner.intervals import Interval
 from humanopts_teach.lesson.in_process import teach
 from humanopts_teach.lesson.requests import (
@@ -216,6 +216,7 @@ class World:
     slow: bool = False  # a third of the lessons
     references: Callable[[Any], dict[str, ReferenceOption]] = reference_options
     cost: float = 3.0  # approximate processor seconds per lesson
+    least: int = 1  # participants from which there are lessons
 
 
 WORLDS = {
@@ -247,7 +248,7 @@ WORLDS = {
         cost=20.0,
     ),
     'DoorKey': World('gymnasium:MiniGrid-DoorKey-8x8-v0', together=True, slow=True, cost=15.0),
-    'LunarLander': World('gymnasium:LunarLander-v3', slow=True, cost=60.0),
+    'LunarLander': World('gymnasium:LunarLander-v3', slow=True, cost=200.0, least=20),
 }
 
 
@@ -258,7 +259,8 @@ class Teacher:
     error_rate: float = 0.0
     needless: float = 0.0  # share of needless features with the answer yes
     missing: bool = False  # one needed feature gets the answer no
-    learnable: bool = True
+    learnable: tuple[str, ...] = (*METHODS,)  # methods with which lessons determine the option
+    reason: str = ''  # why other methods do not
     meaning: Callable[[Any], dict[str, ReferenceOption]] | None = None  # in Taxi only
 
     def fits(self, world: World) -> bool:
@@ -272,13 +274,21 @@ CAREFUL = 'careful'
 TEACHERS = {
     CAREFUL: Teacher(),
     '10 % slips': Teacher(error_rate=0.1),
-    '60 % slips': Teacher(error_rate=0.6, learnable=False),
+    '60 % slips': Teacher(error_rate=0.6, learnable=(), reason='most steps are wrong'),
     'yes to 20 % needless features': Teacher(needless=0.2),
     'yes to all features': Teacher(needless=1.0),
-    'no to a needed feature': Teacher(missing=True, learnable=False),
-    'two kinds of ends': Teacher(meaning=next_thing),
-    'two cells north': Teacher(meaning=two_cells_north, learnable=False),
-    'end by history': Teacher(meaning=fetch, learnable=False),
+    'no to a needed feature': Teacher(
+        missing=True, learnable=(), reason='the chosen features may not tell what matters'
+    ),
+    'two kinds of ends': Teacher(
+        meaning=next_thing,
+        learnable=(GOAL,),
+        reason='demonstrations of one kind pass states that look like ends of the other',
+    ),
+    'two cells north': Teacher(
+        meaning=two_cells_north, learnable=(), reason='no set of states is the end'
+    ),
+    'end by history': Teacher(meaning=fetch, learnable=(), reason='no set of states is the end'),
 }
 
 
@@ -293,6 +303,7 @@ def trials(study: Study) -> list[Trial]:
             WORLDS[row[0]].cost,
         )
         for row in table_rows()
+        if lessons >= WORLDS[row[0]].least
         for lesson in range(1, math.ceil(lessons * share_of(row[0], row[2])) + 1)
     ]
 
@@ -423,10 +434,10 @@ def table_of(lessons: pd.DataFrame) -> pd.DataFrame:
     Return the table: one row per world, method and teacher.
 
     :param lessons: one row per option taught.
-    :return: ``KEYS``, learnable, lessons, learned (called so), right (of these; low and high:
-        Wilson's limits at 95 %; empty: none was called learned), false (share of all lessons that
-        call a wrong option learned, with limits), elsewhere (mean of those called learned), and
-        the medians of ``COSTS``.
+    :return: ``KEYS``, learnable, reason (if it is not), lessons, learned (called so), right (of
+        these; low and high: Wilson's limits at 95 %; empty: none was called learned), false (share
+        of all lessons that call a wrong option learned, with limits), elsewhere (mean of those
+        called learned), and the medians of ``COSTS``.
     """
     rows = []
     for key, mine in report.grouped(lessons, KEYS):
@@ -435,7 +446,8 @@ def table_of(lessons: pd.DataFrame) -> pd.DataFrame:
         rows.append(
             {
                 **dict(zip(KEYS, key)),
-                'learnable': TEACHERS[key[2]].learnable,
+                'learnable': key[1] in TEACHERS[key[2]].learnable,
+                'reason': TEACHERS[key[2]].reason * (key[1] not in TEACHERS[key[2]].learnable),
                 'lessons': len(mine),
                 'learned': int(learned.sum()),
                 'right': share.mean,

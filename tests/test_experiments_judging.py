@@ -17,6 +17,7 @@ import pandas as pd
 import pytest
 
 from experiments import judging
+from experiments.people import Study
 from experiments.report import Mark
 from experiments.right import Ending, meant, MeantEverywhere, MeantInSample
 
@@ -180,6 +181,22 @@ def test_lessons_of_a_row_are_given_judged_and_reported(
     assert careful['demonstrations'] <= 4
     assert careful['exam answers'] >= 5
     assert 'two cells north' in (folder / 'report.html').read_text()
+
+
+def test_an_option_with_two_kinds_of_ends_is_learned_by_goal_and_right() -> None:
+    """A run that begins with the passenger aboard passes no landmark, as a pickup ends there."""
+    row = 'Taxi', judging.GOAL, 'two kinds of ends'
+    (found,) = judging.give_lesson({**dict(zip(judging.KEYS, row)), 'lesson': 3, 'seed': 1})
+    assert (found['learned'], found['right starts']) == (True, 1.0)
+
+
+def test_the_slowest_world_is_not_in_the_default_selection() -> None:
+    def worlds(participants: int) -> set[str]:
+        study = Study(participants)
+        return {trial.parameters['world'] for trial in judging.trials(study)}
+
+    assert {*judging.WORLDS} - worlds(judging.LESSONS) == {'LunarLander'}
+    assert worlds(60) == {*judging.WORLDS}
 
 
 def test_goals_count_options_called_learned_and_lessons_that_call_a_wrong_one_so() -> None:
