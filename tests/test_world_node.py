@@ -496,3 +496,22 @@ def test_a_world_that_cannot_be_made_is_refused_with_one_line(case: str, shared:
     said = shared.refused(WORLD, world=path if text else shared.folder / 'none.yaml')
     assert sentence in said
     assert '\n' not in said
+
+
+def test_the_page_names_what_the_node_has_beside_that_of_game(shared_course: Course) -> None:
+    page = (Path(__file__).parents[1] / 'docs/reference/graph.md').read_text()
+    tables = page.split('## Topics')[1].split('## Nodes')[0]
+    rows = [[c.strip(' `') for c in line.split('|')] for line in tables.splitlines()]
+    cells = {row[1]: row[2:] for row in rows if len(row) > 4}
+    node = shared_course.graph.node
+    at = 'world', '/'
+    published = {n.strip('/'): t for n, (t,) in node.get_publisher_names_and_types_by_node(*at)}
+    served = {n.strip('/'): t for n, (t,) in node.get_service_names_and_types_by_node(*at)}
+    of_game = {n for n, row in cells.items() if 'game' in row[-3] or row[-3] in ('all',)}
+    wanted = {'action_progress', *of_game} - {'reset_game', 'set_control', 'set_pace'}
+    assert wanted <= published.keys()
+    assert {'stop', 'reset_game', 'set_control', 'set_pace'} <= served.keys()
+    for name in (*wanted, 'stop', 'reset_game'):
+        assert cells[name][0] == (published | served)[name], name
+    others = {n for n in published if n.startswith('_') is False and '/' not in n} - wanted
+    assert others <= {'cmd_vel', 'beep', 'rosout', 'parameter_events'}
