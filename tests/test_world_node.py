@@ -6,9 +6,10 @@ import signal
 import time
 from typing import Any
 
-from graph_support.live import Graph, open_graph, WORLD
+from graph_support.live import Goal, Graph, open_graph, OPTION_SERVER, WORLD
 from graph_support.player import MACHINE, ME, PERSON, Player
 from graph_support.robot import Robot, WORLD_FILE
+from humanopts_interfaces.action import ExecuteOption
 from humanopts_interfaces.msg import (
     ActionProgress,
     ActionRefusal,
@@ -16,6 +17,7 @@ from humanopts_interfaces.msg import (
     DomainInfo,
     GameState,
     NodeStatus,
+    OptionResult,
 )
 from humanopts_interfaces.srv import ResetGame
 from humanopts_ros.qos import CURRENT, LATCHED
@@ -234,6 +236,55 @@ def test_the_charger_ends_the_episode_and_the_next_begins_there(course: Course) 
     begun = course.player.reset()
     assert begun.state.startswith('x 6.')
     assert not course.player.do('back').terminated
+
+
+# Options
+
+
+@pytest.fixture(scope='module')
+def served(shared_course: Course) -> Course:
+    shared_course.graph.start(OPTION_SERVER)
+    shared_course.graph.ready('/option_server')
+    return shared_course
+
+
+def run(course: Course) -> Goal:
+    """Begin the action that takes seconds, as an option."""
+    goal = course.graph.act(ExecuteOption, 'execute_option', option_name='action:go')
+    course.graph.until(lambda: course.robot.goals, 'the goal')
+    return goal
+
+
+def test_a_canceled_option_cancels_what_the_robot_does(served: Course, course: Course) -> None:
+    goal = run(course)
+    course.graph.until(lambda: goal.feedback, 'feedback while it lasts')
+    assert goal.feedback[-1].action == 'go'
+    goal.cancel()
+    _, result = goal.result()
+    assert (result.status, result.step_count) == (OptionResult.STATUS_CANCELED, 1)
+    course.graph.until(lambda: course.robot.canceled, 'the goal to be canceled')
+    assert course.newest().cut_short
+
+
+def test_an_option_whose_action_is_cut_short_says_why(served: Course, course: Course) -> None:
+    for how, why in (
+        (lambda: course.robot.ended.set_result('abort'), '/go aborted'),
+        (lambda: course.graph.ask(Trigger, 'stop'), 'the service stop was called'),
+    ):
+        goal = run(course)
+        how()
+        _, result = goal.result()
+        assert result.status == OptionResult.STATUS_INTERRUPTED
+        assert result.detail == f'it was interrupted: go was stopped before its end: {why}'
+        course.robot.goals.clear()
+
+
+def test_an_option_of_a_locked_robot_is_rejected(served: Course, course: Course) -> None:
+    assert course.graph.ask(Trigger, 'stop').success
+    course.graph.until(
+        lambda: not course.graph.accepts(ExecuteOption, 'execute_option', option_name='action:go'),
+        'the lock',
+    )
 
 
 # Faults

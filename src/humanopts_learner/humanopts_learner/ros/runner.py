@@ -331,7 +331,8 @@ class Runner:
         if fault:
             raise RefusedError(RunStatus.BAD_REQUEST, fault)
         if self._control.holder == ControlState.HOLDER_LOCKED:
-            raise RefusedError(RunStatus.INTERRUPTED, _locked(self._control.reason))
+            text = f'the robot is locked ({self._control.reason}): take control and give it back'
+            raise RefusedError(RunStatus.INTERRUPTED, text)
         return execution
 
     async def _begin(self, request: RunRequest, execution: Arbitration) -> Run:
@@ -527,9 +528,7 @@ class Runner:
         if active is None or not is_own or message.command_sequence != active.command:
             return
         status = RunStatus.INTERRUPTED if message.reason in _INTERRUPTED else RunStatus.FAILED
-        locked = message.reason == ActionRefusal.REASON_LOCKED
-        detail = _locked(message.detail) if locked else message.detail
-        self._finish(*self._ending(active.request) or (status, detail))
+        self._finish(*self._ending(active.request) or (status, message.detail))
 
     def _on_progress(self, message: ActionProgress) -> None:
         """Report the action under way, and keep why the robot does not move."""
@@ -582,11 +581,6 @@ class Runner:
 def _position(observed: Observed) -> tuple[int, int]:
     """Return the episode and step of a state."""
     return observed.transition.episode, observed.transition.step
-
-
-def _locked(detail: str) -> str:
-    """Return that the robot is locked, and what to do."""
-    return f'the robot is locked ({detail}): take control of it, and return it'
 
 
 def _refused(goal: Goal, error: Exception) -> OptionResult:
