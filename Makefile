@@ -153,7 +153,7 @@ test-browser: checked
 test-hosts: checked
 	@for each in unshare nsenter ip; do command -v $$each > /dev/null || { \
 	  echo "make test-hosts needs $$each: sudo apt install util-linux iproute2" >&2; exit 1; }; done
-	@$(WITH_ROS) $(VENV)/bin/python -m pytest -m hosts $(or $(ARGS),tests/test_two_hosts.py)
+	@$(WITH_ROS) $(VENV)/bin/python -m pytest -m hosts $(or $(ARGS),tests/test_two_hosts.py tests/test_robot_faults.py)
 
 test-stress: checked
 	@$(WITH_ROS) $(VENV)/bin/python tools/stress_tests.py \

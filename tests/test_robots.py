@@ -8,10 +8,12 @@ import time
 from typing import Any
 
 from geometry_msgs.msg import PointStamped, PoseStamped, Twist
-from graph_support.live import Graph, NodeProcess, open_graph
+from graph_support.live import Graph, NodeProcess, open_graph, WORLD
+from graph_support.player import PERSON, Player
 from humanopts_env.worlds.sensors import Sensors
 from humanopts_env.worlds.world import load_world
 from humanopts_gripper.simulation import MOTIONS
+from humanopts_interfaces.msg import GameState
 from humanopts_rover import messages
 from humanopts_rover.messages import quaternion, yaw_of
 from humanopts_rover.simulation import BEAMS, PLACES, Simulation
@@ -207,6 +209,23 @@ def test_it_is_carried_to_another_place(rover: Driver) -> None:
     assert f'x {rover.at()[0]:.1f}'[:3] == moved.message[:3]
 
 
+def test_hands_carry_it_and_move_doors(rover: Driver) -> None:
+    graph = rover.graph
+
+    def hand(*words: str) -> str:
+        process = graph.run(['-m', 'humanopts_rover.hand', *words], 'hand')
+        process.expected.add(1)
+        graph.until(lambda: process.process.poll() is not None, 'the hand')
+        return process.said()
+
+    assert hand('carry', '4.0', '2.5', '0') == ''
+    graph.until(lambda: math.dist(rover.at()[:2], (4.0, 2.5)) < 0.05, 'the hand')
+    assert hand('close', 'door') == 'the rover is in the way of door\n'
+    before = rover.at()
+    assert hand('carry') == ''
+    graph.until(lambda: math.dist(rover.at()[:2], before[:2]) > 0.1, 'the hand')
+
+
 def test_at_another_speed_it_publishes_a_clock(live: Graph) -> None:
     driver = Driver(live, seed=1, speed=5.0)
     clock = live.listen(Clock, '/clock', 10)
@@ -268,3 +287,34 @@ def test_the_world_file_of_the_rover_reads_what_it_publishes() -> None:
 def test_the_world_file_of_the_gripper_can_be_used() -> None:
     world = load_world(f'ros:{EXAMPLES}/humanopts_gripper/worlds/gripper.yaml')
     assert [action.name for action in world.domain.actions] == [*MOTIONS]
+
+
+def test_a_person_drives_the_gripper_by_the_world_that_its_file_makes(live: Graph) -> None:
+    process = live.run(['-m', 'humanopts_gripper.node', '--ros-args'], 'gripper', {'seed': 1})
+    world = EXAMPLES / 'humanopts_gripper/worlds/gripper.yaml'
+    live.start(WORLD, world=world)
+    live.ready('/world')
+    player = Player(live)
+    names = list(load_world(f'ros:{world}').file.features)
+
+    def do(action: str) -> dict[str, float]:
+        state = player.do(action, PERSON)
+        assert isinstance(state, GameState), state
+        assert not state.cut_short
+        return dict(zip(names, state.features))
+
+    player.reset()
+    now = do('raise')
+    while abs(now['object']) > 0.05:
+        before = now
+        now = do('right' if now['object'] > 0 else 'left')
+        assert abs(now['slider'] - before['slider']) > 0.05
+    assert [do(action)['holding'] for action in ('lower', 'close', 'raise')] == [0, 1, 1]
+    while now['slider'] < 0.86:
+        now = do('right')
+    do('lower')
+    state = player.do('left', PERSON)  # refused by the gripper
+    assert (state.cut_short, state.features[0]) == (True, now['slider'])
+    assert do('open')['in_bin'] == 1
+    assert player.state.terminated
+    process.kill(signal.SIGKILL)

@@ -11,5 +11,10 @@ setup(
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),
     ],
-    entry_points={'console_scripts': ['rover = humanopts_rover.node:main']},
+    entry_points={
+        'console_scripts': [
+            'hand = humanopts_rover.hand:main',
+            'rover = humanopts_rover.node:main',
+        ]
+    },
 )
