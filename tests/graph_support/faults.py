@@ -210,7 +210,9 @@ class Course:
         graph.until(lambda: self._at[-1][1] > 0.1, f'{driver} to drive', 30.0)
         goes_on = time.monotonic() + self._chance.uniform(0.8, 1.4)
         graph.until(lambda: time.monotonic() > goes_on, 'the moment of the fault')
-        if not self._at[-1][1] > 0.1:  # it stopped without a fault
+        try:
+            graph.until(lambda: self._at[-1][1] > 0.1, f'{driver} to drive on', 2.0)
+        except AssertionError:  # it stopped without a fault
             self.stops += 1
             return self.measure(kind, driver)
         with self._fault(kind) as began:

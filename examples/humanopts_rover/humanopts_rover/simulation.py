@@ -105,7 +105,7 @@ class Simulation:
             np.random.default_rng, np.random.SeedSequence(seed).spawn(3)
         )
         self._noise = float(noise)
-        self.pose = Pose(2.0, 3.5, 0.0)
+        self.pose = Pose(2.0, 3.5, -math.pi / 2)
         self.linear = self.angular = 0.0
         self.battery = 1.0
         self.bumped = False
