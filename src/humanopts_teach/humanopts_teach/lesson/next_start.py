@@ -37,8 +37,9 @@ class NextStart:
         self._again, self._repeated = start_state, self._repeated + 1
 
     def drive_past(self, transition: Transition) -> None:
-        """Remember a state between demonstrations."""
-        self._passed.append(transition.features)
+        """Remember a state between demonstrations; before the first episode there is none."""
+        if transition.episode:
+            self._passed.append(transition.features)
 
     def look(self, option: OptionHistory | None) -> None:
         """Find out what is missing, after the learner has counted everything."""
