@@ -26,7 +26,6 @@ from rclpy.action.server import (
     GoalResponse,
     ServerGoalHandle,
 )
-from rclpy.callback_groups import CallbackGroup
 from rclpy.client import Client
 from rclpy.exceptions import InvalidHandle
 from rclpy.executors import Executor
@@ -165,22 +164,14 @@ class NodeBase(GuardedNode):
             if publisher.newest is not None and self.count_publishers(publisher.topic) > 1:
                 publisher.publish(publisher.newest)
 
-    def recorded_service(
-        self,
-        kind: Any,
-        name: str,
-        callback: Callable[..., Any],
-        group: CallbackGroup | None = None,
-    ) -> Service:
+    def recorded_service(self, kind: Any, name: str, callback: Callable[..., Any]) -> Service:
         """Create a service that publishes its requests and responses on the graph."""
-        service = self.create_service(
-            kind, name, callback, qos_profile=SERVICE, callback_group=group
-        )
+        service = self.create_service(kind, name, callback, qos_profile=SERVICE)
         return self._introspected(service, name)
 
-    def recorded_client(self, kind: Any, name: str, group: CallbackGroup | None = None) -> Client:
+    def recorded_client(self, kind: Any, name: str) -> Client:
         """Create a client that publishes its requests and responses on the graph."""
-        client = self.create_client(kind, name, qos_profile=SERVICE, callback_group=group)
+        client = self.create_client(kind, name, qos_profile=SERVICE)
         return self._introspected(client, name)
 
     def recorded_action(

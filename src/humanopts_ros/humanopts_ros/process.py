@@ -100,7 +100,7 @@ def run_node(
     is shown and the exit status is 1.
 
     :param by_events: whether to use the ``EventsExecutor``, which responds about three times as
-        fast; it is experimental and does not support services that are coroutines.
+        fast; it is experimental.
     :return: exit status of the process: 0 after a clean shutdown, 2 if it cannot start, 1 if it
         cannot continue.
     """

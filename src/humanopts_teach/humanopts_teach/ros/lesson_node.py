@@ -38,7 +38,6 @@ from humanopts_teach.lesson.requests import (
 from humanopts_teach.lesson.seeded_starts import LessonRules, SeededStarts
 from humanopts_teach.lesson.store import DemonstrationStore, OpenSessionFile, StoreError
 from humanopts_teach.ros.convert import Endpoint, LESSON_SERVICES, LESSON_STATE
-from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.event_handler import SubscriptionEventCallbacks
 
 _NO_NAME_YET = '_NODE_NAME_UNKNOWN_'  # the middleware's placeholder for a newly discovered node
@@ -91,8 +90,7 @@ class LessonNode(NodeBase):
         self._reported = ''  # reason for the pause, as in the node's status
         self._learner = ''  # publisher_id of the known learner
         self._asked_learner = 0.0  # s, time of the latest demonstration
-        self._reentrant = ReentrantCallbackGroup()
-        self._reset = self.recorded_client(ResetGame, 'reset_game', self._reentrant)
+        self._reset = self.recorded_client(ResetGame, 'reset_game')
         self._resend = self.create_timer(_RESEND_DELAY, self._send_again, autostart=False)
         self._ticks = 1  # between checks
         self._timer = self.create_timer(_TICK, self._tick)
@@ -169,9 +167,7 @@ class LessonNode(NodeBase):
         if (left is not None or self._participant) and not answer.ok:
             raise StartError(answer.detail)
         for service in LESSON_SERVICES.values():
-            self.recorded_service(
-                service.kind, service.name, self._handler(service), self._reentrant
-            )
+            self.recorded_service(service.kind, service.name, self._handler(service))
         for kind, topic, use, qos in (
             (msg.DemonstrationReceipt, 'demonstration_receipts', self._on_receipt, STREAM),
             (msg.LearningStatus, 'learning_status', self._on_status, CURRENT),
