@@ -181,7 +181,8 @@ class WorldNode(LockStepNode):
         self._look_around()
         if self._others:
             return f'the end of {self._others[0]}, another world in this namespace'
-        return self._fault() or None
+        fault = self._fault()
+        return f'this to end: {fault}' if fault else None
 
     def on_ready(self) -> None:
         """Publish the world, where it is, and that it does nothing."""
@@ -264,7 +265,7 @@ class WorldNode(LockStepNode):
 
     def _on_emergency(self, message: Bool) -> None:
         pressed, self._emergency = message.data and not self._emergency, message.data
-        if pressed:
+        if pressed and self.ready:
             self.send_control(self._game.lock('the emergency stop was pressed'))
         self._check()
 
