@@ -90,7 +90,7 @@ class GraphReport:
     episode: int = 0
     step: int = 0
     steps_per_second: float | None = None  # None: no state was received
-    holder: str = ''  # publisher_id of the node in control; empty: none
+    holder: str = ''  # publisher_id of the node in control, or locked; empty: none
     games: Sequence[str] = ()  # publisher ids; there should be one
 
     @property

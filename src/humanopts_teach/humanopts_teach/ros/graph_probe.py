@@ -216,6 +216,7 @@ class _Probe:
             return max(0, int(getattr(last, count)) - int(getattr(first, count))) / passed
 
         state = newest.get('current_state', msg.GameState())
+        control = newest.get('control', msg.ControlState())
         return GraphReport(
             domain_id=domain_id(),
             namespace=self._namespace,
@@ -227,7 +228,7 @@ class _Probe:
             steps_per_second=(
                 (rate('current_state', 'sequence') or 0.0) if 'current_state' in newest else None
             ),
-            holder=newest.get('control', msg.ControlState()).holder_id,
+            holder='locked' if control.holder == control.HOLDER_LOCKED else control.holder_id,
             # A killed game stays on the graph for a while but does not publish.
             games=[each for each in announced_ids(self._node, 'game') if each in self._games],
         )
