@@ -18,7 +18,7 @@ from humanopts_ros.guarded_node import StartError
 from humanopts_ros.liveliness import Liveliness
 from humanopts_ros.peers import announced_ids
 from humanopts_ros.process import run_node
-from humanopts_ros.qos import CURRENT, LATCHED, SENSOR
+from humanopts_ros.qos import CURRENT, LATCHED, SENSOR, STREAM
 from humanopts_ros.senders import signer
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy
@@ -132,7 +132,7 @@ class WorldNode(LockStepNode):
         self._emergency = False
         safety = self._world.file.safety
         if safety.emergency is not None:
-            for qos in (CURRENT, SENSOR):  # latched or not
+            for qos in (CURRENT, STREAM, SENSOR):  # latched, reliable, or neither
                 self.create_subscription(Bool, safety.emergency, self._on_emergency, qos)
         self.create_service(Trigger, 'stop', self._on_stop)
         self._drive = self.create_timer(_DRIVE_PERIOD, self._tick, autostart=False)
