@@ -134,3 +134,15 @@ def test_a_person_takes_over_a_running_option(lesson: Lesson) -> None:
     _, result = goal.result()
     assert result.status == OptionResult.STATUS_INTERRUPTED
     lesson.graph.until(lambda: lesson.player.controls[-1].holder_id == ME, 'control')
+
+
+def test_a_world_file_that_was_changed_needs_all_nodes_to_be_started_again(
+    lesson: Lesson,
+) -> None:
+    """The last test: the lesson keeps to the world that it knows."""
+    graph = lesson.graph
+    graph.stop(lesson.world)
+    graph.start(WORLD, world=lesson.robot.file(QUICK.replace('range: [0, 8]', 'range: [0, 9]')))
+    text = 'the features or actions of scout have changed: start its nodes again'
+    for node in ('/lesson', '/learner', '/option_server'):
+        graph.until(lambda n=node: text in graph.statuses[n][-1].text, f'{node} to say so')

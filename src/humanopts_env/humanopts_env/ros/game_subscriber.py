@@ -166,6 +166,10 @@ class GameSubscriber:
                 f'it announces the game {shown(" ".join(announced))}, and this namespace plays '
                 f'{" ".join(played)}: stop all its nodes first, or choose another namespace'
             )
+        if not can_simulate(known) and domain != known:  # its file was changed
+            raise ValueError(
+                f'the features or actions of {known.name} have changed: start its nodes again'
+            )
         return known
 
     def _use_domain(self, domain: ActableDomain) -> None:
