@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator
 import math
 from pathlib import Path
+import re
 import signal
 import time
 from typing import Any
@@ -282,6 +283,14 @@ def test_the_world_file_of_the_rover_reads_what_it_publishes() -> None:
     assert values['door'] == 1.0
     assert values['charger_bearing'] == pytest.approx(math.atan2(2.5 - 4.5, 4.0 - 3.0))
     assert abs(values['dock_turn']) == pytest.approx(math.pi, abs=1e-4)
+
+
+def test_the_world_file_and_the_class_on_the_page_can_be_used(tmp_path: Path) -> None:
+    page = (EXAMPLES.parent / 'docs/how-to/teach-a-robot.md').read_text('utf-8')
+    for kind, file, name in (('yaml', 'robot.yaml', ''), ('python', 'robot.py', ':Crane')):
+        (text,) = re.findall(rf'```{kind}\n(.*?)```', page, re.DOTALL)
+        (tmp_path / file).write_text(text)
+        assert load_world(f'ros:{tmp_path}/{file}{name}').domain.actions
 
 
 def test_the_world_file_of_the_gripper_can_be_used() -> None:
