@@ -299,8 +299,8 @@ class Runner:
             assert active.result is not None
             result = replace(active.result, run_id=active.run_id)
             if not request.execution_sequence:
-                text = f'{name} ended after {result.step_count} steps: {result.detail}'
-                self._node.get_logger().info(text)
+                text = f'{name} ended at step {result.first_step + result.step_count}'
+                self._node.get_logger().info(f'{text}: {result.detail}')
             return result
         finally:
             self._requests.remove(request)
