@@ -173,9 +173,9 @@ def test_an_action_that_is_cut_short_interrupts_the_run_and_says_why(robot: Robo
         assert result.status == OptionResult.STATUS_INTERRUPTED
         assert result.detail == f'it was interrupted: drive was stopped before its end: {said}'
         assert (result.step_count, result.final_state) == (1, 'x 0.25')
-    robot.world.progress()
-    robot.world.control(nobody, 'the person gave control back')
-    robot.graph.until(lambda: robot.beep() == OptionResult.STATUS_REACHED, 'its end')
+        robot.world.progress()
+        robot.world.control(nobody, 'the person gave control back')
+        robot.graph.until(lambda: robot.beep() == OptionResult.STATUS_REACHED, 'its end')
 
 
 def test_a_refreshed_state_replaces_the_one_from_which_a_run_starts(robot: Robot) -> None:
@@ -220,6 +220,11 @@ def test_a_goal_that_cannot_run_is_rejected_and_the_reason_is_published(
         'give it back'
     )
     robot.world.control(ControlState.HOLDER_NOBODY, 'the person gave control back')
+    robot.graph.until(lambda: robot.beep() == OptionResult.STATUS_REACHED, 'its end')
+    robot.world.progress(stopped='/scan is silent')
+    robot.graph.until(lambda: robot.beep() == OptionResult.STATUS_INTERRUPTED, 'the fault')
+    assert robot.refused(FAR).detail == 'it was interrupted: /scan is silent'
+    robot.world.progress()
     robot.graph.until(lambda: robot.beep() == OptionResult.STATUS_REACHED, 'its end')
 
 

@@ -333,6 +333,8 @@ class Runner:
         if self._control.holder == ControlState.HOLDER_LOCKED:
             text = f'the robot is locked ({self._control.reason}): take control and give it back'
             raise RefusedError(RunStatus.INTERRUPTED, text)
+        if self._progress.stopped:
+            raise RefusedError(RunStatus.INTERRUPTED, self._progress.stopped)
         return execution
 
     async def _begin(self, request: RunRequest, execution: Arbitration) -> Run:
