@@ -6,8 +6,6 @@ from typing import Any
 
 from graph_support.live import Graph
 from graph_support.robot import Robot, WORLD_FILE
-from humanopts_interfaces.msg import ActionProgress, NodeStatus
-from humanopts_ros.qos import CURRENT
 from humanopts_teach.bags.contents import read_description
 from humanopts_teach.bags.reader import open_bag
 from humanopts_teach.cli import main
@@ -93,15 +91,14 @@ def test_a_study_finds_the_world_file_beside_its_plan(scout: str, tmp_path: Path
 
 
 def test_the_bag_has_the_world_file_and_on_request_the_topics_of_the_robot(
-    scout: str, shared: Graph, tmp_path: Path
+    scout: str, shared: Graph, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     Robot(shared)
-    shared.watch('/')
-    progress = shared.listen(ActionProgress, 'action_progress', CURRENT)
+    said = tmp_path / 'said.txt'
     words = ['up', scout, '--only', 'recorder,world', '--out', 'out', '--record', '/odom']
-    up = shared.run(['-m', 'humanopts_teach', *words], 'up')
-    shared.until(lambda: progress, 'the world', 60.0)
-    shared.until(lambda: shared.state('/world') == NodeStatus.STATE_READY, 'it to be ready')
+    with said.open('wb') as output:
+        up = shared.run(['-m', 'humanopts_teach', *words], 'up', stdout=output)
+    shared.until(lambda: 'Ctrl-C' in said.read_text(), 'it to be ready', 60.0)
     assert up.kill(signal.SIGINT) == 0, up.said()
     (path,) = (tmp_path / 'out/bags').iterdir()
     bag = open_bag(path)
@@ -111,3 +108,5 @@ def test_the_bag_has_the_world_file_and_on_request_the_topics_of_the_robot(
     assert {'/odom', '/action_progress', '/game_state'} <= topics
     assert '/scan' not in topics
     assert read_description(bag).name == 'scout'
+    assert main(['bag', 'eval', str(path)]) == 2
+    assert 'scout is a robot, which can only be acted in; this needs' in capsys.readouterr().err

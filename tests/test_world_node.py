@@ -1,14 +1,20 @@
 """The node world with a robot in plain rclpy: what moves it, what stops it, what is said."""
 
 from collections.abc import Iterator
+import os
 from pathlib import Path
 import signal
+import subprocess
+import sys
 import time
 from typing import Any
 
 from graph_support.live import Goal, Graph, open_graph, OPTION_SERVER, WORLD
 from graph_support.player import MACHINE, ME, PERSON, Player
 from graph_support.robot import Robot, WORLD_FILE
+from humanopts_env.ros.interfaces import filled
+from humanopts_env.worlds.sensors import planar
+from humanopts_env.worlds.world_file import Place, WorldFileError
 from humanopts_interfaces.action import ExecuteOption
 from humanopts_interfaces.msg import (
     ActionProgress,
@@ -21,8 +27,10 @@ from humanopts_interfaces.msg import (
 )
 from humanopts_interfaces.srv import ResetGame
 from humanopts_ros.qos import CURRENT, LATCHED
+from nav_msgs.msg import Path as Path_
 import pytest
 from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
@@ -570,3 +578,41 @@ def test_the_page_names_what_the_node_has_beside_that_of_game(shared_course: Cou
         assert cells[name][0] == (published | served)[name], name
     others = {n for n in published if n.startswith('_') is False and '/' not in n} - wanted
     assert others <= {'cmd_vel', 'beep', 'rosout', 'parameter_events'}
+
+
+def test_messages_are_filled_from_the_values_of_a_file() -> None:
+    places = {'charger': Place(x=7, y=2, yaw=1.5)}
+    path = {
+        'header': {'frame_id': 'map', 'stamp': {'sec': 3}},
+        'poses': [{'pose': 'charger'}, {'pose': {'position': {'x': 1}}}],
+    }
+    message = filled(Path_(), path, places, 'goal')
+    first, second = (each.pose for each in message.poses)
+    assert (message.header.frame_id, message.header.stamp.sec) == ('map', 3)
+    assert planar(first) == pytest.approx((7.0, 2.0, 1.5))
+    assert planar(second) == (1.0, 0.0, 0.0)
+    joints = filled(JointState(), {'position': [1, 2.5], 'name': ['a', 'b']}, {}, 'message')
+    assert [*joints.position] == [1.0, 2.5]
+    for values, fault in (
+        ({'poses': [{'pose': 'dock'}]}, "goal poses pose: unknown place 'dock'; the file has ch"),
+        ({'poses': [{'position': 1}]}, 'goal poses position: PoseStamped has no such field'),
+        ({'header': {'frame_id': 5}}, 'goal header frame_id: '),
+        ({'header': 5}, 'goal header: '),
+        ({'poses': 5}, 'goal poses: '),
+    ):
+        with pytest.raises(WorldFileError, match=fault):
+            filled(Path_(), values, places, 'goal')
+
+
+def test_values_are_checked_where_messages_are_not() -> None:
+    """ROS_PYTHON_CHECK_FIELDS is set in tests only."""
+    code = (
+        'from humanopts_env.ros.interfaces import filled\n'
+        'from std_msgs.msg import Int32\n'
+        "filled(Int32(), {'data': 'far'}, {}, 'message')"
+    )
+    environment = {k: v for k, v in os.environ.items() if k != 'ROS_PYTHON_CHECK_FIELDS'}
+    done = subprocess.run(
+        [sys.executable, '-c', code], env=environment, capture_output=True, text=True, check=False
+    )
+    assert 'WorldFileError: message data: ' in done.stderr

@@ -33,6 +33,7 @@ def filled(message: Any, values: Mapping[str, Any], places: Mapping[str, Place],
     :raises WorldFileError: the type has no such field, or a value does not fit.
     """
     types = message.get_fields_and_field_types()
+    message._check_fields = True  # usually off, since it takes time
     for name, value in values.items():
         inside = f'{key} {name}'
         if name not in types:
@@ -56,6 +57,8 @@ def filled(message: Any, values: Mapping[str, Any], places: Mapping[str, Place],
                 package, _, short = element.partition('/')
                 kind = interface(f'{package}/msg/{short}')
                 value = [filled(kind(), each, places, inside) for each in value]
+            elif element in ('float', 'double'):
+                value = [float(each) if type(each) is int else each for each in value]
         if isinstance(part, float) and type(value) is int:
             value = float(value)
         try:

@@ -98,8 +98,14 @@ def read_domain(bag: Bag) -> Domain:
 
     :raises BagError: the bag names no domain, several, or one that is not installed.
     """
+    name, parameters = _played(bag)
+    if 'world_file' in bag.facts and not is_registered(name):
+        raise BagError(
+            f'{bag.path}: {name} is a robot, which can only be acted in; this needs a domain that '
+            'can be simulated'
+        )
     try:
-        return domain_from_json(*_played(bag))
+        return domain_from_json(name, parameters)
     except DomainError as error:
         raise BagError(f'{bag.path}: {error}') from error
 
