@@ -24,7 +24,6 @@ class BenchPeer(NodeBase):
         self._state: GameState | None = None
         self._sample = self.create_subscription(GameState, 'current_state', self._keep, CURRENT)
         self._result = OptionResult(
-            run_id='0' * 36,
             option_name='go to passenger and pickup',
             status=OptionResult.STATUS_REACHED,
             detail='its termination condition holds',

@@ -15,6 +15,7 @@ from humanopts_learner.planning.interruption import as_executed, option_values
 from humanopts_learner.planning.plan import make_plan
 from humanopts_learner.planning.request import Arbitration, PlanRequest
 from humanopts_learner.ros.convert import option_values_to_message
+from humanopts_ros.codec import uuid_from_message
 from humanopts_ros.qos import LATCHED
 import pytest
 
@@ -67,7 +68,10 @@ def test_modules_of_an_episode_are_one_run(acting: Acting) -> None:
 
 def test_an_unknown_or_late_execution_is_refused(acting: Acting) -> None:
     result = acting.play('at_random')
-    assert (result.status, result.run_id) == (PolicyResult.STATUS_BAD_REQUEST, '')
+    assert (result.status, uuid_from_message(result.run_id)) == (
+        PolicyResult.STATUS_BAD_REQUEST,
+        '',
+    )
     known = 'run_to_end, interrupted, modular_mass, modular_strongest'
     assert result.detail == f"no execution 'at_random'; there is {known}"
     answer = acting.change('at_random')
@@ -113,7 +117,7 @@ def test_a_run_that_cannot_be_arbitrated_is_refused_in_words(
         result = acting.run(option_name=TOUR, **fields)
     assert result.status == getattr(OptionResult, f'STATUS_{status}')
     assert says in result.detail
-    assert (result.run_id, result.execution) == ('', '')
+    assert (uuid_from_message(result.run_id), result.execution) == ('', '')
 
 
 def test_values_for_options_that_are_not_there_any_more_are_refused(acting: Acting) -> None:

@@ -98,6 +98,21 @@ def test_a_halted_leaf_cancels_its_run(forest: Forest) -> None:
     forest.pace(0.0)
 
 
+def test_a_leaf_preempts_the_run_of_another(forest: Forest) -> None:
+    forest.pace(0.1)
+    first, known = forest.plant(Leaf(FETCH)), len(forest.results)
+    forest.graph.until(lambda: first.tick() or forest.player.state.step >= 1, 'a step')
+    busy = BehaviourTree(Leaf(FETCH, preempt=False))
+    busy.setup(node=forest.graph.node)
+    assert forest.grow(busy, Status.SUCCESS, Status.FAILURE) is Status.FAILURE
+    second = BehaviourTree(Leaf(FETCH))
+    second.setup(node=forest.graph.node)
+    forest.pace(0.0)
+    assert forest.grow(second, Status.SUCCESS, Status.FAILURE) is Status.SUCCESS
+    assert forest.grow(first, Status.SUCCESS, Status.FAILURE) is Status.FAILURE
+    assert OptionResult.STATUS_INTERRUPTED in {r.status for r in forest.results[known:]}
+
+
 def test_the_tree_of_the_example_plays_taxi(forest: Forest) -> None:
     forest.player.fresh(START)
     tree = subprocess.Popen(

@@ -140,7 +140,8 @@ def test_every_refusal_names_its_reason_repeats_the_command_and_changes_nothing(
         reply = player.reset(text)
         assert (reply.status, reply.episode) == (ResetGame.Response.STATUS_BAD_STATE, 0)
         assert text in reply.detail
-    assert player.reset(source=0).status == ResetGame.Response.STATUS_BAD_SOURCE
+    assert player.reset(source=3).status == ResetGame.Response.STATUS_BAD_SOURCE
+    assert player.reset(source=0).status == ResetGame.Response.STATUS_OK, 'an empty request'
     begun = player.reset(seed=2**64 - 1)
     assert (begun.episode, begun.state) == (player.state.episode, player.state.state)
     assert player.reset(seed=2**64 - 1).state == begun.state != player.reset(seed=5).state

@@ -203,6 +203,7 @@ def test_a_person_takes_over_a_running_option(live: Graph, folder: Path) -> None
     live.ready('/game', '/option_server')
     runs = Runs(live)
     goal = runs.begin(CIRCLE)
+    assert runs.goals[-1].run_id == goal.goal_id
     moved = runs.player.do('east', PERSON)
     status, result = goal.result()
     assert status == GoalStatus.STATUS_ABORTED

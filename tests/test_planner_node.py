@@ -16,6 +16,7 @@ from humanopts_learner.planning.plan import judge_plan, make_plan
 from humanopts_learner.planning.request import PlanRequest
 from humanopts_ros.qos import CURRENT
 import pytest
+from unique_identifier_msgs.msg import UUID
 
 OPTIONS = taught()
 FIRST_ONLY = [option for option in OPTIONS if option.name == FETCH]
@@ -159,7 +160,7 @@ def test_playing_by_a_plan_is_what_the_pure_code_says(planning: Planning, option
 def test_what_cannot_be_played_is_refused_in_words(planning: Planning) -> None:
     def refused(status: int, says: str, **fields: Any) -> None:
         result = planning.play('human', **fields)
-        assert (result.status, result.run_id, result.episodes) == (status, '', 0)
+        assert (result.status, result.run_id, result.episodes) == (status, UUID(), 0)
         assert says in result.detail
 
     for action_set in ('human', 'primitive'):

@@ -21,6 +21,7 @@ from humanopts_learner.options.learn import learn_option
 from humanopts_ros.qos import CURRENT
 import numpy as np
 import pytest
+from unique_identifier_msgs.msg import UUID
 
 WORLD = 'graph_support.slow_world:SlowWorld'
 PATIENCE = 2.0  # s
@@ -92,7 +93,7 @@ class Robot:
         return self._refusals()[-1]
 
     def _refusals(self) -> list[OptionResult]:
-        return [result for result in self.results if not result.run_id]
+        return [result for result in self.results if result.run_id == UUID()]
 
 
 @pytest.fixture(scope='module')

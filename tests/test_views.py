@@ -17,11 +17,13 @@ from humanopts_interfaces.msg import (
     RecorderStatus,
 )
 from humanopts_interfaces.srv import ResetGame
+from humanopts_ros.codec import uuid_to_message
 from humanopts_ros.qos import CURRENT, LATCHED, STREAM
 from humanopts_teach.ros.diagnostics import of_node, of_recording
 from nav_msgs.msg import OccupancyGrid
 import numpy as np
 import pytest
+from unique_identifier_msgs.msg import UUID
 from visualization_msgs.msg import Marker, MarkerArray
 import yaml
 
@@ -32,6 +34,7 @@ LAYERS = {'board', 'notes', 'option', 'signs', 'values'}
 
 
 SERVER = '/room/option_server#1'
+RUN = uuid_to_message('00000000-0000-4000-8000-000000000001')
 
 
 def texts(array: MarkerArray, layer: str) -> list[str]:
@@ -77,10 +80,10 @@ def test_a_game_is_shown_in_its_namespace(live: Graph) -> None:
     plans = live.node.create_publisher(OptionValues, '/room/option_values', LATCHED)
     live.until(lambda: goals.get_subscription_count() == 1, 'the reader of goals')
     live.until(lambda: results.get_subscription_count() == 1, 'the reader of results')
-    goals.publish(OptionGoal(publisher_id=SERVER, run_id='1', option_name='to the hallway'))
+    goals.publish(OptionGoal(publisher_id=SERVER, run_id=RUN, option_name='to the hallway'))
     live.until(lambda: texts(late[-1], 'option') == ['to the hallway'], 'the option')
-    results.publish(OptionResult(publisher_id=SERVER, run_id='0'))  # of another run
-    results.publish(OptionResult(publisher_id=SERVER, run_id='1'))
+    results.publish(OptionResult(publisher_id=SERVER, run_id=UUID()))  # of another run
+    results.publish(OptionResult(publisher_id=SERVER, run_id=RUN))
     live.until(lambda: not texts(late[-1], 'option'), 'the end of the option')
 
     plan: dict[str, Any] = {'action_set': 'human', 'names': ['a', 'b'], 'states': [0, 1]}

@@ -147,6 +147,7 @@ class Goal:
     def __init__(self, graph: 'Graph', handle: Any, feedback: list[Any]) -> None:
         self._graph, self._handle, self.feedback = graph, handle, feedback
         self._reply = handle.get_result_async()
+        self.goal_id = handle.goal_id
 
     def cancel(self) -> None:
         """Ask for its end, and wait until that is accepted."""

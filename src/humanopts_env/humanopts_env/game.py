@@ -236,12 +236,13 @@ class LockStep:
 
         :param start_state: state in the domain's notation; empty: drawn with the seed.
         :param seed: seed of the start state and of all random draws of the episode, 0 or greater.
-        :param source: a ``Source``; machines are refused while a person holds control.
+        :param source: a ``Source``, none means a machine; it is refused while a person holds
+            control.
         :raises ValueError: the seed is negative.
         """
-        if source not in (Source.PERSON, Source.MACHINE):
+        if source not in tuple(Source):
             return Reply(ResetStatus.BAD_SOURCE, _no_such_source(source))
-        if source == Source.MACHINE and self.control.holder is Holder.PERSON:
+        if source != Source.PERSON and self.control.holder is Holder.PERSON:
             return Reply(ResetStatus.HELD_BY_PERSON, self._held())
         try:
             state, features = self._begin(start_state, seed)

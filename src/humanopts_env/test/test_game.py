@@ -207,11 +207,12 @@ def test_a_bad_start_state_is_refused_and_the_episode_goes_on(state: str, words:
     assert game.transition == transition
 
 
-@pytest.mark.parametrize('source', [0, 3])
-def test_a_reset_by_nobody_is_refused(source: int) -> None:
-    reply = begun().reset(START, 0, source)
-    assert reply.status is ResetStatus.BAD_SOURCE
-    assert str(source) in reply.detail
+def test_a_reset_without_a_source_is_a_machine_s() -> None:
+    game = begun()
+    assert game.reset('', 0, 0).status is ResetStatus.OK
+    assert game.reset(START, 0, 3).status is ResetStatus.BAD_SOURCE
+    game.set_control(True, ANNA)
+    assert game.reset('', 0, 0).status is ResetStatus.HELD_BY_PERSON
 
 
 def test_a_machine_cannot_reset_what_a_person_drives() -> None:

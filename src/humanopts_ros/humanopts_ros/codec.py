@@ -6,9 +6,14 @@ from enum import Enum
 from functools import partial
 import math
 from typing import Any, cast, Generic, get_args, get_type_hints, TypeVar
+import uuid
+
+import numpy as np
+from unique_identifier_msgs.msg import UUID
 
 V = TypeVar('V')
 M = TypeVar('M')
+_NONE = uuid.UUID(int=0)
 _STAMP = {'header', 'publisher_id', 'sequence'}  # filled in by the publisher
 Convert = Callable[[Any], Any]
 
@@ -19,7 +24,7 @@ class Codec(Generic[V, M]):
 
     The enum member ``NAME`` in a field such as ``action_source`` maps to the message constant
     ``SOURCE_NAME``, where the prefix is the last word of the field name. Tuples map to sequences,
-    and None in a numeric field maps to NaN.
+    None in a numeric field maps to NaN, and the text of a UUID to its message.
     """
 
     def __init__(
@@ -47,7 +52,8 @@ class Codec(Generic[V, M]):
         self._message = cast(Any, message)
         hints = get_type_hints(kind)
         value_fields = {field.name for field in fields(kind)} - set(of_value)  # type: ignore[arg-type]
-        message_fields = set(self._message.get_fields_and_field_types()) - {*of_message, *computed}
+        types = self._message.get_fields_and_field_types()
+        message_fields = set(types) - {*of_message, *computed}
         message_fields -= _STAMP - value_fields
         unmatched = message_fields - value_fields
         if not subset:
@@ -64,6 +70,8 @@ class Codec(Generic[V, M]):
             if parts and name in parts:
                 encode, decode = parts[name]
                 converts = partial(_each, list, encode), partial(_each, tuple, decode)
+            elif types[name] == 'unique_identifier_msgs/UUID':
+                converts = uuid_to_message, uuid_from_message
             elif enum is not None:
                 converts = _enum_converts(enum, message, name, subset, type(None) in members)
             elif type(None) in members:
@@ -98,6 +106,17 @@ class Codec(Generic[V, M]):
             found = getattr(message, name)
             more[name] = found if convert is None else convert(found)
         return self._kind(**more)
+
+
+def uuid_to_message(text: str) -> UUID:
+    """Return the message of a UUID; zeros: the text is empty."""
+    return UUID(uuid=np.frombuffer((uuid.UUID(text) if text else _NONE).bytes, np.uint8))
+
+
+def uuid_from_message(message: Any) -> str:
+    """Return the text of a UUID, from rclpy or a bag reader; empty: it is zeros."""
+    found = uuid.UUID(bytes=bytes(message.uuid))
+    return '' if found == _NONE else str(found)
 
 
 def _each(kind: type, convert: Convert, values: Any) -> Any:

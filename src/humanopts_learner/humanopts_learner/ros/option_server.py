@@ -22,6 +22,7 @@ from humanopts_learner.ros import OPTION_SERVER
 from humanopts_learner.ros.learned_options import OptionSubscriber
 from humanopts_learner.ros.runner import Runner, RunRequest
 from humanopts_learner.run import Run, RunStatus
+from humanopts_ros.codec import uuid_from_message
 from humanopts_ros.guarded_node import PATIENCE, SEEDS
 from humanopts_ros.node_base import end_goal, NodeBase
 from humanopts_ros.process import run_node
@@ -155,7 +156,12 @@ class OptionServerNode(NodeBase):
             elif self._feedback_timer.is_canceled():
                 self._feedback_timer.reset()
 
-        request = RunRequest(handle.request, 'execute_option', on_progress=on_progress)
+        request = RunRequest(
+            handle.request,
+            'execute_option',
+            on_progress=on_progress,
+            run_id=uuid_from_message(handle.goal_id),
+        )
         key = bytes(handle.goal_id.uuid)
         self._of_goal[key] = request
         try:
@@ -199,7 +205,7 @@ class OptionServerNode(NodeBase):
     def _publish(self, result: OptionResult, via: str) -> None:
         """Publish a result; log a refusal."""
         self._results.publish(result)
-        if not result.run_id:
+        if not uuid_from_message(result.run_id):
             name = result.option_name or 'a run of modules'
             self.get_logger().warning(f'{via} of {name}: {result.detail}')
 

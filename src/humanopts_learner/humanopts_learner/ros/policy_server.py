@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 import math
 from typing import Any
-import uuid
 
 from humanopts_env.domains.base import Domain
 from humanopts_interfaces.action import RunPolicy
@@ -123,7 +122,7 @@ class PolicyServer(GoalServer):
         :raises GoalError: the run ends early.
         """
         result = run.result
-        result.run_id = str(uuid.uuid4())
+        result.run_id = run.handle.goal_id
         self._goals.publish(
             PolicyGoal(
                 run_id=result.run_id,

@@ -5,7 +5,7 @@ It receives the option values and the current execution of the policy that ``pla
 """
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 import math
 import uuid
 
@@ -39,7 +39,7 @@ from humanopts_learner.run import (
     RunResult,
     RunStatus,
 )
-from humanopts_ros.codec import Codec
+from humanopts_ros.codec import Codec, uuid_to_message
 from humanopts_ros.limits import shown
 from humanopts_ros.node_base import NodeBase
 from humanopts_ros.qos import CURRENT, LATCHED
@@ -64,6 +64,7 @@ class RunRequest:
     A run request from a service or action, and the run once it has begun.
 
     :ivar via: name of the service or action.
+    :ivar run_id: UUID of the run.
     :ivar execution_sequence: sequence of the ExecutionState; 0: the execution is fixed.
     :ivar on_progress: called after each step, and while an action lasts, with the run and the name
         of the action.
@@ -75,6 +76,7 @@ class RunRequest:
     execution_sequence: int = 0
     on_progress: Callable[[Run, str], object] = lambda run, action: None
     ending: Ending | None = None
+    run_id: str = field(default_factory=lambda: str(uuid.uuid4()))
 
 
 @dataclass
@@ -82,7 +84,6 @@ class _Active:
     """The current run."""
 
     run: Run
-    run_id: str
     request: RunRequest
     deadline: float = 0.0
     command: int = 0  # sequence of the pending command
@@ -278,10 +279,10 @@ class Runner:
                 self.end(other, RunStatus.INTERRUPTED, f'{name} preempted it')
             await self._wait(request, lambda: self._requests[0] is request, math.inf)
             run = await self._begin(request, execution)
-            self._active = active = _Active(run, str(uuid.uuid4()), request)
+            self._active = active = _Active(run, request)
             self._goals.publish(
                 OptionGoal(
-                    run_id=active.run_id,
+                    run_id=uuid_to_message(request.run_id),
                     via=request.via,
                     option_name=run.name,
                     participant=goal.participant,
@@ -297,7 +298,7 @@ class Runner:
             self._send(active)
             await self._node.waiting.until(lambda: active.result is not None, math.inf)
             assert active.result is not None
-            result = replace(active.result, run_id=active.run_id)
+            result = replace(active.result, run_id=request.run_id)
             if not request.execution_sequence:
                 text = f'{name} ended at step {result.first_step + result.step_count}'
                 self._node.get_logger().info(f'{text}: {result.detail}')

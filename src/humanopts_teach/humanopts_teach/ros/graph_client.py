@@ -15,6 +15,7 @@ from humanopts_env.game import Transition
 from humanopts_env.ros.game_subscriber import GameSubscriber, Observed
 from humanopts_interfaces import msg, srv
 from humanopts_learner.ros.convert import summary_from_message
+from humanopts_ros.codec import uuid_from_message
 from humanopts_ros.guarded_node import start_ros
 from humanopts_ros.node_base import NodeBase
 from humanopts_ros.publisher import PublishError
@@ -404,7 +405,7 @@ class GraphClient:
         self._changed()
 
     def _on_option_result(self, result: msg.OptionResult) -> None:
-        if not result.run_id:
+        if not uuid_from_message(result.run_id):
             self._refused_run = result
 
     def _on_game(self, observed: Observed) -> None:

@@ -20,6 +20,7 @@ from humanopts_env.seeding import generator
 from humanopts_interfaces.msg import OptionGoal, OptionResult, OptionValues
 from humanopts_learner.planning.interruption import OptionValues as PlanValues
 from humanopts_learner.ros.convert import option_values_from_message
+from humanopts_ros.codec import uuid_from_message
 from humanopts_ros.guarded_node import StartError
 from humanopts_ros.node_base import NodeBase
 from humanopts_ros.process import run_node
@@ -112,11 +113,11 @@ class ViewsNode(NodeBase):
         self._timer.reset()
 
     def _on_goal(self, goal: OptionGoal) -> None:
-        self._run = goal.run_id, goal.option_name or goal.execution
+        self._run = uuid_from_message(goal.run_id), goal.option_name or goal.execution
         self._changed = True
 
     def _on_result(self, result: OptionResult) -> None:
-        if result.run_id == self._run[0]:
+        if uuid_from_message(result.run_id) == self._run[0]:
             self._run = '', ''
             self._changed = True
 
