@@ -115,7 +115,7 @@ class RobotDesk(Desk):
     def publish(self) -> None:
         super().publish()
         control, under_way = self.game.control, self.game.under_way
-        self.world.locked = control.holder is Holder.LOCKED
+        self.world.locked = control.reason if control.holder is Holder.LOCKED else ''
         self.world.supervisor = control.supervisor_id
         self.world.progress = Progress(stopped=self.game.paused)
         if under_way is not None:

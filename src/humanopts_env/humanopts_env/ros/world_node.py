@@ -18,7 +18,7 @@ from humanopts_ros.guarded_node import StartError
 from humanopts_ros.liveliness import Liveliness
 from humanopts_ros.peers import announced_ids
 from humanopts_ros.process import run_node
-from humanopts_ros.qos import CURRENT, LATCHED, SENSOR, STREAM
+from humanopts_ros.qos import CURRENT, LATCHED, LEASE, SENSOR, STREAM
 from humanopts_ros.senders import signer
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy
@@ -256,10 +256,11 @@ class WorldNode(LockStepNode):
         self._lively.watch(control.holder_id, control.supervisor_id, acting)
 
     def _on_lost(self, publisher_id: str) -> None:
-        """Stand still because a process is not alive any more."""
+        """Stand still because a process does not live any more, or does not get to run."""
         control, under_way = self._game.control, self._game.under_way
         if publisher_id in (control.holder_id, control.supervisor_id):
-            self.send_control(self._game.release(f'{publisher_id} is not alive any more'))
+            reason = f'{signer(publisher_id)} was not heard for {LEASE:g} s'
+            self.send_control(self._game.release(reason))
         elif under_way is not None and under_way.command.publisher_id == publisher_id:
             self._game.cut_short()
 

@@ -115,7 +115,8 @@ def robot_lines(app: App) -> Iterator[Line]:
     if world.locked:
         table = key_table(app.screen.commands(app)).items()
         key = next((f': press {key}' for key, each in table if each.words == TAKE), '')
-        yield Line(f'Nothing moves before you take control{key}.', Tone.WARNING)
+        why = (Line(f'  {world.locked[:1].upper()}{world.locked[1:]}.', Tone.QUIET),)
+        yield Line(f'Nothing moves before you take control{key}.', Tone.WARNING, more=why)
     if now.action:
         feedback = f'; {now.feedback}' if now.feedback else ''
         text = f'{now.action}: {now.seconds:.1f} of {world.longest(now.action):g} s{feedback}'

@@ -389,7 +389,7 @@ class World:
     execution: str = ''  # of the current or last policy run; empty: none
     progress: Progress = _AT_REST
     holder: str = ''  # publisher_id of the driving terminal; empty: none
-    locked: bool = False  # a robot that nothing may move before a person takes control
+    locked: str = ''  # why nothing may move a robot before a person takes control; empty: it may
     supervisor: str = ''  # publisher_id of the terminal that lets it move by itself; empty: none
     me: str = ''  # our own publisher_id
     step_period: float = 0.0  # minimum time between machine steps, s

@@ -433,7 +433,8 @@ class GraphClient:
         """Renew control or the pause of the machine while this node holds it."""
         world = self.world
         world.holder, world.paused_by = control.holder_id, control.paused_by
-        world.locked = control.holder == control.HOLDER_LOCKED
+        locked = control.holder == control.HOLDER_LOCKED
+        world.locked = control.reason if locked else ''
         world.supervisor = control.supervisor_id
         world.step_period = control.step_period
         if world.me in (world.holder, world.supervisor, world.paused_by):
