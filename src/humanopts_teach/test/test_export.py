@@ -22,11 +22,13 @@ from humanopts_teach.bags.reader import Bag
 from humanopts_teach.cli import main
 from humanopts_teach.export.minari_dataset import dataset_name, FOLDER, write_dataset
 from humanopts_teach.export.tables import bag_tables, ExportError, Table, write_tables
+from humanopts_teach.plays import plays_in_bag
 import numpy as np
 import pandas as pd
 import pytest
 from service_msgs.msg import ServiceEventInfo
 from teach_support.bags import judged_run, numbered, write_messages
+from teach_support.robot_desk import DOMAIN as CORRIDOR
 
 STEPS = 30
 
@@ -327,3 +329,28 @@ def test_text_that_a_spreadsheet_would_run_is_text_in_csv_alone(tmp_path: Path) 
     ]
     assert write('csv', excel=True).read_bytes().startswith(b'\xef\xbb\xbfoption')
     assert parquet.read_table(write('parquet')).to_pydict()['option'] == ['=1+1', 'größer']
+
+
+def test_a_refreshed_state_replaces_that_of_its_step_and_short_actions_are_marked(
+    tmp_path: Path,
+) -> None:
+    first = Transition(1, 0, 'x 5', (5.0, 0.0))
+    moved = replace(first, step=1, state='x 4', features=(4.0, 0.0), previous_action='back')
+    stopped = replace(moved, action_source=Source.PERSON, cut_short=True)
+    sensed = [first, replace(first, state='x 6', features=(6.0, 1.0), refreshed=True), stopped]
+    bag = write_messages(
+        tmp_path / 'bag',
+        [
+            ('/domain_info', domain_to_info(CORRIDOR)),
+            *(('/game_state', transition_to_message(each)) for each in sensed),
+        ],
+    )
+    table = bag_tables(bag)['steps']
+    rows = [dict(zip(table.columns, row)) for row in table.rows]
+    assert [(row['step'], row['feature:x'], row['feature:door']) for row in rows] == [
+        (0, 6.0, 'closed'),
+        (1, 4.0, 'open'),
+    ]
+    assert [row['cut_short'] for row in rows] == [False, True]
+    _, plays = plays_in_bag(bag)
+    assert plays[1].states == ('x 6', 'x 4')

@@ -34,7 +34,11 @@ BATCH = 20_000  # number of rows per batch of a Parquet file
 FEATURE_PREFIX = 'feature:'  # prefix of feature names in column names
 # Columns before and after the features of a step, and columns for the outcomes of a plan.
 _STEP = {'episode': int, 'game': str, 'game_episode': int, 'step': int, 'state': str}
-_MOVE = {'action': str, 'reward': float, 'terminated': bool, 'truncated': bool}
+_MOVE = {
+    'action': str,
+    'reward': float,
+    **dict.fromkeys(('terminated', 'truncated', 'cut_short'), bool),
+}
 _ACTOR = dict.fromkeys(('source', 'option'), str)
 _TOTALS = {'steps': int, 'total_reward': float}
 _JUDGED = {
@@ -123,7 +127,7 @@ def _steps(bag: Bag, domain: ActableDomain) -> Iterator[Sequence[Any]]:
                 bag.note('values that features do not have are left out of the table of steps')
             yield (
                 *(number, episode.publisher_id, episode.number, at.step, at.state, *values),
-                *(at.previous_action, at.reward, at.terminated, at.truncated),
+                *(at.previous_action, at.reward, at.terminated, at.truncated, at.cut_short),
                 *(source_of(at), actor_of(at, actors)),
             )
 
