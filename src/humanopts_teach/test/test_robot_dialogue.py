@@ -5,6 +5,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from humanopts_learner.summary import Criterion, OptionSummary
+from humanopts_teach.browser.markup import parts
+from humanopts_teach.dialogue.view import view
 from humanopts_teach.lesson.requests import Drive, EndDemonstration, Phase, Verdict
 import pytest
 from teach_support import snapshot
@@ -100,6 +102,9 @@ def test_space_is_typed_in_a_text_unless_the_robot_moves(desk: RobotDesk) -> Non
     desk.press('enter', '1').press(*NAME)
     assert f'> {NAME}' in desk.see()
     assert not any(isinstance(each, Drive) for each in desk.asked)
+    before = parts(view(desk.app))
+    desk.rover.door = 1.0
+    assert parts(view(desk.after(0.5).app)) == before  # a page keeps its text field
     desk.game.set_control(True, 'other')
     desk.game.set_control(False, 'other')
     desk.moves('home')

@@ -50,6 +50,7 @@ class CombineScreen(Screen):
 
     back: Do
     typed: str = ''
+    takes_text = True
     rest: tuple[str, ...] = ()
     at: int = 0
 

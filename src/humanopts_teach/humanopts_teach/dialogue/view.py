@@ -35,7 +35,8 @@ def view(app: App, *, images: bool = True) -> ScreenView:
     if world.domain is not None:
         panel = screen.panel(app)
         panel = replace(panel, beside=(*robot_lines(app), *panel.beside))
-        if screen.shows_board:
+        # New values of features would replace a text field of the page while a person types.
+        if screen.shows_board and not (world.robot and screen.takes_text):
             board, panel = _drawn(app, panel, images)
     return ScreenView(
         _head(app),
