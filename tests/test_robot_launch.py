@@ -4,7 +4,7 @@ from pathlib import Path
 import signal
 from typing import Any
 
-from graph_support.live import Graph
+from graph_support.live import Graph, open_graph
 from graph_support.robot import Robot, WORLD_FILE
 from humanopts_teach.bags.contents import read_description
 from humanopts_teach.bags.reader import open_bag
@@ -110,3 +110,16 @@ def test_the_bag_has_the_world_file_and_on_request_the_topics_of_the_robot(
     assert read_description(bag).name == 'scout'
     assert main(['bag', 'eval', str(path)]) == 2
     assert 'scout is a robot, which can only be acted in; this needs' in capsys.readouterr().err
+
+
+def test_a_launch_says_what_the_world_waits_for(scout: str, tmp_path: Path) -> None:
+    said = tmp_path / 'said.txt'
+    words = ['up', scout, '--only', 'world', '--no-record', '--out', 'out']
+    with open_graph(tmp_path / 'graph') as graph:
+        with said.open('wb') as output:
+            up = graph.run(['-m', 'humanopts_teach', *words], 'up', stdout=output)
+        what = '/world waits for a message on /odom (nav_msgs/msg/Odometry): nothing publishes it'
+        graph.until(lambda: f'humanopts: {what}\n' in up.said(), 'what it waits for', 60.0)
+        Robot(graph)
+        graph.until(lambda: 'Ctrl-C' in said.read_text(), 'it to be ready', 60.0)
+        assert up.kill(signal.SIGINT) == 0, up.said()

@@ -377,8 +377,10 @@ def run_in_terminal(setup: Setup, done: Callable[[Session], object] = lambda run
     """
     print('starting ...', flush=True)
     lines: list[str] = []  # while the terminal is in use
+    say: Callable[[str], object] = print_line
     try:
-        with session(setup, report=lines.append) as running:
+        with session(setup, report=lambda line: say(line)) as running:
+            say = lines.append
 
             def watch() -> None:
                 running.graph.take(0.1)

@@ -150,13 +150,18 @@ class Conductor(NodeBase):
         """
         nodes = [name.rpartition('/')[2] for name in names]
         self._awaited.update(nodes)
+        said = ''  # what the world of a robot waits for: a person may have to start the robot
+
+        def progress() -> list[str]:
+            nonlocal said
+            text = self._text('world') if self.peers.state('world') != _READY else ''
+            if text != said:
+                said = text
+                self.report(f'{self.full_name("world")} {said}' if said else 'the world is there')
+            return self._missing(nodes)
+
         try:
-            self.wait(
-                lambda: not self._missing(nodes),
-                seconds,
-                'a change of the nodes',
-                lambda: self._missing(nodes),
-            )
+            self.wait(lambda: not self._missing(nodes), seconds, 'a change of the nodes', progress)
         except LaunchError as error:
             if not (missing := self._missing(nodes)):
                 raise
