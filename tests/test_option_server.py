@@ -1,5 +1,6 @@
 """The node option_server on the real graph: options run to their end, and it says which."""
 
+from dataclasses import replace
 from pathlib import Path
 import signal
 from typing import Any
@@ -343,6 +344,30 @@ def test_files_are_served_until_the_learner_publishes_and_what_cannot_be_is_name
         publisher.publish(message)
     live.until(lambda: names() == [FETCH], 'the option to be served')
     assert "learned_options from /learner#1: 'spoilt': " in capfd.readouterr().err
+
+
+def test_a_run_waits_for_the_options_that_it_names_and_uses_them(live: Graph) -> None:
+    live.start(GAME)
+    live.start(OPTION_SERVER)
+    live.ready('/game', '/option_server')
+    runs = Runs(live)
+    publisher = live.node.create_publisher(OptionMessage, 'learned_options', STREAM)
+    live.until(publisher.get_subscription_count, 'its reader')
+
+    def publish(sequence: int, max_steps: int) -> None:
+        model = option_to_json(replace(OPTIONS[CIRCLE], max_steps=max_steps))
+        fields = {'name': CIRCLE, 'participant': 'p1', 'model': model, 'n_options': 1}
+        publisher.publish(OptionMessage(publisher_id='/learner#1', sequence=sequence, **fields))
+
+    publish(1, 2)
+    live.until(lambda: live.ask(ListOptions, 'list_options').option_names, 'the option')
+    assert runs.run(CIRCLE, options_sequence=1).step_count == 2
+    request = live.request(RunOption, 'run_option', option_name=CIRCLE, options_sequence=2)
+    busy = live.ask(RunOption, 'run_option', option_name=CIRCLE).result
+    assert busy.status == OptionResult.STATUS_BUSY
+    publish(2, 3)
+    live.until(request.done, 'the end of the run')
+    assert request.result().result.step_count == 3
 
 
 @pytest.mark.parametrize('begun', [True, False])

@@ -224,8 +224,9 @@ class Runner:
     def serve(self, options: Iterable[LearnedOption]) -> list[str]:
         """Use the options that fit the game, once it is known; return why others do not."""
         self._policy.arbiters.clear()
+        faults = self.library.replace(options) if self.library is not None else []
         self._node.waiting.check()
-        return self.library.replace(options) if self.library is not None else []
+        return faults
 
     def stop(self) -> None:
         """End the current run, or the wait for its first state, on shutdown."""
