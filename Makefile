@@ -38,7 +38,7 @@ unexport PYTHONDONTWRITEBYTECODE COLCON_DEFAULTS_FILE
 unexport $(shell sed -n 's/^unset //p' tools/environment.sh)
 export COLCON_HOME := $(CURDIR)/build/colcon
 
-.PHONY: help setup checked robots demo test test-quick test-floor test-whole test-slow test-browser test-hosts test-stress soak faults lint docs format lock clean
+.PHONY: help setup checked robots demo test test-quick test-floor test-kilted test-whole test-slow test-browser test-hosts test-stress soak faults lint docs format lock clean
 
 help:
 	@echo 'make demo    let a simulated teacher teach two options for Taxi; plan, play, report (OUT=, SEED=)'
@@ -46,6 +46,7 @@ help:
 	@echo 'make test-quick  run the quick tests of pure code; make test-slow  those that take minutes'
 	@echo 'make test-whole  run tests of whole commands: the demo of Pac-Man, studies, dying nodes'
 	@echo 'make test-floor  run tests of pure code with the oldest supported packages'
+	@echo 'make test-kilted  run the tests over the graph with ROS 2 Kilted, in build/kilted'
 	@echo 'make test-browser  run the tests that teach in Chromium'
 	@echo 'make test-hosts  run the tests over two hosts, in namespaces of this machine'
 	@echo 'make test-stress  run the graph tests ten times, with busy cores and late discovery'
@@ -132,6 +133,11 @@ test: checked $(VENV)/.compiled
 test-quick: checked
 	@$(WITH_ROS) $(SIDE_BY_SIDE) -m 'not slow and not live and not heavy' $(or $(ARGS),src)
 
+# A copy of this repository, with ROS 2 Kilted in place of Jazzy.
+test-kilted:
+	@$(PYTHON) tools/kilted.py build/kilted
+	@$(MAKE) --no-print-directory -C build/kilted test ARGS='$(or $(ARGS),tests)'
+
 # Leave out tests that take long and compute little.
 test-floor: checked build/floor/.locked
 	@$(WITH_ROS); export PYTHONPATH=$(CURDIR)/build/floor:$$PYTHONPATH; \
@@ -187,6 +193,7 @@ lock:
 	@$(COMPILE) requirements-build.in -c requirements.lock -o requirements-build.lock
 	@$(COMPILE) requirements-test.in -c requirements.lock -o requirements-test.lock
 	@$(COMPILE) requirements-floor.in -o requirements-floor.lock
+	@$(COMPILE) requirements-kilted.in -o requirements-kilted.lock
 
 clean:
 	@rm -rf $(VENV) build install log .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -191,7 +191,9 @@ def test_a_node_publishes_its_life_and_ends_cleanly(shared: Graph) -> None:
     for how, process in processes.items():
         node = f'/{how.name.lower()}'
         shared.ready(node)
-        assert (process.kill(how), process.said()) == (0, '')
+        assert process.kill(how) == 0
+        (line,) = process.said().splitlines()
+        assert line.endswith(': ready')
         shared.until(lambda n=node: shared.state(n) == STOPPING, 'its last status')
         life = shared.statuses[node]
         whole = [(1, STARTING), (2, READY), (3, STOPPING)]

@@ -64,7 +64,11 @@ def prepare_discovery() -> None:
     if stays:
         os.environ[RANGE] = 'SYSTEM_DEFAULT'
     os.environ[READ_PROFILES] = '1'
-    os.environ.update(dict.fromkeys(PROFILES, loopback if stays or given else quick))
+    later = (
+        os.environ.get('ROS_DISTRO', '') > _READERS[0]
+    )  # distributions are named by the alphabet
+    names = PROFILES[1:] if later else PROFILES  # later ones warn about the first
+    os.environ.update(dict.fromkeys(names, loopback if stays or given else quick))
 
 
 def on_loopback() -> bool:
