@@ -18,10 +18,8 @@ LAUNCHER_PID = 'HUMANOPTS_LAUNCHER_PID'  # pid of the launcher; nodes exit with 
 INSTANCE = 'HUMANOPTS_INSTANCE'  # suffix of the publisher_id of a launched node
 RESTARTS = 'HUMANOPTS_RESTARTS'  # number of previous restarts by the launcher
 RANGE, PEERS = 'ROS_AUTOMATIC_DISCOVERY_RANGE', 'ROS_STATIC_PEERS'
-PROFILES = (
-    'FASTRTPS_DEFAULT_PROFILES_FILE',
-    'FASTDDS_DEFAULT_PROFILES_FILE',
-)  # Jazzy reads [0], later ones [1]
+# Jazzy reads the first, later distributions the second.
+PROFILES = ('FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_DEFAULT_PROFILES_FILE')
 LAST_DOMAIN_ID = 232
 LOOPBACK = '127.0.0.1'
 _RANGES = 'LOCALHOST', 'SUBNET', 'SYSTEM_DEFAULT'  # ranges in which nodes find each other

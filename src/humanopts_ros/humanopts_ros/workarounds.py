@@ -64,9 +64,7 @@ def prepare_discovery() -> None:
     if stays:
         os.environ[RANGE] = 'SYSTEM_DEFAULT'
     os.environ[READ_PROFILES] = '1'
-    later = (
-        os.environ.get('ROS_DISTRO', '') > _READERS[0]
-    )  # distributions are named by the alphabet
+    later = os.environ.get('ROS_DISTRO', '') > _READERS[0]  # named in alphabetical order
     names = PROFILES[1:] if later else PROFILES  # later ones warn about the first
     os.environ.update(dict.fromkeys(names, loopback if stays or given else quick))
 
