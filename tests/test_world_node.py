@@ -9,7 +9,16 @@ import sys
 import time
 from typing import Any
 
-from graph_support.live import Goal, Graph, open_graph, OPTION_SERVER, WORLD
+from graph_support.live import (
+    Goal,
+    Graph,
+    JOY,
+    KEYBOARD,
+    open_graph,
+    OPTION_SERVER,
+    TEACHER,
+    WORLD,
+)
 from graph_support.player import MACHINE, ME, PERSON, Player
 from graph_support.robot import Robot, WORLD_FILE
 from humanopts_env.ros.interfaces import filled
@@ -26,7 +35,8 @@ from humanopts_interfaces.msg import (
     OptionResult,
 )
 from humanopts_interfaces.srv import ResetGame
-from humanopts_ros.qos import CURRENT, LATCHED
+from humanopts_ros.qos import CURRENT, LATCHED, LIVELY
+from humanopts_ros.senders import id_topic
 from nav_msgs.msg import Path as Path_
 import pytest
 from rosgraph_msgs.msg import Clock
@@ -447,6 +457,17 @@ def test_a_process_of_its_own_acts_and_stops_as_well(tmp_path: Path) -> None:
         assert time.monotonic() - began < LATE + 0.1
         assert world.kill(signal.SIGTERM) == 0
         graph.until(lambda: robot.stands, 'the robot to stand')
+
+
+@pytest.mark.parametrize('node', [WORLD, KEYBOARD, JOY, OPTION_SERVER, TEACHER])
+def test_every_node_that_drives_announces_that_it_is_alive(node: str, tmp_path: Path) -> None:
+    with open_graph(tmp_path) as graph:
+        own = {WORLD: {'world': Robot(graph).file()}, TEACHER: {'options': ['any']}}
+        started = graph.start(node, **own.get(node, {}))
+        topic = f'/{id_topic(started.publisher_id, started.role)}'
+        (announced,) = graph.node.get_publishers_info_by_topic(topic)
+        lease = announced.qos_profile.liveliness_lease_duration
+        assert lease.nanoseconds == LIVELY.liveliness_lease_duration.nanoseconds < 0.5e9
 
 
 # Start

@@ -2,7 +2,7 @@
 
 from functools import partial
 import sys
-from typing import Any
+from typing import Any, ClassVar
 
 from humanopts_env.domains.base import ActableDomain
 from humanopts_interfaces.msg import NodeStatus
@@ -39,6 +39,8 @@ _VERDICTS = {
 
 class JoyTeleopNode(NodeBase):
     """Turns messages of one gamepad into commands of a person, and into answers to the lesson."""
+
+    drives: ClassVar[bool] = True
 
     def __init__(self, **options: Any) -> None:
         super().__init__('joy_teleop', **options)
