@@ -1,5 +1,5 @@
 """
-SMDP Q-learning and intra-option Q-learning: many learners in parallel, or one in an environment.
+SMDP Q-learning and intra-option Q-learning: many learners in parallel, or one table.
 
 R. S. Sutton, D. Precup and S. Singh (1999), "Between MDPs and semi-MDPs". SMDP Q-learning (section
 3.2; "macro Q-learning" for options that cannot be interrupted) updates an option when it ends
@@ -16,8 +16,8 @@ Intra-option learning ignores the step limits of options, which depend on more t
 """
 
 from collections import defaultdict
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING
 
@@ -239,6 +239,56 @@ def learn_in_step(
     ]
 
 
+class QTable:
+    """
+    SMDP Q-learning in a table of the states that have been seen.
+
+    :ivar values: (O,) by state; 0 at first.
+    :ivar visits: (O,) by state, number of updates of each option.
+    """
+
+    def __init__(self, n_options: int, rates: Rates) -> None:
+        self._rates = rates
+        self.values: dict[Hashable, Floats] = defaultdict(lambda: np.zeros(n_options))
+        self.visits: dict[Hashable, Ints] = defaultdict(lambda: np.zeros(n_options, dtype=np.intp))
+
+    def choose(
+        self, state: Hashable, can: Flags, rng: np.random.Generator, *, explores: bool = True
+    ) -> int:
+        """
+        Return an option by the epsilon-greedy policy; ties are broken at random.
+
+        :param can: (O,) whether each option can start.
+        :param explores: False: by the greedy policy.
+        """
+        known = np.where(can, self.values[state], -np.inf)
+        explored = explores and rng.random() < self._rates.explore
+        among = known > -np.inf if explored else known == known.max()
+        return int(draw_among(among[None], rng)[0])
+
+    def update(
+        self,
+        state: Hashable,
+        option: int,
+        reward: float,
+        discount: float,
+        successor: Hashable,
+        can: Flags,
+    ) -> None:
+        """
+        Update the value of an option by a run.
+
+        :param reward: discounted return of the run.
+        :param discount: gamma**k; 0 if the task is over.
+        :param can: (O,) whether each option can start in the successor.
+        """
+        ahead = self.values[successor][can].max(initial=-np.inf)
+        goal = reward + (discount * ahead if discount and can.any() else 0.0)
+        values, visits = self.values[state], self.visits[state]
+        visits[option] += 1
+        values[option] += self._rates.learning_rate * (goal - values[option])
+
+
 @dataclass(frozen=True)
 class Episodes:
     """Results of E episodes in an environment."""
@@ -254,18 +304,15 @@ class EnvLearner:
     A tabular SMDP Q-learner with options as actions.
 
     :ivar columns: features that are its state; continuous ones make no table.
-    :ivar values: (O,) by state, the values of chosen features.
     """
 
     env: 'OptionsEnv'
     columns: Sequence[FeatureColumn]
     rates: Rates = Rates()
-    values: dict[tuple[float, ...], Floats] = field(init=False)
 
     def __post_init__(self) -> None:
         """Initialize all values to 0."""
-        count = len(self.env.option_names)
-        self.values = defaultdict(lambda: np.zeros(count))
+        self._table = QTable(len(self.env.option_names), self.rates)
 
     def play(self, episodes: int, seed: int, *, learn: bool) -> Episodes:
         """
@@ -280,18 +327,13 @@ class EnvLearner:
             _, info = self.env.reset(seed=int(rng.integers(2**31)))
             here, over = self._state(), False
             while not over:
-                known = np.where(info['action_mask'], self.values[here], -np.inf)
-                explores = learn and rng.random() < self.rates.explore
-                among = known > -np.inf if explores else known == known.max()
-                option = int(draw_among(among[None], rng)[0])
+                can = info['action_mask'] == 1
+                option = self._table.choose(here, can, rng, explores=learn)
                 _, reward, terminated[episode], truncated, info = self.env.step(option)
                 there, over = self._state(), terminated[episode] or truncated
                 if learn:
-                    ahead = self.values[there][info['action_mask'] == 1].max()
-                    goal = reward + info['discount'] * ahead
-                    self.values[here][option] += self.rates.learning_rate * (
-                        goal - self.values[here][option]
-                    )
+                    can = info['action_mask'] == 1
+                    self._table.update(here, option, float(reward), info['discount'], there, can)
                 steps[episode] += info['duration']
                 returns[episode] += info['undiscounted']
                 here = there

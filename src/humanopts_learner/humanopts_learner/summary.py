@@ -216,7 +216,8 @@ class PlanSummary:
     option_names: tuple[str, ...] = ()  # columns of the action set
     gamma: float = 0.0  # discount per primitive step; 0: no plan
     n_states: int = 0  # of the domain, or sampled abstract states
-    game_steps: int = 0  # for sampling models; 0: models are exact
+    game_steps: int = 0  # for sampling models, or of recorded runs; 0: models are exact
+    recorded_runs: int = 0  # that the plan is from; 0: it is not from recorded runs
     table_seconds: float = 0.0  # evaluating options in every state
     model_seconds: float = 0.0  # building models, including game steps
     sweep_seconds: float = 0.0  # value iteration

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from functools import cache
 
 from humanopts_env.arrays import Flags, Ints, Rows
-from humanopts_env.domains.base import ActableDomain, Domain, DomainError, FeatureKind
+from humanopts_env.domains.base import ActableDomain, DomainError, FeatureKind
 from humanopts_env.domains.capabilities import HasPlanningFeatures
 from humanopts_env.domains.formulas import feature_columns
 from humanopts_env.games import Games, TableGames
@@ -58,7 +58,7 @@ class Column:
 class Abstraction:
     """Maps games to abstract states."""
 
-    def __init__(self, domain: Domain, columns: Sequence[str] = ()) -> None:
+    def __init__(self, domain: ActableDomain, columns: Sequence[str] = ()) -> None:
         """
         Select the feature columns.
 
@@ -69,13 +69,14 @@ class Abstraction:
         self._domain = domain
         self._columns = [Column(text, domain) for text in columns]
 
-    def codes(self, games: Games, rows: Rows, symbols: Sequence[Ints | Flags]) -> Codes:
+    def codes(self, games: Games | None, rows: Rows, symbols: Sequence[Ints | Flags]) -> Codes:
         """
         Return the codes of the abstract states of games, (N,).
 
         A code is the sum of all columns, each multiplied by a random 64-bit number, so a collision
         among a million states has a probability below 1e-6.
 
+        :param games: None: only their features are known.
         :param rows: (N, F) features of the games.
         :param symbols: symbol columns, (N,) each.
         """

@@ -10,8 +10,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from humanopts_env.arrays import Flags, Ints, Rows
-from humanopts_env.domains.base import Domain
+from humanopts_env.domains.base import ActableDomain
 from humanopts_env.domains.capabilities import HasPrimitiveColumns
+from humanopts_env.domains.described import can_simulate
 from humanopts_env.games import Games, games_at
 from humanopts_learner.demonstrations import PRIMITIVE_PREFIX
 from humanopts_learner.execution import draw_among, Loops, Policy
@@ -89,7 +90,7 @@ class ActionSet:
 
     def __init__(
         self,
-        domain: Domain,
+        domain: ActableDomain,
         action_set: str,
         options: Sequence[Option],
         columns: Sequence[str] = (),
@@ -117,11 +118,16 @@ class ActionSet:
 
     def observe_state(self, state: Any) -> Observation:
         """Return the observation of one game in a state of the domain."""
-        return self.see(games_at(self.domain, [state]))
+        if can_simulate(self.domain):
+            return self.see(games_at(self.domain, [state]))
+        return self.see_rows(self.domain.feature_values(state)[None])
 
     def see(self, games: Games) -> Observation:
         """Observe games."""
-        rows = games.features()
+        return self.see_rows(games.features(), games)
+
+    def see_rows(self, rows: Rows, games: Games | None = None) -> Observation:
+        """Observe games by their features (N, F); None: nothing else is known of them."""
         shape, n_options = (len(rows), self.first_fallback), len(self.options)
         startable, ending = np.ones(shape, dtype=np.bool_), np.ones(shape, dtype=np.bool_)
         wanted = np.empty(shape, dtype=np.int16)

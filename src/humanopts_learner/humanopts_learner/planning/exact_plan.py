@@ -13,7 +13,7 @@ import time
 from typing import Any
 
 from humanopts_env.arrays import Flags, Floats, Ints
-from humanopts_env.domains.base import Domain, EnumerableDomain, S
+from humanopts_env.domains.base import ActableDomain, Domain, EnumerableDomain, S
 from humanopts_env.games import Chance, Games, TableGames
 from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import PRIMITIVE_PREFIX
@@ -103,13 +103,14 @@ class PolicyPlan(ABC):
     them.
     """
 
-    domain: Domain
+    domain: ActableDomain
     action_set: str
     gamma: float
     names: tuple[str, ...]  # by option index
     first_fallback: int  # index of the first fallback; number of names: none
     solution: Solution
-    game_steps: int = 0  # sampled
+    game_steps: int = 0  # sampled or recorded
+    recorded_runs: int = 0  # that the plan is from
     table_seconds: float = 0.0  # for option tables of exact plans
     model_seconds: float  # for sampled models: sampling and counting
     sweep_seconds: float

@@ -144,6 +144,7 @@ def summarise_plan(plan: AnyPlan, judged: Performance | None = None) -> PlanSumm
         gamma=plan.gamma,
         n_states=len(solution.values),
         game_steps=plan.game_steps,
+        recorded_runs=plan.recorded_runs,
         table_seconds=plan.table_seconds,
         model_seconds=plan.model_seconds,
         sweep_seconds=plan.sweep_seconds,

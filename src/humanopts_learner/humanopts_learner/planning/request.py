@@ -7,7 +7,7 @@ from enum import StrEnum
 import math
 from typing import Any, Protocol
 
-from humanopts_env.domains.base import Domain, is_enumerable
+from humanopts_env.domains.base import ActableDomain, is_enumerable
 from humanopts_env.domains.replayed_domain import ReplayedDomain
 from humanopts_learner.demonstrations import MACHINE
 from humanopts_learner.library import no_options_text
@@ -148,7 +148,7 @@ class PlanRequest:
         check_limits(self.tol, self.max_sweeps or 1)
 
     def resolved(
-        self, domain: Domain, options: Sequence[Any], *, sampled: bool | None = None
+        self, domain: ActableDomain, options: Sequence[Any], *, sampled: bool | None = None
     ) -> 'PlanRequest':
         """
         Check the request for a domain and its options; return it with defaults filled in.
@@ -189,7 +189,7 @@ class PlanRequest:
         return asked
 
 
-def usual_game_steps(domain: Domain) -> int:
+def usual_game_steps(domain: ActableDomain) -> int:
     """Return the number of game steps from which a plan is sampled in a few seconds."""
     return REPLAYED_STEPS if isinstance(domain, ReplayedDomain) else GAME_STEPS
 

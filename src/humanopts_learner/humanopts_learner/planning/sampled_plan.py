@@ -13,15 +13,16 @@ from typing import Any
 
 from humanopts_env.arrays import Flags, Floats, Ints
 from humanopts_env.domains.base import Domain
+from humanopts_env.domains.described import simulated
 from humanopts_env.games import new_games
 from humanopts_env.seeding import generator
 from humanopts_learner.execution import play, Policy
 from humanopts_learner.option import Option
-from humanopts_learner.planning.abstraction import StateRows
+from humanopts_learner.planning.abstraction import Codes, StateRows
 from humanopts_learner.planning.action_set import ActionSet, AnyOption, Observation
 from humanopts_learner.planning.exact_plan import PolicyPlan, Returns, sweep_progress
 from humanopts_learner.planning.interruption import arbitrate, interruptions, OptionValues
-from humanopts_learner.planning.models import look_ahead
+from humanopts_learner.planning.models import look_ahead, MultiTimeModel
 from humanopts_learner.planning.request import (
     Arbitration,
     Clock,
@@ -32,7 +33,7 @@ from humanopts_learner.planning.request import (
     Progress,
 )
 from humanopts_learner.planning.sampling import SampleCounts, Sampler
-from humanopts_learner.planning.solve import solve_smdp
+from humanopts_learner.planning.solve import Solution, solve_smdp
 import numpy as np
 from numpy.typing import NDArray
 
@@ -194,7 +195,7 @@ def play_games(
     :param unstick: whether runs that repeat themselves take random moves.
     :raises PlanError: the domain has no step limit, or ``episodes`` is below 1.
     """
-    domain = actions.domain
+    domain = simulated(actions.domain, 'playing episodes')
     limit = domain.max_steps
     if limit < 1 or episodes < 1:
         raise PlanError(f'cannot play {episodes} episodes of at most {limit} steps')
@@ -207,6 +208,42 @@ def play_games(
     loops = actions.loops(episodes, generator(seed, 'random moves')) if unstick else None
     played = play(games, actions, policy, rng, limit, gamma=gamma, loops=loops, on_step=on_step)
     return Returns.of(played, gamma, actions.first_fallback)
+
+
+def solve_sampled(
+    actions: ActionSet,
+    states: Codes,
+    model: MultiTimeModel,
+    request: PlanRequest,
+    progress: Progress = ignore_progress,
+) -> tuple[Solution, GreedyPolicy]:
+    """
+    Solve a model of counted samples.
+
+    :param states: (S,) abstract states of the model, in any order.
+    :param request: resolved, as ``PlanRequest.resolved`` returns it.
+    :return: the solution and the greedy policy, both with states in ascending order.
+    """
+    n_choices = actions.first_fallback
+    on_sweep = sweep_progress(progress, request.tol, request.max_sweeps)
+    found = solve_smdp(model, request.tol, request.max_sweeps, on_sweep, n_choices)
+    ahead = look_ahead(model, found.values)  # (S, modelled)
+    # Where an option can start, continuing it is worth as much as choosing it.
+    chosen, continued = ahead[:, :n_choices], ahead[:, :n_choices].copy()
+    elsewhere = np.isneginf(chosen[:, : len(actions.options)])
+    np.copyto(continued[:, : len(actions.options)], ahead[:, n_choices:], where=elsewhere)
+    order = np.argsort(states)
+    table = OptionValues(
+        action_set=actions.action_set,
+        names=actions.names[:n_choices],
+        states=states[order],
+        option_values=chosen[order],
+        continuation_values=continued[order],
+        interruption_margin=request.sampling.interruption_margin,
+        sampled=True,
+    )
+    solution = replace(found, values=found.values[order], best=found.best[order])
+    return solution, GreedyPolicy(table, request.execution)
 
 
 def make_sampled_plan(
@@ -241,27 +278,10 @@ def make_sampled_plan(
         game_steps += sampler.play(policy, part, on_steps)
         model = counts.model(config.min_samples)
         modelled = clock()
-        on_sweep = sweep_progress(progress, resolved.tol, resolved.max_sweeps)
-        found = solve_smdp(model, resolved.tol, resolved.max_sweeps, on_sweep, n_choices)
-        ahead = look_ahead(model, found.values)  # (S, modelled)
-        # Where an option can start, continuing it is worth as much as choosing it.
-        chosen, continued = ahead[:, :n_choices], ahead[:, :n_choices].copy()
-        elsewhere = np.isneginf(chosen[:, : len(actions.options)])
-        np.copyto(continued[:, : len(actions.options)], ahead[:, n_choices:], where=elsewhere)
-        order = np.argsort(counts.states)
-        table = OptionValues(
-            action_set=actions.action_set,
-            names=actions.names[:n_choices],
-            states=counts.states[order],
-            option_values=chosen[order],
-            continuation_values=continued[order],
-            interruption_margin=config.interruption_margin,
-            sampled=True,
-        )
-        greedy = GreedyPolicy(table, resolved.execution)
+        found, greedy = solve_sampled(actions, counts.states, model, resolved, progress)
         model_seconds += modelled - began
         sweep_seconds += clock() - modelled
-        without_margin = replace(greedy, values=replace(table, interruption_margin=0.0))
+        without_margin = replace(greedy, values=replace(greedy.values, interruption_margin=0.0))
         policy = ExploringPolicy(without_margin, config.explore, rng)
     return SampledPlan(
         domain=domain,
@@ -270,7 +290,7 @@ def make_sampled_plan(
         names=actions.names,
         first_fallback=n_choices,
         actions=actions,
-        solution=replace(found, values=found.values[order], best=found.best[order]),
+        solution=found,
         policy=greedy,
         unstick=resolved.unstick,
         game_steps=game_steps,

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from humanopts_env.arrays import Floats
+from humanopts_env.domains.described import simulated
 from humanopts_env.games import new_games
 from humanopts_learner.execution import Execution, NONE, Policy
 from humanopts_learner.planning.abstraction import Codes, StateRows
@@ -41,6 +42,7 @@ class SampleCounts:
     Sums over the samples of S abstract states and O options.
 
     :ivar states: (S,) codes of the abstract states, in order of first visit.
+    :ivar counts: (O, S) number of samples.
     """
 
     def __init__(self, names: tuple[str, ...], choosable: int = 0) -> None:
@@ -52,12 +54,12 @@ class SampleCounts:
         """
         self.names, self._choosable = names, choosable or len(names)
         self.states: Codes = np.empty(0, dtype=np.int64)
-        self._count, self._reward = np.zeros((2, len(names), 0))
+        self.counts, self._reward = np.zeros((2, len(names), 0))
         self._rows: SparseRows = csr_array((0, 0))
 
     def add(self, samples: Samples) -> None:
         """Add samples of known or new states."""
-        old, (count, _) = len(self.states), self._count.shape
+        old, (count, _) = len(self.states), self.counts.shape
         codes = np.concatenate([samples.state, samples.successor])
         row = StateRows(self.states)(codes)
         fresh = row < 0
@@ -71,7 +73,7 @@ class SampleCounts:
             new = np.bincount(pair, weights, minlength=count * size).reshape(count, size)
             return np.pad(known, wider) + new
 
-        self._count = total(self._count)
+        self.counts = total(self.counts)
         self._reward = total(self._reward, samples.reward)
         rows = self._rows.tocoo()
         option, row = np.divmod(rows.row.astype(np.int64), max(old, 1))
@@ -89,7 +91,7 @@ class SampleCounts:
         had ended like the other samples of their pair; pairs without other samples are
         unavailable.
         """
-        enough = self._count >= max(min_samples, 1)
+        enough = self.counts >= max(min_samples, 1)
         pairs = np.flatnonzero(enough)  # skip the others, which are many
         rows = self._rows[pairs]
         total = rows.sum(axis=1)
@@ -103,14 +105,14 @@ class SampleCounts:
             left = more
             enough.ravel()[pairs] = left
         scale = np.where(left & (kept > 0), total, 0.0)
-        scale /= np.where(kept > 0, kept, 1.0) * self._count.ravel()[pairs]
+        scale /= np.where(kept > 0, kept, 1.0) * self.counts.ravel()[pairs]
         rows.data *= np.repeat(scale, np.diff(rows.indptr)) * known[rows.indices]
         rows.eliminate_zeros()
         lengths = np.zeros(enough.size + 1, dtype=rows.indptr.dtype)
         lengths[pairs + 1] = np.diff(rows.indptr)
         parts = rows.data, rows.indices, np.cumsum(lengths, dtype=lengths.dtype)
         reward = np.zeros(enough.shape)
-        reward[enough] = self._reward[enough] / self._count[enough]
+        reward[enough] = self._reward[enough] / self.counts[enough]
         joined = csr_array(parts, shape=self._rows.shape)
         return MultiTimeModel(self.names, reward.T, enough.T, joined)
 
@@ -152,7 +154,7 @@ class Sampler:
         self._unstick = unstick
         self._actions, self._counts, self._gamma, self._rng = actions, counts, gamma, rng
         self._limit = actions.domain.max_steps or np.iinfo(np.intp).max
-        self._games = new_games(actions.domain, n_games, rng)
+        self._games = new_games(simulated(actions.domain, 'sampling'), n_games, rng)
         self._seen = actions.see(self._games)
         self._age = np.zeros(n_games, dtype=np.intp)
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from humanopts_env.arrays import Flags, Ints
+from humanopts_env.domains.described import simulated
 from humanopts_env.games import Games, new_games
 from humanopts_env.seeding import generator
 from humanopts_learner.execution import Execution, NONE, play, Policy
@@ -51,7 +52,7 @@ def try_plan(
     :param progress: called with the stage evaluation.
     :return: not tried if the runs of no option are checked, or if games have no step limit.
     """
-    actions, domain = plan.actions, plan.domain
+    actions, domain = plan.actions, simulated(plan.domain, 'a trial')
     loops, limit = actions.loops(games, None), domain.max_steps
     if loops is None or limit < 1 or plan.action_set not in OPTIONS_ONLY:
         return Trial()

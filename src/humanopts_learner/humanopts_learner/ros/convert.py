@@ -41,6 +41,7 @@ PLAN_RESULT = Codec(
         *('status', 'detail', 'plan_id'),
         *('coverage_known', 'fallback_states', 'single_step_states', 'single_step_gains'),
         *('participant', 'trial_games', 'stuck_options', 'stuck_states'),
+        *('missing_options', 'missing_states', 'missing_samples'),
         *('outcome_names', 'outcome_means', 'outcome_low', 'outcome_high'),
     ],
 )
@@ -67,6 +68,7 @@ def plan_to_message(
     """
     from humanopts_learner.planning.exact_plan import ExactPlan
     from humanopts_learner.planning.plan import summarise_plan
+    from humanopts_learner.planning.recorded_plan import RecordedPlan
 
     summary, result = summarise_plan(plan, performance), msg.PlanResult
     found = PLAN_RESULT.encode(
@@ -83,6 +85,10 @@ def plan_to_message(
         outcome_low=[each.low for each in summary.outcomes.values()],
         outcome_high=[each.high for each in summary.outcomes.values()],
     )
+    if isinstance(plan, RecordedPlan):
+        found.missing_options = [each.option for each in plan.missing]
+        found.missing_states = [each.state for each in plan.missing]
+        found.missing_samples = [each.samples for each in plan.missing]
     if coverage is not None and isinstance(plan, ExactPlan):
         states = [
             [plan.domain.encode(plan.domain.state_at(index)) for index in indices.tolist()]

@@ -3,14 +3,14 @@
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 import math
 import time
 from typing import Any, TypeVar
 import uuid
 
-from humanopts_env.domains.base import ActableDomain, Domain, DomainError
-from humanopts_env.domains.described import simulated
+from humanopts_env.domains.base import ActableDomain, DomainError
+from humanopts_env.domains.described import can_simulate, simulated
 from humanopts_interfaces.action import ExtractOptions, Plan
 from humanopts_interfaces.msg import (
     ExtractionGoal,
@@ -30,6 +30,13 @@ from humanopts_learner.options.files import option_to_json
 from humanopts_learner.options.learned_option import LearnedOption
 from humanopts_learner.planning.exact_plan import ExactPlan, find_coverage
 from humanopts_learner.planning.plan import AnyPlan, judge_plan, make_plan
+from humanopts_learner.planning.recorded_plan import (
+    check_learning,
+    make_recorded_plan,
+    MIN_SAMPLES,
+    OptionLearner,
+    Q,
+)
 from humanopts_learner.planning.request import (
     NoOptionsError,
     OF_MACHINES,
@@ -37,12 +44,14 @@ from humanopts_learner.planning.request import (
     PlanCanceled,
     PlanError,
     PlanRequest,
+    Sampling,
     select_options,
 )
 from humanopts_learner.planning.sampled_plan import SampledPlan
 from humanopts_learner.planning.stuck import Trial, try_plan
 from humanopts_learner.ros.convert import PLAN_RESULT, plan_to_message
 from humanopts_learner.ros.learned_options import OptionPublisher
+from humanopts_learner.ros.run_recorder import RunRecorder
 from humanopts_learner.summary import PlanSummary
 from humanopts_ros.node_base import end_goal, NodeBase
 from rclpy.action.server import ServerGoalHandle
@@ -66,7 +75,8 @@ class MadePlan:
 class PlannerState:
     """The state of the planner; lists of options are replaced, never modified."""
 
-    unstick: bool = True  # as in ``PlanRequest``
+    recorder: RunRecorder
+    unstick: bool  # as in ``PlanRequest``
     domain: ActableDomain | None = None
     taught: list[LearnedOption] = field(default_factory=list)
     taught_sequence: int = 0  # of the message that completed the options
@@ -123,7 +133,7 @@ class GoalServer(ABC):
         """Return an empty result for a refused goal."""
 
     @abstractmethod
-    async def work(self, handle: ServerGoalHandle, domain: Domain, result: Any) -> Any:
+    async def work(self, handle: ServerGoalHandle, domain: ActableDomain, result: Any) -> Any:
         """
         Execute a goal, and return its result.
 
@@ -165,8 +175,7 @@ class GoalServer(ABC):
             raise GoalError('FAILED', 'game has not announced itself')
         self.busy = True
         try:
-            domain = simulated(self._state.domain, f'a {self.occupation}')
-            return await self.work(handle, domain, result)
+            return await self.work(handle, self._state.domain, result)
         finally:
             self.busy = False
 
@@ -201,21 +210,34 @@ class PlanServer(GoalServer):
         return PLAN_RESULT.encode(PlanSummary(goal.action_set))
 
     async def work(
-        self, handle: ServerGoalHandle, domain: Domain, result: PlanResult
+        self, handle: ServerGoalHandle, domain: ActableDomain, result: PlanResult
     ) -> PlanResult:
         goal, state = handle.request, self._state
-        sequence = goal.options_sequence
+        sequence, recorded = goal.options_sequence, not can_simulate(domain)
         await self._node.waiting.until(lambda: state.taught_sequence >= sequence, _OPTIONS_SECONDS)
         if state.taught_sequence < sequence:
             raise PlanError(
                 f'learned_options {sequence} did not arrive, only {state.taught_sequence}'
             )
+        check_learning(goal.learning, domain)
+        if goal.evaluation_episodes:
+            simulated(domain, 'an evaluation of a plan')
         known = state.options(goal.action_set)
         options = select_options(known, goal.action_set, goal.participant, goal.options)
-        numbers = goal.gamma, goal.tolerance, goal.max_sweeps, goal.game_steps, goal.seed
-        columns = tuple(goal.columns)
-        request = PlanRequest(goal.action_set, *numbers, columns=columns, unstick=state.unstick)
-        request = request.resolved(domain, options)
+        runs = list(state.recorder.runs)
+        game_steps = 0 if recorded else goal.game_steps
+        numbers = goal.gamma, goal.tolerance, goal.max_sweeps, game_steps, goal.seed
+        least = goal.min_samples or (MIN_SAMPLES if recorded else 1)
+        request = PlanRequest(
+            goal.action_set,
+            *numbers,
+            sampling=Sampling(min_samples=least),
+            columns=tuple(goal.columns),
+            unstick=state.unstick,
+        )
+        request = request.resolved(domain, options, sampled=True if recorded else None)
+        if recorded:
+            request = replace(request, game_steps=sum(len(run.actions) for run in runs))
         result.plan_id = plan_id = str(uuid.uuid4())
         self._goals.publish(
             PlanGoal(
@@ -228,6 +250,8 @@ class PlanServer(GoalServer):
                 max_sweeps=request.max_sweeps,
                 game_steps=request.game_steps,
                 columns=request.columns,
+                min_samples=least if request.game_steps else 0,
+                learning=goal.learning,
                 evaluation_episodes=goal.evaluation_episodes,
                 seed=request.seed,
             )
@@ -235,13 +259,18 @@ class PlanServer(GoalServer):
         progress = self.progress(handle, 'progress', 'sweeps', 'residual')
 
         def compute() -> tuple[AnyPlan, PlanResult]:
-            plan, performance, coverage = make_plan(domain, options, request, progress), None, None
+            performance, coverage, trial = None, None, Trial()
+            if can_simulate(domain):
+                plan = make_plan(domain, options, request, progress)
+            else:
+                q = goal.learning == Q
+                learner = OptionLearner.of(domain, options, runs, request) if q else None
+                plan = make_recorded_plan(domain, options, runs, request, learner, progress)
             if goal.evaluation_episodes:
                 performance = judge_plan(plan, goal.seed, goal.evaluation_episodes, progress)
             if isinstance(plan, ExactPlan) and goal.action_set in OPTIONS_ONLY:
                 coverage = find_coverage(plan) if domain.max_steps else None
-            trial = Trial()
-            if isinstance(plan, SampledPlan):
+            if isinstance(plan, SampledPlan) and can_simulate(domain):
                 trial = try_plan(plan, goal.seed, progress)
             parts = plan_id, goal.participant, performance, coverage, trial
             return plan, plan_to_message(plan, *parts)
@@ -267,8 +296,9 @@ class ExtractionServer(GoalServer):
         return ExtractionResult(participant=goal.participant or f'{MACHINE}1')
 
     async def work(
-        self, handle: ServerGoalHandle, domain: Domain, result: ExtractionResult
+        self, handle: ServerGoalHandle, domain: ActableDomain, result: ExtractionResult
     ) -> ExtractionResult:
+        rules = simulated(domain, f'a {self.occupation}')
         goal, participant = handle.request, result.participant
         how = Extraction(
             options=goal.max_options or USUAL.options,
@@ -292,8 +322,8 @@ class ExtractionServer(GoalServer):
         progress = self.progress(handle, 'progress', 'game_steps')
 
         def search() -> tuple[AutomaticOptions, list[LearnedOption]]:
-            found = find_options(domain, goal.seed, how, progress)
-            return found, to_learned_options(domain, found, participant)
+            found = find_options(rules, goal.seed, how, progress)
+            return found, to_learned_options(rules, found, participant)
 
         found, options = await in_thread(self._node, self._state.pool, search)
         others = [o for o in self._state.automatic if o.participant != participant]

@@ -5,6 +5,7 @@ import sys
 from typing import Any
 
 from humanopts_env.domains.base import ActableDomain
+from humanopts_env.domains.described import can_simulate
 from humanopts_env.ros.game_subscriber import GameSubscriber
 from humanopts_interfaces import msg
 from humanopts_learner.options.learned_option import LearnedOption
@@ -12,6 +13,7 @@ from humanopts_learner.ros import PLANNER
 from humanopts_learner.ros.learned_options import OptionSubscriber
 from humanopts_learner.ros.planner_actions import ExtractionServer, PlannerState, PlanServer
 from humanopts_learner.ros.policy_server import PolicyServer
+from humanopts_learner.ros.run_recorder import RunRecorder
 from humanopts_ros.node_base import NodeBase
 from humanopts_ros.process import run_node
 
@@ -28,8 +30,14 @@ class PlannerNode(NodeBase):
             True,
             'whether sampled runs that repeat themselves take one to three random moves',
         )
-        self._state = PlannerState(unstick=unstick)
-        GameSubscriber(self, self._on_domain)
+        directory = self.setting(
+            'directory',
+            '',
+            'folder of the recorded option runs of a world that can only be acted in; empty: they '
+            'are kept in memory',
+        )
+        recorder = RunRecorder(self, GameSubscriber(self, self._on_domain), directory)
+        self._state = PlannerState(recorder, unstick)
         OptionSubscriber(self, 'learned_options', self._on_options)
         self._policies = PolicyServer(self, self._state)
         others = PlanServer(self, self._state), ExtractionServer(self, self._state)
@@ -46,6 +54,8 @@ class PlannerNode(NodeBase):
         self._state.pool.shutdown()
 
     def _on_domain(self, domain: ActableDomain) -> None:
+        if not can_simulate(domain):
+            self._state.recorder.begin(domain)
         self._state.domain = domain
 
     def _on_options(self, options: list[LearnedOption], message: msg.LearnedOption) -> None:

@@ -1,10 +1,12 @@
 """Running the policies of plans: the action run_policy, and changes of its execution."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 import math
-from typing import Any
+import uuid
 
-from humanopts_env.domains.base import Domain
+from humanopts_env.domains.base import ActableDomain
+from humanopts_env.domains.described import can_simulate
+from humanopts_env.seeding import generator
 from humanopts_interfaces.action import RunPolicy
 from humanopts_interfaces.msg import (
     ExecutionState,
@@ -14,9 +16,26 @@ from humanopts_interfaces.msg import (
     PolicyResult,
 )
 from humanopts_interfaces.srv import ResetGame, RunOption, SetExecution
+from humanopts_learner.options.learned_option import LearnedOption
 from humanopts_learner.planning.exact_plan import episode_start, ExactPlan
 from humanopts_learner.planning.interruption import option_values
-from humanopts_learner.planning.request import Arbitration, MODULAR, PlanCanceled, PRIMITIVE
+from humanopts_learner.planning.recorded_plan import (
+    check_learning,
+    DEFAULT_RATES,
+    make_recorded_plan,
+    OptionLearner,
+    RecordedPlan,
+)
+from humanopts_learner.planning.request import (
+    Arbitration,
+    MODULAR,
+    PlanCanceled,
+    PlanRequest,
+    PRIMITIVE,
+    select_options,
+)
+from humanopts_learner.planning.sampled_plan import SampledPlan
+from humanopts_learner.qlearning import Rates
 from humanopts_learner.ros.convert import option_values_to_message
 from humanopts_learner.ros.planner_actions import (
     GoalError,
@@ -26,14 +45,18 @@ from humanopts_learner.ros.planner_actions import (
     PlannerState,
 )
 from humanopts_learner.run import execution_named, RefusedError, RunStatus
+from humanopts_ros.codec import uuid_from_message
 from humanopts_ros.node_base import NodeBase
 from humanopts_ros.qos import LATCHED
+import numpy as np
 from rclpy.action.server import ServerGoalHandle
 
 _RESET_SECONDS = 5.0  # s to wait for an answer
 # Timeout of a run: modules may run for a whole paced episode. The server itself uses a short
 # timeout for the game.
 _RUN_SECONDS = 86_400.0
+_ARRIVAL = 5.0  # s to wait for a state and for a recorded run
+_TO_THE_END = 'learning needs the execution run_to_end'
 _CONTINUES = (
     OptionResult.STATUS_REACHED,
     OptionResult.STATUS_EPISODE_OVER,
@@ -52,7 +75,24 @@ class _PolicyRun:
     execution: Arbitration
     result: PolicyResult
     limit: int  # maximum number of decisions per episode
+    explore: float  # share of random choices; learning: see there
+    learning: '_Learning | None'  # chooses the options; None: the plan does
     execution_sequence: int = 0  # of the current ExecutionState
+
+
+@dataclass
+class _Learning:
+    """Q-learning in a policy run."""
+
+    domain: ActableDomain
+    options: list[LearnedOption]
+    request: PlanRequest
+    learner: OptionLearner
+    rates: Rates
+    plan_id: str  # of the plan by its values
+    participant: str
+    known_options: list[LearnedOption]  # as in ``MadePlan``
+    made: MadePlan = field(init=False)  # by the values that it begins with
 
 
 class PolicyServer(GoalServer):
@@ -89,22 +129,26 @@ class PolicyServer(GoalServer):
         )
 
     async def work(
-        self, handle: ServerGoalHandle, domain: Domain, result: PolicyResult
+        self, handle: ServerGoalHandle, domain: ActableDomain, result: PolicyResult
     ) -> PolicyResult:
         goal = handle.request
         execution = execution_named(goal.execution)
-        made = self._state.plans.get((goal.action_set, goal.participant))
-        if made is None:
-            raise GoalError('NO_PLAN', f'no {goal.action_set!r} plan exists yet: plan it first')
-        known = self._state.options(goal.action_set)
-        if made.known_options is not known and goal.action_set != PRIMITIVE:
-            text = 'the options changed since they were planned with: plan again'
-            raise GoalError('NO_PLAN', text)
+        check_learning(goal.learning, domain)
+        if goal.learning and execution is not Arbitration.RUN_TO_END:
+            raise GoalError('BAD_REQUEST', _TO_THE_END)
         limit = goal.max_decisions or domain.max_steps
         if not (goal.episodes and limit):
             text = f'{domain.name} never cuts an episode off: give max_decisions'
             raise GoalError('BAD_REQUEST', text if goal.episodes else 'episodes is 0')
-        self._run = run = _PolicyRun(handle, made, execution, result, limit)
+        if not 0.0 <= goal.explore <= 1.0:
+            raise GoalError('BAD_REQUEST', f'explore is {goal.explore}, not from 0 to 1')
+        learning = await self._begin_learning(goal, domain) if goal.learning else None
+        made = learning.made if learning else self._newest_plan(goal)
+        if goal.explore and not isinstance(made.plan, SampledPlan):
+            raise GoalError('BAD_REQUEST', 'explore needs a plan over abstract states')
+        self._run = run = _PolicyRun(
+            handle, made, execution, result, limit, goal.explore, learning
+        )
         log, policy = self._node.get_logger(), f'the policy over {goal.action_set}'
         log.info(f'{policy} begins: episodes 1 to {goal.episodes}, {execution}')
         try:
@@ -112,8 +156,60 @@ class PolicyServer(GoalServer):
         finally:
             self._run, result.execution = None, run.execution
             log.info(f'{policy} ended after {result.episodes} of {goal.episodes} episodes')
+            if learning is not None and not self._state.stopping:
+                made = await self._plan_of(learning)
+                self._state.plans[goal.action_set, goal.participant] = made
+                result.n_states = len(made.plan.solution.values)
         result.status = result.STATUS_DONE
         return result
+
+    async def _begin_learning(self, goal: RunPolicy.Goal, domain: ActableDomain) -> '_Learning':
+        """
+        Return the values of all recorded runs, and a plan by them.
+
+        :raises PlanError: the options cannot be learned with, or a number is out of range.
+        """
+        known = self._state.options(goal.action_set)
+        options = select_options(known, goal.action_set, goal.participant, goal.options)
+        columns, unstick = tuple(goal.columns), self._state.unstick
+        request = PlanRequest(goal.action_set, columns=columns, unstick=unstick)
+        usual = DEFAULT_RATES
+        rates = Rates(goal.learning_rate or usual.learning_rate, goal.explore or usual.explore)
+        runs = list(self._state.recorder.runs)
+
+        def replay() -> OptionLearner:
+            return OptionLearner.of(domain, options, runs, request, rates)
+
+        learner = await in_thread(self._node, self._state.pool, replay)
+        parts = str(uuid.uuid4()), goal.participant, known
+        learning = _Learning(domain, options, request, learner, rates, *parts)
+        learning.made = await self._plan_of(learning)
+        return learning
+
+    async def _plan_of(self, learning: '_Learning') -> MadePlan:
+        runs = list(self._state.recorder.runs)
+        parts = learning.domain, learning.options, runs, learning.request, learning.learner
+
+        def compute() -> RecordedPlan:
+            return make_recorded_plan(*parts)
+
+        plan = await in_thread(self._node, self._state.pool, compute)
+        return MadePlan(plan, learning.plan_id, learning.participant, learning.known_options)
+
+    def _newest_plan(self, goal: RunPolicy.Goal) -> MadePlan:
+        """
+        Return the plan to follow.
+
+        :raises GoalError: there is none, or its options have changed.
+        """
+        made = self._state.plans.get((goal.action_set, goal.participant))
+        if made is None:
+            raise GoalError('NO_PLAN', f'no {goal.action_set!r} plan exists yet: plan it first')
+        known = self._state.options(goal.action_set)
+        if made.known_options is not known and goal.action_set != PRIMITIVE:
+            text = 'the options changed since they were planned with: plan again'
+            raise GoalError('NO_PLAN', text)
+        return made
 
     async def _play(self, run: _PolicyRun, goal: RunPolicy.Goal) -> None:
         """
@@ -133,6 +229,11 @@ class PolicyServer(GoalServer):
                 seed=goal.seed,
                 max_decisions=run.limit,
                 execution=run.execution,
+                learning=goal.learning,
+                explore=run.learning.rates.explore if run.learning else goal.explore,
+                learning_rate=run.learning.rates.learning_rate if run.learning else 0.0,
+                options=[option.name for option in run.learning.options] if run.learning else [],
+                columns=goal.columns,
             )
         )
         if run.execution is not Arbitration.RUN_TO_END:
@@ -140,8 +241,7 @@ class PolicyServer(GoalServer):
         self._publish_execution(run)
         totals, discounted = [], []
         for number in range(goal.episodes):
-            start = episode_start(run.made.plan.domain, goal.seed, number)
-            returns = await self._play_episode(run, start, (goal.seed + number) % 2**64)
+            returns = await self._play_episode(run, goal, number)
             totals.append(returns[0])
             discounted.append(returns[1])
             result.episodes += 1
@@ -155,20 +255,27 @@ class PolicyServer(GoalServer):
                     mean_return=result.mean_return,
                     interruptions=result.interruptions,
                     execution=run.execution,
+                    learned_runs=result.learned_runs,
+                    n_states=result.n_states,
                 )
             )
 
-    async def _play_episode(self, run: _PolicyRun, start: Any, seed: int) -> tuple[float, float]:
+    async def _play_episode(
+        self, run: _PolicyRun, goal: RunPolicy.Goal, number: int
+    ) -> tuple[float, float]:
         """
         Play an episode, and return its undiscounted and discounted return.
 
+        :param number: of the episode, from 0.
         :raises GoalError: or PlanCanceled: the run ends before the episode.
         """
-        plan, result = run.made.plan, run.result
+        plan, result, domain = run.made.plan, run.result, run.made.plan.domain
+        start = episode_start(domain, goal.seed, number) if can_simulate(domain) else None
+        rng = generator(goal.seed, 'explore', number)
         begin = ResetGame.Request(
             source=ResetGame.Request.SOURCE_MACHINE,
-            start_state=plan.domain.encode(start),
-            seed=seed,
+            start_state='' if start is None else domain.encode(start),
+            seed=(goal.seed + number) % 2**64,
         )
         begun = await self._node.waiting.answer(self._reset_client, begin, _RESET_SECONDS)
         if begun is None:
@@ -177,11 +284,11 @@ class PolicyServer(GoalServer):
             raise GoalError('INTERRUPTED', begun.detail)
         if begun.status != begun.STATUS_OK:
             raise GoalError('FAILED', f'game refused to begin an episode: {begun.detail}')
-        state, step, decided, total, discounted = start, 0, 0, 0.0, 0.0
+        state, step, decided, total, discounted = begun.state, 0, 0, 0.0, 0.0
         while decided < run.limit:
             self._check_request(run)
             modular = run.execution in MODULAR
-            name = '' if modular else plan.choose(state).name
+            name = '' if modular else await self._choose(run, state, (begun.episode, step), rng)
             ran = await self._run_option(
                 RunOption.Request(
                     option_name=name,
@@ -204,6 +311,10 @@ class PolicyServer(GoalServer):
             result.fallbacks += sum(steps for each, steps in acted if each in fallback)
             result.random_moves += ran.random_moves
             result.interruptions += ran.status == ran.STATUS_STOPPED_BY_PLAN
+            if run.learning is not None and ran.step_count:
+                await self._learn(
+                    run.learning.learner, uuid_from_message(ran.run_id), result
+                )
             total += ran.total_reward
             discounted += plan.gamma**step * ran.discounted_return
             step += ran.step_count
@@ -216,8 +327,53 @@ class PolicyServer(GoalServer):
             if ran.terminated or ran.truncated:
                 result.successes += ran.terminated
                 break
-            state = plan.domain.decode(ran.final_state)
+            state = ran.final_state
         return total, discounted
+
+    async def _choose(
+        self, run: _PolicyRun, text: str, here: tuple[int, int], rng: np.random.Generator
+    ) -> str:
+        """
+        Return the name of the next option.
+
+        :param text: the state, in the domain's notation.
+        :param here: its episode and step.
+        :raises GoalError: the state has not arrived.
+        """
+        plan, recorder = run.made.plan, self._state.recorder
+        if can_simulate(plan.domain):
+            state = plan.domain.decode(text)
+        else:  # its features are known from its message alone
+
+            def has_arrived() -> bool:
+                newest = recorder.newest
+                return newest is not None and here <= (
+                    newest.transition.episode,
+                    newest.transition.step,
+                )
+
+            if not await self._node.waiting.until(has_arrived, _ARRIVAL):
+                raise GoalError('FAILED', f'episode {here[0]} step {here[1]} did not arrive')
+            assert recorder.newest is not None
+            state = recorder.newest.state
+        if run.learning is not None:
+            return run.learning.learner.choose(state, rng).name
+        if isinstance(plan, SampledPlan) and rng.random() < run.explore:
+            return plan.names[int(plan.actions.observe_state(state).at_random(rng)[0])]
+        return plan.choose(state).name
+
+    async def _learn(self, learner: OptionLearner, run_id: str, result: PolicyResult) -> None:
+        """Update the values by a run, once it is recorded."""
+        recorder = self._state.recorder
+
+        def is_recorded() -> bool:
+            return bool(recorder.runs) and recorder.runs[-1].run_id == run_id
+
+        if await self._node.waiting.until(is_recorded, _ARRIVAL):
+            learner.learn(recorder.runs[-1])
+            result.learned_runs, result.n_states = learner.runs, len(learner.table.visits)
+        else:
+            self._node.get_logger().warning(f'nothing is learned of run {run_id}: it was lost')
 
     async def _run_option(self, request: RunOption.Request) -> OptionResult:
         """
@@ -297,6 +453,9 @@ class PolicyServer(GoalServer):
             return response
         except Exception as error:  # such as insufficient memory for the values
             response.status, response.detail = response.STATUS_FAILED, repr(error)
+            return response
+        if run is not None and run.learning is not None and execution is not run.execution:
+            response.status, response.detail = response.STATUS_BAD_REQUEST, _TO_THE_END
             return response
         if run is None or self._run is not run:
             response.status = response.STATUS_NO_RUN

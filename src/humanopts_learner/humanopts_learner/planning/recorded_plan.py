@@ -1,0 +1,302 @@
+"""
+Planning from recorded runs, in worlds that can only be acted in.
+
+The runs of options that were recorded are samples of their models, by the same rules as the runs
+of sampled games (``planning.sampling``): every suffix of a run counts, over the abstract states of
+the action set. A run also counts for an option that was relearned since, as far as the option
+would have acted as recorded, and up to where it would have ended.
+
+There are two ways from samples to a policy: models and value iteration, or SMDP Q-learning, which
+learns from one run after another and so also chooses the options while the machine drives.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+import math
+import time
+from typing import Any
+
+from humanopts_env.arrays import Floats, Ints
+from humanopts_env.domains.base import ActableDomain, action_index
+from humanopts_env.domains.described import can_simulate
+from humanopts_learner.option import Option
+from humanopts_learner.option_runs import COMPLETE, OptionRun
+from humanopts_learner.options.learned_option import LearnedOption
+from humanopts_learner.planning.action_set import ActionSet, Observation
+from humanopts_learner.planning.exact_plan import Decision
+from humanopts_learner.planning.interruption import OptionValues
+from humanopts_learner.planning.request import (
+    Clock,
+    ignore_progress,
+    PlanError,
+    PlanRequest,
+    Progress,
+)
+from humanopts_learner.planning.sampled_plan import GreedyPolicy, SampledPlan, solve_sampled
+from humanopts_learner.planning.sampling import SampleCounts, Samples, samples_of
+from humanopts_learner.planning.solve import Solution
+from humanopts_learner.qlearning import QTable, Rates
+from humanopts_learner.run import RunStatus
+import numpy as np
+
+MIN_SAMPLES = 3  # of recorded runs, for a pair of state and option to be available
+MAX_MISSING = 20  # pairs that are named
+Q = 'q'  # values by SMDP Q-learning
+DEFAULT_RATES = Rates(learning_rate=0.1, explore=0.2)  # of a learner that drives
+
+
+@dataclass(frozen=True)
+class Missing:
+    """An option that can start in an abstract state, and has too few samples there."""
+
+    option: str
+    state: str  # values of features, in words
+    choices: int  # recorded choices in this state
+    samples: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordedPlan(SampledPlan):
+    """A plan from recorded runs."""
+
+    missing: Sequence[Missing]  # those with the most choices first
+
+
+def check_learning(learning: str, domain: ActableDomain) -> None:
+    """
+    Check the way from recorded runs to a plan: ``Q``, or empty for models.
+
+    :raises PlanError: it is unknown, or the domain has rules, so that its runs are not recorded.
+    """
+    if learning not in ('', Q):
+        raise PlanError(f'unknown learning {learning!r}; choose {Q!r}, or leave it empty')
+    if learning and can_simulate(domain):
+        raise PlanError(f'{domain.name} can be simulated: plan without learning')
+
+
+def samples_of_run(actions: ActionSet, run: OptionRun, gamma: float) -> Samples | None:
+    """
+    Return the samples of a recorded run; None: it does not count.
+
+    It is a sample of its option, and of single steps if the action set has models of those.
+    """
+    seen, count = actions.see_rows(run.rows), len(run.actions)
+    moves = np.array([action_index(actions.domain, action) for action in run.actions])
+    over = run.terminated & (np.arange(count) == count - 1)
+    n_options, parts = len(actions.options), []
+    if length := _length(actions, run, seen, moves):
+        option, at = actions.names.index(run.option), np.arange(length)
+        inside = seen.startable[at, option]
+        model = np.where(inside, option, option + actions.first_fallback)
+        parts.append((at, model, at == length - 1))
+    if actions.first_fallback > n_options:
+        parts.append((np.arange(count), n_options + moves, np.ones(count, dtype=np.bool_)))
+    if not parts:
+        return None
+    at, model, ended = (np.concatenate(each) for each in zip(*parts))
+    columns = (
+        *(seen.states[at], model, np.ones(len(at), dtype=np.bool_)),
+        *(np.array(run.rewards)[at], ended, over[at], seen.states[at + 1]),
+    )
+    return samples_of(list(zip(*(column[:, None] for column in columns))), gamma)
+
+
+def _length(actions: ActionSet, run: OptionRun, seen: Observation, moves: Ints) -> int:
+    """Return the number of steps that are a run of the option as it is now; 0: none are."""
+    named = {option.name: option for option in actions.options}
+    option = named.get(run.option)
+    if option is None or (
+        isinstance(option, LearnedOption) and run.participant not in ('', option.participant)
+    ):
+        return 0
+    index = actions.names.index(run.option)
+    ends = np.flatnonzero(seen.ending[1:, index])
+    length = int(ends[0]) + 1 if ends.size else len(moves) if run.status in COMPLETE else 0
+    if run.status == RunStatus.REACHED.name and not ends.size:  # it would have continued
+        return 0
+    same = run.random_moves > 0 or (seen.wanted[:length, index] == moves[:length]).all()
+    return length if same else 0
+
+
+class OptionLearner:
+    """
+    SMDP Q-learning over the abstract states of options, from one recorded run after another.
+
+    Every suffix of a run updates the value of its own state. Offline and while the machine drives,
+    the same runs in the same order give the same values.
+
+    :ivar actions: the action set.
+    :ivar runs: number of runs that have changed the values.
+    """
+
+    def __init__(self, actions: ActionSet, gamma: float, rates: Rates) -> None:
+        """Start with values of 0."""
+        self.actions, self._gamma, self.runs = actions, gamma, 0
+        self.table = QTable(actions.first_fallback, rates)
+
+    @classmethod
+    def of(
+        cls,
+        domain: ActableDomain,
+        options: Sequence[Option],
+        runs: Sequence[OptionRun],
+        request: PlanRequest,
+        rates: Rates = DEFAULT_RATES,
+    ) -> 'OptionLearner':
+        """
+        Return a learner with the values of all recorded runs.
+
+        :raises PlanError: as ``PlanRequest.resolved``.
+        """
+        resolved = replace(request, game_steps=0).resolved(domain, options, sampled=True)
+        actions = ActionSet(domain, resolved.action_set, options, resolved.columns)
+        learner = cls(actions, resolved.gamma, rates)
+        for run in runs:
+            learner.learn(run)
+        return learner
+
+    def learn(self, run: OptionRun) -> None:
+        """Update the values by a run, if it counts."""
+        samples = samples_of_run(self.actions, run, self._gamma)
+        if samples is None:
+            return
+        self.runs += 1
+        seen = self.actions.see_rows(run.rows)
+        final = dict(zip(seen.states.tolist(), seen.startable))
+        for at in np.flatnonzero(samples.option < self.actions.first_fallback).tolist():
+            there = int(samples.successor[at])
+            self.table.update(
+                int(samples.state[at]),
+                int(samples.option[at]),
+                float(samples.reward[at]),
+                float(samples.discount[at]),
+                there,
+                final[there],
+            )
+
+    def choose(self, state: Any, rng: np.random.Generator) -> Decision:
+        """Return the next option, drawn among all that can start in a share of the choices."""
+        seen = self.actions.observe_state(state)
+        option = int(seen.fallback[0])
+        if option < 0:
+            option = self.table.choose(int(seen.states[0]), seen.startable[0], rng)
+        return Decision(self.actions.names[option], option >= self.actions.first_fallback)
+
+    def policy(self, request: PlanRequest) -> tuple[Solution, GreedyPolicy]:
+        """Return the values of options that were tried, and their greedy policy."""
+        known = {state: n for state, n in self.table.visits.items() if n.any()}
+        states = np.sort(np.array([*known], dtype=np.int64))
+        shape = len(states), self.actions.first_fallback
+        tried = np.array([known[state] > 0 for state in states.tolist()]).reshape(shape)
+        worth = np.array([self.table.values[state] for state in states.tolist()]).reshape(shape)
+        values: Floats = np.where(tried, worth, -np.inf)
+        table = OptionValues(
+            action_set=self.actions.action_set,
+            names=self.actions.names[: self.actions.first_fallback],
+            states=states,
+            option_values=values,
+            continuation_values=values,
+            interruption_margin=request.sampling.interruption_margin,
+            sampled=True,
+        )
+        best = values.argmax(axis=1).astype(np.int32)
+        return Solution(values.max(axis=1), best, 0, 0.0, True), GreedyPolicy(table)
+
+
+def make_recorded_plan(
+    domain: ActableDomain,
+    options: Sequence[Option],
+    runs: Sequence[OptionRun],
+    request: PlanRequest,
+    learner: OptionLearner | None = None,
+    progress: Progress = ignore_progress,
+    clock: Clock = time.perf_counter,
+) -> RecordedPlan:
+    """
+    Plan from recorded runs.
+
+    A pair of abstract state and option with fewer samples than ``request.sampling.min_samples`` is
+    unavailable.
+
+    :param learner: values to follow, learned from these runs; None: models and value iteration.
+    :param progress: called with the stages models and sweeps.
+    :raises PlanError: as ``PlanRequest.resolved``, or no run counts.
+    """
+    resolved = replace(request, game_steps=0).resolved(domain, options, sampled=True)
+    actions = ActionSet(domain, resolved.action_set, options, resolved.columns)
+    counts, began = SampleCounts(actions.modelled, actions.first_fallback), clock()
+    counted, parts = [], []
+    for number, run in enumerate(runs):
+        progress('models', number / len(runs), 0, math.nan)
+        samples = samples_of_run(actions, run, resolved.gamma)
+        if samples is not None:
+            counted.append(run)
+            parts.append(vars(samples))
+    if not parts and learner is None:
+        names = ', '.join(repr(name) for name in actions.names[: actions.first_fallback])
+        raise PlanError(
+            f'no recorded run of {names} in {domain.name} counts: run them first, or let '
+            'run_policy learn'
+        )
+    if parts:
+        counts.add(Samples(*(np.concatenate([p[name] for p in parts]) for name in parts[0])))
+    least = resolved.sampling.min_samples
+    if learner is None:
+        model = counts.model(least)
+        modelled = clock()
+        solution, policy = solve_sampled(actions, counts.states, model, resolved, progress)
+    else:
+        modelled, least = clock(), 1
+        solution, policy = learner.policy(resolved)
+    return RecordedPlan(
+        domain=domain,
+        action_set=resolved.action_set,
+        gamma=resolved.gamma,
+        names=actions.names,
+        first_fallback=actions.first_fallback,
+        actions=actions,
+        solution=solution,
+        policy=policy,
+        unstick=resolved.unstick,
+        game_steps=sum(len(run.actions) for run in counted),
+        model_seconds=modelled - began,
+        sweep_seconds=clock() - modelled,
+        recorded_runs=len(counted),
+        missing=_missing(actions, runs, counts, least, resolved.columns),
+    )
+
+
+def _missing(
+    actions: ActionSet,
+    runs: Sequence[OptionRun],
+    counts: SampleCounts,
+    least: int,
+    columns: Sequence[str],
+) -> list[Missing]:
+    """Return the options with too few samples where a choice was due, most choices first."""
+    rows = np.array(
+        [
+            row
+            for run in runs
+            for row in (run.features[0], *(() if run.terminated else run.features[-1:]))
+        ]
+    )
+    seen, n_choices = actions.see_rows(rows), actions.first_fallback
+    states, first, choices = np.unique(seen.states, return_index=True, return_counts=True)
+    row_of = {state: row for row, state in enumerate(counts.states.tolist())}
+    asked = {column.partition(':')[0] for column in columns}
+    for option in actions.options:
+        asked |= set(option.features) if isinstance(option, LearnedOption) else set()
+    named = [
+        (feature, f) for f, feature in enumerate(actions.domain.features) if feature.name in asked
+    ]
+    found = []
+    for state, at, count in zip(states.tolist(), first.tolist(), choices.tolist()):
+        known = row_of.get(state)
+        samples = np.zeros(n_choices) if known is None else counts.counts[:n_choices, known]
+        words = ', '.join(f'{each.name} {each.text(rows[at, f])}' for each, f in named)
+        found += [
+            Missing(actions.names[option], words, count, int(samples[option]))
+            for option in np.flatnonzero(seen.startable[at] & (samples < least)).tolist()
+        ]
+    return sorted(found, key=lambda each: -each.choices)[:MAX_MISSING]
