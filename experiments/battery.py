@@ -15,6 +15,7 @@ from functools import cache
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from typing import Any
+from uuid import NAMESPACE_OID, uuid5
 
 from humanopts_env.domains.base import Action, Feature
 from humanopts_env.domains.described import DescribedDomain, SeenState
@@ -96,7 +97,7 @@ def demonstrate(name: str, number: int, seed: int) -> Demonstration:
     street.battery = street.chance.uniform(low, high)
     street.errand = street.chance.choice(world().ERRANDS)  # before this one
     way, action, errand = WAYS[name]
-    states, actions, rewards = [state_of(street)], [], []
+    states, actions, rewards = [state_of(street)], list[str](), list[float]()
     while street.errand != errand or not actions or value_of(states[-1], 'base_way') != HERE:
         done = world().ERRANDS[int(value_of(states[-1], 'errand'))] == errand
         home = done and value_of(states[-1], 'base_way') != HERE
@@ -106,7 +107,7 @@ def demonstrate(name: str, number: int, seed: int) -> Demonstration:
         states.append(state_of(street))
     return Demonstration(
         Kind.TRAJECTORY,
-        f'{name} {number}',
+        str(uuid5(NAMESPACE_OID, f'{name} {number} {seed}')),
         domain.name,
         '{}',
         'p1',

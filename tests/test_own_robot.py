@@ -15,13 +15,13 @@ from graph_support.live import (
     TEACHER,
 )
 from graph_support.player import ME
-from humanopts_interfaces.action import Plan
+from humanopts_interfaces.action import ExtractOptions
 from humanopts_interfaces.msg import (
     ActionCommand,
+    ExtractionResult,
     GameState,
     LearningStatus,
     LessonState,
-    PlanResult,
 )
 from humanopts_interfaces.srv import (
     AnswerQuestion,
@@ -178,11 +178,10 @@ def test_the_current_state_can_be_asked_about_and_no_other(teacher: Teacher) -> 
 
 
 def test_what_needs_rules_says_so(teacher: Teacher) -> None:
-    plan = teacher.graph.act(Plan, 'plan', action_set='human', participant='p1')
-    _, result = plan.result()
-    assert result.status == PlanResult.STATUS_BAD_REQUEST
+    _, result = teacher.graph.act(ExtractOptions, 'extract_options').result()
+    assert result.status == ExtractionResult.STATUS_BAD_REQUEST
     assert result.detail == (
-        'a plan needs a domain that can be simulated; rover can only be acted in'
+        'a search for options needs a domain that can be simulated; rover can only be acted in'
     )
     begun = teacher.graph.ask(
         BeginDemonstration, 'lesson/begin_demonstration', start_state='{"x": 3.0}'

@@ -51,15 +51,14 @@ ACTIONS = {
 }
 
 
-class Rover(Node):
+class Robot(Node):
     """Publish features and states, and execute actions."""
 
-    def __init__(self) -> None:
-        super().__init__('rover')
+    def __init__(self, info: DomainInfo) -> None:
+        super().__init__(info.domain)
         self._id = f'{self.get_fully_qualified_name()}#{uuid.uuid4().hex[:8]}'
         self._sequences: dict[str, int] = {}
-        self._x, self._on, self._now = LENGTH, False, GameState()
-        self._chance = random.Random(0)
+        self._now, self._actions = GameState(), {action.name for action in info.actions}
         # Publish the id on the graph, so that no other node can publish in its place.
         name, part = self.get_name(), self._id.partition('#')[2]
         self._mark = self.create_publisher(Empty, f'_game/{name}/_{part}', 1)
@@ -74,10 +73,19 @@ class Rover(Node):
         }
         self.create_service(ResetGame, 'reset_game', self._reset)
         self.create_subscription(ActionCommand, 'action', self._act, STREAM)
-        actions = list(ACTIONS.values())
-        info = DomainInfo(domain='rover', parameters='{}', gamma=0.95, max_steps=100)
-        info.features, info.actions = FEATURES, actions
         self._publish('domain_info', info)
+
+    def carry(self, seed: int) -> None:
+        """Carry the robot to another place."""
+        raise NotImplementedError
+
+    def execute(self, action: str, step: int) -> dict[str, float | bool]:
+        """Execute an action; return its reward, and whether the episode ends with this step."""
+        raise NotImplementedError
+
+    def sense(self) -> list[float]:
+        """Return the values of the features."""
+        raise NotImplementedError
 
     def _publish(self, topic: str, message) -> None:
         self._sequences[topic] = self._sequences.get(topic, 0) + 1
@@ -87,8 +95,9 @@ class Rover(Node):
 
     def _show(self, **step) -> None:
         """Publish the state with the step that led to it."""
-        state = json.dumps({'x': self._x, 'lamp': self._on})  # any text; only this node reads it
-        self._now = GameState(state=state, features=[self._x, float(self._on)], **step)
+        features = self.sense()
+        state = json.dumps(features)  # any text; only this node reads it
+        self._now = GameState(state=state, features=features, **step)
         for topic in ('game_state', 'current_state'):
             self._publish(topic, self._now)
 
@@ -96,8 +105,7 @@ class Rover(Node):
         if request.start_state:
             reply.status, reply.detail = reply.STATUS_BAD_STATE, 'a rover starts where it stands'
             return reply
-        self._chance = random.Random(request.seed)
-        self._x, self._on = self._chance.uniform(2.0, LENGTH), False
+        self.carry(request.seed)
         self._show(episode=self._now.episode + 1)
         reply.status, reply.episode, reply.state = (
             reply.STATUS_OK,
@@ -109,15 +117,11 @@ class Rover(Node):
     def _act(self, command: ActionCommand) -> None:
         now, by_person = self._now, command.source == ActionCommand.SOURCE_PERSON
         current = (command.episode, command.step) == (now.episode, now.step)
-        over = not now.episode or now.truncated
-        if over or command.action not in ACTIONS or not (by_person or current):
+        over = not now.episode or now.truncated or now.terminated
+        if over or command.action not in self._actions or not (by_person or current):
             self._refuse(command, 'no such action, or not for this step')
             return
-        if command.action == 'switch':
-            self._on = not self._on
-        else:
-            way = 1.0 if command.action == 'forward' else -1.0
-            self._x = min(max(self._x + way * self._chance.uniform(0.4, 0.6), 0.0), LENGTH)
+        outcome = self.execute(command.action, now.step + 1)
         self._show(
             episode=now.episode,
             step=now.step + 1,
@@ -125,8 +129,7 @@ class Rover(Node):
             action_source=command.source,
             action_publisher_id=command.publisher_id,
             action_sequence=command.sequence,
-            reward=-1.0,
-            truncated=now.step + 1 == 100,
+            **outcome,
         )
 
     def _refuse(self, command: ActionCommand, why: str) -> None:
@@ -137,11 +140,35 @@ class Rover(Node):
         self._publish('action_refused', refusal)
 
 
-def main() -> None:
-    """Run the node until it is shut down."""
+class Rover(Robot):
+    """A rover in a corridor."""
+
+    def __init__(self) -> None:
+        info = DomainInfo(domain='rover', parameters='{}', gamma=0.95, max_steps=100)
+        info.features, info.actions = FEATURES, list(ACTIONS.values())
+        super().__init__(info)
+
+    def carry(self, seed: int) -> None:
+        self._chance = random.Random(seed)
+        self._x, self._on = self._chance.uniform(2.0, LENGTH), False
+
+    def execute(self, action: str, step: int) -> dict[str, float | bool]:
+        if action == 'switch':
+            self._on = not self._on
+        else:
+            way = 1.0 if action == 'forward' else -1.0
+            self._x = min(max(self._x + way * self._chance.uniform(0.4, 0.6), 0.0), LENGTH)
+        return {'reward': -1.0, 'truncated': step == 100}
+
+    def sense(self) -> list[float]:
+        return [self._x, float(self._on)]
+
+
+def main(robot: type[Robot]) -> None:
+    """Run a robot until it is shut down."""
     rclpy.init()
     try:
-        rclpy.spin(Rover())
+        rclpy.spin(robot())
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     finally:
@@ -149,4 +176,4 @@ def main() -> None:
 
 
 if __name__ == '__main__':
-    main()
+    main(Rover)

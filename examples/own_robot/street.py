@@ -2,7 +2,8 @@
 
 import random
 
-CHARGER, BASE, NEAREST, FARTHEST = -8, 0, 2, 6  # cells: a target is in one of the last two or between
+CHARGER, BASE = -8, 0  # cells, from west to east
+NEAREST, FARTHEST = 2, 6  # cells of targets
 FULL, STEP = 100.0, 1.5  # charge of a full battery, and what a step takes, %
 SLIP = 0.1  # chance that a move does not succeed
 MAX_STEPS, GAMMA = 200, 0.98  # of an episode

@@ -139,7 +139,8 @@ class RunCollector:
         :return: the runs that are complete with it.
         """
         if publisher_id != self._game:
-            self._game, self._states, self._results = publisher_id, {}, []
+            self._results = [] if self._game else self._results  # those of an ended game
+            self._game, self._states = publisher_id, {}
         here = state.episode, state.step
         if not (state.refreshed and here in self._states):  # rewards are those of the step itself
             self._states[here] = state

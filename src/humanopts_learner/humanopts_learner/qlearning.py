@@ -55,6 +55,7 @@ class Rates:
 
     learning_rate: float = 0.1
     explore: float = 0.1  # share of decisions drawn from all available options
+    averages: bool = False  # the n-th update of a value in a ``QTable`` has at least the rate 1/n
 
     def __post_init__(self) -> None:
         if not (0.0 < self.learning_rate <= 1.0 and 0.0 <= self.explore <= 1.0):
@@ -274,10 +275,13 @@ class QTable:
         discount: float,
         successor: Hashable,
         can: Flags,
+        *,
+        again: bool = False,
     ) -> None:
         """
         Update the value of an option by a run.
 
+        :param again: whether the run has updated it before (experience replay, Lin 1992).
         :param reward: discounted return of the run.
         :param discount: gamma**k; 0 if the task is over.
         :param can: (O,) whether each option can start in the successor.
@@ -285,8 +289,11 @@ class QTable:
         ahead = self.values[successor][can].max(initial=-np.inf)
         goal = reward + (discount * ahead if discount and can.any() else 0.0)
         values, visits = self.values[state], self.visits[state]
-        visits[option] += 1
-        values[option] += self._rates.learning_rate * (goal - values[option])
+        visits[option] += not again
+        rate = self._rates.learning_rate
+        if self._rates.averages:
+            rate = max(rate, 1.0 / visits[option])
+        values[option] += rate * (goal - values[option])
 
 
 @dataclass(frozen=True)

@@ -126,9 +126,11 @@ def mean_return(options: Sequence[LearnedOption], *columns: str) -> float:
 def test_the_battery_is_suggested_from_what_was_shown(
     taught: dict[str, list[Demonstration]], options: list[LearnedOption]
 ) -> None:
-    name, _, edge = suggest_column(STREETS, options, taught).partition(':')
+    name, _, edges = suggest_column(STREETS, options, taught).partition(':')
     assert name == 'battery'
-    assert LOW - 2 < float(edge) < 2 * LOW
+    numbers = [float(edge) for edge in edges.split(',')]
+    assert LOW - 2 < numbers[2] < 2 * LOW
+    assert np.diff(numbers) == pytest.approx(FULL / 10)
 
 
 def test_nothing_is_suggested_where_the_options_were_shown_alike(

@@ -9,6 +9,7 @@ from humanopts_learner.options.learned_option import LearnedOption
 import numpy as np
 
 MIN_STARTS = 3  # for and against an option
+AROUND = (-0.2, -0.1, 0.0, 0.1, 0.2)  # bins begin here, from the split, as shares of the range
 MIN_SHARE = 0.9  # of starts that a feature sorts correctly, mean of both sides
 
 
@@ -22,11 +23,12 @@ def suggest_column(
 
     A start of an option speaks for it, and a "not here" against it. So does the start of another
     option in a state where this one could start, too. Symbols of the options do not show such a
-    difference, so a plan needs the feature as a column.
+    difference, so a plan needs the feature as a column. Where exactly the choice changes is for
+    the plan to find, so a continuous feature has more bins around the best split.
 
     :param demonstrations: those of each option, by name.
-    :return: a column as in ``Abstraction``, such as ``battery:12.5``; empty: no feature separates
-        them.
+    :return: a column as in ``Abstraction``, such as ``battery:10,15,20,25,30``; empty: no feature
+        separates them.
     """
     starts = [
         (name, demo.kind is Kind.TRAJECTORY, demo.feature_rows[0])
@@ -44,9 +46,13 @@ def suggest_column(
         for index, feature in enumerate(domain.features):
             share, edge = _best_split(rows[:, index], is_own, feature.kind)
             if share > max(best, MIN_SHARE - 1e-9):
-                best = share
-                nominal = feature.kind is FeatureKind.NOMINAL
-                found = feature.name if nominal else f'{feature.name}:{edge:g}'
+                best, found = share, feature.name
+                if feature.kind is FeatureKind.ORDINAL:
+                    found += f':{edge:g}'
+                elif feature.kind is FeatureKind.CONTINUOUS:
+                    edges = [edge + part * feature.span for part in AROUND]
+                    inside = [f'{each:g}' for each in edges if feature.low < each < feature.high]
+                    found += f':{",".join(inside)}'
     return found
 
 

@@ -57,7 +57,7 @@ class OptionValues:
                 f'values are {self.option_values.shape} and {self.continuation_values.shape}, '
                 f'not {shape}'
             )
-        if (np.diff(self.states) <= 0).any():
+        if (self.states[1:] <= self.states[:-1]).any():  # a difference could overflow
             raise PlanError('the states do not ascend')
         for values in (self.option_values, self.continuation_values):
             if np.isnan(values).any() or (values == np.inf).any():

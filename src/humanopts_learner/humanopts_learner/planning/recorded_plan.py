@@ -19,6 +19,7 @@ from typing import Any
 from humanopts_env.arrays import Floats, Ints
 from humanopts_env.domains.base import ActableDomain, action_index
 from humanopts_env.domains.described import can_simulate
+from humanopts_env.seeding import generator
 from humanopts_learner.option import Option
 from humanopts_learner.option_runs import COMPLETE, OptionRun
 from humanopts_learner.options.learned_option import LearnedOption
@@ -31,6 +32,7 @@ from humanopts_learner.planning.request import (
     PlanError,
     PlanRequest,
     Progress,
+    Q,
 )
 from humanopts_learner.planning.sampled_plan import GreedyPolicy, SampledPlan, solve_sampled
 from humanopts_learner.planning.sampling import SampleCounts, Samples, samples_of
@@ -41,8 +43,8 @@ import numpy as np
 
 MIN_SAMPLES = 3  # of recorded runs, for a pair of state and option to be available
 MAX_MISSING = 20  # pairs that are named
-Q = 'q'  # values by SMDP Q-learning
-DEFAULT_RATES = Rates(learning_rate=0.1, explore=0.2)  # of a learner that drives
+DEFAULT_RATES = Rates(learning_rate=0.1, explore=0.3, averages=True)  # of ``OptionLearner``
+REPLAYS = 50  # earlier samples that update the values again, for each run
 
 
 @dataclass(frozen=True)
@@ -122,8 +124,9 @@ class OptionLearner:
     """
     SMDP Q-learning over the abstract states of options, from one recorded run after another.
 
-    Every suffix of a run updates the value of its own state. Offline and while the machine drives,
-    the same runs in the same order give the same values.
+    Every suffix of a run updates the value of its own state, and then ``REPLAYS`` random samples
+    of all runs do so again. Offline and while the machine drives, the same runs in the same order
+    give the same values.
 
     :ivar actions: the action set.
     :ivar runs: number of runs that have changed the values.
@@ -132,6 +135,8 @@ class OptionLearner:
     def __init__(self, actions: ActionSet, gamma: float, rates: Rates) -> None:
         """Start with values of 0."""
         self.actions, self._gamma, self.runs = actions, gamma, 0
+        self._known: list[tuple[Any, ...]] = []  # samples, as ``QTable.update`` takes them
+        self._rng = generator(0, 'replays')
         self.table = QTable(actions.first_fallback, rates)
 
     @classmethod
@@ -163,16 +168,15 @@ class OptionLearner:
         self.runs += 1
         seen = self.actions.see_rows(run.rows)
         final = dict(zip(seen.states.tolist(), seen.startable))
-        for at in np.flatnonzero(samples.option < self.actions.first_fallback).tolist():
-            there = int(samples.successor[at])
-            self.table.update(
-                int(samples.state[at]),
-                int(samples.option[at]),
-                float(samples.reward[at]),
-                float(samples.discount[at]),
-                there,
-                final[there],
-            )
+        chosen = samples.option < self.actions.first_fallback
+        columns = (each[chosen].tolist() for each in vars(samples).values())
+        fresh = [(*sample, final[sample[-1]]) for sample in zip(*columns)]
+        for sample in fresh:
+            self.table.update(*sample)
+        self._known += fresh
+        if self._known:
+            for at in self._rng.integers(len(self._known), size=REPLAYS).tolist():
+                self.table.update(*self._known[at], again=True)
 
     def choose(self, state: Any, rng: np.random.Generator) -> Decision:
         """Return the next option, drawn among all that can start in a share of the choices."""
@@ -262,7 +266,7 @@ def make_recorded_plan(
         model_seconds=modelled - began,
         sweep_seconds=clock() - modelled,
         recorded_runs=len(counted),
-        missing=_missing(actions, runs, counts, least, resolved.columns),
+        missing=_missing(actions, runs, counts, least, resolved.columns) if runs else [],
     )
 
 

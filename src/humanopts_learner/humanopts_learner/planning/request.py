@@ -19,6 +19,8 @@ ACTION_SETS = (HUMAN, PRIMITIVE, HUMAN_AND_PRIMITIVE, AUTOMATIC, AUTOMATIC_AND_P
 OPTIONS_ONLY = (HUMAN, AUTOMATIC)  # primitive actions only if no option can start
 OF_MACHINES = (AUTOMATIC, AUTOMATIC_AND_PRIMITIVE)  # sets of automatic options
 
+Q = 'q'  # learning: values by SMDP Q-learning, instead of models
+
 TOLERANCE, SAMPLED_TOLERANCE = 1e-8, 1e-3  # reward units
 MAX_SWEEPS = 10_000
 GAME_STEPS, REPLAYED_STEPS = 800_000, 10_000  # the latter where worlds step one by one

@@ -35,7 +35,6 @@ from humanopts_learner.planning.recorded_plan import (
     make_recorded_plan,
     MIN_SAMPLES,
     OptionLearner,
-    Q,
 )
 from humanopts_learner.planning.request import (
     NoOptionsError,
@@ -44,6 +43,7 @@ from humanopts_learner.planning.request import (
     PlanCanceled,
     PlanError,
     PlanRequest,
+    Q,
     Sampling,
     select_options,
 )
@@ -220,8 +220,6 @@ class PlanServer(GoalServer):
                 f'learned_options {sequence} did not arrive, only {state.taught_sequence}'
             )
         check_learning(goal.learning, domain)
-        if goal.evaluation_episodes:
-            simulated(domain, 'an evaluation of a plan')
         known = state.options(goal.action_set)
         options = select_options(known, goal.action_set, goal.participant, goal.options)
         runs = list(state.recorder.runs)
@@ -252,7 +250,7 @@ class PlanServer(GoalServer):
                 columns=request.columns,
                 min_samples=least if request.game_steps else 0,
                 learning=goal.learning,
-                evaluation_episodes=goal.evaluation_episodes,
+                evaluation_episodes=0 if recorded else goal.evaluation_episodes,
                 seed=request.seed,
             )
         )
@@ -266,7 +264,7 @@ class PlanServer(GoalServer):
                 q = goal.learning == Q
                 learner = OptionLearner.of(domain, options, runs, request) if q else None
                 plan = make_recorded_plan(domain, options, runs, request, learner, progress)
-            if goal.evaluation_episodes:
+            if goal.evaluation_episodes and not recorded:
                 performance = judge_plan(plan, goal.seed, goal.evaluation_episodes, progress)
             if isinstance(plan, ExactPlan) and goal.action_set in OPTIONS_ONLY:
                 coverage = find_coverage(plan) if domain.max_steps else None

@@ -1,6 +1,6 @@
 """Running the policies of plans: the action run_policy, and changes of its execution."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 import math
 import uuid
 
@@ -174,7 +174,11 @@ class PolicyServer(GoalServer):
         columns, unstick = tuple(goal.columns), self._state.unstick
         request = PlanRequest(goal.action_set, columns=columns, unstick=unstick)
         usual = DEFAULT_RATES
-        rates = Rates(goal.learning_rate or usual.learning_rate, goal.explore or usual.explore)
+        rates = replace(
+            usual,
+            learning_rate=goal.learning_rate or usual.learning_rate,
+            explore=goal.explore or usual.explore,
+        )
         runs = list(self._state.recorder.runs)
 
         def replay() -> OptionLearner:

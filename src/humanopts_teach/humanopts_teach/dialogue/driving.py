@@ -27,6 +27,7 @@ from humanopts_teach.lesson.requests import (
 )
 
 EPISODES = 5  # number of episodes to watch
+LEARNING_EPISODES = 20  # of learning while driving
 EXECUTIONS = {
     Arbitration.RUN_TO_END: 'each option runs to its end',
     Arbitration.INTERRUPTED: 'an option stops where another is worth more',
@@ -241,13 +242,18 @@ class WatchScreen(PlayScreen):
     correct: Correct
     action_set: str
     columns: tuple[str, ...] = ()  # features that the choice between options depends on
+    learning: str = ''  # how it learns while it drives; empty: it plans first
     execution: Arbitration = Arbitration.RUN_TO_END
 
     def machine(self, app: App) -> list[Command]:
         idle, running = app.run is None, app.world.running
         taught = running if not idle and running in app.known_options else ''
         return [
-            Command([ENTER], 'plan and play', self._plan if idle else None),
+            Command(
+                [ENTER],
+                'learn' if self.learning else 'plan and play',
+                (self._play if self.learning else self._plan) if idle else None,
+            ),
             _correction(taught, self.correct, app),
             Command('xm', 'other arbitration', self._change, 'choose between options differently'),
             Command(
@@ -287,9 +293,7 @@ class WatchScreen(PlayScreen):
             ]
             if unready and self.action_set in (HUMAN, HUMAN_AND_PRIMITIVE):
                 app.say(f'{said} Not learned yet: {", ".join(unready)}.', bad=True)
-            app.ask(
-                PlayEpisodes(self.action_set, app.participant, EPISODES, app.seed, self.execution)
-            )
+            self._play(app)
         elif well and app.world.uncovered:
             table = key_table(self.commands(app)).items()
             key = next(key for key, each in table if each.do == self._show_uncovered)
@@ -301,6 +305,12 @@ class WatchScreen(PlayScreen):
     def _plan(self, app: App) -> None:
         plan = PlanOptions(self.action_set, app.participant, app.seed, columns=self.columns)
         app.ask(*app.release(), plan)
+
+    def _play(self, app: App) -> None:
+        episodes = LEARNING_EPISODES if self.learning else EPISODES
+        columns = self.columns if self.learning else ()
+        parts = self.action_set, app.participant, episodes, app.seed, self.execution
+        app.ask(*app.release(), PlayEpisodes(*parts, self.learning, columns))
 
     def _change(self, app: App) -> None:
         """Switch to the next arbitration, also for an active run."""

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from functools import partial
 
 from humanopts_env.domains.base import Feature, FeatureKind, is_enumerable
+from humanopts_env.domains.described import can_simulate
 from humanopts_env.domains.replayed_domain import ReplayedDomain
 from humanopts_learner.demonstrations import GOAL, METHODS, TREES
 from humanopts_learner.planning.abstraction import Column
@@ -13,11 +14,12 @@ from humanopts_learner.planning.request import (
     HUMAN_AND_PRIMITIVE,
     PlanError,
     PRIMITIVE,
+    Q,
 )
 from humanopts_teach.dialogue.app import App
-from humanopts_teach.dialogue.driving import PlayScreen, RunScreen, WatchScreen
+from humanopts_teach.dialogue.driving import LEARNING_EPISODES, PlayScreen, RunScreen, WatchScreen
 from humanopts_teach.dialogue.entry import confirm, end, Item, ListScreen, Notice, TextScreen
-from humanopts_teach.dialogue.keys import Command, ESCAPE
+from humanopts_teach.dialogue.keys import Command, Do, ESCAPE
 from humanopts_teach.dialogue.panel import Line
 from humanopts_teach.dialogue.segments import WholeTaskScreen
 from humanopts_teach.dialogue.teaching import LessonScreen
@@ -244,35 +246,47 @@ def _list_taught(app: App) -> None:
 
 def _choose_plan(app: App) -> None:
     items = [
-        Item(text, note, partial(_watch, action_set))
+        Item(text, note, partial(_watch, action_set, ''))
         for action_set, text, note in (
             (HUMAN, 'With your options', 'decides only where an option ends'),
             (PRIMITIVE, 'With single steps', 'decides at every step'),
             (HUMAN_AND_PRIMITIVE, 'With both', 'options where they help'),
         )
     ]
+    if not can_simulate(app.domain):
+        note = 'tries your options out, and learns which to choose'
+        items.append(Item('Learn while driving', note, partial(_watch, HUMAN, Q)))
     app.show(ListScreen('Plan with what?', items, to_menu))
 
 
-def _watch(action_set: str, app: App) -> None:
+def _watch(action_set: str, learning: str, app: App) -> None:
     """Show the screen that plans and plays, after asking once what the choice depends on."""
-    sampled = isinstance(app.domain, ReplayedDomain) and action_set != PRIMITIVE
-    if sampled and len(app.known_options) > 1 and app.participant not in app.choice_columns:
-        _ask_columns(action_set, app)
+    abstract = isinstance(app.domain, ReplayedDomain) or not can_simulate(app.domain)
+    asked = abstract and action_set != PRIMITIVE
+    if asked and len(app.known_options) > 1 and app.participant not in app.choice_columns:
+        _ask_columns(partial(_watch, action_set, learning), app)
         return
-    columns = app.choice_columns.get(app.participant, ()) if sampled else ()
+    columns = app.choice_columns.get(app.participant, ()) if asked else ()
     screen = WatchScreen(
-        to_menu, teach=_choose_known, correct=correct, action_set=action_set, columns=columns
+        to_menu,
+        teach=_choose_known,
+        correct=correct,
+        action_set=action_set,
+        columns=columns,
+        learning=learning,
     )
+    if learning:
+        screen.title = f'Let the machine learn in {LEARNING_EPISODES} episodes'
+        screen.text = 'It learns from each option that it runs. An action key takes over.'
     app.show(screen)
 
 
-def _ask_columns(action_set: str, app: App) -> None:
+def _ask_columns(then: Do, app: App) -> None:
     """Ask what the choice between options depends on; the first answer is the default."""
 
     def choose(columns: tuple[str, ...], app: App) -> None:
         app.choice_columns[app.participant] = columns
-        _watch(action_set, app)
+        then(app)
 
     def choose_feature(feature: Feature, app: App) -> None:
         if feature.kind is not FeatureKind.CONTINUOUS:
@@ -291,7 +305,7 @@ def _ask_columns(action_set: str, app: App) -> None:
             else:
                 choose((column,), app)
 
-        app.show(TextScreen(title, text, middle, submit, partial(_ask_columns, action_set)))
+        app.show(TextScreen(title, text, middle, submit, partial(_ask_columns, then)))
 
     def list_features(app: App) -> None:
         features = [
@@ -299,15 +313,16 @@ def _ask_columns(action_set: str, app: App) -> None:
             for feature in app.domain.features
         ]
         title = 'On which feature does the choice depend?'
-        app.show(ListScreen(title, features, partial(_ask_columns, action_set)))
+        app.show(ListScreen(title, features, partial(_ask_columns, then)))
 
     items = [
         Item('On nothing else', 'than what the options depend on', partial(choose, ())),
         Item('On another feature', 'such as a battery that no option looks at', list_features),
     ]
     if column := app.world.lesson.suggested_column:
-        name, _, edges = column.partition(':')
-        text = f'On {name}, below and from {edges}' if edges else f'On {name}'
+        name, _, numbers = column.partition(':')
+        edges = numbers.split(',')
+        text = f'On {name}, around {edges[len(edges) // 2]}' if numbers else f'On {name}'
         note = 'it separates where you have shown your options'
         items.insert(0, Item(text, note, partial(choose, (column,))))
     title = 'What does the choice between your options depend on?'

@@ -235,13 +235,15 @@ class PlanOptions:
 
 @dataclass(frozen=True, slots=True)
 class PlayEpisodes:
-    """Play episodes by the newest plan of an action set."""
+    """Play episodes by the newest plan of an action set, or learn while the machine drives."""
 
     action_set: str
     participant: str
     episodes: int
     seed: int
     execution: str
+    learning: str = ''  # q: by Q-learning
+    columns: tuple[str, ...] = ()  # of learning, as in ``PlanOptions``
 
 
 @dataclass(frozen=True, slots=True)

@@ -80,12 +80,13 @@ TERMINAL_SERVICES = dict(
     ]
 )
 _OF_RUNS = 'max_steps', 'episode', 'step', 'options_sequence', 'execution', 'plan_id', 'preempt'
-_OF_PLANS = 'options', 'gamma', 'tolerance', 'max_sweeps'
+_OF_PLANS = 'options', 'gamma', 'tolerance', 'max_sweeps', 'min_samples', 'learning'
+_OF_POLICIES = 'max_decisions', 'explore', 'learning_rate', 'options'
 ACTIONS: Mapping[type, Endpoint] = {
     request: Endpoint(kind, name, Codec(request, kind.Goal, of_message=more))
     for request, kind, name, more in (
         (requests.RunOption, action.ExecuteOption, 'execute_option', _OF_RUNS),
         (requests.PlanOptions, action.Plan, 'plan', _OF_PLANS),
-        (requests.PlayEpisodes, action.RunPolicy, 'run_policy', ('max_decisions',)),
+        (requests.PlayEpisodes, action.RunPolicy, 'run_policy', _OF_POLICIES),
     )
 }

@@ -285,13 +285,22 @@ def _counts(result: Any) -> str:
         return f'{steps}, reward {result.total_reward:g}'
     if isinstance(result, PlanResult):
         seconds = result.table_seconds + result.model_seconds + result.sweep_seconds
-        return f'Planned for {result.n_states} states in {seconds:.2f} s'
+        planned = f'Planned for {result.n_states} states in {seconds:.2f} s'
+        if not result.recorded_runs:
+            return planned
+        missing = ', '.join(
+            f'{name} at {state}'
+            for name, state in zip(result.missing_options[:2], result.missing_states)
+        )
+        lacks = f'; too few runs of {missing}' if missing else ''
+        return f'{planned} from {result.recorded_runs} recorded runs{lacks}'
     done = f'{result.successes} of {result.episodes} episodes done'
     played = done if result.episodes else 'no episode was played to its end'
     mean = f', mean return {result.mean_return:.2f}' if result.episodes else ''
     stops = f', {result.interruptions} options stopped' if result.interruptions else ''
     moves = f', {result.random_moves} random moves' if result.random_moves else ''
-    return f'{played}, {result.fallbacks} fallbacks{moves}{stops}{mean}'
+    learned = f', learned from {result.learned_runs} runs' if result.learned_runs else ''
+    return f'{played}, {result.fallbacks} fallbacks{moves}{stops}{mean}{learned}'
 
 
 def _progress_text(feedback: Any) -> str:
