@@ -10,8 +10,8 @@ The options run as in a live game (``humanopts_learner.run``), and their runs ar
 states, goals and results as in the node ``planner``.
 """
 
-from collections.abc import Callable, Sequence
-from functools import cache
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache, partial
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from typing import Any
@@ -22,28 +22,43 @@ from humanopts_env.domains.described import DescribedDomain, SeenState
 from humanopts_env.game import Transition
 from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import Demonstration, Kind
+from humanopts_learner.intervals import Interval
 from humanopts_learner.option_runs import OptionRun, RunCollector
 from humanopts_learner.options.learn import learn_option
 from humanopts_learner.options.learned_option import LearnedOption
 from humanopts_learner.planning.columns import suggest_column
+from humanopts_learner.planning.recorded_plan import (
+    make_recorded_plan,
+    MIN_SAMPLES,
+    OptionLearner,
+    RecordedPlan,
+)
+from humanopts_learner.planning.request import HUMAN, PlanRequest, Sampling
 from humanopts_learner.run import Run
+from humanopts_teach.report.figures import Drawing
 import numpy as np
+import pandas as pd
+
+from experiments import report
+from experiments.people import Study
+from experiments.trials import Rows, Trial
 
 NAME = 'battery'
 TITLE = 'Plans in a world that can only be acted in'
-SEEDS = 20
+LESSONS = 20
+COST = 15.0
 EPISODES = 100  # of driving, before each plan
 JUDGED = 100  # episodes that each policy is judged by
 SHOWN = 8  # demonstrations of each option
 LOW = 40.0  # charge below which the person charges, %
-RULE = 'hand-written rule'
-RANDOM = 'random choice'
+RULE_AT = 36.0  # charge below which the rule charges, %: the best of 30, 32, ..., 40
 DELIVER, CHARGE = 'deliver', 'charge'
 WAYS = {DELIVER: ('target_way', 'drop', 'delivered'), CHARGE: ('charger_way', 'plug', 'charged')}
-HERE = 2.0
+HERE = 2.0  # value of the features that are ways
+RULE, RANDOM = 'hand-written rule', 'random choice'
 MODELS, Q_LEARNING = 'models of recorded runs', 'Q-learning while driving'
-SYMBOLS, ASKED = 'symbols of the options', 'symbols and battery'
-RATE, EXPLORE = 0.1, 0.2
+SYMBOLS, ASKED = 'symbols of the options', 'symbols and the battery'
+KEYS = ['policy', 'abstract states']
 NEAR, MORE = 0.95, 1.8  # goals: share of the rule, and times random choice
 Choose = Callable[[SeenState, np.random.Generator], str]  # the next option
 
@@ -169,3 +184,119 @@ def drive(
                 on_run(found)
         returns.append(total)
     return returns
+
+
+def at_random(state: SeenState, rng: np.random.Generator) -> str:
+    """Choose one of the options."""
+    return (DELIVER, CHARGE)[int(rng.integers(2))]
+
+
+def by_rule(state: SeenState, rng: np.random.Generator) -> str:
+    """Charge where the battery is low."""
+    return CHARGE if value_of(state, 'battery') < RULE_AT else DELIVER
+
+
+def greedy(plan: RecordedPlan) -> Choose:
+    """Choose by a plan."""
+    return lambda state, rng: plan.choose(state).name
+
+
+def trials(study: Study) -> list[Trial]:
+    """Return one trial per lesson; none with bags."""
+    lessons = 0 if study.bags else study.participants
+    return [
+        Trial(NAME, {'lesson': lesson, 'seed': study.seed}, give_lesson, COST)
+        for lesson in range(1, lessons + 1)
+    ]
+
+
+def give_lesson(parameters: Mapping[str, Any]) -> Rows:
+    """
+    Teach the options, drive, plan, and judge every policy in the same episodes.
+
+    :return: one row per policy and kind of abstract states: deliveries (mean per episode), states
+        (number of abstract states), runs (recorded).
+    """
+    lesson = int(generator(parameters['seed'], NAME, parameters['lesson']).integers(2**31))
+    options, column = taught(lesson)
+    domain, rows = described(), []
+
+    def judge(policy: str, states: str, choose: Choose, **known: int) -> None:
+        deliveries = float(np.mean(drive(options, choose, JUDGED, lesson + 1)))
+        rows.append({**dict(zip(KEYS, (policy, states))), 'deliveries': deliveries, **known})
+
+    judge(RULE, '', by_rule)
+    judge(RANDOM, '', at_random)
+    tried: list[OptionRun] = []
+    drive(options, at_random, EPISODES, lesson, tried.append)
+    for name, columns in ((SYMBOLS, ()), (ASKED, (column,))):
+        sampling = Sampling(min_samples=MIN_SAMPLES)
+        request = PlanRequest(HUMAN, columns=columns, sampling=sampling)
+        for policy in (MODELS, Q_LEARNING):
+            runs, learner = list(tried), None
+            if policy == Q_LEARNING:
+                learner = OptionLearner.of(domain, options, (), request)
+                runs = learned_runs(options, learner, lesson)
+            plan = make_recorded_plan(domain, options, runs, request, learner)
+            found = {'states': len(plan.solution.values), 'runs': plan.recorded_runs}
+            judge(policy, name, greedy(plan), **found)
+    return rows
+
+
+def learned_runs(
+    options: Sequence[LearnedOption], learner: OptionLearner, seed: int
+) -> list[OptionRun]:
+    """Let the machine learn while it drives, and return its runs."""
+    runs: list[OptionRun] = []
+
+    def on_run(run: OptionRun) -> None:
+        runs.append(run)
+        learner.learn(run)
+
+    drive(options, lambda state, rng: learner.choose(state, rng).name, EPISODES, seed, on_run)
+    return runs
+
+
+def present(rows: pd.DataFrame) -> report.Section:
+    """Return the section of the report; one row per lesson, policy and kind of abstract states."""
+    lessons = rows.drop(columns='trial', errors='ignore')
+    summary = report.mean_intervals(lessons, KEYS, 'deliveries')
+    means = lessons.groupby(KEYS, sort=False)[['states', 'runs']].mean()
+    summary = summary.rename(columns={'count': 'lessons', 'mean': 'deliveries'})
+    tables = [
+        report.Table('battery-summary', 'Deliveries per episode', summary.join(means, on=KEYS)),
+        report.Table('battery-lessons', 'Each lesson', lessons, shown=False),
+    ]
+    picture = report.Picture(
+        'battery',
+        'Deliveries per episode: the dots are lessons, the bars means with 95 % intervals.',
+        (7.6, 3.2),
+        partial(_draw, lessons),
+    )
+    facts = {'episodes': EPISODES, 'judged': JUDGED}
+    return report.Section(NAME, TITLE, _comparisons(lessons), [picture], tables, facts)
+
+
+def _comparisons(lessons: pd.DataFrame) -> list[report.Comparison]:
+    """Compare the plans with the rule and with random choice, lesson by lesson."""
+    of = {keys: mine['deliveries'].to_numpy() for keys, mine in report.grouped(lessons, KEYS)}
+    rule, chance, found = of[RULE, ''], of[RANDOM, ''], []
+    case = f'{len(rule)} lessons'
+    for policy in (MODELS, Q_LEARNING):
+        plan, blind = of[policy, ASKED], of[policy, SYMBOLS]
+        near, more = Interval.of_ratio(plan, rule), Interval.of_ratio(plan, chance)
+        said = f'{policy}: at least {NEAR:g} of the deliveries of the rule.'
+        found.append(report.compare(said, near.above(NEAR), case, {'share': near}, '.3f'))
+        said = f'{policy}: at least {MORE:g} times the deliveries of random choice.'
+        found.append(report.compare(said, more.above(MORE), case, {'times': more}, '.3f'))
+        less = Interval.of_ratio(blind, chance)
+        said = f'{policy}, by the symbols of the options alone: fewer deliveries than by chance.'
+        found.append(report.compare(said, less.below(1.0), case, {'times': less}, '.3f'))
+    return found
+
+
+def _draw(lessons: pd.DataFrame, work: Drawing) -> None:
+    rows = lessons.assign(way=lessons[KEYS].agg(', '.join, axis=1).str.strip(', '), series='')
+    style = {'ms': 3.5, 'alpha': 0.5}
+    report.draw_samples(work.axes, rows, 'way', 'deliveries', 'series', Interval.of, **style)
+    work.axes.set(xlabel='mean deliveries per episode')

@@ -22,6 +22,7 @@ import pandas as pd
 import typer
 
 from experiments import (
+    battery,
     demonstrations,
     figure2,
     figure3,
@@ -41,7 +42,9 @@ app = typer.Typer(**PLAIN)
 # Each module has its command line ``NAME``, a ``TITLE``, ``trials`` of a study, and ``present``,
 # which makes a section from result rows.
 PAPER: list[ModuleType] = [figure2, figure3, figure4, table2]
-EXPERIMENTS = {each.NAME: each for each in (*PAPER, transfer, demonstrations, worlds, judging)}
+EXPERIMENTS = {
+    each.NAME: each for each in (*PAPER, transfer, demonstrations, worlds, judging, battery)
+}
 
 
 @app.command(cls=SeveralValues, help="the paper's figures and tables, computed again")
@@ -57,13 +60,15 @@ def reproduce(
             'demonstrations',
             'worlds',
             'judging',
+            'battery',
         ],
         typer.Argument(
             metavar='WHAT',
             help='a figure or table: fig2, fig3, fig4, table2; or all of them; or, past the '
             'paper, transfer: options of one maze in others; or demonstrations: how many an '
             'option takes, by learning method; or worlds: options taught in MiniGrid, LunarLander '
-            'and others; or judging: whether what a lesson calls learned is right',
+            'and others; or judging: whether what a lesson calls learned is right; or battery: '
+            'plans in a world that can only be acted in',
         ),
     ],
     out: Annotated[
@@ -80,8 +85,8 @@ def reproduce(
             parser=whole(1),
             metavar='N',
             help=f'simulated, in each group; default: {Study.participants}, and '
-            f'{worlds.LESSONS} for worlds and {judging.LESSONS} for judging, where each gives one '
-            'lesson in each environment or row',
+            f'{worlds.LESSONS} for worlds, {judging.LESSONS} for judging and {battery.LESSONS} '
+            'for battery, where each gives one lesson in each environment or row',
         ),
     ] = None,
     seeds: Annotated[
@@ -121,7 +126,7 @@ def reproduce(
         own_mazes = tuple(load_maze(source).text for source in mazes)
     except (BagError, MazeError) as error:
         raise CommandError(str(error)) from error
-    lessons_each = {each.NAME: each.LESSONS for each in (worlds, judging)}
+    lessons_each = {each.NAME: each.LESSONS for each in (worlds, judging, battery)}
     usual = lessons_each.get(what, Study.participants)
     study = Study(participants or usual, seeds, seed, lessons, own_mazes)
     out = out or Path('runs') / f'reproduce-{what}'

@@ -109,7 +109,14 @@ def test_a_restarted_planner_learns_the_same_values_from_its_runs(graph: Graph) 
     graph.stop(graph.node_called('/planner'))
     graph.start(PLANNER, directory=graph.folder / 'runs')
     graph.ready('/planner')
-    again = plan(graph, learning='q', columns=[COLUMN])
+    answers: list[PlanResult] = []
+
+    def has_options() -> bool:
+        answers.append(plan(graph, learning='q', columns=[COLUMN]))
+        return answers[-1].status != PlanResult.STATUS_NO_OPTIONS
+
+    graph.until(has_options, 'the options to arrive')
+    again = answers[-1]
     assert again.status == again.STATUS_CONVERGED, again.detail
     assert (again.recorded_runs, again.n_states) == (first.recorded_runs, first.n_states)
 

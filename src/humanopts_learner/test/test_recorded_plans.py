@@ -140,7 +140,8 @@ def test_every_step_is_a_sample_of_its_action_where_actions_can_be_chosen() -> N
     plan = make_recorded_plan(CORRIDOR, [EAST], [run], request)
     assert plan.names == ('east', 'action:left', 'action:right')
     values = plan.policy.values.option_values
-    assert sorted(values.tolist()) == [[-1.5, -np.inf, -1.5], [-1.0, -np.inf, -1.0]]
+    known = values[np.isfinite(values).any(axis=1)]  # not where the task is over
+    assert sorted(known.tolist()) == [[-1.5, -np.inf, -1.5], [-1.0, -np.inf, -1.0]]
 
 
 def test_learning_offline_and_while_driving_gives_the_same_values() -> None:

@@ -151,7 +151,8 @@ class GoalServer(ABC):
         except GoalError as error:
             status, result.detail = error.status, str(error)
         except NoOptionsError as error:
-            status, result.detail = 'NO_OPTIONS', str(error)
+            status = 'NO_OPTIONS' if hasattr(result, 'STATUS_NO_OPTIONS') else 'BAD_REQUEST'
+            result.detail = str(error)
         except (PlanError, DomainError) as error:
             status, result.detail = 'BAD_REQUEST', str(error)
         except PlanCanceled:
