@@ -10,6 +10,8 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 import json
 from pathlib import Path
+from typing import Any
+from uuid import UUID
 
 from humanopts_env.arrays import Rows
 from humanopts_env.domains.base import ActableDomain, action_index
@@ -112,6 +114,33 @@ class RunLog:
         self.runs.append(run)
         if self._log is not None:
             self._log.append(json.dumps(asdict(run), allow_nan=False))
+
+
+def uuid_of(message: Any) -> str:
+    """Return the text of a UUID message, from rclpy or a bag reader."""
+    return str(UUID(bytes=bytes(message.uuid)))
+
+
+def result_from_message(message: Any) -> RunResult:
+    """
+    Decode what a ``RunCollector`` needs of an ``OptionResult``, from rclpy or a bag reader.
+
+    :raises ValueError: its status is unknown.
+    """
+    known = [*RunStatus]  # in the order of their constants
+    if not 1 <= message.status <= len(known):
+        raise ValueError(f'its status is {message.status}')
+    return RunResult(
+        known[message.status - 1],
+        message.detail,
+        message.option_name,
+        uuid_of(message.run_id),
+        message.episode,
+        message.first_step,
+        message.step_count,
+        message.random_moves,
+        terminated=message.terminated,
+    )
 
 
 class RunCollector:

@@ -16,6 +16,7 @@ from humanopts_interfaces.msg import (
     PolicyResult,
 )
 from humanopts_interfaces.srv import ResetGame, RunOption, SetExecution
+from humanopts_learner.option_runs import uuid_of
 from humanopts_learner.options.learned_option import LearnedOption
 from humanopts_learner.planning.exact_plan import episode_start, ExactPlan
 from humanopts_learner.planning.interruption import option_values
@@ -45,7 +46,6 @@ from humanopts_learner.ros.planner_actions import (
     PlannerState,
 )
 from humanopts_learner.run import execution_named, RefusedError, RunStatus
-from humanopts_ros.codec import uuid_from_message
 from humanopts_ros.node_base import NodeBase
 from humanopts_ros.qos import LATCHED
 import numpy as np
@@ -316,9 +316,7 @@ class PolicyServer(GoalServer):
             result.random_moves += ran.random_moves
             result.interruptions += ran.status == ran.STATUS_STOPPED_BY_PLAN
             if run.learning is not None and ran.step_count:
-                await self._learn(
-                    run.learning.learner, uuid_from_message(ran.run_id), result
-                )
+                await self._learn(run.learning.learner, uuid_of(ran.run_id), result)
             total += ran.total_reward
             discounted += plan.gamma**step * ran.discounted_return
             step += ran.step_count

@@ -5,13 +5,16 @@ from pathlib import Path
 from humanopts_env.domains.base import ActableDomain
 from humanopts_env.ros.game_subscriber import GameSubscriber, Observed
 from humanopts_interfaces.msg import OptionGoal, OptionResult
-from humanopts_learner.option_runs import OptionRun, RunCollector, RunLog
+from humanopts_learner.option_runs import (
+    OptionRun,
+    result_from_message,
+    RunCollector,
+    RunLog,
+    uuid_of,
+)
 from humanopts_learner.run import RunResult
-from humanopts_ros.codec import Codec, uuid_from_message
 from humanopts_ros.guarded_node import StartError
 from humanopts_ros.node_base import NodeBase
-
-_RESULT = Codec(RunResult, OptionResult)
 
 
 class RunRecorder:
@@ -54,7 +57,7 @@ class RunRecorder:
         collector = RunCollector(domain)
 
         def on_goal(goal: OptionGoal) -> None:
-            collector.on_goal(uuid_from_message(goal.run_id), goal.participant)
+            collector.on_goal(uuid_of(goal.run_id), goal.participant)
 
         def on_state(observed: Observed) -> None:
             self.newest = observed
@@ -64,7 +67,7 @@ class RunRecorder:
             self._add(collector.on_result(result))
 
         self._node.subscribe(OptionGoal, 'option_goals', lambda goal: goal, on_goal)
-        self._node.subscribe(OptionResult, 'option_results', _RESULT.decode, on_result)
+        self._node.subscribe(OptionResult, 'option_results', result_from_message, on_result)
         self._game.follow('game_state', on_state)
 
     def _add(self, runs: list[OptionRun]) -> None:

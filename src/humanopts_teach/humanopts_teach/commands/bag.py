@@ -285,10 +285,10 @@ def segment(
 def export(
     bag: BagArgument,
     to: Annotated[
-        Literal['csv', 'parquet', 'minari', 'files'],
+        Literal['csv', 'parquet', 'minari', 'files', 'runs'],
         typer.Option(
             help='parquet needs pyarrow; minari needs minari[arrow]; files: those attached to the '
-            'bag, such as option files'
+            'bag, such as option files; runs: those of options, added to the file of the planner'
         ),
     ],
     out: Annotated[Path, option('DIR', 'folder for the files')],
@@ -297,7 +297,7 @@ def export(
 ) -> int:
     """Write tables or a dataset for other tools."""
     from humanopts_teach.bags.reader import open_bag
-    from humanopts_teach.export import minari_dataset, tables
+    from humanopts_teach.export import minari_dataset, option_runs, tables
 
     if excel and to != 'csv':
         raise CommandError('--excel is for --to csv')
@@ -309,6 +309,9 @@ def export(
                 f'{count} episodes; with {minari_dataset.FOLDER}={out} in the environment:\n'
                 f'minari.load_dataset({dataset_id!r})'
             ]
+        elif to == 'runs':
+            path, count = option_runs.write_option_runs(opened, out)
+            written = [f'{path}: {count} runs added']
         elif to == 'files':
             written = [one_line(str(path)) for path in tables.write_attached(opened, out)]
         else:

@@ -178,7 +178,7 @@ def _own_parameters(setup: Setup) -> dict[str, dict[str, Value]]:
             'no_progress_seconds': _PATIENCE + (setup.step_period or 0.0),
             'unstick': setup.unstick,
         },
-        'planner': {'unstick': setup.unstick},
+        'planner': {'directory': str(setup.directory), 'unstick': setup.unstick},
         'joy_teleop': {'mapping': setup.joy},
         'simulated_teacher': {
             'options': list(setup.taught),
