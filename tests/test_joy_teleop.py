@@ -2,22 +2,15 @@
 
 from collections.abc import Iterator
 from pathlib import Path
+import signal
 import time
 
-from graph_support.live import GAME, Graph, JOY, LEARNER, LESSON, open_graph
+from graph_support.live import GAME, Graph, JOY, LEARNER, LESSON, open_graph, WORLD
 from graph_support.player import Player
-from humanopts_interfaces.msg import (
-    ActionCommand,
-    ActionInfo,
-    DomainInfo,
-    FeatureInfo,
-    GameState,
-    LessonState,
-    NodeStatus,
-)
+from graph_support.robot import Robot
+from humanopts_interfaces.msg import LessonState, NodeStatus
 from humanopts_interfaces.srv import DefineOption, OpenSession
-from humanopts_ros.node_base import NodeBase
-from humanopts_ros.qos import CURRENT, LATCHED, STREAM
+from humanopts_ros.qos import CURRENT
 import pytest
 from sensor_msgs.msg import Joy
 
@@ -162,64 +155,22 @@ def test_a_bad_mapping_ends_the_node(live: Graph) -> None:
     assert 'cannot read' in live.refused(JOY, mapping=live.folder / 'none.yaml')
 
 
-class SlowWorld(NodeBase):
-    """A world with one action, which lasts until the world is asked to stop."""
-
-    role = 'game'
-
-    def __init__(self, **options: object) -> None:
-        super().__init__('game', **options)
-        self.commands: list[tuple[float, str]] = []
-        self._info = self.stamped_publisher(DomainInfo, 'domain_info', LATCHED)
-        self._now = self.stamped_publisher(GameState, 'current_state', LATCHED)
-        self._step = 0
-        self.create_subscription(ActionCommand, 'action', self._act, STREAM)
-
-    def on_ready(self) -> None:
-        info = DomainInfo(domain='corridor', parameters='{}', gamma=0.9)
-        info.features = [FeatureInfo(name='x', question='x', kind=3, low=0.0, high=9.0)]
-        info.actions = [ActionInfo(name='go', key='up', description='go on', seconds=0.2)]
-        self._info.publish(info)
-        self.show()
-
-    def show(self) -> None:
-        self._now.publish(GameState(episode=1, step=self._step, state='{}', features=[1.0]))
-
-    def _act(self, command: ActionCommand) -> None:
-        self.commands.append((time.monotonic(), command.action))
-
-    def finish(self) -> None:
-        """End the action under way."""
-        self._step += 1
-        self._now.publish(
-            GameState(
-                episode=1,
-                step=self._step,
-                state='{}',
-                features=[1.0],
-                previous_action='go',
-                action_source=GameState.SOURCE_PERSON,
-            )
-        )
-
-
-SLOW = f'{__name__}:SlowWorld'
-
-
-@pytest.mark.parametrize('fault', ['released', 'unplugged', 'nan', 'second pad', 'ended'])
+@pytest.mark.parametrize(
+    'fault', ['released', 'unplugged', 'nan', 'second pad', 'ended', 'killed']
+)
 def test_a_robot_is_stopped(live: Graph, fault: str) -> None:
-    world = live.start(SLOW)
-    node = live.start(JOY)
-    live.ready('/game', '/joy_teleop')
-    pad = Pad(live)
+    robot = Robot(live)
+    live.start(WORLD, world=robot.file())
+    node = live.spawn(JOY) if fault == 'killed' else live.start(JOY)
+    live.ready('/world', '/joy_teleop')
+    player, pad = Player(live), Pad(live)
+    player.reset()
     pad.hold()
     pad.hold(LB, axes=UP)
-    live.until(lambda: world.commands, 'the first command')
-    for _ in range(5):
-        live.spin()
-    assert [action for _, action in world.commands] == ['go'], 'one command for each step'
-    world.finish()
-    live.until(lambda: len(world.commands) == 2, 'the second command')
+    live.until(lambda: player.state.step >= 3, 'three steps')
+    assert player.state.previous_action == 'forward'
+    assert player.controls[-1].holder_id.startswith('/joy_teleop#'), 'the first step unlocks it'
+    live.until(lambda: not robot.stands, 'it to move')
     began = time.monotonic()
     match fault:
         case 'released':
@@ -232,18 +183,41 @@ def test_a_robot_is_stopped(live: Graph, fault: str) -> None:
             Pad(live)
         case 'ended':
             live.stop(node)
-    live.until(lambda: len(world.commands) == 3, 'the stop')
-    at, action = world.commands[2]
-    assert action == '', 'an empty action stops'
-    assert at - began < REACTION
+        case 'killed':
+            node.kill(signal.SIGKILL)
+    live.until(lambda: robot.stands, 'the stop')
+    assert time.monotonic() - began < REACTION
+    there = robot.x
+    for _ in range(10):
+        live.spin()
+    assert robot.x == pytest.approx(there, abs=0.03)
     if fault == 'unplugged':
         live.until(lambda: 'no message on /joy for 0.3 s' in text_of(live), 'the fault')
         pad.plug_in()
         live.ready('/joy_teleop')
-        world.finish()
         for _ in range(10):
             live.spin()
-        assert len(world.commands) == 3, 'the dead-man button was not released'
+        assert robot.stands, 'the dead-man button was not released'
+
+
+def test_the_stop_button_and_a_long_action(live: Graph) -> None:
+    robot = Robot(live)
+    live.start(WORLD, world=robot.file())
+    live.start(JOY)
+    live.ready('/world', '/joy_teleop')
+    player, pad = Player(live), Pad(live)
+    player.reset()
+    pad.hold()
+    pad.hold(LB)
+    pad.press(B, with_held=(LB,))  # the second action without an arrow key takes two seconds
+    live.until(lambda: robot.goals, 'the long action')
+    pad.press(RB, with_held=(LB,))
+    live.until(lambda: robot.canceled, 'it to be canceled')
+    live.until(lambda: player.state.cut_short, 'the state')
+    pad.press(B, with_held=(LB,))
+    live.until(lambda: len(robot.goals) == 2, 'the long action again')
+    pad.hold(LB, axes=UP)
+    live.until(lambda: player.state.previous_action == 'forward', 'another action at once', 1.5)
 
 
 def test_a_lesson_with_a_gamepad(live: Graph) -> None:
