@@ -1,7 +1,7 @@
 """How a robot acts: velocities, ROS actions, services and topics, and how each is stopped."""
 
 from collections.abc import Callable, Mapping
-from typing import Any, Protocol
+from typing import Any
 
 from action_msgs.msg import GoalStatus
 from humanopts_env.domains.base import DomainError
@@ -15,14 +15,25 @@ from rclpy.action.client import ActionClient
 _SHOWN = 4  # fields of feedback that are shown
 
 
-class Report(Protocol):
-    """What an actuator reports of the action that it carries out."""
+class Report:
+    """
+    What an actuator reports of one action.
+
+    :ivar text: its progress or its end, in words; empty: nothing is known.
+    """
+
+    def __init__(self, on_end: Callable[['Report', bool], object]) -> None:
+        """
+        Know nothing yet.
+
+        :param on_end: called with this report when the action has ended, and whether it went well.
+        """
+        self._on_end, self.text = on_end, ''
 
     def ended(self, text: str, *, well: bool) -> None:
         """Note that it has ended, with a text that says how."""
-
-    def feedback(self, text: str) -> None:
-        """Note its progress."""
+        self.text = text
+        self._on_end(self, well)
 
 
 class Actuator:
@@ -131,7 +142,7 @@ class Act(Actuator):
 
         def on_feedback(message: Any) -> None:
             if self._report is report:
-                report.feedback(summarised(message.feedback))
+                report.text = summarised(message.feedback)
 
         def on_accepted(future: Any) -> None:
             handle = future.result()

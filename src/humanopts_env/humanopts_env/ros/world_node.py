@@ -6,7 +6,7 @@ from typing import Any, ClassVar
 
 from humanopts_env.domains.names import ROBOT, robot_file
 from humanopts_env.game import Begun, Command, Control, Refused, Transition
-from humanopts_env.ros.actuators import Actuator, make_actuators, Velocities
+from humanopts_env.ros.actuators import Actuator, make_actuators, Report, Velocities
 from humanopts_env.ros.interfaces import interface
 from humanopts_env.ros.lock_step_node import LockStepNode
 from humanopts_env.worlds.acted_game import ActedGame
@@ -33,21 +33,6 @@ _CLOCK_SILENCE = 0.4  # s without /clock after which it counts as missing
 _PROGRESS_PERIOD = 0.1  # s between reports of progress
 
 
-class _Report:
-    """What is known of one action that was begun."""
-
-    def __init__(self, node: 'WorldNode') -> None:
-        self._node = node
-        self.text = ''
-
-    def ended(self, text: str, *, well: bool) -> None:
-        self.text = text
-        self._node.on_ended(self, well=well)
-
-    def feedback(self, text: str) -> None:
-        self.text = text
-
-
 class RosRobot:
     """The robot of a world: its topics, and the actuators of its actions."""
 
@@ -66,7 +51,7 @@ class RosRobot:
         self._actuators = make_actuators(node, file, self._velocities)
         self._actuator = Actuator()
         self._repeated = 0.0
-        self.report = _Report(node)  # of the newest action
+        self.report = Report(node.on_ended)  # of the newest action
         self.sensors = Sensors(file.topics)
         for name, topic in file.topics.items():
             qos = CURRENT if topic.latched else SENSOR
@@ -76,7 +61,7 @@ class RosRobot:
         self.sensors.note(name, message, self._node.now())
 
     def start(self, action: str) -> None:
-        self._actuator, self.report = self._actuators[action], _Report(self._node)
+        self._actuator, self.report = self._actuators[action], Report(self._node.on_ended)
         self._repeated = self._node.now()
         self._actuator.start(self.report)
 
@@ -215,7 +200,7 @@ class WorldNode(LockStepNode):
         if not self._world.timings[begun.command.action].seconds:
             self._game.tick()
 
-    def on_ended(self, report: _Report, *, well: bool) -> None:
+    def on_ended(self, report: Report, well: bool) -> None:
         """Handle the end of an action that reports it."""
         if report is not self._robot.report:
             return
