@@ -3,11 +3,15 @@
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from humanopts_learner.summary import Criterion, OptionSummary
 from humanopts_teach.browser.markup import parts
 from humanopts_teach.dialogue.view import view
 from humanopts_teach.lesson.requests import Drive, EndDemonstration, Phase, Verdict
+from humanopts_teach.terminal.drawing import frame
+from hypothesis import given, settings
+from hypothesis import strategies as st
 import pytest
 from teach_support import snapshot
 from teach_support.robot_desk import RobotDesk
@@ -153,6 +157,36 @@ def test_a_robot_can_be_driven_on_after_its_episode(shows: RobotDesk) -> None:
     shows.game.transition = shows.world.game = over
     shows.press('right').after(0.5)
     assert (shows.world.game.episode, shows.world.game.step) == (over.episode + 1, 1)
+
+
+KEYS = ['left', 'right', '.', 'h', 'enter', 'escape', 'backspace', *'123tywnrsmle?x']
+
+
+@given(st.lists(st.sampled_from([*KEYS, 'time', 'machine', 'end']), max_size=60))
+@settings(max_examples=60, deadline=None)
+def test_whatever_is_pressed_space_stops_the_robot_and_nothing_is_lost(keys: list[str]) -> None:
+    with TemporaryDirectory() as folder:
+        desk, kept = RobotDesk(Path(folder)), set[str]()
+        desk.press('enter', '1').type(NAME).press('y', 'n', 't')
+        for key in keys:
+            running = desk.app.run is not None
+            if key == 'time':
+                desk.after(0.3)
+            elif key == 'machine' and running:
+                desk.moves('home')
+            elif key == 'end' and running:
+                desk.run_ends('It ended.', well=len(keys) % 2 == 0)
+            elif key in KEYS:
+                desk.press(key)
+            assert len(frame(desk.app, 80, 24)) == 24
+            now = {demo.uuid for demo in desk.lesson.demonstrations()}
+            assert kept <= now
+            kept = now
+        desk.press(' ')
+        assert desk.game.under_way is None
+        desk.after(1.0)
+        assert desk.app.waits_for is None
+        desk.store.close()
 
 
 def test_a_terminal_that_ends_leaves_a_robot_that_stands_still(shows: RobotDesk) -> None:

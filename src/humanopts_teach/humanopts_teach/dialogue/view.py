@@ -69,6 +69,10 @@ def _message_line(app: App) -> Line:
         return Line(f'Missing: {names}. Everything taught is saved; {app.leave_hint}.', Tone.BAD)
     if app.message.text:
         return app.message
+    lesson = app.world.lesson
+    if app.run is not None and app.world.robot and lesson.phase is Phase.DEMONSTRATING:
+        verdict = 'say wrong' if lesson.exam else 'take over'
+        return Line(f'Watch the option, and {verdict} as soon as it errs.', Tone.GOOD)
     return Line(app.world.lesson.text if app.screen.answers_lesson else '', Tone.GOOD)
 
 
