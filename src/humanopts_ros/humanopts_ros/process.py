@@ -116,6 +116,7 @@ def run_node(
     except MiddlewareError as error:
         print(f'humanopts: {one_line(str(error))}', file=sys.stderr)
         return 2
+    by_events &= not workarounds.events_crash()
     executor: Executor = EventsExecutor() if by_events else SingleThreadedExecutor()
     node: NodeBase | None = None
     try:

@@ -202,6 +202,15 @@ class MemoryReturn:
             self._trim(0)
 
 
+# Executors. That of events crashes with action servers in rclpy 9.1.2, of Kilted: a segmentation fault
+# when a goal is canceled or preempted.
+
+
+def events_crash() -> bool:
+    """Return whether the EventsExecutor of this distribution is not to be used."""
+    return os.environ.get('ROS_DISTRO') == 'kilted'
+
+
 # Timers. While a callback blocks, for example because it publishes to a stalled reader, an
 # EventsExecutor queues many calls of one timer: https://github.com/ros2/rclcpp/issues/2771
 # In rclpy 7.1.5, each queued call delays the next by one period, so timers pause for minutes.
