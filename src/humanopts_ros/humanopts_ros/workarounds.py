@@ -202,8 +202,8 @@ class MemoryReturn:
             self._trim(0)
 
 
-# Executors. That of events crashes with action servers in rclpy 9.1.2, of Kilted: a segmentation fault
-# when a goal is canceled or preempted.
+# Executors. In rclpy 9.1.2, of Kilted, that of events ends a process with action servers by a
+# segmentation fault when a goal is canceled or preempted.
 
 
 def events_crash() -> bool:
