@@ -17,7 +17,7 @@ import math
 from typing import Any
 
 from humanopts_env.domains.registry import make_domain, reference_options
-from humanopts_learner.demonstrations import Demonstration, GOAL, METHODS, TREES
+from humanopts_learner.demonstrations import Demonstration, GOAL, TREES
 from humanopts_learner.intervals import all_hold, Interval
 from humanopts_learner.options.accuracy import policy_accuracy
 from humanopts_learner.options.judge import judge, Thresholds
@@ -59,7 +59,7 @@ def trials(study: Study) -> list[Trial]:
             cost,
         )
         for domain, cost in COSTS.items()
-        for method in METHODS
+        for method in TARGETS
         for strategy in STRATEGIES
         for person in (*careful, *slipping)
     ]

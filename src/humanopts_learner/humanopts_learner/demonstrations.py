@@ -51,9 +51,11 @@ class Kind(Enum):
 
 
 TREES: Final = 'trees'
+FOREST: Final = 'forest'
 GOAL: Final = 'goal'
 METHODS = {  # learning methods; descriptions of the policy
     TREES: 'learned from the actions that were shown',
+    FOREST: 'learned from the actions that were shown, by many trees that vote',
     GOAL: 'planned: best ways to an end like the shown ones',
 }
 PRIMITIVE_PREFIX = 'action:'  # of primitive actions used as options

@@ -19,6 +19,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
 import pytest
+from sklearn.ensemble import RandomForestClassifier
 from sklearn.tree import DecisionTreeClassifier
 
 TAXI = Taxi()
@@ -40,11 +41,31 @@ def test_own_evaluator_agrees_with_scikit_learn(
     tree = fit_tree(X, y, range(6), seed)
     assert tree.probabilities(Z) == pytest.approx(expected)
     assert tree.most_probable(Z).tolist() == expected.argmax(axis=1).tolist()
-    assert [int(tree.leaves(row[None])[0]) for row in Z] == tree.leaves(Z).tolist()
+    assert [tree.leaves(row[None])[0].tolist() for row in Z] == tree.leaves(Z).tolist()
     assert tree.probability_of(2, Z).tolist() == tree.probabilities(Z)[:, 2].tolist()
     assert tree == (again := fit_tree(X, y, range(6), seed))
     assert hash(tree) == hash(again)
     assert tree.counts[0].tolist() == np.bincount(y, minlength=6).tolist()
+
+
+@settings(max_examples=20)
+@given(st.integers(0, 2**31 - 1), st.integers(2, 60), st.integers(1, 7))
+def test_a_forest_agrees_with_scikit_learn(seed: int, rows: int, min_leaf: int) -> None:
+    """The probabilities of its trees are averaged, for many rows and for one."""
+    rng = np.random.default_rng(seed)
+    X, Z = rng.normal(scale=3, size=(2, 60, 3)).astype(np.float32)
+    X, y = X[:rows], rng.choice([0, 2, 5], rows)
+    theirs = RandomForestClassifier(7, random_state=seed, min_samples_leaf=min_leaf).fit(X, y)
+    expected = np.zeros((len(Z), 6))
+    expected[:, theirs.classes_] = theirs.predict_proba(Z)
+    forest = fit_tree(X, y, range(6), seed, n_trees=7, min_leaf=min_leaf)
+    assert len(forest.roots) == 7
+    assert forest.probabilities(Z) == pytest.approx(expected)
+    assert forest.probability_of(2, Z) == pytest.approx(expected[:, 2])
+    assert forest.most_probable(Z).tolist() == forest.probabilities(Z).argmax(axis=1).tolist()
+    assert [forest.leaves(row[None])[0].tolist() for row in Z] == forest.leaves(Z).tolist()
+    assert forest.counts[list(forest.roots)].sum(axis=1).tolist() == [rows] * 7
+    assert forest.depth == max(each.get_depth() for each in theirs.estimators_)
 
 
 def test_fitting_refuses_no_rows_and_unknown_labels() -> None:
@@ -72,6 +93,9 @@ def array(*values: float) -> Any:
         ({'feature': array(0, 0, LEAF)}, 'a leaf of a tree has a test'),
         ({'threshold': np.array([np.nan, 0, 0])}, 'not finite'),
         ({'n_features': 0}, 'tests another one'),
+        ({'roots': (1,)}, 'child of exactly one'),
+        ({'roots': (0, 1)}, 'child of exactly one'),
+        ({'roots': ()}, 'child of exactly one'),
         ({'feature': array(LEAF, LEAF, LEAF)}, 'tests another one'),
     ],
 )

@@ -25,11 +25,17 @@ from humanopts_learner import (
     policy_accuracy,
     Thresholds,
 )
-from humanopts_learner.demonstrations import check_demonstration, DemonstrationError, GOAL, TREES
+from humanopts_learner.demonstrations import (
+    check_demonstration,
+    DemonstrationError,
+    FOREST,
+    GOAL,
+    TREES,
+)
 from humanopts_learner.option import DrawnOption
 from humanopts_learner.options.files import option_from_json, option_to_json
 from humanopts_learner.options.judge import MIN_HELD_OUT
-from humanopts_learner.options.learn import NotLearnableError
+from humanopts_learner.options.learn import N_TREES, NotLearnableError
 from humanopts_learner.options.learned_option import (
     OptionError,
     options_from_references,
@@ -318,6 +324,20 @@ def test_a_planned_policy_comes_back_from_its_file(person: Any) -> None:
         option_from_json(text.replace('"method": "goal"', '"method": "maps"', 1))
 
 
+def test_a_forest_comes_back_from_its_file(person: Any) -> None:
+    shown = [replace(demo, method=FOREST) for demo in person(FETCH).show_random(5)]
+    option = learn_option(shown, TAXI, 0)
+    assert (option.method, len(option.policy.roots), len(option.termination.roots)) == (
+        FOREST,
+        N_TREES,
+        N_TREES,
+    )
+    text = option_to_json(option, shown)
+    assert option_from_json(text) == (option, shown)
+    with pytest.raises(OptionError, match='child of exactly one'):
+        option_from_json(text.replace('"roots": [0, ', '"roots": [1, ', 1))
+
+
 def test_features_that_do_not_tell_an_end_still_give_an_option(
     person: Any,
 ) -> None:
@@ -338,7 +358,7 @@ def test_where_states_cannot_be_listed_nothing_is_planned() -> None:
     with pytest.raises(DemonstrationError, match='the states of pacman cannot be listed'):
         check_demonstration(replace(demo, method=GOAL), game)
     with pytest.raises(
-        DemonstrationError, match="unknown learning method 'maps'; choose from trees, goal"
+        DemonstrationError, match="unknown learning method 'maps'; choose from trees, forest, goal"
     ):
         check_demonstration(replace(demo, method='maps'), game)
 

@@ -201,10 +201,13 @@ class LaunchOptions(DomainOptions):
         Literal['random', 'coverage', 'failures'], typer.Option(help='choice of start states')
     ] = STRATEGY
     learn: Annotated[
-        Literal['trees', 'goal'],
+        Literal['trees', 'forest', 'goal'],
         typer.Option(
-            help='learning method: trees learns policies from the actions shown; goal plans to '
-            'an end like those shown, where all states can be listed'
+            '--learn',
+            '--model',
+            help='learning method: trees learns policies from the actions shown; forest does by '
+            'many trees, for precise ends; goal plans to an end like those shown, where all '
+            'states can be listed',
         ),
     ] = METHOD
     derive: Annotated[

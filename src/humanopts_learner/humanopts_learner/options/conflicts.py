@@ -17,7 +17,7 @@ from humanopts_env.arrays import Flags, Ints, Rows
 from humanopts_env.domains.base import ActableDomain, FeatureKind
 from humanopts_env.domains.formulas import feature_columns, FeatureColumn, plain_name, stacked
 from humanopts_env.seeding import generator
-from humanopts_learner.demonstrations import Demonstration, Kind, TREES
+from humanopts_learner.demonstrations import Demonstration, GOAL, Kind, TREES
 from humanopts_learner.intervals import Interval, LEVEL
 from humanopts_learner.options.decision_tree import encode_rows, fit_tree, Tree
 from humanopts_learner.options.learn import Dataset, Examples, make_dataset
@@ -108,7 +108,9 @@ def find_needless(
     worse = np.zeros(len(folds), dtype=np.intp)  # more errors without the feature
     for fold, option in enumerate(held_out):
         out = of_row == fold
-        without = fit_tree(X[~out], labels[~out], range(len(data.actions)), 0)
+        without = fit_tree(
+            X[~out], labels[~out], range(len(data.actions)), 0, min_leaf=data.min_leaf
+        )
         wrong, wrong_with = (
             found != labels[out]
             for found in (without.most_probable(X[out]), option.action(rows[out]))
@@ -151,7 +153,7 @@ def contradiction(
     ends, *others = _parts(data)
     starts_first = newest.kind is Kind.NOT_HERE
     for examples, words in [others[0], ends] if starts_first else [ends, *others]:
-        if words is data.actions and data.method != TREES:
+        if words is data.actions and data.method == GOAL:
             continue
         keys = list(map(tuple, stacked(chosen, examples.rows).astype(np.float32).tolist()))
         shown = list(zip(keys, examples.labels.tolist(), examples.source.tolist()))

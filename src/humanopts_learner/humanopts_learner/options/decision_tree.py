@@ -1,5 +1,5 @@
 """
-Decision trees, fitted by scikit-learn, and stored and evaluated as plain arrays.
+Decision trees and forests, fitted by scikit-learn, and stored and evaluated as plain arrays.
 
 A tree uses encoded features: an ordinal or continuous feature is a number, a nominal one is
 one-hot. They are float32, as in scikit-learn, for both fitting and evaluation. scikit-learn is
@@ -95,10 +95,11 @@ def encode_rows(encoding: Sequence[EncodedFeature], rows: Rows) -> NDArray[np.fl
 @dataclass(frozen=True, eq=False)
 class Tree:
     """
-    A decision tree with class counts.
+    A decision tree with class counts, or a forest of R trees, one after another in its arrays.
 
-    Axes: N nodes, the root first and every child after its parent; K classes. A row goes left if
-    its feature is at most the threshold.
+    Axes: N nodes, the first root first and every child after its parent; K classes. A row goes
+    left if its feature is at most the threshold. A forest gives the mean of the shares in the
+    leaves of its trees (Breiman 2001).
     """
 
     left: NDArray[np.int32]  # (N,)
@@ -108,6 +109,7 @@ class Tree:
     counts: NDArray[np.int64]  # (N, K) training examples per class
     classes: tuple[int, ...]  # (K,) labels, ascending
     n_features: int  # number of encoded features, C
+    roots: tuple[int, ...] = (0,)  # (R,) nodes, ascending
 
     def __post_init__(self) -> None:
         """
@@ -124,7 +126,8 @@ class Tree:
             raise TreeError(f'the classes of a tree are not ascending: {self.classes}')
         if (self.counts < 0).any() or not self.counts.any(axis=1).all():
             raise TreeError('a node of a tree has no examples')
-        if not np.array_equal(np.sort(children), np.arange(1, size)):
+        nodes = np.concatenate([self.roots, children])
+        if self.roots[:1] != (0,) or not np.array_equal(np.sort(nodes), np.arange(size)):
             raise TreeError('every node of a tree but the root must be the child of exactly one')
         if (children <= np.concatenate([inner, inner])).any():
             raise TreeError('a node of a tree comes before its parent')
@@ -145,47 +148,54 @@ class Tree:
         return hash((self.feature.tobytes(), self.counts.tobytes(), self.classes))
 
     def leaves(self, X: NDArray[np.float32]) -> Ints:
-        """Return (N,): the leaf of each row of X (N, C)."""
+        """Return (N, R): the leaf of each row of X (N, C) in each tree."""
         if X.ndim != 2 or X.shape[1] != self.n_features:
             raise TreeError(f'the tree takes rows of {self.n_features} features, not {X.shape}')
-        values = X.astype(np.float32, copy=False)
+        values, n_trees = X.astype(np.float32, copy=False), len(self.roots)
         if len(X) == 1:  # in a live run
-            row, at, ways = values[0].tolist(), 0, self._ways
-            while at in ways:
-                left, right, feature, threshold = ways[at]
-                at = right if row[feature] > threshold else left
-            return np.array([at])
-        if len(self.left) <= FEW_NODES:  # from the last node to the root, with all rows at once
+            row, ways, found = values[0].tolist(), self._ways, list[int]()
+            for place in self.roots:
+                while place in ways:
+                    left, right, feature, threshold = ways[place]
+                    place = right if row[feature] > threshold else left
+                found.append(place)
+            return np.array([found])
+        if len(self.left) <= FEW_NODES and n_trees == 1:  # backwards, with all rows at once
             leaf: list[Any] = [*range(len(self.left))]
             for at, left, right, feature, threshold in self._tests:
                 leaf[at] = np.where(values[:, feature] > threshold, leaf[right], leaf[left])
-            return np.full(len(X), leaf[0])
-        node = np.zeros(len(X), dtype=np.intp)
-        rows = np.arange(len(X))
-        while rows.size:
-            level = node[rows]
-            goes_right = values[rows, self.feature[level]] > self.threshold[level]
-            node[rows] = level = np.where(goes_right, self.right[level], self.left[level])
-            rows = rows[self.left[level] != LEAF]
-        return node
+            return np.full((len(X), 1), np.reshape(leaf[0], (-1, 1)))
+        node = np.tile(np.array(self.roots, dtype=np.intp), len(X))
+        going = np.flatnonzero(self.left[node] != LEAF)
+        while going.size:
+            level = node[going]
+            goes_right = values[going // n_trees, self.feature[level]] > self.threshold[level]
+            node[going] = level = np.where(goes_right, self.right[level], self.left[level])
+            going = going[self.left[level] != LEAF]
+        return node.reshape(-1, n_trees)
 
     def probabilities(self, X: NDArray[np.float32]) -> Floats:
-        """Return (N, K): the class shares in the leaf of each row of X (N, C)."""
-        return self.shares[self.leaves(X)]
+        """Return (N, K): the class shares in the leaves of each row of X (N, C)."""
+        shares: Floats = self.shares[self.leaves(X)].mean(axis=1)
+        return shares
 
     def probability_of(self, number: int, X: NDArray[np.float32]) -> Floats:
         """Return (N,): ``probabilities`` of one class, given by its position in ``classes``."""
         share: Floats = self.shares[:, number].take(self.leaves(X))
-        return share
+        return share[:, 0] if len(self.roots) == 1 else share.mean(axis=1)
 
     def most_probable(self, X: NDArray[np.float32]) -> Ints:
         """Return (N,): the position of the most likely class; the first on ties."""
-        best: Ints = self.shares.argmax(axis=1).take(self.leaves(X))
+        best: Ints
+        if len(self.roots) > 1:
+            best = self.probabilities(X).argmax(axis=1)
+        else:
+            best = self.shares.argmax(axis=1).take(self.leaves(X)[:, 0])
         return best
 
     @property
     def depth(self) -> int:
-        """Number of tests on the longest path from the root to a leaf."""
+        """Number of tests on the longest path from a root to a leaf."""
         level = np.zeros(len(self.left), dtype=np.int64)
         for node in np.flatnonzero(self.left != LEAF):
             level[[self.left[node], self.right[node]]] = level[node] + 1
@@ -218,7 +228,13 @@ class Tree:
 
 
 def fit_tree(
-    X: NDArray[np.float32], y: NDArray[np.integer], classes: Sequence[int], seed: int
+    X: NDArray[np.float32],
+    y: NDArray[np.integer],
+    classes: Sequence[int],
+    seed: int,
+    *,
+    n_trees: int = 1,
+    min_leaf: int = 1,
 ) -> Tree:
     """
     Fit a tree that separates the examples as far as their features allow (CART, Gini impurity).
@@ -227,27 +243,58 @@ def fit_tree(
     :param y: (N,) labels.
     :param classes: all possible labels, ascending; those not in y have count 0.
     :param seed: random seed for choosing between equally good splits.
+    :param n_trees: more than one: a random forest (Breiman 2001).
+    :param min_leaf: smallest number of examples in a leaf.
     :raises ValueError: there are no rows, or a label is not among the classes.
     """
     if len(X) == 0 or not np.isin(y, classes).all():
         raise ValueError('a tree is fitted to one row or more, labelled with its classes')
     from sklearn import config_context  # slow to import
-    from sklearn.tree import DecisionTreeClassifier
 
-    # Use the public class: its internals are twice as fast, but differ between versions.
-    classifier = DecisionTreeClassifier(random_state=seed)
+    # Use the public classes: their internals are twice as fast, but differ between versions.
+    usual: dict[str, Any] = {'random_state': seed, 'min_samples_leaf': min_leaf}
     with config_context(assume_finite=True, skip_parameter_validation=True):
-        fitted = classifier.fit(X, y, check_input=False).tree_  # both have the required type
-    leaf = fitted.children_left == LEAF
-    counts = np.zeros((fitted.node_count, len(classes)), dtype=np.int64)
-    shares = fitted.value[:, 0, :] * fitted.weighted_n_node_samples[:, None]
+        if n_trees == 1:
+            from sklearn.tree import DecisionTreeClassifier
+
+            classifier = DecisionTreeClassifier(**usual)
+            # Rows and labels have the required types.
+            trees = [classifier.fit(X, y, check_input=False).tree_]
+        else:
+            from sklearn.ensemble import RandomForestClassifier
+
+            classifier = RandomForestClassifier(n_trees, **usual).fit(X, y)
+            trees = [each.tree_ for each in classifier.estimators_]
+    ends = np.cumsum([tree.node_count for tree in trees])
+    roots = ends - [tree.node_count for tree in trees]
+    left, right = (
+        np.concatenate(
+            [
+                np.where((to := getattr(t, side)) == LEAF, LEAF, to + r)
+                for t, r in zip(trees, roots)
+            ]
+        )
+        for side in ('children_left', 'children_right')
+    )
+    feature, threshold, shares = (
+        np.concatenate(parts)
+        for parts in zip(
+            *(
+                (t.feature, t.threshold, t.value[:, 0] * t.weighted_n_node_samples[:, None])
+                for t in trees
+            )
+        )
+    )
+    leaf = left == LEAF
+    counts = np.zeros((len(left), len(classes)), dtype=np.int64)
     counts[:, np.searchsorted(classes, classifier.classes_)] = np.rint(shares)
     return Tree(
-        fitted.children_left.astype(np.int32),
-        fitted.children_right.astype(np.int32),
-        np.where(leaf, LEAF, fitted.feature).astype(np.int32),
-        np.where(leaf, 0.0, fitted.threshold),
+        left.astype(np.int32),
+        right.astype(np.int32),
+        np.where(leaf, LEAF, feature).astype(np.int32),
+        np.where(leaf, 0.0, threshold),
         counts,
         tuple(classes),
         X.shape[1],
+        tuple(roots.tolist()),
     )

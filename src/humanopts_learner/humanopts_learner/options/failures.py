@@ -297,7 +297,7 @@ def uncertain(option: LearnedOption, rows: Rows, demonstrations: Sequence[Demons
     """
     Return (N,): whether rows (N, F) are outside I without evidence.
 
-    They were not demonstrated, and their leaf of the tree has fewer than ``REFUSALS`` distinct
+    They were not demonstrated, and their leaves of the tree have fewer than ``REFUSALS`` distinct
     "not here" answers, or answers that it rightly does not start: it is negative mainly because of
     ends of the option.
     """
@@ -309,11 +309,13 @@ def uncertain(option: LearnedOption, rows: Rows, demonstrations: Sequence[Demons
         if not demo.actions
     ]
     refused = np.unique(_encoded(option, [rows[:0], *refusals]), axis=0)
-    answers = np.bincount(option.initiation.leaves(refused), minlength=len(option.initiation.left))
+    leaves = option.initiation.leaves(refused)
+    answers = np.bincount(leaves.ravel(), minlength=len(option.initiation.left))
     X = _encoded(option, [rows])
     shown = {row.tobytes() for row in seen}
     fresh = np.array([row.tobytes() not in shown for row in X], dtype=np.bool_)
-    return fresh & ~option.can_start(rows) & (answers[option.initiation.leaves(X)] < REFUSALS)
+    few = (answers[option.initiation.leaves(X)] < REFUSALS).all(axis=1)
+    return fresh & ~option.can_start(rows) & few
 
 
 def _encoded(option: LearnedOption, parts: Sequence[Rows]) -> NDArray[np.float32]:

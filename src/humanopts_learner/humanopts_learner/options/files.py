@@ -46,7 +46,9 @@ def option_to_json(
     """
     values = {field.name: getattr(option, field.name) for field in fields(option)}
     if option.method == TREES:
-        del values['method'], values['policy_encoding']
+        del values['method']
+    if option.policy_encoding == option.encoding:
+        del values['policy_encoding']
     if not option.most_visits:
         del values['most_visits']
     values['domain_parameters'] = json.loads(option.domain_parameters)
@@ -76,6 +78,7 @@ class _Tree(_Values):
     columns: Count
     classes: tuple[Count, ...]
     nodes: tuple[_Node, ...]
+    roots: tuple[Count, ...] = (0,)  # of a forest
 
     def tree(self) -> Tree:
         """
@@ -93,6 +96,7 @@ class _Tree(_Values):
             np.array([node.counts for node in self.nodes], dtype=np.int64),
             self.classes,
             self.columns,
+            self.roots,
         )
 
 
@@ -100,7 +104,8 @@ def _tree_data(tree: Tree) -> dict[str, Any]:
     arrays = tree.feature, tree.threshold, tree.left, tree.right, tree.counts
     nodes = [dict(zip(_Node.model_fields, each)) for each in zip(*(a.tolist() for a in arrays))]
     nodes = [node if node['left'] != LEAF else {'counts': node['counts']} for node in nodes]
-    return {'columns': tree.n_features, 'classes': list(tree.classes), 'nodes': nodes}
+    roots = {'roots': list(tree.roots)} if len(tree.roots) > 1 else {}
+    return {'columns': tree.n_features, 'classes': list(tree.classes), **roots, 'nodes': nodes}
 
 
 class _OptionFile(BaseModel):

@@ -17,13 +17,15 @@ from functools import cached_property
 from itertools import compress
 
 from humanopts_env.arrays import Flags, Ints, Rows
-from humanopts_env.domains.base import ActableDomain, action_index, is_enumerable
+from humanopts_env.domains.base import ActableDomain, action_index, FeatureKind, is_enumerable
+from humanopts_env.domains.described import can_simulate
 from humanopts_env.domains.formulas import feature_columns, FeatureColumn, stacked
 from humanopts_env.domains.registry import parameters_json
 from humanopts_env.domains.replayed_domain import ReplayedDomain
 from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import (
     Demonstration,
+    FOREST,
     GOAL,
     group_by_option,
     Kind,
@@ -46,6 +48,8 @@ from numpy.typing import NDArray
 
 MAX_STEPS = 200  # per option run, if the domain has no step limit
 FOLDS = 10
+N_TREES = 30  # of a forest
+LEAF_SIZE = 5  # on a robot: what it senses separates any two rows, and so every slip, too
 
 
 class NotLearnableError(ValueError):
@@ -77,6 +81,7 @@ class Dataset:
     chosen: tuple[FeatureColumn, ...]  # features chosen with the newest demonstration
     encoding: tuple[EncodedFeature, ...]  # of these features
     method: str = TREES  # chosen with the newest demonstration
+    min_leaf: int = 1  # smallest number of examples in a leaf of pi and beta
     ends_with_task: bool = False  # only there: states in which the task is over are no examples
 
     @property
@@ -128,7 +133,8 @@ class Dataset:
         Visited states, labelled as ends or not.
 
         Termination is checked only after a step, so a start is not an example against an end with
-        equal chosen features.
+        equal chosen features. The last state counts as often as a leaf needs examples, as if the
+        person had stayed there: one end then makes a leaf.
         """
         labelled = []
 
@@ -141,7 +147,9 @@ class Dataset:
             looks_like_end = seen(demo, 0) in ends
             first = int(looks_like_end and len(labels) > 1)
             asked = len(labels) - (self.ends_with_task and demo.terminated)
-            labelled.append((demo.feature_rows[first:asked], labels[first:asked]))
+            at = np.arange(len(labels))[first:asked]
+            at = np.append(at, at[-1:].repeat(self.min_leaf - 1))  # as if it stayed there
+            labelled.append((demo.feature_rows[at], np.array(labels)[at].tolist()))
         return Examples.of(labelled)
 
 
@@ -169,12 +177,14 @@ def make_dataset(demonstrations: Sequence[Demonstration], domain: ActableDomain)
         action_index(domain, name)
     newest = demos[-1]
     chosen = feature_columns(domain, newest.chosen_features)
+    sensed = any(column.feature.kind is FeatureKind.CONTINUOUS for column in chosen)
     return Dataset(
         tuple(without_idle_steps(demo, domain, chosen) for demo in demos),
         tuple(action.name for action in domain.actions),
         tuple(chosen),
         feature_encoding(domain, newest.chosen_features),
         newest.method,
+        LEAF_SIZE if sensed and not can_simulate(domain) else 1,
         isinstance(domain, ReplayedDomain)
         and all(demo.terminated for demo in demos if demo.kind is Kind.TRAJECTORY),
     )
@@ -196,8 +206,8 @@ def fit_option(data: Dataset, domain: ActableDomain, seed: int) -> LearnedOption
     """
     Learn an option from a data set with one or more trajectories.
 
-    All three trees are fitted to its examples; with the method ``goal``, the policy tree is fitted
-    to planned actions.
+    All three trees, or forests, are fitted to its examples; with the method ``goal``, the policy
+    tree is fitted to planned actions.
     """
     first, trajectories = data.demonstrations[0], len(data.trajectories)
     option = LearnedOption(
@@ -215,9 +225,10 @@ def fit_option(data: Dataset, domain: ActableDomain, seed: int) -> LearnedOption
         n_not_here=len(data.demonstrations) - trajectories,
         max_steps=domain.max_steps or MAX_STEPS,
         uuids=tuple(demo.uuid for demo in data.demonstrations),
+        method=data.method,
         most_visits=_most_visits(data, domain) if isinstance(domain, ReplayedDomain) else 0,
     )
-    return option if data.method == TREES else _with_planned_policy(option, data, domain)
+    return option if data.method != GOAL else _with_planned_policy(option, data, domain)
 
 
 def _most_visits(data: Dataset, domain: ActableDomain) -> int:
@@ -245,15 +256,22 @@ def _with_planned_policy(
     encoding = feature_encoding(domain, [feature.name for feature in domain.features])
     X = encode_rows(encoding, rows[known])
     policy = fit_tree(X, actions[known], range(len(domain.actions)), 0)
-    return replace(option, policy=policy, method=GOAL, policy_encoding=encoding)
+    return replace(option, policy=policy, policy_encoding=encoding)
 
 
 def _fit(data: Dataset, examples: Examples, classes: Sequence[int], seed: int) -> Tree:
-    """Fit one of the three trees to its examples, with reproducible tie-breaking per option."""
+    """Fit one of the three parts to its examples, with reproducible tie-breaking per option."""
     demo = data.demonstrations[0]
     rng = generator(seed, 'tree', demo.participant, demo.option_name)
     X = encode_rows(data.encoding, examples.rows)
-    return fit_tree(X, examples.labels, classes, int(rng.integers(2**31)))
+    return fit_tree(
+        X,
+        examples.labels,
+        classes,
+        int(rng.integers(2**31)),
+        n_trees=N_TREES if data.method == FOREST else 1,
+        min_leaf=1 if examples is data.initiation else data.min_leaf,
+    )
 
 
 def fold_of(data: Dataset, seed: int) -> Ints:

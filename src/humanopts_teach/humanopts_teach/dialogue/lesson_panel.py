@@ -7,7 +7,7 @@ from humanopts_env.arrays import Floats
 from humanopts_env.domains.capabilities import feature_groups
 from humanopts_env.domains.described import published_state
 from humanopts_env.domains.formulas import feature_columns, plain_name
-from humanopts_learner.demonstrations import GOAL, METHODS
+from humanopts_learner.demonstrations import GOAL, METHODS, TREES
 from humanopts_learner.options.conflicts import SAY_AGAIN
 from humanopts_learner.options.judge import likely_range, MIN_HELD_OUT
 from humanopts_learner.summary import Criterion, IMITATION, OptionSummary, RETURN
@@ -76,8 +76,8 @@ def progress_panel(app: App, *, questions: str, again: str, demonstrations: str)
     blocks.append(_features(app))
     if lesson.exam or lesson.phase is Phase.EXAM:
         return Panel(blocks)
-    if lesson.method == GOAL:
-        blocks.append(Line(f'policy {METHODS[GOAL]}', Tone.QUIET))
+    if lesson.method not in ('', TREES):
+        blocks.append(Line(f'policy {METHODS[lesson.method]}', Tone.QUIET))
     if progress is None or not progress.criteria:
         blocks.append(Line('Nothing has been learned yet.'))
     else:
@@ -221,7 +221,7 @@ def _results(lesson: LessonView, progress: OptionSummary) -> Iterator[Line]:
     if not math.isnan(its):
         text = f'mean return on starts it has seen: yours {yours:.2f}, the option {its:.2f}'
         yield Line(text, Tone.QUIET)
-    changed = (progress.method == GOAL) != (lesson.method == GOAL)
+    changed = progress.method != lesson.method
     if changed or set(progress.features) != set(lesson.chosen_features):
         yield Line('These results are for your earlier answers: show one more.', Tone.WARNING)
 

@@ -7,7 +7,7 @@ from functools import partial
 from humanopts_env.domains.base import Feature, FeatureKind, is_enumerable
 from humanopts_env.domains.described import can_simulate
 from humanopts_env.domains.replayed_domain import ReplayedDomain
-from humanopts_learner.demonstrations import GOAL, METHODS, TREES
+from humanopts_learner.demonstrations import FOREST, GOAL, METHODS, TREES
 from humanopts_learner.planning.abstraction import Column
 from humanopts_learner.planning.request import (
     HUMAN,
@@ -210,11 +210,12 @@ def _change(name: str, app: App) -> None:
         Item('Rename it', 'its demonstrations are kept', partial(_rename, name)),
         Item('Delete it', 'its demonstrations no longer count', partial(_delete, name)),
     ]
-    if is_enumerable(app.domain):
-        progress = app.world.summary_of(app.participant, name)
-        other = TREES if progress is not None and progress.method == GOAL else GOAL
-        note = f'{METHODS[other]}, from the next demonstration on'
-        items.append(Item(f'Learn it by {other}', note, partial(_define, name, method=other)))
+    progress = app.world.summary_of(app.participant, name)
+    other = GOAL if is_enumerable(app.domain) else FOREST
+    if progress is not None and progress.method != TREES:
+        other = TREES
+    note = f'{METHODS[other]}, from the next demonstration on'
+    items.append(Item(f'Learn it by {other}', note, partial(_define, name, method=other)))
     app.show(ListScreen(name, items, partial(_choose, 'Change which option?', _change)))
 
 

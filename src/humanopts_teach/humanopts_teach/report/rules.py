@@ -35,6 +35,8 @@ def option_rules(option: LearnedOption, domain: Domain) -> list[TreeRules]:
     found = []
     for part, (tree, classes, encoding) in trees.items():
         lines = tree_lines(tree, classes, encoding, domain)
+        if (count := len(tree.roots)) > 1:
+            lines = [f'the first of {count} trees, whose shares are averaged:', *lines]
         leaves, examples = int((tree.left == LEAF).sum()), int(tree.counts[0].sum())
         is_open = part != 'policy' and len(lines) <= LINES_SHOWN_OPEN
         found.append(TreeRules(part, tree.depth, leaves, examples, '\n'.join(lines), is_open))

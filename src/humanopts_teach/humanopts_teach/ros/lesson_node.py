@@ -109,7 +109,7 @@ class LessonNode(NodeBase):
     def _read_rules(self) -> LessonRules:
         what, default = f'of start states: {", ".join(STRATEGIES)}', LessonRules().strategy
         strategy = self.setting('strategy', default, what, among=STRATEGIES)
-        what = 'default learning method of a new option: trees or goal'
+        what = 'default learning method of a new option: trees, forest or goal'
         method = self.setting('learn', LessonRules().method, what, among=tuple(METHODS))
         what = 'formulas over features, added as features of every participant'
         formulas = self.setting('derive', [''], what)

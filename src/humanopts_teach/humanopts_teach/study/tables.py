@@ -83,7 +83,7 @@ CODEBOOK = {  # file: column: meaning
         'participant': 'code that the person was given',
         'condition': 'in which the option was taught',
         'option': f'its name, in the words of the person{_APOSTROPHE}',
-        'method': 'of learning: trees or goal',
+        'method': 'of learning: trees, forest or goal',
         'demonstrations': 'that were shown and count',
         'not_here': 'start states in which the option cannot start, by the person',
         'criteria_met': 'whether its criteria held at the end',
