@@ -5,7 +5,7 @@ from functools import partial
 from typing import Any
 
 from humanopts_ros.node_base import NodeBase
-from humanopts_ros.qos import LIVELY
+from humanopts_ros.qos import WATCH
 from humanopts_ros.senders import id_topic, Role
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.subscription import Subscription
@@ -45,7 +45,7 @@ class Liveliness:
                     Empty,
                     id_topic(publisher_id, self._role),
                     lambda _: None,
-                    LIVELY,
+                    WATCH,
                     event_callbacks=SubscriptionEventCallbacks(
                         liveliness=partial(self._on_change, publisher_id),
                         use_default_callbacks=False,

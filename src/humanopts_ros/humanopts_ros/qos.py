@@ -34,14 +34,23 @@ def _profile(
 # For publishing current values: a newer value replaces an older one, and late subscribers receive
 # the newest. Messages that must not be lost use STREAM.
 LATCHED = _profile(DurabilityPolicy.TRANSIENT_LOCAL, 1)
-# For announcing a node that drives a robot: the middleware notices within LEASE that its process
-# was killed or stopped, or that the network was cut.
-LIVELY = _profile(
-    DurabilityPolicy.TRANSIENT_LOCAL,
-    1,
-    liveliness=LivelinessPolicy.AUTOMATIC,
-    liveliness_lease_duration=Duration(seconds=LEASE),
-)
+
+
+def _lively(lease: float) -> QoSProfile:
+    return _profile(
+        DurabilityPolicy.TRANSIENT_LOCAL,
+        1,
+        liveliness=LivelinessPolicy.AUTOMATIC,
+        liveliness_lease_duration=Duration(seconds=lease),
+    )
+
+
+# For announcing a node that drives a robot. The middleware repeats that it is alive after two
+# thirds of the lease, so several of these may be late on a busy machine before LEASE is over.
+LIVELY = _lively(LEASE / 3)
+# For watching such a node: the middleware notices within LEASE that its process was killed or
+# stopped, or that the network was cut.
+WATCH = _lively(LEASE)
 # For reading current values: keeps the messages of all publishers, so that one publisher does not
 # displace another.
 CURRENT = _profile(DurabilityPolicy.TRANSIENT_LOCAL, 0)
