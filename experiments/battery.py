@@ -221,9 +221,9 @@ def give_lesson(parameters: Mapping[str, Any]) -> Rows:
     options, column = taught(lesson)
     domain, rows = described(), []
 
-    def judge(policy: str, states: str, choose: Choose, **known: int) -> None:
+    def judge(policy: str, kind: str, choose: Choose, **known: int) -> None:
         deliveries = float(np.mean(drive(options, choose, JUDGED, lesson + 1)))
-        rows.append({**dict(zip(KEYS, (policy, states))), 'deliveries': deliveries, **known})
+        rows.append({**dict(zip(KEYS, (policy, kind))), 'deliveries': deliveries, **known})
 
     judge(RULE, '', by_rule)
     judge(RANDOM, '', at_random)

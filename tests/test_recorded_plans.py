@@ -5,10 +5,12 @@ from pathlib import Path
 import signal
 from typing import Any
 
-from graph_support.live import Graph, LEARNER, open_graph, OPTION_SERVER, PLANNER
+from graph_support.live import Graph, LEARNER, open_graph, OPTION_SERVER, PLANNER, RECORDER
 from humanopts_interfaces.action import Plan, RunPolicy
 from humanopts_interfaces.msg import LearnedOption, PlanResult, PolicyGoal, PolicyResult
 from humanopts_learner.option_runs import OPTION_RUNS
+from humanopts_teach.bags.reader import open_bag
+from humanopts_teach.export.option_runs import write_option_runs
 import pytest
 
 from experiments.battery import CHARGE, DELIVER, demonstrate
@@ -31,6 +33,7 @@ def graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Graph]:
         (options / 'demonstrations.jsonl').write_text('\n'.join(lines) + '\n')
         learned = graph.listen(LearnedOption, 'learned_options')
         courier = graph.run([str(COURIER)], 'courier')
+        graph.start(RECORDER, path=graph.folder / 'bag')
         graph.start(LEARNER, directory=options)
         graph.start(OPTION_SERVER)
         graph.start(PLANNER, directory=graph.folder / 'runs')
@@ -119,6 +122,15 @@ def test_a_restarted_planner_learns_the_same_values_from_its_runs(graph: Graph) 
     again = answers[-1]
     assert again.status == again.STATUS_CONVERGED, again.detail
     assert (again.recorded_runs, again.n_states) == (first.recorded_runs, first.n_states)
+
+
+def test_the_same_runs_are_read_from_the_recording(graph: Graph, tmp_path: Path) -> None:
+    graph.stop(graph.node_called('/recorder'))
+    path, added = write_option_runs(open_bag(graph.folder / 'bag'), tmp_path)
+    live = (graph.folder / 'runs' / OPTION_RUNS).read_text()
+    assert path.read_text() == live
+    assert added == len(live.splitlines())
+    assert write_option_runs(open_bag(graph.folder / 'bag'), tmp_path) == (path, 0)
 
 
 @pytest.mark.parametrize(

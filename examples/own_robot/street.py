@@ -6,7 +6,7 @@ CHARGER, BASE = -8, 0  # cells, from west to east
 NEAREST, FARTHEST = 2, 6  # cells of targets
 FULL, STEP = 100.0, 1.5  # charge of a full battery, and what a step takes, %
 SLIP = 0.1  # chance that a move does not succeed
-MAX_STEPS, GAMMA = 200, 0.99  # of an episode
+MAX_STEPS, GAMMA = 200, 0.995  # of an episode
 ACTIONS = {
     'west': ('left', 'drive west'),
     'east': ('right', 'drive east'),

@@ -6,10 +6,10 @@ from humanopts_env.arrays import Flags, Floats
 from humanopts_env.domains.base import ActableDomain, FeatureKind
 from humanopts_learner.demonstrations import Demonstration, Kind
 from humanopts_learner.options.learned_option import LearnedOption
+from humanopts_learner.planning.abstraction import BINS
 import numpy as np
 
 MIN_STARTS = 3  # for and against an option
-AROUND = (-0.2, -0.1, 0.0, 0.1, 0.2)  # bins begin here, from the split, as shares of the range
 MIN_SHARE = 0.9  # of starts that a feature sorts correctly, mean of both sides
 
 
@@ -23,11 +23,11 @@ def suggest_column(
 
     A start of an option speaks for it, and a "not here" against it. So does the start of another
     option in a state where this one could start, too. Symbols of the options do not show such a
-    difference, so a plan needs the feature as a column. Where exactly the choice changes is for
-    the plan to find, so a continuous feature has more bins around the best split.
+    difference, so a plan needs the feature as a column. A continuous feature has ``BINS`` bins,
+    one of which begins at the best split: where exactly the choice changes, the plan finds.
 
     :param demonstrations: those of each option, by name.
-    :return: a column as in ``Abstraction``, such as ``battery:10,15,20,25,30``; empty: no feature
+    :return: a column as in ``Abstraction``, such as ``battery:2,12,22,32``; empty: no feature
         separates them.
     """
     starts = [
@@ -50,9 +50,10 @@ def suggest_column(
                 if feature.kind is FeatureKind.ORDINAL:
                     found += f':{edge:g}'
                 elif feature.kind is FeatureKind.CONTINUOUS:
-                    edges = [edge + part * feature.span for part in AROUND]
-                    inside = [f'{each:g}' for each in edges if feature.low < each < feature.high]
-                    found += f':{",".join(inside)}'
+                    width = feature.span / BINS
+                    first = feature.low + (edge - feature.low) % width
+                    edges = np.arange(first, feature.high, width)
+                    found += f':{",".join(f"{each:g}" for each in edges if each > feature.low)}'
     return found
 
 

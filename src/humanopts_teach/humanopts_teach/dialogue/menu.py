@@ -322,8 +322,9 @@ def _ask_columns(then: Do, app: App) -> None:
     ]
     if column := app.world.lesson.suggested_column:
         name, _, numbers = column.partition(':')
-        edges = numbers.split(',')
-        text = f'On {name}, around {edges[len(edges) // 2]}' if numbers else f'On {name}'
+        count = numbers.count(',') + 2
+        bins = f'in {count} bins' if count > 2 else f'below and from {numbers}'
+        text = f'On {name}, {bins}' if numbers else f'On {name}'
         note = 'it separates where you have shown your options'
         items.insert(0, Item(text, note, partial(choose, (column,))))
     title = 'What does the choice between your options depend on?'
