@@ -40,9 +40,9 @@ def test_a_lesson_is_reported_with_every_policy(
 
 @pytest.mark.parametrize(('deliveries', 'verdict'), [(13.5, 'met'), (9.0, 'missed')])
 def test_the_goals_are_compared_lesson_by_lesson(deliveries: float, verdict: str) -> None:
-    plans = battery.MODELS, battery.Q_LEARNING
+    plans, size = (battery.MODELS, battery.Q_LEARNING), {'states': 1.0, 'runs': 1.0}
     rows = [
-        {'policy': policy, 'abstract states': kind, 'deliveries': value + 0.01 * lesson}
+        {'policy': policy, 'abstract states': kind, 'deliveries': value + 0.01 * lesson, **size}
         for lesson in range(5)
         for policy, kind, value in (
             (battery.RULE, '', 14.0),
