@@ -28,6 +28,7 @@ from experiments import (
     figure3,
     figure4,
     judging,
+    rover,
     table1,
     table2,
     transfer,
@@ -43,7 +44,7 @@ app = typer.Typer(**PLAIN)
 # which makes a section from result rows.
 PAPER: list[ModuleType] = [figure2, figure3, figure4, table2]
 EXPERIMENTS = {
-    each.NAME: each for each in (*PAPER, transfer, demonstrations, worlds, judging, battery)
+    each.NAME: each for each in (*PAPER, transfer, demonstrations, worlds, judging, battery, rover)
 }
 
 
@@ -61,6 +62,7 @@ def reproduce(
             'worlds',
             'judging',
             'battery',
+            'rover',
         ],
         typer.Argument(
             metavar='WHAT',
@@ -68,7 +70,7 @@ def reproduce(
             'paper, transfer: options of one maze in others; or demonstrations: how many an '
             'option takes, by learning method; or worlds: options taught in MiniGrid, LunarLander '
             'and others; or judging: whether what a lesson calls learned is right; or battery: '
-            'plans in a world that can only be acted in',
+            'plans in a world that can only be acted in; or rover: options taught to a robot',
         ),
     ],
     out: Annotated[
@@ -85,8 +87,9 @@ def reproduce(
             parser=whole(1),
             metavar='N',
             help=f'simulated, in each group; default: {Study.participants}, and '
-            f'{worlds.LESSONS} for worlds, {judging.LESSONS} for judging and {battery.LESSONS} '
-            'for battery, where each gives one lesson in each environment or row',
+            f'{worlds.LESSONS} for worlds and rover, {judging.LESSONS} for judging and '
+            f'{battery.LESSONS} for battery, where each gives one lesson in each environment or '
+            'row',
         ),
     ] = None,
     seeds: Annotated[
@@ -126,7 +129,7 @@ def reproduce(
         own_mazes = tuple(load_maze(source).text for source in mazes)
     except (BagError, MazeError) as error:
         raise CommandError(str(error)) from error
-    lessons_each = {each.NAME: each.LESSONS for each in (worlds, judging, battery)}
+    lessons_each = {each.NAME: each.LESSONS for each in (worlds, judging, battery, rover)}
     usual = lessons_each.get(what, Study.participants)
     study = Study(participants or usual, seeds, seed, lessons, own_mazes)
     out = out or Path('runs') / f'reproduce-{what}'
