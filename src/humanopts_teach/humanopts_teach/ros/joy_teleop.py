@@ -24,6 +24,7 @@ from humanopts_teach.lesson.requests import (
 )
 from humanopts_teach.ros.convert import ACTIONS, TEACHING
 from humanopts_teach.ros.graph_client import ClientError, Goal, GraphClient
+from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.task import Future
 from sensor_msgs.msg import Joy
 
@@ -64,6 +65,10 @@ class JoyTeleopNode(NodeBase):
         self._give_up_at = self._repeat_at = 0.0
         self._run: Goal | None = None  # run of the exam begun here
         self._busy = False  # a request is being carried out
+        self._deed = Deed.STOP  # that request
+        self._pressed: tuple[Deed, ...] = ()  # of the button pressed meanwhile
+        group = ReentrantCallbackGroup()
+        self._work = self.create_timer(0.0, self._carry_out, callback_group=group, autostart=False)
         self._fault = self._said = ''
         self._joy = self.create_subscription(Joy, 'joy', self._on_joy, SENSOR)
         self._silent = self.create_timer(self._timeout, self._on_silence, autostart=False)
@@ -121,13 +126,8 @@ class JoyTeleopNode(NodeBase):
         elif reading.fresh:
             self._next = reading.action
         self._drive()
-        if deed := next(filter(self._applies, reading.deeds), None):
-            if deed is Deed.STOP:
-                self._stop()
-            self._start(deed)
-        elif reading.deeds:
-            phase = self._client.world.lesson.phase.value
-            self._say(f'{reading.deeds[0]}: not now (the lesson: {phase})')
+        if reading.deeds:
+            self._press(reading.deeds)
 
     def _on_silence(self) -> None:
         self._silent.cancel()
@@ -214,15 +214,23 @@ class JoyTeleopNode(NodeBase):
             case Deed.STOP:
                 return True
 
-    def _start(self, deed: Deed) -> None:
+    def _press(self, deeds: tuple[Deed, ...]) -> None:
+        """Begin what a button asks for, if it is possible, or when the last request is done."""
+        if Deed.STOP in deeds:
+            self._stop()
         if self._busy:
-            return
-        self._busy = True
-        assert self.executor is not None, 'the node serves'
-        self.executor.create_task(self._carry_out, deed)
+            self._pressed = deeds
+        elif deed := next(filter(self._applies, deeds), None):
+            self._busy, self._deed = True, deed
+            self._work.reset()
+        else:
+            phase = self._client.world.lesson.phase.value
+            self._say(f'{deeds[0]}: not now (the lesson: {phase})')
 
-    async def _carry_out(self, deed: Deed) -> None:
+    async def _carry_out(self) -> None:
         """Carry out what a button asks for; a refusal is logged."""
+        self._work.cancel()
+        deed = self._deed
         try:
             if self._takes_time and deed in _VERDICTS:
                 await self._stand_still()
@@ -237,6 +245,9 @@ class JoyTeleopNode(NodeBase):
             self._say(str(error))
         finally:
             self._busy = False
+            if pressed := self._pressed:
+                self._pressed = ()
+                self._press(pressed)
 
     def _on_accepted(self, done: Future) -> None:
         if not done.result().ok:
