@@ -87,10 +87,10 @@ def test_what_was_never_seen_is_asked_for_only_while_there_are_few_starts() -> N
 def test_disagreement_is_named_by_the_range_that_holds_it() -> None:
     """One demonstration says what to do at the closed door: without it, the others say else."""
     demos = [drive(start, n) for n, start in enumerate((9, 7, 5, 3, 2, 8), 1)]
-    demos += [drive(4, 7, door=1, action='left'), demonstration([(2, 5, 0)], [], 8)]
+    demos += [drive(6, 7, door=1, action='left'), demonstration([(2, 5, 0)], [], 8)]
     assert missing(demos) == 'demonstrations disagree with door closed'
     assert (
-        missing([*demos, drive(4, 9, door=1, action='left'), demonstration([(2, 4, 0)], [], 10)])
+        missing([*demos, drive(6, 9, door=1, action='left'), demonstration([(2, 4, 0)], [], 10)])
         == ''
     )
 

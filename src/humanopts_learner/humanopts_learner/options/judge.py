@@ -218,7 +218,7 @@ def judge(
             criteria.append(_imitation(look, domain, in_sample))
         criteria.append(_return(look, domain, thresholds.return_share, held_out, known))
     else:
-        criteria.append(_agreement(look, domain, held_out))
+        criteria.append(_agreement(look, domain, held_out, thresholds.exam))
     errors: list[float | None] = [None, None]
     if held_out is not None:
         ends = held_out_ends(held_out, domain, seed)
@@ -443,12 +443,15 @@ def _return(
     return Criterion.of(RETURN, mean, threshold, high, count)
 
 
-def _agreement(look: _Look, domain: ActableDomain, held_out: HeldOut | None) -> Criterion:
+def _agreement(
+    look: _Look, domain: ActableDomain, held_out: HeldOut | None, exam: int
+) -> Criterion:
     """
     Return the criterion of agreement, in a domain that can only be acted in.
 
     An option would repeat a demonstration if it can start there, ends with it, and takes most of
-    its actions: runs with several wrong actions may still reach their end.
+    its actions: runs with several wrong actions may still reach their end. For the same reason,
+    its limit decides only without an exam, which judges outcomes, with limits of its own.
     """
     if held_out is None:
         return Criterion.of(AGREEMENT, None, REPEATED, count=len(look.data.trajectories))
@@ -462,7 +465,8 @@ def _agreement(look: _Look, domain: ActableDomain, held_out: HeldOut | None) -> 
             option.can_start(rows[:1])[0] and most and ends.argmax() == len(actions) > 0
         )
     share = Interval.of_share(np.array(repeated), look.level)
-    return Criterion.of(AGREEMENT, share.mean, REPEATED, share.low, len(repeated))
+    low = None if exam else share.low
+    return Criterion.of(AGREEMENT, share.mean, REPEATED, low, len(repeated))
 
 
 def _ends_along(option: LearnedOption, demo: Demonstration) -> Flags:
