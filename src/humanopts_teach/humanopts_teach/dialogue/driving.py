@@ -1,7 +1,7 @@
 """Screens for playing the game: by the person, a taught option or a plan."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, KW_ONLY
+from dataclasses import dataclass, KW_ONLY, replace
 from functools import partial
 
 from humanopts_env.seeding import generator
@@ -307,10 +307,12 @@ class WatchScreen(PlayScreen):
         app.ask(*app.release(), plan)
 
     def _play(self, app: App) -> None:
-        episodes = LEARNING_EPISODES if self.learning else EPISODES
-        columns = self.columns if self.learning else ()
-        parts = self.action_set, app.participant, episodes, app.seed, self.execution
-        app.ask(*app.release(), PlayEpisodes(*parts, self.learning, columns))
+        run = PlayEpisodes(self.action_set, app.participant, EPISODES, app.seed, self.execution)
+        first: list[Request] = []
+        if self.learning:  # it begins without a plan
+            first, more = app.release(), LEARNING_EPISODES
+            run = replace(run, episodes=more, learning=self.learning, columns=self.columns)
+        app.ask(*first, run)
 
     def _change(self, app: App) -> None:
         """Switch to the next arbitration, also for an active run."""
