@@ -315,7 +315,8 @@ def give_lesson(parameters: Mapping[str, Any]) -> Rows:
 
 
 def _place(rover: Simulation, skill: Skill) -> None:
-    """Put a rover where an option can start."""
+    """Put a rover where an option can start, with a full battery."""
+    rover.battery = 1.0
     rover.place_randomly()
     while not skill.can_start(rover):
         rover.place_randomly()
