@@ -399,7 +399,7 @@ def test_a_driver_that_dies_or_stops_stops_the_robot(
     if source == PERSON:
         locked = ControlState.HOLDER_LOCKED
         course.graph.until(lambda: course.player.controls[-1].holder == locked, 'the lock')
-        assert course.player.controls[-1].reason.endswith('was not heard for 0.3 s')
+        assert course.player.controls[-1].reason.endswith('was not heard for 0.25 s')
     if how == signal.SIGSTOP:
         driver.kill(signal.SIGKILL)
 

@@ -206,11 +206,11 @@ class Course:
         self._ready()
         self._still(10.0)
         self._carry(START)
-        self._take(driver)
-        graph.until(lambda: self._at[-1][1] > 0.1, f'{driver} to drive', 30.0)
-        goes_on = time.monotonic() + self._chance.uniform(0.8, 1.4)
-        graph.until(lambda: time.monotonic() > goes_on, 'the moment of the fault')
         try:
+            self._take(driver)
+            graph.until(lambda: self._at[-1][1] > 0.1, f'{driver} to drive', 30.0)
+            goes_on = time.monotonic() + self._chance.uniform(0.8, 1.4)
+            graph.until(lambda: time.monotonic() > goes_on, 'the moment of the fault')
             graph.until(lambda: self._at[-1][1] > 0.1, f'{driver} to drive on', 2.0)
         except AssertionError:  # it stopped without a fault
             self.stops += 1

@@ -11,7 +11,7 @@ from rclpy.qos import (
     ReliabilityPolicy,
 )
 
-LEASE = 0.3  # s after which a process that drives a robot counts as gone if it is not heard
+LEASE = 0.25  # s after which a process that drives a robot counts as gone if it is not heard
 
 
 def _profile(
