@@ -16,9 +16,9 @@ WORLD_FILE = """
 name: by_frames
 use_sim_time: yes
 topics:
-  tf: {topic: /tf, type: tf2_msgs/msg/TFMessage, stale: 0.5}
+  tf: {topic: /tf, type: tf2_msgs/msg/TFMessage, stale: 5.0}
   fixed: {topic: /tf_static, type: tf2_msgs/msg/TFMessage, latched: yes}
-  odom: {topic: /odom, type: nav_msgs/msg/Odometry, stale: 0.5}
+  odom: {topic: /odom, type: nav_msgs/msg/Odometry, stale: 5.0}
 places:
   corner: {x: 2.5, y: 3.5, yaw: 1.0}
 features:

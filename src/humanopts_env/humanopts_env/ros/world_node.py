@@ -332,7 +332,8 @@ class WorldNode(LockStepNode):
         )
 
 
-main = partial(run_node, WorldNode, by_events=True)  # sensors send a hundred messages a second
+# Not by_events: the EventsExecutor can crash when a watched node is forgotten in its own callback.
+main = partial(run_node, WorldNode)
 
 if __name__ == '__main__':
     sys.exit(main())
