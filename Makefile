@@ -142,7 +142,7 @@ test-kilted:
 test-floor: checked build/floor/.locked
 	@$(WITH_ROS); export PYTHONPATH=$(CURDIR)/build/floor:$$PYTHONPATH; \
 	  $(VENV)/bin/python tools/check_floor.py requirements-floor.lock && \
-	  OMP_NUM_THREADS=1 $(VENV)/bin/python -m pytest -q --hypothesis-profile few \
+	  OMP_NUM_THREADS=1 $(VENV)/bin/python -m pytest -q -n 2 --hypothesis-profile few \
 	  -m 'not slow and not live and not heavy' $(or $(ARGS),$(FLOOR))
 
 test-whole: checked
