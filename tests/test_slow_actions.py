@@ -214,10 +214,10 @@ def test_a_goal_that_cannot_run_is_rejected_and_the_reason_is_published(
     over = robot.refused(FAR)
     assert over.status == OptionResult.STATUS_NO_EPISODE
     robot.reset()
-    robot.world.control(ControlState.HOLDER_LOCKED, 'nobody took control yet')
+    robot.world.control(ControlState.HOLDER_LOCKED, 'no one has taken control')
     robot.graph.until(lambda: robot.beep() == OptionResult.STATUS_INTERRUPTED, 'the lock')
     assert robot.refused(FAR).detail == (
-        'it was interrupted: the robot is locked (nobody took control yet): take control and '
+        'it was interrupted: the robot is locked (no one has taken control): take control and '
         'give it back'
     )
     robot.world.control(ControlState.HOLDER_NOBODY, 'the person gave control back')

@@ -330,7 +330,7 @@ class Course:
 
 
 def plan(kinds: Sequence[str], faults: int, seed: int) -> list[tuple[str, str]]:
-    """Return so many faults with their drivers, each kind as often as the others, shuffled."""
+    """Return ``faults`` faults with their drivers, shuffled, each kind equally often."""
     pairs = [(kind, driver) for kind in kinds for driver in KINDS.get(kind, DRIVERS)]
     chosen = list(itertools.islice(itertools.cycle(pairs), faults))
     random.Random(seed).shuffle(chosen)

@@ -6,6 +6,7 @@ The values mirror the messages of humanopts_interfaces: the enums have the numbe
 ``SetControl``; the dataclasses have their fields.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from enum import IntEnum
@@ -208,7 +209,7 @@ class Reply:
     control: Control | None = None  # the new state of control; None: unchanged
 
 
-class LockStep:
+class LockStep(ABC):
     """
     Who may act when: the rules of control and refusal, shared by games and robots.
 
@@ -226,9 +227,9 @@ class LockStep:
         self.control = Control(Holder.NOBODY, '', 'the game started')
         self.paused = ''
 
+    @abstractmethod
     def command(self, command: Command) -> 'Result':
         """Execute a command, or refuse it."""
-        raise NotImplementedError
 
     def reset(self, start_state: str, seed: int, source: int) -> Reply:
         """
@@ -288,13 +289,13 @@ class LockStep:
         """Return whether a person at another terminal holds control."""
         return self.control.holder is Holder.PERSON and self.control.holder_id != publisher_id
 
+    @abstractmethod
     def _begin(self, start_state: str, seed: int) -> tuple[str, tuple[float, ...]]:
         """
         Begin an episode; return the text and the features of its first state.
 
         :raises DomainError: it cannot begin there.
         """
-        raise NotImplementedError
 
     def _objection(self, command: Command) -> tuple[Reason, str] | None:
         """Return the reason to refuse a command; None: it can be executed."""

@@ -1,5 +1,6 @@
 """The base of ``game`` and ``world``: who acts, how fast, and what is published of it."""
 
+from abc import ABC, abstractmethod
 from collections import deque
 from functools import partial
 from typing import Any, ClassVar
@@ -48,7 +49,7 @@ _LEASE_PERIOD = 0.25  # s between checks of the leases
 _SHOW_PERIOD = 0.02  # s, minimum time between current states while the machine plays
 
 
-class LockStepNode(NodeBase):
+class LockStepNode(NodeBase, ABC):
     """Publish states in lock-step, and answer every command with a state or a refusal."""
 
     role: ClassVar[Role] = 'game'
@@ -101,13 +102,13 @@ class LockStepNode(NodeBase):
         """Publish the last state as the current one."""
         self._show()
 
+    @abstractmethod
     def make_game(self) -> LockStep:
         """
         Read the parameters of the world, and return it without an episode.
 
         :raises StartError: a parameter is invalid.
         """
-        raise NotImplementedError
 
     def on_begun(self, begun: Begun) -> None:
         """Handle an action that takes time. To be overridden."""

@@ -277,7 +277,7 @@ def _chance_and_steps(
 
 
 def _gamma(domain: EnumerableDomain) -> float:
-    """Return the discount of planned policies, with which every run comes to an end."""
+    """Return the discount of planned policies, below 1, so that every run ends."""
     return min(domain.gamma, MAX_GAMMA)
 
 

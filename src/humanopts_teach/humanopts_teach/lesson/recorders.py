@@ -56,7 +56,7 @@ class Recorders:
         one for a single check, so that the lesson publishes everything again for it.
 
         :param present: whether a recorder is on the graph; a killed one remains for a while.
-        :param checks: number of checks that this one stands for.
+        :param checks: number of checks that this one replaces.
         """
         for recorder in self._known.values():
             recorder.checks += checks
