@@ -154,7 +154,10 @@ def test_every_target_is_there_and_named_by_help() -> None:
     assert [t for t in TARGETS if t != 'help' and f'make {t}' not in text] == []
 
 
-@pytest.mark.parametrize('failing', ['', 'checked', 'docs', 'lint', 'test-floor', 'test'])
+CHECKS = ['checked', 'docs', 'lint', 'test', 'test-floor', 'test-slow']
+
+
+@pytest.mark.parametrize('failing', ['', *CHECKS])
 def test_the_whole_check_runs_all_checks_and_fails_where_one_does(
     tmp_path: Path, failing: str
 ) -> None:
@@ -175,7 +178,7 @@ def test_the_whole_check_runs_all_checks_and_fails_where_one_does(
     )
     assert (done.returncode != 0) is bool(failing)
     if not failing:
-        assert sorted(done.stdout.split()) == ['checked', 'docs', 'lint', 'test', 'test-floor']
+        assert sorted(done.stdout.split()) == CHECKS
 
 
 def test_the_python_of_the_set_up_finds_the_packages_with_nothing_sourced(tmp_path: Path) -> None:
