@@ -154,7 +154,7 @@ def test_every_target_is_there_and_named_by_help() -> None:
     assert [t for t in TARGETS if t != 'help' and f'make {t}' not in text] == []
 
 
-CHECKS = ['checked', 'docs', 'lint', 'test', 'test-floor', 'test-slow']
+CHECKS = ['checked', 'docs', 'lint', 'test', 'test-browser', 'test-floor', 'test-slow']
 
 
 @pytest.mark.parametrize('failing', ['', *CHECKS])
@@ -164,18 +164,24 @@ def test_the_whole_check_runs_all_checks_and_fails_where_one_does(
     for folder in ('.ci', 'bin', 'build'):
         (tmp_path / folder).mkdir()
     check_all = Path(shutil.copy(ROOT / '.ci/run', tmp_path / '.ci'))
-    stand_in = tmp_path / 'bin/make'
-    stand_in.write_text(
-        '#!/bin/sh\nfor word; do case $word in "$FAILING") exit 3;; ARGS=*|-*) ;; '
-        '*) echo "$word"; esac; done\n'
-    )
-    stand_in.chmod(0o755)
-    path = f'{stand_in.parent}:{os.environ["PATH"]}'
+    stand_ins = {
+        'make': 'for word; do case $word in "$FAILING") exit 3;; ARGS=*|-*) ;; '
+        '*) echo "$word"; esac; done',
+        'apt-get': 'echo "$@" >&2',
+        'id': 'echo 0',
+    }
+    for name, script in stand_ins.items():
+        stand_in = tmp_path / 'bin' / name
+        stand_in.write_text(f'#!/bin/sh\n{script}\n')
+        stand_in.chmod(0o755)
+    for name in ('bash', 'dirname', 'sh'):  # neither Chromium nor its driver
+        (tmp_path / 'bin' / name).symlink_to(shutil.which(name) or '')
     done = subprocess.run(
         check_all,
-        env={**os.environ, 'PATH': path, 'FAILING': failing},
+        env={**os.environ, 'PATH': f'{tmp_path}/bin', 'FAILING': failing},
         **TEXT,
     )
+    assert 'chromium chromium-driver' in done.stderr
     assert (done.returncode != 0) is bool(failing)
     if not failing:
         assert sorted(done.stdout.split()) == CHECKS
