@@ -108,6 +108,19 @@ def test_a_condition_can_be_without_pictures(write: Write) -> None:
     assert [each.picture for each in plan.conditions] == [True, False]
 
 
+def test_each_participant_gets_one_condition_in_turn_and_the_buttons_to_teach(
+    write: Write,
+) -> None:
+    text = PLAN.replace('study:', 'order: one\nparticipants: 4\nstudy:')
+    text = text.replace('name: trees', 'name: trees, teach_buttons: [fetch, bring]')
+    plan = read_plan(write(text.replace('learn: goal', 'teach: 0')))
+    order = [[each.name for each in plan.order_of(number)] for number in range(4)]
+    assert order == [['trees'], ['goal'], ['trees'], ['goal']]
+    (teaching,) = [part for part in plan.parts_of(0) if part.kind is PartKind.TEACH]
+    assert teaching.teach_buttons == ('fetch', 'bring')
+    assert keys(plan, 1)[-3:] == ['goal/play', 'goal/buttons', 'goal/questions']
+
+
 def test_a_random_order_is_that_of_the_seed(write: Write) -> None:
     path = write(PLAN.replace('study:', 'order: random\nstudy:'))
     one, again = read_plan(path), read_plan(path)
@@ -118,10 +131,12 @@ def test_a_random_order_is_that_of_the_seed(write: Write) -> None:
 LAKE = 'domain: "gymnasium:FrozenLake-v1", parameters: {is_slippery: "False"}'
 CHANGES = [  # what is replaced in the plan, each time by something that cannot be used
     ('study:', ['colour: 1\nstudy:', 'order: any\nstudy:', 'study: a b #', 'study: [']),
+    ('study:', ['order: one\nparticipants: 3\nstudy:']),
+    ('learn: goal', ['teach_buttons: [x, x]', f'teach_buttons: [{61 * "x"}]']),
     ('study:', ['welcome: x\nstudy:', 'seed: 2026-13-45\nstudy:', 'seed: !!int x\nstudy:']),
     ('study:', ['all: {<<: {}}\nstudy:', 'participants: 3\nstudy:', 'participants: -1\nstudy:']),
     ('name: trees', ['names: trees', 'name: No', 'name: goal', 'name: 1.5', 'name: a b']),
-    ('teach: 10', ['tech: 10', 'teach: 0', 'teach: ten', 'teach: yes', 'budget: 0']),
+    ('teach: 10', ['tech: 10', 'teach: -1', 'teach: ten', 'teach: yes', 'budget: 0']),
     ('buttons: 3', ['buttons: -1', 'strategy: luck', 'learn: magic', 'derive: [taxi_row - a]']),
     ('domain: taxi', ['domain: pacman', 'domain: chess', 'parameters: {}', LAKE]),
     ('domain: taxi', ['domain: taxi, parameters: {rows: 7.0}']),

@@ -148,18 +148,25 @@ class Study:
         record = participant.read()
         for condition, parts in turns:
             if left := record.remaining(parts):
-                setup = self._setup(plan, participant, condition, () if simulated else left)
+                setup = self._setup(plan, participant, condition, left, simulated=simulated)
                 return Turn(condition, left, setup)
         notes.note('ended')
         return f'{code} has finished; everything is in {self.folder.path}'
 
     def _setup(
-        self, plan: StudyPlan, participant: Record, condition: Condition, left: Sequence[Part]
+        self,
+        plan: StudyPlan,
+        participant: Record,
+        condition: Condition,
+        left: Sequence[Part],
+        *,
+        simulated: bool,
     ) -> Setup:
         """
         Return the launch of a condition.
 
-        :param left: parts that a person has to do; none: a simulated teacher takes part.
+        :param left: parts to do.
+        :param simulated: whether a simulated teacher takes part.
         """
         launch = LaunchOptions(
             out=self.folder.path / participant.code / condition.name,
@@ -177,9 +184,11 @@ class Study:
             'pictures': condition.picture,
             'step_period': WATCHED,
         }
-        if not left:
+        if simulated:
             domain = make_domain(condition.domain, dict(condition.parameters))
-            own = {'taught': taught_options(domain), 'teacher_error_rate': _ERROR_RATE}
+            teaches = any(part.kind is PartKind.TEACH for part in left)
+            taught = condition.teach_buttons or taught_options(domain)
+            own = {'taught': taught if teaches else (), 'teacher_error_rate': _ERROR_RATE}
         return setup_from(
             condition.domain,
             launch,

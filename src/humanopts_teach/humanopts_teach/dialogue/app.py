@@ -145,6 +145,7 @@ class App:
         self.seed = seed
         self.participant = ''
         self.known_options: tuple[str, ...] = ()  # in order of creation
+        self.given_options: tuple[str, ...] = ()  # to be taught; empty: the person names them
         self.message = GAP
         self.screen = first
         self.run: ActionGoal | None = None  # active run

@@ -127,15 +127,17 @@ def to_menu(app: App) -> None:
         app.ask(SetControl(hold=False))
     app.next_start = ''
     known = len(app.known_options)
-    items = [Item('Teach a new option', 'name it, answer questions, show it', _name_option)]
-    if known:
-        items.append(Item('Continue teaching an option', f'{known} so far', _choose_known))
+    items = _items(app.given_options, _define, app)
+    if not items:
+        items = [Item('Teach a new option', 'name it, answer questions, show it', _name_option)]
+        if known:
+            items.append(Item('Continue teaching an option', f'{known} so far', _choose_known))
     items += [
         Item('Run a taught option', 'the machine runs it, you watch', _list_taught),
         Item('Watch the machine play', 'it plans, then plays', _choose_plan),
         Item('Drive freely', 'get to know the game and the keys', _play),
     ]
-    if known:
+    if known and not app.given_options:
         note = 'rename or delete it, or learn it in another way'
         choose = partial(_choose, 'Change which option?', _change)
         items.append(Item('Change an option', note, choose))

@@ -94,6 +94,7 @@ class StudyApp(App):
         left = 60 * part.minutes - self._record.seconds_in(part.key)
         self._ends = now + left if part.minutes else math.inf
         self._signed, self._announced, self._taught = now, False, ()
+        self.given_options = part.teach_buttons
         self.note('part began')
         self.show(_first_screen(self._part, self._code))
 

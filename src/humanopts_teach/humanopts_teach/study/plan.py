@@ -2,7 +2,8 @@
 The plan of a study: its conditions, their parts, and their order for each participant.
 
 A plan is a YAML file; pages are Markdown files in the same folder. Every participant completes all
-conditions. The order is counterbalanced deterministically, so it is known in advance.
+conditions, or one of them. The order is counterbalanced deterministically, so it is known in
+advance.
 """
 
 from collections.abc import Iterable
@@ -44,6 +45,8 @@ MAX_PAGES = 100  # maximum number of pages in a file
 MAX_PAGE = 100_000  # maximum number of characters in a file of pages
 MAX_LINE = 2000  # maximum number of characters of a question, label or other text
 MAX_MINUTES = 10**6
+MAX_BUTTONS = 9  # maximum number of buttons to teach; each has a digit key in the menu
+MAX_BUTTON = 60  # maximum number of characters of a button
 
 
 class PlanFileError(ValueError):
@@ -65,6 +68,12 @@ def _plain(text: str) -> str:
     return text
 
 
+def _short(text: str) -> str:
+    if len(text) > MAX_BUTTON:
+        raise ValueError(f'use at most {MAX_BUTTON} characters')
+    return text
+
+
 def _given(value: Any) -> Any:
     if value is None:
         raise ValueError('give a text, or leave the key out')
@@ -77,10 +86,14 @@ def _as_name(text: str) -> str:
     return text
 
 
-def _distinct(named: tuple[Any, ...]) -> tuple[Any, ...]:
-    names = [each.name for each in named]
+def _different(names: tuple[str, ...]) -> tuple[str, ...]:
     if twice := next((name for name in names if names.count(name) > 1), None):
-        raise ValueError(f'the name {twice} is used twice')
+        raise ValueError(f'{twice!r} is given twice')
+    return names
+
+
+def _distinct(named: tuple[Any, ...]) -> tuple[Any, ...]:
+    _different(tuple(each.name for each in named))
     return named
 
 
@@ -91,6 +104,7 @@ Text = Annotated[
     AfterValidator(_plain),
 ]
 Name = Annotated[Text, AfterValidator(_as_name)]
+ButtonName = Annotated[Text, AfterValidator(_short)]
 Given = Annotated[Text | None, BeforeValidator(_given)]  # None: the key is missing
 Whole = Annotated[int, Field(ge=0, lt=2**31)]
 Minutes = Annotated[float, Field(ge=0, lt=MAX_MINUTES)]
@@ -102,6 +116,7 @@ class Order(Enum):
     FIXED = 'fixed'  # as in the plan
     BALANCED = 'balanced'  # rows of a balanced Latin square, in turn
     RANDOM = 'random'  # drawn from the study's seed and the participant's number
+    ONE = 'one'  # a single condition each, in turn
 
 
 class PartKind(Enum):
@@ -145,6 +160,7 @@ class Part(_Values):
     text: str = ''  # text of a page, Markdown
     minutes: float = 0.0  # time limit; 0: none
     most: int = 0  # maximum number of buttons to suggest
+    teach_buttons: tuple[str, ...] = ()  # options to teach; empty: the person names them
     questions: Questionnaire | None = None
 
 
@@ -166,7 +182,12 @@ class Condition(_Values):
     page: Given = None  # Markdown file, shown first
     free_play: Minutes = 0.0
     buttons: Whole = 0  # maximum number of buttons to suggest; 0 omits the part
-    teach: Annotated[float, Field(gt=0, lt=MAX_MINUTES)] = 20.0  # time limit for teaching
+    teach: Minutes = 20.0  # time limit for teaching
+    teach_buttons: Annotated[
+        tuple[ButtonName, ...],
+        Field(max_length=MAX_BUTTONS),
+        AfterValidator(_different),
+    ] = ()  # options to teach; empty: participants name their own
     questions: Given = None  # file, or name of a bundled questionnaire
 
 
@@ -188,7 +209,13 @@ class _PlanFile(_Values):
 
     @model_validator(mode='after')
     def _can_be_balanced(self) -> Self:
-        orders, count = len(balanced_latin_square(len(self.conditions))), self.participants
+        count = self.participants
+        if self.order is Order.ONE and count % len(self.conditions):
+            raise ValueError(
+                f'{count} participants cannot be divided equally among {len(self.conditions)} '
+                'conditions: give a multiple'
+            )
+        orders = len(balanced_latin_square(len(self.conditions)))
         if self.order is Order.BALANCED and count % orders:
             fitting = {max(1, count // orders) * orders, (count // orders + 1) * orders}
             raise ValueError(
@@ -217,6 +244,8 @@ class StudyPlan(_PlanFile):
             indices = square[number % len(square)]
         elif self.order is Order.RANDOM:
             indices = generator(self.seed, 'order', number).permutation(indices).tolist()
+        elif self.order is Order.ONE:
+            indices = [number % len(indices)]
         return [self.conditions[index] for index in indices]
 
     def turns_of(self, number: int) -> list[tuple[Condition, list[Part]]]:
@@ -235,7 +264,15 @@ class StudyPlan(_PlanFile):
             if each.buttons and each.domain not in asked:
                 asked.add(each.domain)
                 parts.append(Part(kind=PartKind.BUTTONS, key=f'{name}/buttons', most=each.buttons))
-            parts.append(Part(kind=PartKind.TEACH, key=f'{name}/teach', minutes=each.teach))
+            if each.teach:
+                parts.append(
+                    Part(
+                        kind=PartKind.TEACH,
+                        key=f'{name}/teach',
+                        minutes=each.teach,
+                        teach_buttons=each.teach_buttons,
+                    )
+                )
             if each.questions:
                 questions = self.questionnaires[each.questions]
                 parts.append(
