@@ -8,6 +8,7 @@ setup(
     name=NAME,
     version='0.1.0',
     install_requires=[
+        'babel>=2.10.3',
         'jinja2>=3.1.2',
         'lazy-loader>=0.3',
         'markdown-it-py>=3.0.0',
@@ -29,6 +30,7 @@ setup(
             'py.typed',
             '__init__.pyi',
             'gamepad.yaml',
+            'locale/*.po',
             'report/*.html',
             'report/*.css',
             'report/*.txt',

@@ -1,0 +1,163 @@
+"""
+The language of what a person reads: GNU gettext, one PO file per language.
+
+English is the source. What nodes publish and files record stays English, so that bags and tables
+do not depend on the language; ``translated`` translates such texts when they are displayed.
+"""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from functools import cache, lru_cache
+from gettext import GNUTranslations, NullTranslations
+from io import BytesIO
+from pathlib import Path
+import re
+from typing import NamedTuple
+
+ENGLISH = 'en'
+_FOLDER = Path(__file__).parent / 'locale'
+_FIELD = re.compile(r'\{(\w*)[^{}]*\}')  # a placeholder, with its format
+_NAMES = {'code', 'name', 'option', 'participant'}  # placeholders of what people typed
+_SENTENCE_END = re.compile(r'(?<=[.!?]) ')
+_WITHIN_A_SENTENCE = '(?:(?![.!?] ).)*?'
+
+
+class LanguageError(Exception):
+    """A language is unknown, or its file cannot be used; the message says why."""
+
+
+class _Language(NamedTuple):
+    tag: str  # BCP 47
+    catalog: NullTranslations
+    templates: tuple[tuple[re.Pattern[str], str], ...]  # English and translation; longest first
+
+
+_SOURCE = _Language(ENGLISH, NullTranslations(), ())
+_spoken = ContextVar('_spoken', default=_SOURCE)
+
+
+def languages() -> tuple[str, ...]:
+    """Return the codes of the languages that are included."""
+    return (ENGLISH, *sorted(path.stem for path in _FOLDER.glob('*.po')))
+
+
+@contextmanager
+def speaking(language: str) -> Iterator[None]:
+    """
+    Speak a language in this context: this thread or task, and the tasks that it creates.
+
+    :param language: one of ``languages``, or the path of a PO file.
+    :raises LanguageError: it is unknown, or its file cannot be used.
+    """
+    token = _spoken.set(read_language(language))
+    try:
+        yield
+    finally:
+        _spoken.reset(token)
+
+
+def spoken() -> str:
+    """Return the code (BCP 47) of the language spoken here."""
+    return _spoken.get().tag
+
+
+def _(text: str) -> str:
+    """Return a text in the language spoken; its placeholders are filled in afterwards."""
+    return _spoken.get().catalog.gettext(text) if text else ''
+
+
+def ngettext(one: str, more: str, count: int) -> str:
+    """Return the text for a count, with ``{count}`` not filled in yet."""
+    return _spoken.get().catalog.ngettext(one, more, count)
+
+
+def N_(text: str) -> str:  # noqa: N802, the usual name
+    """Mark a text, or an f-string, that is translated when it is displayed."""
+    return text
+
+
+def translated(text: str) -> str:
+    """Return a text that was composed in English elsewhere, in the language spoken."""
+    return _translated(_spoken.get(), text)
+
+
+@lru_cache(4096)
+def _translated(language: _Language, text: str) -> str:
+    if not text or (found := language.catalog.gettext(text)) != text:
+        return found if text else ''
+    for pattern, template in language.templates:
+        if match := pattern.fullmatch(text):
+            values = match.groupdict().items()
+            return template.format_map(
+                {name: v if name in _NAMES else _translated(language, v) for name, v in values}
+            )
+    sentences = _SENTENCE_END.split(text)
+    if len(sentences) > 1:
+        return ' '.join(_translated(language, each) for each in sentences)
+    return text
+
+
+@cache
+def read_language(language: str) -> _Language:
+    """
+    Read a language, once.
+
+    :raises LanguageError: it is unknown, or its file cannot be used.
+    """
+    if language == ENGLISH:
+        return _SOURCE
+    if not language.endswith('.po') and language not in languages():
+        known = ', '.join(languages())
+        raise LanguageError(f'unknown language {language!r}; choose from {known}, or a .po file')
+    path = Path(language) if language.endswith('.po') else _FOLDER / f'{language}.po'
+    from babel.messages.mofile import write_mo  # not needed for English
+    from babel.messages.pofile import PoFileError, read_po
+
+    try:
+        with path.open('rb') as file:
+            catalog = read_po(file, abort_invalid=True)
+    except (OSError, ValueError, PoFileError) as error:
+        raise LanguageError(f'{path.name} cannot be read as a PO file: {error}') from None
+    templates = list[tuple[re.Pattern[str], str]]()
+    for message in catalog:
+        sources, texts = _forms(message.id), _forms(message.string)
+        if not message.id or message.fuzzy or not all(texts):
+            continue
+        wanted = set(_FIELD.findall(sources[-1]))
+        for source, text in zip([*sources, *sources[-1:] * len(texts)], texts):
+            given = set(_FIELD.findall(text))
+            # A singular may do without its number.
+            if given - wanted or (len(texts) == 1 and wanted - given) or _loose_braces(text):
+                raise LanguageError(
+                    f'{path.name}: {text!r} needs the placeholders of {sources[-1]!r}'
+                )
+            if _FIELD.search(source):
+                templates.append((_pattern(source), _FIELD.sub(r'{\1}', text)))
+    templates.sort(key=lambda each: len(_FIELD.sub('', each[0].pattern)), reverse=True)
+    compiled = BytesIO()
+    write_mo(compiled, catalog)
+    compiled.seek(0)
+    tag = (catalog.locale_identifier or 'und').replace('_', '-')
+    return _Language(tag, GNUTranslations(compiled), tuple(templates))
+
+
+def _forms(text: str | tuple[str, ...] | list[str]) -> tuple[str, ...]:
+    """Return the singular and plural forms of a message."""
+    return (text,) if isinstance(text, str) else tuple(text)
+
+
+def _loose_braces(text: str) -> bool:
+    return bool(re.search(r'[{}]', _FIELD.sub('', text)))
+
+
+def _pattern(source: str) -> re.Pattern[str]:
+    """Return a pattern of texts made from a template, with a group for each placeholder."""
+    pattern, end, seen = '', 0, set[str]()
+    for field in _FIELD.finditer(source):
+        name = field[1]
+        pattern += re.escape(source[end : field.start()])
+        pattern += f'(?P={name})' if name in seen else f'(?P<{name}>{_WITHIN_A_SENTENCE})'
+        end = field.end()
+        seen.add(name)
+    return re.compile(pattern + re.escape(source[end:]), re.DOTALL)
