@@ -142,9 +142,9 @@ def read_language(language: str) -> _Language:
     return _Language(tag, GNUTranslations(compiled), tuple(templates))
 
 
-def _forms(text: str | tuple[str, ...] | list[str]) -> tuple[str, ...]:
+def _forms(text: str | tuple[str, ...] | list[str] | None) -> tuple[str, ...]:
     """Return the singular and plural forms of a message."""
-    return (text,) if isinstance(text, str) else tuple(text)
+    return tuple(text) if isinstance(text, tuple | list) else (text or '',)
 
 
 def _loose_braces(text: str) -> bool:
