@@ -108,7 +108,7 @@ def test_a_page_leads_through_all_conditions_whatever_else_is_in_the_record(
     plan = write_plan(tmp_path, 'a', 'b')
     study = tmp_path / 'study'
     study.mkdir()
-    who = {'participant': 'anna', 'number': 0, 'simulated': False, 'study': 'small'}
+    who = {'participant': 'anna', 'number': 0, 'place': 0, 'simulated': False, 'study': 'small'}
     began = {'event': 'began', 'time': 1.0, 'order': ['a', 'b'], **who}
     spoilt = {'event': 'part ended', 'time': 2.0, 'condition': '', 'kind': 'consent'}
     for name in ('000-anna.jsonl', '000-anna-DESKTOP.jsonl'):

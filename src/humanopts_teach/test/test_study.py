@@ -22,12 +22,11 @@ from humanopts_teach.study.plan import (
     PartKind,
     PARTS,
     PlanFileError,
-    Question,
-    Questionnaire,
     read_plan,
     StudyPlan,
 )
 from humanopts_teach.study.protocol import Protocol
+from humanopts_teach.study.questions import Question, Questionnaire
 from humanopts_teach.study.record import OpenRecord, StudyError, StudyFolder
 from humanopts_teach.study.tables import CODEBOOK, status_table, tables
 from hypothesis import given, HealthCheck, settings
@@ -70,7 +69,7 @@ def plan(write: Write) -> StudyPlan:
 
 
 def keys(plan: StudyPlan, number: int) -> list[str]:
-    return [part.key for part in plan.parts_of(number)]
+    return [part.key for part in plan.parts_of(number, number)]
 
 
 def test_a_participant_goes_through_all_parts_in_the_order_of_the_number(plan: StudyPlan) -> None:
@@ -82,7 +81,7 @@ def test_a_participant_goes_through_all_parts_in_the_order_of_the_number(plan: S
     once = [key for key in trees + goal if not key.endswith('buttons')]  # one game, asked once
     assert keys(plan, 0) == keys(plan, 2) == [*before, *trees, *once[3:]]
     assert keys(plan, 1) == [*before, *goal, *once[:3]]
-    parts = plan.parts_of(0)
+    parts = plan.parts_of(0, 0)
     assert list(PARTS.validate_json(PARTS.dump_json(tuple(parts)))) == parts
 
 
@@ -116,7 +115,7 @@ def test_each_participant_gets_one_condition_in_turn_and_the_buttons_to_teach(
     plan = read_plan(write(text.replace('learn: goal', 'teach: 0')))
     order = [[each.name for each in plan.order_of(number)] for number in range(4)]
     assert order == [['trees'], ['goal'], ['trees'], ['goal']]
-    (teaching,) = [part for part in plan.parts_of(0) if part.kind is PartKind.TEACH]
+    (teaching,) = [part for part in plan.parts_of(0, 0) if part.kind is PartKind.TEACH]
     assert teaching.teach_buttons == ('fetch', 'bring')
     assert keys(plan, 1)[-3:] == ['goal/play', 'goal/buttons', 'goal/questions']
 
@@ -170,7 +169,7 @@ def test_labels_are_as_written_and_booleans_are_refused(write: Write) -> None:
     path = write(PLAN.replace('nasa-tlx', 'mine.yaml'))
     for low, shows in {'0': '0', '010': '010', '-5': '-5', '12:30': '12:30', '"No"': 'No'}.items():
         (path.parent / 'mine.yaml').write_text(LABELS % low)
-        asked = read_plan(path).parts_of(0)[-1].questions
+        asked = read_plan(path).parts_of(0, 0)[-1].questions
         question = Question(name='1', text='How hard was it?', low=shows, high='No')
         assert asked == Questionnaire(items=(question,), points=11)
     said = []
@@ -453,7 +452,7 @@ def test_a_simulated_study_makes_tables_that_the_codebook_explains(
     for code in ('s1', 's2'):
         who = folder.enter(plan, code, simulated=True)
         record = OpenRecord(who.path)
-        for part in plan.parts_of(who.number):
+        for part in plan.parts_of(who.place, who.number):
             simulated_part(part, record, plan.seed, who.number, lambda: [option])
         record.note('ended')
     folder.enter(plan, 'late')

@@ -77,7 +77,7 @@ def files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Files:
 
 
 def began(code: str, number: int = 0) -> Row:
-    who = {'participant': code, 'number': number, 'simulated': False}
+    who = {'participant': code, 'number': number, 'place': number, 'simulated': False}
     return {'event': 'began', 'time': 100.0, 'study': 'st', 'order': ['a', 'b'], **who}
 
 

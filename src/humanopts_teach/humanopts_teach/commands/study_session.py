@@ -140,7 +140,7 @@ class Study:
         if last is not None and record.remaining(last.left):
             return f'{code} has not finished, and can continue with the same code'
         plan = self.folder.plan_of(self.plan, participant)
-        turns = plan.turns_of(participant.number)
+        turns = plan.turns_of(record.place, record.number)
         for part in record.remaining([part for _, parts in turns for part in parts]):
             spent = record.seconds_in(part.key)
             if part.minutes and spent > max(0.0, 60 * part.minutes - _MIN_SECONDS):

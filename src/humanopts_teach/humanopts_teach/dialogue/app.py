@@ -138,6 +138,7 @@ class App:
     """The state and logic of the dialogue."""
 
     leaving: ClassVar[tuple[str, str]] = ('Quit', 'everything taught is saved')  # menu item
+    needs_game: ClassVar[bool] = True  # nothing is shown before the game is known
     cuts_plays: ClassVar[bool] = True  # offer to cut a whole play into demonstrations
 
     def __init__(self, first: Screen, world: World | None = None, *, seed: int = 0) -> None:

@@ -15,13 +15,15 @@ from humanopts_teach.dialogue.panel import GAP, Line, Page, Panel, Tone
 from humanopts_teach.lesson.requests import CancelRun, Phase, Request, SetControl, World
 from humanopts_teach.study.events import (
     EventKind,
+    FAILED,
     FINISHED,
     learned,
     LearnedOption,
     REFUSED,
     TIME,
 )
-from humanopts_teach.study.plan import Part, PartKind, Questionnaire
+from humanopts_teach.study.plan import Part, PartKind
+from humanopts_teach.study.questions import Questionnaire
 from humanopts_teach.study.record import OpenRecord
 
 SIGN_SECONDS = 5.0  # period of keep-alive events: maximum time lost in a crash
@@ -111,7 +113,10 @@ class StudyApp(App):
         if self.world.in_control:
             self.ask(SetControl(hold=False))
         self._note_taught()
+        if why == FINISHED:
+            why = self._record.check_attention(self._part)
         self.note('part ended', why=why)
+        self.ended = why == FAILED
         self._part = None
         self._keys.clear()  # typed for the previous part
         self._outbox = deque(each for each in self._outbox if not self._is_anothers(each[0]))
@@ -191,7 +196,7 @@ def _first_screen(part: Part, participant: str) -> Screen:
         case PartKind.PAGE:
             choices = [Command([ENTER], 'continue', end)]
             return Notice([Page(part.text)], choices, shows_board=False)
-        case PartKind.PLAY:
+        case PartKind.PLAY | PartKind.PRACTICE:
             # No quit key: only Ctrl-C leaves the study.
             leave = 'continue with the study'
             return PlayScreen(end, 'Get to know the game', leave=leave, quits=False)

@@ -32,7 +32,7 @@ def view(app: App, *, images: bool = True) -> ScreenView:
     if world.robot:
         keys.insert(0, Key(SPACE, label(SPACE), 'stop the robot'))
     board, panel = Board(), Panel((Line('Waiting for the game ...'),))
-    if world.domain is not None:
+    if world.domain is not None or not app.needs_game:
         panel = screen.panel(app)
         panel = replace(panel, beside=(*robot_lines(app), *panel.beside))
         # New values of features would replace a text field of the page while a person types.

@@ -13,7 +13,8 @@ from humanopts_learner.summary import OptionSummary
 from humanopts_ros.limits import composed, parse_json
 from humanopts_ros.text_files import fault_in
 from humanopts_teach.lesson.store import CODE
-from humanopts_teach.study.plan import MAX_POINTS, PartKind
+from humanopts_teach.study.plan import PartKind
+from humanopts_teach.study.questions import Answer, MAX_POINTS, Name
 from pydantic import (
     AfterValidator,
     BaseModel,
@@ -29,23 +30,32 @@ EventKind = Literal[
     'still there',  # keep-alive: after a crash, the time until this event counts
     'part left',  # left unfinished
     'part ended',
-    'answer',
+    'answer',  # of a question; the last one counts
+    'attention',  # an attention check, when its questionnaire ended
+    'client',  # the participant's browser, at each arrival
+    'idle',  # without a key, until the part was left or a key came
+    'demonstration cut',  # the time limit ended an open demonstration
     'button',  # suggested button
     'learned',  # all options of the participant in this condition so far
     'ended',  # the participant completed the study
 ]
 _REQUIRED: dict[EventKind, tuple[str, ...]] = {
-    'began': ('participant', 'number', 'study', 'order', 'simulated'),
+    'began': ('participant', 'number', 'place', 'study', 'order', 'simulated'),
     'part began': ('part', 'kind'),
     'still there': ('part',),
     'part left': ('part',),
     'part ended': ('part', 'kind', 'why'),
-    'answer': ('part', 'item', 'value', 'points'),
+    'answer': ('part', 'item', 'value'),
+    'attention': ('part', 'item', 'passed'),
+    'client': (),
+    'idle': ('part', 'seconds'),
+    'demonstration cut': ('part',),
     'button': ('part', 'domain', 'rank', 'text'),
     'learned': ('part', 'options'),
     'ended': (),
 }
 FINISHED, TIME, REFUSED = 'finished', 'time is over', 'not agreed'  # why a part ended
+FAILED = 'attention failed'
 MAX_LINE = 1_000_000  # maximum number of characters of an event
 
 
@@ -93,20 +103,28 @@ class Event(_Values):
     part: Text = ''  # key of the part; empty: none
     condition: Text = ''  # empty: none
     kind: Annotated[PartKind | None, Field(strict=False)] = None  # kind of the part
-    why: Literal['', 'finished', 'time is over', 'not agreed'] = ''
+    why: Literal['', 'finished', 'time is over', 'not agreed', 'attention failed'] = ''
     item: Text = ''  # name of the question
-    value: Rank = 0
-    points: Annotated[int, Field(ge=2, le=MAX_POINTS)] = 0  # number of points of the scale
+    value: Answer | None = None  # None: the question was skipped
+    points: Annotated[int, Field(ge=2, le=MAX_POINTS)] = 0  # of a rating: number of points
+    seconds: Annotated[float, Field(ge=0, lt=1e9)] = 0.0  # reaction time, or time without a key
+    passed: bool = False  # whether an attention check was passed
     domain: Text = ''
     rank: Rank = 0
     text: Text = ''
     options: tuple[LearnedOption, ...] = Field((), strict=False)
     participant: Annotated[str, Field(pattern=f'^{CODE.pattern}$')] = ''
     number: Count = 0  # index of the participant, in order of arrival
+    place: Count = 0  # index into the orders of the plan
     study: Text = ''
     order: tuple[Text, ...] = Field((), strict=False)  # names of the conditions
     simulated: bool = False
     protocol: Text = ''  # digest of the participant's plan; empty: not stored
+    browser: Text = ''
+    width: Count = 0  # of the browser's window, CSS pixels, as is the height
+    height: Count = 0
+    language: Text = ''  # of the browser
+    columns: dict[Name, Text] = {}  # parameters of the address, from a recruiting platform
 
     @model_validator(mode='after')
     def _fits(self) -> Self:
@@ -114,7 +132,8 @@ class Event(_Values):
         given = [n for n in needed if n in self.model_fields_set and getattr(self, n) != '']
         if missing := ', '.join(name for name in needed if name not in given):
             raise ValueError(f'{self.event!r} needs {missing}')
-        if self.event == 'answer' and self.value > self.points:
+        rated = type(self.value) is int and 1 <= self.value <= self.points
+        if self.points and not rated and self.value is not None:
             raise ValueError(f'{self.value} is not on a scale of {self.points}')
         return self
 

@@ -8,11 +8,11 @@ advance.
 
 from collections.abc import Iterable
 from enum import Enum
-from functools import cache
+from functools import cache, partial
 import json
 from pathlib import Path
 import re
-from typing import Annotated, Any, ClassVar, Self, TypeVar
+from typing import Annotated, Any, Self, TypeVar
 
 from humanopts_env.domains.formulas import derive
 from humanopts_env.domains.names import is_robot, ROBOT
@@ -22,56 +22,49 @@ from humanopts_learner.demonstrations import check_method
 from humanopts_learner.options.starts import STRATEGIES
 from humanopts_ros.limits import shown
 from humanopts_ros.text_files import fault_in, FileError, read_text, read_yaml
+from humanopts_teach.language import ENGLISH, LanguageError, read_language
 from humanopts_teach.lesson import BUDGET, METHOD, STRATEGY
+from humanopts_teach.study.questions import (
+    CONTROL,
+    different,
+    distinct,
+    Label,
+    Name,
+    Question,
+    Questionnaire,
+    short,
+    Text,
+    Values,
+)
 from pydantic import (
     AfterValidator,
-    BaseModel,
     BeforeValidator,
-    ConfigDict,
     Field,
     model_validator,
-    StringConstraints,
     TypeAdapter,
     ValidationError,
 )
 
 QUESTIONNAIRES = Path(__file__).parent  # folder of the bundled questionnaires
 SHIPPED = 'nasa-tlx'
-_CONTROL = re.compile(r'[\x00-\x08\x0b-\x1f\x7f-\x9f]')  # except tabs and line breaks
-MAX_POINTS = 21
 MAX_CONDITIONS = 100
-MAX_ITEMS = 200  # maximum number of items of a questionnaire
+MAX_TASK = 300  # characters
 MAX_PAGES = 100  # maximum number of pages in a file
 MAX_PAGE = 100_000  # maximum number of characters in a file of pages
-MAX_LINE = 2000  # maximum number of characters of a question, label or other text
 MAX_MINUTES = 10**6
 MAX_BUTTONS = 9  # maximum number of buttons to teach; each has a digit key in the menu
 MAX_BUTTON = 60  # maximum number of characters of a button
+MAX_HOURS = 24 * 366
+MAX_READING = 60.0  # s
+_URL = re.compile(r'https://[A-Za-z0-9.-]+(:[0-9]+)?([/?][!-~]*)?')
+_COMPLETION_CODE = re.compile(r'[A-Za-z0-9_-]{1,60}')
 
 
 class PlanFileError(ValueError):
     """A plan is unusable; the message gives the location and the reason."""
 
 
-class _Values(BaseModel):
-    """A strict model of a file, without type conversion."""
-
-    model_config: ClassVar[ConfigDict] = ConfigDict(strict=True, frozen=True, extra='forbid')
-
-
-M = TypeVar('M', bound=_Values)
-
-
-def _plain(text: str) -> str:
-    if _CONTROL.search(text):
-        raise ValueError('remove the control characters')
-    return text
-
-
-def _short(text: str) -> str:
-    if len(text) > MAX_BUTTON:
-        raise ValueError(f'use at most {MAX_BUTTON} characters')
-    return text
+M = TypeVar('M', bound=Values)
 
 
 def _given(value: Any) -> Any:
@@ -80,34 +73,24 @@ def _given(value: Any) -> Any:
     return value
 
 
-def _as_name(text: str) -> str:
-    if not re.fullmatch(r'[A-Za-z0-9_-]{1,40}', text):
-        raise ValueError('use at most 40 letters, digits, - and _')
+def _as_url(text: str) -> str:
+    if not _URL.fullmatch(text):
+        raise ValueError('use a complete address that begins with https://')
     return text
 
 
-def _different(names: tuple[str, ...]) -> tuple[str, ...]:
-    if twice := next((name for name in names if names.count(name) > 1), None):
-        raise ValueError(f'{twice!r} is given twice')
-    return names
+def _as_url_or_code(text: str) -> str:
+    return text if _COMPLETION_CODE.fullmatch(text) else _as_url(text)
 
 
-def _distinct(named: tuple[Any, ...]) -> tuple[Any, ...]:
-    _different(tuple(each.name for each in named))
-    return named
-
-
-Text = Annotated[
-    str,
-    StringConstraints(strip_whitespace=True, min_length=1, max_length=MAX_LINE),
-    BeforeValidator(lambda value: str(value) if type(value) is int else value),  # as written
-    AfterValidator(_plain),
-]
-Name = Annotated[Text, AfterValidator(_as_name)]
-ButtonName = Annotated[Text, AfterValidator(_short)]
+ButtonName = Annotated[Text, AfterValidator(partial(short, most=MAX_BUTTON))]
+Task = Annotated[Label, AfterValidator(partial(short, most=MAX_TASK))]
 Given = Annotated[Text | None, BeforeValidator(_given)]  # None: the key is missing
 Whole = Annotated[int, Field(ge=0, lt=2**31)]
 Minutes = Annotated[float, Field(ge=0, lt=MAX_MINUTES)]
+GivenName = Annotated[Name | None, BeforeValidator(_given)]
+Url = Annotated[Text | None, BeforeValidator(_given), AfterValidator(_as_url)]
+UrlOrCode = Annotated[Text | None, BeforeValidator(_given), AfterValidator(_as_url_or_code)]
 
 
 class Order(Enum):
@@ -124,33 +107,14 @@ class PartKind(Enum):
 
     CONSENT = 'consent'  # reads a page, then agrees or declines
     PAGE = 'page'  # reads a page
+    PRACTICE = 'practice'  # tries out buttons, 'done' and 'not here'; nothing is learned
     PLAY = 'play'  # drives freely
     BUTTONS = 'buttons'  # suggests buttons that make winning easier and faster
     TEACH = 'teach'
     QUESTIONS = 'questions'
 
 
-class Question(_Values):
-    """One item of a questionnaire."""
-
-    name: Name
-    text: Text
-    low: Text  # label of the lowest point, 1
-    high: Text  # label of the highest point
-
-
-class Questionnaire(_Values):
-    """Questions with a Likert scale from 1 to ``points``."""
-
-    items: Annotated[
-        tuple[Question, ...],
-        Field(min_length=1, max_length=MAX_ITEMS),
-        AfterValidator(_distinct),
-    ]
-    points: Annotated[int, Field(ge=2, le=MAX_POINTS)] = 7
-
-
-class Part(_Values):
+class Part(Values):
     """A part of the study for one participant."""
 
     kind: PartKind
@@ -158,16 +122,20 @@ class Part(_Values):
     condition: str = ''  # empty: none
     domain: str = ''
     text: str = ''  # text of a page, Markdown
+    task: str = ''  # stays visible while the participant plays, suggests buttons and teaches
     minutes: float = 0.0  # time limit; 0: none
     most: int = 0  # maximum number of buttons to suggest
     teach_buttons: tuple[str, ...] = ()  # options to teach; empty: the person names them
-    questions: Questionnaire | None = None
+    questions: Questionnaire | None = None  # in the participant's order
+    most_failed: int | None = None  # maximum of failed attention checks; None: any number
+    reading: float = 0.0  # s, minimum display time of a page
+    idle: float = 0.0  # minutes without a key before the warning; 0: none
 
 
 PARTS = TypeAdapter(tuple[Part, ...])
 
 
-class Condition(_Values):
+class Condition(Values):
     """A teaching condition of the study; times are in minutes, and 0 omits a part."""
 
     name: Name
@@ -180,32 +148,64 @@ class Condition(_Values):
     unstick: bool = True  # whether options that repeat themselves take random moves
     picture: bool = True  # False: participants see only a table of features
     page: Given = None  # Markdown file, shown first
+    task: Task = ''  # stays visible in the game
     free_play: Minutes = 0.0
     buttons: Whole = 0  # maximum number of buttons to suggest; 0 omits the part
     teach: Minutes = 20.0  # time limit for teaching
     teach_buttons: Annotated[
         tuple[ButtonName, ...],
         Field(max_length=MAX_BUTTONS),
-        AfterValidator(_different),
+        AfterValidator(different),
     ] = ()  # options to teach; empty: participants name their own
     questions: Given = None  # file, or name of a bundled questionnaire
 
 
-class _PlanFile(_Values):
+class Attention(Values):
+    """The rule for attention checks."""
+
+    most_failed: Whole  # more failed checks exclude the participant
+
+
+class Recruiting(Values):
+    """
+    How participants come from a recruiting platform, and return to it.
+
+    ``{code}`` in an address is replaced by the participant's code.
+    """
+
+    code: Annotated[Name | None, BeforeValidator(_given)] = (
+        None  # parameter of the address that has the participant's code, as PROLIFIC_PID
+    )
+    columns: tuple[Name, ...] = ()  # parameters to record
+    completed: UrlOrCode = None  # address, or code to copy
+    declined: Url = None
+    failed: Url = None  # after too many failed attention checks
+
+
+class _PlanFile(Values):
     """The contents of a plan file."""
 
     study: Name
     conditions: Annotated[
         tuple[Condition, ...],
         Field(min_length=1, max_length=MAX_CONDITIONS),
-        AfterValidator(_distinct),
+        AfterValidator(distinct),
     ]
     consent: Given = None
     welcome: Given = None
     thanks: Given = None
+    practice: bool = False
     order: Order = Order.BALANCED
-    participants: Whole = 0  # planned number of participants; 0: unlimited
+    participants: Whole = 0  # number of places; 0: unlimited
     seed: Whole = 1
+    language: Text = ENGLISH  # or a file FILE.po beside the plan
+    return_within: Annotated[float, Field(ge=0, le=MAX_HOURS)] = 24.0  # hours; 0: for ever
+    idle: Minutes = 0.0  # without a key before the warning; 0: none
+    reading: Annotated[float, Field(ge=0, le=MAX_READING)] = (
+        2.0  # s, minimum display time of pages
+    )
+    attention: Attention | None = None  # None: checks are only recorded
+    recruiting: Recruiting = Recruiting()
 
     @model_validator(mode='after')
     def _can_be_balanced(self) -> Self:
@@ -232,33 +232,38 @@ class StudyPlan(_PlanFile):
     pages: dict[str, tuple[str, ...]]  # by file name
     questionnaires: dict[str, Questionnaire]
 
-    def order_of(self, number: int) -> list[Condition]:
+    def order_of(self, place: int) -> list[Condition]:
         """
-        Return the conditions in a participant's order.
+        Return the conditions in the order of a place.
 
-        :param number: index of the participant in order of arrival, from 0.
+        :param place: index of the participant's place, from 0.
         """
         indices = list(range(len(self.conditions)))
         if self.order is Order.BALANCED:
             square = balanced_latin_square(len(indices))
-            indices = square[number % len(square)]
+            indices = square[place % len(square)]
         elif self.order is Order.RANDOM:
-            indices = generator(self.seed, 'order', number).permutation(indices).tolist()
+            indices = generator(self.seed, 'order', place).permutation(indices).tolist()
         elif self.order is Order.ONE:
-            indices = [number % len(indices)]
+            indices = [place % len(indices)]
         return [self.conditions[index] for index in indices]
 
-    def turns_of(self, number: int) -> list[tuple[Condition, list[Part]]]:
+    def turns_of(self, place: int, number: int) -> list[tuple[Condition, list[Part]]]:
         """
         Return a participant's conditions in order, each with its parts.
 
         The parts follow the order of the paper's experiments; consent and welcome come first,
         thanks last. Buttons for a game are requested only in the first condition that has them.
+
+        :param place: of the participant.
+        :param number: index of the participant in order of arrival, from 0.
         """
         turns: list[tuple[Condition, list[Part]]] = []
         asked: set[str] = set()
-        for each in self.order_of(number):
+        for each in self.order_of(place):
             name, parts = each.name, self._page(each.page, f'{each.name}/page')
+            if self.practice and not turns:
+                parts.append(Part(kind=PartKind.PRACTICE, key=f'{name}/practice'))
             if each.free_play:
                 parts.append(Part(kind=PartKind.PLAY, key=f'{name}/play', minutes=each.free_play))
             if each.buttons and each.domain not in asked:
@@ -274,30 +279,39 @@ class StudyPlan(_PlanFile):
                     )
                 )
             if each.questions:
-                questions = self.questionnaires[each.questions]
+                key, asks = f'{name}/questions', self.questionnaires[each.questions]
                 parts.append(
-                    Part(kind=PartKind.QUESTIONS, key=f'{name}/questions', questions=questions)
+                    Part(
+                        kind=PartKind.QUESTIONS,
+                        key=key,
+                        questions=asks.arranged(self.seed, number, key),
+                        most_failed=self.attention.most_failed if self.attention else None,
+                    )
                 )
-            where = {'condition': name, 'domain': each.domain}
+            where = {'condition': name, 'domain': each.domain, 'task': each.task}
             turns.append((each, [part.model_copy(update=where) for part in parts]))
-        turns[0][1][:0] = [
-            *self._page(self.consent, 'consent', PartKind.CONSENT),
-            *self._page(self.welcome, 'welcome'),
-        ]
+        turns[0][1][:0] = [*self.consent_parts, *self._page(self.welcome, 'welcome')]
         turns[-1][1].extend(self._page(self.thanks, 'thanks'))
+        for _, parts in turns:
+            parts[:] = [part.model_copy(update={'idle': self.idle}) for part in parts]
         return turns
 
-    def parts_of(self, number: int) -> list[Part]:
+    def parts_of(self, place: int, number: int) -> list[Part]:
         """Return all parts of a participant, in order."""
-        return [part for _, parts in self.turns_of(number) for part in parts]
+        return [part for _, parts in self.turns_of(place, number) for part in parts]
+
+    @property
+    def consent_parts(self) -> list[Part]:
+        """The pages of the consent, the first parts of every participant; empty: not asked."""
+        return self._page(self.consent, 'consent', PartKind.CONSENT)
 
     def _page(self, file: str | None, key: str, kind: PartKind = PartKind.PAGE) -> list[Part]:
         """Return one part per page of a file; only the last page has the given kind."""
         pages = self.pages[file] if file else ()
         return [
-            Part(kind=PartKind.PAGE, key=f'{key}/{number}', text=text)
+            Part(kind=PartKind.PAGE, key=f'{key}/{number}', text=text, reading=self.reading)
             if number < len(pages)
-            else Part(kind=kind, key=key, text=text)
+            else Part(kind=kind, key=key, text=text, reading=self.reading)
             for number, text in enumerate(pages, start=1)
         ]
 
@@ -335,7 +349,10 @@ def read_plan(path: Path) -> StudyPlan:
         asked = {each.questions for each in plan.conditions}
         return StudyPlan(
             **plan.model_dump(exclude_none=True)
-            | {'conditions': tuple(_playable(plan.conditions, path.parent))},
+            | {
+                'conditions': tuple(_playable(plan.conditions, path.parent)),
+                'language': _language(plan.language, path.parent),
+            },
             pages={name: _pages(path.parent / name) for name in sorted(filter(None, files))},
             questionnaires={
                 name: _questionnaire(path.parent, name) for name in sorted(filter(None, asked))
@@ -343,6 +360,16 @@ def read_plan(path: Path) -> StudyPlan:
         )
     except FileError as error:
         raise PlanFileError(str(error)) from error
+
+
+def _language(name: str, folder: Path) -> str:
+    """Return a shipped language, or the absolute path of a file of texts."""
+    language = str((folder / name).absolute()) if name.endswith('.po') else name
+    try:
+        read_language(language)
+    except LanguageError as error:
+        raise PlanFileError(f'language: {error}') from error
+    return language
 
 
 def read_name(path: Path) -> str:
@@ -395,7 +422,7 @@ def _pages(path: Path) -> tuple[str, ...]:
     text = read_text(path, 4 * MAX_PAGE)
     if len(text) > MAX_PAGE:
         raise PlanFileError(f'{path.name} has {len(text):,} characters; the limit is {MAX_PAGE:,}')
-    if found := _CONTROL.search(text):
+    if found := CONTROL.search(text):
         line = text.count('\n', 0, found.start()) + 1
         raise PlanFileError(f'{path.name}: remove the control character in line {line}')
     pages = re.split(r'^-{3,}[ \t]*$', text, flags=re.MULTILINE)
@@ -423,6 +450,11 @@ def _validated(kind: type[M], values: Any) -> M:
     try:
         return kind.model_validate_json(json.dumps(values))
     except ValidationError as error:
-        inner: dict[Any, type[_Values]] = {'conditions': Condition, 'items': Question}
+        inner: dict[Any, type[Values]] = {
+            'conditions': Condition,
+            'items': Question,
+            'attention': Attention,
+            'recruiting': Recruiting,
+        }
         first = next(iter(error.errors()[0]['loc']), '')
         raise PlanFileError(fault_in(error, inner.get(first, kind).model_fields)) from None

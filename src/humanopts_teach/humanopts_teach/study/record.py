@@ -22,6 +22,8 @@ from humanopts_teach.study.events import (
     Event,
     event_of,
     EventKind,
+    FAILED,
+    FINISHED,
     last_attempts,
     REFUSED,
     TimeIn,
@@ -104,6 +106,16 @@ class Record:
         return any(event.why == REFUSED for event in self.of('part ended'))
 
     @property
+    def excluded(self) -> bool:
+        """Whether the participant has failed too many attention checks."""
+        return any(event.why == FAILED for event in self.of('part ended'))
+
+    @property
+    def place(self) -> int:
+        """The participant's place; without a valid beginning, the one by number."""
+        return self.number if self.began is None else self.began.place
+
+    @property
     def over(self) -> bool:
         """Whether the participant has completed the study."""
         return bool(self.of('ended'))
@@ -117,6 +129,11 @@ class Record:
     def seconds_in(self, part: str) -> float:
         """Return the time in s that the participant has spent on a part, over all sittings."""
         return times_in(self.events).get(part, TimeIn()).seconds
+
+    def answers_in(self, part: str) -> dict[str, Any]:
+        """Return the answers of the last attempt at a part, by question; None: skipped."""
+        events = last_attempts(self.events)
+        return {e.item: e.value for e in events if e.event == 'answer' and e.part == part}
 
     def remaining(self, parts: Iterable[Part]) -> list[Part]:
         """Return the parts that the participant has not completed."""
@@ -145,6 +162,22 @@ class OpenRecord(Record):
         self._clock = clock or (lambda: ahead + time.monotonic())
         self._log, self._publish = AppendOnlyLog(path), publish
         super().__init__(path, events=self._log.read(event_of), problems=self._log.problems)
+
+    def check_attention(self, part: Part) -> str:
+        """
+        Record whether the attention checks of a part were passed.
+
+        :return: why the part ends: the participant has finished it, or has failed too many checks.
+        :raises OSError: the event could not be written.
+        """
+        checks = [] if part.questions is None else part.questions.items
+        for check in checks:
+            if check.expect is not None:
+                passed = check.passes(self.answers_in(part.key).get(check.name))
+                self.note('attention', part, item=check.name, passed=passed)
+        failed = [e for e in last_attempts(self.events) if e.event == 'attention' and not e.passed]
+        too_many = part.most_failed is not None and len(failed) > part.most_failed
+        return FAILED if too_many else FINISHED
 
     def note(self, kind: EventKind, part: Part | None = None, /, **values: Any) -> None:
         """
@@ -227,6 +260,7 @@ class StudyFolder:
                 'began',
                 participant=code,
                 number=record.number,
+                place=record.number,
                 study=plan.study,
                 order=tuple(condition.name for condition in plan.order_of(record.number)),
                 simulated=simulated,
@@ -290,7 +324,7 @@ class StudyFolder:
     def _check_continues(
         self, plan: StudyPlan, record: Record, began: Event, *, simulated: bool
     ) -> None:
-        followed = self.plan_of(plan, record).order_of(record.number)
+        followed = self.plan_of(plan, record).order_of(record.place)
         if list(began.order) != [condition.name for condition in followed]:
             raise StudyError(
                 f'{record.code!r} began with another plan, whose conditions were '

@@ -28,7 +28,7 @@ def status_table(protocol: Protocol, records: Sequence[Record]) -> pd.DataFrame:
     for record in records:
         began = record.began
         plan = None if began is None else protocol.plan_of(began.protocol)
-        left = [] if plan is None else record.remaining(plan.parts_of(record.number))
+        left = [] if plan is None else record.remaining(plan.parts_of(record.place, record.number))
         order, after = '?' if began is None else ', '.join(began.order), '-'
         if not record.over:
             after = '?' if plan is None else left[0].key if left else '-'

@@ -1,0 +1,53 @@
+"""The consent to a study: pages that are shown before any game runs or anything is recorded."""
+
+from collections.abc import Sequence
+
+from humanopts_teach.dialogue.app import App, Screen
+from humanopts_teach.dialogue.entry import Notice
+from humanopts_teach.dialogue.keys import Command, ENTER
+from humanopts_teach.dialogue.panel import Page
+from humanopts_teach.study.plan import Part
+
+
+class ConsentApp(App):
+    """
+    The pages of the consent.
+
+    :ivar agreed: whether the person takes part; None: not decided.
+    :ivar seconds: time in s from the first ``advance`` to the decision.
+    """
+
+    needs_game = False
+
+    def __init__(self, pages: Sequence[Part]) -> None:
+        """Show the first page; there is at least one."""
+        super().__init__(Screen())
+        self._pages = pages
+        self._began: float | None = None  # s
+        self.agreed: bool | None = None
+        self._turn_to(0)
+
+    @property
+    def seconds(self) -> float:
+        """Return the time in s from the first ``advance`` to the latest."""
+        return 0.0 if self._began is None else self.now - self._began
+
+    def advance(self, now: float) -> None:
+        """Process queued keys."""
+        self._began = now if self._began is None else self._began
+        super().advance(now)
+
+    def _turn_to(self, index: int) -> None:
+        """Show a page; the last one asks for the decision."""
+
+        def decide(agreed: bool) -> None:
+            self.agreed = agreed
+            self.end()
+
+        choices = [Command([ENTER], 'continue', lambda app: self._turn_to(index + 1))]
+        if index == len(self._pages) - 1:
+            choices = [
+                Command('y', 'I agree and take part', lambda app: decide(True)),
+                Command('n', 'I do not take part', lambda app: decide(False)),
+            ]
+        self.show(Notice([Page(self._pages[index].text)], choices, shows_board=False))

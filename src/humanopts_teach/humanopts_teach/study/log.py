@@ -1,0 +1,74 @@
+"""The log of a study: what happened to people who have no record, or no longer have one."""
+
+from pathlib import Path
+import time
+from typing import Annotated, ClassVar, Literal
+
+from humanopts_learner.append_only_log import AppendOnlyLog, read_lines
+from humanopts_ros.text_files import fault_in
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+FILE = 'log.jsonl'
+LogEvent = Literal[
+    'declined',  # a person did not agree to take part
+    'full',  # a person came when all places were taken
+    'withdrawn',  # the data of a participant were deleted
+]
+
+
+class LogEntry(BaseModel):
+    """An event of the log; it never contains a participant's code."""
+
+    model_config: ClassVar[ConfigDict] = ConfigDict(strict=True, frozen=True)
+
+    event: LogEvent
+    time: Annotated[float, Field(ge=0, lt=1e11)]  # s since 1970
+    number: Annotated[int, Field(ge=0)] | None = None  # of the participant; None: has none
+    place: Annotated[int, Field(ge=0)] | None = None  # of the participant
+    files: Annotated[int, Field(ge=0)] = 0  # number of deleted files
+
+
+class StudyLog:
+    """
+    The log in the folder of a study.
+
+    :ivar entries: events, oldest first.
+    :ivar problems: descriptions of invalid lines.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        """
+        Read the log, which need not exist.
+
+        :raises OSError: the file cannot be read.
+        """
+        self.path = folder / FILE
+        self.entries, self.problems = read_lines(self.path, _entry_of)
+
+    def of(self, event: LogEvent) -> list[LogEntry]:
+        """Return the events of one kind; a deletion that was repeated counts once."""
+        found = [entry for entry in self.entries if entry.event == event]
+        numbers = {entry.number: entry for entry in found}
+        return list(numbers.values()) if event == 'withdrawn' else found
+
+    def note(self, event: LogEvent, **values: int) -> None:
+        """
+        Append an event.
+
+        :raises OSError: the event could not be written.
+        """
+        entry = LogEntry(event=event, time=round(time.time(), 3), **values)
+        AppendOnlyLog(self.path).append(entry.model_dump_json(exclude_unset=True))
+        self.entries.append(entry)
+
+
+def _entry_of(line: str) -> LogEntry:
+    """
+    Parse the entry in a line.
+
+    :raises ValueError: the line is not an entry.
+    """
+    try:
+        return LogEntry.model_validate_json(line)
+    except ValidationError as error:
+        raise ValueError(f'it is not an entry of a log: {fault_in(error)}') from None
