@@ -88,9 +88,11 @@ class Desk:
         return Game(self.app.domain)
 
     def press(self, *keys: str) -> 'Desk':
-        """Look at the screen and press keys, one after the other."""
+        """Look at the screen long enough and press keys, one after the other."""
         for key in keys:
             self.app.drawn()
+            self.app.type([])
+            self.advance().advance(self.app.screen.earliest)
             self.app.type([key])
             self.advance()
         return self

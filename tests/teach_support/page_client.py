@@ -74,7 +74,7 @@ class PageClient:
         return str(found[0]['props'].get('innerHTML', ''))
 
     def press(self, *keys: object, frame: object = None) -> None:
-        """Send what ``page.js`` sends."""
+        """Send what ``page.js`` sends: keys, or that the frame is displayed."""
         (number, heard) = next(
             (number, event)
             for number, element in self.elements.items()
@@ -87,8 +87,9 @@ class PageClient:
         self.socket.emit('event', {**named, 'listener_id': heard['listener_id'], 'args': args})
 
     def until(self, part: str, words: str) -> None:
-        """Wait until a part shows something."""
+        """Wait until a part shows something, and report it as displayed."""
         self.wait(lambda: words in self.shows(part), f'{words} in {part}')
+        self.press()
 
     def wait(self, condition: Callable[[], bool], what: str) -> None:
         """Wait for a condition."""

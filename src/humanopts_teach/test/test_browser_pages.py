@@ -54,9 +54,10 @@ async def game(seat: Seat) -> AsyncIterator[Press]:
     def press(keys: list[str], frame: int) -> None:
         app.type(keys, frame)
         app.advance(0.0)
-        seat.show(view(app), app.drawn())
+        if keys:
+            seat.show(view(app), app.drawn())
 
-    press([], 0)
+    seat.show(view(app), app.drawn())
     yield press
 
 

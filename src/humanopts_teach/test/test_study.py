@@ -334,7 +334,7 @@ def test_a_file_of_features_is_beside_the_plan(write: Write, tmp_path: Path) -> 
 
 LIKED = Question(name='liked', text='Did you like it?', low='not at all', high='very much')
 AGAIN = LIKED.model_copy(update={'name': 'again'})
-PAGE = Part(kind=PartKind.PAGE, key='page', text='Read this.')
+PAGE = Part(kind=PartKind.PAGE, key='page', text='Read this.', reading=2.0)
 
 
 def part(kind: PartKind, **fields: Any) -> Part:
@@ -342,7 +342,7 @@ def part(kind: PartKind, **fields: Any) -> Part:
 
 
 PARTS_OF = {
-    'consent': Part(kind=PartKind.CONSENT, key='consent', text='# Taking part'),
+    'consent': Part(kind=PartKind.CONSENT, key='consent', text='# Taking part', reading=2.0),
     'play': part(PartKind.PLAY, minutes=2.0),
     'buttons': part(PartKind.BUTTONS, most=2),
     'teach': part(PartKind.TEACH, minutes=10.0),

@@ -50,8 +50,10 @@
     if (text.trim()) send(['ctrl-u', ...text, 'enter']);
   });
 
-  // Focus a text field as soon as it appears.
+  // Report each frame as displayed, and focus a text field as soon as it appears.
+  let displayed = 0;
   new MutationObserver(() => {
+    if (frame() !== displayed) { displayed = frame(); requestAnimationFrame(() => send([])); }
     const field = input();
     if (field && !field.dataset.met) {
       field.dataset.met = 'yes';

@@ -122,7 +122,8 @@ def _ask_code(window: PageWindow, domain: str, proposed: str) -> None:
     def press(keys: list[str], frame: int) -> None:
         app.type([key for key in keys if len(key) == 1 or key in ('ctrl-u', 'enter')], frame)
         app.advance(0.0)
-        show()
+        if keys:
+            show()
 
     window.listen(press)
     show()

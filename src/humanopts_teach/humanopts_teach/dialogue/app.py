@@ -49,6 +49,7 @@ REPLY_SECONDS = 5.0  # timeout for a node's answer
 SETTLE_SECONDS = 1.0  # timeout for the latched topics to reflect the answer
 MAX_KEYS = 128  # maximum number of queued keys; further keys are dropped
 _MAX_FRAMES = 64  # number of recent frames for which keys are accepted
+_EARLY = 'Please read this first; {} was ignored.'
 _PAUSED = 'Not now: the lesson is paused; see the top of the screen.'
 
 
@@ -61,6 +62,9 @@ class Screen:
     :cvar hides_features: during a lesson, the board shows only the features the option depends on.
     :cvar claims_lesson: the screen may take over another participant's lesson.
     :cvar takes_text: the person types a text.
+    :cvar earliest: seconds for which the screen must have been displayed before keys count; 0:
+        keys may even be typed ahead of it.
+    :ivar first_shown: monotonic time in s at which it was first displayed; None: not yet.
     """
 
     answers_lesson: bool = False
@@ -68,6 +72,8 @@ class Screen:
     hides_features: bool = False
     claims_lesson: bool = False
     takes_text: bool = False
+    earliest: float = 0.0
+    first_shown: float | None = None
 
     @property
     def state(self) -> str:
@@ -162,6 +168,7 @@ class App:
         self.leave_hint = 'Ctrl-C quits'  # advice to the person when nodes are missing
         self._frame = 0  # number of the latest frame
         self._seen: dict[int, _Seen] = {}  # by frame number
+        self._displayed: object = None  # screen of the frame that the person saw last
         self._outbox: deque[tuple[Request, Then | None]] = deque()
         self._keys: deque[tuple[str, _Seen]] = deque()  # each with the frame seen when pressed
         self._waiting: _Waiting | None = None
@@ -253,16 +260,25 @@ class App:
         While an action of a robot lasts, its key repeats it once, and the key of another action
         ends it.
 
+        :param keys: none: only the frame is reported as displayed.
         :param frame: frame on which the keys were pressed; they count only while its screen is
             shown. None: the latest frame, with typing ahead for later screens allowed.
         """
         if frame is None:
-            seen = replace(self._seen.get(self._frame, _Seen()), screen=None)
+            seen = self._seen.get(self._frame, _Seen())
         else:
             seen = self._seen.get(frame, _FORGOTTEN)
+        self._displayed = seen.screen
+        since, earliest = self.screen.first_shown, self.screen.earliest
+        early = earliest and (since is None or self.now < since + earliest)
+        if frame is None and not earliest:
+            seen = replace(seen, screen=None)
         for key in keys:
             if key in (INTERRUPT, END_OF_FILE):
                 self.ended = True
+                continue
+            if early:
+                self.say(_EARLY.format(label(key)))
                 continue
             moves = self.run is not None or bool(self.world.progress.action)
             if key == SPACE and self.world.robot and (moves or not self.screen.takes_text):
@@ -320,6 +336,8 @@ class App:
             stops a robot, whatever is pending, and is not answered.
         """
         self.now = now
+        if self.screen.first_shown is None and self._displayed is self.screen:
+            self.screen.first_shown = now
         self._check_waiting(now)
         self._owned |= self.world.lesson.participant == self.participant
         while not self.ended:
@@ -340,7 +358,8 @@ class App:
             if self._keys:
                 self.message = GAP
                 key, seen = self._keys.popleft()
-                other = seen.screen is not None and seen.screen is not self.screen
+                given = seen.screen is not None or self.screen.earliest > 0
+                other = given and seen.screen is not self.screen
                 if other or (self.screen.answers_lesson and seen.asked_for != self._asked_for):
                     self.say(f'{label(key)} was pressed before this was shown; ignored.')
                 else:

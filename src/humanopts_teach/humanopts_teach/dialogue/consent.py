@@ -3,18 +3,22 @@
 from collections.abc import Sequence
 
 from humanopts_teach.dialogue.app import App, Screen
-from humanopts_teach.dialogue.entry import Notice
+from humanopts_teach.dialogue.entry import end, Notice
 from humanopts_teach.dialogue.keys import Command, ENTER
-from humanopts_teach.dialogue.panel import Page
+from humanopts_teach.dialogue.panel import Block, Line, Page
 from humanopts_teach.study.plan import Part
+
+NOTHING_SAVED = (
+    'You do not take part. Nothing was saved. Only the number of people who declined is counted.'
+)
 
 
 class ConsentApp(App):
     """
-    The pages of the consent.
+    The pages of the consent; a person who declines reads that nothing was saved.
 
     :ivar agreed: whether the person takes part; None: not decided.
-    :ivar seconds: time in s from the first ``advance`` to the decision.
+    :ivar seconds: time in s from the first ``advance`` to the latest.
     """
 
     needs_game = False
@@ -39,15 +43,24 @@ class ConsentApp(App):
 
     def _turn_to(self, index: int) -> None:
         """Show a page; the last one asks for the decision."""
-
-        def decide(agreed: bool) -> None:
-            self.agreed = agreed
-            self.end()
-
         choices = [Command([ENTER], 'continue', lambda app: self._turn_to(index + 1))]
         if index == len(self._pages) - 1:
             choices = [
-                Command('y', 'I agree and take part', lambda app: decide(True)),
-                Command('n', 'I do not take part', lambda app: decide(False)),
+                Command('y', 'I agree and take part', lambda app: self._decide(True)),
+                Command('n', 'I do not take part', lambda app: self._decide(False)),
             ]
-        self.show(Notice([Page(self._pages[index].text)], choices, shows_board=False))
+        part = self._pages[index]
+        self.show(page(Page(part.text), choices, part.reading))
+
+    def _decide(self, agreed: bool) -> None:
+        self.agreed = agreed
+        if agreed:
+            self.end()
+        else:
+            leave = [Command([ENTER], 'leave', end)]
+            self.show(page(Line(NOTHING_SAVED, strong=True), leave))
+
+
+def page(text: Block, choices: Sequence[Command], earliest: float = 0.0) -> Notice:
+    """Return a screen without a board; keys count after it was displayed ``earliest`` seconds."""
+    return Notice([text], choices, shows_board=False, earliest=earliest)

@@ -47,6 +47,7 @@ class Notice(Screen):
     shows_board: bool = True
     claims_lesson: bool = False
     hides_features: bool = True
+    earliest: float = 0.0
 
     def panel(self, app: App) -> Panel:
         return Panel(self.blocks)

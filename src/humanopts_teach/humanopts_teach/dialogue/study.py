@@ -7,8 +7,9 @@ from dataclasses import dataclass, field
 import math
 
 from humanopts_teach.dialogue.app import App, Screen
+from humanopts_teach.dialogue.consent import page
 from humanopts_teach.dialogue.driving import PlayScreen
-from humanopts_teach.dialogue.entry import end, Notice, TextScreen
+from humanopts_teach.dialogue.entry import end, TextScreen
 from humanopts_teach.dialogue.keys import Command, Do, ENTER, LEFT, RIGHT
 from humanopts_teach.dialogue.menu import opening
 from humanopts_teach.dialogue.panel import GAP, Line, Page, Panel, Tone
@@ -192,10 +193,10 @@ def _first_screen(part: Part, participant: str) -> Screen:
                 Command('y', 'I agree and take part', end),
                 Command('n', 'I do not take part', _refuse),
             ]
-            return Notice([Page(part.text)], choices, shows_board=False)
+            return page(Page(part.text), choices, part.reading)
         case PartKind.PAGE:
             choices = [Command([ENTER], 'continue', end)]
-            return Notice([Page(part.text)], choices, shows_board=False)
+            return page(Page(part.text), choices, part.reading)
         case PartKind.PLAY | PartKind.PRACTICE:
             # No quit key: only Ctrl-C leaves the study.
             leave = 'continue with the study'
