@@ -88,7 +88,7 @@ def test_a_participant_takes_part_by_keys_and_is_then_refused(
         ):
             person.expect(sees)
             person.send(key)
-        person.expect('anna has finished')
+        person.expect('You have finished the study')
         person.expect(pexpect.EOF)
     assert person.exitstatus == 0
     with pexpect.spawn(sys.executable, program, timeout=60) as again:
@@ -128,7 +128,7 @@ def test_a_page_leads_through_all_conditions_whatever_else_is_in_the_record(
                 page.until('panel', 'Finish teaching')
                 command.until((study / 'anna' / condition).exists, condition)
                 page.press('5')
-                page.until('panel', 'prepared' if condition == 'a' else 'anna has finished')
+                page.until('panel', 'prepared' if condition == 'a' else 'You have finished')
         command.send(signal.SIGINT)
         assert command.ended(60.0) == 0, command.errors
         assert f'line 2 of {study / "000-anna.jsonl"} is left out' in command.errors

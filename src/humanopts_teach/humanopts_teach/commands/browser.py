@@ -26,7 +26,7 @@ from humanopts_teach.browser.seats import (
 from humanopts_teach.command_line import PageOptions
 from humanopts_teach.commands import catch_interrupts, CommandError
 from humanopts_teach.commands.session import new_name, title
-from humanopts_teach.commands.study_session import Study, Turn
+from humanopts_teach.commands.study_session import Farewell, Study, Turn
 from humanopts_teach.dialogue.panel import ScreenView
 from humanopts_teach.launching.place import only_launch
 from humanopts_teach.launching.processes import processes, Setup
@@ -235,17 +235,20 @@ async def _all_turns(study: Study, thread: TeleopThread, seat: Seat) -> AsyncIte
     async def play() -> None:
         nonlocal press
         try:
-            participant = study.enter(seat.participant)
-            turn = study.next_turn(participant)
-            while isinstance(turn, Turn):
-                condition = ConditionSeat(seat)
-                async with _game(turn.setup, thread, condition) as pressed:
-                    press = pressed
-                    await condition.over.wait()
-                    press = _nothing
-                    seat.show(message(seat.head, 'The next part is being prepared ...'), 0)
-                turn = condition.farewell or study.next_turn(participant, turn)
-            seat.end(turn)
+            with study.enter(seat.participant) as participant:
+                turn = study.next_turn(participant)
+                while isinstance(turn, Turn):
+                    condition = ConditionSeat(seat)
+                    async with _game(turn.setup, thread, condition) as pressed:
+                        press = pressed
+                        await condition.over.wait()
+                        press = _nothing
+                        seat.show(message(seat.head, 'The next part is being prepared ...'), 0)
+                    if condition.farewell:
+                        turn = Farewell(condition.farewell)
+                    else:
+                        turn = study.next_turn(participant, turn)
+            seat.end(turn.text)
         except (CommandError, GameError, StudyError, OSError) as error:
             seat.end(str(error))
         except Exception:  # the page must not wait for ever

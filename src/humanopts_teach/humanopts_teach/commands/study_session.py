@@ -1,9 +1,11 @@
 """How a study proceeds: one participant after the other, condition by condition."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 import sys
-from typing import Any
+from typing import Any, NamedTuple
+from urllib.parse import quote
 
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.seeding import generator
@@ -23,17 +25,22 @@ from humanopts_teach.commands.session import (
     wait_until_taught,
     WATCHED,
 )
+from humanopts_teach.dialogue.consent import ConsentApp
+from humanopts_teach.language import _, speaking
 from humanopts_teach.launching.processes import Setup
 from humanopts_teach.ros.teleop import published_record
-from humanopts_teach.study.events import FINISHED, learned, REFUSED, TIME
+from humanopts_teach.study.events import FINISHED, learned, TIME
 from humanopts_teach.study.plan import Condition, Part, PartKind, PARTS, StudyPlan
 from humanopts_teach.study.record import (
     ChangedPlanError,
+    FullError,
     OpenRecord,
     Record,
+    StudyError,
     StudyFolder,
     TOPIC,
 )
+from humanopts_teach.terminal.show import show
 
 _MIN_SECONDS = 1.0  # remaining time of a part that can be continued
 _ERROR_RATE = 0.02  # share of a simulated participant's steps that are wrong
@@ -46,6 +53,27 @@ class Turn:
     condition: Condition
     left: Sequence[Part]
     setup: Setup
+
+
+class Farewell(NamedTuple):
+    """
+    The end of a participant's visit.
+
+    :ivar text: what the participant reads.
+    :ivar url: address of the recruiting platform to go to, from the plan; empty: none.
+    """
+
+    text: str
+    url: str = ''
+
+    @property
+    def in_terminal(self) -> str:
+        """The text, with the address in a line of its own."""
+        return '\n'.join(filter(None, self))
+
+
+def _address(template: str | None, code: str) -> str:
+    return (template or '').replace('{code}', quote(code, safe=''))
 
 
 @dataclass(frozen=True)
@@ -75,21 +103,30 @@ class Study:
             print('The changed plan is kept; participants who have begun keep theirs.')
 
     def run(self, code: str) -> int:
-        """Take a person through all remaining conditions in this terminal."""
-        with place(self.namespace):
+        """Take a person through the consent and all remaining conditions in this terminal."""
+        with place(self.namespace), speaking(self.plan.language):
             self.warn()
-            participant, status = self.enter(known_code(code, self.folder.codes())), 0
-            turn = self.next_turn(participant)
-            while isinstance(turn, Turn):
-                status = run_in_terminal(turn.setup)
-                turn = self.next_turn(participant, turn)
-            print(turn)
+            code, status, seconds = known_code(code, self.folder.codes()), 0, None
+            if (consent := self.consent_app(code)) is not None:
+                show(consent)
+                if consent.agreed is None:
+                    print(_('Nothing was saved.'))
+                elif not consent.agreed:
+                    print(self.declined().in_terminal)
+                if not consent.agreed:
+                    return 0
+                seconds = consent.seconds
+            with self.enter(code, consent_seconds=seconds) as participant:
+                turn = self.next_turn(participant)
+                while isinstance(turn, Turn):
+                    status = run_in_terminal(turn.setup)
+                    turn = self.next_turn(participant, turn)
+                print(turn.in_terminal)
         return status
 
     def simulate(self, code: str) -> None:
         """Let a simulated teacher take part; the seed determines its other answers."""
-        with place(self.namespace):
-            participant = self.enter(code, simulated=True)
+        with place(self.namespace), self.enter(code, simulated=True) as participant:
             turn = self.next_turn(participant, simulated=True)
             while isinstance(turn, Turn):
                 print(f'{code}: {turn.condition.name}', flush=True)
@@ -112,36 +149,91 @@ class Study:
         for problem in self.folder.records()[1]:
             print(one_line(f'humanopts study: {problem}'), file=sys.stderr)
 
-    def enter(self, code: str, *, simulated: bool = False) -> Record:
+    def consent_app(self, code: str) -> ConsentApp | None:
         """
-        Return the record of a participant.
+        Return the consent to show before anything runs or is written; None: it is not asked.
+
+        People who come when all places are taken are counted.
 
         :raises StudyError: this code cannot take part.
         """
-        return self.folder.enter(self.plan, code, simulated=simulated)
+        try:
+            known = self.folder.find(self.plan, code)
+        except FullError:
+            self.folder.turn_away()
+            raise
+        pages = self.plan.consent_parts
+        return ConsentApp(pages) if known is None and pages else None
+
+    def declined(self) -> Farewell:
+        """Count a person who did not agree to take part; nothing else is written."""
+        self.folder.decline()
+        text = _('Nothing was saved. Only the number of people who decline is counted.')
+        return Farewell(text, _address(self.plan.recruiting.declined, ''))
+
+    @contextmanager
+    def enter(
+        self,
+        code: str,
+        *,
+        simulated: bool = False,
+        consent_seconds: float | None = None,
+        **client: Any,
+    ) -> Iterator[Record]:
+        """
+        Take part: yield the record of a participant, which is held until the context ends.
+
+        :param consent_seconds: time in which the person has agreed just now; None: was not asked.
+        :param client: fields of the 'client' event: browser, width, height, language, columns.
+        :raises StudyError: this code cannot take part, takes part elsewhere, or cannot be written;
+            in the last case, nothing about the participant is left.
+        """
+        try:
+            record = self.folder.enter(
+                self.plan, code, simulated=simulated, consent_seconds=consent_seconds
+            )
+        except OSError as error:
+            text = _('The study could not begin, and nothing was saved: {why}.')
+            raise StudyError(text.format(why=error.strerror)) from error
+        with self.folder.hold(record):
+            if client:
+                OpenRecord(record.path).note('client', **client)
+            yield record
+
+    def farewell(self, record: Record) -> Farewell:
+        """Return what a participant reads at the end."""
+        record, recruiting = record.read(), self.plan.recruiting
+        if record.excluded:
+            text = _('The study ends here: too many attention checks were not passed.')
+            return Farewell(text, _address(recruiting.failed, record.code))
+        if not record.over:
+            text = _('You have not finished yet. Continue with the same code: {code}')
+            return Farewell(text.format(code=record.code))
+        text, completed = _('You have finished the study. Thank you.'), recruiting.completed or ''
+        if completed and not completed.startswith('https:'):
+            text += ' ' + _('Your completion code: {code}').format(code=completed)
+            completed = ''
+        return Farewell(text, _address(completed, record.code))
 
     def next_turn(
         self, participant: Record, last: Turn | None = None, *, simulated: bool = False
-    ) -> Turn | str:
+    ) -> Turn | Farewell:
         """
-        Return the next condition with remaining parts, or a text if there is none.
-
-        The text says that the participant has finished, stopped or refused.
+        Return the next condition with remaining parts, or a farewell if there is none.
 
         :param last: the condition that just ended.
         :raises CommandError: the next one cannot be launched.
         :raises StudyError: the record or its plan cannot be used.
         """
-        code, record = participant.code, participant.read()
-        notes = OpenRecord(participant.path)
-        if last is not None and record.refused:
-            notes.note('ended', why=REFUSED)
-            return f'{code} does not take part; nothing more is asked'
+        record, notes = participant.read(), OpenRecord(participant.path)
+        if record.refused or record.excluded:
+            notes.note('ended')
+            return self.farewell(record)
         if last is not None and record.remaining(last.left):
-            return f'{code} has not finished, and can continue with the same code'
+            return self.farewell(record)
         plan = self.folder.plan_of(self.plan, participant)
         turns = plan.turns_of(record.place, record.number)
-        for part in record.remaining([part for _, parts in turns for part in parts]):
+        for part in record.remaining(plan.parts_of(record.place, record.number)):
             spent = record.seconds_in(part.key)
             if part.minutes and spent > max(0.0, 60 * part.minutes - _MIN_SECONDS):
                 notes.note('part ended', part, why=TIME)
@@ -151,7 +243,7 @@ class Study:
                 setup = self._setup(plan, participant, condition, left, simulated=simulated)
                 return Turn(condition, left, setup)
         notes.note('ended')
-        return f'{code} has finished; everything is in {self.folder.path}'
+        return self.farewell(record)
 
     def _setup(
         self,

@@ -6,6 +6,7 @@ from humanopts_teach.dialogue.app import App, Screen
 from humanopts_teach.dialogue.entry import end, Notice
 from humanopts_teach.dialogue.keys import Command, ENTER
 from humanopts_teach.dialogue.panel import Block, Line, Page
+from humanopts_teach.language import _
 from humanopts_teach.study.plan import Part
 
 NOTHING_SAVED = (
@@ -43,11 +44,11 @@ class ConsentApp(App):
 
     def _turn_to(self, index: int) -> None:
         """Show a page; the last one asks for the decision."""
-        choices = [Command([ENTER], 'continue', lambda app: self._turn_to(index + 1))]
+        choices = [Command([ENTER], _('continue'), lambda app: self._turn_to(index + 1))]
         if index == len(self._pages) - 1:
             choices = [
-                Command('y', 'I agree and take part', lambda app: self._decide(True)),
-                Command('n', 'I do not take part', lambda app: self._decide(False)),
+                Command('y', _('I agree and take part'), lambda app: self._decide(True)),
+                Command('n', _('I do not take part'), lambda app: self._decide(False)),
             ]
         part = self._pages[index]
         self.show(page(Page(part.text), choices, part.reading))

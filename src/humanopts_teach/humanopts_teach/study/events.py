@@ -7,7 +7,7 @@ Every line from a file or a bag is validated here; invalid lines are ignored.
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 import math
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Final, Literal, Self
 
 from humanopts_learner.summary import OptionSummary
 from humanopts_ros.limits import composed, parse_json
@@ -54,8 +54,10 @@ _REQUIRED: dict[EventKind, tuple[str, ...]] = {
     'learned': ('part', 'options'),
     'ended': (),
 }
-FINISHED, TIME, REFUSED = 'finished', 'time is over', 'not agreed'  # why a part ended
-FAILED = 'attention failed'
+FINISHED: Final = 'finished'  # why a part ended, as are the next three
+TIME: Final = 'time is over'
+REFUSED: Final = 'not agreed'
+FAILED: Final = 'attention failed'
 MAX_LINE = 1_000_000  # maximum number of characters of an event
 
 
@@ -112,12 +114,12 @@ class Event(_Values):
     domain: Text = ''
     rank: Rank = 0
     text: Text = ''
-    options: tuple[LearnedOption, ...] = Field((), strict=False)
+    options: tuple[LearnedOption, ...] = Field(default=(), strict=False)
     participant: Annotated[str, Field(pattern=f'^{CODE.pattern}$')] = ''
     number: Count = 0  # index of the participant, in order of arrival
     place: Count = 0  # index into the orders of the plan
     study: Text = ''
-    order: tuple[Text, ...] = Field((), strict=False)  # names of the conditions
+    order: tuple[Text, ...] = Field(default=(), strict=False)  # names of the conditions
     simulated: bool = False
     protocol: Text = ''  # digest of the participant's plan; empty: not stored
     browser: Text = ''

@@ -10,14 +10,19 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 import fcntl
+from itertools import count
 import os
 from pathlib import Path
 import re
+from secrets import choice
+import shutil
 import time
 from typing import Any
 
 from humanopts_learner.append_only_log import AppendOnlyLog, read_lines
-from humanopts_teach.lesson.store import CODE, CODE_RULE, similar_code
+from humanopts_ros.limits import caseless, shown
+from humanopts_teach.language import N_
+from humanopts_teach.lesson.store import CODE, similar_code
 from humanopts_teach.study.events import (
     Event,
     event_of,
@@ -29,17 +34,41 @@ from humanopts_teach.study.events import (
     TimeIn,
     times_in,
 )
-from humanopts_teach.study.plan import Part, StudyPlan
+from humanopts_teach.study.log import FILE as LOG
+from humanopts_teach.study.log import LogEvent, StudyLog
+from humanopts_teach.study.plan import Part, PartKind, StudyPlan
 from humanopts_teach.study.protocol import difference, digest_of, FILE, Protocol, SHOWN_DIGEST
 
 TOPIC = 'study_events'  # StudyEvent messages, each an event as JSON
 MAX_BYTES = 64 * 2**20  # maximum size of a record
 MAX_NUMBER = 999_999  # maximum participant number
+_LOCK = '.lock'
+_RESERVED = {'pilot', 'tables', 'report'}  # folders of a study
+_CODE_LETTERS, _CODE_LENGTH = '23456789abcdefghjkmnpqrstuvwxyz', 8
 _NAME = re.compile(rf'([0-9]{{3,6}})-({CODE.pattern})\.jsonl')  # file name of a record
 
 
 class StudyError(ValueError):
     """A participant cannot take part; the message gives the reason."""
+
+
+class EndedError(StudyError):
+    """
+    A participant has ended the study already.
+
+    :ivar record: of the participant.
+    """
+
+    def __init__(self, record: 'Record') -> None:
+        self.record = record
+        super().__init__(N_(f'{record.code!r} has ended this study already; give another code'))
+
+
+class FullError(StudyError):
+    """All places of the study are taken."""
+
+    def __init__(self, places: int) -> None:
+        super().__init__(N_(f'All {places} places of the study are taken; nothing was saved.'))
 
 
 class SimilarCodeError(StudyError):
@@ -120,6 +149,20 @@ class Record:
         """Whether the participant has completed the study."""
         return bool(self.of('ended'))
 
+    def holds_place(self, hours: float, now: float) -> bool:
+        """
+        Return whether the place is not available to others.
+
+        It is held by those who have completed the study, and by those under way.
+
+        :param hours: time in which a participant has to return; 0: unlimited.
+        :param now: s since 1970.
+        """
+        if self.excluded or self.refused:
+            return False
+        latest = max((event.time for event in self.events), default=now)
+        return self.over or not hours or now - latest < 3600 * hours
+
     @property
     def minutes(self) -> float:
         """The time in minutes from the first to the last event, including breaks."""
@@ -191,18 +234,31 @@ class OpenRecord(Record):
             values |= {'part': part.key, 'condition': part.condition}
             if kind in ('part began', 'part ended'):
                 values['kind'] = part.kind
-        event = Event(event=kind, time=round(self._clock(), 3), **values)
-        line = event.model_dump_json(exclude_unset=True)
-        self._log.append(line)
-        self.events.append(event)
-        self._publish(line)
+        self.append(Event(event=kind, time=round(self._clock(), 3), **values))
+
+    def append(self, *events: Event) -> None:
+        """
+        Append events, all of them or none.
+
+        :raises OSError: the events could not be written.
+        """
+        lines = [event.model_dump_json(exclude_unset=True) for event in events]
+        self._log.append(*lines)
+        self.events.extend(events)
+        for line in lines:
+            self._publish(line)
 
 
 class StudyFolder:
     """The folder of a study: participants' records, and one subfolder of bags for each."""
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+    def __init__(self, path: Path, clock: Callable[[], float] = time.time) -> None:
+        """
+        Name the folder, which need not exist.
+
+        :param clock: function that returns the time in s since 1970.
+        """
+        self.path, self._clock = path, clock
 
     def records(self) -> tuple[list[Record], list[str]]:
         """
@@ -230,43 +286,197 @@ class StudyFolder:
         """Return the codes of all participants."""
         return [each.code for each in self.records()[0]]
 
-    def enter(self, plan: StudyPlan, code: str, *, simulated: bool = False) -> Record:
+    def new_code(self) -> str:
+        """Return a code that no participant has, and that no one can guess."""
+        known = {caseless(code) for code in self.codes()}
+        codes = (''.join(choice(_CODE_LETTERS) for _ in range(_CODE_LENGTH)) for _ in count())
+        return next(code for code in codes if code not in known)
+
+    def find(self, plan: StudyPlan, code: str, *, simulated: bool = False) -> Record | None:
         """
-        Return the record of a new participant, or of one who continues the study.
+        Return the record of a participant who continues; None: a new one, who can begin.
+
+        Nothing is written.
 
         :param simulated: whether the participant is a simulated teacher.
         :raises SimilarCodeError: a known code differs only in case.
         :raises ChangedPlanError: the plan differs from the stored one.
-        :raises StudyError: the code is invalid, its participant has finished or follows another
-            plan, or the plan is full.
-        :raises OSError: the folder cannot be written.
+        :raises EndedError: the participant has ended the study.
+        :raises FullError: all places are taken.
+        :raises StudyError: the code is invalid, or its participant follows another plan.
+        :raises OSError: the folder cannot be read.
         """
         if not CODE.fullmatch(code):
-            raise StudyError(f'{code!r} is not a code: {CODE_RULE}')
+            given = shown(code)
+            raise StudyError(
+                N_(f'{given!r} is not a code: letters, digits, - and _, at most 60 of them')
+            )
+        if caseless(code) in _RESERVED:
+            raise StudyError(N_(f'{code!r} cannot be used as a code; give another one'))
+        self.check(plan)
+        records, problems = self.records()
+        record = next((each for each in records if each.code == code), None)
+        if record is not None and record.over:
+            raise EndedError(record)
+        if record is not None and record.began is not None:
+            self._check_continues(plan, record, record.began, simulated=simulated)
+            return record
+        if record is None:
+            if similar := similar_code(code, [each.code for each in records]):
+                raise SimilarCodeError(code, similar)
+            for each in self._named()[0]:
+                if each.code == code and not _is_empty(each.path):
+                    # Otherwise the participant would get a second record.
+                    why = next(text for text in problems if text.startswith(f'{each.path} '))
+                    raise StudyError(
+                        f'{code!r} has a record that cannot be used: {why}; repair it, or move '
+                        'it away'
+                    )
+        self._free_place(plan, records)
+        return None
+
+    def enter(
+        self,
+        plan: StudyPlan,
+        code: str,
+        *,
+        simulated: bool = False,
+        consent_seconds: float | None = None,
+    ) -> Record:
+        """
+        Return the record of a new participant, or of one who continues the study.
+
+        A new participant gets the lowest free place. A record that cannot be written leaves
+        nothing.
+
+        :param consent_seconds: time in which the person has agreed just now; None: was not asked.
+        :raises StudyError: as of ``find``.
+        :raises OSError: the folder cannot be written.
+        """
         self.path.mkdir(parents=True, exist_ok=True)
         with self._locked():
-            self.check(plan)
-            records, problems = self.records()
-            record = next((each for each in records if each.code == code), None)
+            found = self.find(plan, code, simulated=simulated)
+            if found is not None:
+                return found
+            named = self._named()[0]
+            place = self._free_place(plan, self.records()[0])
+            record = next((each for each in named if each.code == code), None)
             if record is None:
-                record = self._new(plan, code, [each.code for each in records], problems)
-            if record.over:
-                raise StudyError(f'{code!r} has ended this study already; give another code')
-            if record.began is not None:
-                self._check_continues(plan, record, record.began, simulated=simulated)
-                return record
-            Protocol(self.path).keep(plan)
-            OpenRecord(record.path).note(
-                'began',
+                deleted = (entry.number or 0 for entry in StudyLog(self.path).of('withdrawn'))
+                number = max((*(each.number for each in named), *deleted), default=-1) + 1
+                if number > MAX_NUMBER:
+                    raise StudyError(
+                        f'{named[-1].path} has the last number; give it a smaller one'
+                    )
+                record = Record(self.path / _file_name(number, code), code, number)
+            now = round(self._clock(), 3)
+            began = Event(
+                event='began',
+                time=now,
                 participant=code,
                 number=record.number,
-                place=record.number,
+                place=place,
                 study=plan.study,
-                order=tuple(condition.name for condition in plan.order_of(record.number)),
+                order=tuple(condition.name for condition in plan.order_of(place)),
                 simulated=simulated,
                 protocol=digest_of(plan),
             )
-            return record
+            consent = [] if consent_seconds is None else _agreed(plan, now, consent_seconds)
+            try:
+                Protocol(self.path).keep(plan)
+                OpenRecord(record.path).append(began, *consent)
+            except OSError:
+                if _is_empty(record.path):  # its name has the code
+                    record.path.unlink(missing_ok=True)
+                raise
+            return record.read()
+
+    @contextmanager
+    def hold(self, record: Record) -> Iterator[None]:
+        """
+        Take part, in one place at a time.
+
+        :raises StudyError: the participant takes part elsewhere.
+        """
+        with self._locked():
+            handle = _take(record.path)
+        if handle is None:
+            raise StudyError(
+                f'{record.code!r} takes part elsewhere at the moment; nothing is lost'
+            )
+        try:
+            yield
+        finally:
+            os.close(handle)
+
+    def running(self) -> set[str]:
+        """Return the codes of those who take part at the moment."""
+        if not (self.path / _LOCK).exists():
+            return set()
+        with self._locked():
+            handles = {each.code: _take(each.path) for each in self.records()[0]}
+            for handle in handles.values():
+                if handle is not None:
+                    os.close(handle)
+        return {code for code, handle in handles.items() if handle is None}
+
+    def decline(self) -> None:
+        """Count a person who did not agree; nothing else about the person is written."""
+        self._log('declined')
+
+    def turn_away(self) -> None:
+        """Count a person who came when all places were taken."""
+        self._log('full')
+
+    def withdraw(self, code: str) -> int:
+        """
+        Delete everything about a participant, and log the deletion without the code.
+
+        :return: number of deleted files.
+        :raises StudyError: there is no such participant, or the participant is taking part.
+        :raises OSError: a file cannot be deleted; the deletion can be repeated.
+        """
+        files = self.files_of(code)
+        with self._locked():
+            record = next(each for each in self._named()[0] if each.code == code)
+            handle = _take(record.path)
+            if handle is None:
+                raise StudyError(f'{code!r} takes part at the moment; wait until that has ended')
+            os.close(handle)
+            place = record.read().place
+            if (folder := self.path / code).exists():
+                shutil.rmtree(folder)
+            values = {'number': record.number, 'place': place, 'files': len(files)}
+            StudyLog(self.path).note('withdrawn', **values)
+            for path in files:
+                path.unlink(missing_ok=True)
+        return len(files)
+
+    def files_of(self, code: str) -> list[Path]:
+        """
+        Return all files about a participant: records, with their copies, and bags.
+
+        :raises StudyError: there is no such participant.
+        """
+        named = [each for each in self._named()[0] if each.code == code]
+        if not named:
+            raise StudyError(f'{shown(code)!r} has no record in {self.path}')
+        records = [path for each in named for path in self.path.glob(f'{each.path.name}*')]
+        return [*(path for path in (self.path / code).rglob('*') if path.is_file()), *records]
+
+    def _log(self, event: LogEvent) -> None:
+        self.path.mkdir(parents=True, exist_ok=True)
+        with self._locked():
+            StudyLog(self.path).note(event)
+
+    def _free_place(self, plan: StudyPlan, records: Iterable[Record]) -> int:
+        """Return the lowest place that no one holds."""
+        now, hours = self._clock(), plan.return_within
+        held = {each.place for each in records if each.holds_place(hours, now)}
+        place = next(place for place in count() if place not in held)
+        if plan.participants and place >= plan.participants:
+            raise FullError(plan.participants)
+        return place
 
     def check(self, plan: StudyPlan) -> None:
         """
@@ -277,6 +487,11 @@ class StudyFolder:
         :raises OSError: the protocol cannot be read.
         """
         protocol = self._whole_protocol()
+        if protocol.plan is not None and protocol.plan.study != plan.study:
+            raise StudyError(
+                f'{self.path} is the folder of the study {protocol.plan.study!r}, not of '
+                f'{plan.study!r}; --study DIR names another'
+            )
         if missing := self.missing_plan(protocol):
             raise StudyError(f'{missing}; put the file back from a copy')
         if protocol.plan is not None and (changes := difference(protocol.plan, plan)):
@@ -324,6 +539,10 @@ class StudyFolder:
     def _check_continues(
         self, plan: StudyPlan, record: Record, began: Event, *, simulated: bool
     ) -> None:
+        if began.study != plan.study:
+            raise StudyError(
+                f'{record.code!r} takes part in the study {began.study!r}, not in {plan.study!r}'
+            )
         followed = self.plan_of(plan, record).order_of(record.place)
         if list(began.order) != [condition.name for condition in followed]:
             raise StudyError(
@@ -337,31 +556,6 @@ class StudyFolder:
                 'with --study'
             )
 
-    def _new(
-        self, plan: StudyPlan, code: str, known: Sequence[str], problems: Iterable[str]
-    ) -> Record:
-        """Return the record of a new participant; an existing empty file keeps its number."""
-        if similar := similar_code(code, known):
-            raise SimilarCodeError(code, similar)
-        if plan.participants and len(known) >= plan.participants:
-            raise StudyError(
-                f'all {plan.participants} participants of the plan have begun; {code!r} is new'
-            )
-        named, _ = self._named()
-        number = max((each.number for each in named), default=-1) + 1
-        for each in named:
-            if each.code == code:
-                if each.path.is_file() and not each.path.stat().st_size:
-                    return each
-                # Otherwise the participant would get a second record.
-                why = next(text for text in problems if text.startswith(f'{each.path} '))
-                raise StudyError(
-                    f'{code!r} has a record that cannot be used: {why}; repair it, or move it away'
-                )
-        if number > MAX_NUMBER:
-            raise StudyError(f'{named[-1].path} has the last number; give it a smaller one')
-        return Record(self.path / _file_name(number, code), code, number)
-
     def _named(self) -> tuple[list[Record], list[str]]:
         """Return the files with record names, by number, and descriptions of other files."""
         found, problems = [], []
@@ -369,7 +563,7 @@ class StudyFolder:
             match = _NAME.fullmatch(path.name)
             if match is not None and _file_name(int(match[1]), match[2]) == path.name:
                 found.append(Record(path, match[2], int(match[1])))
-            elif path.name != FILE:
+            elif path.name not in (FILE, LOG):
                 problems.append(
                     f'{path} is left out: its name is not that of a record, such as '
                     f'{_file_name(0, "p1")}; it may be a copy that another program made'
@@ -380,12 +574,41 @@ class StudyFolder:
     def _locked(self) -> Iterator[None]:
         """Prevent other processes from entering a participant at the same time."""
         how = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
-        lock = os.open(self.path / '.lock', how, 0o644)
+        lock = os.open(self.path / _LOCK, how, 0o644)
         try:
             fcntl.flock(lock, fcntl.LOCK_EX)
             yield
         finally:
             os.close(lock)
+
+
+def _agreed(plan: StudyPlan, now: float, seconds: float) -> list[Event]:
+    """Return the events of a consent; the last page has the time that all pages took."""
+    events = []
+    for page in plan.consent_parts:
+        start = now - seconds
+        end = now if page.kind is PartKind.CONSENT else start
+        fields: dict[str, Any] = {'part': page.key, 'condition': '', 'kind': page.kind}
+        events += [
+            Event(event='part began', time=start, **fields),
+            Event(event='part ended', time=end, why=FINISHED, **fields),
+        ]
+    return events
+
+
+def _is_empty(path: Path) -> bool:
+    return not path.exists() or (path.is_file() and not path.stat().st_size)
+
+
+def _take(record: Path) -> int | None:
+    """Lock a record; return the descriptor to close, or None if another process has it."""
+    handle = os.open(record, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(handle)
+        return None
+    return handle
 
 
 def _file_name(number: int, code: str) -> str:
