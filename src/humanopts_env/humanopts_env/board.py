@@ -56,6 +56,7 @@ class Board:
     dotted: bool = True  # draw a dot in each empty cell, so that cells are easy to count
     picture: str = ''  # text drawing of a world without cells
     image: Image | None = field(default=None, compare=False)  # image of a world without cells
+    unseen: str = 'hidden: {name} in row {row}, column {col}'  # note on a mark without room
 
     @property
     def drawn(self) -> bool:
@@ -150,7 +151,7 @@ def captions(board: Board) -> tuple[list[list[Sign]], list[list[Sign]]]:
         legend.setdefault(mark.name, {})[mark.kind] = _style(mark)
     shown = 3 if board.walls else 2
     hidden = [
-        f'hidden: {mark.name} in row {row}, column {col}'
+        board.unseen.format(name=mark.name, row=row, col=col)
         for (row, col), marks in board.marks_by_cell().items()
         for mark in marks[shown:]
     ]

@@ -1,24 +1,27 @@
 """
 The language of what a person reads: GNU gettext, one PO file per language.
 
-English is the source. What nodes publish and files record stays English, so that bags and tables
-do not depend on the language; ``translated`` translates such texts when they are displayed.
+The texts in the code are English with the terms of the field. Participants of studies read another
+language; their English, ``en.po``, has plain words for these terms. What nodes publish and files
+record stays as in the code, so that bags and tables do not depend on the language; ``translated``
+translates such texts when they are displayed.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from functools import cache, lru_cache
+from functools import cache, lru_cache, wraps
 from gettext import GNUTranslations, NullTranslations
 from io import BytesIO
 from pathlib import Path
 import re
-from typing import NamedTuple
+from typing import Concatenate, NamedTuple, ParamSpec, Protocol, TypeVar
 
-ENGLISH = 'en'
 _FOLDER = Path(__file__).parent / 'locale'
 _FIELD = re.compile(r'\{(\w*)[^{}]*\}')  # a placeholder, with its format
 _NAMES = {'code', 'name', 'option', 'participant'}  # placeholders of what people typed
+P = ParamSpec('P')
+R = TypeVar('R')
 _SENTENCE_END = re.compile(r'(?<=[.!?]) ')
 _WITHIN_A_SENTENCE = '(?:(?![.!?] ).)*?'
 
@@ -33,13 +36,13 @@ class _Language(NamedTuple):
     templates: tuple[tuple[re.Pattern[str], str], ...]  # English and translation; longest first
 
 
-_SOURCE = _Language(ENGLISH, NullTranslations(), ())
+_SOURCE = _Language('en', NullTranslations(), ())
 _spoken = ContextVar('_spoken', default=_SOURCE)
 
 
 def languages() -> tuple[str, ...]:
     """Return the codes of the languages that are included."""
-    return (ENGLISH, *sorted(path.stem for path in _FOLDER.glob('*.po')))
+    return tuple(sorted(path.stem for path in _FOLDER.glob('*.po')))
 
 
 @contextmanager
@@ -47,7 +50,8 @@ def speaking(language: str) -> Iterator[None]:
     """
     Speak a language in this context: this thread or task, and the tasks that it creates.
 
-    :param language: one of ``languages``, or the path of a PO file.
+    :param language: one of ``languages``, or the path of a PO file; empty: the texts as in the
+        code, for those who know the terms.
     :raises LanguageError: it is unknown, or its file cannot be used.
     """
     token = _spoken.set(read_language(language))
@@ -55,6 +59,30 @@ def speaking(language: str) -> Iterator[None]:
         yield
     finally:
         _spoken.reset(token)
+
+
+class Speaker(Protocol):
+    """An object whose methods speak its language."""
+
+    @property
+    def language(self) -> str:
+        """The language, as in ``speaking``."""
+
+
+Spoken = TypeVar('Spoken', bound=Speaker)
+
+
+def in_its_language(
+    method: Callable[Concatenate[Spoken, P], R],
+) -> Callable[Concatenate[Spoken, P], R]:
+    """Let a method, or a function of a speaker, speak the language of that speaker."""
+
+    @wraps(method)
+    def speaks(speaker: Spoken, /, *args: P.args, **given: P.kwargs) -> R:
+        with speaking(speaker.language):
+            return method(speaker, *args, **given)
+
+    return speaks
 
 
 def spoken() -> str:
@@ -105,7 +133,7 @@ def read_language(language: str) -> _Language:
 
     :raises LanguageError: it is unknown, or its file cannot be used.
     """
-    if language == ENGLISH:
+    if not language:
         return _SOURCE
     if not language.endswith('.po') and language not in languages():
         known = ', '.join(languages())

@@ -20,6 +20,7 @@ from humanopts_teach.dialogue.panel import (
     TARGET,
     TypedText,
 )
+from humanopts_teach.language import _, in_its_language
 from humanopts_teach.report.pages import page_style, templates
 from markdown_it import MarkdownIt
 
@@ -42,15 +43,18 @@ def _macros() -> Any:
     # Escape HTML, and do not load images from other servers.
     page = MarkdownIt('commonmark', {'html': False}).disable('image').render
     given: dict[str, object] = {
+        '_': _,
         'picking': _picking,
         'page': page,
-        'interrupt': label(INTERRUPT),
+        'interrupt': INTERRUPT,
+        'label': label,
         'target': TARGET,
         'max_characters': MAX_CHARACTERS,
     }
     return templates(_PACKAGE).get_template('page.html', globals=given).module
 
 
+@in_its_language
 def parts(view: ScreenView) -> dict[str, str]:
     """
     Return the HTML of each part of the page.

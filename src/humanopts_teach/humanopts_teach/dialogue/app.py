@@ -22,6 +22,7 @@ from humanopts_teach.dialogue.keys import (
     SPACE,
 )
 from humanopts_teach.dialogue.panel import GAP, Line, Panel, Tone
+from humanopts_teach.language import _, in_its_language, N_, translated
 from humanopts_teach.lesson.question_groups import QuestionGroups
 from humanopts_teach.lesson.requests import (
     ActionGoal,
@@ -49,8 +50,8 @@ REPLY_SECONDS = 5.0  # timeout for a node's answer
 SETTLE_SECONDS = 1.0  # timeout for the latched topics to reflect the answer
 MAX_KEYS = 128  # maximum number of queued keys; further keys are dropped
 _MAX_FRAMES = 64  # number of recent frames for which keys are accepted
-_EARLY = 'Please read this first; {} was ignored.'
-_PAUSED = 'Not now: the lesson is paused; see the top of the screen.'
+_EARLY = N_('Please read this first; {key} was ignored.')
+_PAUSED = N_('Not now: the lesson is paused; see the top of the screen.')
 
 
 class Screen:
@@ -104,7 +105,7 @@ class Screen:
         """Handle a key that is not bound to a command: a digit repeats the next action."""
         if key.isdecimal() and self.plays(app):
             app.times = f'{app.times}{key}'.lstrip('0')[:2]
-            app.say(f'{app.times or 0} times: now an action key.')
+            app.say(_('{count} times: now an action key.').format(count=app.times or 0))
 
     def refused(self, app: 'App') -> None:
         """Handle a request that was not carried out."""
@@ -143,7 +144,10 @@ class _Waiting:
 class App:
     """The state and logic of the dialogue."""
 
-    leaving: ClassVar[tuple[str, str]] = ('Quit', 'everything taught is saved')  # menu item
+    leaving: ClassVar[tuple[str, str]] = (
+        N_('Quit'),
+        N_('everything taught is saved'),
+    )  # menu item
     needs_game: ClassVar[bool] = True  # nothing is shown before the game is known
     cuts_plays: ClassVar[bool] = True  # offer to cut a whole play into demonstrations
 
@@ -164,8 +168,9 @@ class App:
         self.times = ''  # digits typed before an action; empty: it is taken once
         self.ended = False
         self.now = 0.0  # monotonic time of the last ``advance``, s
+        self.language = ''  # of its texts, as in ``speaking``
         self.pictures = True  # show the world; False: only a table of its features
-        self.leave_hint = 'Ctrl-C quits'  # advice to the person when nodes are missing
+        self.leave_hint = N_('Ctrl-C quits')  # advice to the person when nodes are missing
         self._frame = 0  # number of the latest frame
         self._seen: dict[int, _Seen] = {}  # by frame number
         self._displayed: object = None  # screen of the frame that the person saw last
@@ -228,17 +233,24 @@ class App:
         elif self.run is not None:
             self.ask(SetControl(hold=True))
         else:
-            self.say('The episode is over: no more steps can be taken.', bad=True)
+            self.say(_('The episode is over: no more steps can be taken.'), bad=True)
 
     def actions(self) -> list[Command]:
         """Return the commands for primitive actions."""
         actions = [
-            Command([a.key], a.name, partial(App.drive, action=a.name), a.description)
+            Command(
+                [a.key],
+                translated(a.name),
+                partial(App.drive, action=a.name),
+                translated(a.description),
+            )
             for a in self.domain.actions
         ]
         free = not any(a.key.isdecimal() for a in self.domain.actions)
-        text = 'a number before an action repeats it: 1 2 → takes 12 steps'
-        repeat = Command(['1-9'], 'repeat', (lambda app: None) if free else None, text, label='')
+        text = _('a number before an action repeats it: 1 2 → takes 12 steps')
+        repeat = Command(
+            ['1-9'], _('repeat'), (lambda app: None) if free else None, text, label=''
+        )
         return [*actions, repeat]
 
     def claim_lesson(self, participant: str, displaced: Screen) -> None:
@@ -253,6 +265,7 @@ class App:
         """Leave the dialogue. Subclasses override this to continue instead."""
         self.ended = True
 
+    @in_its_language
     def type(self, keys: Iterable[str], frame: int | None = None) -> None:
         """
         Queue key presses; Ctrl-C takes effect immediately, and so does Space with a robot.
@@ -278,7 +291,7 @@ class App:
                 self.ended = True
                 continue
             if early:
-                self.say(_EARLY.format(label(key)))
+                self.say(_(_EARLY).format(key=label(key)))
                 continue
             moves = self.run is not None or bool(self.world.progress.action)
             if key == SPACE and self.world.robot and (moves or not self.screen.takes_text):
@@ -288,7 +301,7 @@ class App:
                 if action != self._lasts.action:
                     self._drop()
                     self._waiting = None
-                elif any(queued == key for queued, _ in self._keys):
+                elif any(queued == key for queued, seen in self._keys):
                     continue
             if key and len(self._keys) < MAX_KEYS:
                 self._keys.append((key, seen))
@@ -313,8 +326,8 @@ class App:
         if not self.screen.plays(self):
             return ''
         command = command_of(key, key_table(self.screen.commands(self)))
-        names = {action.name for action in self.domain.actions}
-        return command.words if command is not None and command.words in names else ''
+        names = {translated(action.name): action.name for action in self.domain.actions}
+        return names.get(command.words, '') if command is not None else ''
 
     def drawn(self) -> int:
         """
@@ -327,6 +340,7 @@ class App:
         self._seen.pop(self._frame - _MAX_FRAMES, None)
         return self._frame
 
+    @in_its_language
     def advance(self, now: float) -> Request | None:
         """
         Process queued requests and keys as far as possible.
@@ -343,7 +357,7 @@ class App:
         while not self.ended:
             if self._stops:
                 self._stops = False
-                self.say('Stopped. You have control.')
+                self.say(_('Stopped. You have control.'))
                 return Drive('', self.world.game.episode, self.world.game.step)
             if self._waiting is not None:
                 break
@@ -361,7 +375,11 @@ class App:
                 given = seen.screen is not None or self.screen.earliest > 0
                 other = given and seen.screen is not self.screen
                 if other or (self.screen.answers_lesson and seen.asked_for != self._asked_for):
-                    self.say(f'{label(key)} was pressed before this was shown; ignored.')
+                    self.say(
+                        _('{key} was pressed before this was shown; ignored.').format(
+                            key=label(key)
+                        )
+                    )
                 else:
                     self.screen.press(key, self)
                     if not key.isdecimal():
@@ -372,6 +390,7 @@ class App:
                 break
         return None
 
+    @in_its_language
     def replied(self, request: Request, answer: Answer, now: float) -> None:
         """Accept the answer to the pending request; ignore any other answer as late."""
         waiting = self._waiting
@@ -384,11 +403,12 @@ class App:
             self.world.running = ''
         self._check_waiting(now)
 
+    @in_its_language
     def run_ended(self, run: ActionGoal, well: bool, text: str) -> None:
         """Show how the active run ended; ignore other runs."""
         if self.run is run:
             self.run = None
-            self.say(text, bad=not well)
+            self.say(translated(text), bad=not well)
             self.resume_machine()
             self.screen.run_ended(run, well, self)
 
@@ -410,7 +430,7 @@ class App:
     def lost_server(self) -> None:
         """End the active run because its server is gone."""
         if self.run is not None:
-            self.run_ended(self.run, False, f'{server(self.run)} is gone.')
+            self.run_ended(self.run, False, _('{node} is gone.').format(node=server(self.run)))
 
     def last_requests(self) -> list[Request]:
         """Return the requests that clean up when the dialogue ends."""
@@ -448,7 +468,12 @@ class App:
         if self.world.in_control:
             self.ask(SetControl(hold=False))
         other = self.world.lesson.participant
-        self.say(f'{other} is teaching now.' if other else 'The lesson was restarted.', bad=True)
+        self.say(
+            _('{participant} is teaching now.').format(participant=other)
+            if other
+            else _('The lesson was restarted.'),
+            bad=True,
+        )
         self.show(self._displaced)
 
     def _drop(self) -> None:
@@ -474,7 +499,9 @@ class App:
         if answer is None:
             if not late:
                 return
-            answer = Answer(RequestStatus.REFUSED, f'{server(request)} does not answer.')
+            answer = Answer(
+                RequestStatus.REFUSED, _('{node} does not answer.').format(node=server(request))
+            )
         elif answer.carried_out and not late and not settled(request, answer, self.world):
             return
         self._waiting, done = None, answer.carried_out
@@ -493,9 +520,9 @@ class App:
 def _words(request: Request, answer: Answer) -> str:
     """Return the part of an answer to show the person; empty: nothing."""
     if answer.status is RequestStatus.PAUSED:
-        return _PAUSED
+        return _(_PAUSED)
     if isinstance(request, Drive) and not answer.ok:
-        return f'{request.action}: {answer.detail}'
+        return f'{translated(request.action)}: {translated(answer.detail)}'
     if answer.ok and not isinstance(request, DefineOption | WithdrawDemonstration | ChangeOption):
         return ''
-    return answer.detail
+    return translated(answer.detail)

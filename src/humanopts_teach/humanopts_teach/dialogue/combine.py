@@ -12,16 +12,17 @@ from humanopts_teach.dialogue.app import App, Screen
 from humanopts_teach.dialogue.entry import INTERRUPT, PAGE
 from humanopts_teach.dialogue.keys import Command, Do
 from humanopts_teach.dialogue.panel import Block, Choices, GAP, Line, Panel, Tone
+from humanopts_teach.language import _, N_, translated
 from humanopts_teach.lesson.requests import DefineOption
 import numpy as np
 
 # What is typed before, between and after the features that the person chooses.
 _KINDS = {
-    'difference': ('', ' - ', ''),
-    'distance': ('hypot(', ', ', ')'),
-    'angle': ('atan2(', ', ', ')'),
-    'comparison with a number': ('', ' > '),
-    'equality': ('', ' == '),
+    N_('difference'): ('', ' - ', ''),
+    N_('distance'): ('hypot(', ', ', ')'),
+    N_('angle'): ('atan2(', ', ', ')'),
+    N_('comparison with a number'): ('', ' > '),
+    N_('equality'): ('', ' == '),
 }
 _EXAMPLES = ('a - b', 'hypot(a, b)', 'atan2(a, b)', 'a > 0.5', "a == b, a == 'text'")
 _UNFINISHED = re.compile(r'(^|[-+*/<>=!(,])\s*$')  # a feature or a value must follow
@@ -57,7 +58,7 @@ class CombineScreen(Screen):
     def panel(self, app: App) -> Panel:
         name, news = self._formula(app)
         blocks: list[Block] = [
-            Line('A new feature from others', strong=True),
+            Line(_('A new feature from others'), strong=True),
             GAP,
             Line(f'> {self.typed}█', strong=True, more=(Line('…'.join(self.rest), Tone.QUIET),)),
             Line(news, Tone.NEWS if name else Tone.QUIET),
@@ -66,11 +67,16 @@ class CombineScreen(Screen):
         if items := self._items(app):
             blocks.append(Choices([(item.text, item.note) for item in items], self.at, keys.RIGHT))
         if len(items) > PAGE:
-            blocks.append(Line(f'{self.at + 1} of {len(items)}', Tone.QUIET))
+            blocks.append(
+                Line(
+                    _('{number} of {count}').format(number=self.at + 1, count=len(items)),
+                    Tone.QUIET,
+                )
+            )
         return Panel(blocks)
 
     def commands(self, app: App) -> Sequence[Command]:
-        name, _ = self._formula(app)
+        name = self._formula(app)[0]
         items, enter = self._items(app), None
 
         def go(step: int) -> Do | None:
@@ -91,13 +97,15 @@ class CombineScreen(Screen):
         elif items and _UNFINISHED.search(self.typed):
             enter = choose
         return [
-            Command([keys.UP], 'move', go(-1), label='↑ ↓'),
-            Command([keys.DOWN], 'move down', go(1), label=''),
-            Command([keys.RIGHT], 'choose', choose if items else None),
-            Command([keys.ENTER], 'add it' if name else 'choose', enter),
-            Command([keys.BACKSPACE], 'erase', self._erase if self.typed or self.rest else None),
-            Command([keys.CLEAR], 'erase all', lambda app: self._type(''), label=''),
-            Command([keys.ESCAPE], 'cancel', self.back),
+            Command([keys.UP], _('move'), go(-1), label='↑ ↓'),
+            Command([keys.DOWN], _('move down'), go(1), label=''),
+            Command([keys.RIGHT], _('choose'), choose if items else None),
+            Command([keys.ENTER], _('add it') if name else _('choose'), enter),
+            Command(
+                [keys.BACKSPACE], _('erase'), self._erase if self.typed or self.rest else None
+            ),
+            Command([keys.CLEAR], _('erase all'), lambda app: self._type(''), label=''),
+            Command([keys.ESCAPE], _('cancel'), self.back),
             INTERRUPT,
         ]
 
@@ -114,29 +122,35 @@ class CombineScreen(Screen):
     def _formula(self, app: App) -> tuple[str, str]:
         """Return the name of the feature, and its value and range; or '' and what is missing."""
         if not self.typed.strip():
-            what = 'the first feature' if self.rest else 'how to combine features'
-            return '', f'Choose {what}, or type a formula.'
+            what = _('the first feature') if self.rest else _('how to combine features')
+            return '', _('Choose {what}, or type a formula.').format(what=what)
         try:
             column = derive(app.domain, self.typed)
         except FormulaError as error:
             word = _WORD.search(self.typed)
             names = [feature.name for feature in app.domain.features]
             begun = word and word[0] not in names and any(n.startswith(word[0]) for n in names)
-            return '', '' if begun or _UNFINISHED.search(self.typed) else f'{error}'
+            return '', '' if begun or _UNFINISHED.search(self.typed) else translated(f'{error}')
         feature = column.feature
         if feature.name in app.world.lesson.derived_features:
-            return '', f'{feature.name} is already a feature'
+            return '', _('{name} is already a feature').format(name=feature.name)
         row = app.world.game.features
-        value = f'now {column.text(np.array(row))}' if row else 'no state yet'
+        value = (
+            _('now {value}').format(value=translated(column.text(np.array(row))))
+            if row
+            else _('no state yet')
+        )
         if feature.kind is FeatureKind.CONTINUOUS:
-            value += f', between {feature.low:.4g} and {feature.high:.4g}'
+            value += _(', between {low:.4g} and {high:.4g}').format(
+                low=feature.low, high=feature.high
+            )
         return feature.name, value
 
     def _items(self, app: App) -> list[_Item]:
         """Return ways to combine features, values to compare with, and features."""
         if not self.typed and not self.rest:
             return [
-                _Item(kind, example, pieces[0], pieces[1:])
+                _Item(_(kind), example, pieces[0], pieces[1:])
                 for (kind, pieces), example in zip(_KINDS.items(), _EXAMPLES)
             ]
         row, lesson = np.array(app.world.game.features), app.world.lesson

@@ -6,10 +6,10 @@ from humanopts_teach.dialogue.app import App, Screen
 from humanopts_teach.dialogue.entry import end, Notice
 from humanopts_teach.dialogue.keys import Command, ENTER
 from humanopts_teach.dialogue.panel import Block, Line, Page
-from humanopts_teach.language import _
+from humanopts_teach.language import _, N_
 from humanopts_teach.study.plan import Part
 
-NOTHING_SAVED = (
+NOTHING_SAVED = N_(
     'You do not take part. Nothing was saved. Only the number of people who declined is counted.'
 )
 
@@ -44,11 +44,11 @@ class ConsentApp(App):
 
     def _turn_to(self, index: int) -> None:
         """Show a page; the last one asks for the decision."""
-        choices = [Command([ENTER], _('continue'), lambda app: self._turn_to(index + 1))]
+        choices = [Command([ENTER], N_('continue'), lambda app: self._turn_to(index + 1))]
         if index == len(self._pages) - 1:
             choices = [
-                Command('y', _('I agree and take part'), lambda app: self._decide(True)),
-                Command('n', _('I do not take part'), lambda app: self._decide(False)),
+                Command('y', N_('I agree and take part'), lambda app: self._decide(True)),
+                Command('n', N_('I do not take part'), lambda app: self._decide(False)),
             ]
         part = self._pages[index]
         self.show(page(Page(part.text), choices, part.reading))
@@ -58,8 +58,8 @@ class ConsentApp(App):
         if agreed:
             self.end()
         else:
-            leave = [Command([ENTER], 'leave', end)]
-            self.show(page(Line(NOTHING_SAVED, strong=True), leave))
+            leave = [Command([ENTER], N_('leave'), end)]
+            self.show(page(Line(_(NOTHING_SAVED), strong=True), leave))
 
 
 def page(text: Block, choices: Sequence[Command], earliest: float = 0.0) -> Notice:

@@ -5,11 +5,13 @@ from dataclasses import dataclass, KW_ONLY, replace
 from functools import partial
 
 from humanopts_env.seeding import generator
+from humanopts_learner.demonstrations import PRIMITIVE_PREFIX
 from humanopts_learner.planning.request import Arbitration, HUMAN, HUMAN_AND_PRIMITIVE, MODULAR
 from humanopts_teach.dialogue.app import App, Screen
 from humanopts_teach.dialogue.entry import Item, ListScreen, QUIT, with_help
 from humanopts_teach.dialogue.keys import Command, Do, ENTER, ESCAPE, key_table, SPACE
 from humanopts_teach.dialogue.panel import GAP, Line, Panel, Tone
+from humanopts_teach.language import _, N_, translated
 from humanopts_teach.lesson.requests import (
     ActionGoal,
     Answer,
@@ -29,14 +31,14 @@ from humanopts_teach.lesson.requests import (
 EPISODES = 5  # number of episodes to watch
 LEARNING_EPISODES = 20  # of learning while driving
 EXECUTIONS = {
-    Arbitration.RUN_TO_END: 'each option runs to its end',
-    Arbitration.INTERRUPTED: 'an option stops where another is worth more',
-    Arbitration.MODULAR_MASS: 'all options act at once; the greatest mass wins',
-    Arbitration.MODULAR_STRONGEST: 'all options act at once; the strongest wins',
+    Arbitration.RUN_TO_END: N_('each option runs to its end'),
+    Arbitration.INTERRUPTED: N_('an option stops where another is worth more'),
+    Arbitration.MODULAR_MASS: N_('all options act at once; the greatest mass wins'),
+    Arbitration.MODULAR_STRONGEST: N_('all options act at once; the strongest wins'),
 }
-TAKE = 'take control'
+TAKE = N_('take control')
 PERIODS = (2.0, 1.0, 0.5, 0.25, 0.1, 0.0)  # s between steps of the machine
-_UNKNOWN_COVERAGE = (
+_UNKNOWN_COVERAGE = N_(
     'Uncovered places are known only for plans with your options alone, in games whose states '
     'can all be listed.'
 )
@@ -58,10 +60,10 @@ def pace(app: App) -> list[Command]:
         return lambda app: app.ask(SetPace(period, paused, steps))
 
     return [
-        Command([SPACE], 'resume' if paused else 'pause', set_to(now, not paused)),
-        Command('.,', 'single step', set_to(now, True, 1)),
-        Command('-', 'slower', set_to(slower, paused)),
-        Command('+', 'faster', set_to(faster, paused)),
+        Command([SPACE], _('resume') if paused else _('pause'), set_to(now, not paused)),
+        Command('.,', _('single step'), set_to(now, True, 1)),
+        Command('-', _('slower'), set_to(slower, paused)),
+        Command('+', _('faster'), set_to(faster, paused)),
     ]
 
 
@@ -69,23 +71,30 @@ def pace_line(world: World) -> Line:
     """Return a line that describes the machine's speed."""
     if world.robot:
         shows = world.lesson.phase is Phase.DEMONSTRATING
-        where = ', and your demonstration begins there' if shows else ''
-        return Line(f'An action key takes over{where}.', Tone.QUIET)
+        where = _(', and your demonstration begins there') if shows else ''
+        return Line(_('An action key takes over{where}.').format(where=where), Tone.QUIET)
     if world.paused_by:
-        return Line('The machine is paused.', Tone.WARNING)
-    limit = f'At most one step every {world.step_period:g} s.'
-    return Line(limit if world.step_period else 'At full speed.', Tone.QUIET)
+        return Line(_('The machine is paused.'), Tone.WARNING)
+    limit = _('At most one step every {seconds:g} s.').format(seconds=world.step_period)
+    return Line(limit if world.step_period else _('At full speed.'), Tone.QUIET)
 
 
 def last_step(world: World) -> Iterator[Line]:
     """Yield the effect and reward of the last step, if any."""
     game, effect = world.game, world.last_effect
     if game.step:
-        text = effect.text if effect is not None else f'last: {game.previous_action}'
+        text = (
+            translated(effect.text)
+            if effect is not None
+            else _('last: {action}').format(action=translated(game.previous_action))
+        )
         without = effect is not None and not effect.changed
-        cut = ', cut short' if game.cut_short else ''
+        cut = _(', cut short') if game.cut_short else ''
         tone = Tone.WARNING if without or cut else Tone.PLAIN
-        yield Line(f'{text} (reward {game.reward:g}{cut})', tone)
+        yield Line(
+            _('{text} (reward {reward:g}{cut})').format(text=text, reward=game.reward, cut=cut),
+            tone,
+        )
 
 
 def control(app: App) -> list[Command]:
@@ -94,16 +103,16 @@ def control(app: App) -> list[Command]:
     if not world.robot:
         return []
     if not world.in_control:
-        return [Command('t', TAKE, lambda app: app.ask(SetControl(hold=True)))]
+        return [Command('t', _(TAKE), lambda app: app.ask(SetControl(hold=True)))]
 
     def released(app: App, answer: Answer) -> None:
-        app.say('The machine may move now. If you leave, the robot stops.')
+        app.say(_('The machine may move now. If you leave, the robot stops.'))
 
     def give_back(app: App) -> None:
         app.ask(SetControl(hold=False), then=partial(released, app))
 
-    text = 'let the machine move the robot, while you supervise it'
-    return [Command('t', 'give control back', give_back, text)]
+    text = _('let the machine move the robot, while you supervise it')
+    return [Command('t', _('give control back'), give_back, text)]
 
 
 def robot_lines(app: App) -> Iterator[Line]:
@@ -112,20 +121,36 @@ def robot_lines(app: App) -> Iterator[Line]:
     if not world.robot:
         return
     if now.stopped:
-        yield Line(f'The robot does not move: {now.stopped}.', Tone.BAD)
+        yield Line(
+            _('The robot does not move: {reason}.').format(reason=translated(now.stopped)),
+            Tone.BAD,
+        )
     if world.locked:
         table = key_table(app.screen.commands(app)).items()
-        key = next((f': press {key}' for key, each in table if each.words == TAKE), '')
-        why = (Line(f'  {world.locked[:1].upper()}{world.locked[1:]}.', Tone.QUIET),)
-        yield Line(f'Nothing moves before you take control{key}.', Tone.WARNING, more=why)
+        key = next(
+            (_(': press {key}').format(key=key) for key, each in table if each.words == _(TAKE)),
+            '',
+        )
+        locked = translated(world.locked)
+        why = (Line(f'  {locked[:1].upper()}{locked[1:]}.', Tone.QUIET),)
+        yield Line(
+            _('Nothing moves before you take control{key}.').format(key=key),
+            Tone.WARNING,
+            more=why,
+        )
     if now.action:
         feedback = f'; {now.feedback}' if now.feedback else ''
-        text = f'{now.action}: {now.seconds:.1f} of {world.longest(now.action):g} s{feedback}'
-        yield Line(text, Tone.NEWS, more=(Line('  Space stops the robot.', Tone.QUIET),))
+        text = _('{action}: {seconds:.1f} of {most:g} s{feedback}').format(
+            action=translated(now.action),
+            seconds=now.seconds,
+            most=world.longest(now.action),
+            feedback=feedback,
+        )
+        yield Line(text, Tone.NEWS, more=(Line('  ' + _('Space stops the robot.'), Tone.QUIET),))
     elif world.supervisor == world.me and not world.in_control:
-        yield Line('The machine may move. If you leave, the robot stops.', Tone.QUIET)
+        yield Line(_('The machine may move. If you leave, the robot stops.'), Tone.QUIET)
     elif not (world.locked or now.stopped):
-        yield Line('The robot stands still.', Tone.QUIET)
+        yield Line(_('The robot stands still.'), Tone.QUIET)
 
 
 @dataclass
@@ -133,42 +158,60 @@ class PlayScreen(Screen):
     """The person drives freely; nothing is recorded as a demonstration."""
 
     menu: Do
-    title: str = 'Drive freely'
-    text: str = 'Nothing here is a demonstration.'
-    leave: str = 'menu'  # label of the Escape key
+    title: str = N_('Drive freely')
+    text: str = N_('Nothing here is a demonstration.')
+    leave: str = N_('menu')  # label of the Escape key
     quits: bool = True  # offer a key that ends the dialogue
 
     def plays(self, app: App) -> bool:
         return True
 
     def commands(self, app: App) -> list[Command]:
-        idle, stop = app.run is None, Command([ESCAPE], 'stop', _stop)
+        idle, stop = app.run is None, Command([ESCAPE], _('stop'), _stop)
         restarts = idle and not app.world.robot
         commands = [
             *(*app.actions(), *pace(app), *self.machine(app), *control(app)),
             Command(
                 'no',
-                'new start',
+                _('new start'),
                 (lambda app: app.ask(self.new_start(app))) if restarts else None,
-                'begin an episode from a start of the task',
+                _('begin an episode from a start of the task'),
             ),
-            Command([ESCAPE], self.leave, self.menu) if idle else stop,
+            Command([ESCAPE], _(self.leave), self.menu) if idle else stop,
             *([QUIT] if self.quits else []),
         ]
         return with_help(commands, self.again)
 
     def panel(self, app: App) -> Panel:
         world, game = app.world, app.world.game
-        lines = [Line(self.title, strong=True), Line(self.text, Tone.QUIET), *self.mode(app), GAP]
+        lines = [
+            Line(_(self.title), strong=True),
+            Line(_(self.text), Tone.QUIET),
+            *self.mode(app),
+            GAP,
+        ]
         if app.run is not None:
-            lines += [Line(f'The machine drives. {app.run_text}', Tone.NEWS), pace_line(world)]
+            lines += [
+                Line(
+                    _('The machine drives. {progress}').format(progress=translated(app.run_text)),
+                    Tone.NEWS,
+                ),
+                pace_line(world),
+            ]
             lines += self.running(app)
         if game.episode:
-            lines += [Line(f'episode {game.episode}, step {game.step}'), *last_step(world)]
+            lines += [
+                Line(
+                    _('episode {episode}, step {step}').format(
+                        episode=game.episode, step=game.step
+                    )
+                ),
+                *last_step(world),
+            ]
         if game.terminated:
-            lines.append(Line('The task is over.', Tone.NEWS))
+            lines.append(Line(_('The task is over.'), Tone.NEWS))
         elif game.truncated:
-            lines.append(Line('The episode is over: step limit reached.', Tone.WARNING))
+            lines.append(Line(_('The episode is over: step limit reached.'), Tone.WARNING))
         return Panel(lines)
 
     def machine(self, app: App) -> list[Command]:
@@ -199,31 +242,31 @@ Correct = Callable[[str, App], None]
 
 def _correction(option_name: str, correct: Correct, app: App) -> Command:
     """Return the command that takes over a running option, to show what it should do."""
-    text = 'stop the option, and show from here what it should do'
+    text = _('stop the option, and show from here what it should do')
     here = option_name and (app.world.game.open or app.world.robot)
-    return Command('wc', 'correct it', partial(correct, option_name) if here else None, text)
+    return Command('wc', _('correct it'), partial(correct, option_name) if here else None, text)
 
 
 @dataclass
 class RunScreen(PlayScreen):
     """The machine runs one taught option; a person's action key takes over."""
 
-    text: str = 'The machine runs it from the state shown. An action key takes over.'
+    text: str = N_('The machine runs it from the state shown. An action key takes over.')
     _: KW_ONLY
     option_name: str
     correct: Correct
 
     def __post_init__(self) -> None:
-        self.title = f'Run: {self.option_name}'
+        self.title = _('Run: {option}').format(option=self.option_name)
 
     def machine(self, app: App) -> list[Command]:
-        run = Command([ENTER], 'run it from here', self._run if app.run is None else None)
+        run = Command([ENTER], _('run it from here'), self._run if app.run is None else None)
         return [run, _correction(self.option_name, self.correct, app)]
 
     def mode(self, app: App) -> Iterator[Line]:
         summary = app.world.summary_of(app.participant, self.option_name)
         if summary is not None:
-            yield Line(summary.status, Tone.GOOD if summary.learned else Tone.WARNING)
+            yield Line(translated(summary.status), Tone.GOOD if summary.learned else Tone.WARNING)
 
     def _run(self, app: App) -> None:
         """Release control and run the option from the current state."""
@@ -235,8 +278,8 @@ class RunScreen(PlayScreen):
 class WatchScreen(PlayScreen):
     """The machine plans and plays episodes; a person's action key takes over."""
 
-    title: str = f'Watch the machine play {EPISODES} episodes'
-    text: str = 'It plans first, then plays. An action key takes over.'
+    title: str = N_(f'Watch the machine play {EPISODES} episodes')
+    text: str = N_('It plans first, then plays. An action key takes over.')
     _: KW_ONLY
     teach: Do
     correct: Correct
@@ -251,31 +294,39 @@ class WatchScreen(PlayScreen):
         return [
             Command(
                 [ENTER],
-                'learn' if self.learning else 'plan and play',
+                _('learn') if self.learning else _('plan and play'),
                 (self._play if self.learning else self._plan) if idle else None,
             ),
             _correction(taught, self.correct, app),
-            Command('xm', 'other arbitration', self._change, 'choose between options differently'),
+            Command(
+                'xm', _('other arbitration'), self._change, _('choose between options differently')
+            ),
             Command(
                 'cy',
-                'uncovered places',
+                _('uncovered places'),
                 self._show_uncovered if idle else None,
-                'list where no option could start (a fallback to a single step), or where a '
-                'single step was worth more',
+                _(
+                    'list where no option could start (a fallback to a single step), or where a '
+                    'single step was worth more'
+                ),
             ),
         ]
 
     def mode(self, app: App) -> Iterator[Line]:
-        yield Line(f'Arbitration: {EXECUTIONS[self.current_execution(app)]}.')
+        yield Line(_('Arbitration: {how}.').format(how=_(EXECUTIONS[self.current_execution(app)])))
 
     def running(self, app: App) -> Iterator[Line]:
         world, game = app.world, app.world.game
         if self.current_execution(app) not in MODULAR:
             if world.running:
-                yield Line(f'Running: {world.running.replace("action:", "one step ")}')
+                option = world.running
+                if option.startswith(PRIMITIVE_PREFIX):
+                    action = translated(option.removeprefix(PRIMITIVE_PREFIX))
+                    option = _('one step {action}').format(action=action)
+                yield Line(_('Running: {option}').format(option=option))
         # The option that took the last step, if known.
-        elif option := world.acted.get((game.action_publisher_id, game.action_sequence)):
-            yield Line(f'{option} won this step.')
+        elif won := world.acted.get((game.action_publisher_id, game.action_sequence)):
+            yield Line(_('{option} won this step.').format(option=won))
 
     def current_execution(self, app: App) -> Arbitration:
         """Return the arbitration of the active run, or of the next one."""
@@ -292,15 +343,28 @@ class WatchScreen(PlayScreen):
                 if summary.participant == app.participant and not summary.learned
             ]
             if unready and self.action_set in (HUMAN, HUMAN_AND_PRIMITIVE):
-                app.say(f'{said} Not learned yet: {", ".join(unready)}.', bad=True)
+                app.say(
+                    ' '.join(
+                        [said, _('Not learned yet: {names}.').format(names=', '.join(unready))]
+                    ),
+                    bad=True,
+                )
             self._play(app)
         elif well and app.world.uncovered:
             table = key_table(self.commands(app)).items()
             key = next(key for key, each in table if each.do == self._show_uncovered)
-            app.say(f'{said} Uncovered places: {len(app.world.uncovered)}; {key} lists them.')
+            app.say(
+                f'{said} '
+                + _('Uncovered places: {count}; {key} lists them.').format(
+                    count=len(app.world.uncovered), key=key
+                )
+            )
         elif well and (stuck := app.world.lesson.stuck_options):
-            games = f'{sum(app.world.lesson.stuck_games)} of {app.world.lesson.trial_games} games'
-            app.say(f'{said} Alone, it got stuck in {games}: continue teaching {stuck[0]!r}.')
+            text = _(
+                'Alone, it got stuck in {count} of {most} games: continue teaching {option!r}.'
+            )
+            count, most = sum(app.world.lesson.stuck_games), app.world.lesson.trial_games
+            app.say(f'{said} {text.format(count=count, most=most, option=stuck[0])}')
 
     def _plan(self, app: App) -> None:
         plan = PlanOptions(self.action_set, app.participant, app.seed, columns=self.columns)
@@ -325,7 +389,9 @@ class WatchScreen(PlayScreen):
         """List states where no option can start or a single step is worth more."""
         if not app.world.uncovered:
             known = app.world.uncovered is not None
-            app.say('The options cover every place of the plan.' if known else _UNKNOWN_COVERAGE)
+            app.say(
+                _('The options cover every place of the plan.') if known else _(_UNKNOWN_COVERAGE)
+            )
             return
 
         def teach_from(state: str, app: App) -> None:
@@ -334,11 +400,13 @@ class WatchScreen(PlayScreen):
 
         items = [
             Item(
-                f'A single step is worth {gain:.2g} more' if gain else 'No option can start here',
+                _('A single step is worth {gain:.2g} more').format(gain=gain)
+                if gain
+                else _('No option can start here'),
                 '',
                 partial(teach_from, state),
                 (state,),
             )
             for state, gain in app.world.uncovered
         ]
-        app.show(ListScreen('Uncovered: teach from which place?', items, back=self.again))
+        app.show(ListScreen(_('Uncovered: teach from which place?'), items, back=self.again))

@@ -19,6 +19,7 @@ from humanopts_teach.dialogue.panel import (
     Tone,
     TypedText,
 )
+from humanopts_teach.language import _, N_, translated
 
 MAX_CHARACTERS = 60
 PAGE = 9  # number of items per page; each has a digit key
@@ -29,8 +30,10 @@ def end(app: App) -> None:
     app.end()
 
 
-QUIT = Command('qQ', 'quit', end, 'quit; everything taught is saved for the next time')
-INTERRUPT = Command([keys.INTERRUPT], 'quit', end, 'quit at once')  # handled in ``App.type``
+QUIT = Command('qQ', N_('quit'), end, N_('quit; everything taught is saved for the next time'))
+INTERRUPT = Command(
+    [keys.INTERRUPT], N_('quit'), end, N_('quit at once')
+)  # handled in ``App.type``
 
 
 @dataclass
@@ -68,15 +71,15 @@ def confirm(question: str, affirm: Do, back: Do) -> Notice:
         affirm(app)
 
     choices = [
-        Command([keys.ENTER], 'yes', affirmed),
-        Command([keys.ESCAPE], 'no', back, label='any other key'),
+        Command([keys.ENTER], _('yes'), affirmed),
+        Command([keys.ESCAPE], _('no'), back, label=_('any other key')),
     ]
     return Notice([Line(question, strong=True)], choices, back)
 
 
 def key_list(title: str, rows: Sequence[tuple[str, str]], back: Do) -> Notice:
     """Return a list of keys or signs and their meanings; any key closes it."""
-    choices = [Command([keys.ESCAPE], 'back', back, label='any key')]
+    choices = [Command([keys.ESCAPE], _('back'), back, label=_('any key'))]
     blocks = Line(title, strong=True), KeyList(rows)
     return Notice(blocks, choices, back, shows_board=False)
 
@@ -93,20 +96,21 @@ def with_help(
     def show(app: App) -> None:
         table = keys.key_table([*(explained or commands), helping, INTERRUPT])
         rows = [
-            (keys.label(key), each.help or each.words)
+            (keys.label(key), _(each.help or each.words))
             for key, each in table.items()
             if each.do is not None and (each.label is None or each.help)
         ]
-        app.show(key_list('Keys', rows, back))
+        app.show(key_list(_('Keys'), rows, back))
 
-    helping = Command('?h', 'help', show)
+    helping = Command('?h', _('help'), show)
     return [*commands, helping]
 
 
 def _show_game(back: Do, app: App) -> None:
     """Explain the game, its signs and its actions."""
     actions = [(keys.label(action.key), action.description) for action in app.domain.actions]
-    app.show(key_list('The game', [*explanation(app.domain), *actions], back))
+    rows = [(sign, translated(text)) for sign, text in (*explanation(app.domain), *actions)]
+    app.show(key_list(_('The game'), rows, back))
 
 
 @dataclass
@@ -118,7 +122,7 @@ class TextScreen(Screen):
     typed: str = ''
     submit: Callable[[str, App], None] = lambda text, app: None
     back: Do | None = None
-    back_words: str = 'back'
+    back_words: str = N_('back')
     takes_text = True
     _edited: bool = field(default=False, init=False)
 
@@ -134,10 +138,10 @@ class TextScreen(Screen):
         text = self.typed.strip()
         accept = (lambda app: self.submit(composed(text), app)) if text else None
         return [
-            Command([keys.ENTER], 'accept', accept),
-            Command([keys.BACKSPACE], 'erase', self._erase if self.typed else None),
-            Command([keys.CLEAR], 'erase all', self._clear, label=''),
-            Command([keys.ESCAPE], self.back_words, self.back),
+            Command([keys.ENTER], _('accept'), accept),
+            Command([keys.BACKSPACE], _('erase'), self._erase if self.typed else None),
+            Command([keys.CLEAR], _('erase all'), self._clear, label=''),
+            Command([keys.ESCAPE], _(self.back_words), self.back),
             INTERRUPT,
         ]
 
@@ -183,10 +187,22 @@ class ListScreen(Screen):
         n_states = len(self.items[self.at].states)
         blocks: list[Block] = [Line(self.title, strong=True)]
         if n_states > 1:
-            blocks.append(Line(f'board: step {self.step} of {n_states - 1}', Tone.QUIET))
+            blocks.append(
+                Line(
+                    _('board: step {number} of {count}').format(
+                        number=self.step, count=n_states - 1
+                    ),
+                    Tone.QUIET,
+                )
+            )
         blocks += [GAP, Choices([(item.text, item.note) for item in self.items], self.at)]
         if len(self.items) > PAGE:
-            blocks.append(Line(f'{self.at + 1} of {len(self.items)}', Tone.QUIET))
+            blocks.append(
+                Line(
+                    _('{number} of {count}').format(number=self.at + 1, count=len(self.items)),
+                    Tone.QUIET,
+                )
+            )
         return Panel(blocks)
 
     def commands(self, app: App) -> Sequence[Command]:
@@ -204,22 +220,22 @@ class ListScreen(Screen):
             return choose_it
 
         along = [
-            Command([keys.LEFT], 'step back', go(self.at, max(self.step - 1, 0))),
-            Command([keys.RIGHT], 'step on', go(self.at, min(self.step + 1, last))),
+            Command([keys.LEFT], _('step back'), go(self.at, max(self.step - 1, 0))),
+            Command([keys.RIGHT], _('step on'), go(self.at, min(self.step + 1, last))),
         ]
         return [
-            Command([keys.UP], 'move', go(self.at - 1), label='↑ ↓'),
-            Command([keys.DOWN], 'move down', go(self.at + 1), label=''),
+            Command([keys.UP], _('move'), go(self.at - 1), label='↑ ↓'),
+            Command([keys.DOWN], _('move down'), go(self.at + 1), label=''),
             *(along if last > 0 else []),
-            Command([keys.ENTER], 'choose', choose(self.at)),
+            Command([keys.ENTER], _('choose'), choose(self.at)),
             *(
                 Command(
-                    str(at - first + 1), 'choose', choose(at), label='' if at > first else '1-9'
+                    str(at - first + 1), _('choose'), choose(at), label='' if at > first else '1-9'
                 )
                 for at in numbers
             ),
-            Command([keys.ESCAPE], 'back', self.back),
-            Command('?', 'the game', partial(_show_game, self.again)),
+            Command([keys.ESCAPE], _('back'), self.back),
+            Command('?', _('the game'), partial(_show_game, self.again)),
             QUIT,
         ]
 

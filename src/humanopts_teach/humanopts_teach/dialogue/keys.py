@@ -5,14 +5,16 @@ from dataclasses import dataclass
 import string
 from typing import TYPE_CHECKING
 
+from humanopts_teach.language import _, N_
+
 if TYPE_CHECKING:
     from humanopts_teach.dialogue.app import App
 
 ENTER, ESCAPE, BACKSPACE, SPACE = 'enter', 'escape', 'backspace', ' '
 INTERRUPT, END_OF_FILE, CLEAR, SUSPEND = 'ctrl-c', 'ctrl-d', 'ctrl-u', 'ctrl-z'
 UP, DOWN, LEFT, RIGHT = 'up', 'down', 'left', 'right'
-_LABELS = {UP: '↑', DOWN: '↓', LEFT: '←', RIGHT: '→', ENTER: 'Enter', ESCAPE: 'Esc'}
-_LABELS |= {BACKSPACE: 'Backspace', SPACE: 'Space', INTERRUPT: 'Ctrl-C'}
+_LABELS = {UP: '↑', DOWN: '↓', LEFT: '←', RIGHT: '→', ENTER: N_('Enter'), ESCAPE: N_('Esc')}
+_LABELS |= {BACKSPACE: N_('Backspace'), SPACE: N_('Space'), INTERRUPT: N_('Ctrl-C')}
 _SPARE = string.ascii_lowercase + string.digits + string.ascii_uppercase
 Do = Callable[['App'], object]
 
@@ -55,4 +57,4 @@ def command_of(key: str, table: KeyTable) -> Command | None:
 
 def label(key: str) -> str:
     """Return the display label of a key."""
-    return _LABELS.get(key, key)
+    return _(_LABELS.get(key, key))

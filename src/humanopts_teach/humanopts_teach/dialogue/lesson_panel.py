@@ -24,14 +24,15 @@ from humanopts_teach.dialogue.panel import (
     TARGET,
     Tone,
 )
+from humanopts_teach.language import _, N_, translated
 from humanopts_teach.lesson.requests import LessonView, Phase
 
 ADVICE = 2  # most important lines of advice on features
-_EXAM = (
+_EXAM = N_(
     'The criteria are met. Enter begins a run from a start drawn at random. Watch it; press r '
     'if it was right, or w as soon as it is wrong.'
 )
-_EXAM_OF_ROBOT = (
+_EXAM_OF_ROBOT = N_(
     'The criteria are met. Enter runs the option from here. Watch it; press r if it was right, or '
     'w as soon as it is wrong: the robot stops.'
 )
@@ -42,13 +43,22 @@ def question_panel(app: App) -> Panel:
     lesson = app.world.lesson
     names = [*(feature.name for feature in app.domain.features), *lesson.derived_features]
     number = names.index(lesson.question_feature) + 1 if lesson.question_feature in names else 0
-    text, which = lesson.question, f'question {number} of {lesson.questions_total}'
+    text = translated(lesson.question)
+    which = _('question {number} of {count}').format(number=number, count=lesson.questions_total)
     group = app.groups.open_group(app.domain, lesson)
     if group is not None:
-        text = f"Does the '{lesson.option_name}' option depend on anything about {group.words}?"
-        which = f'If yes, {len(group.features)} questions about {group.words} follow.'
-    yes = ', '.join(map(plain_name, lesson.chosen_features)) or 'nothing yet'
-    lines = Line(text, strong=True), GAP, Line(which, Tone.QUIET), Line(f'It depends on: {yes}')
+        text = _("Does the '{option}' option depend on anything about {what}?")
+        which = _('If yes, {count} questions about {what} follow.')
+        what, count = translated(group.words), len(group.features)
+        text = text.format(option=lesson.option_name, what=what)
+        which = which.format(count=count, what=what)
+    yes = ', '.join(translated(plain_name(each)) for each in lesson.chosen_features)
+    lines = (
+        Line(text, strong=True),
+        GAP,
+        Line(which, Tone.QUIET),
+        Line(_('It depends on: {features}').format(features=yes or _('nothing yet'))),
+    )
     return Panel((_title(lesson), GAP, *lines))
 
 
@@ -64,22 +74,24 @@ def progress_panel(app: App, *, questions: str, again: str, demonstrations: str)
     progress = world.summary_of(lesson.participant, lesson.option_name)
     step, blocks = world.game.step, list[Block]([_title(lesson), _position(app)])
     if lesson.phase is Phase.EXAM:
-        blocks.append(Line(_EXAM_OF_ROBOT if world.robot else _EXAM))
+        blocks.append(Line(_(_EXAM_OF_ROBOT if world.robot else _EXAM)))
     if app.run is not None:
-        blocks.append(Line('The machine shows what it learned.', Tone.NEWS))
+        blocks.append(Line(_('The machine shows what it learned.'), Tone.NEWS))
         if not (lesson.exam and world.robot):
             blocks.append(pace_line(world))
     elif lesson.exam and step:
-        blocks.append(Line('The run has ended. Was it right?', strong=True))
+        blocks.append(Line(_('The run has ended. Was it right?'), strong=True))
     if lesson.phase is Phase.DEMONSTRATING:
         blocks += last_step(world)
     blocks.append(_features(app))
     if lesson.exam or lesson.phase is Phase.EXAM:
         return Panel(blocks)
     if lesson.method not in ('', TREES):
-        blocks.append(Line(f'policy {METHODS[lesson.method]}', Tone.QUIET))
+        blocks.append(
+            Line(_('policy {how}').format(how=translated(METHODS[lesson.method])), Tone.QUIET)
+        )
     if progress is None or not progress.criteria:
-        blocks.append(Line('Nothing has been learned yet.'))
+        blocks.append(Line(_('Nothing has been learned yet.')))
     else:
         blocks += [
             *_criteria(progress),
@@ -94,7 +106,7 @@ def progress_panel(app: App, *, questions: str, again: str, demonstrations: str)
 
 
 def _title(lesson: LessonView) -> Line:
-    return Line('Teaching: ', more=(Line(lesson.option_name, strong=True),))
+    return Line(_('Teaching: '), more=(Line(lesson.option_name, strong=True),))
 
 
 def _position(app: App) -> Line:
@@ -102,27 +114,40 @@ def _position(app: App) -> Line:
     lesson, step = app.world.lesson, app.world.game.step
     start = lesson.n_demonstrations + lesson.n_not_here + 1
     if lesson.exam or lesson.phase is Phase.EXAM:
-        where = f'Exam: run {lesson.exam_runs + 1} of {lesson.exam_needed}'
-        where += f', step {step}' if lesson.exam else '.'
-        counts = f'  ({lesson.exam_right} of {lesson.exam_runs} right)' if lesson.exam_runs else ''
+        where = _('Exam: run {number} of {count}').format(
+            number=lesson.exam_runs + 1, count=lesson.exam_needed
+        )
+        where += _(', step {step}').format(step=step) if lesson.exam else '.'
+        counts = (
+            _('  ({right} of {count} right)').format(
+                right=lesson.exam_right, count=lesson.exam_runs
+            )
+            if lesson.exam_runs
+            else ''
+        )
         return Line(where, Tone.NEWS, more=(Line(counts, Tone.QUIET),))
     match lesson.phase:
         case Phase.DEMONSTRATING if not _is_there(app):
-            where = f'start {start} comes ...'
+            where = _('start {number} comes ...').format(number=start)
         case Phase.DEMONSTRATING:
-            where = f'start {start}, step {step}' if step else f'next: start {start}'
+            where = (
+                _('start {number}, step {step}').format(number=start, step=step)
+                if step
+                else _('next: start {number}').format(number=start)
+            )
         case Phase.LEARNING:
-            where = 'learning ...'
+            where = _('learning ...')
         case Phase.FINISHED:
-            where = 'This lesson is finished.'
+            where = _('This lesson is finished.')
         case _:
-            where = f'Enter shows start {start}.'
+            where = _('Enter shows start {number}.').format(number=start)
             if app.world.robot:
-                where = f'Drive to start {start}; Enter begins there.'
-            where = 'The lesson is paused.' if lesson.paused else where
-    counts = f'{lesson.n_demonstrations} shown, {lesson.n_not_here} not here'
-    note = Line(f'  ({counts}; at most {lesson.budget})', Tone.QUIET)
-    return Line(where, Tone.NEWS, more=(note,))
+                where = _('Drive to start {number}; Enter begins there.').format(number=start)
+            where = _('The lesson is paused.') if lesson.paused else where
+    counts = _('({shown} shown, {refused} not here; at most {most})').format(
+        shown=lesson.n_demonstrations, refused=lesson.n_not_here, most=lesson.budget
+    )
+    return Line(where, Tone.NEWS, more=(Line(f'  {counts}', Tone.QUIET),))
 
 
 def _is_there(app: App) -> bool:
@@ -137,12 +162,19 @@ def _features(app: App) -> Features:
     if game.state and lesson.phase is Phase.DEMONSTRATING and _is_there(app):
         row = domain.feature_values(published_state(domain, game.state, game.features))
     shown = [
-        (plain_name(column.feature.name), '' if row is None else column.text(row))
+        (
+            translated(plain_name(column.feature.name)),
+            '' if row is None else translated(column.text(row)),
+        )
         for column in feature_columns(domain, lesson.chosen_features)
     ]
     groups = feature_groups(domain)
-    unseen = [g.words for g in groups if not set(lesson.chosen_features) & set(g.features)]
-    hidden = f'hidden: {", ".join(unseen)}' if unseen else 'all else is hidden'
+    unseen = [
+        translated(g.words) for g in groups if not set(lesson.chosen_features) & set(g.features)
+    ]
+    hidden = (
+        _('hidden: {what}').format(what=', '.join(unseen)) if unseen else _('all else is hidden')
+    )
     hides = {feature.name for feature in domain.features} - {*lesson.chosen_features}
     return Features(shown, hidden if hides else '')
 
@@ -150,41 +182,53 @@ def _features(app: App) -> Features:
 def _criteria(progress: OptionSummary) -> Iterator[Block]:
     """Yield how often the option succeeds, the measured criteria, and how its runs end."""
     if not progress.settled and progress.reach:
-        yield Line(progress.reach, Tone.NEWS)
+        yield Line(translated(progress.reach), Tone.NEWS)
     if measured := [c for c in progress.criteria if c.value is not None]:
-        yield Line(f'By {progress.method}, tested on unseen starts:', Tone.QUIET)
+        yield Line(
+            _('By {method}, tested on unseen starts:').format(method=translated(progress.method)),
+            Tone.QUIET,
+        )
         yield Criteria([_criterion(criterion) for criterion in measured])
-    missing = [c.name for c in progress.criteria if c.value is None and not c.obstacle]
+    missing = [translated(c.name) for c in progress.criteria if c.value is None and not c.obstacle]
     if progress.n_demonstrations < MIN_HELD_OUT:
-        words = f'Other criteria are measured from {MIN_HELD_OUT} demonstrations on.'
+        words = _('Other criteria are measured from {count} demonstrations on.').format(
+            count=MIN_HELD_OUT
+        )
         yield Line(words, Tone.QUIET)
     elif missing:
-        yield Line(f'Not measured yet: {", ".join(missing)}.', Tone.QUIET)
+        yield Line(_('Not measured yet: {names}.').format(names=', '.join(missing)), Tone.QUIET)
     ends = {
-        'too early': progress.ended_early,
-        'too late': progress.ended_late,
-        'never': progress.ended_never,
+        _('too early'): progress.ended_early,
+        _('too late'): progress.ended_late,
+        _('never'): progress.ended_never,
     }
-    if found := [f'{words} in {count}' for words, count in ends.items() if count]:
-        yield Line(f'Of your demonstrations, it ends {", ".join(found)}.', Tone.WARNING)
+    if found := [
+        _('{how} in {count}').format(how=words, count=count)
+        for words, count in ends.items()
+        if count
+    ]:
+        yield Line(
+            _('Of your demonstrations, it ends {how}.').format(how=', '.join(found)),
+            Tone.WARNING,
+        )
 
 
 def _criterion(criterion: Criterion) -> CriterionRow:
     value, threshold = criterion.value or 0.0, criterion.threshold or 0.0
-    side, limit, needs = 'wrong', 'at most', '≤'
+    side, limit, needs = _('wrong'), _('at most'), '≤'
     error, most = value, threshold
     if criterion.at_least:
-        side, limit, needs = f'of {criterion.count}', 'at least', '≥'
+        side, limit, needs = _('of {count}').format(count=criterion.count), _('at least'), '≥'
         error, most = 1 - value, 1 - threshold
     elif criterion.name == RETURN:
-        side = 'better' if value < 0 else 'worse'
+        side = _('better') if value < 0 else _('worse')
     now = f'{_percent(abs(value))} {side}'
     if criterion.limit not in (None, value):
         now = f'{now}, {limit} {_percent(criterion.limit)}'
     full = TARGET * error / most if most > 0 else float(error > most)
     return CriterionRow(
         '✓' if criterion.met else '?' if criterion.undecided else '·',
-        criterion.name,
+        translated(criterion.name),
         now,
         f'{needs} {_percent(threshold)}',
         Tone.GOOD if criterion.met else Tone.WARNING,
@@ -200,18 +244,26 @@ def _estimate(lesson: LessonView, progress: OptionSummary) -> Iterator[Line]:
     """Yield whether it is learned, or how many more demonstrations may be needed."""
     measured = progress.n_demonstrations >= MIN_HELD_OUT
     if progress.obstacles and (progress.settled or measured):
-        yield Line(progress.obstacles, Tone.QUIET)
+        yield Line(translated(progress.obstacles), Tone.QUIET)
     if progress.settled:
-        yield Line(progress.status, Tone.GOOD if progress.learned else Tone.WARNING)
+        yield Line(translated(progress.status), Tone.GOOD if progress.learned else Tone.WARNING)
     elif measured:
-        undecided = [c.name for c in progress.criteria if c.undecided]
-        why = f': {", ".join(undecided)} is not yet known well enough' if undecided else ''
-        text = f'Too early to say how many more are needed{why}.'
+        undecided = [translated(c.name) for c in progress.criteria if c.undecided]
+        why = (
+            _(': {names} is not yet known well enough').format(names=', '.join(undecided))
+            if undecided
+            else ''
+        )
+        text = _('Too early to say how many more are needed{why}.').format(why=why)
         if progress.more_needed >= 0 and progress.method != GOAL:
             low, high = likely_range(progress.more_needed)
-            text = f'Perhaps {low} to {high} more are needed{why}.'
+            text = _('Perhaps {low} to {high} more are needed{why}.').format(
+                low=low, high=high, why=why
+            )
             if low > lesson.budget - progress.n_demonstrations:
-                text = f'More seem to be needed than the {lesson.budget} of this lesson{why}.'
+                text = _('More seem to be needed than the {most} of this lesson{why}.').format(
+                    most=lesson.budget, why=why
+                )
         yield Line(text)
 
 
@@ -219,11 +271,13 @@ def _results(lesson: LessonView, progress: OptionSummary) -> Iterator[Line]:
     """Yield the mean returns, and a warning if they are outdated."""
     yours, its = progress.mean_return_demonstrations, progress.mean_return_policy
     if not math.isnan(its):
-        text = f'mean return on starts it has seen: yours {yours:.2f}, the option {its:.2f}'
+        text = _(
+            'mean return on starts it has seen: yours {yours:.2f}, the option {its:.2f}'
+        ).format(yours=yours, its=its)
         yield Line(text, Tone.QUIET)
     changed = progress.method != lesson.method
     if changed or set(progress.features) != set(lesson.chosen_features):
-        yield Line('These results are for your earlier answers: show one more.', Tone.WARNING)
+        yield Line(_('These results are for your earlier answers: show one more.'), Tone.WARNING)
 
 
 def _conflicts(
@@ -232,18 +286,23 @@ def _conflicts(
     """Yield conflicts between demonstrations, and advice on the chosen features."""
     if progress.conflicts and len(progress.advice) < ADVICE:
         more = len(progress.conflicts) - 1
-        also = f' (and {more} more)' if more else ''
-        yield Line(f'Same situation, shown differently{also}:', Tone.WARNING)
-        yield Line(progress.conflicts[0])
+        also = _(' (and {count} more)').format(count=more) if more else ''
+        yield Line(_('Same situation, shown differently{also}:').format(also=also), Tone.WARNING)
+        yield Line(translated(progress.conflicts[0]))
         if not progress.advice:
-            yield Line(f'If one was a mistake, delete it ({demonstrations}).', Tone.WARNING)
+            yield Line(
+                _('If one was a mistake, delete it ({key}).').format(key=demonstrations),
+                Tone.WARNING,
+            )
     repeats = any(c.name == IMITATION and c.value == 1.0 for c in progress.criteria)
     if repeats and progress.n_questions + progress.exam_runs + progress.exams_failed:
-        text = 'It may still repeat a run that you called wrong. If that was a slip, delete it'
+        text = _('It may still repeat a run that you called wrong. If that was a slip, delete it')
         yield Line(f'{text} ({demonstrations}).', Tone.WARNING)
     for text in progress.advice[:ADVICE]:
+        words = translated(text)
         if text == SAY_AGAIN:
-            text = f'If the option can start where it ends, press {again} before done.'
+            words = _('If the option can start where it ends, press {key} before done.')
+            words = words.format(key=again)
         elif questions:
-            text = f'{text[:-1]} ({questions}).'
-        yield Line(text, Tone.WARNING)
+            words = f'{words[:-1]} ({questions}).'
+        yield Line(words, Tone.WARNING)

@@ -23,6 +23,7 @@ from humanopts_teach.dialogue.keys import Command, Do, ESCAPE
 from humanopts_teach.dialogue.panel import Line
 from humanopts_teach.dialogue.segments import WholeTaskScreen
 from humanopts_teach.dialogue.teaching import LessonScreen
+from humanopts_teach.language import _, translated
 from humanopts_teach.lesson.requests import (
     Answer,
     BeginDemonstration,
@@ -65,8 +66,8 @@ def opening(participant: str, *, ask: bool = True) -> OpeningScreen:
     :param ask: whether to ask the person to confirm the code.
     """
     return OpeningScreen(
-        'Who teaches?',
-        'Your code keeps your options apart from those of others. Enter accepts it.',
+        _('Who teaches?'),
+        _('Your code keeps your options apart from those of others. Enter accepts it.'),
         participant,
         _enter,
         known=not ask,
@@ -82,11 +83,10 @@ def _enter(code: str, app: App) -> None:
         app.known_options = (lesson.option_name,)
         to_lesson(app)
     elif demonstrating and not app.world.holder:
-        who = lesson.participant
-        question = (
-            f'{who} has a demonstration under way, but is not in control now. {who} may still '
-            'be there. Discard it?'
-        )
+        question = _(
+            '{participant} has a demonstration under way, but is not in control now. '
+            '{participant} may still be there. Discard it?'
+        ).format(participant=lesson.participant)
         app.show(confirm(question, partial(_take_over, lesson.episode), app.screen.again))
     else:
         _open(app)
@@ -95,10 +95,10 @@ def _enter(code: str, app: App) -> None:
 def _displaced() -> Notice:
     """Return the screen shown after the lesson was taken over; only t reclaims it."""
     choices = [
-        Command('t', 'take it back', lambda app: _enter(app.participant, app)),
-        Command([ESCAPE], 'menu', to_menu),
+        Command('t', _('take it back'), lambda app: _enter(app.participant, app)),
+        Command([ESCAPE], _('menu'), to_menu),
     ]
-    question = Line('The lesson is no longer yours. Take it back?', strong=True)
+    question = Line(_('The lesson is no longer yours. Take it back?'), strong=True)
     return Notice([question], choices, claims_lesson=True)
 
 
@@ -129,21 +129,30 @@ def to_menu(app: App) -> None:
     known = len(app.known_options)
     items = _items(app.given_options, _define, app)
     if not items:
-        items = [Item('Teach a new option', 'name it, answer questions, show it', _name_option)]
+        items = [
+            Item(_('Teach a new option'), _('name it, answer questions, show it'), _name_option)
+        ]
         if known:
-            items.append(Item('Continue teaching an option', f'{known} so far', _choose_known))
+            items.append(
+                Item(
+                    _('Continue teaching an option'),
+                    _('{count} so far').format(count=known),
+                    _choose_known,
+                )
+            )
     items += [
-        Item('Run a taught option', 'the machine runs it, you watch', _list_taught),
-        Item('Watch the machine play', 'it plans, then plays', _choose_plan),
-        Item('Drive freely', 'get to know the game and the keys', _play),
+        Item(_('Run a taught option'), _('the machine runs it, you watch'), _list_taught),
+        Item(_('Watch the machine play'), _('it plans, then plays'), _choose_plan),
+        Item(_('Drive freely'), _('get to know the game and the keys'), _play),
     ]
     if known and not app.given_options:
-        note = 'rename or delete it, or learn it in another way'
-        choose = partial(_choose, 'Change which option?', _change)
-        items.append(Item('Change an option', note, choose))
+        note = _('rename or delete it, or learn it in another way')
+        choose = partial(_choose, _('Change which option?'), _change)
+        items.append(Item(_('Change an option'), note, choose))
     if app.cuts_plays:
-        items.append(Item('Play the whole task once', 'then name its parts', _play_whole))
-    app.show(ListScreen('What next?', [*items, Item(*app.leaving, end)]))
+        items.append(Item(_('Play the whole task once'), _('then name its parts'), _play_whole))
+    text, note = app.leaving
+    app.show(ListScreen(_('What next?'), [*items, Item(_(text), _(note), end)]))
 
 
 def to_lesson(app: App) -> None:
@@ -168,8 +177,8 @@ def correct(option_name: str, app: App) -> None:
 
 
 def _name_option(app: App) -> None:
-    explanation = 'In your own words: go to ..., avoid ..., fetch ...'
-    app.show(TextScreen('What is the option called?', explanation, '', _define, to_menu))
+    explanation = _('In your own words: go to ..., avoid ..., fetch ...')
+    app.show(TextScreen(_('What is the option called?'), explanation, '', _define, to_menu))
 
 
 def _define(name: str, app: App, method: str = '') -> None:
@@ -188,12 +197,18 @@ def _items(names: Iterable[str], choose: Callable[[str, App], object], app: App)
     items, lesson = [], app.world.lesson
     stuck = dict(zip(lesson.stuck_options, lesson.stuck_games))
     for name in names:
-        progress, note = app.world.summary_of(app.participant, name), 'nothing learned yet'
+        progress, note = app.world.summary_of(app.participant, name), _('nothing learned yet')
         if progress is not None:
             status = progress.status.partition(',')[0]  # without the limit of the exam
-            note = f'{progress.n_demonstrations} shown, {progress.n_not_here} not here; {status}'
+            note = _('{shown} shown, {refused} not here; {status}').format(
+                shown=progress.n_demonstrations,
+                refused=progress.n_not_here,
+                status=translated(status),
+            )
         if count := stuck.get(name):
-            note += f'; a plan got stuck here in {count} of {lesson.trial_games} games'
+            note += _('; a plan got stuck here in {count} of {most} games').format(
+                count=count, most=lesson.trial_games
+            )
         items.append(Item(name, note, partial(choose, name)))
     return items
 
@@ -203,36 +218,46 @@ def _choose(title: str, choose: Callable[[str, App], object], app: App) -> None:
 
 
 def _choose_known(app: App) -> None:
-    items = [*_items(app.known_options, _define, app), Item('A new option', '', _name_option)]
-    app.show(ListScreen('Continue with which option?', items, to_menu))
+    items = [*_items(app.known_options, _define, app), Item(_('A new option'), '', _name_option)]
+    app.show(ListScreen(_('Continue with which option?'), items, to_menu))
 
 
 def _change(name: str, app: App) -> None:
     items = [
-        Item('Rename it', 'its demonstrations are kept', partial(_rename, name)),
-        Item('Delete it', 'its demonstrations no longer count', partial(_delete, name)),
+        Item(_('Rename it'), _('its demonstrations are kept'), partial(_rename, name)),
+        Item(_('Delete it'), _('its demonstrations no longer count'), partial(_delete, name)),
     ]
     progress = app.world.summary_of(app.participant, name)
     other = GOAL if is_enumerable(app.domain) else FOREST
     if progress is not None and progress.method != TREES:
         other = TREES
-    note = f'{METHODS[other]}, from the next demonstration on'
-    items.append(Item(f'Learn it by {other}', note, partial(_define, name, method=other)))
-    app.show(ListScreen(name, items, partial(_choose, 'Change which option?', _change)))
+    note = _('{how}, from the next demonstration on').format(how=translated(METHODS[other]))
+    items.append(
+        Item(
+            _('Learn it by {method}').format(method=translated(other)),
+            note,
+            partial(_define, name, method=other),
+        )
+    )
+    app.show(ListScreen(name, items, partial(_choose, _('Change which option?'), _change)))
 
 
 def _rename(name: str, app: App) -> None:
     def submit(new: str, app: App) -> None:
         app.ask(ChangeOption(name, new), then=partial(_know, app))
 
-    app.show(TextScreen('What should it be called?', name, name, submit, partial(_change, name)))
+    app.show(
+        TextScreen(_('What should it be called?'), name, name, submit, partial(_change, name))
+    )
 
 
 def _delete(name: str, app: App) -> None:
     def delete(app: App) -> None:
         app.ask(ChangeOption(name), then=partial(_know, app))
 
-    question = f'Delete {name}? The learner forgets it; the recording keeps its demonstrations.'
+    question = _(
+        'Delete {name}? The learner forgets it; the recording keeps its demonstrations.'
+    ).format(name=name)
     app.show(confirm(question, delete, partial(_change, name)))
 
 
@@ -240,9 +265,9 @@ def _list_taught(app: App) -> None:
     def listed(answer: Answer) -> None:
         if answer.option_names:
             items = _items(answer.option_names, to_run, app)
-            app.show(ListScreen('Run which option?', items, to_menu))
+            app.show(ListScreen(_('Run which option?'), items, to_menu))
         else:
-            app.say('No option is taught yet: one can be run after its first demonstration.')
+            app.say(_('No option is taught yet: one can be run after its first demonstration.'))
 
     app.ask(ListOptions(app.participant), then=listed)
 
@@ -251,15 +276,15 @@ def _choose_plan(app: App) -> None:
     items = [
         Item(text, note, partial(_watch, action_set, ''))
         for action_set, text, note in (
-            (HUMAN, 'With your options', 'decides only where an option ends'),
-            (PRIMITIVE, 'With single steps', 'decides at every step'),
-            (HUMAN_AND_PRIMITIVE, 'With both', 'options where they help'),
+            (HUMAN, _('With your options'), _('decides only where an option ends')),
+            (PRIMITIVE, _('With single steps'), _('decides at every step')),
+            (HUMAN_AND_PRIMITIVE, _('With both'), _('options where they help')),
         )
     ]
     if not can_simulate(app.domain):
-        note = 'tries your options out, and learns which to choose'
-        items.append(Item('Learn while driving', note, partial(_watch, HUMAN, Q)))
-    app.show(ListScreen('Plan with what?', items, to_menu))
+        note = _('tries your options out, and learns which to choose')
+        items.append(Item(_('Learn while driving'), note, partial(_watch, HUMAN, Q)))
+    app.show(ListScreen(_('Plan with what?'), items, to_menu))
 
 
 def _watch(action_set: str, learning: str, app: App) -> None:
@@ -279,8 +304,10 @@ def _watch(action_set: str, learning: str, app: App) -> None:
         learning=learning,
     )
     if learning:
-        screen.title = f'Let the machine learn in {LEARNING_EPISODES} episodes'
-        screen.text = 'It learns from each option that it runs. An action key takes over.'
+        screen.title = _('Let the machine learn in {count} episodes').format(
+            count=LEARNING_EPISODES
+        )
+        screen.text = _('It learns from each option that it runs. An action key takes over.')
     app.show(screen)
 
 
@@ -295,16 +322,18 @@ def _ask_columns(then: Do, app: App) -> None:
         if feature.kind is not FeatureKind.CONTINUOUS:
             choose((feature.name,), app)
             return
-        text = f'Numbers from {feature.low:g} to {feature.high:g}, separated by commas.'
+        text = _('Numbers from {low:g} to {high:g}, separated by commas.').format(
+            low=feature.low, high=feature.high
+        )
         middle = f'{feature.low + feature.span / 2:g}'
-        title = f'At which values of {feature.name} does the choice change?'
+        title = _('At which values of {name} does the choice change?').format(name=feature.name)
 
         def submit(numbers: str, app: App) -> None:
             column = f'{feature.name}:{numbers.replace(" ", "")}'
             try:
                 Column(column, app.domain)
             except PlanError as error:
-                app.say(str(error), bad=True)
+                app.say(translated(str(error)), bad=True)
             else:
                 choose((column,), app)
 
@@ -312,24 +341,34 @@ def _ask_columns(then: Do, app: App) -> None:
 
     def list_features(app: App) -> None:
         features = [
-            Item(feature.name, feature.question, partial(choose_feature, feature))
+            Item(feature.name, translated(feature.question), partial(choose_feature, feature))
             for feature in app.domain.features
         ]
-        title = 'On which feature does the choice depend?'
+        title = _('On which feature does the choice depend?')
         app.show(ListScreen(title, features, partial(_ask_columns, then)))
 
     items = [
-        Item('On nothing else', 'than what the options depend on', partial(choose, ())),
-        Item('On another feature', 'such as a battery that no option looks at', list_features),
+        Item(_('On nothing else'), _('than what the options depend on'), partial(choose, ())),
+        Item(
+            _('On another feature'), _('such as a battery that no option looks at'), list_features
+        ),
     ]
     if column := app.world.lesson.suggested_column:
-        name, _, numbers = column.partition(':')
+        name, numbers = (*column.split(':', 1), '')[:2]
         count = numbers.count(',') + 2
-        bins = f'in {count} bins' if count > 2 else f'below and from {numbers}'
-        text = f'On {name}, {bins}' if numbers else f'On {name}'
-        note = 'it separates where you have shown your options'
+        bins = (
+            _('in {count} bins').format(count=count)
+            if count > 2
+            else _('below and from {numbers}').format(numbers=numbers)
+        )
+        text = (
+            _('On {name}, {bins}').format(name=name, bins=bins)
+            if numbers
+            else _('On {name}').format(name=name)
+        )
+        note = _('it separates where you have shown your options')
         items.insert(0, Item(text, note, partial(choose, (column,))))
-    title = 'What does the choice between your options depend on?'
+    title = _('What does the choice between your options depend on?')
     app.show(ListScreen(title, items, _choose_plan))
 
 

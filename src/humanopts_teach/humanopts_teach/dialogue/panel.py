@@ -6,6 +6,7 @@ from enum import Enum
 from typing import NamedTuple
 
 from humanopts_env.board import Board
+from humanopts_teach.language import _
 
 TARGET = 1 / 3  # share of a bar's length that marks the threshold of a criterion
 
@@ -69,7 +70,7 @@ class Features:
     @property
     def title(self) -> str:
         """The words above the features."""
-        return 'depends on' if self.chosen else 'features'
+        return _('depends on') if self.chosen else _('features')
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,3 +129,4 @@ class ScreenView:
     paused: str = ''  # reason why teaching is paused; empty: not paused
     board: Board | None = None  # None: nothing is drawn
     plays: bool = False  # whether the game is being played
+    language: str = ''  # as in ``speaking``

@@ -7,6 +7,7 @@ from humanopts_env.domains.formulas import feature_columns, plain_name
 from humanopts_teach.dialogue.app import App
 from humanopts_teach.dialogue.keys import Command, Do, DOWN, LEFT, RIGHT, SPACE, UP
 from humanopts_teach.dialogue.panel import Block, Features, GAP, Line, Panel, Tone
+from humanopts_teach.language import _, translated
 from humanopts_teach.lesson.requests import LessonView
 
 STEP_SECONDS = 0.4  # time for which a state is drawn
@@ -62,23 +63,26 @@ class RunQuestion:
     def panel(self, app: App) -> Panel:
         """Return the question, the length of the run and the features where it begins and ends."""
         lesson = self.lesson
-        runs = [('the machine', lesson.question_states), ('you', lesson.question_compared)]
+        runs = [(_('the machine'), lesson.question_states), (_('you'), lesson.question_compared)]
         drawn = [
             Line(
-                f'board: {who}, step {self.step if compares == self.compares else 0} '
-                f'of {len(states) - 1}',
+                _('board: {who}, step {number} of {count}').format(
+                    who=who,
+                    number=self.step if compares == self.compares else 0,
+                    count=len(states) - 1,
+                ),
                 Tone.NEWS if compares == self.compares else Tone.QUIET,
             )
             for compares, (who, states) in enumerate(runs)
             if len(states) > 1
         ]
-        number = f'question {lesson.n_questions + 1} about what it does'
-        after = 'After no, you show what it should do there.'
+        number = _('question {number} about what it does').format(number=lesson.n_questions + 1)
+        after = _('After no, you show what it should do there.')
         blocks: list[Block] = [
-            Line('Teaching: ', more=(Line(lesson.option_name, strong=True),)),
+            Line(_('Teaching: '), more=(Line(lesson.option_name, strong=True),)),
             Line(number, Tone.QUIET),
             GAP,
-            Line(lesson.question, strong=True),
+            Line(translated(lesson.question), strong=True),
             *drawn,
             self._features(app),
             GAP,
@@ -93,16 +97,16 @@ class RunQuestion:
             return []
         other = self.lesson.question_compared and self._to(not self.compares, 0)
         return [
-            Command([LEFT], 'step back', self._to(self.compares, max(self.step - 1, 0))),
-            Command([RIGHT], 'step on', self._to(self.compares, min(self.step + 1, last))),
+            Command([LEFT], _('step back'), self._to(self.compares, max(self.step - 1, 0))),
+            Command([RIGHT], _('step on'), self._to(self.compares, min(self.step + 1, last))),
             Command(
                 [SPACE],
-                'stop' if self.plays else 'play',
+                _('stop') if self.plays else _('play'),
                 self._play,
-                'play the run again and again, or stop at a state',
+                _('play the run again and again, or stop at a state'),
             ),
-            Command([UP], 'machine or you', other or None, label='↑ ↓'),
-            Command([DOWN], 'you or machine', other or None, label=''),
+            Command([UP], _('machine or you'), other or None, label='↑ ↓'),
+            Command([DOWN], _('you or machine'), other or None, label=''),
         ]
 
     def _to(self, compares: bool, step: int) -> Do:
@@ -127,6 +131,6 @@ class RunQuestion:
         ]
         shown = []
         for column in feature_columns(domain, self.lesson.chosen_features):
-            texts = list(dict.fromkeys(column.text(row) for row in ends))
-            shown.append((plain_name(column.feature.name), ' → '.join(texts)))
+            texts = list(dict.fromkeys(translated(column.text(row)) for row in ends))
+            shown.append((translated(plain_name(column.feature.name)), ' → '.join(texts)))
         return Features(shown)

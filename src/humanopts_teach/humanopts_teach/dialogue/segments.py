@@ -13,6 +13,7 @@ from humanopts_teach.dialogue.entry import confirm, QUIT, TextScreen, with_help
 from humanopts_teach.dialogue.keys import Command, Do
 from humanopts_teach.dialogue.panel import Choices, GAP, Line, Panel, Tone
 from humanopts_teach.dialogue.teaching import LessonScreen
+from humanopts_teach.language import _, N_, translated
 from humanopts_teach.lesson.attempt import demonstration_of
 from humanopts_teach.lesson.requests import (
     AddDemonstrations,
@@ -30,8 +31,8 @@ class WholeTaskScreen(PlayScreen):
 
     _: KW_ONLY
     run: Run
-    title: str = 'Play the whole task once'
-    text: str = 'Then name its parts, and they become demonstrations.'
+    title: str = N_('Play the whole task once')
+    text: str = N_('Then name its parts, and they become demonstrations.')
 
     def machine(self, app: App) -> list[Command]:
         since, driven = app.world.since, app.world.driven
@@ -49,7 +50,7 @@ class WholeTaskScreen(PlayScreen):
             app.show(SegmentsScreen(self.menu, self.run, play, segments))
 
         enter = show if since is not None and driven else None
-        return [Command([keys.ENTER], 'cut it into parts', enter, 'end the play here')]
+        return [Command([keys.ENTER], _('cut it into parts'), enter, _('end the play here'))]
 
 
 @dataclass
@@ -85,13 +86,22 @@ class SegmentsScreen(Screen):
     def panel(self, app: App) -> Panel:
         items = []
         for segment, name in zip(self.segments, self.names):
-            kept = ' (kept)' if name in self.kept else ''
+            kept = _(' (kept)') if name in self.kept else ''
             first, last = segment.first + 1, segment.last
-            steps = f'steps {first} to {last}' if first < last else f'step {last}'
-            items.append((f'{steps}: {name or "left out"}{kept}', ', '.join(segment.end)))
-        note = 'Parts with the same name that follow each other become one demonstration.'
-        where = Line(f'board: step {self.step} of {len(self.play.actions)}', Tone.QUIET)
-        title = Line('The parts of your play', strong=True)
+            steps = (
+                _('steps {first} to {last}').format(first=first, last=last)
+                if first < last
+                else _('step {last}').format(last=last)
+            )
+            items.append((f'{steps}: {name or _("left out")}{kept}', _ends(segment)))
+        note = _('Parts with the same name that follow each other become one demonstration.')
+        where = Line(
+            _('board: step {number} of {count}').format(
+                number=self.step, count=len(self.play.actions)
+            ),
+            Tone.QUIET,
+        )
+        title = Line(_('The parts of your play'), strong=True)
         listed = Choices(items, self.at, 'n')
         return Panel((title, where, GAP, listed, GAP, Line(note, Tone.QUIET)))
 
@@ -113,20 +123,24 @@ class SegmentsScreen(Screen):
 
         wanted = {*self.names} - {''} - self.kept
         commands = [
-            Command([keys.UP], 'move', go(self.at - 1), label='↑ ↓'),
-            Command([keys.DOWN], 'move down', go(self.at + 1), label=''),
-            Command([keys.LEFT], 'step back', look(self.step - 1)),
-            Command([keys.RIGHT], 'step on', look(self.step + 1)),
-            Command('n', 'name', self._name, 'name the option that this part shows'),
-            Command('m', 'merge', None if last else self._merge, 'join it with the next part'),
-            Command('d', 'drop', self._drop if self.names[self.at] else None, 'leave it out'),
+            Command([keys.UP], _('move'), go(self.at - 1), label='↑ ↓'),
+            Command([keys.DOWN], _('move down'), go(self.at + 1), label=''),
+            Command([keys.LEFT], _('step back'), look(self.step - 1)),
+            Command([keys.RIGHT], _('step on'), look(self.step + 1)),
+            Command('n', _('name'), self._name, _('name the option that this part shows')),
+            Command(
+                'm', _('merge'), None if last else self._merge, _('join it with the next part')
+            ),
+            Command(
+                'd', _('drop'), self._drop if self.names[self.at] else None, _('leave it out')
+            ),
             Command(
                 [keys.ENTER],
-                'make demonstrations',
+                _('make demonstrations'),
                 self._keep if wanted else None,
-                'every part with a name becomes a demonstration of its option',
+                _('every part with a name becomes a demonstration of its option'),
             ),
-            Command([keys.ESCAPE], 'menu', self._leave if wanted else self.menu),
+            Command([keys.ESCAPE], _('menu'), self._leave if wanted else self.menu),
             QUIT,
         ]
         return with_help(commands, self.again)
@@ -134,13 +148,13 @@ class SegmentsScreen(Screen):
     def _name(self, app: App) -> None:
         def submit(name: str, app: App) -> None:
             if fault := option_name_fault(name):
-                app.say(f'{fault}.', bad=True)
+                app.say(translated(f'{fault}.'), bad=True)
             else:
                 self.names[self.at] = name
                 app.show(self)
 
-        ends, name = ', '.join(self.segments[self.at].end), self.names[self.at]
-        app.show(TextScreen('What is the option called?', ends, name, submit, self.again))
+        ends, name = _ends(self.segments[self.at]), self.names[self.at]
+        app.show(TextScreen(_('What is the option called?'), ends, name, submit, self.again))
 
     def _merge(self, app: App) -> None:
         at = self.at
@@ -153,7 +167,7 @@ class SegmentsScreen(Screen):
         self.names[self.at] = ''
 
     def _leave(self, app: App) -> None:
-        question = 'Go to the menu? The names are forgotten; the recording keeps the play.'
+        question = _('Go to the menu? The names are forgotten; the recording keeps the play.')
         app.show(confirm(question, self.menu, self.again))
 
     def _keep(self, app: App) -> None:
@@ -163,7 +177,7 @@ class SegmentsScreen(Screen):
             found.setdefault(name, []).append(segment)
         left = [name for name in found if name not in self.kept]
         if not left:
-            app.say(f'Demonstrations are kept of {", ".join(found)}.')
+            app.say(_('Demonstrations are kept of {names}.').format(names=', '.join(found)))
             self.menu(app)
             return
         name = left[0]
@@ -175,7 +189,7 @@ class SegmentsScreen(Screen):
             kept=partial(self._kept, name),
         )
         app.groups.forget()
-        app.ask(DefineOption(name), then=lambda _: app.show(screen))
+        app.ask(DefineOption(name), then=lambda answer: app.show(screen))
 
     def _kept(self, name: str, app: App) -> None:
         self.kept.add(name)
@@ -203,7 +217,9 @@ class KeepScreen(LessonScreen):
 
     def panel(self, app: App) -> Panel:
         panel = super().panel(app)
-        words = f'Your play suggests: {", ".join(self.suggested)}'
+        words = _('Your play suggests: {features}').format(
+            features=', '.join(map(translated, self.suggested))
+        )
         return replace(panel, beside=(*panel.beside, GAP, Line(words, Tone.NEWS)))
 
     def _answers(self, app: App) -> list[Command]:
@@ -211,7 +227,7 @@ class KeepScreen(LessonScreen):
         asked = {lesson.question_feature} if group is None else {*group.features}
         yes, no, *others = super()._answers(app)
         fits = asked & {*self.suggested}
-        words = f'as suggested: {"yes" if fits else "no"}'
+        words = _('as suggested: {answer}').format(answer=_('yes') if fits else _('no'))
 
         def accept(app: App) -> None:
             self.accepts = True
@@ -219,7 +235,7 @@ class KeepScreen(LessonScreen):
         return [
             *(yes, no),
             Command([keys.ENTER], words, (yes if fits else no).do),
-            Command('a', 'all as suggested', accept),
+            Command('a', _('all as suggested'), accept),
             *(each for each in others if keys.ENTER not in each.wanted),
         ]
 
@@ -234,7 +250,7 @@ class KeepScreen(LessonScreen):
                 each.demonstration(lesson.option_name, lesson.chosen_features)
                 for each in self.segments
             )
-            app.ask(AddDemonstrations(shown), then=lambda _: self.kept(app))
+            app.ask(AddDemonstrations(shown), then=lambda answer: self.kept(app))
         else:
             super().tick(app)
 
@@ -244,3 +260,8 @@ class KeepScreen(LessonScreen):
         self.accepts = False
         if self.sent:
             self.menu(app)
+
+
+def _ends(segment: Segment) -> str:
+    """Return what changes at the end of a segment, in words."""
+    return ', '.join(map(translated, segment.end))

@@ -13,6 +13,7 @@ from humanopts_teach.dialogue.entry import end, TextScreen
 from humanopts_teach.dialogue.keys import Command, Do, ENTER, LEFT, RIGHT
 from humanopts_teach.dialogue.menu import opening
 from humanopts_teach.dialogue.panel import GAP, Line, Page, Panel, Tone
+from humanopts_teach.language import in_its_language
 from humanopts_teach.lesson.requests import CancelRun, Phase, Request, SetControl, World
 from humanopts_teach.study.events import (
     EventKind,
@@ -59,6 +60,7 @@ class StudyApp(App):
         self._taught: tuple[LearnedOption, ...] = ()  # as last recorded
         self._announced = False  # whether the person was informed that the time is over
 
+    @in_its_language
     def advance(self, now: float) -> Request | None:
         """Process queued requests and keys; end the part when its time is over."""
         if self._part is None and not self.ended:

@@ -27,6 +27,7 @@ from humanopts_teach.dialogue.keys import (
 from humanopts_teach.dialogue.lesson_panel import progress_panel, question_panel
 from humanopts_teach.dialogue.panel import GAP, Panel
 from humanopts_teach.dialogue.question import RunQuestion
+from humanopts_teach.language import _, ngettext, translated
 from humanopts_teach.lesson.question_groups import GroupAnswer
 from humanopts_teach.lesson.requests import (
     ActionGoal,
@@ -112,28 +113,30 @@ class LessonScreen(Screen):
     def _commands(self, phase: Phase, app: App) -> list[Command]:
         """Return the commands of a phase."""
         lesson, robot = app.world.lesson, app.world.robot
-        start = 'where the robot is' if robot else 'a start of the task'
+        start = _('where the robot is') if robot else _('a start of the task')
         listed = Command(
             'lb',
-            'demonstrations',
+            _('demonstrations'),
             self._list,
-            'list all demonstrations and verdicts; view or delete any',
+            _('list all demonstrations and verdicts; view or delete any'),
         )
         watch = Command(
             'wv',
-            'run it and correct' if robot else 'watch and correct',
+            _('run it and correct') if robot else _('watch and correct'),
             self._watch_new if lesson.n_demonstrations else None,
-            f'watch the option from {start}; an action key takes over',
+            _('watch the option from {start}; an action key takes over').format(start=start),
         )
         learned = [watch, listed]
         questions = Command(
             'ek',
-            'questions',
+            _('questions'),
             self._ask_again,
-            'answer again what the option depends on; Enter keeps an answer',
+            _('answer again what the option depends on; Enter keeps an answer'),
         )
-        begin = Command([ENTER], 'begin here' if robot else 'begin', self._begin)
-        more = Command('m', 'show one more', self._begin, 'show the option once more instead')
+        begin = Command([ENTER], _('begin here') if robot else _('begin'), self._begin)
+        more = Command(
+            'm', _('show one more'), self._begin, _('show the option once more instead')
+        )
         commands, question = [*pace(app), *control(app)], self._run_question(app)
         if robot and phase in (Phase.READY, Phase.EXAM, Phase.FINISHED):
             commands = [*app.actions(), *commands]  # the person drives to the next start
@@ -141,61 +144,61 @@ class LessonScreen(Screen):
             case Phase.DEMONSTRATING if lesson.exam:
                 commands = [*self._verdicts(app), *commands]
             case Phase.EXAM:
-                begin = Command([ENTER], 'begin the run', self._examine)
+                begin = Command([ENTER], _('begin the run'), self._examine)
                 commands += [begin, self._previous(app), more, listed, questions]
             case Phase.CHECKING if question is not None:
                 commands += [*self._answers(app), self._previous(app), *question.commands()]
                 commands += [more, listed, questions]
             case Phase.DEMONSTRATING:
-                again = 'YES' if _can_start_again(app) else 'no'
+                again = _('YES') if _can_start_again(app) else _('no')
                 domain = app.domain
                 can_repeat = isinstance(domain, ReplayedDomain) or is_deterministic(domain)
                 commands = [
                     *(*app.actions(), *commands),
                     Command(
                         [ENTER],
-                        'done',
+                        _('done'),
                         partial(self._end, Verdict.DONE),
-                        'the option ends here: keep this demonstration',
+                        _('the option ends here: keep this demonstration'),
                     ),
                     Command(
                         'sa',
-                        f'can start again at its end: {again}',
+                        _('can start again at its end: {again}').format(again=again),
                         self._toggle_start,
-                        'with done: set whether the option could start again where it ended',
+                        _('with done: set whether the option could start again where it ended'),
                     ),
                     Command(
                         'nh',
-                        'not here',
+                        _('not here'),
                         partial(self._end, Verdict.NOT_HERE),
-                        'the option cannot start here; only before the first step',
+                        _('the option cannot start here; only before the first step'),
                     ),
                     Command(
                         [BACKSPACE],
-                        'discard',
+                        _('discard'),
                         self._discard,
-                        'forget this demonstration'
+                        _('forget this demonstration')
                         if robot
-                        else 'forget this demonstration and try the same start again',
+                        else _('forget this demonstration and try the same start again'),
                     ),
                     Command(
                         'uz',
-                        'undo a step',
+                        _('undo a step'),
                         self._undo if can_repeat else None,
-                        'undo your last step: a new episode repeats the steps before it',
+                        _('undo your last step: a new episode repeats the steps before it'),
                     ),
                     *(*learned, questions),
                 ]
             case Phase.ASKING:
                 combine = Command(
                     'c',
-                    'combine features',
+                    _('combine features'),
                     lambda app: app.show(CombineScreen(self.again)),
-                    'make a new feature from others, such as their difference',
+                    _('make a new feature from others, such as their difference'),
                 )
                 commands += [*self._answers(app), self._previous(app), combine]
             case Phase.READY:
-                space = Command([SPACE], 'begin', self._begin, label='')
+                space = Command([SPACE], _('begin'), self._begin, label='')
                 commands += [
                     begin,
                     *([] if robot else [space]),
@@ -204,18 +207,18 @@ class LessonScreen(Screen):
                     questions,
                 ]
             case Phase.FINISHED:
-                run = Command('rg', 'run it', partial(self.run, lesson.option_name))
+                run = Command('rg', _('run it'), partial(self.run, lesson.option_name))
                 commands += [replace(more, wanted=[ENTER]), run, *learned]
                 commands += [self._previous(app), questions]
         return [
             *commands,
             Command(
                 [ESCAPE],
-                'menu, next option' if phase is Phase.FINISHED else 'menu',
-                partial(self._leave, 'Go to the menu', self.menu),
-                'go to the menu; a demonstration under way is discarded',
+                _('menu, next option') if phase is Phase.FINISHED else _('menu'),
+                partial(self._leave, _('Go to the menu'), self.menu),
+                _('go to the menu; a demonstration under way is discarded'),
             ),
-            replace(QUIT, do=partial(self._leave, 'Quit', end)),
+            replace(QUIT, do=partial(self._leave, _('Quit'), end)),
         ]
 
     def _answers(self, app: App) -> list[Command]:
@@ -239,16 +242,18 @@ class LessonScreen(Screen):
             yes, no = say(group, GroupAnswer.EACH), say(group, GroupAnswer.NONE)
             before = say(group, GroupAnswer.AS_BEFORE)
         answers = [
-            Command('y', 'yes', yes),
-            Command('n', 'no' if group is None else 'no, to all of them', no),
+            Command('y', _('yes'), yes),
+            Command('n', _('no') if group is None else _('no, to all of them'), no),
         ]
         if lesson.phase is Phase.CHECKING:
             return answers
         if earlier:
-            words = f'as before: {"yes" if asked & earlier else "no"}'
+            words = _('as before: {answer}').format(
+                answer=_('yes') if asked & earlier else _('no')
+            )
             answers.append(Command([ENTER], words, before))
         if _can_skip(lesson) and not _is_derived(lesson):
-            words = 'all others as before' if earlier else 'no to all others'
+            words = _('all others as before') if earlier else _('no to all others')
             answers.append(Command('o', words, self._skip))
         return answers
 
@@ -284,7 +289,9 @@ class LessonScreen(Screen):
         possible = lesson.phase is not Phase.ASKING or not first or said is not None
         asks = lesson.phase in (Phase.ASKING, Phase.READY)
         words = (
-            'previous question' if lesson.phase is Phase.ASKING else 'take back the last answer'
+            _('previous question')
+            if lesson.phase is Phase.ASKING
+            else _('take back the last answer')
         )
         possible &= asks or lesson.n_questions + lesson.exam_runs > 0
         return Command([BACKSPACE], words, go_back if possible else None)
@@ -353,26 +360,27 @@ class LessonScreen(Screen):
         return [
             Command(
                 'r',
-                'right',
+                _('right'),
                 judge(Verdict.RIGHT, Phase.EXAM) if ended and begun else None,
-                'the option did what it should' + ('' if robot else '; the next run begins'),
+                _('the option did what it should') + ('' if robot else _('; the next run begins')),
             ),
             Command(
                 'w',
-                'wrong',
+                _('wrong'),
                 judge(Verdict.WRONG, None) if begun or ended or (robot and not idle) else None,
-                'stop the run; next you show what the option should do there',
+                _('stop the run; next you show what the option should do there'),
             ),
             Command(
                 [ENTER],
-                'begin the run',
+                _('begin the run'),
                 (lambda app: app.ask(*_run(app))) if idle and not begun else None,
             ),
             Command(
                 [BACKSPACE],
-                'does not count' if robot else 'watch it again',
+                _('does not count') if robot else _('watch it again'),
                 judge(Verdict.DISCARD, Phase.EXAM) if idle and begun else None,
-                'this run does not count' + ('' if robot else '; it is repeated from its start'),
+                _('this run does not count')
+                + ('' if robot else _('; it is repeated from its start')),
             ),
         ]
 
@@ -412,13 +420,15 @@ class LessonScreen(Screen):
         effect = app.world.last_effect
         if app.run is not None:
             app.ask(SetControl(hold=True))
-            app.say('The machine has stopped. Look at the board, then press the key again.')
+            app.say(_('The machine has stopped. Look at the board, then press the key again.'))
         elif verdict is not Verdict.DONE:
             self._verdict(verdict, app)
         elif effect is None or effect.changed:
             self._count(app)
         else:
-            question = f'The last step had no effect ({effect.text}). Does the option end here?'
+            question = _('The last step had no effect ({text}). Does the option end here?').format(
+                text=translated(effect.text)
+            )
             app.show(confirm(question, self._count, self.again))
 
     def _count(self, app: App) -> None:
@@ -432,10 +442,14 @@ class LessonScreen(Screen):
             app.show(self)
             self._verdict(Verdict.DONE, app, counts=counts)
 
-        items = [Item('Yes', 'all of them are right', partial(keep, counts=True))]
+        items = [Item(_('Yes'), _('all of them are right'), partial(keep, counts=True))]
         if app.world.game.step > steps:
-            items.append(Item('No', 'it begins where I took over', partial(keep, counts=False)))
-        title = f'The machine took the first {steps} steps. Are they part of the demonstration?'
+            items.append(
+                Item(_('No'), _('it begins where I took over'), partial(keep, counts=False))
+            )
+        title = _(
+            'The machine took the first {steps} steps. Are they part of the demonstration?'
+        ).format(steps=steps)
         app.show(ListScreen(title, items, self.again))
 
     def _verdict(self, verdict: Verdict, app: App, *, counts: bool = False) -> None:
@@ -450,12 +464,14 @@ class LessonScreen(Screen):
             items = [
                 Item(text, note, partial(self._delete, deleted), (answer.situation,))
                 for text, note, deleted in (
-                    ('Keep both', '', ''),
-                    ('Keep the new one', 'the earlier one is deleted', answer.contradicts),
-                    ('Keep the earlier one', 'the new one is deleted', answer.uuid),
+                    (_('Keep both'), '', ''),
+                    (_('Keep the new one'), _('the earlier one is deleted'), answer.contradicts),
+                    (_('Keep the earlier one'), _('the new one is deleted'), answer.uuid),
                 )
             ]
-            title = f'You showed something else before. {answer.contradiction}.'
+            title = _('You showed something else before. {contradiction}.').format(
+                contradiction=translated(answer.contradiction)
+            )
             app.show(ListScreen(title, items))
 
     def _discard(self, app: App) -> None:
@@ -469,9 +485,9 @@ class LessonScreen(Screen):
         """Start a new episode and repeat all of the person's steps except the last."""
         lesson, since, driven = app.world.lesson, app.world.since, app.world.driven
         if since is None or since.step != lesson.machine_steps or not driven:
-            app.say('There is no step of yours to undo.', bad=True)
+            app.say(_('There is no step of yours to undo.'), bad=True)
         elif lesson.paused:
-            app.say('Not now: the lesson is paused and could not begin again.', bad=True)
+            app.say(_('Not now: the lesson is paused and could not begin again.'), bad=True)
         else:
             self.redo = [step.previous_action for step in driven[:-1]]
             self._discard(app)
@@ -500,11 +516,15 @@ class LessonScreen(Screen):
 
         if shown:
             items = [
-                Item('Yes', 'they are changed', change),
-                Item('No', 'only from now on', self.again),
+                Item(_('Yes'), _('they are changed'), change),
+                Item(_('No'), _('only from now on'), self.again),
             ]
-            ends = f'{len(shown)} earlier demonstration{"s"[: len(shown) != 1]} ended'
-            app.show(ListScreen(f'Could it start again where your {ends}, too?', items))
+            title = ngettext(
+                'Could it start again where your {count} earlier demonstration ended, too?',
+                'Could it start again where your {count} earlier demonstrations ended, too?',
+                len(shown),
+            )
+            app.show(ListScreen(title.format(count=len(shown)), items))
 
     def _watch_new(self, app: App) -> None:
         """Watch the option from a random start of the task, or the default one without rules."""
@@ -521,7 +541,7 @@ class LessonScreen(Screen):
             app.ask(BeginDemonstration(start, watch=True), *_run(app))
 
         app.show(self)
-        self._leave('Watch the option', watch, app)
+        self._leave(_('Watch the option'), watch, app)
 
     def _list(self, app: App) -> None:
         def answered(answer: Answer) -> None:
@@ -531,23 +551,23 @@ class LessonScreen(Screen):
 
     def _show_demonstrations(self, shown: Sequence[Demonstration], app: App) -> None:
         if not shown:
-            app.say('There are no demonstrations yet.')
+            app.say(_('There are no demonstrations yet.'))
             return
         back = partial(self._show_demonstrations, shown)
         items = [
             Item(*_in_words(demo), partial(self._show_one, demo, back), demo.states)
             for demo in reversed(shown)
         ]
-        app.show(ListScreen('Demonstrations, newest first', items, self.again))
+        app.show(ListScreen(_('Demonstrations, newest first'), items, self.again))
 
     def _show_one(self, demo: Demonstration, back: Do, app: App) -> None:
         watch, states = partial(self._watch, demo.states[0]), demo.states
-        items = [Item('Watch the option from its start', 'and correct it', watch, states)]
+        items = [Item(_('Watch the option from its start'), _('and correct it'), watch, states)]
         if not demo.withdrawn:
-            note = 'it no longer counts, and its start comes again'
+            note = _('it no longer counts, and its start comes again')
             if demo.kind is Kind.JUDGED:
-                note = 'this verdict no longer counts'
-            items.append(Item('Delete it', note, partial(self._delete, demo.uuid), states))
+                note = _('this verdict no longer counts')
+            items.append(Item(_('Delete it'), note, partial(self._delete, demo.uuid), states))
         app.show(ListScreen(' '.join(_in_words(demo)), items, back))
 
     def _delete(self, uuid: str, app: App) -> None:
@@ -568,9 +588,12 @@ class LessonScreen(Screen):
             go(app)
 
         if app.world.game.step:
-            what = 'run does not count' if app.world.lesson.exam else 'demonstration is discarded'
-            question = f'{words}? This {what}; everything else is saved.'
-            app.show(confirm(question, discard, self.again))
+            what = (
+                _('This run does not count; everything else is saved.')
+                if app.world.lesson.exam
+                else _('This demonstration is discarded; everything else is saved.')
+            )
+            app.show(confirm(f'{words}? {what}', discard, self.again))
         else:
             discard(app)
 
@@ -579,22 +602,28 @@ class LessonScreen(Screen):
             app.groups.forget()
             app.ask(DefineOption(app.world.lesson.option_name, ask_again=True))
 
-        self._leave('Answer the questions again', ask, app)
+        self._leave(_('Answer the questions again'), ask, app)
 
 
 def _in_words(demo: Demonstration) -> tuple[str, str]:
     """Return a short description of a demonstration, and further details."""
     steps = len(demo.actions)
-    what = f'{steps} step{"s"[: steps != 1]}, return {demo.total_reward:g}'
-    notes = [f'by {demo.method}', f'{demo.seconds:.0f} s']
-    text = f'no. {demo.number}: {what if steps else "not here"}'
+    what = ngettext('{count} step, return {reward:g}', '{count} steps, return {reward:g}', steps)
+    what = what.format(count=steps, reward=demo.total_reward)
+    notes = [_('by {method}').format(method=translated(demo.method)), f'{demo.seconds:.0f} s']
+    text = _('no. {number}: {what}').format(
+        number=demo.number, what=what if steps else _('not here')
+    )
     if demo.kind is Kind.JUDGED:
-        verdict = 'right' if demo.right else 'wrong'
-        text = f'run {demo.number}, called {verdict}: {what if steps else "it would not start"}'
-        notes = ['in an exam' if demo.exam else 'in a question']
+        text = _('run {number}, called {verdict}: {what}').format(
+            number=demo.number,
+            verdict=_('right') if demo.right else _('wrong'),
+            what=what if steps else _('it would not start'),
+        )
+        notes = [_('in an exam') if demo.exam else _('in a question')]
     elif demo.machine_steps:
-        notes.append(f'{demo.machine_steps} by the machine')
-    return text, ', '.join([*notes, *(['DELETED'] if demo.withdrawn else [])])
+        notes.append(_('{count} by the machine').format(count=demo.machine_steps))
+    return text, ', '.join([*notes, *([_('DELETED')] if demo.withdrawn else [])])
 
 
 def _run(app: App) -> list[Request]:

@@ -10,13 +10,15 @@ from humanopts_teach.dialogue.app import App
 from humanopts_teach.dialogue.driving import robot_lines
 from humanopts_teach.dialogue.keys import key_table, label, SPACE
 from humanopts_teach.dialogue.panel import Features, GAP, Key, Line, Panel, ScreenView, Tone
+from humanopts_teach.language import _, in_its_language, N_, translated
 from humanopts_teach.lesson.requests import Phase
 
-_SEEN = 'the picture shows more than the option sees'
-_NO_PICTURE = Line('No picture: it needs a terminal with colours.', Tone.QUIET)
+_SEEN = N_('the picture shows more than the option sees')
+_NO_PICTURE = N_('No picture: it needs a terminal with colours.')
 _ALL_FEATURES = {Phase.NO_SESSION, Phase.NO_OPTION, Phase.ASKING}  # phases that hide no features
 
 
+@in_its_language
 def view(app: App, *, images: bool = True) -> ScreenView:
     """
     Return the current view.
@@ -25,13 +27,13 @@ def view(app: App, *, images: bool = True) -> ScreenView:
     """
     screen, world = app.screen, app.world
     keys = [
-        Key(key, label(key) if each.label is None else each.label, each.words)
+        Key(key, label(key) if each.label is None else each.label, _(each.words))
         for key, each in key_table(screen.commands(app)).items()
         if each.do is not None and not (world.robot and key == SPACE)
     ]
     if world.robot:
-        keys.insert(0, Key(SPACE, label(SPACE), 'stop the robot'))
-    board, panel = Board(), Panel((Line('Waiting for the game ...'),))
+        keys.insert(0, Key(SPACE, label(SPACE), _('stop the robot')))
+    board, panel = Board(), Panel((Line(_('Waiting for the game ...')),))
     if world.domain is not None or not app.needs_game:
         panel = screen.panel(app)
         panel = replace(panel, beside=(*robot_lines(app), *panel.beside))
@@ -43,22 +45,23 @@ def view(app: App, *, images: bool = True) -> ScreenView:
         panel,
         _message_line(app),
         keys,
-        world.lesson.paused,
+        translated(world.lesson.paused),
         board if board.drawn else None,
         screen.plays(app),
+        app.language,
     )
 
 
 def _head(app: App) -> list[str]:
     world, parts = app.world, ['humanopts']
     if world.domain is not None:
-        parts.append(world.domain.name)
+        parts.append(translated(world.domain.name))
     if app.participant:
         parts.append(app.participant)
         if world.lesson.session:
-            parts.append(f'session {world.lesson.session}')
+            parts.append(_('session {session}').format(session=world.lesson.session))
     if world.holder:
-        parts.append('you drive' if world.in_control else 'another person drives')
+        parts.append(_('you drive') if world.in_control else _('another person drives'))
     return parts
 
 
@@ -66,14 +69,22 @@ def _message_line(app: App) -> Line:
     """Return the latest message to the person."""
     if app.world.missing:
         names = ', '.join(app.world.missing)
-        return Line(f'Missing: {names}. Everything taught is saved; {app.leave_hint}.', Tone.BAD)
+        return Line(
+            _('Missing: {names}. Everything taught is saved; {hint}.').format(
+                names=names, hint=_(app.leave_hint)
+            ),
+            Tone.BAD,
+        )
     if app.message.text:
         return app.message
     lesson = app.world.lesson
     if app.run is not None and app.world.robot and lesson.phase is Phase.DEMONSTRATING:
-        verdict = 'say wrong' if lesson.exam else 'take over'
-        return Line(f'Watch the option, and {verdict} as soon as it errs.', Tone.GOOD)
-    return Line(app.world.lesson.text if app.screen.answers_lesson else '', Tone.GOOD)
+        verdict = _('say wrong') if lesson.exam else _('take over')
+        return Line(
+            _('Watch the option, and {verdict} as soon as it errs.').format(verdict=verdict),
+            Tone.GOOD,
+        )
+    return Line(translated(app.world.lesson.text) if app.screen.answers_lesson else '', Tone.GOOD)
 
 
 def _drawn(app: App, panel: Panel, images: bool) -> tuple[Board, Panel]:
@@ -90,21 +101,39 @@ def _drawn(app: App, panel: Panel, images: bool) -> tuple[Board, Panel]:
     here = published_state(domain, state, game.features)
     shown = lesson.chosen_features if hides else None
     if can_simulate(domain) and (mission := caption_of(domain, here)):
-        panel = replace(panel, below=(Line(f'Mission: {mission}.'), *panel.below))
-    board = pictured_board_of(domain, here, shown) if app.pictures else Board()
+        panel = replace(
+            panel,
+            below=(
+                Line(_('Mission: {mission}.').format(mission=translated(mission))),
+                *panel.below,
+            ),
+        )
+    board = _in_words(pictured_board_of(domain, here, shown)) if app.pictures else Board()
     if board.rows:
         return board, panel
     if board.image is not None and not images:
-        board, panel = Board(), replace(panel, below=(*panel.below, _NO_PICTURE))
+        board, panel = (
+            Board(),
+            replace(panel, below=(*panel.below, Line(_(_NO_PICTURE), Tone.QUIET))),
+        )
     every = [*(each.name for each in domain.features), *lesson.derived_features]
     columns = feature_columns(domain, every if shown is None else shown)
     row = domain.feature_values(here)
-    values = [(plain_name(each.feature.name), each.text(row)) for each in columns]
+    values = [
+        (translated(plain_name(each.feature.name)), translated(each.text(row))) for each in columns
+    ]
     table = Features(values, in_rows=True)
     board, blocks = replace(board, notes=()), list(panel.beside)
     for number, block in enumerate(blocks):
         if isinstance(block, Features):
-            hidden = _SEEN if block.hidden and board.drawn else block.hidden
+            hidden = _(_SEEN) if block.hidden and board.drawn else block.hidden
             blocks[number] = replace(table, hidden=hidden)
             return board, replace(panel, beside=blocks)
     return board, replace(panel, below=(*panel.below, GAP, replace(table, chosen=False)))
+
+
+def _in_words(board: Board) -> Board:
+    """Return a board with its words in the language spoken."""
+    marks = tuple(replace(mark, name=translated(mark.name)) for mark in board.marks)
+    notes = tuple(map(translated, board.notes))
+    return replace(board, marks=marks, notes=notes, unseen=_(board.unseen))

@@ -65,6 +65,7 @@ class Setup(LaunchOptions):
     condition: str = ''
     study_parts: str = ''  # of the participant in this launch, JSON
     study_record: str = ''  # file of the participant's events
+    language: str = ''  # of what people read, as in ``speaking``
 
     @property
     def bag(self) -> Path:
@@ -190,6 +191,7 @@ def _own_parameters(setup: Setup) -> dict[str, dict[str, Value]]:
             'participant': setup.participant,
             'ask_participant': setup.ask_participant,
             'pictures': setup.pictures,
+            'language': setup.language,
             'seed': setup.seed,
             **(study if setup.study else {}),
         },

@@ -73,6 +73,7 @@ class TeleopNode(NodeBase):
             opening(participant, ask=ask), self._world, seed=seed
         )
         self.app.pictures = self.setting('pictures', True, 'show the world; false: only features')
+        self.app.language = self.setting('language', '', 'code or PO file; empty: as in the code')
         self._goal: Goal | None = None  # goal of the active run
         self._unsent: Request | None = None  # request waiting for its server
         self._started = self._checked = time.monotonic()

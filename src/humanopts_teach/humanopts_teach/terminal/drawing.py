@@ -12,6 +12,7 @@ from humanopts_teach.dialogue import panel
 from humanopts_teach.dialogue.app import App
 from humanopts_teach.dialogue.entry import PAGE
 from humanopts_teach.dialogue.view import view
+from humanopts_teach.language import _, in_its_language
 import numpy as np
 from PIL import Image as Pillow
 from rich.cells import cell_len, set_cell_size
@@ -43,6 +44,7 @@ STYLES = {
 }
 
 
+@in_its_language
 def frame(app: App, width: int, height: int, colours: Colours | None = None) -> list[str]:
     """
     Return the screen as ``height`` lines of at most ``width`` cells.
@@ -50,15 +52,17 @@ def frame(app: App, width: int, height: int, colours: Colours | None = None) -> 
     :param colours: colour system, in rich's notation; None: plain text.
     """
     if width < SMALLEST[0] or height < SMALLEST[1]:
-        words = (
-            f'This window has {width} x {height} characters, and {SMALLEST[0]} x {SMALLEST[1]} '
-            'are needed: please make it larger. (Ctrl-C quits; everything taught is saved.)'
+        words = _(
+            'This window has {width} x {height} characters, and {least} x {lines} are needed: '
+            'please make it larger. (Ctrl-C quits; everything taught is saved.)'
         )
+        least, lines = SMALLEST
+        words = words.format(width=width, height=height, least=least, lines=lines)
         return framed([Text(words)], lambda rows: Text(), [], width, height, colours)
     shown = view(app, images=colours is not None)
     top: list[RenderableType] = [title(' · '.join(shown.head), width)]
     if shown.paused:
-        why = Text.assemble(('PAUSED: ', 'bold'), one_line(shown.paused), overflow='ellipsis')
+        why = Text.assemble((_('PAUSED: '), 'bold'), one_line(shown.paused), overflow='ellipsis')
         why.no_wrap = height < _ROOMY
         top.append(Padding(why, (0, 1), style=f'color(231) on {RED}'))
     if height > _ROOMY:
@@ -91,7 +95,7 @@ def framed(
     room = height - len(lower)
     upper += _lines_of(Group(middle(room - len(upper))), width, colours)
     if len(upper) > room:
-        upper = [*upper[: max(room - 1, 0)], '... (a higher window shows more)']
+        upper = [*upper[: max(room - 1, 0)], _('... (a higher window shows more)')]
     return (upper + [''] * room)[:room] + lower
 
 
