@@ -17,6 +17,7 @@ from pathlib import Path
 import re
 from typing import Concatenate, NamedTuple, ParamSpec, Protocol, TypeVar
 
+ENGLISH = 'en'  # in plain words, for participants of studies
 _FOLDER = Path(__file__).parent / 'locale'
 _FIELD = re.compile(r'\{(\w*)[^{}]*\}')  # a placeholder, with its format
 _NAMES = {'code', 'name', 'option', 'participant'}  # placeholders of what people typed
