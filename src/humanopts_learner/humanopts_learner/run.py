@@ -123,7 +123,7 @@ class Arbiter:
         if values.sampled:
             among = [options[name] for name in names]
             learned = [option for option in among if isinstance(option, LearnedOption)]
-            self._actions = actions = ActionSet(domain, values.action_set, learned)
+            self._actions = actions = ActionSet(domain, values.action_set, learned, values.columns)
             if actions.names[: actions.first_fallback] != names:
                 raise PlanError(f'the values are not for the actions of {domain.name}')
             names = actions.names

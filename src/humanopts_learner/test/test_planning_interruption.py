@@ -322,13 +322,23 @@ def exact_plan() -> ExactPlan:
 
 
 @cache
-def sampled_plan(execution: Arbitration = Arbitration.RUN_TO_END) -> SampledPlan:
+def sampled_plan(
+    execution: Arbitration = Arbitration.RUN_TO_END, columns: tuple[str, ...] = ()
+) -> SampledPlan:
     """Return a plan over aliased abstract states, so that options are often stopped."""
     config = Sampling(n_games=200, game_steps=LIMIT, interruption_margin=0.0)
     return make_sampled_plan(
         ALIASED,
         options_of(ALIASED),
-        PlanRequest('human', 0.8, game_steps=6_000, seed=1, execution=execution, sampling=config),
+        PlanRequest(
+            'human',
+            0.8,
+            game_steps=6_000,
+            seed=1,
+            execution=execution,
+            columns=columns,
+            sampling=config,
+        ),
     )
 
 
@@ -357,6 +367,20 @@ def test_a_live_game_is_the_vectorised_one_with_sampled_values() -> None:
             actors[execution].append(game.actors)
     to_end = actors.pop(Arbitration.RUN_TO_END)
     assert all(differ != to_end for differ in actors.values())  # or this would show nothing
+
+
+def test_a_live_game_uses_the_columns_of_its_plan() -> None:
+    plan = sampled_plan(columns=('taxi_row', 'passenger_in_taxi'))
+    for seed in range(4):
+        start = new_games(ALIASED, 1, generator(seed, 'play_games')).states()[0]
+        game = LiveGame(plan, Arbitration.MODULAR_STRONGEST, start)
+        returns = plan.play(seed, 1, Arbitration.MODULAR_STRONGEST)
+        assert (sum(game.rewards), game.decisions) == (returns.total[0], returns.decisions[0])
+    plan = replace(
+        plan, policy=replace(plan.policy, values=replace(plan.policy.values, columns=()))
+    )
+    wrong = LiveGame(plan, Arbitration.MODULAR_STRONGEST, start)
+    assert wrong.actors != game.actors  # or this would show nothing
 
 
 @pytest.mark.parametrize('execution', Arbitration)

@@ -107,7 +107,7 @@ class ActionSet:
         self.domain = domain
         if action_set == PRIMITIVE and isinstance(domain, HasPrimitiveColumns):
             columns = columns or domain.primitive_columns
-        self._abstraction = Abstraction(domain, columns)
+        self.columns, self._abstraction = tuple(columns), Abstraction(domain, columns)
         self.names = (
             *(option.name for option in self.options),
             *(PRIMITIVE_PREFIX + action.name for action in domain.actions),

@@ -49,6 +49,7 @@ class OptionValues:
     continuation_values: Floats  # (K, O) of continuing it, even where it cannot start
     interruption_margin: float  # differences up to this are ignored
     sampled: bool  # states are abstract states
+    columns: tuple[str, ...] = ()  # of abstract states, as in ``Abstraction``
 
     def __post_init__(self) -> None:
         shape = len(self.states), len(self.names)

@@ -202,6 +202,7 @@ class OptionLearner:
             continuation_values=values,
             interruption_margin=request.sampling.interruption_margin,
             sampled=True,
+            columns=self.actions.columns,
         )
         best = values.argmax(axis=1).astype(np.int32)
         return Solution(values.max(axis=1), best, 0, 0.0, True), GreedyPolicy(table)

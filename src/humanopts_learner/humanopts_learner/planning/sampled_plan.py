@@ -241,6 +241,7 @@ def solve_sampled(
         continuation_values=continued[order],
         interruption_margin=request.sampling.interruption_margin,
         sampled=True,
+        columns=actions.columns,
     )
     solution = replace(found, values=found.values[order], best=found.best[order])
     return solution, GreedyPolicy(table, request.execution)

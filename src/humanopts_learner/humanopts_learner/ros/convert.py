@@ -126,6 +126,7 @@ def option_values_to_message(
         continuation_values=packed('d', values.continuation_values),
         interruption_margin=values.interruption_margin,
         sampled=values.sampled,
+        columns=list(values.columns),
     )
 
 
@@ -154,4 +155,5 @@ def option_values_from_message(message: msg.OptionValues) -> 'OptionValues':
         continuation_values=table('continuation_values'),
         interruption_margin=float(message.interruption_margin),
         sampled=bool(message.sampled),
+        columns=tuple(message.columns),
     )
