@@ -22,6 +22,7 @@ setup(
         'rich>=13.7.1',
         'scikit-learn>=1.4.1',
         'setproctitle>=1.3.3',
+        'statsmodels>=0.14.1',
         'zstandard>=0.22.0',
     ],
     packages=find_packages(exclude=['test']),
@@ -35,7 +36,9 @@ setup(
             'report/*.css',
             'report/*.txt',
             'browser/page.*',
+            'study/*.html',
             'study/*.yaml',
+            'study/analysis.R',
         ]
     },
     data_files=[

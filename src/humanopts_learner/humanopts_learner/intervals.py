@@ -42,7 +42,7 @@ class Interval:
         if len(found) < 2:
             return cls(float(found[0]) if len(found) else math.nan, math.nan, math.nan)
         error = float(found.std(ddof=1)) / math.sqrt(len(found))
-        return cls._around(float(found.mean()), error, len(found) - 1, level)
+        return cls.around(float(found.mean()), error, len(found) - 1, level)
 
     @classmethod
     def of_share(cls, flags: Flags, level: float = LEVEL) -> 'Interval':
@@ -105,10 +105,18 @@ class Interval:
             return cls(mean, mean, mean)
         counts = len(first), len(second)
         freedom = total**2 / sum(s**2 / (count - 1) for s, count in zip(squares, counts))
-        return cls._around(mean, math.sqrt(total), freedom, level)
+        return cls.around(mean, math.sqrt(total), freedom, level)
 
     @classmethod
-    def _around(cls, mean: float, error: float, freedom: float, level: float) -> 'Interval':
+    def around(
+        cls, mean: float, error: float, freedom: float, level: float = LEVEL
+    ) -> 'Interval':
+        """
+        Return the interval of an estimate by Student's t.
+
+        :param error: standard error of the estimate.
+        :param freedom: degrees of freedom.
+        """
         from scipy.special import stdtrit  # slow to import
 
         half = float(stdtrit(freedom, (1 + level) / 2)) * error
