@@ -108,9 +108,7 @@ class Interval:
         return cls.around(mean, math.sqrt(total), freedom, level)
 
     @classmethod
-    def around(
-        cls, mean: float, error: float, freedom: float, level: float = LEVEL
-    ) -> 'Interval':
+    def around(cls, mean: float, error: float, freedom: float, level: float = LEVEL) -> 'Interval':
         """
         Return the interval of an estimate by Student's t.
 

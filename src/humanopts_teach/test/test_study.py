@@ -16,6 +16,7 @@ from humanopts_teach.cli import main
 from humanopts_teach.commands.study_session import simulated_part
 from humanopts_teach.dialogue.study import StudyApp
 from humanopts_teach.lesson.requests import EndDemonstration, SetControl, Verdict, World
+from humanopts_teach.study.codebook import codebook
 from humanopts_teach.study.plan import (
     balanced_latin_square,
     Part,
@@ -28,7 +29,7 @@ from humanopts_teach.study.plan import (
 from humanopts_teach.study.protocol import Protocol
 from humanopts_teach.study.questions import Question, Questionnaire
 from humanopts_teach.study.record import OpenRecord, StudyError, StudyFolder
-from humanopts_teach.study.tables import CODEBOOK, status_table, tables
+from humanopts_teach.study.tables import read_study, status_table, tables
 from hypothesis import given, HealthCheck, settings
 from hypothesis import strategies as st
 import pytest
@@ -456,31 +457,29 @@ def test_a_simulated_study_makes_tables_that_the_codebook_explains(
             simulated_part(part, record, plan.seed, who.number, lambda: [option])
         record.note('ended')
     folder.enter(plan, 'late')
-    records, problems = folder.records()
+    data, problems = read_study(folder, time.time())
     assert problems == []
-    found = tables(records)
-    for name, columns in CODEBOOK.items():
+    found = tables(data)
+    for name, columns in codebook().items():
         assert list(found[name].columns) == list(columns)
-    book = found['codebook.csv']
-    assert len(book) == sum(map(len, CODEBOOK.values()))
-    assert book['meaning'].all()
-    taught = found['options.csv']
+        assert all(len(column.label.encode()) <= 256 for column in columns.values())  # for SPSS
+    taught = found['options']
     assert list(taught['participant']) == ['s1', 's1', 's2', 's2']
     assert set(taught['demonstrations']) == {4}
     assert taught['return_shown'].isna().all()  # not measured
-    people = found['participants.csv'][['participant', 'order', 'ended', 'simulated']]
+    people = found['participants'][['participant', 'order', 'ended', 'simulated']]
     assert people.to_numpy().tolist() == [
         ['s1', 'trees goal', 'yes', 'yes'],
         ['s2', 'goal trees', 'yes', 'yes'],
         ['late', 'trees goal', 'no', 'no'],
     ]
-    answers = found['answers.csv']
+    answers = found['answers']
     assert len(answers) == 2 * 2 * 6
     assert answers['value'].between(1, 21).all()
-    parts = found['parts.csv']
-    places = parts[parts['part'] == 'teach'][['participant', 'condition', 'place']]
+    parts = found['parts']
+    places = parts[parts['kind'] == 'teach'][['participant', 'condition', 'position']]
     assert places.to_numpy().tolist() == [
         ['s1', 'trees', 1], ['s1', 'goal', 2], ['s2', 'goal', 1], ['s2', 'trees', 2],
     ]  # fmt: skip
-    status = status_table(Protocol(folder.path), records).set_index('participant')
+    status = status_table(data.protocol, data.records).set_index('participant')
     assert status['next'].to_dict() == {'s1': '-', 's2': '-', 'late': 'consent'}

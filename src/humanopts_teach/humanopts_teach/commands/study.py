@@ -8,7 +8,6 @@ import time
 from typing import Annotated, Any, TYPE_CHECKING
 
 from humanopts_ros.limits import one_line, printable
-from humanopts_teach.bags import BagError
 from humanopts_teach.command_line import (
     ExcelOption,
     flag,
@@ -192,40 +191,16 @@ def _kept(
 
 
 def _export(folder: 'StudyFolder', out: Path, *, excel: bool = False) -> None:
-    """Write the tables, and Table 1 from the bags."""
-    from humanopts_learner.spreadsheet import csv_of, EXCEL
-    from humanopts_teach.bags.reader import open_bag
-    from humanopts_teach.evaluation.table1 import (
-        count_named,
-        domain_of,
-        named_options,
-        table_text,
-    )
-    from humanopts_teach.study.protocol import Protocol
-    from humanopts_teach.study.tables import tables
+    """Write the tables, and print Table 1."""
+    from humanopts_teach.evaluation.table1 import table_text
+    from humanopts_teach.study.export import suggested, write_study
+    from humanopts_teach.study.tables import read_study
 
-    bags = []
-    for path in sorted(folder.path.glob('*/*/bags/*')):
-        try:
-            bag = open_bag(path)
-            domain_of(bag)
-            bags.append(bag)
-        except BagError as error:
-            _warn('export', [f'left out: {error}'])
-    table_1 = table_text(count_named(named_options(bags), {}))
-    records, problems = folder.records()
+    data, problems = read_study(folder, time.time())
     _warn('export', problems)
-    kept = [
-        each.model_dump(mode='json', exclude_none=True) for each in Protocol(folder.path).versions
-    ]
-    texts = {name: csv_of(table) for name, table in tables(records).items()}
-    texts |= {'protocol.json': f'{json.dumps(kept, indent=1)}\n', 'table1.txt': f'{table_1}\n'}
-    out.mkdir(parents=True, exist_ok=True)
-    for name, text in texts.items():
-        coding = EXCEL if excel and name.endswith('.csv') else 'utf-8'
-        (out / name).write_bytes(text.encode(coding))
-        print(printable(str(out / name)))
-    print(printable(f'\n{table_1}'))
+    for path in write_study(data, out, excel=excel):
+        print(printable(str(path)))
+    print(printable(f'\n{table_text(suggested(data))}'))
 
 
 def _warn(command: str, problems: Iterable[str]) -> None:

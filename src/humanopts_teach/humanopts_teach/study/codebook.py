@@ -23,9 +23,8 @@ class Column:
 
     @property
     def label(self) -> str:
-        """Meaning and unit, at most 256 bytes as SPSS allows."""
-        text = f'{self.meaning} ({self.unit})' if self.unit else self.meaning
-        return text if len(text.encode()) <= 256 else f'{text.encode()[:252].decode(errors="ignore")} ...'
+        """Meaning and unit."""
+        return f'{self.meaning} ({self.unit})' if self.unit else self.meaning
 
 
 @cache

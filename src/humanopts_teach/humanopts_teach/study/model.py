@@ -1,5 +1,5 @@
 """
-The effect of the conditions of a study: a linear mixed model over one row per person and condition.
+The effect of the conditions of a study: a linear mixed model of people and conditions.
 
 Fixed effects are the condition and its position in the person's order; the random effect is an
 intercept per participant (Laird and Ware 1982), fitted by restricted maximum likelihood.

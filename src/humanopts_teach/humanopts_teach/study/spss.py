@@ -29,9 +29,13 @@ def write_sav(table: pd.DataFrame, path: Path, columns: Mapping[str, Column], ti
         if column.level != 'nominal':
             if not pd.api.types.is_numeric_dtype(found):
                 numbers = column.level in ('scale', 'ordinal')
-                data[name] = pd.to_numeric(found) if numbers else found.fillna('').astype(str)
+                data[name] = (
+                    pd.to_numeric(found)
+                    if numbers
+                    else found.astype(object).where(found.notna(), '').map(str)
+                )
             continue
-        words = found.replace({True: 'yes', False: 'no'}).fillna('').astype(str)
+        words = found.astype(object).where(found.notna(), '').map(str)
         known = [word for word in words.unique() if word]
         coded = ['no', 'yes'] if {*known} <= {'no', 'yes'} else known
         if len(coded) <= MAX_CODES:
