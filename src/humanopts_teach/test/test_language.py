@@ -51,6 +51,9 @@ def texts_of(node: ast.expr) -> Iterator[str]:
 
 def wrapped() -> Iterator[tuple[str, str | tuple[str, str]]]:
     """Yield each place in the code and the text, or singular and plural, translated there."""
+    for path in sorted(TEACH.rglob('*.html')):
+        for text in re.findall(r"\b_\('([^']*)'\)", path.read_text('utf-8')):
+            yield path.name, text
     for path in sorted(TEACH.rglob('*.py')):
         for node in ast.walk(ast.parse(path.read_text('utf-8'))):
             if not (isinstance(node, ast.Call) and isinstance(node.func, ast.Name)):
