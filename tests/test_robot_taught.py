@@ -83,8 +83,8 @@ class Lesson:
     def carry(self, x: float) -> None:
         """Carry the robot to a place, between episodes."""
         self.robot.x = x
-        sensed = self.world._robot.features
-        self.graph.until(lambda: abs(sensed()[0] - x) < 0.01, 'it to be there')
+        sensed = self.world._robot.sense
+        self.graph.until(lambda: abs(sensed().features[0] - x) < 0.01, 'it to be there')
 
     def enable(self, x: float) -> None:
         """Let the machine drive from a place."""

@@ -276,7 +276,7 @@ def test_the_world_file_of_the_rover_reads_what_it_publishes() -> None:
     }
     for name, message in heard.items():
         sensors.note(name, message, 1.0)
-    values = dict(zip(world.file.features, world.features(sensors)))
+    values = dict(zip(world.file.features, world.sense(sensors).features))
     assert values['x'] == 3.0
     assert values['ahead'] == pytest.approx(1.0)
     assert values['left'] == pytest.approx(0.5)

@@ -109,7 +109,7 @@ def _demonstration(world: World, number: int) -> Demonstration:
             heard[f'to_{place}'] = messages.waypoint_message(rover, place)
         for name, message in heard.items():
             sensors.note(name, message, 0.0)
-        rows.append(world.features(sensors))
+        rows.append(world.sense(sensors).features)
         now = dict(zip(world.file.features, rows[-1]))
         if now['charger_distance'] < 0.4:
             break
@@ -382,10 +382,11 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--faults', type=int, default=100)
     parser.add_argument('--seed', type=int, default=1)
+    parser.add_argument('--only', choices=KINDS, metavar='FAULT', help=', '.join(KINDS))
     parser.add_argument('--cable', action='store_true', help='pull the cable between two hosts')
     parser.add_argument('--elsewhere', help=argparse.SUPPRESS)  # a process on the other host
     given = parser.parse_args()
-    kinds = [CUT] if given.elsewhere else [*KINDS]
+    kinds = [CUT] if given.elsewhere else [given.only] if given.only else [*KINDS]
     with tempfile.TemporaryDirectory() as folder:
         if given.cable:
             words = ['--faults', str(given.faults), '--seed', str(given.seed)]

@@ -18,6 +18,7 @@ from humanopts_env.game import (
     Transition,
 )
 from humanopts_env.worlds.acted_game import ActedGame
+from humanopts_env.worlds.sensors import Sensed
 from humanopts_env.worlds.world import Ending, Timing
 import pytest
 
@@ -49,6 +50,7 @@ class Rover:
 
     def __init__(self) -> None:
         self.x, self.door, self.fault, self.reward = 1.0, 0.0, '', -1.0
+        self.outside = ''  # what is out of its range
         self.doing: list[str] = []
         self.shown: list[Transition] = []
 
@@ -60,10 +62,10 @@ class Rover:
     def halt(self) -> None:
         self.doing.append('halt')
 
-    def features(self) -> tuple[float, ...]:
+    def sense(self) -> Sensed:
         if self.fault:
             raise DomainError(self.fault)
-        return self.x, self.door
+        return Sensed((self.x, self.door), self.outside)
 
     def text(self, features: tuple[float, ...]) -> str:
         return f'x {features[0]:g}'
@@ -342,6 +344,26 @@ def test_a_fault_cuts_the_action_short_with_the_last_state_that_was_sensed(world
     world.game.pause('')
     (state,) = world.after(0.2)
     assert (state.features, state.refreshed) == ((5.0, 0.0), True)
+
+
+def test_out_of_the_range_of_a_feature_only_a_person_acts(world: World) -> None:
+    world.enable()
+    world.game.command(MACHINE)
+    world.rover.x, world.rover.outside = 8.0, 'x is out of range'
+    world.game.restrict('x is out of range')
+    state = world.rover.shown[-1]
+    assert (state.state, state.cut_short) == ('x 8; x is out of range', True)
+    refused = world.game.command(replace(MACHINE, step=1))
+    assert isinstance(refused, Refused)
+    assert (refused.reason, refused.detail) == (Reason.PAUSED, 'x is out of range')
+    assert isinstance(world.game.command(KEY), Begun)
+    world.game.restrict('y is out of range')
+    assert world.game.under_way is not None  # it is a person's
+    world.rover.x, world.rover.outside = 5.0, ''
+    world.game.restrict('')
+    assert [state.state for state in world.after(0.2)] == ['x 5']
+    world.game.set_control(False, ANNA)
+    assert isinstance(world.game.command(replace(MACHINE, step=2)), Begun)
 
 
 def test_a_person_stops_a_paused_world(world: World) -> None:

@@ -126,7 +126,7 @@ def sensed(**changed: Any) -> Sensors:
 
 def features(**changed: Any) -> dict[str, float]:
     scout = world()
-    return dict(zip(scout.file.features, scout.features(sensed(**changed))))
+    return dict(zip(scout.file.features, scout.sense(sensed(**changed)).features))
 
 
 def test_a_file_describes_a_domain() -> None:
@@ -177,17 +177,12 @@ def test_every_kind_of_feature_is_read_from_messages() -> None:
 
 def test_the_state_is_a_text_of_all_features() -> None:
     scout = world()
-    text = scout.text(scout.features(sensed()))
+    text = scout.text(scout.sense(sensed()).features)
     assert text.startswith('x 4 m, distance 3 m, bearing -1.571 rad')
     assert 'carrying yes, mode driving' in text
 
 
 UNREADABLE = {
-    'out of range': (
-        {'odom': odometry(9.5, 1, 0)},
-        'the feature x cannot be read: it is 9.5, out of its range 0 to 8; widen the range or add '
-        'clip: yes',
-    ),
     'nan': ({'odom': odometry(math.nan, 1, 0)}, 'the feature x cannot be read: it is nan'),
     'nan in a scan': (
         {'scan': scan(4.0, 9.0, math.nan, 2.5)},
@@ -238,6 +233,16 @@ def test_what_cannot_be_sensed_is_one_sentence(case: str) -> None:
     assert str(refused.value) == sentence
 
 
+def test_a_number_out_of_its_range_is_clipped_and_named() -> None:
+    found = world().sense(sensed(odom=odometry(9.5, 1, 0)))
+    assert found.features[0] == 8.0
+    assert found.outside == (
+        'the feature x is out of its range 0 to 8: it is 9.5; only a person can drive it back (or '
+        'widen the range, or add clip: yes)'
+    )
+    assert not world().sense(sensed()).outside
+
+
 def test_missing_and_stale_topics_are_named() -> None:
     sensors = Sensors(world().file.topics)
     sensors.note('odom', MESSAGES['odom'], 1.0)
@@ -256,12 +261,12 @@ def test_a_transform_of_a_silent_node_is_stale_though_others_are_published() -> 
         sensors.note(name, MESSAGES[name], 10.7)
     sensors.check(10.8)
     with pytest.raises(SensorError, match=r'the transform from map to base is stale: it is 0.8 s'):
-        world().features(sensors)
+        world().sense(sensors)
 
 
 def test_an_end_is_a_condition_that_becomes_true() -> None:
     scout, sensors = world(), sensed()
-    far, near = list(scout.features(sensors)), list(scout.features(sensors))
+    far, near = list(scout.sense(sensors).features), list(scout.sense(sensors).features)
     near[1] = 0.4
     reached = scout.ending(far, 'forward', near, sensors)
     assert (reached.reward, reached.terminated, reached.truncated) == (9.25, True, False)
@@ -441,12 +446,12 @@ def test_a_class_computes_features_rewards_and_ends(tmp_path: Path) -> None:
     rover = load_world(f'ros:{tmp_path}/rover.py:Rover')
     sensors = Sensors(rover.file.topics)
     sensors.note('odom', odometry(3.0, 0, 0), 0.0)
-    assert rover.features(sensors) == (1.5, 3.0)
+    assert rover.sense(sensors).features == (1.5, 3.0)
     ending = rover.ending((1.5, 3.0), 'forward', (3.5, 7.0), sensors)
     assert (ending.reward, ending.terminated, ending.truncated) == (4.0, True, False)
     sensors.note('odom', SimpleNamespace(), 0.0)
     with pytest.raises(SensorError, match='the features of Rover cannot be computed: Attribute'):
-        rover.features(sensors)
+        rover.sense(sensors)
     assert robot_file(f'ros:{tmp_path}/rover.py:Rover') == (tmp_path / 'rover.py', 'Rover')
 
 

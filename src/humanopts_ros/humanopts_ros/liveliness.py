@@ -18,7 +18,11 @@ class Liveliness:
 
     Other nodes cannot be watched: nothing is known of them.
 
-    :ivar alive: publisher ids of the watched nodes that are known to be alive.
+    The totals of the middleware do not tell who is alive, only their changes do: it misses that a
+    node is alive if it hears of it while it creates the subscription, or knows it already from
+    another one (``LivelinessManager`` of Fast DDS 2.14), and counts below 0 from then on.
+
+    :ivar lost: publisher ids of the watched nodes that were lost, and did not come back.
     """
 
     def __init__(
@@ -28,17 +32,18 @@ class Liveliness:
         Watch no one yet.
 
         :param role: of the nodes to watch.
-        :param on_lost: called with the publisher id of a watched node that is not alive any more.
+        :param on_lost: called with the publisher id of a node that is not alive any more.
         """
         self._node, self._role, self._on_lost = node, role, node.guard.guarded(on_lost)
-        self.alive: set[str] = set()
+        self.lost: set[str] = set()
         self._watched: dict[str, Subscription] = {}  # by publisher id
 
     def watch(self, *publisher_ids: str) -> None:
-        """Watch these nodes, and no others; empty ids are ignored."""
+        """Watch these nodes, beside those watched before; empty ids are ignored."""
         for gone in self._watched.keys() - {*publisher_ids}:
-            self._node.destroy_subscription(self._watched.pop(gone))
-            self.alive.discard(gone)
+            if not self._node.count_publishers(id_topic(gone, self._role)):  # it left the graph
+                self._node.destroy_subscription(self._watched.pop(gone))
+                self.lost.discard(gone)
         for publisher_id in publisher_ids:
             if '#' in publisher_id and publisher_id not in self._watched:
                 self._watched[publisher_id] = self._node.create_subscription(
@@ -53,8 +58,8 @@ class Liveliness:
                 )
 
     def _on_change(self, publisher_id: str, status: Any) -> None:
-        if status.alive_count:
-            self.alive.add(publisher_id)
-        elif publisher_id in self.alive:
-            self.alive.discard(publisher_id)
+        if status.alive_count_change > 0:
+            self.lost.discard(publisher_id)
+        elif status.alive_count_change < 0:
+            self.lost.add(publisher_id)
             self._on_lost(publisher_id)

@@ -10,7 +10,7 @@ from humanopts_env.ros.actuators import Actuator, make_actuators, Report, Veloci
 from humanopts_env.ros.interfaces import interface
 from humanopts_env.ros.lock_step_node import LockStepNode
 from humanopts_env.worlds.acted_game import ActedGame
-from humanopts_env.worlds.sensors import SensorError, Sensors
+from humanopts_env.worlds.sensors import Sensed, SensorError, Sensors
 from humanopts_env.worlds.world import Ending, load_world, World
 from humanopts_env.worlds.world_file import Topic, WorldFileError
 from humanopts_interfaces.msg import ActionProgress
@@ -78,9 +78,9 @@ class RosRobot:
         if self._velocities is not None:
             self._velocities.send()
 
-    def features(self) -> tuple[float, ...]:
+    def sense(self) -> Sensed:
         self.sensors.check(self._node.now())
-        return self._world.features(self.sensors)
+        return self._world.sense(self.sensors)
 
     def text(self, features: tuple[float, ...]) -> str:
         return self._world.text(features)
@@ -113,7 +113,6 @@ class WorldNode(LockStepNode):
         self._lively = Liveliness(self, 'node', self._on_lost)
         self._twins = Liveliness(self, 'game')  # worlds with the name of this one
         self._others: list[str] = []  # publisher ids of other worlds
-        self._found_at: dict[str, float] = {}  # s, when each was found
         self._emergency = False
         safety = self._world.file.safety
         if safety.emergency is not None:
@@ -166,7 +165,7 @@ class WorldNode(LockStepNode):
         self._look_around()
         if self._others:
             return f'the end of {self._others[0]}, another world in this namespace'
-        fault = self._fault()
+        fault, _ = self._faults()
         return f'this to end: {fault}' if fault else None
 
     def on_ready(self) -> None:
@@ -224,7 +223,7 @@ class WorldNode(LockStepNode):
     def report_progress(self) -> None:
         """Publish what is being done."""
         under_way = self._game.under_way
-        message = ActionProgress(stopped=self._game.paused)
+        message = ActionProgress(stopped=self._game.paused or self._game.outside)
         if under_way is not None:
             command = under_way.command
             message.episode = self._game.transition.episode
@@ -285,33 +284,34 @@ class WorldNode(LockStepNode):
         """Stand still if something is wrong, and continue when it is right again."""
         if not self.ready or any(self._unsent.values()):
             return
-        fault, known = self._fault(), self._game.paused
-        if fault.partition(':')[0] != known.partition(':')[0]:
+        (fault, outside), game = self._faults(), self._game
+        if fault.partition(':')[0] != game.paused.partition(':')[0]:
             self.pause(fault)
+        if outside.partition(':')[0] != game.outside.partition(':')[0]:
+            game.restrict(outside)
+            self.report_progress()
+            if outside:
+                self.get_logger().warning(f'options and plans stand: {outside}')
 
-    def _fault(self) -> str:
-        """Return why nothing may move; empty: it may."""
+    def _faults(self) -> tuple[str, str]:
+        """Return why nothing may move, and why only a person may move it; empty: it may."""
         if self._by_clock and self.monotonic() - self._clock_at > _CLOCK_SILENCE:
-            return 'use_sim_time is set, and no time arrives on /clock'
+            return 'use_sim_time is set, and no time arrives on /clock', ''
         if self._emergency:
-            return 'the emergency stop is pressed'
+            return 'the emergency stop is pressed', ''
         if self._others:
-            return f'two worlds in one namespace: stop this one or {self._others[0]}'
+            return f'two worlds in one namespace: stop this one or {self._others[0]}', ''
         try:
-            self._robot.features()
+            return '', self._robot.sense().outside
         except SensorError as error:
-            return str(error)
-        return ''
+            return str(error), ''
 
     def _look_around(self) -> None:
         """Find other worlds, which would act on the same commands."""
-        found, now = {*announced_ids(self, 'game')} - {self.publisher_id}, self.monotonic()
-        self._found_at = {each: self._found_at.get(each, now) for each in found}
-        twins = {each for each in found if signer(each) == signer(self.publisher_id)}
-        self._twins.watch(*twins)
+        found = {*announced_ids(self, 'game')} - {self.publisher_id}
+        self._twins.watch(*(each for each in found if signer(each) == signer(self.publisher_id)))
         # A killed world is announced for a while; only its liveliness tells that it has ended.
-        ended = {i for i in twins - self._twins.alive if now - self._found_at[i] > _GRAPH_PERIOD}
-        self._others = sorted(found - ended)
+        self._others = sorted(found - self._twins.lost)
         self._check()
 
     def _missing(self, topic: Topic) -> str:

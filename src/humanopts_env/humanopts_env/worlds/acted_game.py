@@ -25,6 +25,7 @@ from humanopts_env.game import (
     step_transition,
     Transition,
 )
+from humanopts_env.worlds.sensors import Sensed
 from humanopts_env.worlds.world import Ending, Timing
 
 CHANGE = 0.01  # share of the range by which a continuous feature has changed
@@ -44,7 +45,7 @@ class Robot(Protocol):
     def halt(self) -> None:
         """Stand still, and cancel what was begun; it may be called at any time."""
 
-    def features(self) -> tuple[float, ...]:
+    def sense(self) -> Sensed:
         """
         Return the features that are sensed now.
 
@@ -86,6 +87,7 @@ class ActedGame(LockStep):
 
     :ivar under_way: the action that is carried out; None: none.
     :ivar supervised: whether machines may move only after a person has enabled them.
+    :ivar outside: which feature is out of its range, so that only a person may act; empty: none.
     """
 
     def __init__(
@@ -108,6 +110,7 @@ class ActedGame(LockStep):
         super().__init__(domain)
         self._robot, self._clock, self._timings, self._step = robot, clock, timings, step
         self.supervised = supervised
+        self.outside = ''
         self.under_way: UnderWay | None = None
         self._shown_at = 0.0
         if supervised:
@@ -192,6 +195,12 @@ class ActedGame(LockStep):
             self.cut_short()
         self.paused = reason
 
+    def restrict(self, outside: str) -> None:
+        """Let only a person act, because a feature is out of its range; empty: none is."""
+        under_way, self.outside = self.under_way, outside
+        if outside and under_way is not None and under_way.command.source == Source.MACHINE:
+            self.cut_short()
+
     def lock(self, reason: str) -> Control:
         """Stand still until a person takes control."""
         self.cut_short()
@@ -219,10 +228,14 @@ class ActedGame(LockStep):
 
     def _objection(self, command: Command) -> tuple[Reason, str] | None:
         objection, under_way = super()._objection(command), self.under_way
-        if objection is None and command.source == Source.MACHINE and under_way is not None:
+        if objection is not None or command.source != Source.MACHINE:
+            return objection
+        if self.outside:
+            return Reason.PAUSED, self.outside
+        if under_way is not None:
             name = under_way.command.action
             return Reason.STALE, f'step {command.step} is answered: {name!r} is under way'
-        return objection
+        return None
 
     def _begin(self, start_state: str, seed: int) -> tuple[str, tuple[float, ...]]:
         if start_state:
@@ -230,23 +243,25 @@ class ActedGame(LockStep):
                 f'an episode of {self.domain.name} begins where it is: drive it to another start'
             )
         self.cut_short()
-        features = self._robot.features()
+        sensed = self._robot.sense()
         self._shown_at = self._clock()
-        return self._robot.text(features), features
+        return self._text(sensed), sensed.features
 
     def _end(self, under_way: UnderWay) -> None:
         """Publish the state after an action."""
         before, cut_short = self.transition, under_way.cut_short
         self.under_way = None
         try:
-            features = self._robot.features()
+            sensed = self._robot.sense()
+            features, state = sensed.features, self._text(sensed)
             ending = self._robot.ending(before.features, under_way.command.action, features)
         except DomainError:
-            features, ending, cut_short = before.features, Ending(0.0), True
+            features, state = before.features, before.state
+            ending, cut_short = Ending(0.0), True
         self.transition = step_transition(
             before,
             under_way.command,
-            self._robot.text(features),
+            state,
             features,
             reward=ending.reward,
             terminated=ending.terminated,
@@ -260,17 +275,21 @@ class ActedGame(LockStep):
         if not self.transition.open:
             return
         try:
-            features = self._robot.features()
+            sensed = self._robot.sense()
         except DomainError:
             return
-        if self._differs(features):
+        if self._differs(sensed.features):
             self.transition = replace(
                 self.transition,
-                state=self._robot.text(features),
-                features=features,
+                state=self._text(sensed),
+                features=sensed.features,
                 refreshed=True,
             )
             self._show()
+
+    def _text(self, sensed: Sensed) -> str:
+        text = self._robot.text(sensed.features)
+        return f'{text}; {sensed.outside}' if sensed.outside else text
 
     def _differs(self, features: tuple[float, ...]) -> bool:
         rows = zip(self.domain.features, self.transition.features, features)

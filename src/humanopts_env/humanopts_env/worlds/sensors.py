@@ -31,6 +31,18 @@ class SensorError(DomainError):
 
 
 @dataclass(frozen=True, slots=True)
+class Sensed:
+    """
+    The features of a world, each within its range.
+
+    :ivar outside: which value was clipped, in a sentence; empty: none.
+    """
+
+    features: tuple[float, ...]
+    outside: str = ''
+
+
+@dataclass(frozen=True, slots=True)
 class _Edge:
     """The newest transform of a frame."""
 
@@ -167,7 +179,7 @@ def value_reader(file: WorldFile, path: str, key: str) -> Read:
 
 def feature_reader(name: str, spec: FeatureSpec, file: WorldFile) -> Callable[[Sensors], float]:
     """
-    Return the reader of a feature: its value, checked.
+    Return the reader of a feature: its value, which a number may have out of its range.
 
     :raises WorldFileError: its source is not in the file.
     """
@@ -194,7 +206,8 @@ def checked_value(feature: Feature, spec: FeatureSpec, value: Any) -> float:
     """
     Return a sensed value as that of a feature.
 
-    A text is one of the feature's values, a truth value or a whole number an index into them.
+    A text is one of the feature's values, a truth value or a whole number an index into them. A
+    number may be out of its range.
 
     :raises SensorError: it is no value of the feature.
     """
@@ -210,12 +223,7 @@ def checked_value(feature: Feature, spec: FeatureSpec, value: Any) -> float:
         number = min(max(number, feature.low), feature.high)
     if not math.isfinite(number):
         raise SensorError(f'it is {number}')
-    if not feature.has(number):
-        if spec.is_number:
-            limits = f'{feature.low:g} to {feature.high:g}'
-            raise SensorError(
-                f'it is {number:g}, out of its range {limits}; widen the range or add clip: yes'
-            )
+    if not spec.is_number and not feature.has(number):
         raise SensorError(f'it is {number:g}, and has {len(feature.values)} values')
     return number
 

@@ -18,6 +18,7 @@ from humanopts_env.worlds.sensors import (
     checked_value,
     feature_reader,
     Read,
+    Sensed,
     SensorError,
     Sensors,
     value_reader,
@@ -133,21 +134,24 @@ class World:
                 if 'has no field' in str(error):
                     raise WorldFileError(f'features {name}: {error}') from None
 
-    def features(self, sensors: Sensors) -> tuple[float, ...]:
+    def sense(self, sensors: Sensors) -> Sensed:
         """
-        Return the value of each feature.
+        Return the value of each feature, clipped to its range.
 
         :raises SensorError: one cannot be sensed now, or has no valid value.
         """
-        found = {}
+        found, outside = [], ''
         computed = self._compute(sensors)
-        for name, read in self._readers.items():
+        for feature, (name, read) in zip(self.domain.features, self._readers.items()):
             if name in computed:
-                spec = self.file.features[name]
-                found[name] = _checked(as_feature(name, spec), spec, computed[name])
+                value = _checked(feature, self.file.features[name], computed[name])
             else:
-                found[name] = read(sensors)
-        return tuple(found.values())
+                value = read(sensors)
+            if not feature.has(value):
+                outside = outside or _outside(feature, value)
+                value = min(max(value, feature.low), feature.high)
+            found.append(value)
+        return Sensed(tuple(found), outside)
 
     def text(self, features: Sequence[float]) -> str:
         """Return the state as a text: each feature with its value."""
@@ -292,3 +296,10 @@ def _checked(feature: Feature, spec: Any, value: Any) -> float:
         return checked_value(feature, spec, value)
     except SensorError as error:
         raise SensorError(f'the feature {feature.name} cannot be used: {error}') from None
+
+
+def _outside(feature: Feature, value: float) -> str:
+    return (
+        f'the feature {feature.name} is out of its range {feature.low:g} to {feature.high:g}: it '
+        f'is {value:g}; only a person can drive it back (or widen the range, or add clip: yes)'
+    )

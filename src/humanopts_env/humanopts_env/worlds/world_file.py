@@ -82,7 +82,7 @@ class FeatureSpec(_Part):
     values: tuple[Word, ...] = ()
     unit: str | None = None
     range: tuple[Number, Number] | None = None
-    clip: bool = False  # values out of range count as its ends
+    clip: bool = False  # values out of range are usual: they count as its ends, and machines go on
     field: str | None = None
     distance_to: str | None = None
     bearing_to: str | None = None

@@ -121,10 +121,7 @@ def robot_lines(app: App) -> Iterator[Line]:
     if not world.robot:
         return
     if now.stopped:
-        yield Line(
-            _('The robot does not move: {reason}.').format(reason=translated(now.stopped)),
-            Tone.BAD,
-        )
+        yield Line(_('Stopped: {reason}.').format(reason=translated(now.stopped)), Tone.BAD)
     if world.locked:
         table = key_table(app.screen.commands(app)).items()
         key = next(
