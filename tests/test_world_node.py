@@ -450,6 +450,7 @@ def test_a_node_is_lost_even_if_the_middleware_never_said_that_it_was_alive(
     course.graph.until(lambda: not second.lost, 'its return', 2.0)
     assert lost == [holder]
     driver.kill(signal.SIGKILL)
+    course.graph.until(lambda: len(lost) == 2, 'its end')
 
 
 def test_two_worlds_in_one_namespace_both_stand(course: Course) -> None:
