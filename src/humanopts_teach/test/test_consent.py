@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 
-from humanopts_teach.dialogue.consent import ConsentApp, NOTHING_SAVED
+from humanopts_teach.dialogue.consent import ConsentApp
 from humanopts_teach.study.plan import Part, PartKind
 from humanopts_teach.terminal.drawing import frame
 import pytest
@@ -51,19 +51,6 @@ def test_keys_count_only_two_seconds_after_a_page_was_displayed(browser: bool) -
     person.draw(2.1)
     person.press(['enter', 'y'])
     assert (person.app.agreed, person.app.ended) == (True, True)
-
-
-def test_a_person_who_declines_reads_that_nothing_was_saved() -> None:
-    person = Person(browser=True)
-    person.draw(2.0)
-    person.press(['enter'])
-    person.draw(2.0)
-    person.press(['n'])
-    assert ' '.join(NOTHING_SAVED.split()) in person.see()
-    assert (person.app.agreed, person.app.ended) == (False, False)
-    person.draw(0.0)
-    person.press(['enter'])
-    assert person.app.ended
 
 
 def test_leaving_is_no_answer() -> None:

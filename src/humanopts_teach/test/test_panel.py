@@ -23,8 +23,10 @@ from humanopts_teach.dialogue.panel import (
     Key,
     KeyList,
     Line,
+    Options,
     Page,
     Panel,
+    Rating,
     ScreenView,
     TARGET,
     Tone,
@@ -126,6 +128,7 @@ def test_every_kind_of_block_is_drawn_and_its_texts_are_escaped() -> None:
     row = CriterionRow(NASTY, NASTY, NASTY, NASTY, Tone.GOOD, 0.5)
     blocks: list[Block] = [
         *(Line(NASTY, more=(Line(NASTY),)), Choices([(NASTY, NASTY)], 0), Criteria([row])),
+        *(Rating(7, NASTY, NASTY, 3), Options((NASTY, NASTY), frozenset({1}), several=True)),
         *(KeyList([(NASTY, NASTY)]), Features([(NASTY, NASTY)], NASTY), Page(NASTY)),
     ]
     assert {type(block) for block in blocks} == {*get_args(Block)} - {TypedText}
@@ -149,6 +152,16 @@ def test_every_key_of_a_demonstration_has_a_button(app: App) -> None:
     assert (found['north'], found['west'], found['p pickup']) == (['up'], ['left'], ['p'])
     shown = {each.key for each in view(app).keys if each.label}
     assert {key for keys in found.values() for key in keys} == shown >= {'enter', 'n', 'escape'}
+
+
+def test_a_point_of_a_scale_is_a_button_that_chooses_it_and_erases_before() -> None:
+    view = ScreenView((), Panel([Rating(21, 'low', 'high', 17)]))
+    points = list(tree(view).iter('button'))
+    assert [json.loads(each.get('data-keys', ''))[1:] for each in points[9:11]] == [
+        ['1', '0'],
+        ['1', '1'],
+    ]
+    assert [each.text for each in points if each.get('aria-checked') == 'true'] == ['17']
 
 
 def test_a_choice_is_a_button_that_moves_there_and_chooses_it(app: App) -> None:

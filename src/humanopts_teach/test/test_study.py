@@ -15,7 +15,7 @@ from humanopts_learner.summary import Criterion, OptionSummary
 from humanopts_teach.cli import main
 from humanopts_teach.commands.study_session import simulated_part
 from humanopts_teach.dialogue.study import StudyApp
-from humanopts_teach.lesson.requests import EndDemonstration, SetControl, Verdict, World
+from humanopts_teach.lesson.requests import CancelRun, EndDemonstration, SetControl, Verdict, World
 from humanopts_teach.study.codebook import codebook
 from humanopts_teach.study.plan import (
     balanced_latin_square,
@@ -27,7 +27,7 @@ from humanopts_teach.study.plan import (
     StudyPlan,
 )
 from humanopts_teach.study.protocol import Protocol
-from humanopts_teach.study.questions import Question, Questionnaire
+from humanopts_teach.study.questions import Question, QuestionKind, Questionnaire
 from humanopts_teach.study.record import OpenRecord, StudyError, StudyFolder
 from humanopts_teach.study.tables import read_study, status_table, tables
 from hypothesis import given, HealthCheck, settings
@@ -335,6 +335,22 @@ def test_a_file_of_features_is_beside_the_plan(write: Write, tmp_path: Path) -> 
 
 LIKED = Question(name='liked', text='Did you like it?', low='not at all', high='very much')
 AGAIN = LIKED.model_copy(update={'name': 'again'})
+KINDS = (
+    Question(
+        name='know',
+        text='Do you know it?',
+        kind=QuestionKind.CHOICE,
+        options=('yes', 'no'),
+        expect=2,
+    ),
+    Question(
+        name='seen', text='What did you see?', kind=QuestionKind.CHOICES, options=tuple('abcd')
+    ),
+    Question(
+        name='age', text='How old are you?', kind=QuestionKind.NUMBER, least=18, unit='years'
+    ),
+    Question(name='more', text='What else?', kind=QuestionKind.TEXT, most=100),
+)
 PAGE = Part(kind=PartKind.PAGE, key='page', text='Read this.', reading=2.0)
 
 
@@ -348,6 +364,8 @@ PARTS_OF = {
     'buttons': part(PartKind.BUTTONS, most=2),
     'teach': part(PartKind.TEACH, minutes=10.0),
     'questions': part(PartKind.QUESTIONS, questions=Questionnaire(items=(LIKED, AGAIN), points=5)),
+    'idle': part(PartKind.PLAY, idle=2.0, task='Have a look.'),
+    'kinds': part(PartKind.QUESTIONS, questions=Questionnaire(items=KINDS), most_failed=0),
 }
 BEGIN = '1 f e t c h enter y o enter left'  # a demonstration
 SITTINGS = [  # first part, before the page; keys, and seconds after a plus
@@ -357,9 +375,15 @@ SITTINGS = [  # first part, before the page; keys, and seconds after a plus
     ('play', ['+119.9 | +0.1']),
     ('buttons', ['f e t c h enter | g o enter']),
     ('buttons', ['escape']),
-    ('questions', [f'enter | {"right " * 9} enter | left left 9 enter']),
+    (
+        'questions',
+        ['enter | right right | enter | left left 9 | backspace | enter | ? | x 4 enter'],
+    ),
+    ('kinds', ['z 2 1 | enter | 4 1 2 2 | enter | o l d enter | ctrl-u 4 4 , 5 enter enter']),
+    ('kinds', ['2 | enter | 3 enter 7 0 enter escape escape | enter enter s o enter']),
     ('teach', ['5']),
-    ('teach', [f'{BEGIN} | +600 | p | enter enter']),
+    ('teach', [f'{BEGIN} | +480 | +62 | +60']),
+    ('idle', ['+120 | +10 | escape | +120 | +60', 'left']),
     ('teach', ['+250 | ctrl-c', '+345 | +10']),
 ]
 
@@ -413,20 +437,18 @@ def test_a_crash_takes_no_more_of_the_time_at_a_part_than_five_seconds(
     assert [len(event.options) for event in record.of('learned')] == [1]
 
 
-def test_a_run_of_the_exam_is_still_judged_when_the_time_is_over(
-    tmp_path: Path, taxi: Domain
-) -> None:
+def test_a_run_of_the_exam_ends_with_the_time(tmp_path: Path, taxi: Domain) -> None:
     app = StudyApp(
         [PARTS_OF['teach'], PAGE], OpenRecord(tmp_path / 'a.jsonl'), 'p1', World(), seed=1
     )
     desk = Desk(taxi, tmp_path, app=app).advance().advance()
     met = Criterion.of('success', 1.0, 0.95)
     desk.exam, desk.reports = 2, {'fetch': OptionSummary('fetch', 'p1', criteria=(met,))}
-    desk.press(*BEGIN.split(), 'enter', 'enter').machine('east').advance(600.0)
-    assert 'The time for this part is over: this run is the last.' in desk.see()
-    desk.run_ends('It ended.').press('r')
-    assert EndDemonstration(Verdict.RIGHT, 3, 1) in desk.asked
-    assert 'Read this.' in desk.advance().see()
+    desk.press(*BEGIN.split(), 'enter', 'enter').machine('east')
+    desk.advance(600.0).advance()
+    cut = EndDemonstration(Verdict.DISCARD, 3, 1)
+    assert desk.asked[-2:] == [CancelRun(), cut]
+    assert 'Read this.' in desk.see()
     desk.store.close()
 
 

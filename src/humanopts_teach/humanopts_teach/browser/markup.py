@@ -7,15 +7,29 @@ Buttons store their keys in ``data-keys``, which ``page.js`` sends.
 from collections.abc import Sequence
 from functools import cache
 from importlib.resources import files
+import math
 from typing import Any
 
 from humanopts_teach.board_html import board_html, notes_html
 from humanopts_teach.dialogue.entry import MAX_CHARACTERS, PAGE
-from humanopts_teach.dialogue.keys import BACKSPACE, DOWN, ENTER, INTERRUPT, label, RIGHT, UP
+from humanopts_teach.dialogue.keys import (
+    BACKSPACE,
+    CLEAR,
+    DOWN,
+    ENTER,
+    INTERRUPT,
+    label,
+    LEFT,
+    RIGHT,
+    UP,
+)
 from humanopts_teach.dialogue.panel import (
     Block,
     Choices,
     Key,
+    OPTION_KEYS,
+    Options,
+    Rating,
     ScreenView,
     TARGET,
     TypedText,
@@ -49,7 +63,10 @@ def _macros() -> Any:
         'interrupt': INTERRUPT,
         'label': label,
         'target': TARGET,
-        'max_characters': MAX_CHARACTERS,
+        'max_line': MAX_CHARACTERS,
+        'option_keys': OPTION_KEYS,
+        'clearing': lambda number: [CLEAR, *str(number)],
+        'per_row': lambda count, most: math.ceil(count / math.ceil(count / most)),
     }
     return templates(_PACKAGE).get_template('page.html', globals=given).module
 
@@ -80,8 +97,10 @@ def _keys(keys: Sequence[Key], blocks: Sequence[Block]) -> tuple[list[Key], list
     elsewhere = {INTERRUPT, *((ENTER, BACKSPACE) if TypedText in kinds else ())}
     if Choices in kinds and RIGHT not in known:  # items are clicked directly
         elsewhere |= {ENTER, UP, DOWN}
-    if Choices in kinds:
+    if kinds & {Choices, Options, Rating}:
         elsewhere |= {*'123456789'}
+    if Rating in kinds:
+        elsewhere |= {LEFT, RIGHT}
     shown = [
         each._replace(label=_PAD.get(each.key, label(each.key)))
         for each in keys

@@ -8,7 +8,7 @@
   const send = (keys) => {
     if (window.socket?.connected) emitEvent('press', { keys, frame: frame() }); // offline: the result would not be visible
   };
-  const input = () => document.querySelector('form.typed input');
+  const input = () => document.querySelector('form.typed input, form.typed textarea');
 
   document.addEventListener('keydown', (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey || event.isComposing) return;
@@ -46,8 +46,7 @@
   });
   document.addEventListener('submit', (event) => {
     event.preventDefault();
-    const text = input().value;
-    if (text.trim()) send(['ctrl-u', ...text, 'enter']);
+    send(['ctrl-u', ...input().value.replace(/\s+/g, ' '), 'enter']);
   });
 
   // Report each frame as displayed, and focus a text field as soon as it appears.

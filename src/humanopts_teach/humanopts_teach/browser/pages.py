@@ -15,7 +15,7 @@ from humanopts_teach.browser.guard import Guard
 from humanopts_teach.browser.markup import head_html, PARTS, parts
 from humanopts_teach.browser.seats import message, Press, prompt, Seats, Window
 from humanopts_teach.browser.server_log import limited_log
-from humanopts_teach.dialogue.app import App, MAX_KEYS
+from humanopts_teach.dialogue.app import App, MAX_TYPED
 from humanopts_teach.dialogue.entry import TextScreen
 from humanopts_teach.dialogue.menu import opening
 from humanopts_teach.dialogue.panel import ScreenView
@@ -64,7 +64,7 @@ class PageWindow(Window):
         """Forward valid key presses, as sent by ``page.js``."""
         given = event.args if isinstance(event.args, dict) else {}
         keys, frame = given.get('keys'), given.get('frame')
-        if isinstance(keys, list) and len(keys) <= MAX_KEYS and isinstance(frame, int):
+        if isinstance(keys, list) and len(keys) <= MAX_TYPED and isinstance(frame, int):
             self._press([key for key in keys if isinstance(key, str) and len(key) <= 9], frame)
 
 

@@ -49,6 +49,7 @@ from humanopts_teach.lesson.requests import (
 REPLY_SECONDS = 5.0  # timeout for a node's answer
 SETTLE_SECONDS = 1.0  # timeout for the latched topics to reflect the answer
 MAX_KEYS = 128  # maximum number of queued keys; further keys are dropped
+MAX_TYPED = 1024  # the same while a text is typed; a page sends it all at once
 _MAX_FRAMES = 64  # number of recent frames for which keys are accepted
 _EARLY = N_('Please read this first; {key} was ignored.')
 _PAUSED = N_('Not now: the lesson is paused; see the top of the screen.')
@@ -158,6 +159,8 @@ class App:
         self.known_options: tuple[str, ...] = ()  # in order of creation
         self.given_options: tuple[str, ...] = ()  # to be taught; empty: the person names them
         self.message = GAP
+        self.clock = ''  # remaining time; empty: not shown
+        self.task = ''  # what the person should do; empty: not shown
         self.screen = first
         self.run: ActionGoal | None = None  # active run
         self.run_text = ''  # progress of the run
@@ -197,7 +200,8 @@ class App:
         """The values that require a new frame when they change, besides the world and keys."""
         missing = tuple(self.world.missing)
         screen, state = self.screen, self.screen.state
-        return screen, state, self.message, self.run, self.run_text, self.waits_for, missing
+        running = self.run, self.run_text, self.waits_for
+        return screen, state, self.message, self.clock, running, missing
 
     def show(self, screen: Screen) -> None:
         """Switch to another screen."""
@@ -303,7 +307,8 @@ class App:
                     self._waiting = None
                 elif any(queued == key for queued, seen in self._keys):
                     continue
-            if key and len(self._keys) < MAX_KEYS:
+            limit = MAX_TYPED if self.screen.takes_text else MAX_KEYS
+            if key and len(self._keys) < limit:
                 self._keys.append((key, seen))
 
     def stop(self) -> None:

@@ -3,20 +3,16 @@
 from collections.abc import Sequence
 
 from humanopts_teach.dialogue.app import App, Screen
-from humanopts_teach.dialogue.entry import end, Notice
+from humanopts_teach.dialogue.entry import Notice
 from humanopts_teach.dialogue.keys import Command, ENTER
-from humanopts_teach.dialogue.panel import Block, Line, Page
-from humanopts_teach.language import _, N_
+from humanopts_teach.dialogue.panel import Block, Page
+from humanopts_teach.language import N_
 from humanopts_teach.study.plan import Part
-
-NOTHING_SAVED = N_(
-    'You do not take part. Nothing was saved. Only the number of people who declined is counted.'
-)
 
 
 class ConsentApp(App):
     """
-    The pages of the consent; a person who declines reads that nothing was saved.
+    The pages of the consent.
 
     :ivar agreed: whether the person takes part; None: not decided.
     :ivar seconds: time in s from the first ``advance`` to the latest.
@@ -55,11 +51,7 @@ class ConsentApp(App):
 
     def _decide(self, agreed: bool) -> None:
         self.agreed = agreed
-        if agreed:
-            self.end()
-        else:
-            leave = [Command([ENTER], N_('leave'), end)]
-            self.show(page(Line(_(NOTHING_SAVED), strong=True), leave))
+        self.end()
 
 
 def page(text: Block, choices: Sequence[Command], earliest: float = 0.0) -> Notice:

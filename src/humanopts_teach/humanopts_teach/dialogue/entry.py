@@ -123,6 +123,8 @@ class TextScreen(Screen):
     submit: Callable[[str, App], None] = lambda text, app: None
     back: Do | None = None
     back_words: str = N_('back')
+    max_characters: int = MAX_CHARACTERS
+    may_be_empty: bool = False
     takes_text = True
     _edited: bool = field(default=False, init=False)
 
@@ -132,11 +134,13 @@ class TextScreen(Screen):
 
     def panel(self, app: App) -> Panel:
         title, explanation = Line(self.title, strong=True), Line(self.explanation, Tone.QUIET)
-        return Panel((title, GAP, TypedText(self.typed), GAP, explanation))
+        return Panel((title, GAP, TypedText(self.typed, self.max_characters), GAP, explanation))
 
     def commands(self, app: App) -> Sequence[Command]:
         text = self.typed.strip()
-        accept = (lambda app: self.submit(composed(text), app)) if text else None
+        accept = (
+            (lambda app: self.submit(composed(text), app)) if text or self.may_be_empty else None
+        )
         return [
             Command([keys.ENTER], _('accept'), accept),
             Command([keys.BACKSPACE], _('erase'), self._erase if self.typed else None),
@@ -147,7 +151,7 @@ class TextScreen(Screen):
 
     def other_key(self, key: str, app: App) -> None:
         kept = self.typed if self._edited else ''
-        if len(key) == 1 and key.isprintable() and len(kept) < MAX_CHARACTERS:
+        if len(key) == 1 and key.isprintable() and len(kept) < self.max_characters:
             self.typed = kept + key
 
     def _erase(self, app: App) -> None:

@@ -3,11 +3,13 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
+import string
 from typing import NamedTuple
 
 from humanopts_env.board import Board
 from humanopts_teach.language import _
 
+OPTION_KEYS = string.digits[1:] + string.ascii_letters  # of ``Options``, in order
 TARGET = 1 / 3  # share of a bar's length that marks the threshold of a criterion
 
 
@@ -40,6 +42,26 @@ class TypedText:
     """The text typed by the person."""
 
     text: str
+    most: int = 60  # maximum number of characters
+
+
+@dataclass(frozen=True, slots=True)
+class Rating:
+    """A scale of numbered points with labelled ends."""
+
+    points: int
+    low: str
+    high: str
+    value: int | None  # chosen point, from 1; None: none yet
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """Possible answers, each with a key; see ``OPTION_KEYS``."""
+
+    texts: Sequence[str]
+    chosen: frozenset[int]  # indices of the chosen ones
+    several: bool  # whether several can be chosen
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +121,7 @@ class Page:
     text: str  # Markdown
 
 
-Block = Page | Line | TypedText | Choices | KeyList | Features | Criteria
+Block = Page | Line | TypedText | Rating | Options | Choices | KeyList | Features | Criteria
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,3 +152,4 @@ class ScreenView:
     board: Board | None = None  # None: nothing is drawn
     plays: bool = False  # whether the game is being played
     language: str = ''  # as in ``speaking``
+    task: str = ''  # what the person should do; empty: not shown

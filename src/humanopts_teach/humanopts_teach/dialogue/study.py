@@ -1,20 +1,29 @@
 """The dialogue of a study: a sequence of parts, one of which is teaching."""
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from functools import partial
 import math
 
 from humanopts_teach.dialogue.app import App, Screen
 from humanopts_teach.dialogue.consent import page
 from humanopts_teach.dialogue.driving import PlayScreen
-from humanopts_teach.dialogue.entry import end, TextScreen
-from humanopts_teach.dialogue.keys import Command, Do, ENTER, LEFT, RIGHT
+from humanopts_teach.dialogue.entry import end, Notice, TextScreen
+from humanopts_teach.dialogue.keys import Command, END_OF_FILE, ENTER, INTERRUPT
 from humanopts_teach.dialogue.menu import opening
-from humanopts_teach.dialogue.panel import GAP, Line, Page, Panel, Tone
-from humanopts_teach.language import in_its_language
-from humanopts_teach.lesson.requests import CancelRun, Phase, Request, SetControl, World
+from humanopts_teach.dialogue.panel import GAP, Line, Page
+from humanopts_teach.dialogue.questions import Asked
+from humanopts_teach.language import _, in_its_language, N_, ngettext
+from humanopts_teach.lesson.requests import (
+    CancelRun,
+    EndDemonstration,
+    Phase,
+    Request,
+    SetControl,
+    Verdict,
+    World,
+)
 from humanopts_teach.study.events import (
     EventKind,
     FAILED,
@@ -25,17 +34,17 @@ from humanopts_teach.study.events import (
     TIME,
 )
 from humanopts_teach.study.plan import Part, PartKind
-from humanopts_teach.study.questions import Questionnaire
 from humanopts_teach.study.record import OpenRecord
 
 SIGN_SECONDS = 5.0  # period of keep-alive events: maximum time lost in a crash
-_LAST = 'The time for this part is over: this {} is the last.'
+WARNING_SECONDS = 60.0  # from the warning that no key was pressed to the end of the part
+_IN_GAME = (PartKind.PLAY, PartKind.BUTTONS, PartKind.TEACH)  # parts in which the task is shown
 
 
 class StudyApp(App):
     """The remaining parts of one condition; events are recorded immediately."""
 
-    leaving = ('Finish teaching', 'continue with the study')
+    leaving = (N_('Finish teaching'), N_('continue with the study'))
     cuts_plays = False  # all participants demonstrate options one by one, as in the paper
 
     def __init__(
@@ -53,34 +62,60 @@ class StudyApp(App):
         :param parts: remaining parts, at least one.
         """
         super().__init__(Screen(), world, seed=seed)
-        self._parts, self._record, self._code = list(parts), record, participant
+        self._parts, self._record, self.code = list(parts), record, participant
         self._part: Part | None = None
         self._ends = math.inf  # s, end of the part's time limit
         self._signed = 0.0  # s, time of the last keep-alive event
         self._taught: tuple[LearnedOption, ...] = ()  # as last recorded
-        self._announced = False  # whether the person was informed that the time is over
+        self._touched = 0.0  # s, time of the last key
+        self._interrupted: Screen | None = None  # by the warning that no key was pressed
 
     @in_its_language
     def advance(self, now: float) -> Request | None:
         """Process queued requests and keys; end the part when its time is over."""
         if self._part is None and not self.ended:
             self._begin(now)
-        if self._part is not None:
+        if self._part is not None and not self.ended:
             if now >= self._signed + SIGN_SECONDS:
                 self._signed = now
                 with suppress(OSError):  # at most the time since the last event is lost
                     self._note_taught()
                     self.note('still there')
+            self.clock = _time_left(self._ends - now)
             if now >= self._ends:
-                if self.world.lesson.phase is Phase.DEMONSTRATING:
-                    if not self._announced:
-                        self.say(
-                            _LAST.format('run' if self.world.lesson.exam else 'demonstration')
-                        )
-                    self._announced = True
-                elif self.waits_for is None:
+                if self.waits_for is None:
                     self.end(TIME)
+            else:
+                self._check_idle(now)
         return super().advance(now)
+
+    def type(self, keys: Iterable[str], frame: int | None = None) -> None:
+        """Accept keys; the first one after an idle time only brings the screen back."""
+        keys = list(keys)
+        if keys:
+            silent, self._touched = self.now - self._touched, self.now
+        if keys and self._interrupted is not None:
+            self.note('idle', seconds=round(silent, 1))
+            self.show(self._interrupted)
+            self._interrupted = None
+            keys = [key for key in keys if key in (INTERRUPT, END_OF_FILE)]
+        super().type(keys, frame)
+
+    def _check_idle(self, now: float) -> None:
+        """Warn a person who has not pressed a key for long; then leave the part."""
+        assert self._part is not None
+        if self.run is not None:  # the person watches
+            self._touched = now
+        left = 60 * self._part.idle + WARNING_SECONDS - (now - self._touched)
+        if not self._part.idle or left > WARNING_SECONDS:
+            return
+        self.clock = _time_left(left)
+        if left <= 0:
+            self.note('idle', seconds=round(now - self._touched, 1))
+            self.ended = True
+        elif self._interrupted is None:
+            self._interrupted = self.screen
+            self.show(_idle_screen())
 
     def last_requests(self) -> list[Request]:
         """Also record that a part was left unfinished."""
@@ -98,21 +133,29 @@ class StudyApp(App):
         part = self._part = self._parts.pop(0)
         left = 60 * part.minutes - self._record.seconds_in(part.key)
         self._ends = now + left if part.minutes else math.inf
-        self._signed, self._announced, self._taught = now, False, ()
-        self.given_options = part.teach_buttons
+        self._signed, self._touched, self._taught = now, now, ()
+        self.given_options, self.task = part.teach_buttons, part.task * (part.kind in _IN_GAME)
         self.note('part began')
-        self.show(_first_screen(self._part, self._code))
+        self.show(_first_screen(part, self))
 
     def end(self, why: str = FINISHED) -> None:
         """
         End the part; the next call of ``advance`` begins the next part.
 
-        Ctrl-C leaves the study, which can be continued later.
+        An open demonstration is discarded. Ctrl-C leaves the study, which can be continued later.
         """
         if self._part is None:
             return
+        lesson, game = self.world.lesson, self.world.game
+        if why == TIME:
+            self._drop()
+            self._interrupted = None
+            self.say(_('The time for this part is over.'))
         if self.run is not None:
             self.ask(CancelRun())
+        if lesson.phase is Phase.DEMONSTRATING and lesson.participant == self.participant:
+            self.note('demonstration cut')
+            self.ask(EndDemonstration(Verdict.DISCARD, game.episode, game.step))
         if self.world.in_control:
             self.ask(SetControl(hold=False))
         self._note_taught()
@@ -120,14 +163,14 @@ class StudyApp(App):
             why = self._record.check_attention(self._part)
         self.note('part ended', why=why)
         self.ended = why == FAILED
-        self._part = None
+        self._part, self.clock, self.task = None, '', ''
         self._keys.clear()  # typed for the previous part
         self._outbox = deque(each for each in self._outbox if not self._is_anothers(each[0]))
         self.show(Screen())
 
     def _note_taught(self) -> None:
         """Record the options learned so far, if they have changed."""
-        own = [each for each in self.world.summaries if each.participant == self._code]
+        own = [each for each in self.world.summaries if each.participant == self.code]
         if self._part is not None and self._part.kind is PartKind.TEACH:
             options = learned(own)
             if options != self._taught:  # still empty right after a study is resumed
@@ -140,76 +183,48 @@ class StudyApp(App):
         self._record.note(kind, self._part, **values)
 
 
-@dataclass
-class QuestionScreen(Screen):
-    """A question with a rating scale."""
-
-    questionnaire: Questionnaire
-    index: int = 0  # index of the question
-    value: int | None = field(default=None, init=False)  # current choice
-    shows_board = False
-
-    def panel(self, app: App) -> Panel:
-        asked, points = self.questionnaire.items[self.index], self.questionnaire.points
-        signs = ['●' if value == self.value else '○' for value in range(1, points + 1)]
-        scale = Line(f'{asked.low}  {" ".join(signs)}  {asked.high}')
-        count = f'question {self.index + 1} of {len(self.questionnaire.items)}'
-        return Panel((Line(asked.text, strong=True), GAP, scale, GAP, Line(count, Tone.QUIET)))
-
-    def commands(self, app: App) -> Sequence[Command]:
-        points = self.questionnaire.points
-        here = (points + 1) // 2 if self.value is None else self.value
-        by = 0 if self.value is None else 1
-
-        def choose(value: int) -> Do:
-            return lambda app: setattr(self, 'value', min(max(value, 1), points))
-
-        return [
-            Command([LEFT], 'lower', choose(here - by)),
-            Command([RIGHT], 'higher', choose(here + by)),
-            Command([ENTER], 'accept', self._accept if self.value else None),
-            *(Command(str(n), '', choose(n), label='') for n in range(1, min(points, 9) + 1)),
-        ]
-
-    def _accept(self, app: App) -> None:
-        assert isinstance(app, StudyApp)
-        assert self.value is not None
-        items = self.questionnaire.items
-        app.note(
-            'answer',
-            item=items[self.index].name,
-            value=self.value,
-            points=self.questionnaire.points,
-        )
-        if self.index + 1 < len(items):
-            self.index, self.value = self.index + 1, None
-        else:
-            app.end()
+def _time_left(seconds: float) -> str:
+    """Return the remaining time: in the last five minutes minutes, in the last one seconds."""
+    if seconds <= 60:
+        count = max(math.ceil(seconds), 0)
+        return ngettext('{count} second left', '{count} seconds left', count).format(count=count)
+    if seconds > 300:
+        return ''
+    count = math.ceil(seconds / 60)
+    return ngettext('{count} minute left', '{count} minutes left', count).format(count=count)
 
 
-def _first_screen(part: Part, participant: str) -> Screen:
+def _idle_screen() -> Screen:
+    """Return the warning that no key was pressed; ``StudyApp.type`` handles its keys."""
+    question = Line(_('Are you still there?'), strong=True)
+    text = Line(_('If no key is pressed, the study pauses; it can be continued later.'))
+    choices = [Command([ENTER], _('go on'), lambda app: None, label=_('any key'))]
+    return Notice([question, GAP, text], choices, shows_board=False)
+
+
+def _first_screen(part: Part, app: StudyApp) -> Screen:
     """Return the first screen of a part."""
     match part.kind:
         case PartKind.CONSENT:
             choices = [
-                Command('y', 'I agree and take part', end),
-                Command('n', 'I do not take part', _refuse),
+                Command('y', N_('I agree and take part'), end),
+                Command('n', N_('I do not take part'), _refuse),
             ]
             return page(Page(part.text), choices, part.reading)
         case PartKind.PAGE:
-            choices = [Command([ENTER], 'continue', end)]
+            choices = [Command([ENTER], N_('continue'), end)]
             return page(Page(part.text), choices, part.reading)
         case PartKind.PLAY | PartKind.PRACTICE:
             # No quit key: only Ctrl-C leaves the study.
-            leave = 'continue with the study'
-            return PlayScreen(end, 'Get to know the game', leave=leave, quits=False)
+            leave = N_('continue with the study')
+            return PlayScreen(end, N_('Get to know the game'), leave=leave, quits=False)
         case PartKind.BUTTONS:
             return _button(1, part.most)
         case PartKind.QUESTIONS:
             assert part.questions is not None
-            return QuestionScreen(part.questions)
+            return Asked(part.questions, partial(app.note, 'answer')).screen()
         case PartKind.TEACH:
-            return opening(participant, ask=False)
+            return opening(app.code, ask=False)
 
 
 def _refuse(app: App) -> None:
@@ -230,9 +245,11 @@ def _button(rank: int, most: int) -> TextScreen:
             app.end()
 
     return TextScreen(
-        'Which button would make it easier and faster to win?',
-        f'Say what it would do: go to ..., avoid ... Button {rank} of at most {most}.',
+        _('Which button would make it easier and faster to win?'),
+        _('Say what it would do: go to ..., avoid ... Button {rank} of at most {most}.').format(
+            rank=rank, most=most
+        ),
         submit=submit,
         back=end,
-        back_words='no more',
+        back_words=N_('no more'),
     )

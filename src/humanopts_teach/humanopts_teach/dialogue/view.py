@@ -49,6 +49,7 @@ def view(app: App, *, images: bool = True) -> ScreenView:
         board if board.drawn else None,
         screen.plays(app),
         app.language,
+        app.task,
     )
 
 
@@ -62,7 +63,7 @@ def _head(app: App) -> list[str]:
             parts.append(_('session {session}').format(session=world.lesson.session))
     if world.holder:
         parts.append(_('you drive') if world.in_control else _('another person drives'))
-    return parts
+    return [*parts, app.clock] if app.clock else parts
 
 
 def _message_line(app: App) -> Line:

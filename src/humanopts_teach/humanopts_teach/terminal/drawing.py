@@ -30,6 +30,7 @@ _WIDE_BESIDE = 50  # minimum columns next to the board to place the whole panel 
 _GAP = 3  # columns between the board and what is beside it
 _ROOMY = 24  # rows; taller screens have a gap below the header
 _LONG_NAME = 30  # columns; longer names of features, which are formulas, are not aligned
+_LONG_LIST = 12  # options; longer lists have several columns
 _UPPER_HALF = '▀'  # its foreground is the upper of two pixels, its background the lower one
 _COLOUR_BITS = 0xF8  # of each colour of a pixel, so that neighbours are often equal
 Colours = Literal['auto', 'standard', '256', 'truecolor', 'windows']
@@ -65,6 +66,8 @@ def frame(app: App, width: int, height: int, colours: Colours | None = None) -> 
         why = Text.assemble((_('PAUSED: '), 'bold'), one_line(shown.paused), overflow='ellipsis')
         why.no_wrap = height < _ROOMY
         top.append(Padding(why, (0, 1), style=f'color(231) on {RED}'))
+    if shown.task:
+        top.append(Padding(Text(one_line(shown.task), TEAL), (0, 1)))
     if height > _ROOMY:
         top.append(Text())
     keys = [(key.label, key.words) for key in shown.keys if key.label]
@@ -229,6 +232,28 @@ def drawn(block: panel.Block) -> RenderableType:
         case panel.Line():
             pieces = (block, *block.more)
             return Text.assemble(*((one_line(piece.text), _style(piece)) for piece in pieces))
+        case panel.Rating(points, low, high):
+            scale = Text(' ')
+            for number in range(1, points + 1):
+                text = f'[{number}]' if number == block.value else f' {number} '
+                scale.append(text, KEY if number == block.value else '')
+            ends = Text.assemble((f'1 = {low}   {points} = {high}', 'dim'))
+            return Group(scale, ends)
+        case panel.Options(texts, picked):
+            marks = ('☐', '☑') if block.several else ('○', '●')
+            answers = [
+                Text.assemble(
+                    (f'{key} ', KEY),
+                    f'{marks[number in picked]} ',
+                    (one_line(text), 'bold' if number in picked else ''),
+                )
+                for number, (key, text) in enumerate(zip(panel.OPTION_KEYS, texts))
+            ]
+            return (
+                Columns(answers, column_first=True)
+                if len(answers) > _LONG_LIST
+                else Group(*answers)
+            )
         case panel.TypedText(text):
             return Text.assemble('> ', (text, 'bold'), ('█', TEAL), overflow='fold')
         case panel.Features(shown, hidden):
