@@ -26,10 +26,11 @@ from humanopts_teach.study.plan import (
     read_plan,
     StudyPlan,
 )
+from humanopts_teach.study.progress import participants_table, places_table
 from humanopts_teach.study.protocol import Protocol
 from humanopts_teach.study.questions import Question, QuestionKind, Questionnaire
 from humanopts_teach.study.record import OpenRecord, StudyError, StudyFolder
-from humanopts_teach.study.tables import read_study, status_table, tables
+from humanopts_teach.study.tables import read_study, tables
 from hypothesis import given, HealthCheck, settings
 from hypothesis import strategies as st
 import pytest
@@ -254,7 +255,7 @@ def test_a_changed_plan_is_refused_with_the_difference_or_accepted_and_kept(
 
     def status() -> list[dict[str, Any]]:
         assert main(['study', 'status', *place, '--json']) == 0
-        found: list[dict[str, Any]] = json.loads(capsys.readouterr().out)
+        found: list[dict[str, Any]] = json.loads(capsys.readouterr().out)['participants']
         return found
 
     before = status()
@@ -503,5 +504,9 @@ def test_a_simulated_study_makes_tables_that_the_codebook_explains(
     assert places.to_numpy().tolist() == [
         ['s1', 'trees', 1], ['s1', 'goal', 2], ['s2', 'goal', 1], ['s2', 'trees', 2],
     ]  # fmt: skip
-    status = status_table(data.protocol, data.records).set_index('participant')
-    assert status['next'].to_dict() == {'s1': '-', 's2': '-', 'late': 'consent'}
+    progress = participants_table(data.protocol, data.records, ['late'], 24.0, time.time())
+    assert progress[['state', 'parts done', 'parts', 'next']].to_numpy().tolist() == [
+        *[['finished', 10, 10, '-']] * 2, ['running', 0, 10, 'consent'],
+    ]  # fmt: skip
+    places = places_table(plan.model_copy(update={'participants': 4}), data.records, time.time())
+    assert places.to_numpy().tolist() == [['trees, goal', 1, 1, 0], ['goal, trees', 1, 0, 1]]

@@ -59,7 +59,7 @@ class Files:
     def status(self) -> tuple[list[Row], str]:
         code, output, errors = self.run('status', '--json')
         assert code == 0
-        return json.loads(output), errors
+        return json.loads(output)['participants'], errors
 
     def export(self, name: str, *columns: str) -> tuple[list[tuple[str, ...]], str]:
         """Return columns of a table that is exported, and the errors."""
@@ -217,10 +217,10 @@ def test_only_the_last_attempt_counts_in_every_table(files: Files) -> None:
     assert files.export('buttons.csv', 'rank', 'text')[0] == [('1', 'go')]
     assert files.export('options.csv', 'option')[0] == [('go',)]
     assert files.export('parts.csv', 'condition', 'part', 'sittings', 'why')[0] == [
-        ('a', 'buttons', '2', 'finished'),
-        ('a', 'teach', '1', 'finished'),
-        ('a', 'questions', '2', 'finished'),
-        ('b', 'questions', '1', ''),
+        ('a', 'a/buttons', '2', 'finished'),
+        ('a', 'a/teach', '1', 'finished'),
+        ('a', 'a/questions', '2', 'finished'),
+        ('b', 'b/questions', '1', ''),
     ]
 
 

@@ -17,7 +17,7 @@ from humanopts_teach.command_line import (
     whole,
     with_options,
 )
-from humanopts_teach.commands import CommandError, refusing
+from humanopts_teach.commands import CommandError, confirmed, refusing
 from humanopts_teach.launching.job import fork_launch
 import typer
 from typer.core import TyperGroup
@@ -38,6 +38,10 @@ class _StudyCommands(TyperGroup):
 
 
 app = typer.Typer(**PLAIN, cls=_StudyCommands, subcommand_metavar='[COMMAND] PLAN.yaml ...')
+_RUNS = Path('runs')
+PilotOption = Annotated[
+    bool, flag('--pilot', 'the pilot: a study of its own, in the folder pilot of the study')
+]
 PlanArgument = Annotated[Path, typer.Argument(metavar='PLAN.yaml')]
 StudyOption = Annotated[
     Path | None,
@@ -60,6 +64,7 @@ def run(
         option('N', 'number of simulated participants, to try a plan without people', whole(0)),
     ] = 0,
     folder: StudyOption = None,
+    pilot: PilotOption = False,
     namespace: Annotated[str, option('NAME', 'namespace of the nodes')] = '/',
     accept_changes: Annotated[
         bool,
@@ -81,7 +86,7 @@ def run(
     from humanopts_teach.commands.study_session import Study
 
     check_place(namespace)
-    study = Study(*_open(plan, folder), namespace)
+    study = Study(*_open(plan, folder, pilot), namespace)
     study.check_plan(accept=accept_changes)
     if simulate:
         for number in range(1, simulate + 1):
@@ -101,28 +106,66 @@ def run(
 def status(
     plan: PlanArgument,
     folder: StudyOption = None,
+    pilot: PilotOption = False,
     as_json: Annotated[bool, flag('--json', 'print JSON')] = False,
 ) -> int:
-    """Show the progress of each participant."""
+    """Show who takes part, has finished or has left where, and the places of each order."""
+    from humanopts_teach.study.log import StudyLog
+    from humanopts_teach.study.progress import participants_table, places_table
     from humanopts_teach.study.protocol import SHOWN_DIGEST
-    from humanopts_teach.study.tables import status_table
 
-    study, study_folder, protocol = _kept('status', plan, folder)
+    study, study_folder, protocol = _kept('status', plan, folder, pilot)
     records, problems = study_folder.records()
-    _warn('status', problems)
-    table = status_table(protocol, records)
+    log, now = StudyLog(study_folder.path), time.time()
+    _warn('status', [*problems, *log.problems])
+    running = study_folder.running()
+    people = participants_table(protocol, records, running, study.return_within, now)
+    places = places_table(study, records, now)
+    counts = {event: len(log.of(event)) for event in ('declined', 'withdrawn', 'full')}
     if as_json:
-        print(json.dumps(table.to_dict('records'), indent=2))
-    else:
-        planned = f' of {study.participants}' if study.participants else ''
-        print(
-            one_line(f'{study.study}: {len(table)}{planned} participants, in {study_folder.path}')
-        )
-        for version in protocol.versions:
-            when = time.strftime('%Y-%m-%d %H:%M', time.localtime(version.time))
-            print(one_line(f'{version.event} on {when}: {version.digest[:SHOWN_DIGEST]}'))
-        rows = table.to_string(index=False) if len(table) else 'no one has taken part yet'
-        print(printable(rows))
+        tables = {'participants': people.to_dict('records'), 'places': places.to_dict('records')}
+        print(json.dumps({**tables, **counts}, indent=2))
+        return 0
+    planned = f', {study.participants} places' if study.participants else ''
+    print(one_line(f'{study.study}: {len(people)} participants{planned}, in {study_folder.path}'))
+    for version in protocol.versions:
+        when = time.strftime('%Y-%m-%d %H:%M', time.localtime(version.time))
+        print(one_line(f'{version.event} on {when}: {version.digest[:SHOWN_DIGEST]}'))
+    for title, table in (('', people), ('\nplaces', places)):
+        rows = table.to_string(index=False) if len(people) else 'no one has taken part yet'
+        print(printable(f'{title}\n{rows}' if title else rows))
+        if not len(people):
+            break
+    others = {
+        'declined': 'declined',
+        'withdrawn': 'withdrew',
+        'full': 'came when all places were taken',
+    }
+    lines = [f'{counts[event]} {words}' for event, words in others.items() if counts[event]]
+    print('; '.join(lines), end='\n' if lines else '')
+    return 0
+
+
+@app.command()
+def withdraw(
+    plan: PlanArgument,
+    code: Annotated[str, typer.Argument(metavar='CODE')],
+    folder: StudyOption = None,
+    pilot: PilotOption = False,
+    yes: Annotated[bool, flag('--yes', 'delete without a question')] = False,
+) -> int:
+    """Delete everything about a participant, and log the deletion without the code."""
+    from humanopts_teach.study.record import StudyError
+
+    _, study_folder, _ = _kept('withdraw', plan, folder, pilot)
+    with refusing(StudyError):
+        files = len(study_folder.files_of(code))
+        question = f'Delete {files} files of {code} in {study_folder.path} for ever?'
+        if not (yes or confirmed(question)):
+            raise CommandError('nothing was deleted; y or --yes confirms')
+        study_folder.withdraw(code)
+    print(printable(f'{files} files of {code} are deleted. Tables and reports that were made'))
+    print('earlier still contain this participant: delete them, or export them again.')
     return 0
 
 
@@ -134,10 +177,11 @@ def export(
         option('DIR', 'for the tables; default: tables in the folder'),
     ] = None,
     folder: StudyOption = None,
+    pilot: PilotOption = False,
     excel: ExcelOption = False,
 ) -> int:
     """Write tidy CSV tables with a codebook, and the buttons as in Table 1 of the paper."""
-    _, study_folder, _ = _kept('export', plan, folder)
+    _, study_folder, _ = _kept('export', plan, folder, pilot)
     if not study_folder.path.exists():
         raise CommandError(
             f'no one has taken part yet in {study_folder.path}; --study DIR names another'
@@ -146,22 +190,27 @@ def export(
     return 0
 
 
-def _open(path: Path, folder: Path | None) -> 'tuple[StudyPlan, StudyFolder]':
+def _open(path: Path, folder: Path | None, pilot: bool) -> 'tuple[StudyPlan, StudyFolder]':
     """
     Read a plan; return it, and the folder of the participants.
 
     :raises CommandError: the plan cannot be used.
     """
     from humanopts_teach.study.plan import PlanFileError, read_plan
-    from humanopts_teach.study.record import StudyFolder
 
     with refusing(PlanFileError, what=f'{path}: '):
         plan = read_plan(path)
-    return plan, StudyFolder(folder or Path('runs') / plan.study)
+    return plan, _folder(folder or _RUNS / plan.study, pilot)
+
+
+def _folder(path: Path, pilot: bool) -> 'StudyFolder':
+    from humanopts_teach.study.record import PILOT, StudyFolder
+
+    return StudyFolder(path / PILOT if pilot else path)
 
 
 def _kept(
-    command: str, path: Path, folder: Path | None
+    command: str, path: Path, folder: Path | None, pilot: bool
 ) -> 'tuple[StudyPlan, StudyFolder, Protocol]':
     """
     Return the plan in the folder of a study, which is valid whatever the file now says.
@@ -172,15 +221,14 @@ def _kept(
     """
     from humanopts_teach.study.plan import PlanFileError, read_name, read_plan
     from humanopts_teach.study.protocol import Protocol
-    from humanopts_teach.study.record import StudyFolder
 
     with refusing(PlanFileError, what=f'{path}: '):
-        study_folder = StudyFolder(folder or Path('runs') / read_name(path))
+        study_folder = _folder(folder or _RUNS / read_name(path), pilot)
     protocol = Protocol(study_folder.path)
     missing = study_folder.missing_plan(protocol)
     _warn(command, [*protocol.problems, *filter(None, [missing])])
     if protocol.plan is None:
-        return (*_open(path, study_folder.path), protocol)
+        return (*_open(path, study_folder.path, False), protocol)
     try:
         changed = 'it has been changed' if read_plan(path) != protocol.plan else ''
     except PlanFileError as error:

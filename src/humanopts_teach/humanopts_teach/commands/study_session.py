@@ -29,8 +29,9 @@ from humanopts_teach.dialogue.consent import ConsentApp
 from humanopts_teach.language import _, speaking
 from humanopts_teach.launching.processes import Setup
 from humanopts_teach.ros.teleop import published_record
-from humanopts_teach.study.events import FINISHED, learned, TIME
+from humanopts_teach.study.events import learned, TIME
 from humanopts_teach.study.plan import Condition, Part, PartKind, PARTS, StudyPlan
+from humanopts_teach.study.questions import QuestionKind
 from humanopts_teach.study.record import (
     ChangedPlanError,
     FullError,
@@ -305,7 +306,8 @@ def simulated_part(
     """
     Do one part of a study.
 
-    Buttons are suggested with the frequencies of Table 1 of the paper; ratings are uniform.
+    Buttons are suggested with the frequencies of Table 1 of the paper; answers are uniform, and
+    attention checks are passed.
 
     :param seed: of the study.
     :param number: of the participant.
@@ -325,6 +327,7 @@ def simulated_part(
     elif part.questions is not None:
         points = part.questions.points
         for question in part.questions.items:
-            value = int(rng.integers(1, points + 1))
-            record.note('answer', part, item=question.name, value=value, points=points)
-    record.note('part ended', part, why=FINISHED)
+            value = question.draw(rng, points)
+            scale = {'points': points} if question.kind is QuestionKind.RATING else {}
+            record.note('answer', part, item=question.name, value=value, **scale)
+    record.note('part ended', part, why=record.check_attention(part))

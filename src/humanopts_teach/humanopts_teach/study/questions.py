@@ -6,6 +6,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 from humanopts_env.seeding import generator
 from humanopts_ros.limits import composed
+import numpy as np
 from pydantic import (
     AfterValidator,
     BaseModel,
@@ -178,6 +179,27 @@ class Question(Values):
                 high = MAX_NUMBER if self.most is None else self.most
                 return (whole or isinstance(value, float)) and bool(low <= value <= high)
         return isinstance(value, str) and 1 <= len(value) <= self.max_characters
+
+    def draw(self, rng: np.random.Generator, points: int) -> Any:
+        """Return a random answer; of an attention check, the right one."""
+        if self.expect is not None:
+            return self.expect
+        match self.kind:
+            case QuestionKind.RATING:
+                return int(rng.integers(1, points + 1))
+            case QuestionKind.CHOICE:
+                return int(rng.integers(1, len(self.options) + 1))
+            case QuestionKind.CHOICES:
+                count = int(rng.integers(1, len(self.options) + 1))
+                chosen = rng.choice(len(self.options), count, replace=False) + 1
+                return tuple(sorted(map(int, chosen)))
+            case QuestionKind.NUMBER:
+                low = min(0, self.most or 0) if self.least is None else self.least
+                high = low + 100 if self.most is None else self.most
+                whole = isinstance(low, int) and isinstance(high, int)
+                drawn = rng.uniform(low, high)
+                return round(drawn) if whole else float(drawn)
+        return 'a simulated answer'[: self.max_characters]
 
     def passes(self, value: Any) -> bool:
         """Return whether an answer is the expected one."""

@@ -43,7 +43,8 @@ TOPIC = 'study_events'  # StudyEvent messages, each an event as JSON
 MAX_BYTES = 64 * 2**20  # maximum size of a record
 MAX_NUMBER = 999_999  # maximum participant number
 _LOCK = '.lock'
-_RESERVED = {'pilot', 'tables', 'report'}  # folders of a study
+PILOT = 'pilot'  # folder of the pilot of a study
+_RESERVED = {PILOT, 'tables', 'report'}  # folders of a study
 _CODE_LETTERS, _CODE_LENGTH = '23456789abcdefghjkmnpqrstuvwxyz', 8
 _NAME = re.compile(rf'([0-9]{{3,6}})-({CODE.pattern})\.jsonl')  # file name of a record
 

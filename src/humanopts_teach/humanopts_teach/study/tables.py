@@ -1,4 +1,4 @@
-"""Results of a study: progress of each participant, and tidy tables."""
+"""Results of a study: tidy tables."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -16,27 +16,6 @@ from humanopts_teach.study.protocol import Protocol, SHOWN_DIGEST
 from humanopts_teach.study.questions import Question, QuestionKind
 from humanopts_teach.study.record import Record, StudyFolder
 import pandas as pd
-
-
-def status_table(protocol: Protocol, records: Sequence[Record]) -> pd.DataFrame:
-    """
-    Return one row per participant with the progress according to the record.
-
-    :param protocol: versions of the plan; the next part is that of the participant's version.
-    """
-    columns = ['participant', 'order', 'parts done', 'next', 'minutes']
-    rows = []
-    for record in records:
-        began = record.began
-        plan = None if began is None else protocol.plan_of(began.protocol)
-        left = [] if plan is None else record.remaining(plan.parts_of(record.place, record.number))
-        order, after = '?' if began is None else ', '.join(began.order), '-'
-        if not record.over:
-            after = '?' if plan is None else left[0].key if left else '-'
-        minutes = round(record.minutes, 1)
-        rows.append((record.code, order, len(record.done), after, minutes))
-    return pd.DataFrame(rows, columns=columns)
-
 
 ADDRESS = 'url_'  # prefix of columns with parameters of the address
 _DETAILS = {'event', 'time', 'part', 'condition'}  # fields of an event that have their own column

@@ -1,0 +1,68 @@
+"""Progress of a study: what each participant is doing, and the places of each order."""
+
+from collections.abc import Container, Sequence
+
+from humanopts_teach.study.plan import balanced_latin_square, Order, StudyPlan
+from humanopts_teach.study.protocol import Protocol
+from humanopts_teach.study.record import Record
+import pandas as pd
+
+
+def participants_table(
+    protocol: Protocol,
+    records: Sequence[Record],
+    running: Container[str],
+    hours: float,
+    now: float,
+) -> pd.DataFrame:
+    """
+    Return one row per participant.
+
+    :param protocol: versions of the plan; the parts are those of the participant's version.
+    :param running: codes of those who take part at the moment.
+    :param hours: time in which a participant has to return; 0: unlimited.
+    :param now: s since 1970.
+    """
+    columns = ['participant', 'order', 'state', 'parts done', 'parts', 'next', 'minutes']
+    rows = []
+    for record in records:
+        began = record.began
+        plan = None if began is None else protocol.plan_of(began.protocol)
+        parts = [] if plan is None else plan.parts_of(record.place, record.number)
+        left = record.remaining(parts)
+        if record.over:
+            state = 'excluded' if record.excluded else 'finished'
+        elif record.code in running:
+            state = 'running'
+        else:
+            state = 'left' if record.holds_place(hours, now) else 'left, place free'
+        after = '-' if record.over else left[0].key if left else '?'
+        order = '?' if began is None else ', '.join(began.order)
+        done, minutes = len(record.done), round(record.minutes, 1)
+        rows.append((record.code, order, state, done, len(parts), after, minutes))
+    return pd.DataFrame(rows, columns=columns)
+
+
+def places_table(plan: StudyPlan, records: Sequence[Record], now: float) -> pd.DataFrame:
+    """
+    Return the places of each order of conditions: finished, under way, and left.
+
+    Without a limit of participants, no number of places is left.
+    """
+    held = {r.place: r for r in records if r.holds_place(plan.return_within, now)}
+    orders = {
+        Order.FIXED: 1,
+        Order.ONE: len(plan.conditions),
+        Order.BALANCED: len(balanced_latin_square(len(plan.conditions))),
+    }
+    count = plan.participants or max([orders.get(plan.order, 1), *(n + 1 for n in held)])
+    rows: dict[str, dict[str, int]] = {}
+    for place in range(count):
+        order = ', '.join(condition.name for condition in plan.order_of(place))
+        row = rows.setdefault(order, {'finished': 0, 'under way': 0, 'places left': 0})
+        if place not in held:
+            row['places left'] += 1
+        else:
+            row['finished' if held[place].over else 'under way'] += 1
+    table = pd.DataFrame.from_dict(rows, orient='index').rename_axis('order').reset_index()
+    return table if plan.participants else table.drop(columns='places left')
