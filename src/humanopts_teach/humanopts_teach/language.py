@@ -20,10 +20,11 @@ from typing import Concatenate, NamedTuple, ParamSpec, Protocol, TypeVar
 ENGLISH = 'en'  # in plain words, for participants of studies
 _FOLDER = Path(__file__).parent / 'locale'
 _FIELD = re.compile(r'\{(\w*)[^{}]*\}')  # a placeholder, with its format
-_NAMES = {'code', 'name', 'option', 'participant'}  # placeholders of what people typed
+_NAMES = {'option', 'option_name', 'participant', 'who'}  # placeholders of what people typed
 P = ParamSpec('P')
 R = TypeVar('R')
-_SENTENCE_END = re.compile(r'(?<=[.!?]) ')
+# Between texts that are joined: first sentences, then their parts.
+_JOINTS = re.compile('((?<=[.!?]) )'), re.compile('([,:;] | -> )')
 _WITHIN_A_SENTENCE = '(?:(?![.!?] ).)*?'
 
 
@@ -96,6 +97,11 @@ def _(text: str) -> str:
     return _spoken.get().catalog.gettext(text) if text else ''
 
 
+def pgettext(context: str, text: str) -> str:
+    """Return a text that has several meanings."""
+    return _spoken.get().catalog.pgettext(context, text)
+
+
 def ngettext(one: str, more: str, count: int) -> str:
     """Return the text for a count, with ``{count}`` not filled in yet."""
     return _spoken.get().catalog.ngettext(one, more, count)
@@ -121,10 +127,20 @@ def _translated(language: _Language, text: str) -> str:
             return template.format_map(
                 {name: v if name in _NAMES else _translated(language, v) for name, v in values}
             )
-    sentences = _SENTENCE_END.split(text)
-    if len(sentences) > 1:
-        return ' '.join(_translated(language, each) for each in sentences)
-    return text
+    if text[-1] == '.' and (found := _translated(language, text[:-1])) != text[:-1]:
+        return f'{found}.'
+    lower = text[0].lower() + text[1:]
+    if lower != text and (found := _translated(language, lower)) != lower:
+        return found[0].upper() + found[1:]
+    for joints in _JOINTS:
+        pieces = joints.split(text)
+        if len(pieces) > 1:
+            pieces[::2] = [_translated(language, each) for each in pieces[::2]]
+            return ''.join(pieces)
+    words, space, value = text.rpartition(' ')  # the name of a feature, and its value
+    return (
+        f'{_translated(language, words)}{space}{_translated(language, value)}' if space else text
+    )
 
 
 @cache
@@ -148,7 +164,7 @@ def read_language(language: str) -> _Language:
             catalog = read_po(file, abort_invalid=True)
     except (OSError, ValueError, PoFileError) as error:
         raise LanguageError(f'{path.name} cannot be read as a PO file: {error}') from None
-    templates = list[tuple[re.Pattern[str], str]]()
+    templates = dict[str, tuple[re.Pattern[str], str]]()
     for message in catalog:
         sources, texts = _forms(message.id), _forms(message.string)
         if not message.id or message.fuzzy or not all(texts):
@@ -162,13 +178,13 @@ def read_language(language: str) -> _Language:
                     f'{path.name}: {text!r} needs the placeholders of {sources[-1]!r}'
                 )
             if _FIELD.search(source):
-                templates.append((_pattern(source), _FIELD.sub(r'{\1}', text)))
-    templates.sort(key=lambda each: len(_FIELD.sub('', each[0].pattern)), reverse=True)
+                templates[source] = _pattern(source), _FIELD.sub(r'{\1}', text)
+    longest = sorted(templates, key=lambda source: len(_FIELD.sub('', source)), reverse=True)
     compiled = BytesIO()
     write_mo(compiled, catalog)
     compiled.seek(0)
     tag = (catalog.locale_identifier or 'und').replace('_', '-')
-    return _Language(tag, GNUTranslations(compiled), tuple(templates))
+    return _Language(tag, GNUTranslations(compiled), tuple(map(templates.__getitem__, longest)))
 
 
 def _forms(text: str | tuple[str, ...] | list[str] | None) -> tuple[str, ...]:

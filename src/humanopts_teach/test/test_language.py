@@ -2,11 +2,21 @@
 
 import ast
 from collections.abc import Iterator
+from keyword import iskeyword
 from pathlib import Path
 import re
 
 from babel.messages.catalog import Message
 from babel.messages.pofile import read_po
+from humanopts_env.domains.capabilities import (
+    board_of,
+    explanation,
+    feature_groups,
+    step_effect,
+)
+from humanopts_env.domains.formulas import plain_name
+from humanopts_env.domains.registry import make_domain
+from humanopts_env.seeding import generator
 from humanopts_teach.language import (
     _,
     LanguageError,
@@ -19,6 +29,22 @@ from humanopts_teach.language import (
 import pytest
 
 TEACH = Path(__file__).parents[1] / 'humanopts_teach'
+SOURCE = TEACH.parents[1]
+# Modules that compose texts of messages. They do not know languages.
+MESSAGES = (
+    'humanopts_env/humanopts_env/game.py',
+    'humanopts_learner/humanopts_learner/options/checks.py',
+    'humanopts_learner/humanopts_learner/options/conflicts.py',
+    'humanopts_learner/humanopts_learner/ros/runner.py',
+    'humanopts_learner/humanopts_learner/summary.py',
+    *(
+        f'humanopts_teach/humanopts_teach/lesson/{name}.py'
+        for name in ('advice', 'attempt', 'lesson', 'next_start', 'notebook', 'recorders', 'store')
+    ),
+    'humanopts_teach/humanopts_teach/ros/teleop.py',
+)
+# Calls with texts that no participant reads.
+INTERNAL = {'setting', 'generator', 'get_logger', 'EntryError', '_explained', 'append'}
 GERMAN = TEACH / 'locale/de.po'
 HEADER = (
     'msgid ""\nmsgstr ""\n"Language: de-AT\\n"\n"Content-Type: text/plain; charset=UTF-8\\n"\n'
@@ -34,17 +60,25 @@ def own(folder: Path, text: str) -> str:
 
 
 def texts_of(node: ast.expr) -> Iterator[str]:
-    """Yield the texts that an argument may be; the placeholders of an f-string get names."""
+    """Yield the texts that an expression may be; the placeholders of an f-string get names."""
     match node:
         case ast.Constant(str() as text):
-            yield text
+            yield text.replace('{}', '{steps}').replace('%d', '{count}')
         case ast.IfExp():
             yield from (*texts_of(node.body), *texts_of(node.orelse))
         case ast.JoinedStr():
+            names = dict[str, str]()
+            for part in node.values:
+                if isinstance(part, ast.FormattedValue):
+                    code = ast.unparse(part.value)
+                    words = re.findall('[A-Za-z_]+', re.sub("'[^']*'", '', code))
+                    word = next((each for each in reversed(words) if not iskeyword(each)), 'x')
+                    taken = word in names.values() and code not in names
+                    names.setdefault(code, f'{word}{len(names)}' if taken else word)
             yield ''.join(
-                part.value
+                part.value.replace('{}', '{steps}')
                 if isinstance(part, ast.Constant)
-                else f'{{{re.findall("[A-Za-z_]+", ast.unparse(part.value))[-1]}}}'
+                else f'{{{names[ast.unparse(part.value)]}}}'
                 for part in node.values
             )
 
@@ -61,24 +95,86 @@ def wrapped() -> Iterator[tuple[str, str | tuple[str, str]]]:
             place = f'{path.relative_to(TEACH)}:{node.lineno}'
             if node.func.id in ('_', 'N_'):
                 yield from ((place, text) for text in texts_of(node.args[0]))
+            elif node.func.id == 'pgettext':
+                yield place, ' '.join(text for each in node.args for text in texts_of(each))
             elif node.func.id == 'ngettext':
                 one, more = (next(texts_of(each)) for each in node.args[:2])
                 yield place, (one, more)
 
 
+def messages() -> Iterator[tuple[str, str]]:
+    """Yield each place and text of the modules that compose what nodes send to people."""
+    for name in MESSAGES:
+        tree = ast.parse((SOURCE / name).read_text('utf-8'))
+        skipped = {
+            id(each.value)
+            for each in ast.walk(tree)
+            if isinstance(each, ast.Expr) and isinstance(each.value, ast.Constant)
+        }
+        for node in ast.walk(tree):
+            own = isinstance(node, ast.Call) and ast.unparse(node.func).split('.')[-1] in INTERNAL
+            if own or isinstance(node, ast.JoinedStr | ast.AnnAssign) or id(node) in skipped:
+                children = ast.walk(node) if own else ast.iter_child_nodes(node)
+                skipped |= {
+                    id(each)
+                    for each in children
+                    if own
+                    or id(node) in skipped
+                    or (isinstance(node, ast.JoinedStr) or each is node.annotation)
+                }
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Constant | ast.JoinedStr) and id(node) not in skipped:
+                for text in texts_of(node):
+                    words = re.sub(r'\{\w+\}', '', text)
+                    if re.search('[a-z]{2}', words) and ' ' in text.strip():
+                        yield f'{name}:{node.lineno}', text
+
+
 def catalogue() -> dict[str | tuple[str, str], Message]:
     with GERMAN.open('rb') as file:
-        return {each.id: each for each in read_po(file) if each.id}
+        messages = [each for each in read_po(file) if each.id]
+    return {f'{each.context} {each.id}' if each.context else each.id: each for each in messages}
 
 
 def test_every_text_has_a_german_one() -> None:
     known, missing = catalogue(), dict[str | tuple[str, str], str]()
-    for place, text in wrapped():
+    for place, text in (*wrapped(), *messages()):
         entry = known.get(text)
         if entry is None or entry.fuzzy or not all([entry.string, *entry.string]):
             missing[text] = place
     entries = [f'#: {place}\nmsgid {text!r}\nmsgstr ""' for text, place in missing.items()]
     assert not missing, f'add to {GERMAN}:\n' + '\n\n'.join(entries)
+
+
+def domain_texts(name: str) -> Iterator[str]:
+    """Yield what a game says about itself and in 400 random steps."""
+    domain, rng = make_domain(name), generator(1, 'texts of a game')
+    for feature in domain.features:
+        yield from (plain_name(feature.name), feature.question, *feature.values)
+    for action in domain.actions:
+        yield from (action.name, action.description)
+    yield from (group.words for group in feature_groups(domain))
+    yield from (text for _sign, text in explanation(domain))
+    state = domain.reset(rng)
+    for step in range(400):
+        board = board_of(domain, state)
+        yield from (*(mark.name for mark in board.marks), *board.notes)
+        action = int(rng.integers(len(domain.actions)))
+        result = domain.step(state, action, rng)
+        yield step_effect(domain, state, action, result.state).text
+        over = result.terminated or step % 60 == 59
+        state = domain.reset(rng) if over else result.state
+
+
+@pytest.mark.parametrize('name', ['taxi', 'rooms', 'pacman', 'gymnasium:FrozenLake-v1'])
+def test_games_are_described_in_german(name: str) -> None:
+    same = {'in', 'taxi', 'pac', 'man', 'start'}
+    with speaking('de'):
+        for text in {*domain_texts(name)}:
+            english, german = (
+                {*re.findall('[a-zäöüß]{2,}', each.lower())} for each in (text, translated(text))
+            )
+            assert english & german <= same, f'{text!r} is translated as {translated(text)!r}'
 
 
 def test_german_file_can_be_used() -> None:
@@ -131,7 +227,7 @@ def test_a_file_that_cannot_be_used(text: str, why: str, tmp_path: Path) -> None
         pass
 
 
-@pytest.mark.parametrize('name', ['fr', 'missing.po', '', '../de'])
+@pytest.mark.parametrize('name', ['fr', 'missing.po', '../de'])
 def test_an_unknown_language(name: str) -> None:
     with pytest.raises(LanguageError, match=r'unknown language|cannot be read'), speaking(name):
         pass

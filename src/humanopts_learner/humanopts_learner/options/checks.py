@@ -419,7 +419,7 @@ def _check(
             break
     return Check(
         kind,
-        text.replace('{}', f'{len(actions)} step{"s"[: len(actions) != 1]}'),
+        text.replace('{}', '1 step' if len(actions) == 1 else f'{len(actions)} steps'),
         tuple(map(domain.encode, states)),
         tuple(tuple(row.tolist()) for row in rows),
         tuple(actions),

@@ -27,7 +27,7 @@ from humanopts_teach.dialogue.keys import (
 from humanopts_teach.dialogue.lesson_panel import progress_panel, question_panel
 from humanopts_teach.dialogue.panel import GAP, Panel
 from humanopts_teach.dialogue.question import RunQuestion
-from humanopts_teach.language import _, ngettext, translated
+from humanopts_teach.language import _, ngettext, pgettext, translated
 from humanopts_teach.lesson.question_groups import GroupAnswer
 from humanopts_teach.lesson.requests import (
     ActionGoal,
@@ -360,7 +360,7 @@ class LessonScreen(Screen):
         return [
             Command(
                 'r',
-                _('right'),
+                pgettext('verdict', 'right'),
                 judge(Verdict.RIGHT, Phase.EXAM) if ended and begun else None,
                 _('the option did what it should') + ('' if robot else _('; the next run begins')),
             ),
@@ -617,7 +617,7 @@ def _in_words(demo: Demonstration) -> tuple[str, str]:
     if demo.kind is Kind.JUDGED:
         text = _('run {number}, called {verdict}: {what}').format(
             number=demo.number,
-            verdict=_('right') if demo.right else _('wrong'),
+            verdict=pgettext('verdict', 'right') if demo.right else _('wrong'),
             what=what if steps else _('it would not start'),
         )
         notes = [_('in an exam') if demo.exam else _('in a question')]

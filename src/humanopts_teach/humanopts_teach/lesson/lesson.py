@@ -575,8 +575,9 @@ class Lesson:
         self.feedback.awaited = withdrawn
         self._notice = ''
         self._next.forget()  # the start state is in the option's history
-        steps = len(demo.actions)
-        what = f'the demonstration of {steps} step{"s"[: steps != 1]}' if steps else '"not here"'
+        count = len(demo.actions)
+        steps = '1 step' if count == 1 else f'{count} steps'
+        what = f'the demonstration of {steps}' if count else '"not here"'
         text = f'{what} is withdrawn; its start comes again'
         if demo.kind is Kind.JUDGED:
             text = f'the verdict "{"right" if demo.right else "wrong"}" is taken back'

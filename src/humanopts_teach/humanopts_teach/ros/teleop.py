@@ -281,7 +281,8 @@ def result_text(result: Any, in_control: bool) -> tuple[bool, str]:
 
 def _counts(result: Any) -> str:
     if isinstance(result, OptionResult):
-        steps = f'{result.step_count} step{"" if result.step_count == 1 else "s"}'
+        count = result.step_count
+        steps = '1 step' if count == 1 else f'{count} steps'
         steps += f', {result.random_moves} of them random' if result.random_moves else ''
         return f'{steps}, reward {result.total_reward:g}'
     if isinstance(result, PlanResult):
