@@ -121,6 +121,7 @@ class Event(_Values):
     study: Text = ''
     order: tuple[Text, ...] = Field(default=(), strict=False)  # names of the conditions
     simulated: bool = False
+    software: Text = ''  # version of humanopts
     protocol: Text = ''  # digest of the participant's plan; empty: not stored
     browser: Text = ''
     width: Count = 0  # of the browser's window, CSS pixels, as is the height

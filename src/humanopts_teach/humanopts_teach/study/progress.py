@@ -49,20 +49,21 @@ def places_table(plan: StudyPlan, records: Sequence[Record], now: float) -> pd.D
 
     Without a limit of participants, no number of places is left.
     """
-    held = {r.place: r for r in records if r.holds_place(plan.return_within, now)}
+    holding = [each for each in records if each.holds_place(plan.return_within, now)]
+    taken = {each.place for each in holding}
     orders = {
         Order.FIXED: 1,
         Order.ONE: len(plan.conditions),
         Order.BALANCED: len(balanced_latin_square(len(plan.conditions))),
     }
-    count = plan.participants or max([orders.get(plan.order, 1), *(n + 1 for n in held)])
+    count = plan.participants or max([orders.get(plan.order, 1), *(place + 1 for place in taken)])
     rows: dict[str, dict[str, int]] = {}
     for place in range(count):
         order = ', '.join(condition.name for condition in plan.order_of(place))
         row = rows.setdefault(order, {'finished': 0, 'under way': 0, 'places left': 0})
-        if place not in held:
-            row['places left'] += 1
-        else:
-            row['finished' if held[place].over else 'under way'] += 1
+        row['places left'] += place not in taken
+        for each in holding:
+            if each.place == place:
+                row['finished' if each.over else 'under way'] += 1
     table = pd.DataFrame.from_dict(rows, orient='index').rename_axis('order').reset_index()
     return table if plan.participants else table.drop(columns='places left')

@@ -7,6 +7,7 @@ versions; participants continue with the version with which they began.
 
 import difflib
 import hashlib
+from importlib.metadata import version as version_of
 import json
 from pathlib import Path
 import time
@@ -19,6 +20,7 @@ from humanopts_teach.study.plan import StudyPlan
 from pydantic import BaseModel, ConfigDict, Field, model_validator, ValidationError
 
 FILE = 'protocol.jsonl'
+SOFTWARE = version_of('humanopts_teach')
 SHOWN_DIGEST = 12  # characters
 _CONTEXT = 5  # context lines of a diff
 
@@ -31,6 +33,7 @@ class Version(BaseModel):
     time: Annotated[float, Field(ge=0, lt=1e11)]  # s since 1970
     digest: str
     plan: StudyPlan
+    software: str = ''  # version of humanopts
     event: Literal['protocol', 'protocol changed'] = 'protocol'
     replaces: str = ''  # digest of the previous version
     diff: tuple[str, ...] = ()  # unified diff from the previous version
@@ -101,7 +104,8 @@ class Protocol:
 
         :raises OSError: the file cannot be written.
         """
-        version = Version(time=round(time.time(), 3), digest=digest_of(plan), plan=plan)
+        now, digest = round(time.time(), 3), digest_of(plan)
+        version = Version(time=now, digest=digest, plan=plan, software=SOFTWARE)
         if self.plan is not None:
             before, diff = self.versions[-1].digest, tuple(difference(self.plan, plan))
             if before == version.digest:

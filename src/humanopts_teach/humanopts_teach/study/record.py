@@ -37,7 +37,14 @@ from humanopts_teach.study.events import (
 from humanopts_teach.study.log import FILE as LOG
 from humanopts_teach.study.log import LogEvent, StudyLog
 from humanopts_teach.study.plan import Part, PartKind, StudyPlan
-from humanopts_teach.study.protocol import difference, digest_of, FILE, Protocol, SHOWN_DIGEST
+from humanopts_teach.study.protocol import (
+    difference,
+    digest_of,
+    FILE,
+    Protocol,
+    SHOWN_DIGEST,
+    SOFTWARE,
+)
 
 TOPIC = 'study_events'  # StudyEvent messages, each an event as JSON
 MAX_BYTES = 64 * 2**20  # maximum size of a record
@@ -380,6 +387,7 @@ class StudyFolder:
                 study=plan.study,
                 order=tuple(condition.name for condition in plan.order_of(place)),
                 simulated=simulated,
+                software=SOFTWARE,
                 protocol=digest_of(plan),
             )
             consent = [] if consent_seconds is None else _agreed(plan, now, consent_seconds)
@@ -403,7 +411,7 @@ class StudyFolder:
             handle = _take(record.path)
         if handle is None:
             raise StudyError(
-                f'{record.code!r} takes part elsewhere at the moment; nothing is lost'
+                N_(f'{record.code!r} takes part in another window or terminal at the moment.')
             )
         try:
             yield
