@@ -186,7 +186,9 @@ class OptionSummary:
     def obstacles(self) -> str:
         """The criteria that cannot be measured, with reasons; empty: none."""
         return ' '.join(
-            f'The {c.name} cannot be measured: {c.obstacle}.' for c in self.criteria if c.obstacle
+            f'The {criterion} cannot be measured: {obstacle}.'
+            for criterion, obstacle in ((c.name, c.obstacle) for c in self.criteria)
+            if obstacle
         )
 
     @property

@@ -20,7 +20,15 @@ from typing import Concatenate, NamedTuple, ParamSpec, Protocol, TypeVar
 ENGLISH = 'en'  # in plain words, for participants of studies
 _FOLDER = Path(__file__).parent / 'locale'
 _FIELD = re.compile(r'\{(\w*)[^{}]*\}')  # a placeholder, with its format
-_NAMES = {'option', 'option_name', 'participant', 'who'}  # placeholders of what people typed
+_NAMES = {
+    'name',
+    'new',
+    'option',
+    'option_name',
+    'participant',
+    'similar',
+    'who',
+}  # placeholders of what people typed
 P = ParamSpec('P')
 R = TypeVar('R')
 # Between texts that are joined: first sentences, then their parts.
@@ -172,10 +180,9 @@ def read_language(language: str) -> _Language:
         wanted = set(_FIELD.findall(sources[-1]))
         for source, text in zip([*sources, *sources[-1:] * len(texts)], texts):
             given = set(_FIELD.findall(text))
-            # A singular may do without its number.
-            if given - wanted or (len(texts) == 1 and wanted - given) or _loose_braces(text):
+            if given - wanted or re.search('[{}]', _FIELD.sub('', text)):
                 raise LanguageError(
-                    f'{path.name}: {text!r} needs the placeholders of {sources[-1]!r}'
+                    f'{path.name}: {text!r} has other placeholders than {sources[-1]!r}'
                 )
             if _FIELD.search(source):
                 templates[source] = _pattern(source), _FIELD.sub(r'{\1}', text)
@@ -190,10 +197,6 @@ def read_language(language: str) -> _Language:
 def _forms(text: str | tuple[str, ...] | list[str] | None) -> tuple[str, ...]:
     """Return the singular and plural forms of a message."""
     return tuple(text) if isinstance(text, tuple | list) else (text or '',)
-
-
-def _loose_braces(text: str) -> bool:
-    return bool(re.search(r'[{}]', _FIELD.sub('', text)))
 
 
 def _pattern(source: str) -> re.Pattern[str]:
