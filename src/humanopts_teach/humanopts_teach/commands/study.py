@@ -190,6 +190,26 @@ def export(
     return 0
 
 
+@app.command()
+def report(
+    plan: PlanArgument,
+    out: Annotated[
+        Path | None,
+        option('FILE.html', 'to write; default: report.html in the folder'),
+    ] = None,
+    folder: StudyOption = None,
+    pilot: PilotOption = False,
+) -> int:
+    """Write a report: participants, learning curves, effects, buttons, times, questionnaires."""
+    from humanopts_teach.commands.study_report import write_report
+
+    _, study_folder, _ = _kept('report', plan, folder, pilot)
+    path = out or study_folder.path / 'report.html'
+    _warn('report', write_report(study_folder, path))
+    print(printable(str(path)))
+    return 0
+
+
 def _open(path: Path, folder: Path | None, pilot: bool) -> 'tuple[StudyPlan, StudyFolder]':
     """
     Read a plan; return it, and the folder of the participants.

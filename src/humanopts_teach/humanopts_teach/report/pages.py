@@ -77,11 +77,11 @@ def number(value: float | None, digits: int = 4) -> str:
     return f'{value:.{digits}g}'.replace('-', MINUS)
 
 
-def limits(found: Interval) -> str:
+def limits(found: Interval, digits: int = 4) -> str:
     """Format an interval in brackets; empty if there is none."""
     if math.isnan(found.low):
         return ''
-    return f'({number(found.low)} to {number(found.high)})'
+    return f'({number(found.low, digits)} to {number(found.high, digits)})'
 
 
 def duration(seconds: float) -> str:

@@ -48,9 +48,8 @@ class StudyData:
             return 'excluded'
         if record.over:
             return 'finished'
-        plan, last = self.plan_of(record), max(event.time for event in record.events)
-        hours = plan.return_within if plan is not None else 0.0
-        here = not hours or self.now - last < 3600 * hours
+        plan = self.plan_of(record)
+        here = record.holds_place(plan.return_within if plan is not None else 0.0, self.now)
         return 'under way' if here else 'dropped out'
 
 
