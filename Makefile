@@ -154,7 +154,7 @@ test-slow: checked
 test-browser: checked
 	@for each in chromium chromedriver; do command -v $$each > /dev/null || { \
 	  echo 'make test-browser needs Chromium: sudo apt install chromium chromium-driver' >&2; exit 1; }; done
-	@$(WITH_ROS) $(VENV)/bin/python -m pytest -m chromium $(or $(ARGS),tests/test_browser_chromium.py)
+	@$(WITH_ROS) $(VENV)/bin/python -m pytest -m chromium $(or $(ARGS),$(wildcard tests/test_browser_*.py))
 
 test-hosts: checked
 	@for each in unshare nsenter ip; do command -v $$each > /dev/null || { \

@@ -5,54 +5,39 @@ People who teach in a real browser, Chromium, on the real graph.
 """
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
 import json
 import os
 from pathlib import Path
 import re
-import shutil
-import signal
 import statistics
-import time
-from typing import Any
 from urllib.parse import urlsplit
 
-from graph_support.command import Command
-from graph_support.live import free_domain_id
-from graph_support.terminal import key_for, run_to_judge
-from humanopts_env.domains.registry import make_domain, reference_options
-from humanopts_env.domains.taxi import landmark_cells, TaxiState
+from graph_support.terminal import run_to_judge
 from humanopts_teach.bags.contents import read_demonstrations
 from humanopts_teach.bags.reader import open_bag
 import pytest
-from selenium import webdriver
-from selenium.common.exceptions import StaleElementReferenceException, WebDriverException
-from selenium.webdriver.chrome.service import Service
-from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
+from teach_support.chromium import (
+    DESKTOP,
+    Person,
+    PHONE,
+    PICKUP,
+    Served,
+    served,
+    severe,
+    Window,
+)
 from teach_support.flood import Flood
 
 pytestmark = [pytest.mark.chromium, pytest.mark.live, pytest.mark.timeout(300)]
 
-DESKTOP, PHONE = (1280, 800), (390, 844)
-TAXI = make_domain('taxi')
-PICKUP = 'go to passenger and pickup'
 NASTY = '<b onclick="alert(1)">home</b> & away'
-ARROWS = {
-    'up': Keys.ARROW_UP,
-    'down': Keys.ARROW_DOWN,
-    'left': Keys.ARROW_LEFT,
-    'right': Keys.ARROW_RIGHT,
-}
-LINGER = 4  # s
 KEYS = 100  # that are measured
 MEDIAN = 60.0  # ms that a key may take to the screen; the slowest depend on who else computes
 STRANGERS = 2000
 COUNT = 'return window.waits.length'
 REQUEST = 'Network.requestWillBeSent'
-STALE = StaleElementReferenceException
 # Key to screen: from the key press to the frame with the changed board, in the page itself.
 MEASURE = """
 window.waits = [];
@@ -68,221 +53,11 @@ new MutationObserver(() => {
 """
 
 
-def chromium() -> tuple[str, str]:
-    """Return Chromium and its driver."""
-    found = shutil.which('chromium') or shutil.which('chromium-browser')
-    driver = shutil.which('chromedriver')
-    if found is None or driver is None:
-        pytest.fail('these tests need Chromium: sudo apt install chromium chromium-driver')
-    return found, driver
-
-
-class Window:
-    """A window of the browser, and what a person does in it."""
-
-    def __init__(self, size: tuple[int, int], *, dark: bool = False) -> None:
-        program, driver = chromium()
-        options = webdriver.ChromeOptions()
-        options.binary_location = program
-        for argument in ('--headless=new', '--no-sandbox', '--disable-gpu', '--hide-scrollbars'):
-            options.add_argument(argument)
-        options.set_capability('goog:loggingPrefs', {'performance': 'ALL', 'browser': 'ALL'})
-        self.driver = webdriver.Chrome(options=options, service=Service(driver))
-        measures = {'width': size[0], 'height': size[1], 'deviceScaleFactor': 1}
-        self.command('Emulation.setDeviceMetricsOverride', mobile=size == PHONE, **measures)
-        scheme = {'name': 'prefers-color-scheme', 'value': 'dark' if dark else 'light'}
-        self.command('Emulation.setEmulatedMedia', features=[scheme])
-
-    def command(self, name: str, **parameters: Any) -> Any:
-        """Have Chromium do something."""
-        return self.driver.execute_cdp_cmd(name, parameters)
-
-    def text(self) -> str:
-        """Return what can be read."""
-        try:
-            return ' '.join(self.driver.find_element(By.TAG_NAME, 'body').text.split())
-        except WebDriverException:  # the page is being loaded
-            return ''
-
-    def until(self, condition: Callable[[], object], what: str, seconds: float = 60.0) -> None:
-        """Wait for a condition."""
-        deadline = time.monotonic() + seconds
-        while not condition():
-            assert time.monotonic() < deadline, f'waited in vain for {what}: {self.text()}'
-            time.sleep(0.02)
-
-    def see(self, words: str, seconds: float = 60.0) -> None:
-        """Wait until the page shows words."""
-        self.until(lambda: words in self.text(), words, seconds)
-
-    def press(self, *keys: str) -> None:
-        """Press keys on the keyboard."""
-        ActionChains(self.driver).send_keys(*keys).perform()
-
-    def click(self, words: str) -> None:
-        """Press a button, by its words or its name."""
-
-        def clicked() -> bool:
-            for button in self.driver.find_elements(By.TAG_NAME, 'button'):
-                try:
-                    if words in button.text or words == button.get_attribute('title'):
-                        button.click()
-                        return True
-                except STALE:
-                    return False
-            return False
-
-        self.until(clicked, f'a button {words}')
-
-    def write(self, text: str) -> None:
-        """Type into the field of the page."""
-        self.driver.find_element(By.TAG_NAME, 'input').send_keys(text)
-
-
-@dataclass(frozen=True)
-class Served:
-    """Pages that are served."""
-
-    address: str
-    data: Path  # folder
-    command: Command
-
-
-class Person:
-    """Somebody who teaches to pick the passenger up."""
-
-    def __init__(self, window: Window, address: str, code: str, *, keys: bool) -> None:
-        self.window, self.code, self.keys = window, code, keys
-        self.option = reference_options(TAXI)[PICKUP]
-        window.driver.get(f'{address}/{code}')
-
-    def name_option(self, name: str = PICKUP) -> None:
-        """Name the option and answer every question."""
-        window = self.window
-        window.see('What next?')
-        self.act('enter', 'Teach a new option')
-        window.see('What is the option called?')
-        window.write(name)
-        self.act('enter', 'OK')
-        for number, feature in enumerate(TAXI.features, start=1):
-            window.see(f'question {number} of {len(TAXI.features)}')
-            yes = feature.name in self.option.features
-            self.act('y' if yes else 'n', 'yes' if yes else 'no')
-        window.see('Enter shows start 1.')
-        self.act('enter', 'begin')
-
-    def act(self, key: str, button: str) -> None:
-        """Press a key, or the button for it."""
-        if self.keys:
-            self.window.press({**ARROWS, 'enter': Keys.ENTER}.get(key, key))
-        else:
-            self.window.click(button)
-
-    def values(self) -> dict[str, int]:
-        """Return the features of the lesson that are shown, by name; others are not numbers."""
-        found = re.findall(r'(\w+ \w+) (\d+)\b', self.features())
-        return {name.replace(' ', '_'): int(value) for name, value in found}
-
-    def features(self) -> str:
-        """Return the text of the features; empty while the page draws them anew."""
-        try:
-            found = self.window.driver.find_element(By.CLASS_NAME, 'features').text
-            return ' '.join(found.split('\n'))
-        except WebDriverException:
-            return ''
-
-    def state(self) -> TaxiState:
-        """Return the state that is shown; what is hidden is anything."""
-        known = self.values()
-        cells = list(landmark_cells(5, 5).values())
-        aboard = 'passenger in taxi yes' in self.features()
-        cell = known.get('passenger_row', -1), known.get('passenger_col', -1)
-        passenger = 4 if aboard else cells.index(cell)
-        return TaxiState(known['taxi_row'], known['taxi_col'], passenger, 0)
-
-    def step(self) -> None:
-        """Take the best step, and see that it is taken."""
-        before = re.search(r'start (\d+), step (\d+)', self.window.text())
-        action = TAXI.actions[self.option.optimal_actions(self.state())[0]]
-        self.act(action.key, action.name)
-        number = int(before.group(2)) + 1 if before else 1
-        self.window.see(f', step {number} ')
-
-    def run(self) -> None:
-        """Have the machine run the option, from a start where it can begin."""
-        window, ended = self.window, f'{PICKUP}: '
-        while ended not in window.text():
-            window.see('run it from here')
-            self.act('n', 'new start')
-            window.until(lambda: 'cannot start' not in window.text(), 'another start')
-            self.act('enter', 'run it from here')
-            window.until(
-                lambda: 'cannot start' in window.text() or ended in window.text(), 'a run'
-            )
-
-    def show(self, start: int) -> None:
-        """Show the option from a start."""
-        self.window.see(f'next: start {start} ')
-        if not self.option.can_start(self.state()):
-            self.act('n', 'not here')
-            return
-        while not self.option.ends(self.state()):
-            self.step()
-        self.act('enter', 'done')
-
-    def judge(self) -> None:
-        """Answer questions about runs, and take the exam: all runs are right."""
-        buttons = {'y': 'yes', 'r': 'right', 'enter': 'begin the run'}
-        asked = ''
-        while 'This lesson is finished.' not in (found := self.window.text()):
-            time.sleep(0.1)
-            if (about := run_to_judge(found)) not in ('', asked):
-                asked, key = about, key_for(about)
-                self.act(key, buttons[key])
-
-
-@pytest.fixture
-def windows() -> Iterator[Callable[..., Window]]:
-    """Opens windows, and closes them at the end."""
-    opened: list[Window] = []
-
-    def opening(*arguments: Any, **options: Any) -> Window:
-        opened.append(Window(*arguments, **options))
-        return opened[-1]
-
-    yield opening
-    for window in opened:
-        window.driver.quit()
-
-
 @pytest.fixture(scope='module')
 def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     """Pages for Taxi that are served meanwhile."""
     with served(tmp_path_factory.mktemp('browser'), 'taxi', '--learn', 'goal') as pages:
         yield pages
-
-
-@contextmanager
-def served(folder: Path, domain: str, *options: object) -> Iterator[Served]:
-    """Serve pages: their address, and the folder of the data."""
-    with free_domain_id() as domain_id:
-        arguments = ('teach', domain, '--browser', '--port', 0, '--seed', 3, *options)
-        command = Command(
-            [*arguments, '--linger', LINGER, '--out', folder / 'data'], folder, domain_id
-        )
-        address = re.compile(r'Open (\S+) in a browser')
-        command.until(lambda: address.search(command.output), 'the address')
-        found = address.search(command.output)
-        assert found is not None
-        yield Served(found.group(1), folder / 'data', command)
-        command.send(signal.SIGINT)
-        assert command.ended(60) == 0, command.errors
-        assert command.output.endswith('stopped\n')
-
-
-def severe(window: Window) -> list[Any]:
-    """Return the errors in the log of the browser."""
-    return [each for each in window.driver.get_log('browser') if each['level'] == 'SEVERE']
 
 
 def key_to_screen(

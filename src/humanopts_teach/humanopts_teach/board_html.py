@@ -37,16 +37,20 @@ _SHAPES = {
 }
 
 
-def board_html(board: Board) -> str:
+def board_html(board: Board, words: str = 'the board') -> str:
     """
     Return the board as an image, with no reference to another file.
 
     The style sheet sets the colours of the classes of an SVG image.
+
+    :param words: read by screen readers.
     """
+    words = html.escape(words)
     if board.image is not None:
-        return _png(board.image)
+        return _png(board.image, words)
     if not board.rows:
-        return f'<pre class="board">{html.escape(board.picture)}</pre>' if board.picture else ''
+        drawn = html.escape(board.picture)
+        return f'<pre class="board" role="img" aria-label="{words}">{drawn}</pre>' if drawn else ''
     width, height, walls = board.cols * CELL, board.rows * CELL, style_classes(board.colour)
     lines = ''.join(
         f'M{left * CELL} {top * CELL}L{right * CELL} {bottom * CELL}'
@@ -63,18 +67,18 @@ def board_html(board: Board) -> str:
         *(_mark(*each) for each in board.places()),
     ]
     return (
-        f'<svg class="board" role="img" aria-label="the board" '
+        f'<svg class="board" role="img" aria-label="{words}" '
         f'viewBox="-3 -3 {width + 6} {height + 6}">{"".join(drawn)}</svg>'
     )
 
 
-def _png(image: Image) -> str:
+def _png(image: Image, words: str) -> str:
     """Return an image as an element; its pixels are as they are drawn."""
     height, width, _ = image.shape
     file = BytesIO()
     Pillow.fromarray(image).save(file, 'PNG')
     return (
-        f'<img class="board" alt="the world" width="{width}" height="{height}" decoding="sync" '
+        f'<img class="board" alt="{words}" width="{width}" height="{height}" decoding="sync" '
         f'src="data:image/png;base64,{b64encode(file.getvalue()).decode()}"/>'
     )
 

@@ -132,5 +132,7 @@ def test_what_is_drawn_is_escaped() -> None:
         '<b class="g1">&lt;</b> a &lt;b&gt;',
         '&quot;x&quot; &amp; y',
     ]
-    assert board_html(Board(picture='<a>')) == '<pre class="board">&lt;a&gt;</pre>'
+    assert board_html(Board(picture='<a>')) == (
+        '<pre class="board" role="img" aria-label="the board">&lt;a&gt;</pre>'
+    )
     assert board_html(Board(notes=('row: 1',))) == ''

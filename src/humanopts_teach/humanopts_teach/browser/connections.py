@@ -34,7 +34,7 @@ _QUEUE = 1024  # length of the kernel's queue of pending connections
 _NAMED = re.compile(rb'[A-Z]+ /([^/? ]*)')  # a request, and the first segment of its path
 _ANSWER = (
     f'HTTP/1.1 {HTTPStatus.NOT_FOUND} {HTTPStatus.NOT_FOUND.phrase}\r\n'
-    f'content-type: text/plain; charset=utf-8\r\ncontent-length: {len(NO_TOKEN)}\r\n'
+    f'content-type: text/html; charset=utf-8\r\ncontent-length: {len(NO_TOKEN)}\r\n'
     f'connection: close\r\n\r\n{NO_TOKEN}'
 ).encode()
 

@@ -2,10 +2,11 @@
 Access control for the pages: a client without the token cannot reach NiceGUI.
 
 The token is the first segment of every path: pages, resources and sockets. Other clients receive
-a short text, and no state is kept for them.
+a short page, and no state is kept for them.
 """
 
 from collections.abc import Collection
+from html import escape
 import ipaddress
 from secrets import compare_digest
 import socket
@@ -13,12 +14,27 @@ from urllib.parse import urlsplit
 
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-NO_TOKEN = 'This address is not complete. Open the one that was printed where the game runs.\n'
 _NO_NAME = (
     'The server does not know this name of its machine. Open the address that was printed where '
-    'the game runs, or start it there with --allow-host and the name.\n'
+    'the game runs, or start it there with --allow-host and the name.'
 )
-_FOREIGN = 'A page of another site has asked for this one. Open its address in a window.\n'
+_FOREIGN = 'A page of another site has asked for this one. Open its address in a window.'
+
+
+def short_page(text: str, language: str = 'en') -> str:
+    """Return a page with only a text, which is escaped."""
+    style = 'font: 1.1rem/1.5 system-ui, sans-serif; max-width: 40rem; margin: 10vh auto'
+    text = escape(text)
+    return (
+        f'<!doctype html><html lang="{escape(language)}"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f'<meta name="color-scheme" content="light dark"><title>{text}</title></head>'
+        f'<body style="{style}; padding: 0 1rem"><main><h1 style="font: inherit">{text}</h1>'
+        '</main></body></html>'
+    )
+
+
+NO_TOKEN = short_page('This address is not complete. Open the whole address that you were given.')
 
 
 class Guard:
@@ -48,18 +64,18 @@ class Guard:
         await self._app(scope, receive, send)
 
     def _refusal(self, scope: Scope) -> str:
-        """Return why a request is rejected; empty: it is accepted."""
+        """Return a page that says why a request is rejected; empty: it is accepted."""
         given = [*scope['raw_path'].split(b'/', 2), b''][1]
         if not (scope['raw_path'].startswith(b'/') and compare_digest(given, self._token)):
             return NO_TOKEN
         hosts = [v.decode('latin-1').lower() for name, v in scope['headers'] if name == b'host']
         if len(hosts) != 1 or not self._knows(_host(f'//{hosts[0]}')):
-            return _NO_NAME
+            return short_page(_NO_NAME)
         for name, value in scope['headers']:
             origin = value.decode('latin-1').lower()
             same = origin.partition('://')[2] == hosts[0] or _host(origin) in self._given
             if name == b'origin' and not same:
-                return _FOREIGN
+                return short_page(_FOREIGN)
         return ''
 
     def _knows(self, host: str) -> bool:
@@ -79,11 +95,11 @@ def _host(url: str) -> str:
 
 
 async def _refuse(scope: Scope, send: Send, reason: str) -> None:
-    """Respond with a text and close the connection without reading further data."""
+    """Respond with a page and close the connection without reading further data."""
     kind = 'http' if scope['type'] == 'http' else 'websocket.http'  # a uvicorn extension
     body = reason.encode()
     headers = [
-        (b'content-type', b'text/plain; charset=utf-8'),
+        (b'content-type', b'text/html; charset=utf-8'),
         (b'content-length', str(len(body)).encode()),
         (b'connection', b'close'),
     ]

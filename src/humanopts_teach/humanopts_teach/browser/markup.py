@@ -11,6 +11,7 @@ import math
 from typing import Any
 
 from humanopts_teach.board_html import board_html, notes_html
+from humanopts_teach.browser.speech import board_words
 from humanopts_teach.dialogue.entry import MAX_CHARACTERS, PAGE
 from humanopts_teach.dialogue.keys import (
     BACKSPACE,
@@ -80,13 +81,14 @@ def parts(view: ScreenView) -> dict[str, str]:
     """
     made, blocks, board = _macros(), [*view.panel.beside, *view.panel.below], ''
     if view.board is not None:
-        board = made.board(board_html(view.board), notes_html(view.board))
+        drawn = board_html(view.board, board_words(view.board))
+        board = made.board(drawn, notes_html(view.board))
     found = (
         made.head(view),
         board,
-        made.panel([(type(block).__name__, block) for block in blocks]),
+        made.panel([(type(block).__name__, block) for block in blocks], ' · '.join(view.head)),
         made.said(view),
-        made.keys(*_keys(view.keys, blocks), view.plays),
+        made.keys(*_keys(view.keys, blocks), view.plays, [each.key for each in view.keys]),
     )
     return dict(zip(PARTS, map(str, found)))
 

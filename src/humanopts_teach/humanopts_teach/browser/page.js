@@ -22,13 +22,14 @@
     const button = event.target.closest?.('[data-keys]');
     if (button && (key === 'enter' || key === ' ')) return; // handled as a click
     if (!key) return;
-    event.preventDefault();
+    const known = JSON.parse(document.querySelector('[data-known]')?.dataset.known ?? '[]');
+    if (known.includes(key) || (key.length === 1 && key !== ' ')) event.preventDefault(); // others scroll
     send([key]);
   });
 
   // A mouse acts on press, a finger on release, since it may be scrolling. Neither focuses the
   // button, so that Enter keeps its meaning.
-  let pointed = 0;
+  let pointed = 0, focused = null; // time; keys of the button that has the focus, '' for the heading
   const press = (event) => {
     const button = event.target.closest?.('[data-keys]');
     if (button) send(JSON.parse(button.dataset.keys));
@@ -39,6 +40,7 @@
   });
   document.addEventListener('mousedown', (event) => {
     if (event.target.closest?.('[data-keys]')) event.preventDefault();
+    else focused = null;
   });
   document.addEventListener('click', (event) => {
     if (event.detail > 0 && Date.now() - pointed < 1000) return;
@@ -49,14 +51,23 @@
     send(['ctrl-u', ...input().value.replace(/\s+/g, ' '), 'enter']);
   });
 
-  // Report each frame as displayed, and focus a text field as soon as it appears.
+  // Report each frame as displayed. A frame replaces elements: the focus returns to the button with
+  // the same keys, or to the heading.
+  document.addEventListener('focusin', ({ target }) => {
+    focused = target.dataset?.keys ?? (target.matches('h1') ? '' : null);
+  });
   let displayed = 0;
   new MutationObserver(() => {
     if (frame() !== displayed) { displayed = frame(); requestAnimationFrame(() => send([])); }
+    const heading = document.querySelector('h1');
+    if (heading && document.title !== heading.textContent) document.title = heading.textContent;
     const field = input();
-    if (field && !field.dataset.met) {
+    if (field && !field.dataset.met) { // a text field has the focus as soon as it appears
       field.dataset.met = 'yes';
       if (matchMedia('(pointer: fine)').matches) { field.focus(); field.select(); }
+    } else if (focused !== null && heading && document.activeElement === document.body) {
+      heading.tabIndex = -1;
+      (document.querySelector(`[data-keys='${CSS.escape(focused)}']`) ?? heading).focus({ preventScroll: true });
     }
   }).observe(document.documentElement, { childList: true, subtree: true });
 })();

@@ -3,6 +3,7 @@
 import asyncio
 from collections.abc import Callable, Collection
 from contextlib import suppress
+from copy import copy
 from functools import partial
 from html import escape
 import socket
@@ -11,15 +12,17 @@ from typing import Any
 from fastapi import FastAPI
 from fastapi.responses import HTMLResponse
 from humanopts_teach.browser.connections import Server
-from humanopts_teach.browser.guard import Guard
+from humanopts_teach.browser.guard import Guard, short_page
 from humanopts_teach.browser.markup import head_html, PARTS, parts
 from humanopts_teach.browser.seats import message, Press, prompt, Seats, Window
 from humanopts_teach.browser.server_log import limited_log
+from humanopts_teach.browser.speech import changes
 from humanopts_teach.dialogue.app import App, MAX_TYPED
 from humanopts_teach.dialogue.entry import TextScreen
 from humanopts_teach.dialogue.menu import opening
 from humanopts_teach.dialogue.panel import ScreenView
 from humanopts_teach.lesson.store import CODE, CODE_RULE
+from nicegui import app as pages
 from nicegui import Client, core, ui
 
 _RECONNECTING = 10.0  # s, time to keep a disconnected page
@@ -33,8 +36,13 @@ class PageWindow(Window):
         """Create the elements of the current page."""
         self._press: Press = lambda keys, frame: None
         self._client = ui.context.client
+        self._client.page = copy(self._client.page)  # of this window alone
+        self._client.page.language = 'en-US'
         ui.add_head_html(head_html())
         self._parts = {name: ui.html('', sanitize=False).classes(name) for name in PARTS}
+        self._parts['said'].props('role=status')
+        self._heard = ui.html('', sanitize=False).classes('heard').props('role=status')
+        self._view: ScreenView | None = None  # that is shown
         self._frame = ui.html('0', sanitize=False).classes('frame')
         ui.on('press', self._on_press)
 
@@ -44,6 +52,10 @@ class PageWindow(Window):
             if self._parts[name].content != html:
                 self._parts[name].set_content(html)
         self._frame.set_content(str(frame))
+        if heard := changes(self._view, view):
+            again = '\N{NO-BREAK SPACE}' * (frame % 2)  # equal texts are announced, too
+            self._heard.set_content(escape(heard) + again)
+        self._view = view
 
     def listen(self, press: Press) -> None:
         self._press = press
@@ -82,8 +94,7 @@ def add_pages(seats: Seats, proposed: str) -> None:
     @ui.page('/{participant}')
     def lesson(participant: str, client: Client) -> HTMLResponse | None:
         if not CODE.fullmatch(participant):
-            text = f'{escape(participant)} is not a code: {CODE_RULE}.'
-            return HTMLResponse(f'<!doctype html><title>humanopts</title><p>{text}</p>', 404)
+            return HTMLResponse(short_page(f'{participant} is not a code: {CODE_RULE}.'), 404)
         window = PageWindow()
         if similar := seats.similar(participant):
             text = (
@@ -100,6 +111,11 @@ def add_pages(seats: Seats, proposed: str) -> None:
         client.on_connect(lambda: seats.enter(participant, window))
         client.on_disconnect(leave)
         return None
+
+
+@pages.exception_handler(404)
+def _not_found(*_: Any) -> HTMLResponse:
+    return HTMLResponse(short_page('There is no such page. Check the address.'), 404)
 
 
 def _ask_code(window: PageWindow, domain: str, proposed: str) -> None:

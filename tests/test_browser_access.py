@@ -1,0 +1,104 @@
+"""Pages in Chromium for people who do not see them, or use only the keyboard."""
+
+from collections.abc import Callable
+import os
+from pathlib import Path
+
+from graph_support.terminal import run_to_judge
+import pytest
+from selenium.webdriver.common.by import By
+from selenium.webdriver.common.keys import Keys
+from teach_support.chromium import DESKTOP, LOOKS, Person, PICKUP, served, severe, Window, windows
+
+pytestmark = [pytest.mark.chromium, pytest.mark.live, pytest.mark.timeout(300)]
+__all__ = ['windows']
+PICTURES = os.environ.get('PICTURES', '')  # a folder for a picture of each page in each look
+
+
+class Visit:
+    """Looks at pages: what axe finds, what a screen reader reads, and pictures."""
+
+    def __init__(self, window: Window) -> None:
+        self.window, self.findings, self.spoken = window, list[str](), list[str]()
+
+    def look(self, name: str) -> None:
+        """Look at the page that is shown."""
+        window = self.window
+        self.findings += [f'{name}: {each}' for each in window.findings()]
+        if PICTURES:
+            for size, dark in LOOKS:
+                window.look(size, dark)
+                mode = 'dark' if dark else 'light'
+                window.driver.save_screenshot(f'{PICTURES}/{name}-{size[0]}-{mode}.png')
+        window.look(DESKTOP, dark=False)
+        self.spoken += [f'--- {name}', *window.spoken()]
+        root = window.driver.find_element(By.TAG_NAME, 'html')
+        assert str(root.get_attribute('lang')).startswith('en')
+        assert window.driver.title not in ('', 'humanopts')
+
+
+def test_a_lesson_by_keyboard_and_no_finding_of_axe(
+    tmp_path: Path, windows: Callable[..., Window]
+) -> None:
+    with served(tmp_path, 'taxi', '--learn', 'goal', '--seats', 1) as pages:
+        window = windows(DESKTOP)
+        visit = Visit(window)
+        window.driver.get(pages.address)
+        window.see('Who teaches?')
+        visit.look('sign-in')
+        window.press('not a code', Keys.ENTER)
+        window.see('is not a code')
+        visit.look('sign-in-wrong')
+        window.driver.get(f'{pages.address}/no%20code')
+        visit.look('wrong-code')
+        window.driver.get(f'{pages.address}/anna/x')
+        visit.look('wrong-page')
+        person = Person(window, pages.address, 'anna', keys=True)
+        window.see('What next?')
+        visit.look('menu')
+        window.press('?')
+        window.see('Fetch the passenger')
+        visit.look('game')
+        window.press(Keys.ESCAPE)
+        window.see('What next?')
+        other = windows(DESKTOP)  # waits meanwhile
+        other.driver.get(f'{pages.address}/ben')
+        other.see('You are number 1 in line')
+        waiting = Visit(other)
+        waiting.look('waiting')
+        other.driver.get(f'{pages.address}/anna')
+        other.see('teaches in another window')
+        waiting.look('other-window')
+        window.press(Keys.ENTER)
+        window.see('What is the option called?')
+        visit.look('name')
+        window.press(PICKUP, Keys.ENTER)
+        window.see('question 1 of')
+        visit.look('question')
+        person.answer_questions()
+        visit.look('start')
+        window.press(Keys.ENTER)
+        start, found, asked = 1, '', set[str]()
+        while not run_to_judge(found):
+            if f'next: start {start} ' in found:
+                if not asked and person.option.can_start(person.state()):
+                    asked.add('step')
+                    visit.look('before-a-step')
+                    person.step()
+                    visit.look('after-a-step')
+                    window.press('u')
+                    window.see(f'next: start {start} ')
+                person.show(start)
+                start += 1
+            found = window.text()
+        visit.look('run-to-judge')
+        person.judge()
+        visit.look('finished')
+        window.press(Keys.ENTER)
+        window.see('What next?')
+        window.press('q')
+        window.see('Everything taught is saved.')
+        visit.look('farewell')
+        print('\n'.join(visit.spoken))
+        assert visit.findings + waiting.findings == []
+        assert severe(window) == []
