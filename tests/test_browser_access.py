@@ -94,11 +94,11 @@ def test_a_lesson_by_keyboard_and_no_finding_of_axe(
         visit.look('run-to-judge')
         person.judge()
         visit.look('finished')
-        window.press(Keys.ENTER)
+        window.press(Keys.ESCAPE)
         window.see('What next?')
         window.press('q')
         window.see('Everything taught is saved.')
         visit.look('farewell')
-        print('\n'.join(visit.spoken))
+        print('\n'.join((*visit.spoken, *waiting.spoken)))
         assert visit.findings + waiting.findings == []
         assert severe(window) == []

@@ -37,6 +37,7 @@ LINGER = 4  # s
 STALE = StaleElementReferenceException
 LOOKS = [(size, dark) for size in (DESKTOP, PHONE) for dark in (False, True)]
 AXE = files('axe_core_python').joinpath('axe.min.js').read_text('utf-8')
+_UNSPOKEN = ('InlineTextBox', 'RootWebArea', 'ListMarker')
 READ = """
 const heard = document.querySelector('.nicegui-content > .heard')?.innerText ?? '';
 const text = document.body.innerText;
@@ -61,12 +62,16 @@ def chromium() -> tuple[str, str]:
 class Window:
     """A window of the browser, and what a person does in it."""
 
-    def __init__(self, size: tuple[int, int], *, dark: bool = False) -> None:
+    def __init__(self, size: tuple[int, int], *, dark: bool = False, hosts: str = '') -> None:
+        """Open a window; ``hosts`` are rules for names, where certificates are not checked."""
         program, driver = chromium()
         options = webdriver.ChromeOptions()
         options.binary_location = program
         for argument in ('--headless=new', '--no-sandbox', '--disable-gpu', '--hide-scrollbars'):
             options.add_argument(argument)
+        if hosts:
+            options.add_argument(f'--host-resolver-rules={hosts}')
+            options.accept_insecure_certs = True
         options.set_capability('goog:loggingPrefs', {'performance': 'ALL', 'browser': 'ALL'})
         self.driver = webdriver.Chrome(options=options, service=Service(driver))
         self.look(size, dark)
@@ -101,13 +106,14 @@ class Window:
     def spoken(self) -> list[str]:
         """Return what a screen reader reads: role and name of each node of the page."""
         nodes = self.command('Accessibility.getFullAXTree')['nodes']
-        return [
-            f'{node["role"]["value"]}: {node["name"]["value"]}'
-            for node in nodes
-            if not node['ignored']
-            and node.get('name', {}).get('value')
-            and node['role']['value'] not in ('InlineTextBox', 'StaticText', 'RootWebArea')
-        ]
+        roles = {node['nodeId']: node.get('role', {}).get('value', '') for node in nodes}
+        found = []
+        for node in nodes:
+            role, name = roles[node['nodeId']], node.get('name', {}).get('value', '')
+            part = role == 'StaticText' and roles[node['parentId']] in ('button', 'heading', 'term')
+            if name.strip() and not (node['ignored'] or part or role in _UNSPOKEN):
+                found.append(name if role == 'StaticText' else f'{role}: {name}')
+        return found
 
     def command(self, name: str, **parameters: Any) -> Any:
         """Have Chromium do something."""

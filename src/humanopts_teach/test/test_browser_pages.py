@@ -101,17 +101,16 @@ def ask(address: str, path: str, host: str = 'localhost', more: str = '') -> str
     ],
 )
 @pytest.mark.parametrize('more', ['', UPGRADE], ids=['page', 'socket'])
-def test_a_stranger_gets_a_plain_404_and_no_client(address: str, path: str, more: str) -> None:
+def test_a_stranger_gets_a_short_page_and_no_client(address: str, path: str, more: str) -> None:
     from nicegui import Client
 
     before = set(Client.instances)
     head, _, body = ask(address, path, more=more).partition('\r\n\r\n')
     assert re.match(r'HTTP/1.1 404 ', head), head
-    assert 'text/plain' in head
+    assert 'text/html' in head
     assert 'cookie' not in head.lower()
-    assert body == (
-        'This address is not complete. Open the one that was printed where the game runs.\n'
-    )
+    assert '<h1' in body
+    assert 'This address is not complete.' in body
     assert set(Client.instances) <= before
 
 
@@ -291,7 +290,7 @@ def test_each_request_of_a_connection_names_the_token(address: str) -> None:
         answers = b''.join(iter(lambda: connection.recv(65536), b'')).decode()
     assert answers.count('HTTP/1.1 404 ') == 2
     assert 'is not a code' in answers
-    assert answers.endswith('Open the one that was printed where the game runs.\n')
+    assert 'This address is not complete.' in answers
 
 
 def test_a_page_has_its_farewell_before_the_server_is_gone(
