@@ -67,7 +67,7 @@ def test_a_lesson_by_keyboard_and_no_finding_of_axe(
         waiting = Visit(other)
         waiting.look('waiting')
         other.driver.get(f'{pages.address}/anna')
-        other.see('teaches in another window')
+        other.see('is in another window')
         waiting.look('other-window')
         window.press(Keys.ENTER)
         window.see('What is the option called?')

@@ -37,6 +37,7 @@ LINGER = 4  # s
 STALE = StaleElementReferenceException
 LOOKS = [(size, dark) for size in (DESKTOP, PHONE) for dark in (False, True)]
 AXE = files('axe_core_python').joinpath('axe.min.js').read_text('utf-8')
+_SPOKEN_WHOLE = ('button', 'heading', 'term')
 _UNSPOKEN = ('InlineTextBox', 'RootWebArea', 'ListMarker')
 READ = """
 const heard = document.querySelector('.nicegui-content > .heard')?.innerText ?? '';
@@ -110,7 +111,11 @@ class Window:
         found = []
         for node in nodes:
             role, name = roles[node['nodeId']], node.get('name', {}).get('value', '')
-            part = role == 'StaticText' and roles[node['parentId']] in ('button', 'heading', 'term')
+            part = role == 'StaticText' and roles[node['parentId']] in (
+                'button',
+                'heading',
+                'term',
+            )
             if name.strip() and not (node['ignored'] or part or role in _UNSPOKEN):
                 found.append(name if role == 'StaticText' else f'{role}: {name}')
         return found

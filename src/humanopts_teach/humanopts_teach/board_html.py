@@ -45,12 +45,12 @@ def board_html(board: Board, words: str = 'the board') -> str:
 
     :param words: read by screen readers.
     """
-    words = html.escape(words)
+    label = html.escape(words)
     if board.image is not None:
-        return _png(board.image, words)
+        return _png(board.image, label)
     if not board.rows:
-        drawn = html.escape(board.picture)
-        return f'<pre class="board" role="img" aria-label="{words}">{drawn}</pre>' if drawn else ''
+        text = html.escape(board.picture)
+        return f'<pre class="board" role="img" aria-label="{label}">{text}</pre>' if text else ''
     width, height, walls = board.cols * CELL, board.rows * CELL, style_classes(board.colour)
     lines = ''.join(
         f'M{left * CELL} {top * CELL}L{right * CELL} {bottom * CELL}'
@@ -67,18 +67,18 @@ def board_html(board: Board, words: str = 'the board') -> str:
         *(_mark(*each) for each in board.places()),
     ]
     return (
-        f'<svg class="board" role="img" aria-label="{words}" '
+        f'<svg class="board" role="img" aria-label="{label}" '
         f'viewBox="-3 -3 {width + 6} {height + 6}">{"".join(drawn)}</svg>'
     )
 
 
-def _png(image: Image, words: str) -> str:
+def _png(image: Image, label: str) -> str:
     """Return an image as an element; its pixels are as they are drawn."""
     height, width, _ = image.shape
     file = BytesIO()
     Pillow.fromarray(image).save(file, 'PNG')
     return (
-        f'<img class="board" alt="{words}" width="{width}" height="{height}" decoding="sync" '
+        f'<img class="board" alt="{label}" width="{width}" height="{height}" decoding="sync" '
         f'src="data:image/png;base64,{b64encode(file.getvalue()).decode()}"/>'
     )
 

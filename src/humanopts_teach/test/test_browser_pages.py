@@ -17,7 +17,7 @@ from urllib.request import urlopen
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.game import Transition
 from humanopts_teach.browser import connections
-from humanopts_teach.browser.pages import serve
+from humanopts_teach.browser.pages import Entrance, serve
 from humanopts_teach.browser.seats import Press, Seat, Seats
 from humanopts_teach.dialogue.app import App, MAX_KEYS
 from humanopts_teach.dialogue.entry import Item, ListScreen
@@ -28,6 +28,7 @@ from teach_support.flood import Flood, PROMPT
 from teach_support.page_client import PageClient
 
 TOKEN = 'a-token'
+ENTRANCE = Entrance('p1', '', 'PROLIFIC_PID', ('STUDY_ID',), lambda: 'a1b2c3')
 NASTY = '<img src=x onerror=alert(1)>'
 PATIENCE = 10.0  # s
 UPGRADE = (
@@ -74,7 +75,7 @@ def address(stop: threading.Event) -> Iterator[str]:
 
     async def serving() -> None:
         seats = Seats('taxi', game, linger=PATIENCE)
-        await serve(seats, listening, TOKEN, 'p1', stop.is_set, ['lab.example'])
+        await serve(seats, listening, TOKEN, ENTRANCE, stop.is_set, ['lab.example'])
 
     thread = threading.Thread(target=asyncio.run, args=(serving(),))
     thread.start()

@@ -4,6 +4,7 @@ import asyncio
 from collections import defaultdict
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
+from typing import Any
 
 from humanopts_teach.browser.seats import (
     GameError,
@@ -22,6 +23,8 @@ PATIENCE = 5.0  # s
 
 class Page:
     """A window that keeps what it shows."""
+
+    language = ''
 
     def __init__(self) -> None:
         self.shown: tuple[str, int] = ('', 0)
@@ -43,6 +46,13 @@ class Page:
     def reload(self) -> None:
         """Count."""
         self.reloaded += 1
+
+    def leave_to(self, url: str) -> None:
+        """Never asked."""
+
+    async def client(self) -> dict[str, Any]:
+        """Know nothing."""
+        return {}
 
     async def taken(self) -> None:
         """Wait until it is prompt."""
@@ -133,12 +143,12 @@ STORIES = {
         A enters anna
         A shows begun
         B enters anna
-        B shows anna teaches in another window just now.
+        B shows anna is in another window just now.
         B presses x
         A presses a
         A shows a on 1
         B presses enter
-        A shows The lesson goes on in another window.
+        A shows It goes on in another window.
         B shows a on 1
         A presses b
         B shows a on 1

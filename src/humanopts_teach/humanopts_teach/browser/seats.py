@@ -5,19 +5,21 @@ A seat outlives its window for a while, so a reloaded page continues the lesson.
 """
 
 import asyncio
-from collections.abc import Callable, Sequence
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from contextlib import AbstractAsyncContextManager, suppress
+from functools import partial
 from itertools import count
-from typing import Protocol
+from typing import Any, Protocol
 
 from humanopts_teach.dialogue.keys import ENTER, label
 from humanopts_teach.dialogue.panel import Key, Line, Panel, ScreenView
+from humanopts_teach.language import N_, speaking, translated
 from humanopts_teach.lesson.store import similar_code
 
-FAREWELL = 'Everything taught is saved.'
-_STARTING = 'Starting the game of {} ...'
-_IN_LINE = (
-    'All games are taken. You are number {} in line. Keep this page open: your game starts '
+FAREWELL = N_('Everything taught is saved.')
+_STARTING = N_('Starting the game of {code} ...')
+_IN_LINE = N_(
+    'All games are taken. You are number {place} in line. Keep this page open: your game starts '
     'by itself.'
 )
 _GAME_BYTES = 350_000_000  # assumed memory of a game, unless a larger game is measured
@@ -41,7 +43,9 @@ def has_room(available: int, total: int, taken: Sequence[int], games: int) -> bo
 
 
 class Window(Protocol):
-    """A page open in a browser."""
+    """A page open in a browser; ``language`` is that of its texts, as in ``speaking``."""
+
+    language: str
 
     def show(self, view: ScreenView, frame: int) -> None:
         """Show a frame."""
@@ -51,6 +55,12 @@ class Window(Protocol):
 
     def reload(self) -> None:
         """Reload the page."""
+
+    def leave_to(self, url: str) -> None:
+        """Open an address of another site."""
+
+    async def client(self) -> Mapping[str, Any]:
+        """Return the fields of the event ``client`` of a study; those not known are missing."""
 
     async def taken(self) -> None:
         """Wait until the page has received the last frame or seems to be disconnected."""
@@ -69,16 +79,18 @@ class Seat:
     The seat of one participant.
 
     :ivar number: number from 1, unique among current games; 0: waiting in line for a game.
+    :ivar language: of its texts, as in ``speaking``.
     :ivar window: window that shows the seat; None: no window is open.
     """
 
-    def __init__(self, participant: str, domain: str) -> None:
-        self.participant, self.number = participant, 0
+    def __init__(self, participant: str, domain: str, language: str) -> None:
+        self.participant, self.number, self.language = participant, 0, language
         self.window: Window | None = None
         self.over = asyncio.Event()
         self.farewell = FAREWELL
+        self.url: str | None = None  # to open afterwards; empty: none; None: that of the page
         self.head = ('humanopts', domain, participant)
-        self._shown = message(self.head, _STARTING.format(participant)), 0
+        self._shown = self.message(_STARTING.format(code=participant)), 0
         self._press: Press = lambda keys, frame: None
         self._leaving: asyncio.TimerHandle | None = None
 
@@ -87,6 +99,10 @@ class Seat:
         self._shown = view, frame
         if self.window is not None:
             self.window.show(view, frame)
+
+    def message(self, text: str, enter: str = '') -> ScreenView:
+        """Return a view with a message to the participant; see ``message``."""
+        return message(self.head, text, enter, self.language)
 
     def listen(self, press: Press) -> None:
         """Pass key presses to ``press`` from now on."""
@@ -97,8 +113,8 @@ class Seat:
         if self._leaving is not None:
             self._leaving.cancel()
         if self.window is not None and self.window is not window:
-            text = 'The lesson goes on in another window.'
-            prompt(self.window, message(self.head, text, 'teach here again'), self.window.reload)
+            moved = self.message(N_('It goes on in another window.'), N_('go on here'))
+            prompt(self.window, moved, self.window.reload)
         self.window = window
         window.listen(lambda keys, frame: self._press(keys, frame))
         window.show(*self._shown)
@@ -110,17 +126,23 @@ class Seat:
             loop = asyncio.get_running_loop()
             self._leaving = loop.call_later(seconds, self.over.set)
 
-    def end(self, farewell: str = FAREWELL) -> None:
-        """Release the seat immediately."""
-        self.farewell = farewell
+    def end(self, farewell: str = FAREWELL, url: str | None = None) -> None:
+        """
+        Release the seat immediately.
+
+        :param url: address that Enter opens then; empty: none; None: that of the page.
+        """
+        self.farewell, self.url = farewell, url
         self.over.set()
 
     async def closed(self) -> None:
-        """Show the farewell and wait until it is received; Enter then reloads the page."""
+        """Show the farewell and wait until it is received; Enter then opens the next page."""
         if self._leaving is not None:
             self._leaving.cancel()
         if (window := self.window) is not None:
-            prompt(window, message(self.head, self.farewell, 'go on'), window.reload)
+            url = self.url
+            view = self.message(self.farewell, '' if url == '' else N_('go on'))
+            prompt(window, view, partial(window.leave_to, url) if url else window.reload)
             await window.taken()
 
 
@@ -155,6 +177,7 @@ class Seats:
         linger: float,
         fits: Callable[[int], bool] = lambda games: True,
         known: Callable[[], Sequence[str]] = tuple,
+        arrive: Callable[[Seat], Awaitable[None]] | None = None,
     ) -> None:
         """
         Start without participants.
@@ -162,8 +185,9 @@ class Seats:
         :param fits: function that returns whether another game fits, given the number of games;
             called in a thread.
         :param known: function that returns the codes of earlier participants.
+        :param arrive: called before a participant waits for a game; it may end the seat.
         """
-        self.domain, self.linger, self._known = domain, linger, known
+        self.domain, self.linger, self._known, self._arrive = domain, linger, known, arrive
         self._open_game, self._fits = open_game, fits
         self._line: list[Seat] = []  # waiting for a game
         self._playing: set[Seat] = set()
@@ -205,7 +229,7 @@ class Seats:
 
     def _begin(self, participant: str, window: Window) -> Seat:
         before = self._tasks.get(participant)
-        seat = self._seats[participant] = Seat(participant, self.domain)
+        seat = self._seats[participant] = Seat(participant, self.domain, window.language)
         self._tasks[participant] = asyncio.create_task(self._play(seat, before))
         return seat
 
@@ -214,12 +238,15 @@ class Seats:
         if before is not None:
             await before  # the same participant's files are still in use
         try:
+            if self._arrive is not None:
+                await self._arrive(seat)
+                seat.listen(lambda keys, frame: None)
             if await self._gets_turn(seat):
                 async with self._open_game(seat) as press:
                     seat.listen(press)
                     await seat.over.wait()
                     seat.listen(lambda keys, frame: None)
-                    seat.show(message(seat.head, 'The game ends ...'), 0)
+                    seat.show(seat.message(N_('The game ends ...')), 0)
         except GameError as error:
             seat.end(f'{error} {FAREWELL}')
         finally:
@@ -248,11 +275,11 @@ class Seats:
                         seat.number = next(n for n in count(1) if n not in taken)
                         self._playing.add(seat)
                         if shown:
-                            seat.show(message(seat.head, _STARTING.format(seat.participant)), 0)
+                            seat.show(seat.message(_STARTING.format(code=seat.participant)), 0)
                         return True
-                text = _IN_LINE.format(len(ahead) + 1)
+                text = _IN_LINE.format(place=len(ahead) + 1)
                 if text != shown:
-                    seat.show(message(seat.head, text), 0)
+                    seat.show(seat.message(text), 0)
                     shown = text
                 with suppress(TimeoutError):
                     await asyncio.wait_for(seat.over.wait(), _LOOK)
@@ -271,18 +298,22 @@ class Seats:
                 waiting.remove(window)
                 seat.enter(window)
 
-        text = f'{seat.participant} teaches in another window just now. Nothing is lost there.'
-        prompt(window, message(('humanopts', self.domain), text, 'teach here instead'), take)
+        code = seat.participant
+        text = N_(f'{code} is in another window just now. Nothing is lost there.')
+        prompt(window, seat.message(text, N_('go on here')), take)
 
 
-def message(head: tuple[str, ...], text: str, enter: str = '') -> ScreenView:
+def message(head: tuple[str, ...], text: str, enter: str = '', language: str = '') -> ScreenView:
     """
-    Return a view with a message.
+    Return a view with a message, which is translated.
 
     :param enter: description of the Enter key; empty: no key.
+    :param language: as in ``speaking``.
     """
-    keys = [Key(ENTER, label(ENTER), enter)] if enter else []
-    return ScreenView(head, Panel((Line(text, strong=True),)), keys=keys)
+    with speaking(language):
+        keys = [Key(ENTER, label(ENTER), translated(enter))] if enter else []
+        line = Line(translated(text), strong=True)
+    return ScreenView(head, Panel((line,)), keys=keys, language=language)
 
 
 def prompt(window: Window, view: ScreenView, then: Callable[[], None]) -> None:

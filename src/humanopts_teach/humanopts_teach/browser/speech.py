@@ -4,21 +4,27 @@ import re
 
 from humanopts_env.board import Board, Cell
 from humanopts_teach.dialogue.panel import Features, Line, ScreenView
+from humanopts_teach.language import _, in_its_language, N_
 
 _MAX_PLACES = 6  # more are counted
 _NUMBER = re.compile(r'\d+')
-_SIDES = {'north': (-1, 0), 'east': (0, 1), 'south': (1, 0), 'west': (0, -1)}
+_SIDES = {N_('north'): (-1, 0), N_('east'): (0, 1), N_('south'): (1, 0), N_('west'): (0, -1)}
 
 
 def board_words(board: Board) -> str:
     """Return the board in words: its size, marks, what surrounds the first mark, and notes."""
-    size = f'{board.rows} rows and {board.cols} columns, counted from 0 at the top left'
+    size = _('{rows} rows and {columns} columns, counted from 0 at the top left')
     places = (f'{name}: {where}' for name, where in _places(board).items())
-    found = (size, *places, *_surroundings(board)) if board.rows else ()
-    return '. '.join(('The board', *found, *board.notes))
+    found = (
+        (size.format(rows=board.rows, columns=board.cols), *places, *_surroundings(board))
+        if board.rows
+        else ()
+    )
+    return '. '.join((_('The board'), *found, *board.notes))
 
 
-def changes(before: ScreenView | None, now: ScreenView) -> str:
+@in_its_language
+def changes(now: ScreenView, before: ScreenView | None) -> str:
     """
     Return what to announce about a frame; empty: nothing is new.
 
@@ -30,7 +36,7 @@ def changes(before: ScreenView | None, now: ScreenView) -> str:
     if before is not None and now.plays and before.plays:
         moved = _moved(before, now)
         stepped = _lines(now).values() != known.values()
-        new += moved or (['no change on the board'] if stepped and not new else [])
+        new += moved or ([_('no change on the board')] if stepped and not new else [])
     return '. '.join(text.rstrip('.') for text in new)
 
 
@@ -67,11 +73,15 @@ def _places(board: Board) -> dict[str, str]:
     found = {}
     for name, marks in by_name.items():
         several = len({kind for kind, _ in marks}) > 1
+        each = _('row {row}, column {column}')
         places = [
-            f'{f"{kind} " if several else ""}row {row}, column {col}' for kind, (row, col) in marks
+            (f'{kind} ' if several else '') + each.format(row=row, column=column)
+            for kind, (row, column) in marks
         ]
         found[name] = (
-            '; '.join(places) if len(places) <= _MAX_PLACES else f'in {len(places)} cells'
+            '; '.join(places)
+            if len(places) <= _MAX_PLACES
+            else _('in {count} cells').format(count=len(places))
         )
     return found
 
@@ -83,12 +93,14 @@ def _surroundings(board: Board) -> list[str]:
     (row, col), name = board.marks[0].cell, board.marks[0].name
     edges = board.edges()
     walls = [
-        side
+        _(side)
         for side, (down, right) in _SIDES.items()
         if (row + down, col + right) in board.blocks
         or any(_separates(edge, row, col, down, right) for edge in edges)
     ]
-    return [f'next to {name}: wall {" and ".join(walls)}' if walls else f'no wall next to {name}']
+    if not walls:
+        return [_('no wall next to {name}').format(name=name)]
+    return [_('walls next to {name}: {sides}').format(name=name, sides=', '.join(walls))]
 
 
 def _separates(edge: tuple[int, int, int, int], row: int, col: int, down: int, right: int) -> bool:

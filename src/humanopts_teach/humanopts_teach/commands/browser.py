@@ -1,11 +1,13 @@
 """``--browser``: a page for each participant, with a graph, or with the graphs of a study."""
 
 import asyncio
-from collections.abc import AsyncIterator, Callable, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
 from contextlib import AbstractAsyncContextManager, asynccontextmanager, suppress
 from dataclasses import replace
 from functools import partial
 import json
+from pathlib import Path
+import re
 import secrets
 import socket
 import sys
@@ -13,12 +15,12 @@ import traceback
 from typing import Any
 
 from humanopts_env.domains.names import is_robot
-from humanopts_teach.browser.pages import serve
+from humanopts_ros.limits import one_line
+from humanopts_teach.browser.pages import Entrance, serve
 from humanopts_teach.browser.seats import (
     ConditionSeat,
     GameError,
     has_room,
-    message,
     Press,
     Seat,
     Seats,
@@ -26,16 +28,24 @@ from humanopts_teach.browser.seats import (
 from humanopts_teach.command_line import PageOptions
 from humanopts_teach.commands import catch_interrupts, CommandError
 from humanopts_teach.commands.session import new_name, title
-from humanopts_teach.commands.study_session import Farewell, Study, Turn
+from humanopts_teach.commands.study_session import Study, Turn
+from humanopts_teach.dialogue.consent import ConsentApp
 from humanopts_teach.dialogue.panel import ScreenView
+from humanopts_teach.dialogue.view import view
+from humanopts_teach.language import N_
 from humanopts_teach.launching.place import only_launch
 from humanopts_teach.launching.processes import processes, Setup
 from humanopts_teach.launching.usage import memory_left, memory_of_children
 from humanopts_teach.ros.browser_teleop import BrowserTeleopNode, TeleopThread
-from humanopts_teach.study.record import StudyError
+from humanopts_teach.study.record import EndedError, StudyError
 
 _SERVER = 'browser'  # name reserved by the server; graphs have namespaces seat_1, seat_2, ...
 _TOKEN_BYTES = 12
+_TOKEN_FILE = 'token'  # in the folder of a study
+_CANNOT_GO_ON = N_(
+    'The study cannot go on just now. What you have done is saved; please tell the person who '
+    'invited you.'
+)
 _STOPPING_SECONDS = 40.0  # for the processes of a graph to end; each has less
 
 
@@ -69,38 +79,43 @@ def teach_in_browser(setup: Setup, pages: PageOptions, participant: str) -> int:
 
     with only_launch(setup.namespace, [_SERVER]):
         print(f'Each participant has a folder in {setup.directory}.')
-        return _serve_seats(title(setup.domain), open_game, pages, participant, known)
+        token = secrets.token_urlsafe(_TOKEN_BYTES)
+        entrance = Entrance(participant)
+        return _serve_seats(title(setup.domain), open_game, pages, entrance, token, known)
 
 
 def _serve_seats(
     name: str,
     open_game: OpenGame,
     pages: PageOptions,
-    participant: str,
+    entrance: Entrance,
+    token: str,
     known: Callable[[], Sequence[str]],
+    arrive: Callable[[Seat], Awaitable[None]] | None = None,
 ) -> int:
     """
     Serve pages, each with a seat, until Ctrl-C.
 
     :param name: of the game or the study.
     :param open_game: returns the game of a seat.
-    :param participant: code to propose; empty: none.
+    :param token: first segment of the path of every page.
     :param known: returns the codes of earlier participants.
+    :param arrive: called before a participant waits for a game; it may end the seat.
     :raises CommandError: the address cannot be used.
     """
-    listening, token = _listen(pages), secrets.token_urlsafe(_TOKEN_BYTES)
+    listening = _listen(pages)
     host, port = _name(pages.host), listening.getsockname()[1]
     thread = TeleopThread()
     try:
         with catch_interrupts() as interrupts:
             fits = partial(_fits, pages)
-            seats = Seats(name, partial(open_game, thread), pages.linger, fits, known)
+            seats = Seats(name, partial(open_game, thread), pages.linger, fits, known, arrive)
             print(f'Open http://{host}:{port}/{token} in a browser; Ctrl-C stops everything.')
+            for name in pages.allow_host:
+                print(f'Through a reverse proxy: https://{name}/{token}')
             sys.stdout.flush()
             hosts = (pages.host, *pages.allow_host)
-            serving = serve(
-                seats, listening, token, participant, lambda: interrupts.received, hosts
-            )
+            serving = serve(seats, listening, token, entrance, lambda: interrupts.received, hosts)
             asyncio.run(serving, debug=False)
             interrupts.received = False  # it is handled
     finally:
@@ -221,39 +236,116 @@ async def _graph(setup: Setup, seat: Seat | ConditionSeat) -> AsyncIterator[None
 def study_in_browser(study: Study, pages: PageOptions, participant: str) -> int:
     """Serve pages of a study; other parameters and errors as of ``_serve_seats``."""
     study.warn()
+    plan, recruiting = study.plan, study.plan.recruiting
+    entrance = Entrance(
+        participant,
+        plan.language,
+        recruiting.code or '',
+        recruiting.columns,
+        study.folder.new_code,
+    )
+    agreed: dict[Seat, float | None] = {}
+    turns, arrive = partial(_all_turns, study, agreed), partial(_arrive, study, agreed)
     with only_launch(study.namespace, [_SERVER]):
-        print(f'{study.plan.study}: everything is kept in {study.folder.path}.')
-        turns, known = partial(_all_turns, study), study.folder.codes
-        return _serve_seats(study.plan.study, turns, pages, participant, known)
+        print(f'{plan.study}: everything is kept in {study.folder.path}.')
+        token, known = _kept_token(study.folder.path), study.folder.codes
+        return _serve_seats(plan.study, turns, pages, entrance, token, known, arrive)
+
+
+def _kept_token(folder: Path) -> str:
+    """
+    Return the token of a study, which stays the same: its addresses are sent to people.
+
+    :raises CommandError: its file cannot be used.
+    """
+    path = folder / _TOKEN_FILE
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if not path.exists():
+            path.touch(0o600)
+            path.write_text(secrets.token_urlsafe(_TOKEN_BYTES), 'utf-8')
+        token = path.read_text('utf-8').strip()
+    except (OSError, UnicodeDecodeError) as error:
+        raise CommandError(f'{path} cannot be used: {error}') from error
+    if not re.fullmatch(r'[A-Za-z0-9_-]{16,}', token):
+        raise CommandError(f'{path} does not hold a token; delete it to get a new one')
+    return token
+
+
+async def _arrive(study: Study, agreed: dict[Seat, float | None], seat: Seat) -> None:
+    """
+    Ask for consent, before anything runs or is written; end the seat if it is not given.
+
+    :param agreed: takes the time in s after which the person has agreed; None: was not asked.
+    """
+    try:
+        app = study.consent_app(seat.participant)
+        if app is not None:
+            app.language = seat.language
+            await _converse(seat, app)
+            if app.agreed is None:
+                seat.end(N_('Nothing was saved.'))
+            elif not app.agreed:
+                seat.end(*study.declined())
+        agreed[seat] = app.seconds if app is not None else None
+    except Exception as error:
+        _end_by(error, study, seat)
+
+
+async def _converse(seat: Seat, app: ConsentApp) -> None:
+    """Show the consent, which needs no graph, until it is decided or the seat ends."""
+    clock, decided = asyncio.get_running_loop().time, asyncio.Event()
+
+    def press(keys: list[str], frame: int) -> None:
+        app.type(keys, frame)
+        app.advance(clock())
+        if app.ended or app.agreed is not None:
+            decided.set()
+        elif keys:
+            draw()
+
+    def draw() -> None:
+        seat.show(view(app), app.drawn())
+
+    app.advance(clock())
+    seat.listen(press)
+    draw()
+    waiting = [asyncio.create_task(each.wait()) for each in (decided, seat.over)]
+    await asyncio.wait(waiting, return_when=asyncio.FIRST_COMPLETED)
+    for each in waiting:
+        each.cancel()
 
 
 @asynccontextmanager
-async def _all_turns(study: Study, thread: TeleopThread, seat: Seat) -> AsyncIterator[Press]:
+async def _all_turns(
+    study: Study, agreed: dict[Seat, float | None], thread: TeleopThread, seat: Seat
+) -> AsyncIterator[Press]:
     """Run the games of all conditions, one after the other; the last one ends the seat."""
     press: Press = _nothing
 
     async def play() -> None:
         nonlocal press
+        client = await seat.window.client() if seat.window is not None else {}
+        consent = agreed.pop(seat)
         try:
-            with study.enter(seat.participant) as participant:
+            with study.enter(seat.participant, consent_seconds=consent, **client) as participant:
                 turn = study.next_turn(participant)
                 while isinstance(turn, Turn):
                     condition = ConditionSeat(seat)
-                    async with _game(turn.setup, thread, condition) as pressed:
+                    setup = replace(turn.setup, language=seat.language)
+                    async with _game(setup, thread, condition) as pressed:
                         press = pressed
                         await condition.over.wait()
                         press = _nothing
-                        seat.show(message(seat.head, 'The next part is being prepared ...'), 0)
+                        seat.show(seat.message(N_('The next part is being prepared ...')), 0)
                     if condition.farewell:
-                        turn = Farewell(condition.farewell)
-                    else:
-                        turn = study.next_turn(participant, turn)
-            seat.end(turn.text)
-        except (CommandError, GameError, StudyError, OSError) as error:
-            seat.end(str(error))
-        except Exception:  # the page must not wait for ever
-            traceback.print_exc()
-            seat.end('The study cannot go on: see the terminal where it runs.')
+                        seat.end(condition.farewell)
+                        return
+                    turn = study.next_turn(participant, turn)
+                done = participant.read()
+                seat.end(turn.text, turn.url if done.over or done.excluded else None)
+        except Exception as error:  # the page must not wait for ever
+            _end_by(error, study, seat)
 
     playing = asyncio.create_task(play())
     try:
@@ -262,6 +354,21 @@ async def _all_turns(study: Study, thread: TeleopThread, seat: Seat) -> AsyncIte
         playing.cancel()
         with suppress(asyncio.CancelledError):
             await playing
+
+
+def _end_by(error: Exception, study: Study, seat: Seat) -> None:
+    """End a seat by an error; what concerns only the researcher is printed."""
+    match error:
+        case EndedError():
+            seat.end(*study.farewell(error.record))
+        case StudyError():
+            seat.end(str(error), '')
+        case CommandError() | GameError() | OSError():
+            print(one_line(f'{seat.participant}: {error}'), file=sys.stderr, flush=True)
+            seat.end(_CANNOT_GO_ON)
+        case _:
+            traceback.print_exception(error)
+            seat.end(_CANNOT_GO_ON)
 
 
 def _nothing(keys: list[str], frame: int) -> None:
