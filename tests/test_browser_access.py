@@ -53,6 +53,7 @@ def test_a_lesson_by_keyboard_and_no_finding_of_axe(
         visit.look('wrong-code')
         window.driver.get(f'{pages.address}/anna/x')
         visit.look('wrong-page')
+        assert len(severe(window)) == 3  # both have status 404, and no icon
         person = Person(window, pages.address, 'anna', keys=True)
         window.see('What next?')
         visit.look('menu')
