@@ -33,10 +33,12 @@ from humanopts_teach.lesson.requests import (
     DefineOption,
     Drive,
     EndDemonstration,
+    LessonView,
     RunOption,
 )
 from humanopts_teach.lesson.seeded_starts import LessonRules, SeededStarts
 from humanopts_teach.lesson.simulated_teacher import (
+    Act,
     Finish,
     SimulatedTeacher,
     TeacherError,
@@ -59,6 +61,8 @@ SECONDS = {
 # Returns whether an option is taught well enough; called with all of its demonstrations after each
 # new one, from the first trajectory on.
 Enough = Callable[[Sequence[Demonstration], LearnedOption], bool]
+
+Watcher = Callable[[LessonView, Transition, Sequence[OptionSummary], Act], object]
 
 
 class LessonError(RuntimeError):
@@ -86,6 +90,7 @@ def teach(
     where_stuck: int = 0,
     references: Mapping[str, ReferenceOption] | None = None,
     thresholds: Thresholds | None = None,
+    watch: Watcher = lambda lesson, game, summaries, act: None,
 ) -> Taught:
     """
     Let a simulated teacher teach options, one after another.
@@ -96,6 +101,7 @@ def teach(
         made before each of them.
     :param references: what the teacher means by each option; None: the domain's.
     :param thresholds: of the criteria and the exam; None: the defaults.
+    :param watch: called before each act, with the state in which the teacher decides on it.
     :raises TeacherError: an option does not exist, or a setting is invalid.
     :raises LessonError: an action of the teacher was refused.
     """
@@ -161,6 +167,7 @@ def teach(
             except TeacherError as error:
                 cut_short = str(error)
                 break
+            watch(lesson.view, newest, list(summaries.values()), act)
             seconds += SECONDS.get(type(act), 0.0)
             acts[type(act)] += 1
             if isinstance(act, Finish):
