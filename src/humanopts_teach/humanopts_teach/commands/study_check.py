@@ -6,26 +6,24 @@ by key presses. A simulated teacher gives the lesson in this process.
 """
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 import re
 import tempfile
 import time
 
 from humanopts_env.domains.base import Domain
-from humanopts_env.domains.names import is_robot
 from humanopts_env.domains.registry import make_domain, reference_options
 from humanopts_env.game import Game, Source, Transition
 from humanopts_env.seeding import generator
 from humanopts_learner.summary import OptionSummary
-from humanopts_ros.limits import one_line
 from humanopts_teach.commands.session import taught_options
-from humanopts_teach.dialogue.app import App
+from humanopts_teach.dialogue.app import App, Screen
 from humanopts_teach.dialogue.consent import ConsentApp
 from humanopts_teach.dialogue.keys import ENTER, ESCAPE
 from humanopts_teach.dialogue.menu import to_lesson, to_menu
-OPTION_KEYS = '123456789'  # TEMP
+from humanopts_teach.dialogue.panel import OPTION_KEYS
 from humanopts_teach.dialogue.study import StudyApp
 from humanopts_teach.lesson.in_process import SECONDS, Taught, teach
 from humanopts_teach.lesson.question_groups import GroupAnswer
@@ -113,13 +111,14 @@ class PlanCheck:
                 now += _STEP
             if app.ended:
                 return
-            if app.screen is not seen:
+            if app.screen is not seen and type(app.screen) is not Screen:
                 seen = app.screen
                 yield self._screen(app, part)
             app.drawn()
             app.type([])
-            app.advance(now)
-            now += max(app.screen.earliest, _STEP)
+            for _ in range(2):  # the screen is displayed long enough
+                app.advance(now)
+                now += max(app.screen.earliest, _STEP)
             app.type([next(keys, ESCAPE)])
         self.notes.append(f'{part.key} does not end by itself')
 
@@ -165,7 +164,7 @@ class PlanCheck:
                     app.groups.answer(group, GroupAnswer.EACH if some else GroupAnswer.NONE)
                 if app.groups.reply(domain, lesson) is None:
                     show(lesson.question_feature)
-            elif lesson.phase is not Phase.LEARNING:
+            elif lesson.phase not in (Phase.LEARNING, Phase.NO_SESSION):
                 show(lesson.phase, lesson.exam, game.episode != lesson.episode)
 
         budget = min(condition.budget, _STARTS)
@@ -176,13 +175,15 @@ class PlanCheck:
             method=condition.learn,
             derive=condition.derive,
         )
-        teacher = TeacherSettings(names, _CODE, error_rate=_ERROR_RATE, seed=self.plan.seed)
+        teacher = TeacherSettings(names, _CODE, '1', _ERROR_RATE, seed=self.plan.seed)
         try:
             taught = teach(domain, teacher, rules, watch=watch)
         except TeacherError as error:
             self.notes.append(f'{part.key} was not tried: {error}')
             self.seconds[part.key] = 60 * part.minutes
             return
+        if budget < condition.budget:
+            yield f'(with {budget} of the {condition.budget} start states)\n'
         yield from lines
         starts = taught.acts[BeginDemonstration] or 1
         asking = sum(SECONDS[kind] * taught.acts[kind] for kind in (DefineOption, AnswerQuestion))
