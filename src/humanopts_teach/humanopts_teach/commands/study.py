@@ -170,6 +170,28 @@ def withdraw(
 
 
 @app.command()
+def check(
+    plan: PlanArgument,
+    language: Annotated[str, option('LANGUAGE', 'of the screens; default: that of the plan')] = '',
+) -> int:
+    """Show in order what participants see, with estimated times; a simulated one answers."""
+    from tempfile import TemporaryDirectory
+
+    from humanopts_teach.commands.study_check import PlanCheck
+    from humanopts_teach.language import LanguageError, speaking
+
+    study, _ = _open(plan, None)
+    with (
+        TemporaryDirectory(prefix='humanopts-') as place,
+        refusing(LanguageError),
+        speaking(language or study.language),
+    ):
+        for text in PlanCheck(study, Path(place)).run():
+            print(printable(text), flush=True)
+    return 0
+
+
+@app.command()
 def export(
     plan: PlanArgument,
     out: Annotated[

@@ -10,7 +10,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 import re
-import tempfile
 import time
 
 from humanopts_env.domains.base import Domain
@@ -25,7 +24,7 @@ from humanopts_teach.dialogue.keys import ENTER, ESCAPE
 from humanopts_teach.dialogue.menu import to_lesson, to_menu
 from humanopts_teach.dialogue.panel import OPTION_KEYS
 from humanopts_teach.dialogue.study import StudyApp
-from humanopts_teach.lesson.in_process import SECONDS, Taught, teach
+from humanopts_teach.lesson.in_process import SECONDS, teach
 from humanopts_teach.lesson.question_groups import GroupAnswer
 from humanopts_teach.lesson.requests import (
     Answer,
@@ -47,7 +46,7 @@ from humanopts_teach.terminal.drawing import frame
 
 WIDTH, HEIGHT = 80, 24  # of the terminal whose screens are printed
 _TALL = 200  # rows, where every screen fits
-_STARTS = 30  # start states per option, at most
+_STARTS = 20  # start states per option, at most
 _ERROR_RATE = 0.02  # share of the simulated teacher's steps that are wrong
 _CODE = 'p01'
 _READING = 200 / 60  # words per second; adults read about 240 a minute (Brysbaert 2019)
