@@ -180,7 +180,7 @@ def check(
     from humanopts_teach.commands.study_check import PlanCheck
     from humanopts_teach.language import LanguageError, speaking
 
-    study, _ = _open(plan, None)
+    study, _ = _open(plan, None, False)
     with (
         TemporaryDirectory(prefix='humanopts-') as place,
         refusing(LanguageError),

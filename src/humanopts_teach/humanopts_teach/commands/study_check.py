@@ -41,7 +41,6 @@ from humanopts_teach.lesson.simulated_teacher import Act, TeacherError, TeacherS
 from humanopts_teach.study.plan import Condition, Part, PartKind, StudyPlan
 from humanopts_teach.study.questions import QuestionKind
 from humanopts_teach.study.record import OpenRecord
-from humanopts_teach.study.simulated import simulated_answer
 from humanopts_teach.terminal.drawing import frame
 
 WIDTH, HEIGHT = 80, 24  # of the terminal whose screens are printed
@@ -240,7 +239,7 @@ def _keys(part: Part, seed: int) -> Iterator[str]:
             yield from (*f'button {number + 1}', ENTER)
     elif part.questions is not None:
         for question in part.questions.items:
-            value = simulated_answer(question, part.questions.points, rng)
+            value = question.draw(rng, part.questions.points)
             if question.kind in (QuestionKind.CHOICE, QuestionKind.CHOICES):
                 for number in value if isinstance(value, tuple) else (value,):
                     yield OPTION_KEYS[number - 1]
