@@ -35,10 +35,10 @@ SHELL := /bin/bash
 
 # Drop the variables of another ROS that the shell has sourced, and the user's settings of colcon.
 unexport PYTHONDONTWRITEBYTECODE COLCON_DEFAULTS_FILE
-unexport $(shell sed -n 's/^unset //p' tools/environment.sh)
+unexport $(shell cat src/humanopts_ros/humanopts_ros/foreign_variables.txt)
 export COLCON_HOME := $(CURDIR)/build/colcon
 
-.PHONY: help setup checked robots demo test test-quick test-floor test-kilted test-whole test-slow test-browser test-hosts test-stress soak faults lint docs format lock clean
+.PHONY: help setup checked wheels release-check robots demo test test-quick test-floor test-kilted test-whole test-slow test-browser test-hosts test-stress soak faults lint docs format lock clean
 
 help:
 	@echo 'make demo    let a simulated teacher teach two options for Taxi; plan, play, report (OUT=, SEED=)'
@@ -56,6 +56,7 @@ help:
 	@echo 'make lint    run ruff and mypy --strict; check rosdep keys and pages of the packages'
 	@echo 'make docs    build the documentation as a site, build/site/index.html'
 	@echo 'make robots  build the simulated robots of the examples: a rover and a gripper'
+	@echo 'make wheels  build wheels and sdists into dist/; make release-check installs and tries them'
 	@echo 'make setup   do only the set-up, which the other targets do when needed'
 	@echo 'make format  reformat the Python code'
 	@echo 'make lock    resolve requirements*.in into requirements*.lock'
@@ -120,6 +121,12 @@ $(VENV)/.compiled: $(VENV)/.locked tools/compile_imports.py | build/.packages
 checked:
 	@$(TWO_STEPS) $(VENV)/.test-locked build/.stubs
 	@$(TWO_STEPS) build/.packages build/robots/.built
+
+wheels: setup
+	@$(VENV)/bin/python tools/build_wheels.py dist
+
+release-check: wheels
+	@$(VENV)/bin/python tools/release_check.py dist
 
 robots: setup
 	@$(TWO_STEPS) build/robots/.built

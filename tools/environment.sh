@@ -1,8 +1,6 @@
 # Source this file with $root set: it sets the variables of install/setup.bash in a millisecond, and
-# unsets those of another ROS or Python. make unsets the same variables.
-unset PYTHONHOME PYTHONPATH PYTHONPLATLIBDIR VIRTUAL_ENV LD_LIBRARY_PATH
-unset AMENT_PREFIX_PATH AMENT_CURRENT_PREFIX CMAKE_PREFIX_PATH COLCON_PREFIX_PATH
-unset ROS_DISTRO ROS_VERSION ROS_PYTHON_VERSION ROS_PACKAGE_PATH _ROS_WHEELS_BOOTSTRAP_COMPLETE
+# unsets those of another ROS or Python.
+unset $(< "$root/src/humanopts_ros/humanopts_ros/foreign_variables.txt")
 # Beside our packages: those of make robots, and those that colcon built into HUMANOPTS_OVERLAY.
 for prefix in "$root"/install/humanopts_* "$root"/build/robots/*/ \
   ${HUMANOPTS_OVERLAY:+"$HUMANOPTS_OVERLAY"/*/}; do

@@ -1,11 +1,28 @@
+import sys
+from xml.etree import ElementTree
+
 from setuptools import find_packages, setup
 
 NAME = 'humanopts_env'
+# Executables of ros2 run, which is not there where wheels are installed.
+NODES = [
+    'game = humanopts_env.ros.game_node:main',
+    'world = humanopts_env.ros.world_node:main',
+]
+SCRIPTS = [] if 'bdist_wheel' in sys.argv else NODES
 
 setup(
     name=NAME,
-    version='0.1.0',
-    install_requires=['lazy-loader>=0.3', 'numpy>=1.26.4', 'scipy>=1.11.4', 'typing-extensions'],
+    version=ElementTree.parse('package.xml').findtext('version'),
+    install_requires=[
+        'humanopts-ros',
+        'lazy-loader>=0.3',
+        'numpy>=1.26.4',
+        'pydantic>=2.7',
+        'scipy>=1.11.4',
+        'typing-extensions',
+    ],
+    python_requires='>=3.11',
     packages=find_packages(exclude=['test']),
     package_data={NAME: ['py.typed', '__init__.pyi', 'mazes/*.lay']},
     data_files=[
@@ -13,10 +30,7 @@ setup(
         (f'share/{NAME}', ['package.xml']),
     ],
     entry_points={
-        'console_scripts': [
-            'game = humanopts_env.ros.game_node:main',
-            'world = humanopts_env.ros.world_node:main',
-        ],
+        'console_scripts': SCRIPTS,
         'humanopts.domains': [
             'pacman = humanopts_env.domains.pacman.domain:PacMan',
             'rooms = humanopts_env.domains.rooms:Rooms',

@@ -13,6 +13,7 @@ import os
 import sys
 from typing import Annotated, Any, Literal, TYPE_CHECKING
 
+from humanopts_ros.environment import use_own_ros
 from humanopts_ros.limits import accept_any_text, one_line, printable
 from humanopts_teach.command_line import (
     CommandGroup,
@@ -43,6 +44,15 @@ if TYPE_CHECKING:
 NAME = 'humanopts'
 COMPLETE = '_HUMANOPTS_COMPLETE'  # set by the shell to get completions
 _UNWRITABLE = errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO  # errors of standard output
+# Module that some commands need: extra of the package humanopts that installs it.
+_EXTRAS = {
+    'humanopts_interfaces': 'ros',
+    'nicegui': 'browser',
+    'fastapi': 'browser',
+    'pyreadstat': 'study',
+    'statsmodels': 'study',
+    'gymnasium': 'worlds',
+}
 OUTSIDE = {  # commands available only in the repository: module of the Typer app, and help
     'bench': ('benchmarks.command', 'benchmarks, each next to a yardstick'),
     'reproduce': ('experiments.command', "recompute the paper's figures and tables"),
@@ -294,6 +304,7 @@ def status(
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command and return its exit status: 0, 1 for a failure, 2 for invalid input."""
+    use_own_ros()
     open_streams()
     accept_any_text()
     words = list(sys.argv[1:] if argv is None else argv)
@@ -317,6 +328,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # the reader has exited, as in "humanopts bag info BAG | head"
         silence(sys.stdout)
         return 1
+    except ModuleNotFoundError as error:
+        extra = _EXTRAS.get(str(error.name).partition('.')[0])
+        if extra is None:
+            raise
+        text = f"{error.name} is not installed; install it with: pip install 'humanopts[{extra}]'"
+        return _complain(_named(context), text, 2)
     except Exception as error:
         if type(error).__module__.startswith('humanopts_'):  # its message explains the problem
             failed = isinstance(error, LaunchError) and not isinstance(error, OccupiedError)
