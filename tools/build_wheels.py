@@ -9,11 +9,13 @@ Usage: build_wheels.py FOLDER
 """
 
 from importlib.metadata import requires, version
+from io import BytesIO
 import json
 from pathlib import Path
 import shutil
 import subprocess
 import sys
+import tarfile
 from xml.etree import ElementTree
 
 from packaging.requirements import Requirement
@@ -84,7 +86,7 @@ def pinned(names: tuple[str, ...]) -> list[str]:
 
 
 def build(folder: Path, into: Path, *kinds: str) -> None:
-    """Build the wheel, and the sdist if it is asked for, of a folder with setup.py or pyproject.toml."""
+    """Build the wheel of a folder, and other kinds if they are asked for."""
     command = [Path(sys.executable).with_name('uv'), 'build', '--quiet', '--no-build-isolation']
     subprocess.run(
         [*command, '--python', sys.executable, '--out-dir', into, *kinds, folder], check=True
@@ -116,6 +118,32 @@ def interfaces(into: Path) -> None:
     }
     (work / 'setup.py').write_text(_SETUP.replace('{settings}', repr(settings)), 'utf-8')
     build(work, into, '--wheel')
+
+
+def refusal(into: Path) -> None:
+    """
+    Build the sdist that pip takes where the compiled interfaces do not fit: it says what to do.
+
+    Compiling them needs ROS, which pip could not provide.
+    """
+    number, python = version_of(INTERFACES), f'{sys.version_info.major}.{sys.version_info.minor}'
+    folder = f'{INTERFACES}-{number}'
+    text = (
+        f'humanopts-interfaces {number} is compiled for Python {python} on Linux, x86-64. '
+        'Use that Python, or build the wheels with yours in a clone: make wheels PYTHON=python3.X'
+    )
+    parts = {
+        'PKG-INFO': f'Metadata-Version: 2.1\nName: {INTERFACES}\nVersion: {number}\n'
+        'Summary: Compiled ROS 2 interfaces of humanopts\n\nSee humanopts.\n',
+        'pyproject.toml': '[build-system]\nrequires = []\n'
+        'build-backend = "refusal"\nbackend-path = ["."]\n',
+        'refusal.py': f'raise SystemExit({text!r})\n',
+    }
+    with tarfile.open(into / f'{folder}.tar.gz', 'w:gz') as archive:
+        for name, content in parts.items():
+            member = tarfile.TarInfo(f'{folder}/{name}')
+            member.size = len(content.encode())
+            archive.addfile(member, BytesIO(content.encode()))
 
 
 def everything(into: Path) -> None:
@@ -155,6 +183,7 @@ def main() -> None:
         )
         build(work, into, '--wheel', '--sdist')
     interfaces(into)
+    refusal(into)
     everything(into)
     for path in sorted(into.glob('humanopts*')):
         print(f'{path.relative_to(Path.cwd())}  {path.stat().st_size / 1e6:.1f} MB')

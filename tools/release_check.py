@@ -2,8 +2,8 @@
 Check the wheels and sdists in a folder, such as dist/, as their users meet them.
 
 Their metadata, their files, and for each way of use an installation with pip into a new
-environment, on a PATH without compiler, make and git. Prints a line per check with its time and the
-size of the environment; exits with status 1 after the first failure.
+environment, on a PATH without compiler, make and git. Prints a line per check with its time and
+the size of the environment; exits with status 1 after the first failure.
 
 Usage: release_check.py FOLDER
 """
