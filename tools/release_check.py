@@ -24,7 +24,9 @@ PURE = ('humanopts_ros', 'humanopts_env', 'humanopts_learner', 'humanopts_teach'
 # The packages that a user's environment has already, older than the newest.
 OLDER = {'numpy': '1.26.4', 'scipy': '1.11.4', 'scikit-learn': '1.4.2', 'pandas': '2.1.4'}
 PYTHONS = ('3.11', '3.12', '3.13')
+OF_INDEX = 'PIP_', 'UV_', 'SSL_', 'REQUESTS_'  # settings of the package index
 MEGABYTE = 2**20
+MAX_LEARNER = 350  # MB
 LEARNS = """
 from humanopts_env import make_domain
 from humanopts_learner import demonstrations_from_table, learn_option, plan
@@ -56,8 +58,8 @@ def run(*command: object, **variables: str) -> str:
 
     :raises CheckError: it failed.
     """
-    known = ('HOME', 'XDG_CACHE_HOME', 'PIP_CONFIG_FILE', 'PIP_INDEX_URL', 'ROS_DOMAIN_ID', 'TERM')
-    given = {name: os.environ[name] for name in known if name in os.environ}
+    known = 'HOME', 'TERM', 'ROS_DOMAIN_ID', 'XDG_CACHE_HOME'
+    given = {n: v for n, v in os.environ.items() if n in known or n.startswith(OF_INDEX)}
     done = subprocess.run(
         [*map(str, command)],
         env={**given, **variables},
@@ -105,9 +107,24 @@ class Environment:
         self.folder, self._dist = folder, dist
         run(sys.executable, '-m', 'venv', folder)
 
-    def run(self, program: str, *arguments: object) -> str:
+    def run(self, program: str, *arguments: object, **variables: str) -> str:
         """Run a program of the environment."""
-        return run(self.folder / 'bin' / program, *arguments, PATH=str(self.folder / 'bin'))
+        given = {'PATH': str(self.folder / 'bin'), **variables}
+        return run(self.folder / 'bin' / program, *arguments, **given)
+
+    def refuses(self, text: str, program: str, *arguments: object) -> None:
+        """
+        Run a program that has to fail with a text.
+
+        :raises CheckError: it does not.
+        """
+        try:
+            said = self.run(program, *arguments)
+        except CheckError as error:
+            said = ' '.join(str(error).split())
+            if text in said:
+                return
+        raise CheckError(f'{program} does not say: {text}\n{said}')
 
     def install(self, *packages: str) -> None:
         """Install packages with pip, ours from the folder of wheels."""
@@ -115,11 +132,16 @@ class Environment:
 
     @property
     def size(self) -> str:
-        """The disk space of all files."""
+        """The disk space of all files, in words."""
+        return f'{self.megabytes:.0f} MB'
+
+    @property
+    def megabytes(self) -> float:
+        """The disk space of all files, in units of 2**20 bytes."""
         paths = [
             path for path in self.folder.rglob('*') if path.is_file() and not path.is_symlink()
         ]
-        return f'{sum(path.stat().st_blocks * 512 for path in paths) / MEGABYTE:.0f} MB'
+        return sum(path.stat().st_blocks * 512 for path in paths) / MEGABYTE
 
     def versions(self) -> dict[str, str]:
         """Return the installed versions by name."""
@@ -134,6 +156,8 @@ def check_learner(dist: Path, work: Path) -> None:
         alone = Environment(work / 'learner', dist)
         alone.install('humanopts-learner')
         remarks.append(alone.size)
+        if alone.megabytes > MAX_LEARNER:
+            raise CheckError(f'it is larger than {MAX_LEARNER} MB')
         for name in alone.versions():
             if name.startswith('ros-') or name in ('pandas', 'nicegui'):
                 raise CheckError(f'humanopts-learner installs {name}')
@@ -164,6 +188,17 @@ def check_learner(dist: Path, work: Path) -> None:
             )
 
 
+def check_refusals(dist: Path, work: Path) -> None:
+    """Check what a user reads who lacks an extra, or has another Python."""
+    with check('humanopts without extras'):
+        bare = Environment(work / 'bare', dist)
+        bare.install('humanopts')
+        bare.refuses("install it with: pip install 'humanopts[ros]'", 'humanopts', 'demo', 'taxi')
+    with check('interfaces for another Python'):
+        install = 'install', '--no-binary', 'humanopts-interfaces', '--find-links', dist
+        bare.refuses('is compiled for Python', 'pip', *install, 'humanopts-interfaces')
+
+
 def check_all(dist: Path, work: Path) -> None:
     """Teach, record, plan and report where everything is installed."""
     with check('humanopts[all], from pip to the first report') as remarks:
@@ -182,8 +217,15 @@ def check_all(dist: Path, work: Path) -> None:
             raise CheckError('the report is empty')
         for words in ('bag check', 'bag eval'):
             whole.run('humanopts', *words.split(), report / 'bag')
-        for words in ('teach', 'study', 'status', 'up'):
+        for words in ('teach', 'study', 'up'):
             whole.run('humanopts', words, '--help')
+    with check('its commands where another ROS is sourced'):
+        other = work / 'opt/ros/humble'
+        (other / 'rclpy').mkdir(parents=True)
+        (other / 'rclpy/__init__.py').write_text('raise ImportError("of another Python")\n')
+        names = 'AMENT_PREFIX_PATH', 'PYTHONPATH', 'LD_LIBRARY_PATH'
+        sourced = {'ROS_DISTRO': 'humble', **dict.fromkeys(names, str(other))}
+        whole.run('humanopts', 'demo', 'taxi', '--episodes', 1, '--out', work / 'other', **sourced)
 
 
 def main() -> int:
@@ -192,20 +234,13 @@ def main() -> int:
     work = Path(tempfile.mkdtemp(prefix='release-check-'))
     try:
         with check('metadata'):
-            uv = Path(sys.executable).with_name('uv')
-            run(
-                uv,
-                'tool',
-                'run',
-                'twine',
-                'check',
-                '--strict',
-                *dist.iterdir(),
-                PATH=os.environ['PATH'],
-            )
+            tools = Environment(work / 'tools', dist)
+            tools.install('twine')
+            tools.run('twine', 'check', '--strict', *dist.glob('humanopts*'))
         with check('files'):
             check_files(dist)
         check_learner(dist, work)
+        check_refusals(dist, work)
         check_all(dist, work)
     except CheckError as error:
         print(f'failed: {error}', file=sys.stderr)
