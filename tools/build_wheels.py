@@ -110,6 +110,9 @@ def interfaces(into: Path) -> None:
         'name': INTERFACES,
         'version': version_of(INTERFACES),
         'description': 'Compiled ROS 2 interfaces of humanopts',
+        'long_description': 'The messages, services and actions of humanopts, compiled.',
+        'long_description_content_type': 'text/plain',
+        'license': 'Apache-2.0',
         'packages': [INTERFACES, *(f'{INTERFACES}.{kind}' for kind in ('msg', 'srv', 'action'))],
         'package_data': {'': ['*.so']},
         'data_files': [*data.items()],
@@ -134,7 +137,8 @@ def refusal(into: Path) -> None:
     )
     parts = {
         'PKG-INFO': f'Metadata-Version: 2.1\nName: {INTERFACES}\nVersion: {number}\n'
-        'Summary: Compiled ROS 2 interfaces of humanopts\n\nSee humanopts.\n',
+        'Summary: Compiled ROS 2 interfaces of humanopts\n'
+        'Description-Content-Type: text/plain\n\nSee humanopts.\n',
         'pyproject.toml': '[build-system]\nrequires = []\n'
         'build-backend = "refusal"\nbackend-path = ["."]\n',
         'refusal.py': f'raise SystemExit({text!r})\n',

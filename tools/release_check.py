@@ -35,7 +35,8 @@ rooms = make_domain('rooms')
 shown = demonstrations_from_table(sys.argv[1], rooms, features=['row', 'col'])
 north = [demo for demo in shown if demo.option_name == 'go to the north doorway']
 option = learn_option(north, rooms, seed=1)
-print(plan(rooms, [option], gamma=0.9).option_in(rooms.start_states[0]))
+state = rooms.state_at(int(rooms.start_states()[0]))
+assert plan(rooms, [option], gamma=0.9).choose(state).name
 assert 'rclpy' not in sys.modules
 """
 

@@ -1,9 +1,11 @@
+from pathlib import Path
 import sys
 from xml.etree import ElementTree
 
 from setuptools import find_packages, setup
 
 NAME = 'humanopts_env'
+MANIFEST = ElementTree.parse('package.xml')
 # Executables of ros2 run, which is not there where wheels are installed.
 NODES = [
     'game = humanopts_env.ros.game_node:main',
@@ -13,7 +15,11 @@ SCRIPTS = [] if 'bdist_wheel' in sys.argv else NODES
 
 setup(
     name=NAME,
-    version=ElementTree.parse('package.xml').findtext('version'),
+    version=MANIFEST.findtext('version'),
+    description=MANIFEST.findtext('description'),
+    long_description=Path('README.md').read_text('utf-8'),
+    long_description_content_type='text/markdown',
+    license=MANIFEST.findtext('license'),
     install_requires=[
         'humanopts-ros',
         'lazy-loader>=0.3',

@@ -1,9 +1,11 @@
+from pathlib import Path
 import sys
 from xml.etree import ElementTree
 
 from setuptools import find_packages, setup
 
 NAME = 'humanopts_learner'
+MANIFEST = ElementTree.parse('package.xml')
 # Executables of ros2 run, which is not there where wheels are installed.
 NODES = [
     'learner = humanopts_learner.ros.learner_node:main',
@@ -14,7 +16,11 @@ SCRIPTS = [] if 'bdist_wheel' in sys.argv else NODES
 
 setup(
     name=NAME,
-    version=ElementTree.parse('package.xml').findtext('version'),
+    version=MANIFEST.findtext('version'),
+    description=MANIFEST.findtext('description'),
+    long_description=Path('README.md').read_text('utf-8'),
+    long_description_content_type='text/markdown',
+    license=MANIFEST.findtext('license'),
     install_requires=[
         'humanopts-env',
         'humanopts-ros',

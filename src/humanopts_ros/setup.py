@@ -1,12 +1,18 @@
+from pathlib import Path
 from xml.etree import ElementTree
 
 from setuptools import find_packages, setup
 
 NAME = 'humanopts_ros'
+MANIFEST = ElementTree.parse('package.xml')
 
 setup(
     name=NAME,
-    version=ElementTree.parse('package.xml').findtext('version'),
+    version=MANIFEST.findtext('version'),
+    description=MANIFEST.findtext('description'),
+    long_description=Path('README.md').read_text('utf-8'),
+    long_description_content_type='text/markdown',
+    license=MANIFEST.findtext('license'),
     install_requires=[
         'numpy>=1.26.4',
         'psutil>=5.9.8',

@@ -1,10 +1,12 @@
 from glob import glob
+from pathlib import Path
 import sys
 from xml.etree import ElementTree
 
 from setuptools import find_packages, setup
 
 NAME = 'humanopts_teach'
+MANIFEST = ElementTree.parse('package.xml')
 # Executables of ros2 run, which is not there where wheels are installed.
 NODES = [
     'diagnostics = humanopts_teach.ros.diagnostics:main',
@@ -19,7 +21,11 @@ SCRIPTS = ['humanopts = humanopts_teach.cli:main'] + ([] if 'bdist_wheel' in sys
 
 setup(
     name=NAME,
-    version=ElementTree.parse('package.xml').findtext('version'),
+    version=MANIFEST.findtext('version'),
+    description=MANIFEST.findtext('description'),
+    long_description=Path('README.md').read_text('utf-8'),
+    long_description_content_type='text/markdown',
+    license=MANIFEST.findtext('license'),
     install_requires=[
         'babel>=2.10.3',
         'humanopts-env',
