@@ -150,7 +150,7 @@ class Environment:
         return dict(line.split('==') for line in lines if '==' in line)
 
 
-def check_learner(dist: Path, work: Path) -> None:
+def check_learner(dist: Path, work: Path) -> Environment:
     """Learn from a table where only the learner is installed, and where others came before."""
     table = ROOT / 'examples/own_table/demonstrations.csv'
     with check('humanopts-learner alone') as remarks:
@@ -177,7 +177,6 @@ def check_learner(dist: Path, work: Path) -> None:
         beside.run(
             'python', '-P', ROOT / 'examples/own_table/learn_from_table.py', '--out', work / 'own'
         )
-        beside.run('python', '-P', ROOT / 'examples/options_as_actions/q_learning.py')
     with check('humanopts-learner is installable with Python ' + ', '.join(PYTHONS)):
         for version in PYTHONS:
             uv = Path(sys.executable).with_name('uv')
@@ -187,6 +186,14 @@ def check_learner(dist: Path, work: Path) -> None:
                 *(uv, 'pip', 'compile', '--quiet', '--only-binary', ':all:'),
                 *('--python-version', version, '--find-links', dist, wanted),
             )
+    return beside
+
+
+def check_gymnasium(learner: Environment, lesson: Path) -> None:
+    """Use the options of a lesson as actions of a Gymnasium environment."""
+    with check('options as actions, with the learner alone'):
+        script, env = ROOT / 'examples/options_as_actions/q_learning.py', 'humanopts/Taxi-v0'
+        learner.run('python', '-P', script, env, lesson, '--episodes', 10)
 
 
 def check_refusals(dist: Path, work: Path) -> None:
@@ -240,9 +247,10 @@ def main() -> int:
             tools.run('twine', 'check', '--strict', *dist.glob('humanopts*'))
         with check('files'):
             check_files(dist)
-        check_learner(dist, work)
+        learner = check_learner(dist, work)
         check_refusals(dist, work)
         check_all(dist, work)
+        check_gymnasium(learner, work / 'demo')
     except CheckError as error:
         print(f'failed: {error}', file=sys.stderr)
         return 1
