@@ -35,11 +35,11 @@ ROS = (
     'nav-msgs',
     'visualization-msgs',
 )
-EXTRAS = {
-    'ros': [INTERFACES.replace('_', '-')],
-    'browser': ['nicegui>=3'],
-    'study': [],
-    'worlds': ['gymnasium[box2d]>=1', 'minigrid>=3'],
+EXTRAS = {  # of humanopts; other extras belong to the package whose code needs them
+    'ros': ['humanopts-interfaces'],
+    'browser': ['humanopts-teach[browser]'],
+    'study': ['humanopts-teach[study]'],
+    'worlds': ['humanopts-env[worlds]'],
 }
 _SETUP = """
 from setuptools import Distribution, setup

@@ -35,6 +35,7 @@ setup(
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),
     ],
+    extras_require={'worlds': ['gymnasium[box2d]>=1', 'minigrid>=3']},
     entry_points={
         'console_scripts': SCRIPTS,
         'humanopts.domains': [
