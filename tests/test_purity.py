@@ -20,6 +20,7 @@ MODULES = sorted(
 OUTSIDE = sorted(path for name in ORDER[-2:] for path in (SOURCE.parent / name).rglob('*.py'))
 PURE = [path for path in MODULES if 'ros' not in path.relative_to(SOURCE).parts]
 PURE_OF_ROS = (
+    'humanopts_ros.environment',
     'humanopts_ros.limits',
     'humanopts_ros.middleware',
     'humanopts_ros.recording',

@@ -41,6 +41,8 @@ TARGETS = (
     'test-floor',
     'lint',
     'docs',
+    'wheels',
+    'release-check',
     'format',
     'lock',
     'clean',

@@ -5,7 +5,8 @@ Every package.xml must be valid, list exactly the packages imported by its code,
 known to rosdep: those copied from rosdistro (rosdep/rosdistro_keys.txt), our own
 (rosdep/humanopts.yaml), and the packages of src/. The minimum versions in package.xml and setup.py
 must be those of make test-floor (requirements-floor.in). Every package needs a README.md, and a
-CHANGELOG.rst with a section for its version.
+CHANGELOG.rst with a section for its version, which is the same for all
+(catkin_package_version --bump patch src).
 """
 
 import ast
@@ -161,6 +162,9 @@ def problems(root: Path) -> list[str]:
             found.append(f'{package}: package.xml is not format 3')
         found += import_problems(package, manifest) + page_problems(package, manifest.version)
         found += floor_problems(package, manifest, floor)
+    versions = {manifest.version for manifest in manifests.values()}
+    if len(versions) > 1:
+        found.append(f'the packages have several versions: {", ".join(sorted(versions))}')
     return found + key_problems(root, manifests)
 
 
