@@ -4,7 +4,6 @@ from pathlib import Path
 
 from humanopts_teach.cli import main
 from humanopts_teach.commands.study_check import PlanCheck
-from humanopts_teach.language import speaking
 from humanopts_teach.study.plan import read_plan, StudyPlan
 import pytest
 
@@ -47,7 +46,7 @@ def plan(tmp_path: Path) -> StudyPlan:
 def test_all_screens_are_shown_in_order_with_times_and_places(
     plan: StudyPlan, tmp_path: Path
 ) -> None:
-    shown = '\n'.join(PlanCheck(plan, tmp_path).run())
+    shown = '\n'.join(PlanCheck(plan, tmp_path, 'en').run())
     expected = [
         *('Do you agree?', 'First.', 'Second.', '== play/practice', '== play/play'),
         *('Bring the passenger to the flag.', 'Which button would make', 'Did you like it?'),
@@ -63,8 +62,7 @@ def test_all_screens_are_shown_in_order_with_times_and_places(
     assert 'does not end' not in shown
     other = tmp_path / 'de'
     other.mkdir()
-    with speaking('de'):
-        german = '\n'.join(PlanCheck(plan, other).run())
+    german = '\n'.join(PlanCheck(plan, other, 'de').run())
     assert 'Do you agree?' in german
     assert 'I agree and take part' in shown
     assert 'I agree and take part' not in german

@@ -178,15 +178,14 @@ def check(
     from tempfile import TemporaryDirectory
 
     from humanopts_teach.commands.study_check import PlanCheck
-    from humanopts_teach.language import LanguageError, speaking
+    from humanopts_teach.language import LanguageError, read_language
 
     study, _ = _open(plan, None, False)
-    with (
-        TemporaryDirectory(prefix='humanopts-') as place,
-        refusing(LanguageError),
-        speaking(language or study.language),
-    ):
-        for text in PlanCheck(study, Path(place)).run():
+    language = language or study.language
+    with refusing(LanguageError):
+        read_language(language)
+    with TemporaryDirectory(prefix='humanopts-') as place:
+        for text in PlanCheck(study, Path(place), language).run():
             print(printable(text), flush=True)
     return 0
 

@@ -67,6 +67,7 @@ class PlanCheck:
 
     plan: StudyPlan
     folder: Path
+    language: str  # of the screens
     seconds: dict[str, float] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
     _limits: dict[str, float] = field(default_factory=dict)  # minutes, by key of the part
@@ -102,6 +103,7 @@ class PlanCheck:
                 seconds = max(part.reading, len(part.text.split()) / _READING)
         self.seconds[part.key] = seconds
         app: App = ConsentApp([part]) if part.kind is PartKind.CONSENT else self._app(part, domain)
+        app.language = self.language
         keys, now, seen = _keys(part, self.plan.seed), time.monotonic(), None
         for _ in range(_MOST_KEYS):
             while (request := app.advance(now)) is not None:
@@ -135,6 +137,7 @@ class PlanCheck:
         names = part.teach_buttons or taught_options(domain)
         app, lines = self._app(part, domain), list[str]()
         app.participant, app.given_options = _CODE, part.teach_buttons
+        app.language = self.language
         seen = set[object]()
 
         def show(*kind: object) -> None:
