@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from enum import IntEnum
 import math
+from operator import attrgetter
 from typing import Any
 
 from humanopts_env.domains.base import ActableDomain, action_index, Domain, DomainError, StateError
@@ -109,6 +110,9 @@ class Transition:
         return self.refreshed and (self.episode, self.step) == (other.episode, other.step)
 
 
+_PARTS = attrgetter(*(field.name for field in fields(Transition)))
+
+
 def effect_between(domain: ActableDomain, before: Transition, after: Transition) -> StepEffect:
     """Return the effect of the step between two successive transitions of an episode."""
     action = action_index(domain, after.previous_action)
@@ -124,10 +128,9 @@ def transition_from_message(message: Any) -> Transition:
     """
     if not math.isfinite(message.reward):
         raise ValueError(f'its reward is {message.reward}')
-    values = {field.name: getattr(message, field.name) for field in fields(Transition)}
-    values['features'] = tuple(map(float, message.features))
-    values['action_source'] = Source(message.action_source)
-    return Transition(**values)
+    episode, step, state, features, action, source, *more = _PARTS(message)
+    numbers = tuple(map(float, features))
+    return Transition(episode, step, state, numbers, action, Source(source), *more)
 
 
 def check_transition(transition: Transition, domain: ActableDomain) -> Any:
@@ -474,7 +477,8 @@ class Pacing:
             it replaces.
         """
         game, before = self._game, self.waiting
-        if command.source == Source.PERSON:
+        paced = self.period or self.paused_by or before is not None
+        if command.source == Source.PERSON or not paced:
             return [game.command(command)]
         refused = game.refusal(command)
         if refused is not None:

@@ -234,7 +234,7 @@ class Execution(Generic[S]):
 
     def act(self, seen: S) -> Ints:
         """Return the primitive actions (N,), choosing options first where a choice is due."""
-        self.decided = due = np.flatnonzero(self.option == NONE)
+        self.decided = due = (self.option == NONE).nonzero()[0]
         if due.size:
             among = seen if len(due) == len(self.option) else seen.take(due)
             self.option[due] = self.policy.choose(among, self.games.take(due))
@@ -261,30 +261,33 @@ class Execution(Generic[S]):
         reached = seen.ends(self.option)
         limits = self._of_option.take(self.option) if self._of_game is None else self._of_game
         ended = runs_end(reached, steps.over | cut_off, self._ran, limits)
-        stopped = self.policy.stops(seen, self.option)
-        stopped = np.zeros_like(ended) if stopped is None else stopped & ~ended
-        moves, stuck = np.zeros_like(self._ran), np.full_like(self._ran, NONE)
-        if self.loops is not None:
+        stops, loops = self.policy.stops(seen, self.option), self.loops
+        done = ended if stops is None else ended | stops
+        if loops is not None:
             assert rows is not None
-            self.loops.observe(rows, self.option, self._ran, ended | stopped)
-            ended = ended | self.loops.ended
-            moves, stuck = self.loops.moves, self.loops.stuck
-            stuck = np.where(stuck == NONE, NONE, self._age - self._ran + stuck)
-        at = np.flatnonzero(ended | stopped)
-        if not at.size:
+            loops.observe(rows, self.option, self._ran, done)
+            done = done | loops.ended
+        at = done.nonzero()[0]
+        if not at.size:  # in a live run, almost always
             return NO_RUNS
+        begun = (self._age - self._ran).take(at)
+        stopped = np.zeros(len(at), np.bool_) if stops is None else (stops & ~ended).take(at)
+        moves, stuck = np.zeros_like(at), np.full_like(at, NONE)
+        if loops is not None:
+            moves, stuck = loops.moves.take(at), loops.stuck.take(at)
+            stuck = np.where(stuck == NONE, NONE, begun + stuck)
         runs = Runs(
             self.games.take(at),
             self.option.take(at),
-            (self._age - self._ran).take(at),
+            begun,
             self._ran.take(at),
             self.total.take(at),
             self.discounted.take(at),
             reached.take(at),
             steps.over.take(at),
-            stopped.take(at),
-            moves.take(at),
-            stuck.take(at),
+            stopped,
+            moves,
+            stuck,
         )
         self.option[at] = NONE
         return runs
@@ -433,6 +436,8 @@ class SeenRows:
         return np.stack([option.can_start(self.rows) for option in self.options], axis=1)
 
     def _each(self, option: Ints, answer: Callable[[Option, Rows], NDArray[Any]]) -> NDArray[Any]:
+        if len(self.options) == 1:
+            return answer(self.options[0], self.rows)
         found = np.zeros(len(option), dtype=np.intp)
         for index, one in enumerate(self.options):
             at = np.flatnonzero(option == index)

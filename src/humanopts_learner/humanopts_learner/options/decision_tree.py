@@ -57,9 +57,16 @@ def feature_encoding(domain: ActableDomain, features: Sequence[str]) -> tuple[En
 class Encoder:
     """Encodes rows, using arrays for the encoding."""
 
-    def __init__(self, encoding: Sequence[EncodedFeature]) -> None:
-        values = [encoded.value for encoded in encoding]
-        index = [encoded.index for encoded in encoding]
+    def __init__(self, encoding: Sequence[EncodedFeature], tested: Ints | None = None) -> None:
+        """
+        Prepare the arrays.
+
+        :param tested: indices of the encoded features to compute; the others are undefined. None:
+            all.
+        """
+        self._size, self._tested = len(encoding), slice(None) if tested is None else tested
+        chosen = encoding if tested is None else [encoding[at] for at in tested]
+        values, index = [each.value for each in chosen], [each.index for each in chosen]
         self._formulas = list(dict.fromkeys(each for each in index if isinstance(each, str)))
         # Values of formulas are appended to the rows, so that their indices count from the end.
         at = {formula: k - len(self._formulas) for k, formula in enumerate(self._formulas)}
@@ -67,23 +74,23 @@ class Encoder:
             [at[each] if isinstance(each, str) else each for each in index], dtype=np.intp
         )
         self._one_hot = np.array([[value is not None] for value in values], dtype=np.bool_)
+        self._has_one_hot = bool(self._one_hot.any())
         self._wanted = np.array([[value or 0] for value in values], dtype=np.float64)
 
-    def __call__(self, rows: Rows, tested: Ints | slice = slice(None)) -> NDArray[np.float32]:
+    def __call__(self, rows: Rows) -> NDArray[np.float32]:
         """
         Return the encoded features.
 
         :param rows: (N, F), all features of the domain.
-        :param tested: indices of the encoded features to compute; the others are undefined.
         :return: (N, C), column-major, which suits the traversal of large trees.
         """
         if self._formulas:
             rows = np.column_stack([rows, *(column_values(f, rows) for f in self._formulas)])
-        picked, one_hot = rows.T[self._index[tested]], self._one_hot[tested]
-        if one_hot.any():
-            picked = np.where(one_hot, picked == self._wanted[tested], picked)
-        encoded = np.empty((len(self._index), len(rows)), dtype=np.float32)
-        encoded[tested] = picked
+        picked = rows.T[self._index]
+        if self._has_one_hot:
+            picked = np.where(self._one_hot, picked == self._wanted, picked)
+        encoded = np.empty((self._size, len(rows)), dtype=np.float32)
+        encoded[self._tested] = picked
         return encoded.T
 
 

@@ -108,28 +108,32 @@ class LearnedOption:
             )
 
     @cached_property
-    def _encode(self) -> Encoder:
-        return Encoder(self.encoding)
+    def _for_policy(self) -> Encoder:
+        return Encoder(self.policy_encoding, self.policy.tested)
 
     @cached_property
-    def _encode_for_policy(self) -> Encoder:
-        return Encoder(self.policy_encoding)
+    def _for_initiation(self) -> Encoder:
+        return Encoder(self.encoding, self.initiation.tested)
+
+    @cached_property
+    def _for_termination(self) -> Encoder:
+        return Encoder(self.encoding, self.termination.tested)
 
     def action_probabilities(self, rows: Rows) -> Floats:
         """Return (N, A): pi of every action in each of the N states."""
-        return self.policy.probabilities(self._encode_for_policy(rows, self.policy.tested))
+        return self.policy.probabilities(self._for_policy(rows))
 
     def initiation_probability(self, rows: Rows) -> Floats:
         """Return (N,): the share of members of I among the examples in each state's leaf."""
-        return self.initiation.probability_of(MEMBER, self._encode(rows, self.initiation.tested))
+        return self.initiation.probability_of(MEMBER, self._for_initiation(rows))
 
     def termination_probability(self, rows: Rows) -> Floats:
         """Return (N,): beta of each state."""
-        return self.termination.probability_of(MEMBER, self._encode(rows, self.termination.tested))
+        return self.termination.probability_of(MEMBER, self._for_termination(rows))
 
     def action(self, rows: Rows) -> Ints:
         """Return (N,): the most likely action; on ties, the lowest index."""
-        return self.policy.most_probable(self._encode_for_policy(rows, self.policy.tested))
+        return self.policy.most_probable(self._for_policy(rows))
 
     def can_start(self, rows: Rows) -> Flags:
         """Return (N,): whether each state is in the initiation set."""
