@@ -19,6 +19,7 @@ import yaml
 
 # Import name -> rosdep key, if they differ.
 KEYS = {
+    'babel': 'python3-babel',
     'fastapi': 'python3-nicegui-pip',
     'gymnasium': 'python3-gymnasium-pip',
     'jinja2': 'python3-jinja2',
