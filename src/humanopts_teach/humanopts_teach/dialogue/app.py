@@ -48,6 +48,7 @@ from humanopts_teach.lesson.requests import (
 
 REPLY_SECONDS = 5.0  # timeout for a node's answer
 SETTLE_SECONDS = 1.0  # timeout for the latched topics to reflect the answer
+EARLIEST = 0.3  # s, minimum display time of what a participant reads or answers
 MAX_KEYS = 128  # maximum number of queued keys; further keys are dropped
 MAX_TYPED = 1024  # the same while a text is typed; a page sends it all at once
 _MAX_FRAMES = 64  # number of recent frames for which keys are accepted
@@ -85,6 +86,10 @@ class Screen:
     def panel(self, app: 'App') -> Panel:
         """Return the contents of the screen apart from the board."""
         return Panel()
+
+    def explain(self, app: 'App') -> str:
+        """Return what the help says besides the keys; empty: nothing."""
+        return ''
 
     def commands(self, app: 'App') -> Sequence[Command]:
         """Return the available commands, in display order."""
@@ -149,6 +154,7 @@ class App:
         N_('Quit'),
         N_('everything taught is saved'),
     )  # menu item
+    quits: ClassVar[bool] = True  # offer a key that ends the dialogue
     needs_game: ClassVar[bool] = True  # nothing is shown before the game is known
     cuts_plays: ClassVar[bool] = True  # offer to cut a whole play into demonstrations
 

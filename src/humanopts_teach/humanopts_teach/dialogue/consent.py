@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from humanopts_teach.dialogue.app import App, Screen
+from humanopts_teach.dialogue.app import App, EARLIEST, Screen
 from humanopts_teach.dialogue.entry import Notice
 from humanopts_teach.dialogue.keys import Command, ENTER
 from humanopts_teach.dialogue.panel import Block, Page
@@ -56,4 +56,4 @@ class ConsentApp(App):
 
 def page(text: Block, choices: Sequence[Command], earliest: float = 0.0) -> Notice:
     """Return a screen without a board; keys count after it was displayed ``earliest`` seconds."""
-    return Notice([text], choices, shows_board=False, earliest=earliest)
+    return Notice([text], choices, shows_board=False, earliest=max(earliest, EARLIEST))

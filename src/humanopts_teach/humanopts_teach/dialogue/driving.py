@@ -8,7 +8,7 @@ from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import PRIMITIVE_PREFIX
 from humanopts_learner.planning.request import Arbitration, HUMAN, HUMAN_AND_PRIMITIVE, MODULAR
 from humanopts_teach.dialogue.app import App, Screen
-from humanopts_teach.dialogue.entry import Item, ListScreen, QUIT, with_help
+from humanopts_teach.dialogue.entry import Item, ListScreen, quitting, with_help
 from humanopts_teach.dialogue.keys import Command, Do, ENTER, ESCAPE, key_table, SPACE
 from humanopts_teach.dialogue.panel import GAP, Line, Panel, Tone
 from humanopts_teach.language import _, N_, translated
@@ -158,7 +158,6 @@ class PlayScreen(Screen):
     title: str = N_('Drive freely')
     text: str = N_('Nothing here is a demonstration.')
     leave: str = N_('menu')  # label of the Escape key
-    quits: bool = True  # offer a key that ends the dialogue
 
     def plays(self, app: App) -> bool:
         return True
@@ -175,7 +174,7 @@ class PlayScreen(Screen):
                 _('begin an episode from a start of the task'),
             ),
             Command([ESCAPE], _(self.leave), self.menu) if idle else stop,
-            *([QUIT] if self.quits else []),
+            *quitting(app),
         ]
         return with_help(commands, self.again)
 
@@ -276,7 +275,7 @@ class WatchScreen(PlayScreen):
     """The machine plans and plays episodes; a person's action key takes over."""
 
     title: str = N_(f'Watch the machine play {EPISODES} episodes')
-    text: str = N_('It plans first, then plays. An action key takes over.')
+    text: str = N_('Enter starts it: it plans first, then plays. An action key takes over.')
     _: KW_ONLY
     teach: Do
     correct: Correct

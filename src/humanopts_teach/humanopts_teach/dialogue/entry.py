@@ -77,10 +77,18 @@ def confirm(question: str, affirm: Do, back: Do) -> Notice:
     return Notice([Line(question, strong=True)], choices, back)
 
 
-def key_list(title: str, rows: Sequence[tuple[str, str]], back: Do) -> Notice:
+def quitting(app: App) -> list[Command]:
+    """Return the command that ends the dialogue; in a study there is none but Ctrl-C."""
+    return [QUIT] if app.quits else []
+
+
+def key_list(
+    title: str, rows: Sequence[tuple[str, str]], back: Do, explanation: str = ''
+) -> Notice:
     """Return a list of keys or signs and their meanings; any key closes it."""
     choices = [Command([keys.ESCAPE], _('back'), back, label=_('any key'))]
-    blocks = Line(title, strong=True), KeyList(rows)
+    above = [Line(explanation), GAP] if explanation else []
+    blocks = [*above, Line(title, strong=True), KeyList(rows)]
     return Notice(blocks, choices, back, shows_board=False)
 
 
@@ -100,7 +108,7 @@ def with_help(
             for key, each in table.items()
             if each.do is not None and (each.label is None or each.help)
         ]
-        app.show(key_list(_('Keys'), rows, back))
+        app.show(key_list(_('Keys'), rows, back, _(app.screen.explain(app))))
 
     helping = Command('?h', _('help'), show)
     return [*commands, helping]
@@ -240,7 +248,7 @@ class ListScreen(Screen):
             ),
             Command([keys.ESCAPE], _('back'), self.back),
             Command('?', _('the game'), partial(_show_game, self.again)),
-            QUIT,
+            *quitting(app),
         ]
 
     def _go(self, at: int, step: int = 0) -> None:

@@ -41,17 +41,26 @@ _EXAM_OF_ROBOT = N_(
 def question_panel(app: App) -> Panel:
     """Return the open question, its number, and the answers so far."""
     lesson = app.world.lesson
+    text, asked = translated(lesson.question), lesson.question_feature
+    group, said = app.groups.asked(app.domain, lesson)
+    # A group counts as one question, so that the number grows by one after each answer about it.
     names = [*(feature.name for feature in app.domain.features), *lesson.derived_features]
-    number = names.index(lesson.question_feature) + 1 if lesson.question_feature in names else 0
-    text = translated(lesson.question)
-    which = _('question {number} of {count}').format(number=number, count=lesson.questions_total)
-    group = app.groups.open_group(app.domain, lesson)
+    groups = {name: each.words for each in feature_groups(app.domain) for name in each.features}
+    units = list(dict.fromkeys(groups.get(name, name) for name in names))
+    number = units.index(groups.get(asked, asked)) + 1 if asked in names else 0
+    which = _('question {number} of {total}').format(number=number, total=len(units))
     if group is not None:
-        text = _("Does the '{option}' option depend on anything about {what}?")
-        which = _('If yes, {count} questions about {what} follow.')
         what, count = translated(group.words), len(group.features)
-        text = text.format(option=lesson.option_name, what=what)
-        which = which.format(count=count, what=what)
+        more = _('{which}, {number} of {count} about {what}').format(
+            which=which, number=group.features.index(asked) + 1, count=count, what=what
+        )
+        if said is None:
+            text = _("Does the '{option}' option depend on anything about {what}?")
+            text = text.format(option=lesson.option_name, what=what)
+            more = _('{which}; if yes, {count} questions about {what} follow').format(
+                which=which, count=count, what=what
+            )
+        which = more
     yes = ', '.join(translated(plain_name(each)) for each in lesson.chosen_features)
     lines = (
         Line(text, strong=True),

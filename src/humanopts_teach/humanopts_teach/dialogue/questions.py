@@ -6,7 +6,7 @@ import math
 from typing import Any, cast
 
 from humanopts_teach.dialogue import keys
-from humanopts_teach.dialogue.app import App, Screen
+from humanopts_teach.dialogue.app import App, EARLIEST, Screen
 from humanopts_teach.dialogue.entry import key_list, TextScreen
 from humanopts_teach.dialogue.keys import Command, Do
 from humanopts_teach.dialogue.panel import (
@@ -23,7 +23,6 @@ from humanopts_teach.dialogue.panel import (
 from humanopts_teach.language import _
 from humanopts_teach.study.questions import Question, QuestionKind, Questionnaire
 
-EARLIEST = 0.3  # s, minimum display time of a question
 _DIGITS = 25  # maximum number of characters of a number
 
 

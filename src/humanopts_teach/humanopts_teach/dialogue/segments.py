@@ -9,7 +9,7 @@ from humanopts_learner.segments import cut, event_features, joined, Segment, sug
 from humanopts_teach.dialogue import keys
 from humanopts_teach.dialogue.app import App, Screen
 from humanopts_teach.dialogue.driving import PlayScreen
-from humanopts_teach.dialogue.entry import confirm, QUIT, TextScreen, with_help
+from humanopts_teach.dialogue.entry import confirm, quitting, TextScreen, with_help
 from humanopts_teach.dialogue.keys import Command, Do
 from humanopts_teach.dialogue.panel import Choices, GAP, Line, Panel, Tone
 from humanopts_teach.dialogue.teaching import LessonScreen
@@ -141,7 +141,7 @@ class SegmentsScreen(Screen):
                 _('every part with a name becomes a demonstration of its option'),
             ),
             Command([keys.ESCAPE], _('menu'), self._leave if wanted else self.menu),
-            QUIT,
+            *quitting(app),
         ]
         return with_help(commands, self.again)
 

@@ -13,6 +13,7 @@ from humanopts_teach.dialogue.entry import end, Notice, TextScreen
 from humanopts_teach.dialogue.keys import Command, END_OF_FILE, ENTER, INTERRUPT
 from humanopts_teach.dialogue.menu import opening
 from humanopts_teach.dialogue.panel import GAP, Line, Page
+from humanopts_teach.dialogue.practice import PracticeScreen
 from humanopts_teach.dialogue.questions import Asked
 from humanopts_teach.language import _, in_its_language, N_, ngettext
 from humanopts_teach.lesson.requests import (
@@ -45,6 +46,7 @@ class StudyApp(App):
     """The remaining parts of one condition; events are recorded immediately."""
 
     leaving = (N_('Finish teaching'), N_('continue with the study'))
+    quits = False  # only Ctrl-C leaves the study
     cuts_plays = False  # all participants demonstrate options one by one, as in the paper
 
     def __init__(
@@ -214,10 +216,11 @@ def _first_screen(part: Part, app: StudyApp) -> Screen:
         case PartKind.PAGE:
             choices = [Command([ENTER], N_('continue'), end)]
             return page(Page(part.text), choices, part.reading)
-        case PartKind.PLAY | PartKind.PRACTICE:
-            # No quit key: only Ctrl-C leaves the study.
+        case PartKind.PRACTICE:
+            return PracticeScreen(end)
+        case PartKind.PLAY:
             leave = N_('continue with the study')
-            return PlayScreen(end, N_('Get to know the game'), leave=leave, quits=False)
+            return PlayScreen(end, N_('Get to know the game'), leave=leave)
         case PartKind.BUTTONS:
             return _button(1, part.most)
         case PartKind.QUESTIONS:

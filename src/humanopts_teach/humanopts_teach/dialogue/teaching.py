@@ -13,7 +13,7 @@ from humanopts_learner.options.rollout import is_deterministic
 from humanopts_teach.dialogue.app import App, Screen
 from humanopts_teach.dialogue.combine import CombineScreen
 from humanopts_teach.dialogue.driving import control, pace
-from humanopts_teach.dialogue.entry import confirm, end, Item, ListScreen, QUIT, with_help
+from humanopts_teach.dialogue.entry import confirm, end, Item, ListScreen, quitting, with_help
 from humanopts_teach.dialogue.keys import (
     BACKSPACE,
     Command,
@@ -27,7 +27,7 @@ from humanopts_teach.dialogue.keys import (
 from humanopts_teach.dialogue.lesson_panel import progress_panel, question_panel
 from humanopts_teach.dialogue.panel import GAP, Panel
 from humanopts_teach.dialogue.question import RunQuestion
-from humanopts_teach.language import _, ngettext, pgettext, translated
+from humanopts_teach.language import _, N_, ngettext, pgettext, translated
 from humanopts_teach.lesson.question_groups import GroupAnswer
 from humanopts_teach.lesson.requests import (
     ActionGoal,
@@ -49,6 +49,33 @@ from humanopts_teach.lesson.requests import (
     WithdrawDemonstration,
 )
 
+MANY_REFUSED = 5  # starts in a row that are commented on
+_REFUSED = N_(
+    '{count} times not here, one after the other. If it could begin at some of these starts, show '
+    'it there; the machine learns little from not here alone.'
+)
+_EXPLAINED = N_(
+    'Say yes if you look at this to decide what to do, whether it can begin, or whether it is '
+    'done. Say no if it makes no difference. If you are not sure, say yes.'
+)
+_EXPLAINED_GROUP = N_(
+    'Say yes if any of this matters for what to do, whether it can begin, or whether it is done: '
+    'then each of it is asked about. Say no if none of it makes a difference.'
+)
+_EXPLANATIONS = {
+    Phase.DEMONSTRATING: N_(
+        'Do it with the keys, and press Enter when it is done. If it cannot begin at this start, '
+        'say so before the first step: not here.'
+    ),
+    Phase.CHECKING: N_(
+        'The board shows what the machine would do. Say yes if that is right. Say no if it is '
+        'wrong; then you show what it should do.'
+    ),
+    Phase.EXAM: N_(
+        'The machine does it alone, from several starts, and you say whether it was right. After '
+        'a wrong run, you go on teaching.'
+    ),
+}
 _PAUSES = {Phase.READY, Phase.CHECKING, Phase.EXAM, Phase.FINISHED}  # the person decides
 
 
@@ -63,6 +90,7 @@ class LessonScreen(Screen):
     redo: list[str] = field(default_factory=list)  # actions to repeat after an undo
     changes: list[LessonRequest] = field(default_factory=list)  # when the learner has counted all
     counted: int = -1  # demonstrations and "not here" answers after the last change; -1: none
+    refused_starts: int = 0  # number of latest starts in a row that were not here
     ended: int = 0  # episode of the last run in the exam that ended here
     stops: bool = False  # the person stopped that run
     question: RunQuestion | None = None  # the open question about a run
@@ -97,6 +125,12 @@ class LessonScreen(Screen):
             again=key(self._toggle_start, Phase.DEMONSTRATING),
             demonstrations=key(self._list, Phase.DEMONSTRATING),
         )
+
+    def explain(self, app: App) -> str:
+        lesson = app.world.lesson
+        if lesson.phase is Phase.ASKING:
+            return _EXPLAINED_GROUP if app.groups.open_group(app.domain, lesson) else _EXPLAINED
+        return _EXPLANATIONS.get(lesson.phase, '')
 
     def press(self, key: str, app: App) -> None:
         self.rest = False
@@ -208,17 +242,17 @@ class LessonScreen(Screen):
                 ]
             case Phase.FINISHED:
                 run = Command('rg', _('run it'), partial(self.run, lesson.option_name))
-                commands += [replace(more, wanted=[ENTER]), run, *learned]
-                commands += [self._previous(app), questions]
+                to_next = Command([ENTER], _('menu, next option'), self.menu)
+                commands += [to_next, more, run, *learned, self._previous(app), questions]
         return [
             *commands,
             Command(
                 [ESCAPE],
-                _('menu, next option') if phase is Phase.FINISHED else _('menu'),
+                _('menu'),
                 partial(self._leave, _('Go to the menu'), self.menu),
                 _('go to the menu; a demonstration under way is discarded'),
             ),
-            replace(QUIT, do=partial(self._leave, _('Quit'), end)),
+            *(replace(each, do=partial(self._leave, _('Quit'), end)) for each in quitting(app)),
         ]
 
     def _answers(self, app: App) -> list[Command]:
@@ -455,11 +489,15 @@ class LessonScreen(Screen):
     def _verdict(self, verdict: Verdict, app: App, *, counts: bool = False) -> None:
         game, again = app.world.game, _can_start_again(app) and verdict is Verdict.DONE
         request = EndDemonstration(verdict, game.episode, game.step, again, counts)
+        if verdict is not Verdict.DISCARD:
+            self.refused_starts = self.refused_starts + 1 if verdict is Verdict.NOT_HERE else 0
         app.ask(request, then=partial(self._ended, app))
 
     def _ended(self, app: App, answer: Answer) -> None:
         """Continue with the next start; let the person resolve a contradiction first."""
         self._go_on(Phase.READY, app)
+        if self.refused_starts and self.refused_starts % MANY_REFUSED == 0:
+            app.say(_(_REFUSED).format(count=self.refused_starts))
         if answer.contradiction:
             items = [
                 Item(text, note, partial(self._delete, deleted), (answer.situation,))
