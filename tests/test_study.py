@@ -6,6 +6,7 @@ from pathlib import Path
 import re
 import signal
 import sys
+import time
 from typing import Any
 
 from graph_support.command import Command
@@ -17,6 +18,7 @@ import pytest
 from teach_support.page_client import PageClient
 
 pytestmark = [pytest.mark.whole, pytest.mark.timeout(300)]  # on a busy machine
+READING = 2.5  # s, more than the minimum display time of a page
 EXAMPLE = Path(__file__).parents[1] / 'examples' / 'study' / 'plan.yaml'
 
 
@@ -87,6 +89,7 @@ def test_a_participant_takes_part_by_keys_and_is_then_refused(
             ('Finish teaching', '5'),
         ):
             person.expect(sees)
+            time.sleep(READING)
             person.send(key)
         person.expect('You have finished the study')
         person.expect(pexpect.EOF)
@@ -121,6 +124,7 @@ def test_a_page_leads_through_all_conditions_whatever_else_is_in_the_record(
         assert found is not None
         with PageClient(found.group(1), f'{found.group(2)}/anna') as page:
             page.until('panel', '<h1>Taking part</h1>')
+            time.sleep(READING)
             page.press('y')
             page.until('panel', 'Which button')
             page.press(*'fetch', 'enter')

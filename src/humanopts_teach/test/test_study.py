@@ -462,7 +462,8 @@ def test_teaching_that_another_person_has_taken_over_ends_without_a_request_to_t
     desk = Desk(taxi, tmp_path, app=app).advance().advance().press(*BEGIN.split())
     desk.shows('bob')
     desk.asked.clear()
-    assert 'Read this.' in desk.press('q').see()
+    app.end()
+    assert 'Read this.' in desk.advance().see()
     assert desk.asked == [SetControl(hold=False)]
     assert 'bob' not in desk.see()
     desk.store.close()
