@@ -88,7 +88,7 @@ def key_list(
     """Return a list of keys or signs and their meanings; any key closes it."""
     choices = [Command([keys.ESCAPE], _('back'), back, label=_('any key'))]
     above = [Line(explanation), GAP] if explanation else []
-    blocks = [*above, Line(title, strong=True), KeyList(rows)]
+    blocks: list[Block] = [*above, Line(title, strong=True), KeyList(rows)]
     return Notice(blocks, choices, back, shows_board=False)
 
 

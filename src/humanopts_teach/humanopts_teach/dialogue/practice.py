@@ -1,6 +1,5 @@
 """The practice of a study: what a button is, *done* and *not here*, in the game itself."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 
@@ -81,7 +80,7 @@ class PracticeScreen(PlayScreen):
         ]
         return Panel(blocks)
 
-    def commands(self, app: App) -> Sequence[Command]:
+    def commands(self, app: App) -> list[Command]:
         step, over, robot = app.world.game.step, self.stage is Stage.OVER, app.world.robot
         shown = self.stage is Stage.DONE and step > 0
         unmoved = self.stage is Stage.NOT_HERE and (robot or not step)
