@@ -32,7 +32,7 @@ _NAMES = {
 P = ParamSpec('P')
 R = TypeVar('R')
 # Between texts that are joined: first sentences, then their parts.
-_JOINTS = re.compile('((?<=[.!?]) )'), re.compile('([,:;] | -> )')
+_JOINTS = tuple(map(re.compile, ('((?<=[.!?]) )', r'( \(|\))', '([,:;] | -> )')))
 _WITHIN_A_SENTENCE = '(?:(?![.!?] ).)*?'
 
 

@@ -1,13 +1,18 @@
 """Texts in the language of the participant: every text has a German one."""
 
 import ast
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from dataclasses import fields, is_dataclass, replace
+from itertools import count
 from keyword import iskeyword
 from pathlib import Path
+import random
 import re
 
 from babel.messages.catalog import Message
 from babel.messages.pofile import read_po
+from humanopts_env.board import Board
+from humanopts_env.domains.base import Domain
 from humanopts_env.domains.capabilities import (
     board_of,
     explanation,
@@ -17,6 +22,21 @@ from humanopts_env.domains.capabilities import (
 from humanopts_env.domains.formulas import plain_name
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.seeding import generator
+from humanopts_learner.options.conflicts import SAY_AGAIN
+from humanopts_learner.summary import (
+    AGREEMENT,
+    Criterion,
+    IMITATION,
+    INITIATION,
+    NO_REFUSAL,
+    OptionSummary,
+    RETURN,
+    SUCCESS,
+    TERMINATION,
+)
+from humanopts_teach.dialogue.panel import Key, Page, TypedText
+from humanopts_teach.dialogue.study import StudyApp
+from humanopts_teach.dialogue.view import view
 from humanopts_teach.language import (
     _,
     LanguageError,
@@ -26,12 +46,19 @@ from humanopts_teach.language import (
     spoken,
     translated,
 )
+from humanopts_teach.lesson.requests import World
+from humanopts_teach.study.plan import Part, PartKind
+from humanopts_teach.study.questions import Questionnaire
+from humanopts_teach.study.record import OpenRecord
 import pytest
+from teach_support.desk import Desk
+import yaml
 
 TEACH = Path(__file__).parents[1] / 'humanopts_teach'
 SOURCE = TEACH.parents[1]
 # Modules that compose texts of messages. They do not know languages.
 MESSAGES = (
+    'humanopts_env/humanopts_env/domains/formulas.py',
     'humanopts_env/humanopts_env/game.py',
     'humanopts_learner/humanopts_learner/options/checks.py',
     'humanopts_learner/humanopts_learner/options/conflicts.py',
@@ -49,7 +76,7 @@ JARGON = {
     'en': re.compile(
         r'\b(options?|polic(y|ies)|initiation|termination|imitation|arbitration|episodes?'
         r'|primitive|\w*_id|learner|node|budget|features?|states?|action sets?|fallbacks?'
-        r'|uncovered|bins|held-out|balanced|mean|returns?|recorder|bag|\w+_server|client|topics|trees)\b',
+        r'|uncovered|bins|held-out|balanced|mean return|returns?|recorder|bag|\w+_server|client|topics|trees)\b',
         re.I,
     ),
     'de': re.compile(
@@ -59,7 +86,30 @@ JARGON = {
         re.I,
     ),
 }
+TLX = TEACH / 'study/nasa_tlx.yaml'
 GERMAN = TEACH / 'locale/de.po'
+NAME = 'hol'  # of the button that is taught
+MEASURED = OptionSummary(
+    NAME,
+    'p1',
+    criteria=(
+        *(Criterion.of(name, 0.5, 0.95, count=9) for name in (SUCCESS, AGREEMENT)),
+        *(Criterion.of(name, 0.5, 0.1) for name in (IMITATION, RETURN, INITIATION, TERMINATION)),
+    ),
+    more_needed=4,
+    mean_return_policy=0.5,
+    conflicts=('taxi row 3, passenger in taxi no: now south, in demonstration 4 north',) * 2,
+    advice=('Add "taxi col": it tells where the option ends.',),
+)
+SETTLED = replace(
+    MEASURED,
+    criteria=(
+        Criterion.of(SUCCESS, 1.0, 0.95),
+        replace(Criterion.of(INITIATION, None, 0.1), obstacle=NO_REFUSAL),
+    ),
+    conflicts=(),
+    advice=(SAY_AGAIN,),
+)
 HEADER = (
     'msgid ""\nmsgstr ""\n"Language: de-AT\\n"\n"Content-Type: text/plain; charset=UTF-8\\n"\n'
 )
@@ -77,7 +127,10 @@ def texts_of(node: ast.expr) -> Iterator[str]:
     """Yield the texts that an expression may be; the placeholders of an f-string get names."""
     match node:
         case ast.Constant(str() as text):
-            yield text.replace('{}', '{steps}').replace('%d', '{count}')
+            more = count()
+            yield re.sub(
+                r'\{\}', lambda each: f'{{steps{next(more) or ""}}}', text.replace('%d', '{count}')
+            )
         case ast.IfExp():
             yield from (*texts_of(node.body), *texts_of(node.orelse))
         case ast.JoinedStr():
@@ -99,6 +152,8 @@ def texts_of(node: ast.expr) -> Iterator[str]:
 
 def wrapped() -> Iterator[tuple[str, str | tuple[str, str]]]:
     """Yield each place in the code and the text, or singular and plural, translated there."""
+    for item in yaml.safe_load(TLX.read_text('utf-8'))['items']:
+        yield from (('nasa_tlx.yaml', item[key]) for key in ('text', 'low', 'high'))
     for path in sorted(TEACH.rglob('*.html')):
         for text in re.findall(r"\b_\('([^']*)'\)", path.read_text('utf-8')):
             yield path.name, text
@@ -256,3 +311,100 @@ def test_a_file_that_cannot_be_used(text: str, why: str, tmp_path: Path) -> None
 def test_an_unknown_language(name: str) -> None:
     with pytest.raises(LanguageError, match=r'unknown language|cannot be read'), speaking(name):
         pass
+
+
+def texts(shown: object) -> Iterator[str]:
+    """Yield the texts of a screen, but not pages, which the plan has in its own language."""
+    match shown:
+        case str():
+            yield shown
+        case Key():
+            yield from shown[1:]
+        case Board():
+            yield from (*(mark.name for mark in shown.marks), *shown.notes)
+        case Page() | TypedText():
+            return
+        case _ if is_dataclass(shown):
+            for field in fields(shown):
+                if field.name not in ('language', 'key', 'tone'):
+                    yield from texts(getattr(shown, field.name))
+        case Iterable():
+            for each in shown:
+                yield from texts(each)
+
+
+def words(*given: str) -> set[str]:
+    """Return the words of texts without placeholders."""
+    joined = re.sub(r'\{\w*[^}]*\}', '', ' '.join(given)).lower()
+    return {*re.findall('[a-zäöüß]{3,}', joined)}
+
+
+def english_words() -> set[str]:
+    """Return the words that occur in English texts only."""
+    known = catalogue()
+    english = words(*(text for key in known for text in ([key] if isinstance(key, str) else key)))
+    german = words(*(str(message.string) for message in known.values()))
+    return english - german - {NAME}
+
+
+def parts() -> list[Part]:
+    """Return one part of each kind, each with an own limit of keys."""
+    asked = Questionnaire.model_validate(yaml.safe_load(TLX.read_text('utf-8')), strict=False)
+    kinds = PartKind.PLAY, PartKind.BUTTONS, PartKind.QUESTIONS, *[PartKind.TEACH] * 5
+    return [
+        Part(
+            kind=kind,
+            key=f'{number}',
+            condition='a',
+            domain='taxi',
+            most=2,
+            minutes=60.0,
+            questions=asked if kind is PartKind.QUESTIONS else None,
+        )
+        for number, kind in enumerate(kinds)
+    ]
+
+
+@pytest.mark.parametrize('language', ['en', 'de'])
+def test_every_screen_of_a_study_is_in_the_language_of_the_participant(
+    language: str, taxi: Domain, tmp_path: Path
+) -> None:
+    """Keys are pressed at random; the lesson and the game behind them are real."""
+    rng, seen, foreign = random.Random(2), set[str](), english_words()
+    assert {'the', 'option', 'step', 'you', 'demonstration'} <= foreign
+    for part in parts():
+        record = OpenRecord(tmp_path / f'{part.key}.jsonl')
+        app = StudyApp([part], record, 'p1', World(), seed=1)
+        app.language = language
+        desk = Desk(taxi, tmp_path / part.key, app=app, budget=30)
+        desk.exam, desk.reports = 2, {NAME: MEASURED}
+        desk.advance().advance()
+        if part.kind is PartKind.TEACH:
+            desk.press('1').type(NAME).press('y', 'y', 'n', 'y', 'n')
+        for number in range(200):
+            if app.ended:
+                break
+            shown = view(app)
+            seen.update(texts(shown))
+            if number == 100:
+                desk.reports[NAME] = SETTLED
+            if app.screen.takes_text and rng.random() < 0.9:
+                desk.press('ctrl-u').type(NAME)
+            elif app.run is not None and rng.random() < 0.3:
+                desk.machine('south').run_ends(f'{NAME}: it was cut off (1 step, reward -1).')
+            else:
+                keys = {key for key, *_words in shown.keys} - {'ctrl-c'}
+                stays = keys - {'escape', 'q', 'Q'} if rng.random() < 0.9 else keys
+                desk.press(rng.choice(sorted(stays) or ['enter']))
+        app.last_requests()
+        desk.store.close()
+    # The names of features are typed in formulas.
+    names = re.compile('|'.join(feature.name for feature in taxi.features if '_' in feature.name))
+    found = sorted(names.sub('', text) for text in seen if text.strip())
+    assert len(found) > 150
+    wrong = [
+        text
+        for text in found
+        if (JARGON['en'].search(text) if language == 'en' else words(text) & foreign)
+    ]
+    assert not wrong, '\n'.join(wrong)

@@ -164,7 +164,11 @@ class Study:
             self.folder.turn_away()
             raise
         pages = self.plan.consent_parts
-        return ConsentApp(pages) if known is None and pages else None
+        if known is not None or not pages:
+            return None
+        app = ConsentApp(pages)
+        app.language = self.plan.language
+        return app
 
     def declined(self) -> Farewell:
         """Count a person who did not agree to take part; nothing else is written."""
@@ -276,6 +280,7 @@ class Study:
             'keyboard': True,
             'pictures': condition.picture,
             'step_period': WATCHED,
+            'language': plan.language,
         }
         if simulated:
             domain = make_domain(condition.domain, dict(condition.parameters))

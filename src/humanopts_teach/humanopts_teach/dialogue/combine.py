@@ -166,6 +166,6 @@ class CombineScreen(Screen):
                 found = [*(_Item(text, '', text, ()) for text in texts), *found]
             name = feature.name if feature.name in names else f'({feature.name})'
             if name.startswith(begun):
-                found.append(_Item(name, value, name + rest[0], rest[1:]))
+                found.append(_Item(name, translated(value), name + rest[0], rest[1:]))
         before = self.typed.removesuffix(begun)
         return [item._replace(typed=before + item.typed) for item in found]

@@ -67,12 +67,12 @@ class Asked:
 
     def blocks(self, *answer: Block) -> Panel:
         """Return the panel of the question, with what the person answers so far."""
-        note = _('question {number} of {total}').format(
-            number=self.at + 1, total=len(self.questionnaire.items)
+        note = _('question {number} of {count}').format(
+            number=self.at + 1, count=len(self.questionnaire.items)
         )
         if self.question.skippable:
             note += _('; you may skip it')
-        lines = Line(self.question.text, strong=True), GAP, *answer, GAP, Line(note, Tone.QUIET)
+        lines = Line(_(self.question.text), strong=True), GAP, *answer, GAP, Line(note, Tone.QUIET)
         return Panel(lines)
 
     def back(self) -> Do | None:
@@ -99,7 +99,8 @@ class _ChoiceQuestion(Screen):
     def panel(self, app: App) -> Panel:
         question, points = self._asked.question, self._asked.questionnaire.points
         if question.kind is QuestionKind.RATING:
-            return self._asked.blocks(Rating(points, question.low, question.high, self._value))
+            low, high = _(question.low), _(question.high)
+            return self._asked.blocks(Rating(points, low, high, self._value))
         several = question.kind is QuestionKind.CHOICES
         chosen = frozenset(number - 1 for number in self.chosen)
         return self._asked.blocks(Options(question.options, chosen, several))
@@ -163,11 +164,11 @@ class _ChoiceQuestion(Screen):
         if question.kind is QuestionKind.CHOICES:
             rows = [(rows[0][0], _('choose as many answers as you like; again: not this one'))]
         elif question.kind is QuestionKind.RATING:
-            rows = [('1', question.low), (str(points), question.high)]
+            rows = [('1', _(question.low)), (str(points), _(question.high))]
             rows.append(('← →', _('lower, higher')))
         rows.append((keys.label(keys.ENTER), _('accept your answer')))
         rows.append((keys.label(keys.BACKSPACE), _('go back, and change an earlier answer')))
-        app.show(key_list(question.text, rows, self.again))
+        app.show(key_list(_(question.text), rows, self.again))
 
 
 class _TextQuestion(TextScreen):
@@ -180,7 +181,7 @@ class _TextQuestion(TextScreen):
         question, given = asked.question, asked.answers.get(asked.question.name)
         number = question.kind is QuestionKind.NUMBER
         super().__init__(
-            question.text,
+            _(question.text),
             _limits(question) if number else '',
             '' if given is None else f'{given:.15g}' if number else given,
             submit=self._submit,
