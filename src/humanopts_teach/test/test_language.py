@@ -76,7 +76,8 @@ JARGON = {
     'en': re.compile(
         r'\b(options?|polic(y|ies)|initiation|termination|imitation|arbitration|episodes?'
         r'|primitive|\w*_id|learner|node|budget|features?|states?|action sets?|fallbacks?'
-        r'|uncovered|bins|held-out|balanced|mean return|returns?|recorder|bag|\w+_server|client|topics|trees)\b',
+        r'|uncovered|bins|held-out|balanced|returns?'
+        r'|recorder|bag|\w+_server|client|topics|trees)\b',
         re.I,
     ),
     'de': re.compile(
