@@ -32,6 +32,7 @@ from humanopts_teach.evaluation.tables import accuracies, finite
 from humanopts_teach.lesson.in_process import SECONDS, teach
 from humanopts_teach.lesson.seeded_starts import LessonRules
 from humanopts_teach.report.figures import Drawing
+from humanopts_teach.study.accuracy import PAPER_DEMONSTRATIONS, PAPER_MINUTES
 import matplotlib
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 import pandas as pd
@@ -294,7 +295,7 @@ def _compare_cases(points: pd.DataFrame, people: pd.DataFrame) -> Iterator[repor
 def _compare_accuracies(case: str, points: pd.DataFrame) -> Iterator[report.Comparison]:
     """Yield the within-person rise of return and best actions, and the errors of I and β."""
     most = int(points['demonstrations'].max())
-    last, gains = min(paper.DEMONSTRATIONS, most), {}
+    last, gains = min(PAPER_DEMONSTRATIONS, most), {}
     for measure in (RETURN, 'policy'):
         values = points.pivot(index='person', columns='demonstrations', values=measure)
         # people with only "not here" answers at the start, or fewer demonstrations, have no pair
@@ -351,12 +352,12 @@ def _game(domain: str, features: str) -> str:
 def _compare_minutes(people: pd.DataFrame) -> Iterator[report.Comparison]:
     """Yield the time people took for all their demonstrations."""
     for (domain, features), mine in report.grouped(people[_like_paper(people)], CASE[:2]):
-        if domain in paper.MINUTES:
+        if domain in PAPER_MINUTES:
             lessons = mine.groupby(['person', 'start states by'])['minutes'].sum()
             taken = Interval.of(lessons.groupby('person').mean())
             real = bool((mine['people'] == PEOPLE).all())
             pace = f'minutes {"by the clock" if real else "at an assumed pace"}'
-            verdict = taken.at_most(paper.MINUTES[domain]) if real else report.Mark.NOT_COMPARABLE
+            verdict = taken.at_most(PAPER_MINUTES[domain]) if real else report.Mark.NOT_COMPARABLE
             said, case = paper.SAID[f'minutes_in_{domain}'], _game(domain, features)
             yield report.compare(said, verdict, case, {pace: taken}, '.1f')
 
@@ -390,7 +391,7 @@ def _draw(shown: pd.DataFrame, work: Drawing) -> None:
     for axes, (measure, title) in zip(plots, MEASURES.items()):
         mine = shown[shown['measure'] == measure].sort_values('demonstrations')
         report.draw_curves(axes, mine, 'start states by', 'demonstrations', STYLES, lw=1.5)
-        axes.axvline(paper.DEMONSTRATIONS, color=muted, ls=':', lw=1)
+        axes.axvline(PAPER_DEMONSTRATIONS, color=muted, ls=':', lw=1)
         axes.set(title=title, xlabel='demonstrations')
         axes.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=7))
         if measure == RETURN:

@@ -79,13 +79,11 @@ SAID = {
         'modules.',
     ),
 }
-DEMONSTRATIONS = 40  # section 7.1, figure 2: trajectories for acceptable accuracy, both domains
 NO_LEVEL = 'the paper does not say which accuracy is acceptable'
 EPISODES = 120  # figure 4
 MAX_STEPS = 300  # figure 4: upper end of its axis
 CURVES = ('primitive', 'human', 'automatic')  # figure 4
 AUTOMATIC = (4, 4, 1)  # section 7.3: options that end with a pickup, with a dropoff, in a cell
-MINUTES = {'taxi': 15.0, 'pacman': 20.0}  # section 7.1: upper limits of the average
 FIGURE_2_OPTIONS = {  # figure 2 (a) and (b)
     'taxi': 'go to destination and dropoff',
     'pacman': 'go to the closest food',

@@ -7,16 +7,19 @@ from shutil import which
 import subprocess
 import time
 
+from humanopts_env.domains.base import Domain
 from humanopts_learner.intervals import Interval
 from humanopts_teach.commands import CommandError
 from humanopts_teach.commands.study_report import write_report
+from humanopts_teach.evaluation.tables import accuracies
 from humanopts_teach.lesson.in_process import Taught
+from humanopts_teach.study.accuracy import accuracy_table
 from humanopts_teach.study.export import write_study
 from humanopts_teach.study.log import StudyLog
 from humanopts_teach.study.model import effects, ModelError
 from humanopts_teach.study.plan import read_plan, StudyPlan
 from humanopts_teach.study.record import StudyFolder
-from humanopts_teach.study.report import Results
+from humanopts_teach.study.report import paper_section, Results
 from humanopts_teach.study.tables import read_study
 import numpy as np
 import pandas as pd
@@ -227,3 +230,22 @@ def test_a_fixed_order_takes_the_position_out_of_the_model() -> None:
     model = effects(rows, 'y', ['a', 'b'])
     assert 'cannot be separated' in model.remark
     assert model.rows[0].difference.holds(3.0)
+
+
+def test_options_are_as_accurate_as_when_they_were_taught(
+    results: Results, taught: dict[str, Taught], taxi: Domain
+) -> None:
+    points = accuracy_table(results.data, {'whole'})
+    for name, own in points.groupby('condition'):
+        lesson = taught[str(name)]
+        assert own['demonstrations'].tolist() == [
+            *range(1, lesson.summaries[0].n_demonstrations + 1)
+        ]
+        expected = accuracies(lesson.options[0], taxi)
+        assert own['policy'].iloc[-1] == expected['policy_accuracy'] > own['policy'].iloc[0] / 2
+        assert own['return'].iloc[-1] <= own['best_return'].iloc[-1]
+    assert set(points['condition']) == {'plain', 'derived'}
+    assert accuracy_table(results.data, ()).empty
+    section = paper_section(results)
+    assert section is not None
+    assert 'taxi' in section.notes[0]

@@ -63,12 +63,35 @@ def pace_figure(given: pd.DataFrame, conditions: Sequence[str]) -> str:
     )
 
 
+def accuracy_figure(points: pd.DataFrame, measure: str, title: str, paper: int) -> str:
+    """
+    Return a figure of an accuracy of the options of one game by the number of demonstrations.
+
+    :param points: columns option, participant, demonstrations and the measure, a share.
+    :param paper: number of demonstrations to mark.
+    """
+    curves: dict[str, list[pd.Series]] = {}
+    for (name, _), own in points.groupby(['option', 'participant'], sort=False):
+        curves.setdefault(str(name), []).append(own.set_index('demonstrations')[measure])
+    return _curves(
+        curves,
+        [*curves],
+        name=f'accuracy-{measure}',
+        title=title,
+        xlabel='demonstrations',
+        ylabel='share of states',
+        carried=False,
+        mark=(paper, f'paper: {paper}'),
+    )
+
+
 def _curves(
     curves: dict[str, list[pd.Series]],
     conditions: Sequence[str],
     *,
     name: str,
     carried: bool = True,
+    mark: tuple[float, str] | None = None,
     **axes: str,
 ) -> str:
     """
@@ -76,6 +99,7 @@ def _curves(
 
     :param carried: whether a curve keeps its last value in the mean; else the mean is of those
         who got that far, at least two.
+    :param mark: value of x to mark, with its label.
     """
     if not curves:
         return ''
@@ -98,6 +122,8 @@ def _curves(
                     'label': text,
                 }
                 plot.plot(mean.index, mean, **line, **_MEAN)
+        if mark is not None:
+            plot.axvline(mark[0], color='#888', ls=':', lw=1.2, label=mark[1])
         plot.set_xlim(left=0)
         plot.set_ylim(bottom=0)
         for axis in (plot.xaxis, *([plot.yaxis] if carried else [])):
