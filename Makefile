@@ -27,7 +27,7 @@ WITH_ROS := root=$(CURDIR); . tools/environment.sh; ROS_PYTHON_CHECK_FIELDS=1
 SIDE_BY_SIDE := OMP_NUM_THREADS=1 $(VENV)/bin/python -m pytest \
   -n 6 --dist loadfile --no-loadscope-reorder
 # Tests that compute with the oldest packages; make test-floor only imports everything else.
-FLOOR := src/humanopts_env src/humanopts_learner $(foreach name,evaluation export table1, \
+FLOOR := src/humanopts_env src/humanopts_learner $(foreach name,evaluation export study_tables table1, \
   $(wildcard src/humanopts_teach/test/test_$(name)*.py))
 COMPILE := build/lock/bin/uv pip compile --universal --python-version 3.11 --generate-hashes \
   --no-emit-index-url --no-header --quiet

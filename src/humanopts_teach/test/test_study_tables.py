@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from pathlib import Path
 import re
-from shutil import which
+import shutil
 import subprocess
 import time
 
@@ -155,7 +155,7 @@ def test_tables_for_spss_have_labels(results: Results, tmp_path: Path) -> None:
     assert labels.variable_measure['teach_seconds'] == 'scale'
 
 
-@pytest.mark.skipif(which('Rscript') is None, reason='R is not installed')
+@pytest.mark.skipif(shutil.which('Rscript') is None, reason='R is not installed')
 def test_the_analysis_runs_in_r(results: Results, tmp_path: Path) -> None:
     write_study(results.data, tmp_path)
     command = ['Rscript', '--vanilla', 'analysis.R']
@@ -175,6 +175,22 @@ def test_the_report_is_one_page_without_a_network(study: StudyFolder, tmp_path: 
 def test_a_study_without_participants_has_no_report(tmp_path: Path) -> None:
     with pytest.raises(CommandError, match='no one has taken part yet'):
         write_report(StudyFolder(tmp_path), tmp_path / 'report.html')
+
+
+def test_a_study_without_its_plan_and_with_a_damaged_record_has_tables_and_a_report(
+    study: StudyFolder, tmp_path: Path
+) -> None:
+    damaged = shutil.copytree(study.path, tmp_path / 'study')
+    (damaged / 'protocol.jsonl').unlink()
+    record = damaged / '001-early.jsonl'
+    record.write_text(record.read_text().replace('"event":"began"', '"event":"begun"'))
+    (damaged / 'log.jsonl').write_text('{"event": "declined"}\n')
+    problems = write_report(StudyFolder(damaged), tmp_path / 'report.html')
+    assert [problem.split(' is left out')[0] for problem in problems] == [
+        f'line 1 of {record}',
+        f'line 1 of {damaged / "log.jsonl"}',
+    ]
+    assert '<dd>unknown</dd>' in (tmp_path / 'report.html').read_text('utf-8')
 
 
 def paired(people: int) -> pd.DataFrame:

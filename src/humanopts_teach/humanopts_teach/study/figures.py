@@ -12,6 +12,7 @@ import pandas as pd
 SIZE = (5.0, 3.1)  # inches
 STYLES = ('-', '--', ':', '-.')
 _PERSON: dict[str, Any] = {'lw': 0.8, 'alpha': 0.45}
+_BELOW: dict[str, Any] = {'loc': 'upper center', 'bbox_to_anchor': (0.5, -0.18)}
 _MEAN: dict[str, Any] = {'lw': 2.4}
 
 
@@ -128,7 +129,7 @@ def _curves(
         plot.set_ylim(bottom=0)
         for axis in (plot.xaxis, *([plot.yaxis] if carried else [])):
             axis.set_major_locator(MaxNLocator(integer=True, nbins=7))
-        work.figure.legend(loc='outside lower center', ncols=2)
+        plot.legend(**_BELOW, ncols=2)
     return work.svg
 
 
@@ -152,7 +153,7 @@ def outcome_figure(
         plot.set_xticks(places, list(values.columns))
         plot.set_xlim(-0.4, len(places) - 0.6)
         plot.set_ylim(bottom=0)
-        work.figure.legend(loc='outside lower center')
+        plot.legend(**_BELOW)
     return work.svg
 
 

@@ -67,7 +67,8 @@ class Results:
     def conditions(self) -> list[str]:
         """The conditions, in the order of the newest plan that has them."""
         plans = reversed(self.data.protocol.versions)
-        return list(dict.fromkeys(each.name for v in plans for each in v.plan.conditions))
+        planned = dict.fromkeys(each.name for v in plans for each in v.plan.conditions)
+        return list(planned) or list(self.tables['conditions']['condition'].unique())
 
     @cached_property
     def has_people(self) -> bool:
@@ -189,8 +190,8 @@ def effect_section(results: Results) -> Section | None:
     found, remarks = list[dict[str, object]](), dict[str, list[str]]()
     for outcome, (title, unit) in OUTCOMES.items():
         named = f'{title}, {unit}' if unit == 'min' else title
-        row, remark = _effect_row(rows, outcome, named, names)
-        found.append(row)
+        row, remark = _effect_row(rows, outcome, names)
+        found.append({'outcome': named, **row})
         remarks.setdefault(remark, []).append(title)
     text = (
         'Outcomes of participants who began to teach in a condition, zeros included. The model is '
@@ -223,11 +224,11 @@ def _remarks(of: Mapping[str, Sequence[str]]) -> list[str]:
 
 
 def _effect_row(
-    rows: pd.DataFrame, outcome: str, title: str, names: Sequence[str]
+    rows: pd.DataFrame, outcome: str, names: Sequence[str]
 ) -> tuple[dict[str, object], str]:
     """Return means by condition and the differences, and a remark on the model."""
     by = rows.groupby('condition')[outcome]
-    row: dict[str, object] = {'': title}
+    row: dict[str, object] = {}
     for name in names:
         if name in by.groups:
             values = by.get_group(name).dropna()
@@ -349,11 +350,11 @@ def questions_section(results: Results) -> Section | None:
     rows, remarks = list[dict[str, object]](), dict[str, list[str]]()
     for item, own in rated.groupby('item', sort=False):
         first = own.iloc[0]
-        row, remark = _effect_row(own, 'value', first['wording'], results.conditions)
+        row, remark = _effect_row(own, 'value', results.conditions)
         if first['kind'] == 'rating':
             ends = f'{first["low"]} (1) to {first["high"]} ({first["points"]:.0f})'
             row['scale'] = ends
-        rows.append(row)
+        rows.append({'question': first['wording'], **row})
         remarks.setdefault(remark, []).append(str(item))
     tables = [_framed('Means and standard deviations', rows)] if rows else []
     chosen = answers[answers['kind'].isin(['choice', 'choices'])]
