@@ -11,7 +11,7 @@ from humanopts_env.seeding import generator
 from humanopts_learner.spreadsheet import csv_of
 from humanopts_teach.study.model import effects
 from humanopts_teach.study.plan import read_plan, StudyPlan
-from humanopts_teach.study.record import Record, StudyFolder
+from humanopts_teach.study.record import StudyFolder
 from humanopts_teach.study.tables import read_study, tables
 import pytest
 from teach_support.taught_study import Clock, Pool, pool_of, take_part
