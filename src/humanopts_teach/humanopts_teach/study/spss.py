@@ -48,6 +48,7 @@ def write_sav(table: pd.DataFrame, path: Path, columns: Mapping[str, Column], ti
         data,
         str(path),
         file_label=title[:64],
+        row_compress=True,
         column_labels={name: columns[name].label for name in map(str, table)},
         variable_value_labels=values,
         variable_measure={
