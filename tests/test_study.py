@@ -37,7 +37,13 @@ def write_plan(folder: Path, *names: str, **given: Any) -> Path:
     """Write a plan of conditions with these names and some settings, and its consent."""
     every = {'domain': 'taxi', 'buttons': 1, 'learn': 'goal', **given}
     conditions = [{'name': name} for name in names]
-    plan = {'study': 'small', 'consent': 'consent.md', 'all': every, 'conditions': conditions}
+    plan = {
+        'study': 'small',
+        'reading': 0,
+        'consent': 'consent.md',
+        'all': every,
+        'conditions': conditions,
+    }
     (folder / 'consent.md').write_text('# Taking part\n')
     (folder / 'plan.yaml').write_text(json.dumps(plan))
     return folder / 'plan.yaml'
@@ -59,7 +65,7 @@ def test_a_simulated_participant_goes_from_a_plan_to_tables_and_table_1(
     assert 'go to passenger and pickup     1 of 1' in capsys.readouterr().out
     taught = rows(study / 'tables' / 'options.csv')
     assert [row['condition'] for row in taught] == [name for name in names for _ in range(2)]
-    assert {row['learned'] for row in taught} == {'True'}
+    assert {row['learned'] for row in taught} == {'yes'}
     assert len(rows(study / 'tables' / 'answers.csv')) == 6 * len(names)
     kept = [
         json.loads(line) for line in (study / '000-simulated-1.jsonl').read_text().splitlines()
@@ -83,6 +89,15 @@ def test_a_participant_takes_part_by_keys_and_is_then_refused(
     monkeypatch.setenv('ROS_DOMAIN_ID', str(domain_id))
     program = ['-m', 'humanopts_teach', *words]
     with pexpect.spawn(sys.executable, program, dimensions=(24, 80), timeout=60) as person:
+        person.expect('Taking part')
+        person.send('n')
+        person.expect('Nothing was saved')
+        person.send('\r')
+        person.expect(pexpect.EOF)
+    assert person.exitstatus == 0
+    folder = tmp_path / 'runs' / 'small'
+    assert sorted(path.name for path in folder.rglob('*')) == ['.lock', 'log.jsonl']
+    with pexpect.spawn(sys.executable, program, dimensions=(24, 80), timeout=60) as person:
         for sees, key in (
             ('Taking part', 'y'),
             ('no more', 'fetch\r'),
@@ -98,10 +113,10 @@ def test_a_participant_takes_part_by_keys_and_is_then_refused(
         again.expect_exact("'anna' has ended this study already")
         again.expect(pexpect.EOF)
     assert again.exitstatus == 2
-    (record,) = (tmp_path / 'runs' / 'small').glob('000-anna.jsonl')
+    (record,) = folder.glob('000-anna.jsonl')
     noted = [json.loads(line) for line in record.read_text().splitlines()]
     assert [event['text'] for event in noted if event['event'] == 'button'] == ['fetch']
-    (bag,) = (tmp_path / 'runs' / 'small' / 'anna' / 'only' / 'bags').iterdir()
+    (bag,) = (folder / 'anna' / 'only' / 'bags').iterdir()
     assert [event['text'] for event in events(bag) if event['event'] == 'button'] == ['fetch']
 
 
