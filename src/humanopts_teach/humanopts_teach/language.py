@@ -13,6 +13,7 @@ from contextvars import ContextVar
 from functools import cache, lru_cache, wraps
 from gettext import GNUTranslations, NullTranslations
 from io import BytesIO
+from itertools import product
 from pathlib import Path
 import re
 from typing import Concatenate, NamedTuple, ParamSpec, Protocol, TypeVar
@@ -31,6 +32,7 @@ _NAMES = {
 }  # placeholders of what people typed
 P = ParamSpec('P')
 R = TypeVar('R')
+# Between texts that are joined: first sentences, then their parts.
 # Between texts that are joined: first sentences, then their parts.
 _JOINTS = tuple(map(re.compile, ('((?<=[.!?]) )', r'( \(|\))', '([,:;] | -> )')))
 _WITHIN_A_SENTENCE = '(?:(?![.!?] ).)*?'
@@ -127,28 +129,33 @@ def translated(text: str) -> str:
 
 @lru_cache(4096)
 def _translated(language: _Language, text: str) -> str:
-    if not text or (found := language.catalog.gettext(text)) != text:
-        return found if text else ''
-    for pattern, template in language.templates:
-        if match := pattern.fullmatch(text):
-            values = match.groupdict().items()
-            return template.format_map(
-                {name: v if name in _NAMES else _translated(language, v) for name, v in values}
-            )
-    if text[-1] == '.' and (found := _translated(language, text[:-1])) != text[:-1]:
-        return f'{found}.'
-    lower = text[0].lower() + text[1:]
-    if lower != text and (found := _translated(language, lower)) != lower:
-        return found[0].upper() + found[1:]
+    # The English text may begin with a capital, and end with a full stop, because of its place.
+    stem = text.removesuffix('.')
+    forms = dict.fromkeys((text, stem, text[:1].lower() + text[1:], stem[:1].lower() + stem[1:]))
+    forms.pop('', None)
+    for form in forms:
+        if (found := language.catalog.gettext(form)) != form:
+            return _in_place(text, form, found)
+    for (pattern, template), form in product(language.templates, forms):
+        if match := pattern.fullmatch(form):
+            values = {
+                name: value if name in _NAMES else _translated(language, value)
+                for name, value in match.groupdict().items()
+            }
+            return _in_place(text, form, template.format_map(values))
     for joints in _JOINTS:
         pieces = joints.split(text)
         if len(pieces) > 1:
             pieces[::2] = [_translated(language, each) for each in pieces[::2]]
             return ''.join(pieces)
     words, space, value = text.rpartition(' ')  # the name of a feature, and its value
-    return (
-        f'{_translated(language, words)}{space}{_translated(language, value)}' if space else text
-    )
+    return (space and f'{_translated(language, words)} {_translated(language, value)}') or text
+
+
+def _in_place(text: str, form: str, found: str) -> str:
+    """Return the translation of a form of a text with its capital and its full stop."""
+    first = found[:1] if form[0] == text[0] else found[:1].upper()
+    return f'{first}{found[1:]}{text[len(form) :]}'
 
 
 @cache

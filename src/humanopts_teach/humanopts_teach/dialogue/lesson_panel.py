@@ -48,7 +48,7 @@ def question_panel(app: App) -> Panel:
     groups = {name: each.words for each in feature_groups(app.domain) for name in each.features}
     units = list(dict.fromkeys(groups.get(name, name) for name in names))
     number = units.index(groups.get(asked, asked)) + 1 if asked in names else 0
-    which = _('question {number} of {total}').format(number=number, total=len(units))
+    which = _('question {number} of {count}').format(number=number, count=len(units))
     if group is not None:
         what, count = translated(group.words), len(group.features)
         more = _('{which}, {number} of {count} about {what}').format(
@@ -207,15 +207,11 @@ def _criteria(progress: OptionSummary) -> Iterator[Block]:
     elif missing:
         yield Line(_('Not measured yet: {names}.').format(names=', '.join(missing)), Tone.QUIET)
     ends = {
-        _('too early'): progress.ended_early,
-        _('too late'): progress.ended_late,
-        _('never'): progress.ended_never,
+        _('too early in {count}'): progress.ended_early,
+        _('too late in {count}'): progress.ended_late,
+        _('never in {count}'): progress.ended_never,
     }
-    if found := [
-        _('{how} in {count}').format(how=words, count=count)
-        for words, count in ends.items()
-        if count
-    ]:
+    if found := [words.format(count=count) for words, count in ends.items() if count]:
         yield Line(
             _('Of your demonstrations, it ends {how}.').format(how=', '.join(found)),
             Tone.WARNING,
