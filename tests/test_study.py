@@ -66,6 +66,9 @@ def test_a_simulated_participant_goes_from_a_plan_to_tables_and_table_1(
     taught = rows(study / 'tables' / 'options.csv')
     assert [row['condition'] for row in taught] == [name for name in names for _ in range(2)]
     assert {row['learned'] for row in taught} == {'yes'}
+    for row in rows(study / 'tables' / 'conditions.csv'):  # from the files of the lessons
+        own = [int(o['demonstrations']) for o in taught if o['condition'] == row['condition']]
+        assert (row['reached'], int(row['demonstrations'])) == ('yes', sum(own))
     assert len(rows(study / 'tables' / 'answers.csv')) == 6 * len(names)
     kept = [
         json.loads(line) for line in (study / '000-simulated-1.jsonl').read_text().splitlines()

@@ -113,7 +113,11 @@ def _curves(
                 plot.plot(curve.index, curve, color=color, ls=style, drawstyle=steps, **_PERSON)
             if people:
                 frame = pd.concat(people, axis=1)
-                frame = frame.ffill() if carried else frame[frame.notna().sum(axis=1) > 1]
+                frame = (
+                    frame.ffill()
+                    if carried
+                    else frame[frame.notna().sum(axis=1) >= min(2, len(people))]
+                )
                 mean = frame.mean(axis=1)
                 text = f'{condition}: mean of {len(people)}'
                 line: dict[str, Any] = {

@@ -234,6 +234,8 @@ def _effect_row(
             values = by.get_group(name).dropna()
             spread = f' ± {number(float(values.std()), 3)}' if len(values) > 1 else ''
             row[name] = f'{number(float(values.mean()), 3)}{spread} (n = {len(values)})'
+    if len(names) < 2:
+        return row, ''
     try:
         model: Effects = effects(rows, outcome, names)
     except ModelError as error:
@@ -328,7 +330,7 @@ def times_section(results: Results) -> Section | None:
         'kind': 'part',
         'count': 'people',
     }
-    found = found.rename(columns=names | {'min': 'shortest', 'max': 'longest'})
+    found = found.round(2).rename(columns=names | {'min': 'shortest', 'max': 'longest'})
     people = results.analysed('participants')
     people = people[people['state'] == 'finished']
     text = []
