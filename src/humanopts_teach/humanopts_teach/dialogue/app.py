@@ -283,6 +283,8 @@ class App:
         While an action of a robot lasts, its key repeats it once, and the key of another action
         ends it.
 
+        The time is that of the last ``advance``.
+
         :param keys: none: only the frame is reported as displayed.
         :param frame: frame on which the keys were pressed; they count only while its screen is
             shown. None: the latest frame, with typing ahead for later screens allowed.
