@@ -28,6 +28,7 @@ from experiments import (
     figure3,
     figure4,
     judging,
+    power,
     rover,
     table1,
     table2,
@@ -43,9 +44,8 @@ app = typer.Typer(**PLAIN)
 # Each module has its command line ``NAME``, a ``TITLE``, ``trials`` of a study, and ``present``,
 # which makes a section from result rows.
 PAPER: list[ModuleType] = [figure2, figure3, figure4, table2]
-EXPERIMENTS = {
-    each.NAME: each for each in (*PAPER, transfer, demonstrations, worlds, judging, battery, rover)
-}
+BEYOND = [transfer, demonstrations, worlds, judging, battery, rover, power]
+EXPERIMENTS = {each.NAME: each for each in (*PAPER, *BEYOND)}
 
 
 @app.command(cls=SeveralValues, help="the paper's figures and tables, computed again")
@@ -63,6 +63,7 @@ def reproduce(
             'judging',
             'battery',
             'rover',
+            'power',
         ],
         typer.Argument(
             metavar='WHAT',
@@ -70,7 +71,8 @@ def reproduce(
             'paper, transfer: options of one maze in others; or demonstrations: how many an '
             'option takes, by learning method; or worlds: options taught in MiniGrid, LunarLander '
             'and others; or judging: whether what a lesson calls learned is right; or battery: '
-            'plans in a world that can only be acted in; or rover: options taught to a robot',
+            'plans in a world that can only be acted in; or rover: options taught to a robot; '
+            'or power: how many participants a study needs',
         ),
     ],
     out: Annotated[
@@ -129,7 +131,7 @@ def reproduce(
         own_mazes = tuple(load_maze(source).text for source in mazes)
     except (BagError, MazeError) as error:
         raise CommandError(str(error)) from error
-    lessons_each = {each.NAME: each.LESSONS for each in (worlds, judging, battery, rover)}
+    lessons_each = {each.NAME: each.LESSONS for each in (worlds, judging, battery, rover, power)}
     usual = lessons_each.get(what, Study.participants)
     study = Study(participants or usual, seeds, seed, lessons, own_mazes)
     out = out or Path('runs') / f'reproduce-{what}'

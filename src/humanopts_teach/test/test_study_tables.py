@@ -248,6 +248,19 @@ def test_a_fixed_order_takes_the_position_out_of_the_model() -> None:
     assert model.rows[0].difference.holds(3.0)
 
 
+def test_merged_wordings_are_one_button_of_most_people(
+    study: StudyFolder, results: Results, tmp_path: Path
+) -> None:
+    first = next(each.text for each in results.data.records[0].of('button'))
+    file, page = tmp_path / 'wordings.yaml', tmp_path / 'report.html'
+    file.write_text(f'fetch: ["{first}", go to destination, go to destination and dropoff]\n')
+    assert write_report(study, page, file) == []
+    assert re.search(r'more than half of the people named (?:[^<]*, )?fetch', page.read_text())
+    file.write_text('fetch: get\n')
+    with pytest.raises(CommandError, match=r'wordings\.yaml: .*list of wordings'):
+        write_report(study, page, file)
+
+
 def test_options_are_as_accurate_as_when_they_were_taught(
     results: Results, taught: dict[str, Taught], taxi: Domain
 ) -> None:

@@ -48,6 +48,11 @@ StudyOption = Annotated[
     typer.Option('--study', metavar='DIR', help='folder of the study; default: runs/STUDY'),
 ]
 
+MergeOption = Annotated[
+    Path | None,
+    option('FILE.yaml', 'wordings of buttons with the same meaning, by name'),
+]
+
 
 @app.callback()
 def study() -> None:
@@ -92,6 +97,7 @@ def run(
         for number in range(1, simulate + 1):
             study.simulate(f'simulated-{number}')
         _export(study.folder, study.folder.path / 'tables')
+        _report(study.folder, study.folder.path / 'report.html')
         return 0
     if pages.browser:
         from humanopts_teach.commands.browser import study_in_browser
@@ -200,6 +206,7 @@ def export(
     folder: StudyOption = None,
     pilot: PilotOption = False,
     excel: ExcelOption = False,
+    merge: MergeOption = None,
 ) -> int:
     """Write tidy CSV tables with a codebook, and the buttons as in Table 1 of the paper."""
     _, study_folder, _ = _kept('export', plan, folder, pilot)
@@ -207,7 +214,7 @@ def export(
         raise CommandError(
             f'no one has taken part yet in {study_folder.path}; --study DIR names another'
         )
-    _export(study_folder, out or study_folder.path / 'tables', excel=excel)
+    _export(study_folder, out or study_folder.path / 'tables', merge, excel=excel)
     return 0
 
 
@@ -220,14 +227,11 @@ def report(
     ] = None,
     folder: StudyOption = None,
     pilot: PilotOption = False,
+    merge: MergeOption = None,
 ) -> int:
     """Write a report: participants, learning curves, effects, buttons, times, questionnaires."""
-    from humanopts_teach.commands.study_report import write_report
-
     _, study_folder, _ = _kept('report', plan, folder, pilot)
-    path = out or study_folder.path / 'report.html'
-    _warn('report', write_report(study_folder, path))
-    print(printable(str(path)))
+    _report(study_folder, out or study_folder.path / 'report.html', merge)
     return 0
 
 
@@ -279,17 +283,27 @@ def _kept(
     return protocol.plan, study_folder, protocol
 
 
-def _export(folder: 'StudyFolder', out: Path, *, excel: bool = False) -> None:
+def _export(
+    folder: 'StudyFolder', out: Path, merge: Path | None = None, *, excel: bool = False
+) -> None:
     """Write the tables, and print Table 1."""
+    from humanopts_teach.commands.study_report import merged_wordings
     from humanopts_teach.evaluation.table1 import table_text
     from humanopts_teach.study.export import suggested, write_study
     from humanopts_teach.study.tables import read_study
 
-    data, problems = read_study(folder, time.time())
+    data, problems = read_study(folder, time.time(), merged_wordings(merge))
     _warn('export', problems)
     for path in write_study(data, out, excel=excel):
         print(printable(str(path)))
     print(printable(f'\n{table_text(suggested(data))}'))
+
+
+def _report(folder: 'StudyFolder', out: Path, merge: Path | None = None) -> None:
+    from humanopts_teach.commands.study_report import write_report
+
+    _warn('report', write_report(folder, out, merge))
+    print(printable(str(out)))
 
 
 def _warn(command: str, problems: Iterable[str]) -> None:

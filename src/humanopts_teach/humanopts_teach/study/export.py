@@ -57,4 +57,5 @@ def suggested(data: StudyData) -> list[ButtonTable]:
             texts = [e.text for e in last_attempts(record.events) if e.condition == condition.name]
             for text in ('', *filter(None, texts), *begun_options(entries)):
                 named[(*who, text)] = named.get((*who, text), False) or text in shown
-    return count_named([Named(*key, taught) for key, taught in named.items()], {})
+    named_options = [Named(*key, taught) for key, taught in named.items()]
+    return count_named(named_options, data.wordings)

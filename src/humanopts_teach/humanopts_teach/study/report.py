@@ -249,7 +249,7 @@ def _effect_row(
 
 def buttons_section(results: Results) -> Section | None:
     """Return the buttons that people suggested, as in Table 1 of the paper."""
-    found = []
+    found, notes = [], []
     for table in suggested(results.data):
         rows = [
             {
@@ -263,8 +263,11 @@ def buttons_section(results: Results) -> Section | None:
             for row in table.rows
         ]
         found.append((table.domain, pd.DataFrame(rows)))
+        most = [row.option for row in table.rows if 2 * row.people > len(table.people)]
+        if most:
+            notes.append(f'{table.domain}: more than half of the people named {", ".join(most)}.')
     text = 'Buttons that people suggested or taught, as in Table 1 of the paper.'
-    return Section('buttons', 'Buttons', [text], tables=found) if found else None
+    return Section('buttons', 'Buttons', [text], tables=found, notes=notes) if found else None
 
 
 def paper_section(results: Results) -> Section | None:

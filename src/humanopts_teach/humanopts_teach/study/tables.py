@@ -1,7 +1,7 @@
 """Results of a study: tidy tables."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 import json
 from typing import Any
 
@@ -28,6 +28,7 @@ class StudyData:
 
     :ivar lessons: entries in the order written, by participant and condition; none: not reached.
     :ivar now: s since 1970; decides whether a participant has dropped out.
+    :ivar wordings: canonical names of buttons, as of ``read_merge``.
     """
 
     protocol: Protocol
@@ -35,6 +36,7 @@ class StudyData:
     records: Sequence[Record]
     lessons: Mapping[tuple[str, str], Sequence[Entry]]
     now: float
+    wordings: Mapping[str, str] = field(default_factory=dict)
 
     def plan_of(self, record: Record) -> StudyPlan | None:
         """Return the plan that a participant follows; None: unknown."""
@@ -53,7 +55,9 @@ class StudyData:
         return 'under way' if here else 'dropped out'
 
 
-def read_study(folder: StudyFolder, now: float) -> tuple[StudyData, list[str]]:
+def read_study(
+    folder: StudyFolder, now: float, wordings: Mapping[str, str] = {}
+) -> tuple[StudyData, list[str]]:
     """
     Read the folder of a study.
 
@@ -73,7 +77,7 @@ def read_study(folder: StudyFolder, now: float) -> tuple[StudyData, list[str]]:
                 entries, faults = [], [f'{path} is left out: {error.strerror}']
             lessons[record.code, condition] = entries
             problems += faults
-    return StudyData(protocol, log, records, lessons, now), problems
+    return StudyData(protocol, log, records, lessons, now, wordings), problems
 
 
 def tables(data: StudyData) -> dict[str, pd.DataFrame]:
