@@ -360,7 +360,6 @@ def part(kind: PartKind, **fields: Any) -> Part:
 
 
 PARTS_OF = {
-    'consent': Part(kind=PartKind.CONSENT, key='consent', text='# Taking part', reading=2.0),
     'play': part(PartKind.PLAY, minutes=2.0),
     'buttons': part(PartKind.BUTTONS, most=2),
     'teach': part(PartKind.TEACH, minutes=10.0),
@@ -370,8 +369,6 @@ PARTS_OF = {
 }
 BEGIN = '1 f e t c h enter y o enter left'  # a demonstration
 SITTINGS = [  # first part, before the page; keys, and seconds after a plus
-    ('consent', ['enter | y | ctrl-c', 'enter']),  # the second time, only the page is left
-    ('consent', ['n']),
     ('play', ['escape']),
     ('play', ['+119.9 | +0.1']),
     ('buttons', ['f e t c h enter | g o enter']),

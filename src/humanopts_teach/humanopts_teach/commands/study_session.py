@@ -164,7 +164,9 @@ class Study:
             self.folder.turn_away()
             raise
         pages = self.plan.consent_parts
-        if known is not None or not pages:
+        if known is not None:
+            pages = known.remaining(self.folder.plan_of(self.plan, known).consent_parts)
+        if not pages:
             return None
         app = ConsentApp(pages)
         app.language = self.plan.language
@@ -231,7 +233,7 @@ class Study:
         :raises StudyError: the record or its plan cannot be used.
         """
         record, notes = participant.read(), OpenRecord(participant.path)
-        if record.refused or record.excluded:
+        if record.excluded:
             notes.note('ended')
             return self.farewell(record)
         if last is not None and record.remaining(last.left):

@@ -31,7 +31,6 @@ from humanopts_teach.study.events import (
     FINISHED,
     learned,
     LearnedOption,
-    REFUSED,
     TIME,
 )
 from humanopts_teach.study.plan import Part, PartKind
@@ -208,11 +207,7 @@ def _first_screen(part: Part, app: StudyApp) -> Screen:
     """Return the first screen of a part."""
     match part.kind:
         case PartKind.CONSENT:
-            choices = [
-                Command('y', N_('I agree and take part'), end),
-                Command('n', N_('I do not take part'), _refuse),
-            ]
-            return page(Page(part.text), choices, part.reading)
+            raise AssertionError('the consent comes before the game')
         case PartKind.PAGE:
             choices = [Command([ENTER], N_('continue'), end)]
             return page(Page(part.text), choices, part.reading)
@@ -228,12 +223,6 @@ def _first_screen(part: Part, app: StudyApp) -> Screen:
             return Asked(part.questions, partial(app.note, 'answer')).screen()
         case PartKind.TEACH:
             return opening(app.code, ask=False)
-
-
-def _refuse(app: App) -> None:
-    assert isinstance(app, StudyApp)
-    app.end(REFUSED)
-    app.ended = True
 
 
 def _button(rank: int, most: int) -> TextScreen:

@@ -11,7 +11,7 @@ print(table(people$state))
 
 # One row for each participant who began to teach in the condition, zeros included. People who
 # failed too many attention checks are left out, and so are simulated participants, if there are others.
-rows <- subset(rows, reached == "yes" & !(state %in% c("excluded", "declined")))
+rows <- subset(rows, reached == "yes" & state != "excluded")
 if (any(rows$simulated == "no")) rows <- subset(rows, simulated == "no")
 rows$condition <- factor(rows$condition, levels = unique(as.character(rows$condition)))
 rows$position <- factor(rows$position)

@@ -54,9 +54,8 @@ _REQUIRED: dict[EventKind, tuple[str, ...]] = {
     'learned': ('part', 'options'),
     'ended': (),
 }
-FINISHED: Final = 'finished'  # why a part ended, as are the next three
+FINISHED: Final = 'finished'  # why a part ended, as are the next two
 TIME: Final = 'time is over'
-REFUSED: Final = 'not agreed'
 FAILED: Final = 'attention failed'
 MAX_LINE = 1_000_000  # maximum number of characters of an event
 
@@ -105,7 +104,7 @@ class Event(_Values):
     part: Text = ''  # key of the part; empty: none
     condition: Text = ''  # empty: none
     kind: Annotated[PartKind | None, Field(strict=False)] = None  # kind of the part
-    why: Literal['', 'finished', 'time is over', 'not agreed', 'attention failed'] = ''
+    why: Literal['', 'finished', 'time is over', 'attention failed'] = ''
     item: Text = ''  # name of the question
     value: Answer | None = None  # None: the question was skipped
     points: Annotated[int, Field(ge=2, le=MAX_POINTS)] = 0  # of a rating: number of points

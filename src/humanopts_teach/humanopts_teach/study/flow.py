@@ -62,7 +62,7 @@ def flow_of(data: StudyData, found: Mapping[str, pd.DataFrame]) -> Flow:
             ConditionFlow(str(name), len(own), count['reached'], count['finished'], gone[name])
         )
     return Flow(
-        declined=len(data.log.of('declined')) + states['declined'],
+        declined=len(data.log.of('declined')),
         full=len(data.log.of('full')),
         withdrawn=len(data.log.of('withdrawn')),
         excluded=states['excluded'],

@@ -30,7 +30,6 @@ from humanopts_teach.study.events import (
     FAILED,
     FINISHED,
     last_attempts,
-    REFUSED,
     TimeIn,
     times_in,
 )
@@ -138,11 +137,6 @@ class Record:
         return {e.part for e in last_attempts(self.events) if e.event == 'part ended'}
 
     @property
-    def refused(self) -> bool:
-        """Whether the participant declined to take part."""
-        return any(event.why == REFUSED for event in self.of('part ended'))
-
-    @property
     def excluded(self) -> bool:
         """Whether the participant has failed too many attention checks."""
         return any(event.why == FAILED for event in self.of('part ended'))
@@ -166,7 +160,7 @@ class Record:
         :param hours: time in which a participant has to return; 0: unlimited.
         :param now: s since 1970.
         """
-        if self.excluded or self.refused:
+        if self.excluded:
             return False
         latest = max((event.time for event in self.events), default=now)
         return self.over or not hours or now - latest < 3600 * hours
@@ -365,7 +359,10 @@ class StudyFolder:
         with self._locked():
             found = self.find(plan, code, simulated=simulated)
             if found is not None:
-                return found
+                if consent_seconds is not None:
+                    pages = found.remaining(self.plan_of(plan, found).consent_parts)
+                    OpenRecord(found.path).append(*self._agreed(pages, consent_seconds))
+                return found.read()
             named = self._named()[0]
             place = self._free_place(plan, self.records()[0])
             record = next((each for each in named if each.code == code), None)
@@ -390,7 +387,8 @@ class StudyFolder:
                 software=SOFTWARE,
                 protocol=digest_of(plan),
             )
-            consent = [] if consent_seconds is None else _agreed(plan, now, consent_seconds)
+            pages = [] if consent_seconds is None else plan.consent_parts
+            consent = self._agreed(pages, consent_seconds or 0.0)
             try:
                 Protocol(self.path).keep(plan)
                 OpenRecord(record.path).append(began, *consent)
@@ -399,6 +397,19 @@ class StudyFolder:
                     record.path.unlink(missing_ok=True)
                 raise
             return record.read()
+
+    def _agreed(self, pages: Iterable[Part], seconds: float) -> list[Event]:
+        """Return the events of a consent; the last page has the time that all pages took."""
+        events, now = list[Event](), round(self._clock(), 3)
+        for page in pages:
+            start = now - seconds
+            end = now if page.kind is PartKind.CONSENT else start
+            fields: dict[str, Any] = {'part': page.key, 'condition': '', 'kind': page.kind}
+            events += [
+                Event(event='part began', time=start, **fields),
+                Event(event='part ended', time=end, why=FINISHED, **fields),
+            ]
+        return events
 
     @contextmanager
     def hold(self, record: Record) -> Iterator[None]:
@@ -589,20 +600,6 @@ class StudyFolder:
             yield
         finally:
             os.close(lock)
-
-
-def _agreed(plan: StudyPlan, now: float, seconds: float) -> list[Event]:
-    """Return the events of a consent; the last page has the time that all pages took."""
-    events = []
-    for page in plan.consent_parts:
-        start = now - seconds
-        end = now if page.kind is PartKind.CONSENT else start
-        fields: dict[str, Any] = {'part': page.key, 'condition': '', 'kind': page.kind}
-        events += [
-            Event(event='part began', time=start, **fields),
-            Event(event='part ended', time=end, why=FINISHED, **fields),
-        ]
-    return events
 
 
 def _is_empty(path: Path) -> bool:

@@ -31,7 +31,6 @@ OUTCOMES = {  # column of the table of conditions: title and unit
     'not_here': ('“Not here” answers', 'answers'),
     'teach_minutes': ('Time of teaching', 'min'),
 }
-LEFT_OUT = ('excluded', 'declined')  # states of participants who are not analysed
 
 
 @dataclass(frozen=True)
@@ -78,7 +77,7 @@ class Results:
     def analysed(self, table: str) -> pd.DataFrame:
         """Return the rows of a table of the participants who are analysed."""
         people = self.tables['participants']
-        kept = people[~people['state'].isin(LEFT_OUT)]
+        kept = people[people['state'] != 'excluded']
         if self.has_people:
             kept = kept[kept['simulated'] == 'no']
         rows = self.tables[table]

@@ -9,7 +9,7 @@ from humanopts_learner.append_only_log import read_lines
 from humanopts_learner.demonstrations import Demonstration, each_once, Kind
 from humanopts_teach.lesson.store import Entry, entry_from_line, LessonEvent
 from humanopts_teach.study.codebook import codebook, Column
-from humanopts_teach.study.events import Event, last_attempts, LearnedOption, REFUSED, times_in
+from humanopts_teach.study.events import Event, last_attempts, LearnedOption, times_in
 from humanopts_teach.study.log import StudyLog
 from humanopts_teach.study.plan import Condition, Part, PartKind, StudyPlan
 from humanopts_teach.study.protocol import Protocol, SHOWN_DIGEST
@@ -44,8 +44,6 @@ class StudyData:
 
     def state_of(self, record: Record) -> str:
         """Return whether a participant has finished, or why not, as in the codebook."""
-        if record.refused:
-            return 'declined'
         if record.excluded:
             return 'excluded'
         if record.over:
@@ -169,7 +167,7 @@ class _Participant:
         record, agreed = self.record, ''
         for event in record.of('part ended'):
             if event.kind is PartKind.CONSENT:
-                agreed = _word(event.why != REFUSED)
+                agreed = _word(True)
         checks = self._of('attention')
         row = {
             'number': record.number,
