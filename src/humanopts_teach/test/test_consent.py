@@ -57,3 +57,20 @@ def test_leaving_is_no_answer() -> None:
     person = Person(browser=False)
     person.press(['ctrl-c'])
     assert (person.app.agreed, person.app.ended) == (None, True)
+
+
+def test_a_long_page_is_scrolled_at_once_to_its_end() -> None:
+    text = '\n\n'.join(f'Paragraph {number}.' for number in range(30))
+    app = ConsentApp([Part(kind=PartKind.CONSENT, key='consent', text=text, reading=2.0)])
+    app.drawn()
+    app.type([])
+    app.advance(1.0)
+    assert '... ↓ shows more' in frame(app, 80, 24)
+    for _ in range(20):
+        app.type(['down'])
+        app.advance(1.0)
+    lines = frame(app, 80, 24)
+    assert 'Paragraph 29.' in lines
+    assert '↑ goes back up' in lines
+    assert len(lines) == 24
+    assert not app.message.text

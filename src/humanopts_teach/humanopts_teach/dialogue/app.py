@@ -15,11 +15,13 @@ from humanopts_env.domains.base import ActableDomain
 from humanopts_teach.dialogue.keys import (
     Command,
     command_of,
+    DOWN,
     END_OF_FILE,
     INTERRUPT,
     key_table,
     label,
     SPACE,
+    UP,
 )
 from humanopts_teach.dialogue.panel import GAP, Line, Panel, Tone
 from humanopts_teach.language import _, in_its_language, N_, translated
@@ -67,6 +69,7 @@ class Screen:
     :cvar takes_text: the person types a text.
     :cvar earliest: seconds for which the screen must have been displayed before keys count; 0:
         keys may even be typed ahead of it.
+    :ivar scroll: lines of a long text that are scrolled away in a terminal; None: never.
     :ivar first_shown: monotonic time in s at which it was first displayed; None: not yet.
     """
 
@@ -76,6 +79,7 @@ class Screen:
     claims_lesson: bool = False
     takes_text: bool = False
     earliest: float = 0.0
+    scroll: int | None = None
     first_shown: float | None = None
 
     @property
@@ -302,7 +306,7 @@ class App:
             if key in (INTERRUPT, END_OF_FILE):
                 self.ended = True
                 continue
-            if early:
+            if early and key not in (UP, DOWN):
                 self.say(_(_EARLY).format(key=label(key)))
                 continue
             moves = self.run is not None or bool(self.world.progress.action)

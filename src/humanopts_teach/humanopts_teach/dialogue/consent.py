@@ -56,4 +56,5 @@ class ConsentApp(App):
 
 def page(text: Block, choices: Sequence[Command], earliest: float = 0.0) -> Notice:
     """Return a screen without a board; keys count after it was displayed ``earliest`` seconds."""
-    return Notice([text], choices, shows_board=False, earliest=max(earliest, EARLIEST))
+    earliest = max(earliest, EARLIEST)
+    return Notice([text], choices, shows_board=False, earliest=earliest, scroll=0)

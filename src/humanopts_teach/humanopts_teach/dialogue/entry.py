@@ -22,6 +22,7 @@ from humanopts_teach.dialogue.panel import (
 from humanopts_teach.language import _, N_, translated
 
 MAX_CHARACTERS = 60
+SCROLLED = 5  # lines by which a key scrolls
 PAGE = 9  # number of items per page; each has a digit key
 
 
@@ -51,6 +52,7 @@ class Notice(Screen):
     claims_lesson: bool = False
     hides_features: bool = True
     earliest: float = 0.0
+    scroll: int | None = None
 
     def panel(self, app: App) -> Panel:
         return Panel(self.blocks)
@@ -59,7 +61,9 @@ class Notice(Screen):
         return self.choices
 
     def other_key(self, key: str, app: App) -> None:
-        if self.other is not None:
+        if self.scroll is not None and key in (keys.UP, keys.DOWN):
+            self.scroll = max(self.scroll + (SCROLLED if key == keys.DOWN else -SCROLLED), 0)
+        elif self.other is not None:
             self.other(app)
 
 

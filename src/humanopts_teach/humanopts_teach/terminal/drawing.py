@@ -28,6 +28,7 @@ from rich.text import Text
 SMALLEST = (70, 20)  # columns, rows
 _WIDE_BESIDE = 50  # minimum columns next to the board to place the whole panel there
 _GAP = 3  # columns between the board and what is beside it
+_READABLE = 90  # columns; longer lines of text are harder to read
 _ROOMY = 24  # rows; taller screens have a gap below the header
 _LONG_NAME = 30  # columns; longer names of features, which are formulas, are not aligned
 _LONG_LIST = 12  # options; longer lists have several columns
@@ -73,7 +74,7 @@ def frame(app: App, width: int, height: int, colours: Colours | None = None) -> 
     keys = [(key.label, key.words) for key in shown.keys if key.label]
     foot = [Text('─' * width, 'dim'), drawn(shown.said), *key_bar(keys, width)]
     middle = partial(_middle, shown, width, colours)
-    return framed(top, middle, foot, width, height, colours)
+    return framed(top, middle, foot, width, height, colours, app.screen.scroll)
 
 
 def title(words: str, width: int) -> Text:
@@ -88,18 +89,24 @@ def framed(
     width: int,
     height: int,
     colours: Colours | None,
+    scroll: int | None = None,
 ) -> list[str]:
     """
     Return ``height`` lines: top and middle, truncated if too long, and the foot below them.
 
     :param middle: returns the middle for a number of rows, which an image fills.
+    :param scroll: number of lines of the middle that are scrolled away; None: it does not scroll.
     """
     upper, lower = (_lines_of(Group(*part), width, colours) for part in (top, foot))
-    room = height - len(lower)
-    upper += _lines_of(Group(middle(room - len(upper))), width, colours)
-    if len(upper) > room:
-        upper = [*upper[: max(room - 1, 0)], _('... (a higher window shows more)')]
-    return (upper + [''] * room)[:room] + lower
+    room = max(height - len(lower) - len(upper), 0)
+    lines = _lines_of(Group(middle(room)), width, colours)
+    if len(lines) > room:
+        hint, shown = _('... (a higher window shows more)'), max(room - 1, 0)
+        first = min(scroll or 0, len(lines) - shown)
+        if scroll is not None:
+            hint = _('... ↓ shows more') if first + shown < len(lines) else _('↑ goes back up')
+        lines = [*lines[first : first + shown], hint]
+    return upper + (lines + [''] * room)[:room] + lower
 
 
 def _lines_of(group: Group, width: int, colours: Colours | None) -> list[str]:
@@ -139,7 +146,7 @@ def _middle(
 ) -> RenderableType:
     beside, below = (Group(*map(drawn, part)) for part in (view.panel.beside, view.panel.below))
     if view.board is None:
-        return Group(beside, below)
+        return Padding(Group(beside, below), (0, max(width - _READABLE, 0), 0, 0))
     room = max(width // 2, width - _GAP - _WIDE_BESIDE)  # for an image
     if view.board.image is not None:
         text = _lines_of(Group(beside, below), width - room - _GAP, None)
