@@ -1,40 +1,15 @@
 """Pages in Chromium for people who do not see them, or use only the keyboard."""
 
 from collections.abc import Callable
-import os
 from pathlib import Path
 
 from graph_support.terminal import run_to_judge
 import pytest
-from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
-from teach_support.chromium import DESKTOP, LOOKS, Person, PICKUP, served, severe, Window, windows
+from teach_support.chromium import DESKTOP, Person, PICKUP, served, severe, Visit, Window, windows
 
 pytestmark = [pytest.mark.chromium, pytest.mark.live, pytest.mark.timeout(300)]
 __all__ = ['windows']
-PICTURES = os.environ.get('PICTURES', '')  # a folder for a picture of each page in each look
-
-
-class Visit:
-    """Looks at pages: what axe finds, what a screen reader reads, and pictures."""
-
-    def __init__(self, window: Window) -> None:
-        self.window, self.findings, self.spoken = window, list[str](), list[str]()
-
-    def look(self, name: str) -> None:
-        """Look at the page that is shown."""
-        window = self.window
-        self.findings += [f'{name}: {each}' for each in window.findings()]
-        if PICTURES:
-            for size, dark in LOOKS:
-                window.look(size, dark)
-                mode = 'dark' if dark else 'light'
-                window.driver.save_screenshot(f'{PICTURES}/{name}-{size[0]}-{mode}.png')
-        window.look(DESKTOP, dark=False)
-        self.spoken += [f'--- {name}', *window.spoken()]
-        root = window.driver.find_element(By.TAG_NAME, 'html')
-        assert str(root.get_attribute('lang')).startswith('en')
-        assert window.driver.title not in ('', 'humanopts')
 
 
 def test_a_lesson_by_keyboard_and_no_finding_of_axe(
@@ -42,7 +17,7 @@ def test_a_lesson_by_keyboard_and_no_finding_of_axe(
 ) -> None:
     with served(tmp_path, 'taxi', '--learn', 'goal', '--seats', 1) as pages:
         window = windows(DESKTOP)
-        visit = Visit(window)
+        visit = Visit(window, 'lesson')
         window.driver.get(pages.address)
         window.see('Who teaches?')
         visit.look('sign-in')
@@ -65,7 +40,7 @@ def test_a_lesson_by_keyboard_and_no_finding_of_axe(
         other = windows(DESKTOP)  # waits meanwhile
         other.driver.get(f'{pages.address}/ben')
         other.see('You are number 1 in line')
-        waiting = Visit(other)
+        waiting = Visit(other, 'lesson')
         waiting.look('waiting')
         other.driver.get(f'{pages.address}/anna')
         other.see('is in another window')
@@ -100,6 +75,6 @@ def test_a_lesson_by_keyboard_and_no_finding_of_axe(
         window.press('q')
         window.see('Everything taught is saved.')
         visit.look('farewell')
-        print('\n'.join((*visit.spoken, *waiting.spoken)))
-        assert visit.findings + waiting.findings == []
+        waiting.report()
+        visit.report()
         assert severe(window) == []

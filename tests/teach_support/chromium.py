@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.resources import files
+import os
 from pathlib import Path
 import re
 import shutil
@@ -36,8 +37,9 @@ ARROWS = {
 LINGER = 4  # s
 STALE = StaleElementReferenceException
 LOOKS = [(size, dark) for size in (DESKTOP, PHONE) for dark in (False, True)]
+PICTURES = os.environ.get('PICTURES', '')
 AXE = files('axe_core_python').joinpath('axe.min.js').read_text('utf-8')
-_SPOKEN_WHOLE = ('button', 'heading', 'term')
+_SPOKEN_WHOLE = ('button', 'checkbox', 'heading', 'image', 'radio', 'StaticText')
 _UNSPOKEN = ('InlineTextBox', 'RootWebArea', 'ListMarker')
 READ = """
 const heard = document.querySelector('.nicegui-content > .heard')?.innerText ?? '';
@@ -75,6 +77,7 @@ class Window:
             options.accept_insecure_certs = True
         options.set_capability('goog:loggingPrefs', {'performance': 'ALL', 'browser': 'ALL'})
         self.driver = webdriver.Chrome(options=options, service=Service(driver))
+        self.size = size
         self.look(size, dark)
 
     def look(self, size: tuple[int, int], dark: bool) -> None:
@@ -107,17 +110,17 @@ class Window:
     def spoken(self) -> list[str]:
         """Return what a screen reader reads: role and name of each node of the page."""
         nodes = self.command('Accessibility.getFullAXTree')['nodes']
-        roles = {node['nodeId']: node.get('role', {}).get('value', '') for node in nodes}
-        found = []
-        for node in nodes:
-            role, name = roles[node['nodeId']], node.get('name', {}).get('value', '')
-            part = role == 'StaticText' and roles[node['parentId']] in (
-                'button',
-                'heading',
-                'term',
-            )
-            if name.strip() and not (node['ignored'] or part or role in _UNSPOKEN):
-                found.append(name if role == 'StaticText' else f'{role}: {name}')
+        by_id, found = {node['nodeId']: node for node in nodes}, list[str]()
+
+        def read(node: dict[str, Any]) -> None:
+            role, name = (node.get(key, {}).get('value', '') for key in ('role', 'name'))
+            if name.strip() and not node['ignored'] and role not in _UNSPOKEN:
+                found.append(name.strip() if role == 'StaticText' else f'{role}: {name}')
+            for child in node['childIds'] if role not in _SPOKEN_WHOLE else ():
+                if child in by_id:
+                    read(by_id[child])
+
+        read(nodes[0])
         return found
 
     def command(self, name: str, **parameters: Any) -> Any:
@@ -153,7 +156,10 @@ class Window:
             for button in self.driver.find_elements(By.TAG_NAME, 'button'):
                 try:
                     if words in button.text or words == button.get_attribute('title'):
-                        button.click()
+                        if self.size == PHONE:
+                            self.tap(button)
+                        else:
+                            button.click()
                         return True
                 except STALE:
                     return False
@@ -161,9 +167,54 @@ class Window:
 
         self.until(clicked, f'a button {words}')
 
+    def tap(self, element: Any) -> None:
+        """Touch an element for a moment."""
+        script = 'arguments[0].scrollIntoView({block: "nearest"}); '
+        script += 'return arguments[0].getBoundingClientRect().toJSON()'
+        box = self.driver.execute_script(script, element)
+        at = {'x': box['x'] + box['width'] / 2, 'y': box['y'] + box['height'] / 2}
+        self.command('Input.dispatchTouchEvent', type='touchStart', touchPoints=[at])
+        self.command('Input.dispatchTouchEvent', type='touchEnd', touchPoints=[])
+
     def write(self, text: str) -> None:
         """Type into the field of the page."""
-        self.driver.find_element(By.TAG_NAME, 'input').send_keys(text)
+        self.driver.find_element(
+            By.CSS_SELECTOR, 'form.typed input, form.typed textarea'
+        ).send_keys(text)
+
+
+class Visit:
+    """
+    Looks at the pages of a person: what axe finds, and what a screen reader reads.
+
+    With a folder ``PICTURES`` in the environment, it also takes pictures of each page.
+    """
+
+    def __init__(self, window: Window, name: str) -> None:
+        self.window, self.name = window, name
+        self.size = window.size
+        self.findings, self.spoken = list[str](), list[str]()
+
+    def look(self, page: str) -> None:
+        """Look at the page that is shown."""
+        window = self.window
+        self.findings += [f'{page}: {each}' for each in window.findings()]
+        if PICTURES:
+            for size, dark in LOOKS:
+                window.look(size, dark)
+                mode = 'dark' if dark else 'light'
+                path = f'{PICTURES}/{self.name}-{page}-{size[0]}-{mode}.png'
+                window.driver.save_screenshot(path)
+        window.look(self.size, dark=False)
+        self.spoken += [f'--- {page}', *window.spoken()]
+        root = window.driver.find_element(By.TAG_NAME, 'html')
+        assert str(root.get_attribute('lang'))[:2] in ('en', 'de')
+        assert window.driver.title not in ('', 'humanopts')
+
+    def report(self) -> None:
+        """Print what was read, and fail if there were findings."""
+        print('\n'.join(self.spoken))
+        assert self.findings == []
 
 
 @dataclass(frozen=True)
@@ -286,14 +337,27 @@ def windows() -> Iterator[Callable[..., Window]]:
         window.driver.quit()
 
 
+@pytest.fixture(scope='module')
+def shared_window() -> Iterator[Window]:
+    """A window for several tests."""
+    window = Window(DESKTOP)
+    yield window
+    window.driver.quit()
+
+
 @contextmanager
 def served(folder: Path, domain: str, *options: object) -> Iterator[Served]:
-    """Serve pages: their address, and the folder of the data."""
+    """Serve pages for a domain: their address, and the folder of the data."""
+    own = ('--seed', 3, '--out', folder / 'data')
+    with served_by(('teach', domain, '--browser', *own, *options), folder) as pages:
+        yield pages
+
+
+@contextmanager
+def served_by(arguments: tuple[object, ...], folder: Path) -> Iterator[Served]:
+    """Run a command that serves pages."""
     with free_domain_id() as domain_id:
-        arguments = ('teach', domain, '--browser', '--port', 0, '--seed', 3, *options)
-        command = Command(
-            [*arguments, '--linger', LINGER, '--out', folder / 'data'], folder, domain_id
-        )
+        command = Command((*arguments, '--port', 0, '--linger', LINGER), folder, domain_id)
         address = re.compile(r'Open (\S+) in a browser')
         try:
             command.until(lambda: address.search(command.output), 'the address')

@@ -297,7 +297,7 @@ async def _converse(seat: Seat, app: ConsentApp) -> None:
     clock, decided = asyncio.get_running_loop().time, asyncio.Event()
 
     def press(keys: list[str], frame: int) -> None:
-        app.advance(clock())
+        app.advance(clock())  # how long the page has been displayed
         app.type(keys, frame)
         app.advance(clock())
         if app.ended or app.agreed is not None:
