@@ -10,6 +10,7 @@
   };
   const input = () => document.querySelector('form.typed input, form.typed textarea');
 
+  const known = (key) => JSON.parse(document.querySelector('[data-known]')?.dataset.known ?? '[]').includes(key);
   document.addEventListener('keydown', (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey || event.isComposing) return;
     const key = NAMES[event.key] ?? (event.key.length === 1 ? event.key : '');
@@ -22,8 +23,7 @@
     const button = event.target.closest?.('[data-keys]');
     if (button && (key === 'enter' || key === ' ')) return; // handled as a click
     if (!key) return;
-    const known = JSON.parse(document.querySelector('[data-known]')?.dataset.known ?? '[]');
-    if (known.includes(key) || (key.length === 1 && key !== ' ')) event.preventDefault(); // others scroll
+    if (known(key) || (key.length === 1 && key !== ' ')) event.preventDefault(); // others scroll
     send([key]);
   });
 
