@@ -35,7 +35,7 @@ def changes(now: ScreenView, before: ScreenView | None) -> str:
     new = [text for key, text in _lines(now).items() if key not in known]
     if before is not None and now.plays and before.plays:
         moved = _moved(before, now)
-        stepped = _lines(now).values() != known.values()
+        stepped = _lines(now) != known
         new += moved or ([_('no change on the board')] if stepped and not new else [])
     return '. '.join(text.rstrip('.') for text in new)
 
