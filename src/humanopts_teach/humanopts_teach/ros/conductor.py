@@ -21,6 +21,7 @@ from humanopts_ros.peers import announced_ids
 from humanopts_ros.process import woken_by_signals
 from humanopts_ros.qos import CURRENT
 from humanopts_ros.senders import signer
+from humanopts_ros.waiting import drive
 from humanopts_teach.launching import CONDUCTOR, LaunchError, OccupiedError, RECORDER
 from humanopts_teach.launching.processes import Value
 from humanopts_teach.launching.restarts import NodeExit
@@ -284,13 +285,20 @@ class Conductor(NodeBase):
 
     def _run(self, goal: ActionGoal, what: str) -> Any:
         """Run an action of the planner to its end, and return its result."""
-        run = partial(self.client.run, goal, _WORK_SECONDS, partial(setattr, self, 'feedback'))
-        task = self._executor.create_task(run)
-        self.wait(task.done, math.inf, what)
-        try:
-            return task.result()
-        except ClientError as error:
-            raise LaunchError(f'{what}: {error}') from error
+        ended: list[Any] = []
+
+        async def run() -> Any:
+            try:
+                keep = partial(setattr, self, 'feedback')
+                return await self.client.run(goal, _WORK_SECONDS, keep)
+            except ClientError as error:  # an executor would log it, too
+                return error
+
+        drive(run(), ended.append)
+        self.wait(lambda: bool(ended), math.inf, what)
+        if isinstance(ended[0], ClientError):
+            raise LaunchError(f'{what}: {ended[0]}') from ended[0]
+        return ended[0]
 
     def retry(self, work: Callable[[], T]) -> T:
         """
