@@ -2,15 +2,16 @@
 Options taught to a robot: a simulated rover in a house of two rooms.
 
 This goes beyond the paper. The rover of ``examples/humanopts_rover`` can only be acted in: the
-learner sees what it senses, but neither rules nor states. A simulated person places it, shows the
-option with an action every ``SECONDS``, and steers with hysteresis: turns until the rover points
-well, then drives until it does not. A share of the steps are slips. So equal situations have
-different actions, and no option can repeat a demonstration step by step.
+learner sees the features of its world file, but neither rules nor states. A simulated person
+places it, shows the option, and steers with hysteresis: turns until the rover points well, then
+drives until it does not. A share of the steps are slips. So equal situations have different
+actions, and no option can repeat a demonstration step by step.
 
-From the third demonstration on, the option is examined: the person watches runs, and takes over
-where one is wrong. *Learned* is the number of demonstrations when an exam was first passed.
-*Success* is the share of unseen places from which the option stops where the person would call
-the run right, within ``SLOWER`` times the steps that the person needs without slips.
+From the third demonstration on, the option is examined: the person watches runs, and shows the
+option next from where one went wrong. After an exam was passed, they watch ``WATCHED`` runs before
+each further demonstration. *Learned* is the number of demonstrations when an exam was first
+passed. A run is right if it stops where the person would call it right, within ``SLOWER`` times
+the steps that the person needs without slips; *success* is the share from unseen places.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -21,10 +22,10 @@ import sys
 from typing import Any
 
 from humanopts_env.arrays import Floats
-from humanopts_env.domains.base import Action, Feature, FeatureKind
-from humanopts_env.domains.described import DescribedDomain
 from humanopts_env.game import Transition
 from humanopts_env.seeding import generator
+from humanopts_env.worlds.sensors import Sensors
+from humanopts_env.worlds.world import load_world
 from humanopts_learner.demonstrations import Demonstration, FOREST, TREES
 from humanopts_learner.intervals import Interval
 from humanopts_learner.option import Option
@@ -43,65 +44,31 @@ from experiments.trials import Rows, Trial
 ROVER = Path(__file__).parents[1] / 'examples' / 'humanopts_rover'
 if str(ROVER) not in sys.path:
     sys.path.append(str(ROVER))
-from humanopts_rover.simulation import HEIGHT, PLACES, Simulation, turn, WIDTH  # noqa: E402 - not installed
+from humanopts_rover import messages  # noqa: E402 - not installed
+from humanopts_rover.simulation import HEIGHT, PLACES, Simulation, turn, WIDTH  # noqa: E402
 
 NAME = 'rover'
 TITLE = 'Options taught to a robot'
 LESSONS = 20
-SECONDS = 0.2  # of an action
 SLIPS = 0.03  # share of the person's steps that are errors
 SLOWER = 2.0
 PLACES_TRIED = 50  # unseen
+WATCHED = 5  # runs before a demonstration, once learned
 LIMIT = 400  # steps of a run
 MODELS = TREES, FOREST
 KEYS = ['option', 'model']
 COST = 10.0  # approximate processor seconds of a trial
 
-TWISTS = {'forward': (0.3, 0.0), 'left': (0.0, 0.8), 'right': (0.0, -0.8), 'stop': (0.0, 0.0)}
-FORWARD, LEFT, RIGHT, _ = range(len(TWISTS))
+FORWARD, LEFT, RIGHT = 'forward', 'left', 'right'
 AHEAD, ON_THE_RIGHT, RIGHT_AHEAD = (-20.0, 20.0), (-105.0, -75.0), (-65.0, -35.0)  # degrees
-BEFORE_DOCK = 0.8  # m, from where it drives straight into the dock
+WORLD = load_world(f'ros:{ROVER}/worlds/rover.yaml')
+DOMAIN = WORLD.domain
 
 
-def _number(name: str, question: str, low: float, high: float, unit: str = 'm') -> Feature:
-    return Feature(name, question, FeatureKind.CONTINUOUS, (), unit, low, high)
-
-
-def _angle(name: str, question: str) -> Feature:
-    return _number(name, question, -math.pi, math.pi, 'rad')
-
-
-DOMAIN = DescribedDomain(
-    NAME,
-    {},
-    [
-        _angle('charger_bearing', 'where the way to the charger points'),
-        _number('charger_distance', 'how far the charger is', 0.0, 10.0),
-        _angle('east_bearing', 'where the way to the east room points'),
-        _number('x', 'how far east the rover is', -1.0, 9.0),
-        _angle('dock_bearing', 'where the way into the dock points'),
-        _number('dock_distance', 'how far the dock is', 0.0, 10.0),
-        _angle('dock_heading', 'how the rover is turned against the dock'),
-        _number('ahead', 'how much room there is ahead', 0.0, 11.0),
-        _number('right', 'how much room there is on the right', 0.0, 11.0),
-        _number('right_ahead', 'how much room there is ahead on the right', 0.0, 11.0),
-    ],
-    [Action(name, key, name) for name, key in zip(TWISTS, 'wads')],
-    0.99,
-    0,
-)
-
-
-def _towards(pose: Sequence[float], to: Sequence[float]) -> tuple[float, float]:
-    """Return the bearing of a point from a pose, and its distance."""
-    east, north = to[0] - pose[0], to[1] - pose[1]
-    return turn(math.atan2(north, east) - pose[2]), math.hypot(east, north)
-
-
-def _next_corner(rover: Simulation, place: str) -> tuple[float, float]:
-    """Return the next corner of the way to a place that is not reached yet."""
-    here, *corners, goal = rover.path(place)
-    return next((corner for corner in corners if math.dist(here, corner) > 0.15), goal)
+def _towards(rover: Simulation, to: Sequence[float]) -> float:
+    """Return the bearing of a point."""
+    x, y, yaw = rover.pose
+    return turn(math.atan2(to[1] - y, to[0] - x) - yaw)
 
 
 def _room(ranges: Floats, sector: tuple[float, float]) -> float:
@@ -112,27 +79,10 @@ def _room(ranges: Floats, sector: tuple[float, float]) -> float:
 
 def sensed(rover: Simulation) -> tuple[float, ...]:
     """Return the features (F,) of where a rover is, as it senses them."""
-    measured, ranges = rover.odometry(), rover.scan()
-    pose = measured.x, measured.y, measured.yaw
-    dock = PLACES['dock']
-    return (
-        _towards(pose, _next_corner(rover, 'charger'))[0],
-        _towards(pose, PLACES['charger'])[1],
-        _towards(pose, _next_corner(rover, 'east'))[0],
-        measured.x,
-        _towards(pose, _into_dock(pose))[0],
-        _towards(pose, dock)[1],
-        turn(measured.yaw - dock.yaw),
-        *(_room(ranges, sector) for sector in (AHEAD, ON_THE_RIGHT, RIGHT_AHEAD)),
-    )
-
-
-def _into_dock(pose: Sequence[float]) -> Sequence[float]:
-    """Return the next point of the way into the dock: it, or a place before it, to get in line."""
-    dock = PLACES['dock']
-    before, aside = pose[0] - dock.x, abs(pose[1] - dock.y)  # the dock looks west
-    in_line = before > 0 and aside < 0.06 + 0.15 * max(before - 0.15, 0.0)
-    return dock if in_line else (dock.x + BEFORE_DOCK, dock.y)
+    sensors = Sensors(WORLD.file.topics)
+    for name, message in messages.sensed(rover).items():
+        sensors.note(name, message, 0.0)
+    return WORLD.sense(sensors).features
 
 
 # What the person means.
@@ -181,7 +131,7 @@ def _dock_bearing(rover: Simulation) -> float:
     dock, pose = PLACES['dock'], rover.pose
     if math.dist(pose[:2], dock[:2]) < 0.15:
         return turn(dock.yaw - pose.yaw)
-    return _towards(pose, _into_dock(pose))[0]
+    return _towards(rover, rover.waypoint('dock'))
 
 
 def _docked(rover: Simulation, distance: float, angle: float) -> bool:
@@ -197,7 +147,7 @@ SKILLS = {
     'go to the charger': Skill(
         ('charger_bearing', 'charger_distance'),
         lambda rover: _charger_distance(rover) > 0.6,
-        lambda rover: _towards(rover.pose, _next_corner(rover, 'charger'))[0],
+        lambda rover: _towards(rover, rover.waypoint('charger')),
         lambda rover: _charger_distance(rover) < 0.25,
         lambda rover: _charger_distance(rover) < 0.4,
         5,
@@ -206,7 +156,7 @@ SKILLS = {
     'go through the door': Skill(
         ('east_bearing', 'x'),
         lambda rover: rover.pose.x < 3.8,
-        lambda rover: _towards(rover.pose, _next_corner(rover, 'east'))[0],
+        lambda rover: _towards(rover, rover.waypoint('east')),
         lambda rover: rover.pose.x > 4.5,
         lambda rover: 4.3 < rover.pose.x < 4.9,
         5,
@@ -222,7 +172,7 @@ SKILLS = {
         0.95,
     ),
     'dock': Skill(
-        ('dock_bearing', 'dock_distance', 'dock_heading'),
+        ('dock_bearing', 'dock_distance', 'dock_turn'),
         lambda rover: (
             0.5 < math.dist(rover.pose[:2], PLACES['dock'][:2]) < 2.0
             and rover.pose.x > PLACES['dock'].x
@@ -242,14 +192,14 @@ class Person:
     def __init__(self, skill: Skill, slips: float, rng: np.random.Generator) -> None:
         self._skill, self._slips, self._rng, self._turning = skill, slips, rng, False
 
-    def action(self, rover: Simulation) -> int:
+    def action(self, rover: Simulation) -> str:
         """Return the next action."""
         bearing = self._skill.steer(rover)
         self._turning = abs(bearing) > (0.1 if self._turning else 0.3)
         best = (LEFT if bearing > 0 else RIGHT) if self._turning else FORWARD
         if self._rng.random() >= self._slips:
             return best
-        return int(self._rng.choice([each for each in (FORWARD, LEFT, RIGHT) if each != best]))
+        return str(self._rng.choice([each for each in (FORWARD, LEFT, RIGHT) if each != best]))
 
 
 # Lessons.
@@ -283,19 +233,22 @@ def give_lesson(parameters: Mapping[str, Any]) -> Rows:
     rng = generator(seed, NAME, name, lesson)
     rover = Simulation(int(rng.integers(2**31)))
     demos, learned, answers, failed, early = list[Demonstration](), 0, 0, 0, math.nan
+    right = True  # where the newest run that was watched ended
     while len(demos) < skill.shown:
-        if learned or not failed or not skill.can_start(rover):
+        if right or skill.done(rover):
             _place(rover, skill)
         if (shown := _show(rover, name, model, len(demos) + 1, rng)) is None:
-            failed = 0  # and begins somewhere else
+            right = True  # begin somewhere else
             continue
         demos.append(shown)
-        if learned or len(demos) < MIN_HELD_OUT:
+        if len(demos) < MIN_HELD_OUT:
             continue
         option, runs, right = learn_option(demos, DOMAIN, seed), 0, True
-        while right and runs < exam_length(Thresholds().exam, failed):
-            _place(rover, skill)
-            right, runs = _runs_right(rover, option, skill, LIMIT), runs + 1
+        most = WATCHED if learned else exam_length(Thresholds().exam, failed)
+        while right and runs < most:
+            right, runs = _try(rover, option, skill), runs + 1
+        if learned:
+            continue
         answers, failed = answers + runs, failed + (not right)
         if right:
             learned, early = len(demos), success(option, skill, seed)
@@ -322,8 +275,11 @@ def _place(rover: Simulation, skill: Skill) -> None:
         rover.place_randomly()
 
 
-def _act(rover: Simulation, action: int) -> None:
-    rover.step(*TWISTS[DOMAIN.actions[action].name], SECONDS)
+def _act(rover: Simulation, action: str) -> None:
+    twist = WORLD.file.actions[action].twist
+    assert twist is not None
+    linear, angular = twist.vectors
+    rover.step(linear[0], angular[2], WORLD.file.step)
 
 
 def _show(
@@ -334,7 +290,7 @@ def _show(
     while len(states) <= LIMIT:
         action = person.action(rover)
         _act(rover, action)
-        states.append(_state(rover, len(states), DOMAIN.actions[action].name))
+        states.append(_state(rover, len(states), action))
         if SKILLS[name].done(rover):
             facts = {'option_name': name, 'participant': 'simulated', 'session': 'simulated'}
             chosen = {'chosen_features': SKILLS[name].features, 'method': model}
@@ -345,15 +301,24 @@ def _show(
 
 def _state(rover: Simulation, step: int, action: str) -> Transition:
     features = sensed(rover)
-    text = ' '.join(f'{value:.3f}' for value in features)
-    return Transition(1, step, text, features, action, reward=-1.0 if step else 0.0)
+    return Transition(
+        1, step, WORLD.text(features), features, action, reward=-1.0 if step else 0.0
+    )
 
 
-def _runs_right(rover: Simulation, option: Option, skill: Skill, limit: int) -> bool:
-    """Run an option from where the rover is; return whether the run ends as the person means."""
+def _try(rover: Simulation, option: Option, skill: Skill) -> bool:
+    """Run an option from a new place; return whether the run is right, in time."""
+    steps = LIMIT
+    while steps == LIMIT:  # where the person fails, there is no end to reach
+        _place(rover, skill)
+        start, steps, person = rover.pose, 0, Person(skill, 0.0, np.random.default_rng(0))
+        while steps < LIMIT and not (steps and skill.done(rover)):
+            _act(rover, person.action(rover))
+            steps += 1
+    rover.place(*start)
     row = np.array([sensed(rover)])
-    for _ in range(limit):
-        _act(rover, int(option.action(row)[0]))
+    for _ in range(int(SLOWER * steps)):
+        _act(rover, DOMAIN.actions[int(option.action(row)[0])].name)
         row = np.array([sensed(rover)])
         if option.ends(row)[0]:
             return skill.right(rover)
@@ -362,19 +327,8 @@ def _runs_right(rover: Simulation, option: Option, skill: Skill, limit: int) -> 
 
 def success(option: Option, skill: Skill, seed: int) -> float:
     """Return the share of unseen places from which an option succeeds."""
-    right, tried = 0, 0
     rover = Simulation(int(generator(seed, NAME, 'unseen').integers(2**31)))
-    while tried < PLACES_TRIED:
-        _place(rover, skill)
-        start, steps, person = rover.pose, 0, Person(skill, 0.0, np.random.default_rng(0))
-        while steps < LIMIT and not (steps and skill.done(rover)):
-            _act(rover, person.action(rover))
-            steps += 1
-        if steps < LIMIT:  # where the person fails, there is no end to reach
-            rover.place(*start)
-            right += _runs_right(rover, option, skill, int(SLOWER * steps))
-            tried += 1
-    return right / tried
+    return sum(_try(rover, option, skill) for _ in range(PLACES_TRIED)) / PLACES_TRIED
 
 
 def present(rows: pd.DataFrame) -> report.Section:
@@ -403,5 +357,5 @@ def present(rows: pd.DataFrame) -> report.Section:
         report.Table('rover-options', 'Success by option and model', table),
         report.Table('rover-lessons', 'Each lesson', lessons, shown=False),
     ]
-    facts = {'slips': SLIPS, 'places': PLACES_TRIED, 'seconds': SECONDS}
+    facts = {'slips': SLIPS, 'places': PLACES_TRIED, 'seconds': WORLD.file.step}
     return report.Section(NAME, TITLE, found, (), tables, facts)

@@ -267,14 +267,7 @@ def test_the_world_file_of_the_rover_reads_what_it_publishes() -> None:
     rover = Simulation(noise=False)
     rover.place(3.0, 4.5, 0.0)
     sensors = Sensors(world.file.topics)
-    heard = {
-        'odom': messages.odometry_message(rover.odometry()),
-        'scan': messages.scan_message(rover),
-        'battery': messages.battery_message(rover),
-        'door': Bool(data=rover.doors['door']),
-        **{f'to_{p}': messages.waypoint_message(rover, p) for p in ('charger', 'east', 'dock')},
-    }
-    for name, message in heard.items():
+    for name, message in messages.sensed(rover).items():
         sensors.note(name, message, 1.0)
     values = dict(zip(world.file.features, world.sense(sensors).features))
     assert values['x'] == 3.0

@@ -99,15 +99,7 @@ def _demonstration(world: World, number: int) -> Demonstration:
     rows: list[tuple[float, ...]] = []
     actions: list[str] = []
     while True:
-        heard: dict[str, Any] = {
-            'odom': messages.odometry_message(rover.odometry()),
-            'scan': messages.scan_message(rover),
-            'battery': messages.battery_message(rover),
-            'door': Bool(data=rover.doors['door']),
-        }
-        for place in ('charger', 'east', 'dock'):
-            heard[f'to_{place}'] = messages.waypoint_message(rover, place)
-        for name, message in heard.items():
+        for name, message in messages.sensed(rover).items():
             sensors.note(name, message, 0.0)
         rows.append(world.sense(sensors).features)
         now = dict(zip(world.file.features, rows[-1]))

@@ -1,13 +1,14 @@
 """What the rover's sensors publish: values of the simulation as ROS messages."""
 
 import math
+from typing import Any
 
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point, PointStamped, Quaternion, TransformStamped
 from humanopts_rover.simulation import BEAMS, MAX_RANGE, MIN_RANGE, Odometry, Simulation
 from nav_msgs.msg import Odometry as OdometryMessage
 from sensor_msgs.msg import BatteryState, LaserScan
-from std_msgs.msg import Header
+from std_msgs.msg import Bool, Header
 
 FRAME, BASE, LASER = 'odom', 'base_link', 'laser'
 
@@ -81,3 +82,14 @@ def battery_message(rover: Simulation, seconds: float = 0.0) -> BatteryState:
         else BatteryState.POWER_SUPPLY_STATUS_DISCHARGING,
         present=True,
     )
+
+
+def sensed(rover: Simulation) -> dict[str, Any]:
+    """Return what the rover senses now, by the names of the topics in ``worlds/rover.yaml``."""
+    return {
+        'odom': odometry_message(rover.odometry()),
+        'scan': scan_message(rover),
+        'battery': battery_message(rover),
+        'door': Bool(data=rover.doors['door']),
+        **{f'to_{place}': waypoint_message(rover, place) for place in ('charger', 'east', 'dock')},
+    }

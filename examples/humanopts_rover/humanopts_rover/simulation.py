@@ -22,6 +22,7 @@ WIDTH, HEIGHT = 8.0, 5.0  # of the house
 RADIUS = 0.18  # of the rover, a disc
 CLEAR = RADIUS + 0.02  # from a planned path to walls
 PASSED = 0.15  # from a corner of the path
+BEFORE_DOCK = 0.8  # from where it drives straight into the dock
 MAX_LINEAR, MAX_ANGULAR = 0.6, 1.6  # m/s, rad/s
 ACCELERATION = 3.0, 12.0  # m/s^2, rad/s^2; it stops from full speed within 0.2 s
 BEAMS, MIN_RANGE, MAX_RANGE = 24, 0.05, 10.0
@@ -179,11 +180,18 @@ class Simulation:
         """
         Return the next corner of the path to a place; the place itself if there is no path.
 
-        A corner is passed within PASSED of it.
+        A corner is passed within PASSED of it. The way into the dock leads over a point before it,
+        until the rover is in line with it.
         """
-        corners = self.path(place)[1:-1]
+        x, y, yaw = PLACES[place]
+        if place == 'dock':
+            before = (x - self.pose.x) * math.cos(yaw) + (y - self.pose.y) * math.sin(yaw)
+            aside = abs((y - self.pose.y) * math.cos(yaw) - (x - self.pose.x) * math.sin(yaw))
+            if before <= 0 or aside >= 0.06 + 0.15 * max(before - PASSED, 0.0):
+                x, y = x - BEFORE_DOCK * math.cos(yaw), y - BEFORE_DOCK * math.sin(yaw)
+        corners = self.path_to((x, y))[1:-1]
         ahead = (corner for corner in corners if math.dist(self.pose[:2], corner) > PASSED)
-        return next(ahead, PLACES[place][:2])
+        return next(ahead, (x, y))
 
     def path_to(self, goal: Point) -> list[Point]:
         """Return the corners of the shortest way to a point, as ``path`` does."""
