@@ -60,7 +60,7 @@ def scan_message(rover: Simulation, seconds: float = 0.0) -> LaserScan:
         angle_increment=step,
         range_min=MIN_RANGE,
         range_max=MAX_RANGE,
-        ranges=rover.scan(),
+        ranges=rover.scan().tolist(),
     )
 
 
