@@ -159,8 +159,8 @@ test-slow: checked
 	@$(WITH_ROS) $(VENV)/bin/python -m pytest -m slow $(ARGS)
 
 test-browser: checked
-	@for each in chromium chromedriver; do command -v $$each > /dev/null || { \
-	  echo 'make test-browser needs Chromium: sudo apt install chromium chromium-driver' >&2; exit 1; }; done
+	@for each in chromium chromedriver nginx; do PATH=$$PATH:/usr/sbin command -v $$each > /dev/null || { \
+	  echo 'make test-browser needs: sudo apt install chromium chromium-driver nginx-light' >&2; exit 1; }; done
 	@$(WITH_ROS) $(VENV)/bin/python -m pytest -m chromium $(or $(ARGS),$(wildcard tests/test_browser_*.py))
 
 test-hosts: checked

@@ -11,6 +11,8 @@ from humanopts_env.domains.registry import make_domain
 from humanopts_teach.bags.contents import read_demonstrations
 from humanopts_teach.bags.reader import open_bag
 from humanopts_teach.cli import main
+from humanopts_teach.commands import CommandError
+from humanopts_teach.commands.browser import kept_token
 import pytest
 from teach_support.flood import PROMPT
 from teach_support.page_client import PageClient
@@ -132,3 +134,15 @@ def test_a_port_that_is_taken_is_said(tmp_path: Path, capsys: pytest.CaptureFixt
         assert main(['teach', 'taxi', *options]) == 2
     said = f'cannot serve at 127.0.0.1, port {port}: Address already in use; choose another'
     assert said in capsys.readouterr().err
+
+
+def test_the_token_of_a_study_stays_and_only_its_owner_reads_it(tmp_path: Path) -> None:
+    folder = tmp_path / 'study'
+    token = kept_token(folder)
+    assert re.fullmatch(r'[A-Za-z0-9_-]{16,}', token)
+    assert kept_token(folder) == token
+    assert (folder / 'token').stat().st_mode & 0o777 == 0o600
+    for text in (b'', b'short', b'with/a/slash/and/more', b'\xff' * 20):
+        (folder / 'token').write_bytes(text)
+        with pytest.raises(CommandError, match='token'):
+            kept_token(folder)

@@ -29,7 +29,7 @@ class Page:
     def __init__(self) -> None:
         self.shown: tuple[str, int] = ('', 0)
         self.press: Press = lambda keys, frame: None
-        self.reloaded = 0
+        self.reloaded, self.left_to = 0, ''
         self.prompt = asyncio.Event()  # whether it takes at once what is shown
         self.prompt.set()
 
@@ -48,7 +48,8 @@ class Page:
         self.reloaded += 1
 
     def leave_to(self, url: str) -> None:
-        """Never asked."""
+        """Note the address."""
+        self.left_to = url
 
     async def client(self) -> dict[str, Any]:
         """Know nothing."""
@@ -261,3 +262,32 @@ def test_games_are_let_in_while_the_memory_holds_them(
 ) -> None:
     measured = [int(share * GB) for share in taken]
     assert has_room(int(available * GB), 16 * GB, measured, games) is fits
+
+
+def test_who_does_not_agree_takes_no_seat_and_goes_where_the_study_says() -> None:
+    async def story() -> None:
+        async def arrive(seat: Seat) -> None:
+            seat.show(message((), 'Do you agree?'), 1)
+            answered = asyncio.Event()
+            seat.listen(lambda keys, frame: answered.set())
+            await answered.wait()
+            if seat.participant == 'ben':
+                seat.end('Nothing was saved.', 'https://panel.example/declined')
+
+        games, pages = Games(), {code: Page() for code in ('anna', 'ben', 'cleo')}
+        seats = Seats('taxi', games, PATIENCE, lambda count: count < 1, arrive=arrive)
+        for code, page in pages.items():
+            seats.enter(code, page)
+            await until(lambda page=page: page.shown[0] == 'Do you agree?')
+        assert games.opened == 0
+        for page in pages.values():
+            page.press(['y'], 1)
+        await until(lambda: str(games) == 'anna 1')
+        await until(lambda: 'number 1 in line' in pages['cleo'].shown[0])
+        await until(lambda: pages['ben'].shown[0] == 'Nothing was saved.')
+        pages['ben'].press(['enter'], 0)
+        assert pages['ben'].left_to == 'https://panel.example/declined'
+        await seats.close('stopped')
+        assert games.opened == 1
+
+    asyncio.run(story())

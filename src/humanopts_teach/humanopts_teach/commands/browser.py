@@ -71,6 +71,7 @@ def teach_in_browser(setup: Setup, pages: PageOptions, participant: str) -> int:
             participant=seat.participant,
             ask_participant=False,
             bag_name=new_name('bags/teach'),
+            language=seat.language,
         )
         return _game(own, thread, seat)
 
@@ -248,11 +249,11 @@ def study_in_browser(study: Study, pages: PageOptions, participant: str) -> int:
     turns, arrive = partial(_all_turns, study, agreed), partial(_arrive, study, agreed)
     with only_launch(study.namespace, [_SERVER]):
         print(f'{plan.study}: everything is kept in {study.folder.path}.')
-        token, known = _kept_token(study.folder.path), study.folder.codes
+        token, known = kept_token(study.folder.path), study.folder.codes
         return _serve_seats(plan.study, turns, pages, entrance, token, known, arrive)
 
 
-def _kept_token(folder: Path) -> str:
+def kept_token(folder: Path) -> str:
     """
     Return the token of a study, which stays the same: its addresses are sent to people.
 
