@@ -137,7 +137,7 @@ def test_a_participant_on_a_phone_from_the_invitation_to_the_completion(
     visit.look('end')
     assert '/data' not in window.text()
     assert severe(window) == []
-    window.click('go on')
+    window.click('back to the site that invited you')
     window.until(lambda: window.driver.current_url == f'{SITE}/done?id=pia', 'the completion')
     record = record_of(folder, 'pia')
     assert record.over

@@ -46,7 +46,7 @@ def test_a_step_announces_what_it_moved_and_a_new_page_its_lines() -> None:
     blocked = changes(view('start 1, step 1', board=first), start)
     assert blocked == 'no change on the board'
     assert changes(start, start) == ''
-    assert changes(view('What next?', plays=False), start) == 'What next?'
+    assert changes(view('Like it?', 'Enter.', plays=False), start) == 'Like it? Enter'
 
 
 def test_without_a_board_the_changed_features_are_announced() -> None:

@@ -141,7 +141,8 @@ class Seat:
             self._leaving.cancel()
         if (window := self.window) is not None:
             url = self.url
-            view = self.message(self.farewell, '' if url == '' else N_('go on'))
+            enter = N_('back to the site that invited you') if url else N_('go on')
+            view = self.message(self.farewell, '' if url == '' else enter)
             prompt(window, view, partial(window.leave_to, url) if url else window.reload)
             await window.taken()
 

@@ -37,7 +37,7 @@ def changes(now: ScreenView, before: ScreenView | None) -> str:
         moved = _moved(before, now)
         stepped = _lines(now) != known
         new += moved or ([_('no change on the board')] if stepped and not new else [])
-    return '. '.join(text.rstrip('.') for text in new)
+    return re.sub(r'(?<=[?!])\.', '', '. '.join(text.rstrip('.') for text in new))
 
 
 def _lines(view: ScreenView | None) -> dict[str, str]:
