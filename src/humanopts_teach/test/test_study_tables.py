@@ -20,7 +20,7 @@ from humanopts_teach.study.model import effects, ModelError
 from humanopts_teach.study.plan import read_plan, StudyPlan
 from humanopts_teach.study.record import StudyFolder
 from humanopts_teach.study.report import paper_section, Results
-from humanopts_teach.study.tables import read_study
+from humanopts_teach.study.tables import read_study, tables
 import numpy as np
 import pandas as pd
 import pyreadstat
@@ -125,7 +125,7 @@ def test_an_answer_has_the_wording_the_page_and_the_time(results: Results) -> No
     own = answers[answers['participant'] == 'careless'].set_index('item')
     shown = ['page', 'wording', 'value', 'text', 'reaction_seconds', 'passed']
     assert own.loc['hard', shown].tolist() == [1, 'How hard was it?', 4, '', 2.5, '']
-    assert own.loc['why', 'text'] == 'The game | Other'
+    assert own.loc['why', ['chosen', 'text']].tolist() == ['1 3', 'The game | Other']
     assert own.loc['check', ['value', 'text', 'expected', 'passed']].tolist() == [
         1, 'Yes', '2', 'no',
     ]  # fmt: skip
@@ -181,11 +181,17 @@ def test_a_study_without_its_plan_and_with_a_damaged_record_has_tables_and_a_rep
     study: StudyFolder, tmp_path: Path
 ) -> None:
     damaged = shutil.copytree(study.path, tmp_path / 'study')
+    wrong = shutil.copytree(study.path, tmp_path / 'wrong')
+    for path in wrong.glob('0*.jsonl'):
+        path.write_text(path.read_text().replace('"value":[1,3]', '"value":[1,9]'))
     (damaged / 'protocol.jsonl').unlink()
     record = damaged / '001-early.jsonl'
     record.write_text(record.read_text().replace('"event":"began"', '"event":"begun"'))
     (damaged / 'log.jsonl').write_text('{"event": "declined"}\n')
     problems = write_report(StudyFolder(damaged), tmp_path / 'report.html')
+    answers = tables(read_study(StudyFolder(wrong), time.time())[0])['answers']
+    own = answers[(answers['participant'] == 'careless') & (answers['item'] == 'why')]
+    assert own['chosen'].isna().tolist() == [True]
     assert [problem.split(' is left out')[0] for problem in problems] == [
         f'line 1 of {record}',
         f'line 1 of {damaged / "log.jsonl"}',

@@ -13,7 +13,7 @@ from humanopts_teach.study.events import Event, last_attempts, LearnedOption, ti
 from humanopts_teach.study.log import StudyLog
 from humanopts_teach.study.plan import Condition, Part, PartKind, StudyPlan
 from humanopts_teach.study.protocol import Protocol, SHOWN_DIGEST
-from humanopts_teach.study.questions import Question, QuestionKind
+from humanopts_teach.study.questions import Question
 from humanopts_teach.study.record import Record, StudyFolder
 import pandas as pd
 
@@ -305,8 +305,10 @@ class _Participant:
                     'high': question.high,
                     'expected': '' if question.expect is None else str(question.expect),
                 }
-                if chosen := _chosen(question, event.value):
-                    row['text'] = ' | '.join(chosen)
+                if question.options and event.value and question.accepts(event.value, 0):
+                    given = event.value if isinstance(event.value, tuple) else (event.value,)
+                    row['chosen'] = ' '.join(map(str, given))
+                    row['text'] = ' | '.join(question.options[int(each) - 1] for each in given)
             yield row
 
     def _events(self) -> list[dict[str, Any]]:
@@ -347,11 +349,3 @@ def begun_options(entries: Iterable[Entry]) -> list[str]:
         elif entry.option_name:
             names[entry.option_name] = None
     return list(names)
-
-
-def _chosen(question: Question, value: Any) -> list[str]:
-    """Return the wording of the chosen options; empty: the question has none."""
-    if question.kind not in (QuestionKind.CHOICE, QuestionKind.CHOICES) or value is None:
-        return []
-    indices = value if isinstance(value, tuple) else (value,)
-    return [question.options[index - 1] for index in indices if index <= len(question.options)]
