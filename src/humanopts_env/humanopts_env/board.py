@@ -93,21 +93,22 @@ class Board:
         return [cell for cell in cells if cell not in taken]
 
 
-def signs(board: Board) -> list[list[Sign]]:
+def signs(board: Board, scale: int = 1) -> list[list[Sign]]:
     """
     Return the board as rows of characters of equal length.
 
     A cell is two characters wide and shows two marks; on boards with walls between cells, it is
     three characters wide and shows three marks.
+
+    :param scale: factor by which cells are wider and higher, from 1.
     """
     if not board.rows:
         lines = board.picture.split('\n') if board.picture else []
         width = max(map(len, lines), default=0)
         return [_plain(line.ljust(width)) for line in lines]
-    width, down, across = (3, 2, 4) if board.walls else (2, 1, 2)
-    bottom, right = (2 * board.rows, 4 * board.cols)
-    if not board.walls:
-        bottom, right = board.rows + 1, 2 * board.cols + 1
+    down, across, edge = (2 * scale, 4 * scale, 0) if board.walls else (scale, 2 * scale, 1)
+    bottom, right = down * board.rows + edge, across * board.cols + edge
+    width, height = across + edge - 1, down + edge - 1  # of the inside of a cell
     arms = np.zeros((bottom + 1, right + 1), dtype=np.intp)
     inner = [(down * a, across * b, down * c, across * d) for a, b, c, d in board.walls]
     for top, left, end, last in (*_frame(bottom, right), *inner):
@@ -120,10 +121,12 @@ def signs(board: Board) -> list[list[Sign]]:
     block, dot = [(BLOCK, board.colour)] * width, [(DOT, DIM)]
     cells = dict.fromkeys(board.blocks, block) | dict.fromkeys(board.empty_cells(), dot)
     for cell, marks in board.marks_by_cell().items():
-        cells[cell] = [(mark.kind, _style(mark)) for mark in marks[:width]]
+        cells[cell] = [(mark.kind, _style(mark)) for mark in marks[: 3 - edge]]
     for (row, col), shown in cells.items():
-        start = across * col + (2 if len(shown) == 1 else 1)
-        rows[down * row + 1][start : start + len(shown)] = shown
+        start, top = across * col + 1 + (width - len(shown) + edge) // 2, down * row + 1
+        lines = range(height) if shown is block else [(height - 1) // 2]
+        for line in lines:
+            rows[top + line][start : start + len(shown)] = shown
     return rows
 
 

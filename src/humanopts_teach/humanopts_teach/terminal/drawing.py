@@ -173,13 +173,16 @@ def board_texts(
     """
     Return a coloured board or an image, and the lines below it, which may be wider.
 
-    A domain without a drawing shows a list of its features instead of a board.
+    Cells are twice as large if there is room. A domain without a drawing shows a list of its
+    features instead of a board.
 
-    :param width: columns available to an image; ``height``: rows, including the lines below.
+    :param width: columns available; ``height``: rows, including the lines below.
     :param colours: None: images cannot be drawn.
     """
     image = board.image if colours is not None else None
-    drawn, below = signs(board), caption(board)
+    drawn, below = signs(board, 2), caption(board)
+    if not board.rows or len(drawn[0]) > width or len(drawn) + len(below) > height:
+        drawn = signs(board)
     if not drawn and image is None:
         drawn, below = caption(board, width=0), []
     board_text, notes = (
