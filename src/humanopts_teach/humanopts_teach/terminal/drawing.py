@@ -181,7 +181,8 @@ def board_texts(
     """
     image = board.image if colours is not None else None
     drawn, below = signs(board, 2), caption(board)
-    if not board.rows or len(drawn[0]) > width or len(drawn) + len(below) > height:
+    fits = height > _ROOMY and len(drawn) + len(below) <= height
+    if not (board.rows and fits and len(drawn[0]) <= width):
         drawn = signs(board)
     if not drawn and image is None:
         drawn, below = caption(board, width=0), []
