@@ -123,10 +123,10 @@ def signs(board: Board, scale: int = 1) -> list[list[Sign]]:
     for cell, marks in board.marks_by_cell().items():
         cells[cell] = [(mark.kind, _style(mark)) for mark in marks[: 3 - edge]]
     for (row, col), shown in cells.items():
-        start, top = across * col + 1 + (width - len(shown) + edge) // 2, down * row + 1
-        lines = range(height) if shown is block else [(height - 1) // 2]
-        for line in lines:
-            rows[top + line][start : start + len(shown)] = shown
+        start, above = across * col + 1 + (width - len(shown) + edge) // 2, down * row + 1
+        inside = range(height) if shown is block else [(height - 1) // 2]
+        for line in inside:
+            rows[above + line][start : start + len(shown)] = shown
     return rows
 
 
