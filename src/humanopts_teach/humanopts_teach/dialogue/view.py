@@ -16,7 +16,7 @@ from humanopts_teach.lesson.requests import Phase
 
 _SEEN = N_('the picture shows more than the option sees')
 _NO_PICTURE = N_('No picture: it needs a terminal with colours.')
-_EMPTY = N_('nothing that you chose has a place on the board: it shows what always stays the same')
+_EMPTY = N_('nothing that you chose has a place on the board')
 _ALL_FEATURES = {Phase.NO_SESSION, Phase.NO_OPTION, Phase.ASKING}  # phases that hide no features
 
 
