@@ -75,8 +75,8 @@ INTERNAL = {'setting', 'generator', 'get_logger', 'EntryError', '_explained', 'a
 JARGON = {
     'en': re.compile(
         r'\b(options?|polic(y|ies)|initiation|termination|imitation|arbitration|episodes?'
-        r'|primitive|\w*_id|learner|node|budget|features?|states?|action sets?|fallbacks?'
-        r'|uncovered|bins|held-out|balanced|returns?'
+        r'|primitive|rewards?|col|\w*_id|learner|node|budget|features?|states?|action sets?'
+        r'|fallbacks?|uncovered|bins|held-out|balanced|returns?'
         r'|recorder|bag|\w+_server|client|topics|trees)\b',
         re.I,
     ),
@@ -364,6 +364,24 @@ def parts() -> list[Part]:
         )
         for number, kind in enumerate(kinds)
     ]
+
+
+def test_what_is_kept_does_not_depend_on_the_language(taxi: Domain, tmp_path: Path) -> None:
+    kept = list[list[str]]()
+    for language in ('', 'en', 'de'):
+        path = tmp_path / f'{language}.jsonl'
+        app = StudyApp(parts()[3:4], OpenRecord(path, clock=lambda: 0.0), 'p1', World(), seed=1)
+        app.language = language
+        desk = Desk(taxi, tmp_path / language / 'demonstrations', app=app)
+        desk.advance().advance()
+        desk.press('1').type(NAME).press('y', 'o', 'enter', 'left', 'up', 'enter', 'n', 'escape')
+        app.last_requests()
+        desk.store.close()
+        files = [path, *(tmp_path / language / 'demonstrations').glob('*.jsonl')]
+        kept.append([each.read_text('utf-8') for each in files])
+    assert kept[0] == kept[1] == kept[2]
+    assert len(kept[0]) == 2
+    assert kept[0][1].count('"demonstration"') == 2
 
 
 @pytest.mark.parametrize('language', ['en', 'de'])

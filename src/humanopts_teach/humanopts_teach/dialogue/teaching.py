@@ -481,10 +481,12 @@ class LessonScreen(Screen):
             items.append(
                 Item(_('No'), _('it begins where I took over'), partial(keep, counts=False))
             )
-        title = _(
-            'The machine took the first {steps} steps. Are they part of the demonstration?'
-        ).format(steps=steps)
-        app.show(ListScreen(title, items, self.again))
+        title = ngettext(
+            'The machine took the first step. Is it part of the demonstration?',
+            'The machine took the first {count} steps. Are they part of the demonstration?',
+            steps,
+        )
+        app.show(ListScreen(title.format(count=steps), items, self.again))
 
     def _verdict(self, verdict: Verdict, app: App, *, counts: bool = False) -> None:
         game, again = app.world.game, _can_start_again(app) and verdict is Verdict.DONE
