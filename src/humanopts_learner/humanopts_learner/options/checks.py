@@ -16,7 +16,7 @@ from itertools import chain, combinations
 from typing import Any
 
 from humanopts_env.arrays import Flags, Floats, Ints, Rows
-from humanopts_env.domains.base import ActableDomain, Domain, FeatureKind
+from humanopts_env.domains.base import ActableDomain, Domain, FeatureKind, is_enumerable
 from humanopts_env.domains.described import can_simulate
 from humanopts_env.domains.formulas import feature_columns, FeatureColumn, plain_name, stacked
 from humanopts_env.domains.tabular import reachable
@@ -86,12 +86,15 @@ def next_check(
     demonstrations: Sequence[Demonstration],
     rng: np.random.Generator,
     others: Sequence[Option] = (),
+    *,
+    every_end: bool = False,
 ) -> Check | None:
     """
     Return the next question about an option.
 
     :param demonstrations: those of this participant and option, with the judged runs.
     :param others: as in ``choose_start_state``.
+    :param every_end: ask about rare ends, too: the criteria depend on them.
     :return: None: answers would change little, or the domain can only be acted in.
     :raises OptionError: the option was not learned in this domain.
     """
@@ -107,7 +110,7 @@ def next_check(
     questions = _Questions(option, domain, starts, [*demos, *right], answers, rng)
     kinds = [questions.new_values(), questions.guesses()]
     if asked < MAX_ENDS:
-        kinds.insert(0, questions.new_ends())
+        kinds.insert(0, questions.new_ends(0.0 if every_end else UNASKED))
     if is_deterministic(domain):
         kinds += [questions.shorter(), questions.detours()]
     return next(chain(*kinds), None)
@@ -141,8 +144,12 @@ class _Questions:
     answers: Sequence[Demonstration]  # all judged runs
     rng: np.random.Generator
 
-    def new_ends(self) -> Iterator[Check]:
-        """Ask about the commonest end that was never shown, or change from start to end."""
+    def new_ends(self, few: float) -> Iterator[Check]:
+        """
+        Ask about the commonest end that was never shown, or change from start to end.
+
+        :param few: as in ``_ask``.
+        """
         starts, chosen = self.starts, feature_columns(self.domain, self.option.features)
         nominal = [column.feature.kind is FeatureKind.NOMINAL for column in chosen]
 
@@ -165,6 +172,7 @@ class _Questions:
             new,
             alike,
             lambda at: f'Here it would stop after {{}}{where[bool(starts.unknown[at])]}. Right?',
+            few,
         )
 
     def new_values(self) -> Iterator[Check]:
@@ -327,7 +335,9 @@ def _starts(
             np.zeros(len(rows), dtype=np.intp),
         )
     drawn = possible_starts(domain, rng, others)
-    states, rows = drawn.states, feature_rows(domain, drawn.states)
+    times = 1 + is_enumerable(domain) * (RUNS // len(drawn.states))  # another run, another end
+    states, askable = drawn.states * times, np.tile(drawn.askable, times)
+    rows = feature_rows(domain, states)
     seeds = rng.integers(2**31, size=len(states))
     at = np.flatnonzero(option.can_start(rows))[:RUNS]
     none = np.zeros(len(states), dtype=np.intp)
@@ -346,7 +356,7 @@ def _starts(
     reached = ran.reached & ~(ran.over & unlike & (not without_chance(domain)))  # bad luck: no end
     ended[at], over[at], steps[at], last[at] = reached, ran.over, ran.steps, ran.rows
     unknown[at] = reached & unlike
-    outside = drawn.askable & ~option.can_start(rows)
+    outside = askable & ~option.can_start(rows)
     parts = ended, last, over, steps, unknown, outside, none > 0, none, seeds
     return _Starts(states.__getitem__, rows, *parts)
 

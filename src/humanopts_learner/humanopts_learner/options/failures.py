@@ -66,6 +66,16 @@ class Failures:
 
 
 @dataclass(frozen=True)
+class Chances:
+    """The chances of an option from each of the S states, if actions have several outcomes."""
+
+    candidate: Flags  # (S,) as in ``Failures``
+    right: Flags  # (S,) reaches an end like the shown ones as surely as is possible, and as fast
+    possible: Flags  # (S,) the same, if all ends of a planned policy are right
+    shortfall: Floats  # (S,) expected return of the best policy - that of the option
+
+
+@dataclass(frozen=True)
 class KnownEnds:
     """The ends of an option that were shown, and those that the person judged."""
 
@@ -218,17 +228,15 @@ def _ends_of(
 
 def successes_by_chance(
     option: LearnedOption, domain: EnumerableDomain, demonstrations: Sequence[Demonstration]
-) -> tuple[Flags, Flags, Flags]:
+) -> Chances:
     """
-    Return where an option can start, and where it succeeds, if actions have several outcomes.
+    Return where an option succeeds, if actions have several outcomes.
 
     From each state, the chance that its run reaches an end like the shown ones, and the number of
-    steps if it does, are compared with those of the best policy. Both follow from the transitions.
-    An end that was shown much less often than another may be an accident: the best policy does not
-    aim at it. Nor does it pass through ends and "not here" states.
-
-    :return: (S,) candidates as in ``Failures``; whether the chance is almost the largest one, in
-        at most twice the steps; and whether it is if all ends of a planned policy are right.
+    steps if it does, are compared with those of the best policy: the chance must be almost as
+    large, with at most twice the steps. Both follow from the transitions, as does the return. An
+    end that was shown much less often than another, or only called right, may be an accident: the
+    best policy does not aim at it. Nor does it pass through ends and "not here" states.
     """
     table, over, tabular = domain.transitions(), domain.over(), tabulate(option, domain)
     candidate = reachable(domain) & ~over & tabular.initiation
@@ -236,24 +244,29 @@ def successes_by_chance(
     states = np.column_stack([over, stacked(chosen, domain.feature_table())])
     times = _times(states, _ends(chosen, [d for d in shown(demonstrations) if d.actions]))
     refused = _ends(chosen, [d for d in shown(demonstrations) if not d.actions])
-    barred = over | (times > 0) | (_times(states, refused) > 0)
     known, possible = _ends_of(option, domain, demonstrations)
-    aim, found = known & ((times == 0) | (times >= ACCIDENT * times.max())), []
+    barred = over | (times > 0) | known | (_times(states, refused) > 0)
+    aim = known & (times >= ACCIDENT * times.max())
     goal = aim[table.successor] & (table.probability > 0)
     _, optimal = best_paths(table, goal, ~barred, _gamma(domain))
-    best, fewest = _chance_and_steps(domain, optimal.argmax(axis=1), aim | barred, aim)
-    for right in (known, possible):
-        chance, steps = _chance_and_steps(domain, tabular.action, tabular.termination, right)
-        good = (best > 0) & (chance >= AS_LIKELY * best) & (steps <= TOO_LONG * fewest)
-        found.append(candidate & good)
-    return candidate, found[0], found[1]
+    best, fewest, most = _expected(domain, optimal.argmax(axis=1), barred, aim)
+
+    def compared(right: Flags) -> tuple[Flags, Floats]:
+        """Return (S,): whether the option is almost as good, and its shortfall."""
+        chance, steps, worth = _expected(domain, tabular.action, tabular.termination, right)
+        fast = (steps <= TOO_LONG * fewest) | (best == 0)
+        return candidate & (chance > 0) & (chance >= AS_LIKELY * best) & fast, most - worth
+
+    return Chances(candidate, compared(known)[0], *compared(possible))
 
 
-def _chance_and_steps(
+def _expected(
     domain: EnumerableDomain, action: Ints, ends: Flags, right: Flags
-) -> tuple[Floats, Floats]:
+) -> tuple[Floats, Floats, Floats]:
     """
-    Return the chance that a run reaches a right end, and its mean steps if it does, (S,) each.
+    Return the chance that a run reaches a right end, its mean steps if it does, and its return.
+
+    All are discounted, (S,).
 
     :param action: (S,) of its policy.
     :param ends: (S,) where it ends, besides where the task is over.
@@ -272,8 +285,9 @@ def _chance_and_steps(
         shape=(domain.n_states, domain.n_states),
     )
     solve = splu(eye(domain.n_states, format='csc') - gamma * goes_on).solve
-    chance: Floats = solve(arrives)  # discounted, as the best policy is
-    return chance, solve(chance) / np.maximum(chance, np.finfo(float).tiny)
+    chance: Floats = solve(arrives)
+    steps = solve(chance) / np.maximum(chance, np.finfo(float).tiny)
+    return chance, steps, solve((probability * table.reward[taken]).sum(axis=1))
 
 
 def _gamma(domain: EnumerableDomain) -> float:

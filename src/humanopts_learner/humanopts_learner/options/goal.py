@@ -10,8 +10,9 @@ With few demonstrations, beta holds in too many states, so an end must also rese
 demonstrated ones. First, the task must be over or continue there, as in most of them. If
 demonstrations then pass nearer ends, the goal is more specific. An option may have several kinds
 of ends, such as a pickup and a delivery, so the last step of a path must change the same nominal
-features as that of a demonstration. If demonstrations still pass nearer ends, paths lead to the
-reachable end with the most values that the chosen features share in most demonstrated ends.
+features as that of a demonstration, in the same direction: a passenger gets in or out. If
+demonstrations still pass nearer ends, paths lead to the reachable end with the most values that
+the chosen features share in most demonstrated ends, unless demonstrations then pass more ends.
 
 A path from a state that looks like an end leads to another end, unless a demonstration led back.
 """
@@ -94,22 +95,24 @@ def paths_to_goal(
         at_same = same[ends]
         demonstrated[at_same] = paths(same[table.successor]).value[starts[at_same]]
 
-    def passed(found: Paths) -> bool:
-        """Return whether demonstrations pass nearer ends."""
-        return bool((found.value[starts] > demonstrated + TIE).mean() > 1 - MOST)
+    def passed(found: Paths) -> float:
+        """Return the share of the demonstrations that pass a nearer end."""
+        return float((found.value[starts] > demonstrated + TIE).mean())
 
     agreement = np.column_stack([_as_most(values, values[ends]) for values in columns.T])
     over_as_most = agreement[:, 0].astype(np.intp)[table.successor]
-    if not passed(nearest := paths_to_best(over_as_most)):
+    if passed(nearest := paths_to_best(over_as_most)) <= 1 - MOST:
         return nearest
     nominal = [True, *(column.feature.kind is FeatureKind.NOMINAL for column in chosen)]
     kinds = columns[:, nominal]
-    changes = (kinds[:, None, None] != kinds[table.successor]) @ 2.0 ** np.arange(sum(nominal))
-    shown = (kinds[last] != kinds[ends]) @ 2.0 ** np.arange(sum(nominal))
-    if not passed(similar := paths_to_best(2 * over_as_most + np.isin(changes, shown))):
+    weights = 3.0 ** np.arange(sum(nominal))
+    changes = np.sign(kinds[table.successor] - kinds[:, None, None]) @ weights
+    shown = np.sign(kinds[ends] - kinds[last]) @ weights
+    similar = paths_to_best(2 * over_as_most + np.isin(changes, shown))
+    if passed(similar) <= 1 - MOST:
         return similar
     rank = agreement @ [1 + len(chosen), *[1] * len(chosen)]
-    return paths_to_best(rank[table.successor])
+    return min(paths_to_best(rank[table.successor]), similar, key=passed)
 
 
 def preferred_actions(

@@ -21,8 +21,9 @@ was not trained on. Its shortfall is a share of the range between the demonstrat
 of random actions, which run from the same starts, with the same ends and the same maximum number
 of steps. If random actions return as much, there is no range, and no return to measure. Start
 states chosen because the option fails there bias the held-out return downwards. If all states can
-be listed and there is no chance, the criterion is also met if no run falls short of the best path
-by more than the threshold.
+be listed, the criterion is also met if the option falls short of the best policy by more than the
+threshold from no start. With chance, the part of the shortfall that it does not explain counts if
+there is an exam, which judges outcomes; else the upper limit of the shortfall.
 
 *Termination* counts demonstrations, because an error balanced over rows hides that one run of five
 ends in the wrong place. A criterion that cannot fail is not measurable.
@@ -46,11 +47,12 @@ from humanopts_env.domains.replayed_domain import ReplayedDomain
 from humanopts_env.games import games_at, HasGames
 from humanopts_env.seeding import generator
 from humanopts_learner.demonstrations import Demonstration, judged, Kind
-from humanopts_learner.intervals import Interval, level_of_look, runs_needed
+from humanopts_learner.intervals import Interval, LEVEL, level_of_look, runs_needed
 from humanopts_learner.option import Option
 from humanopts_learner.options.conflicts import advise, find_conflicts, find_needless
 from humanopts_learner.options.exam import before_exam, with_verdicts
 from humanopts_learner.options.failures import (
+    Chances,
     Failures,
     find_failures,
     KnownEnds,
@@ -205,9 +207,11 @@ def judge(
     held_out = HeldOut.of(data, domain, seed) if enough else None
     gain, mean_return, ends = UNKNOWN, math.nan, (0, 0, 0)
     if can_simulate(domain):
-        known = None
+        known: Failures | Chances | None = None
         if is_deterministic(domain):
             known = find_failures(option, domain, demonstrations)
+        elif is_enumerable(domain):
+            known = successes_by_chance(option, domain, demonstrations)
         success, evidence = _success(look, domain, thresholds.success, known)
         keys = [f'in-sample {demo.uuid}' for demo in demos]
         in_sample = rollouts(option, domain, _starts(demos, domain), seed, keys)
@@ -216,7 +220,7 @@ def judge(
         criteria.append(success)
         if without_chance(domain):
             criteria.append(_imitation(look, domain, in_sample))
-        criteria.append(_return(look, domain, thresholds.return_share, held_out, known))
+        criteria.append(_return(look, domain, thresholds, held_out, known))
     else:
         criteria.append(_agreement(look, domain, held_out, thresholds.exam))
     errors: list[float | None] = [None, None]
@@ -338,26 +342,24 @@ def likely_range(more: int) -> tuple[int, int]:
 
 
 def _success(
-    look: _Look, domain: Domain, threshold: float, known: Failures | None
+    look: _Look, domain: Domain, threshold: float, known: Failures | Chances | None
 ) -> tuple[Criterion, str]:
     """
     Return the criterion of success, and its evidence.
 
-    :param known: outcomes from all states; None: there is chance, or they cannot be listed.
+    :param known: outcomes from all states; None: they cannot be listed.
     """
-    if known is not None:
-        found = [flags[known.candidate] for flags in (known.right, known.possible)]
-    elif is_enumerable(domain):
-        candidate, *outcomes = successes_by_chance(look.option, domain, look.judged)
-        found = [outcome[candidate] for outcome in outcomes]
-    else:
+    if known is None:
         right = _from_fresh_starts(look, domain, threshold)
         share = Interval.of_share(right, look.level)
         mean, low = (share.mean, share.low) if len(right) else (0.0, 0.0)
         return Criterion.of(SUCCESS, mean, threshold, low, len(right)), SAMPLED_STARTS
+    found = [flags[known.candidate] for flags in (known.right, known.possible)]
     count = len(found[0])
     value, possible_value = (float(flags.mean()) if count else 0.0 for flags in found)
-    room = (1 - threshold) / (2 if known is None else 4)  # some starts are right by mistake
+    room = (1 - threshold) / (
+        2 if isinstance(known, Chances) else 4
+    )  # some starts are right by mistake
     criterion = Criterion.of(SUCCESS, value, 1 - room, None, count, possible_value)
     return criterion, EVERY_START
 
@@ -423,12 +425,19 @@ def _imitation(look: _Look, domain: Domain, in_sample: Rollouts) -> Criterion:
 def _return(
     look: _Look,
     domain: Domain,
-    threshold: float,
+    thresholds: Thresholds,
     held_out: HeldOut | None,
-    known: Failures | None,
+    known: Failures | Chances | None,
 ) -> Criterion:
-    """Return the criterion of the return."""
+    """
+    Return the criterion of the return.
+
+    Rewards that have little to do with the option, such as food on the way to something else, may
+    differ by more than any number of demonstrations can average out. So, if there is an exam, only
+    the part of the shortfall counts that chance does not explain: its lower limit.
+    """
     data, count = look.data, len(look.data.trajectories)
+    threshold = thresholds.return_share
     if held_out is None:
         return Criterion.of(RETURN, None, threshold, count=count)
     span = return_range(data, domain, look.option, look.seed)
@@ -438,9 +447,12 @@ def _return(
         largest = float(known.shortfall[known.candidate].max()) / span
         if largest <= threshold:
             return Criterion.of(RETURN, largest, threshold, count=count)
-    found = held_out_shortfall(held_out, domain, look.seed, look.level)
-    mean, high = found.mean / span, found.high / span
-    return Criterion.of(RETURN, mean, threshold, high, count)
+    level = LEVEL if thresholds.exam else look.level
+    found = held_out_shortfall(held_out, domain, look.seed, level)
+    if thresholds.exam:
+        certain = min(found.mean, max(found.low, 0.0))
+        return Criterion.of(RETURN, certain / span, threshold, count=count)
+    return Criterion.of(RETURN, found.mean / span, threshold, found.high / span, count)
 
 
 def _agreement(

@@ -132,9 +132,10 @@ class Dataset:
         """
         Visited states, labelled as ends or not.
 
-        Termination is checked only after a step, so a start is not an example against an end with
-        equal chosen features. The last state counts as often as a leaf needs examples, as if the
-        person had stayed there: one end then makes a leaf.
+        Termination is checked only after a step, so a start is not an example against an end if
+        the option can start where it ends, or an end has equal chosen features. The last state
+        counts as often as a leaf needs examples, as if the person had stayed there: one end then
+        makes a leaf.
         """
         labelled = []
 
@@ -142,10 +143,11 @@ class Dataset:
             return tuple(stacked(self.chosen, demo.feature_rows[[state]])[0].tolist())
 
         ends = {seen(demo, -1) for demo in self.trajectories}
+        again = any(demo.can_start_at_end for demo in self.trajectories)
         for demo in self.demonstrations:
             labels = [0] * len(demo.actions) + [MEMBER]
-            looks_like_end = seen(demo, 0) in ends
-            first = int(looks_like_end and len(labels) > 1)
+            may_be_end = again or seen(demo, 0) in ends
+            first = int(may_be_end and len(labels) > 1)
             asked = len(labels) - (self.ends_with_task and demo.terminated)
             at = np.arange(len(labels))[first:asked]
             at = np.append(at, at[-1:].repeat(self.min_leaf - 1))  # as if it stayed there

@@ -392,9 +392,9 @@ def sample_failures(
             stuck[at] = state is not None
             states[at] = states[at] if state is None else state
     elif is_enumerable(domain):
-        candidate, _, possible = successes_by_chance(option, domain, demonstrations)
+        known = successes_by_chance(option, domain, demonstrations)
         at = [domain.index(state) for state in states]
-        stuck = (candidate & ~possible)[at]
+        stuck = (known.candidate & ~known.possible)[at]
     else:
         stuck[some] = ~rollouts(option, domain, starts, int(rng.integers(2**31))).reached
     return SampledFailures(states, member, stuck, failing | stuck)

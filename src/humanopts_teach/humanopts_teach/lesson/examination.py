@@ -41,7 +41,7 @@ class Examination:
         if summary.exam_needed and summary.learned:
             self.stage = Phase.FINISHED
         elif self._starts.exhausted(option, names):
-            self.check = self._starts.check(option, names)
+            self.check = self._starts.check(option, names, every_end=not summary.criteria_met)
             if self.check is not None:
                 self.stage = Phase.CHECKING
             elif summary.criteria_met:  # and not only if the person called further ends right

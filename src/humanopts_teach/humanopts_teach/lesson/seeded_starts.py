@@ -158,11 +158,14 @@ class SeededStarts:
         starts = [demo.states[0] for demo in option.demonstrations if demo.actions]
         return starts[int(rng.integers(len(starts)))]
 
-    def check(self, option: OptionHistory, names: Collection[str] = ()) -> Check | None:
+    def check(
+        self, option: OptionHistory, names: Collection[str] = (), *, every_end: bool = False
+    ) -> Check | None:
         """
         Return the next question about a run of the option; None: there is no more.
 
         :param names: as in ``draw``.
+        :param every_end: as in ``next_check``.
         """
         learned = self._option(option)
         if not self.rules.ask_about_runs or learned is None or not option.n_trajectories:
@@ -171,7 +174,7 @@ class SeededStarts:
 
         def find() -> Check | None:
             rng = self._generator('check', option)
-            return next_check(learned, domain, evidence, rng, others)
+            return next_check(learned, domain, evidence, rng, others, every_end=every_end)
 
         evidence = before_exam(option.everything)  # so that no question interrupts an exam
         return self._once('check', find, [each.uuid for each in evidence], learned, others)
