@@ -224,3 +224,22 @@ def test_goals_count_options_called_learned_and_lessons_that_call_a_wrong_one_so
     marks = [each.mark for each in section.comparisons]
     assert marks == [Mark.MET, Mark.MISSED, Mark.UNDECIDED, Mark.MET, Mark.MISSED]
     assert '0 of 1 called learned' in section.comparisons[2].found
+
+
+@pytest.mark.heavy
+@pytest.mark.parametrize(
+    ('world', 'method', 'taught_by', 'lesson'),
+    [
+        ('Taxi', 'goal', 'two kinds of ends', 17),  # deliveries pass what looks like an end
+        ('Rooms', 'goal', 'careful', 11),  # slips lead through another doorway
+        ('FrozenLake 4x4', 'trees', '10 % slips', 1),  # whoever is shown has reached the goal
+        ('Pac-Man', 'trees', 'careful', 9),  # points that have nothing to do with the option
+    ],
+)
+def test_chance_and_other_ends_do_not_keep_a_right_option_from_being_learned(
+    world: str, method: str, taught_by: str, lesson: int
+) -> None:
+    case = dict(zip(judging.KEYS, (world, method, taught_by)))
+    (row,) = judging.give_lesson({**case, 'lesson': lesson, 'seed': 1})
+    assert row['learned']
+    assert row['right']

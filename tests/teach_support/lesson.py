@@ -62,7 +62,9 @@ class Starts(SeededStarts):
     def exhausted(self, option: OptionHistory, names: Collection[str] = ()) -> bool:
         return not self.more
 
-    def check(self, option: OptionHistory, names: Collection[str] = ()) -> Check | None:
+    def check(
+        self, option: OptionHistory, names: Collection[str] = (), *, every_end: bool = False
+    ) -> Check | None:
         answered = {run.states[0] for run in option.judged if not run.exam}
         left = (state for state in self.asked if state not in answered)
         return next(map(not_here, left), None)

@@ -172,7 +172,11 @@ def test_a_start_from_which_it_does_not_end_is_no_known_return(from_everywhere: 
 def test_the_limit_is_that_of_differences_paired_by_demonstration(
     fetching: Shown, plain_taxi: Any
 ) -> None:
-    """Of 12 of them, with Student's t of 11 degrees of freedom; without chance, there is none."""
+    """
+    Of 12 of them, with Student's t of 11 degrees of freedom; without chance, there is none.
+
+    With an exam, only what is below the lower limit counts.
+    """
     data = make_dataset(fetching[:12], TAXI)
     folds, differences = fold_of(data, 0), []
     for demo, fold in zip(data.demonstrations, folds):
@@ -184,13 +188,16 @@ def test_the_limit_is_that_of_differences_paired_by_demonstration(
     exact = judge(fetching[:12], TAXI, Thresholds(), 0)
     of_range = span(fetching[:12])
     found = named(exact)
-    assert (found[RETURN].value, found[RETURN].limit) == (pytest.approx(mean / of_range),) * 2
-    stepwise = judge(fetching[:12], plain_taxi, Thresholds(), 0)
+    assert (found[RETURN].value, found[RETURN].limit) == (pytest.approx(mean / of_range), None)
+    stepwise = judge(fetching[:12], plain_taxi, Thresholds(exam=0), 0)
     t = float(stdtrit(11, 1 - 0.05 / (12 * 13)))  # the twelfth look
     limited = named(stepwise)
     of_range = span(fetching[:12], plain_taxi)
     assert limited[RETURN].value == pytest.approx(mean / of_range)
     assert limited[RETURN].limit == pytest.approx((mean + t * error) / of_range)
+    examined = named(judge(fetching[:12], plain_taxi, Thresholds(), 0))[RETURN]
+    certain = max(mean - float(stdtrit(11, 0.95)) * error, 0.0)
+    assert (examined.value, examined.limit) == (pytest.approx(certain / of_range), None)
     assert all(limited[name] == found[name] for name in (INITIATION, TERMINATION))
     assert stepwise.mean_return_policy == exact.mean_return_policy
     assert stepwise.conflicts == exact.conflicts

@@ -98,6 +98,8 @@ def test_a_start_that_looks_like_an_end_is_no_example_against_it(
     option = learn_option([one, again], TAXI, 0)
     assert option.termination.counts[0].tolist() == [4, 2]
     assert option.ends(one.feature_rows).tolist() == [False, False, True]
+    option = learn_option([replace(one, can_start_at_end=True)], TAXI, 0)
+    assert option.termination.counts[0].tolist() == [2, 1]  # nothing at its start only ends have
 
 
 @pytest.mark.parametrize(('again', 'members'), [(True, [0, 5]), (False, [2, 4])])

@@ -112,7 +112,9 @@ ASKED = 'taxi 2,2 passenger aboard destination B'
 class Asked(Drawn):
     """One question about a run of each version, and exams that start in one state."""
 
-    def check(self, option: OptionHistory, names: Collection[str] = ()) -> Check | None:
+    def check(
+        self, option: OptionHistory, names: Collection[str] = (), *, every_end: bool = False
+    ) -> Check | None:
         if any(not run.exam for run in option.verdicts):
             return None
         return not_here(ASKED)

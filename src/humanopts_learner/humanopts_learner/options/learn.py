@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import compress
 
-from humanopts_env.arrays import Flags, Ints, Rows
+from humanopts_env.arrays import Flags, Floats, Ints, Rows
 from humanopts_env.domains.base import ActableDomain, action_index, FeatureKind, is_enumerable
 from humanopts_env.domains.described import can_simulate
 from humanopts_env.domains.formulas import feature_columns, FeatureColumn, stacked
@@ -132,21 +132,26 @@ class Dataset:
         """
         Visited states, labelled as ends or not.
 
-        Termination is checked only after a step, so a start is not an example against an end if
-        the option can start where it ends, or an end has equal chosen features. The last state
-        counts as often as a leaf needs examples, as if the person had stayed there: one end then
-        makes a leaf.
+        Termination is checked only after a step, so a start is not an example against an end with
+        equal chosen features. Nor is it if the option can start where it ends, and a nominal
+        feature of it has a value that only ends have. The last state counts as often as a leaf
+        needs examples, as if the person had stayed there: one end then makes a leaf.
         """
         labelled = []
 
-        def seen(demo: Demonstration, state: int) -> tuple[float, ...]:
-            return tuple(stacked(self.chosen, demo.feature_rows[[state]])[0].tolist())
+        def seen(part: slice) -> Floats:
+            rows = [demo.feature_rows[part] for demo in self.trajectories]
+            return stacked(self.chosen, np.concatenate(rows))
 
-        ends = {seen(demo, -1) for demo in self.trajectories}
+        ends, between = seen(slice(-1, None)), seen(slice(1, -1))
         again = any(demo.can_start_at_end for demo in self.trajectories)
+        nominal = [column.feature.kind is FeatureKind.NOMINAL for column in self.chosen]
         for demo in self.demonstrations:
+            start = stacked(self.chosen, demo.feature_rows[:1])
+            same, elsewhere = ends == start, between == start
+            only = same.any(axis=0) & ~elsewhere.any(axis=0) & nominal
+            may_be_end = same.all(axis=1).any() or (again and only.any())
             labels = [0] * len(demo.actions) + [MEMBER]
-            may_be_end = again or seen(demo, 0) in ends
             first = int(may_be_end and len(labels) > 1)
             asked = len(labels) - (self.ends_with_task and demo.terminated)
             at = np.arange(len(labels))[first:asked]
