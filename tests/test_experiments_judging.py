@@ -183,13 +183,6 @@ def test_lessons_of_a_row_are_given_judged_and_reported(
     assert 'two cells north' in (folder / 'report.html').read_text()
 
 
-def test_an_option_with_two_kinds_of_ends_is_learned_by_goal_and_right() -> None:
-    """A run that begins with the passenger aboard passes no landmark, as a pickup ends there."""
-    row = 'Taxi', judging.GOAL, 'two kinds of ends'
-    (found,) = judging.give_lesson({**dict(zip(judging.KEYS, row)), 'lesson': 3, 'seed': 1})
-    assert (found['learned'], found['right starts']) == (True, 1.0)
-
-
 def test_the_slowest_world_is_not_in_the_default_selection() -> None:
     def worlds(participants: int) -> set[str]:
         study = Study(participants)
@@ -226,14 +219,15 @@ def test_goals_count_options_called_learned_and_lessons_that_call_a_wrong_one_so
     assert '0 of 1 called learned' in section.comparisons[2].found
 
 
-@pytest.mark.heavy
 @pytest.mark.parametrize(
     ('world', 'method', 'taught_by', 'lesson'),
     [
         ('Taxi', 'goal', 'two kinds of ends', 17),  # deliveries pass what looks like an end
         ('Rooms', 'goal', 'careful', 11),  # slips lead through another doorway
         ('FrozenLake 4x4', 'trees', '10 % slips', 1),  # whoever is shown has reached the goal
-        ('Pac-Man', 'trees', 'careful', 9),  # points that have nothing to do with the option
+        pytest.param(  # points that have nothing to do with the option
+            *('Pac-Man', 'trees', 'careful', 9), marks=pytest.mark.heavy
+        ),
     ],
 )
 def test_chance_and_other_ends_do_not_keep_a_right_option_from_being_learned(
