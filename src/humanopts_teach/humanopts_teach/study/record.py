@@ -261,6 +261,7 @@ class StudyFolder:
         :param clock: function that returns the time in s since 1970.
         """
         self.path, self._clock = path, clock
+        self._parsed: dict[tuple[Path, int, int, int], Record] = {}  # by file, size and time
 
     def records(self) -> tuple[list[Record], list[str]]:
         """
@@ -271,9 +272,12 @@ class StudyFolder:
         """
         found: dict[str, Record] = {}
         named, problems = self._named()
+        parsed, self._parsed = self._parsed, {}  # a long study has many events
         for each in named:
             try:
-                record = each.read()
+                file = each.path.lstat()
+                key = each.path, file.st_ino, file.st_size, file.st_mtime_ns
+                record = self._parsed[key] = parsed.get(key) or each.read()
             except OSError as error:
                 problems.append(f'{each.path} is left out: {error.strerror}')
                 continue
