@@ -116,11 +116,14 @@ class _Participant:
     def rows(self) -> dict[str, list[dict[str, Any]]]:
         """Return the rows by table."""
         began = self.record.began
-        common = {'participant': self.record.code}
+        common: dict[str, Any] = {'participant': self.record.code}
+        versions = self.data.protocol.versions
         if began is not None:
             common |= {
                 'study': began.study,
                 'protocol': began.protocol[:SHOWN_DIGEST],
+                'seed': None if self.plan is None else self.plan.seed,
+                'software': next((v.software for v in versions if v.digest == began.protocol), ''),
                 'simulated': _word(began.simulated),
             }
         found = {
@@ -172,7 +175,6 @@ class _Participant:
         row = {
             'number': record.number,
             'place': record.place,
-            'seed': None if self.plan is None else self.plan.seed,
             'order': ' '.join(self.order),
             'agreed': agreed,
             'state': self.state,
