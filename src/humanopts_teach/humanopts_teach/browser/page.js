@@ -60,7 +60,8 @@
   new MutationObserver(() => {
     if (frame() !== displayed) { displayed = frame(); requestAnimationFrame(() => send([])); }
     const heading = document.querySelector('h1');
-    const title = (document.querySelector('h1:not(.heard), h2, h3') ?? heading)?.textContent;
+    // The browser collapses spaces in a title: another text would be set again and again.
+    const title = (document.querySelector('h1:not(.heard), h2, h3') ?? heading)?.textContent.replace(/\s+/g, ' ').trim();
     if (title && document.title !== title) document.title = title;
     const field = input();
     if (field && !field.dataset.met) { // a text field has the focus as soon as it appears
