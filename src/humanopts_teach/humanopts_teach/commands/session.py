@@ -33,6 +33,7 @@ from humanopts_teach.commands import (
 )
 from humanopts_teach.commands.output import tolerant_output
 from humanopts_teach.gamepad import Gamepad, read_mapping
+from humanopts_teach.language import _
 from humanopts_teach.launching import LaunchError, RECORDER, USUAL
 from humanopts_teach.launching.job import shell_job_ended
 from humanopts_teach.launching.launcher import Launcher
@@ -107,7 +108,8 @@ def known_code(code: str, known: Iterable[str]) -> str:
     :raises CommandError: it is another participant, who needs another code.
     """
     similar = similar_code(code, known)
-    if similar and not confirmed(f'{similar} has taken part. Go on as {similar}?'):
+    question = _('{similar} has taken part. Go on as {similar}?').format(similar=similar)
+    if similar and not confirmed(question):
         raise CommandError(str(SimilarCodeError(code, similar)))
     return similar or code
 
@@ -375,7 +377,7 @@ def run_in_terminal(setup: Setup, done: Callable[[Session], object] = lambda run
     :param done: called when the terminal is free again, before the recording is checked.
     :raises LaunchError: as of ``session``, or the recording has gaps.
     """
-    print('starting ...', flush=True)
+    print(_('starting ...'), flush=True)
     lines: list[str] = []  # while the terminal is in use
     say: Callable[[str], object] = print_line
     try:

@@ -6,12 +6,13 @@ import sys
 
 from humanopts_ros.process import run_node
 from humanopts_teach.dialogue.keys import SUSPEND
+from humanopts_teach.language import _, N_, speaking
 from humanopts_teach.ros.teleop import POLL_SECONDS, TeleopNode
 from humanopts_teach.terminal.device import Device, why_not
 from humanopts_teach.terminal.drawing import frame
 from rclpy.executors import Executor
 
-_FAREWELL = 'Everything taught is saved; the same command takes it up again.'
+_FAREWELL = N_('Everything taught is saved; the same command takes it up again.')
 
 
 class KeyboardTeleopNode(TeleopNode):
@@ -19,7 +20,9 @@ class KeyboardTeleopNode(TeleopNode):
 
     def serve(self, executor: Executor, stop: Callable[[], bool]) -> None:
         """Serve the person until they quit, the terminal is closed, or the process must stop."""
-        with Device(_FAREWELL) as device:
+        with speaking(self.app.language):
+            farewell = _(_FAREWELL)
+        with Device(farewell) as device:
             while not (stop() or self.app.ended or device.closed):
                 self.turn(executor, POLL_SECONDS)
                 if not device.has_terminal():  # suspended: control is kept
