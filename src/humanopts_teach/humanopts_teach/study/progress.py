@@ -30,8 +30,10 @@ def participants_table(
         plan = None if began is None else protocol.plan_of(began.protocol)
         parts = [] if plan is None else plan.parts_of(record.place, record.number)
         left = record.remaining(parts)
-        if record.over:
-            state = 'excluded' if record.excluded else 'finished'
+        if record.excluded:
+            state = 'excluded'
+        elif record.over:
+            state = 'finished'
         elif record.code in running:
             state = 'running'
         else:
