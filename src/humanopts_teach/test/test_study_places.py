@@ -9,11 +9,11 @@ import random
 import resource
 import subprocess
 import sys
-from typing import Any
+from typing import Any, get_args
 
 from humanopts_teach.cli import main
 from humanopts_teach.commands.study_session import Study
-from humanopts_teach.study.events import event_of, FAILED, FINISHED
+from humanopts_teach.study.events import Event, event_of, EventKind, FAILED, FINISHED
 from humanopts_teach.study.log import StudyLog
 from humanopts_teach.study.plan import PlanFileError, read_plan, StudyPlan
 from humanopts_teach.study.questions import MAX_POINTS, Question, QuestionKind, Questionnaire
@@ -509,3 +509,10 @@ def test_new_codes_are_new_and_can_be_used(plan: StudyPlan, folder: StudyFolder)
     assert len(codes) == 100
     assert folder.enter(plan, codes.pop()).number == 0
     assert os.listdir(folder.path)
+
+
+def test_the_reference_has_every_event_and_its_fields() -> None:
+    text = (Path(__file__).parents[3] / 'docs' / 'reference' / 'files.md').read_text('utf-8')
+    fields = set(Event.model_fields) - {'event', 'time', 'condition', 'kind'}
+    words = {*get_args(EventKind), *fields}
+    assert [each for each in sorted(words) if f'`{each}`' not in text] == []
