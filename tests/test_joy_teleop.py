@@ -5,6 +5,7 @@ from pathlib import Path
 import signal
 import time
 
+from graph_support.joy_lesson import FEATURE, JoyLesson, OPTION, RECORDED
 from graph_support.live import GAME, Graph, JOY, LEARNER, LESSON, open_graph, WORLD
 from graph_support.player import Player
 from graph_support.robot import Robot
@@ -256,3 +257,17 @@ def test_a_lesson_with_a_gamepad(live: Graph) -> None:
     live.until(lambda: player.state.features[0] == 0, 'the north')
     pad.press(START, with_held=(LB,))
     live.until(lambda: lessons[-1].n_demonstrations == 1, 'the demonstration to be kept')
+
+
+@pytest.mark.slow
+def test_a_recorded_gamepad_gives_a_lesson_on_the_rover(live: Graph) -> None:
+    lesson = JoyLesson(live)
+    lesson.play(RECORDED)
+    live.until(lambda: lesson.lessons[-1].n_demonstrations == 2, 'two demonstrations to be kept')
+    live.until(
+        lambda: any(o.n_demonstrations == 2 for o in lesson.learned[-1].options), 'both learned'
+    )
+    assert list(lesson.lessons[-1].chosen_features) == [FEATURE]
+    (learned,) = lesson.learned[-1].options
+    assert learned.option_name == OPTION
+    lesson.rover.kill(signal.SIGKILL)  # as in test_own_robot.py
