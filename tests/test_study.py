@@ -18,7 +18,7 @@ import pytest
 from teach_support.page_client import PageClient
 
 pytestmark = [pytest.mark.whole, pytest.mark.timeout(300)]  # on a busy machine
-READING = 2.5  # s, more than the minimum display time of a page
+READING = 1.0  # s, more than the minimum display time of a page
 EXAMPLE = Path(__file__).parents[1] / 'examples' / 'study' / 'plan.yaml'
 
 
@@ -92,10 +92,10 @@ def test_a_participant_takes_part_by_keys_and_is_then_refused(
     monkeypatch.setenv('ROS_DOMAIN_ID', str(domain_id))
     program = ['-m', 'humanopts_teach', *words]
     with pexpect.spawn(sys.executable, program, dimensions=(24, 80), timeout=60) as person:
-        person.expect('Taking part')
-        person.send('n')
-        person.expect('Nothing was saved')
-        person.send('\r')
+        for sees, key in (('Taking part', 'n'), ('Nothing was saved', '\r')):
+            person.expect(sees)
+            time.sleep(READING)
+            person.send(key)
         person.expect(pexpect.EOF)
     assert person.exitstatus == 0
     folder = tmp_path / 'runs' / 'small'
