@@ -364,12 +364,14 @@ PARTS_OF = {
     'buttons': part(PartKind.BUTTONS, most=2),
     'teach': part(PartKind.TEACH, minutes=10.0),
     'questions': part(PartKind.QUESTIONS, questions=Questionnaire(items=(LIKED, AGAIN), points=5)),
+    'practice': part(PartKind.PRACTICE),
     'idle': part(PartKind.PLAY, idle=2.0, task='Have a look.'),
     'kinds': part(PartKind.QUESTIONS, questions=Questionnaire(items=KINDS), most_failed=0),
 }
 BEGIN = '1 f e t c h enter y o enter left'  # a demonstration
 SITTINGS = [  # first part, before the page; keys, and seconds after a plus
     ('play', ['escape']),
+    ('practice', ['left up enter | down | enter | up n | backspace | ? | x n | enter']),
     ('play', ['+119.9 | +0.1']),
     ('buttons', ['f e t c h enter | g o enter']),
     ('buttons', ['escape']),

@@ -158,9 +158,8 @@ class App:
         N_('Quit'),
         N_('everything taught is saved'),
     )  # menu item
-    quits: ClassVar[bool] = True  # offer a key that ends the dialogue
     needs_game: ClassVar[bool] = True  # nothing is shown before the game is known
-    cuts_plays: ClassVar[bool] = True  # offer to cut a whole play into demonstrations
+    in_study: ClassVar[bool] = False  # no quit key, no cutting of plays, no name of the session
 
     def __init__(self, first: Screen, world: World | None = None, *, seed: int = 0) -> None:
         self.world = world or World()

@@ -83,7 +83,7 @@ def confirm(question: str, affirm: Do, back: Do) -> Notice:
 
 def quitting(app: App) -> list[Command]:
     """Return the command that ends the dialogue; in a study there is none but Ctrl-C."""
-    return [QUIT] if app.quits else []
+    return [] if app.in_study else [QUIT]
 
 
 def key_list(

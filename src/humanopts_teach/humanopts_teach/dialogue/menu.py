@@ -149,7 +149,7 @@ def to_menu(app: App) -> None:
         note = _('rename or delete it, or learn it in another way')
         choose = partial(_choose, _('Change which option?'), _change)
         items.append(Item(_('Change an option'), note, choose))
-    if app.cuts_plays:
+    if not app.in_study:
         items.append(Item(_('Play the whole task once'), _('then name its parts'), _play_whole))
     text, note = app.leaving
     app.show(ListScreen(_('What next?'), [*items, Item(_(text), _(note), end)]))

@@ -72,11 +72,10 @@ class PracticeScreen(PlayScreen):
         title = Line(_('Practice'), strong=True, more=(kept,))
         blocks = [
             title,
+            Line(todo, Tone.NEWS, strong=True),
+            *last_step(world),
             GAP,
             Line(_(_TEXTS[self.stage])),
-            GAP,
-            Line(todo, Tone.NEWS),
-            *last_step(world),
         ]
         return Panel(blocks)
 

@@ -45,8 +45,7 @@ class StudyApp(App):
     """The remaining parts of one condition; events are recorded immediately."""
 
     leaving = (N_('Finish teaching'), N_('continue with the study'))
-    quits = False  # only Ctrl-C leaves the study
-    cuts_plays = False  # all participants demonstrate options one by one, as in the paper
+    in_study = True  # all participants demonstrate options one by one, as in the paper
 
     def __init__(
         self,

@@ -61,7 +61,7 @@ def _head(app: App) -> list[str]:
         parts.append(translated(world.domain.name))
     if app.participant:
         parts.append(app.participant)
-        if world.lesson.session:
+        if world.lesson.session and not app.in_study:
             parts.append(_('session {session}').format(session=world.lesson.session))
     if world.holder:
         parts.append(_('you drive') if world.in_control else _('another person drives'))
