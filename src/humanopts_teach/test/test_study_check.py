@@ -51,7 +51,7 @@ def test_all_screens_are_shown_in_order_with_times_and_places(
         *('Do you agree?', 'First.', 'Second.', '== play/practice', '== play/play'),
         *('Bring the passenger to the flag.', 'Which button would make', 'Did you like it?'),
         *('Which one?', 'Which ones?', 'How old?', 'What else?', 'Choose 11.', '== taught/teach'),
-        *('go to passenger and pickup', 'depend on', 'demonstrations, '),
+        *('go to passenger and pickup', 'depend on', ' shown, '),
         *('Did you like it?', 'estimated minutes', 'play, taught: 2 places, about '),
         'taught, play: 2 places, about ',
     ]

@@ -199,8 +199,8 @@ class PlanCheck:
             )
         for each in taught.summaries:
             yield (
-                f'{each.option_name}: {each.n_demonstrations} demonstrations, {each.n_not_here} '
-                f'not here: {each.status}'
+                f'{each.option_name}: {each.n_demonstrations} shown, {each.n_not_here} not here; '
+                f'{each.status}'
             )
 
     def _screen(self, app: App, part: Part) -> str:

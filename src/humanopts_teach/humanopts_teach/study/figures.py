@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 
 SIZE = (5.0, 3.1)  # inches
+_SHORT = 20  # characters; two longer names do not fit beside each other
 STYLES = ('-', '--', ':', '-.')
 _PERSON: dict[str, Any] = {'lw': 0.8, 'alpha': 0.45}
 _BELOW: dict[str, Any] = {'loc': 'upper center', 'bbox_to_anchor': (0.5, -0.18)}
@@ -83,6 +84,7 @@ def accuracy_figure(points: pd.DataFrame, measure: str, title: str, paper: int) 
         ylabel='share of states',
         carried=False,
         mark=(paper, f'paper: {paper}'),
+        top=1.03,
     )
 
 
@@ -93,6 +95,7 @@ def _curves(
     name: str,
     carried: bool = True,
     mark: tuple[float, str] | None = None,
+    top: float | None = None,
     **axes: str,
 ) -> str:
     """
@@ -101,6 +104,7 @@ def _curves(
     :param carried: whether a curve keeps its last value in the mean; else the mean is of those
         who got that far, at least two.
     :param mark: value of x to mark, with its label.
+    :param top: upper end of the y axis; None: that of the curves.
     """
     if not curves:
         return ''
@@ -130,10 +134,11 @@ def _curves(
         if mark is not None:
             plot.axvline(mark[0], color='#888', ls=':', lw=1.2, label=mark[1])
         plot.set_xlim(left=0)
-        plot.set_ylim(bottom=0)
+        plot.set_ylim(0, top)
         for axis in (plot.xaxis, *([plot.yaxis] if carried else [])):
             axis.set_major_locator(MaxNLocator(integer=True, nbins=7))
-        plot.legend(**_BELOW, ncols=2)
+        narrow = max(map(len, curves)) <= _SHORT
+        plot.legend(**_BELOW, ncols=2 if narrow else 1)
     return work.svg
 
 
