@@ -435,7 +435,7 @@ class StudyFolder:
 
     def running(self) -> set[str]:
         """Return the codes of those who take part at the moment."""
-        if not (self.path / _LOCK).exists():
+        if not os.access(self.path / _LOCK, os.W_OK):  # missing, or in an archive
             return set()
         with self._locked():
             handles = {each.code: _take(each.path) for each in self.records()[0]}
