@@ -24,6 +24,7 @@ from humanopts_teach.dialogue.keys import ENTER, ESCAPE
 from humanopts_teach.dialogue.menu import to_lesson, to_menu
 from humanopts_teach.dialogue.panel import OPTION_KEYS
 from humanopts_teach.dialogue.study import StudyApp
+from humanopts_teach.language import speaking
 from humanopts_teach.lesson.in_process import SECONDS, teach
 from humanopts_teach.lesson.question_groups import GroupAnswer
 from humanopts_teach.lesson.requests import (
@@ -154,7 +155,8 @@ class PlanCheck:
             demonstrates = lesson.phase is Phase.DEMONSTRATING and not lesson.exam
             world.holder = world.me if demonstrates else ''
             if isinstance(act, DefineOption):
-                to_menu(app)
+                with speaking(self.language):
+                    to_menu(app)
                 show('menu')
                 to_lesson(app)
             elif lesson.phase is Phase.ASKING:
