@@ -495,6 +495,20 @@ def test_a_process_of_its_own_acts_and_stops_as_well(tmp_path: Path) -> None:
         graph.until(lambda: robot.stands, 'the robot to stand')
 
 
+def test_a_world_that_starts_cancels_what_a_killed_one_began(tmp_path: Path) -> None:
+    with open_graph(tmp_path) as graph:
+        robot = Robot(graph)
+        world = graph.spawn(WORLD, world=robot.file())
+        graph.ready('/world')
+        player = Player(graph)
+        player.send(player.command('go', PERSON))
+        graph.until(lambda: robot.goals, 'the goal')
+        world.kill(signal.SIGKILL)
+        assert not robot.canceled
+        graph.spawn(WORLD, world=robot.file())
+        graph.until(lambda: robot.canceled, 'the goal to be canceled', 40.0)
+
+
 @pytest.mark.parametrize('node', [WORLD, KEYBOARD, JOY, OPTION_SERVER, TEACHER])
 def test_every_node_that_drives_announces_that_it_is_alive(node: str, tmp_path: Path) -> None:
     with open_graph(tmp_path) as graph:

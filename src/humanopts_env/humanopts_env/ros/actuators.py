@@ -4,15 +4,18 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from action_msgs.msg import GoalStatus
+from action_msgs.srv import CancelGoal
 from humanopts_env.domains.base import DomainError
 from humanopts_env.ros.interfaces import filled, interface
 from humanopts_env.worlds.world_file import ActionSpec, Velocity, WorldFile
 from humanopts_ros.limits import shown
 from humanopts_ros.node_base import NodeBase
 from humanopts_ros.qos import SERVICE, STREAM
+from humanopts_ros.waiting import drive
 from rclpy.action.client import ActionClient
 
 _SHOWN = 4  # fields of feedback that are shown
+_CLEARING = 5.0  # s to wait for the answer of an action server at the start
 
 
 class Report:
@@ -38,6 +41,9 @@ class Report:
 
 class Actuator:
     """Carries out one action of a world; this one does nothing."""
+
+    def clear(self) -> None:
+        """Cancel what others began, such as a world that was killed."""
 
     def start(self, report: Report) -> None:
         """
@@ -131,9 +137,14 @@ class Act(Actuator):
 
     def __init__(self, node: NodeBase, spec: ActionSpec, kind: Any, goal: Any) -> None:
         self._client = ActionClient(node, kind, str(spec.action))
+        self._cancel = node.create_client(CancelGoal, f'{spec.action}/_action/cancel_goal')
         self._name, self._goal, self._guarded = spec.action, goal, node.guard.guarded
+        self._waiting = node.waiting
         self._report: Report | None = None
         self._handle: Any = None
+
+    def clear(self) -> None:
+        drive(self._waiting.answer(self._cancel, CancelGoal.Request(), _CLEARING))  # all goals
 
     def start(self, report: Report) -> None:
         if not self._client.server_is_ready():

@@ -65,6 +65,12 @@ class RosRobot:
         self._repeated = self._node.now()
         self._actuator.start(self.report)
 
+    def clear(self) -> None:
+        """Stand still, whatever a world that was killed has begun."""
+        for actuator in self._actuators.values():
+            actuator.clear()
+        self.halt()
+
     def repeat(self) -> None:
         """Send the velocity again, if it is time."""
         now = self._node.now()
@@ -170,6 +176,7 @@ class WorldNode(LockStepNode):
 
     def on_ready(self) -> None:
         """Publish the world, where it is, and that it does nothing."""
+        self._robot.clear()
         super().on_ready()
         self.report_progress()
 
