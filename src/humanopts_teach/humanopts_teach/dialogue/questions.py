@@ -108,10 +108,8 @@ class _ChoiceQuestion(Screen):
     def commands(self, app: App) -> Sequence[Command]:
         question = self._asked.question
         value = self.chosen if question.kind is QuestionKind.CHOICES else self._value
-        accept = Command([keys.ENTER], _('accept'), lambda app: self._asked.accept(value, app))
-        if not self.chosen:
-            skip = (lambda app: self._asked.accept(None, app)) if question.skippable else None
-            accept = Command([keys.ENTER], _('skip'), skip)
+        words = _('skip') if question.skippable and not self.chosen else _('accept')
+        accept = Command([keys.ENTER], words, lambda app: self._accept(value or None, app))
         back = Command([keys.BACKSPACE], _('previous question'), self._asked.back())
         clear = Command([keys.CLEAR], _('erase'), self._set(()), label='')
         helping = Command('?', _('help'), self._explain)
@@ -138,6 +136,12 @@ class _ChoiceQuestion(Screen):
             for number, key in enumerate(OPTION_KEYS[: len(question.options)], start=1)
         ]
         return [*choices, accept, back, clear, helping]
+
+    def _accept(self, value: Any, app: App) -> None:
+        if value is None and not self._asked.question.skippable:
+            app.say(_('Please choose an answer first.'), bad=True)
+        else:
+            self._asked.accept(value, app)
 
     @property
     def _value(self) -> int | None:
