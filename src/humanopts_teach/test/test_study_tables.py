@@ -15,6 +15,7 @@ from humanopts_teach.evaluation.tables import accuracies
 from humanopts_teach.lesson.in_process import Taught
 from humanopts_teach.study.accuracy import accuracy_table
 from humanopts_teach.study.export import write_study
+from humanopts_teach.study.figures import accuracy_figure
 from humanopts_teach.study.log import StudyLog
 from humanopts_teach.study.model import effects, ModelError
 from humanopts_teach.study.plan import read_plan, StudyPlan
@@ -284,3 +285,12 @@ def test_options_are_as_accurate_as_when_they_were_taught(
     section = paper_section(results)
     assert section is not None
     assert 'taxi' in section.notes[0]
+
+
+def test_an_option_taught_in_two_conditions_has_two_curves() -> None:
+    rows = [
+        {'option': 'fetch', 'participant': 'p', 'condition': c, 'demonstrations': n, 'policy': 0.5}
+        for c in 'ab'
+        for n in (1, 2)
+    ]
+    assert 'mean of 2' in accuracy_figure(pd.DataFrame(rows), 'policy', 'taxi', 40)

@@ -69,11 +69,12 @@ def accuracy_figure(points: pd.DataFrame, measure: str, title: str, paper: int) 
     """
     Return a figure of an accuracy of the options of one game by the number of demonstrations.
 
-    :param points: columns option, participant, demonstrations and the measure, a share.
+    :param points: columns option, participant, condition, demonstrations and the measure, a share.
     :param paper: number of demonstrations to mark.
     """
     curves: dict[str, list[pd.Series]] = {}
-    for (name, _), own in points.groupby(['option', 'participant'], sort=False):
+    people = ['option', 'participant', 'condition']
+    for (name, *_), own in points.groupby(people, sort=False):
         curves.setdefault(str(name), []).append(own.set_index('demonstrations')[measure])
     return _curves(
         curves,

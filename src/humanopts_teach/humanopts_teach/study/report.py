@@ -281,12 +281,12 @@ def paper_section(results: Results) -> Section | None:
             named = f'{domain}: {title.lower()} accuracy'
             figures.append((accuracy_figure(own, measure, named, PAPER_DEMONSTRATIONS), ''))
         for option, points_of in own.groupby('option', sort=False):
-            last = points_of.groupby('participant').last()
+            last = points_of.groupby(['participant', 'condition']).last()
             rows.append(
                 {
                     'button': option,
                     'game': domain,
-                    'people': len(last),
+                    'people': points_of['participant'].nunique(),
                     'demonstrations': float(last['demonstrations'].mean()),
                     'policy accuracy': percent(float(last['policy'].mean())),
                     'classification accuracy': percent(float(last['classification'].mean())),
