@@ -36,6 +36,7 @@ R = TypeVar('R')
 # Between texts that are joined: first sentences, then their parts.
 _JOINTS = tuple(map(re.compile, ('((?<=[.!?]) )', r'( \(|\))', '([,:;] | -> )')))
 _WITHIN_A_SENTENCE = '(?:(?![.!?] ).)*?'
+_VALUES = dict.fromkeys(('count', 'number'), r'-?\d+')
 
 
 class LanguageError(Exception):
@@ -168,8 +169,8 @@ def read_language(language: str) -> _Language:
     if not language:
         return _SOURCE
     if not language.endswith('.po') and language not in languages():
-        known = ', '.join(languages())
-        raise LanguageError(f'unknown language {language!r}; choose from {known}, or a .po file')
+        names = ', '.join(languages())
+        raise LanguageError(f'unknown language {language!r}; choose from {names}, or a .po file')
     path = Path(language) if language.endswith('.po') else _FOLDER / f'{language}.po'
     from babel.messages.mofile import write_mo  # not needed for English
     from babel.messages.pofile import PoFileError, read_po
@@ -177,28 +178,29 @@ def read_language(language: str) -> _Language:
     try:
         with path.open('rb') as file:
             catalog = read_po(file, abort_invalid=True)
-    except (OSError, ValueError, PoFileError) as error:
+        compiled = BytesIO()
+        write_mo(compiled, catalog)
+        compiled.seek(0)
+        texts = GNUTranslations(compiled)
+    except (OSError, ValueError, LookupError, PoFileError) as error:
         raise LanguageError(f'{path.name} cannot be read as a PO file: {error}') from None
     templates = dict[str, tuple[re.Pattern[str], str]]()
     for message in catalog:
-        sources, texts = _forms(message.id), _forms(message.string)
-        if not message.id or message.fuzzy or not all(texts):
+        sources, given = _forms(message.id), _forms(message.string)
+        if not message.id or message.fuzzy or not all(given):
             continue
-        wanted = set(_FIELD.findall(sources[-1]))
-        for source, text in zip([*sources, *sources[-1:] * len(texts)], texts):
-            given = set(_FIELD.findall(text))
-            if given - wanted or re.search('[{}]', _FIELD.sub('', text)):
+        known = {field[0] for field in _FIELD.finditer(sources[-1])}
+        for source, text in zip([*sources, *sources[-1:] * len(given)], given):
+            fields = {field[0] for field in _FIELD.finditer(text)}
+            if not fields <= known or re.search('[{}]', _FIELD.sub('', text)):
                 raise LanguageError(
                     f'{path.name}: {text!r} has other placeholders than {sources[-1]!r}'
                 )
             if _FIELD.search(source):
                 templates[source] = _pattern(source), _FIELD.sub(r'{\1}', text)
     longest = sorted(templates, key=lambda source: len(_FIELD.sub('', source)), reverse=True)
-    compiled = BytesIO()
-    write_mo(compiled, catalog)
-    compiled.seek(0)
     tag = (catalog.locale_identifier or 'und').replace('_', '-')
-    return _Language(tag, GNUTranslations(compiled), tuple(map(templates.__getitem__, longest)))
+    return _Language(tag, texts, tuple(map(templates.__getitem__, longest)))
 
 
 def _forms(text: str | tuple[str, ...] | list[str] | None) -> tuple[str, ...]:
@@ -212,7 +214,11 @@ def _pattern(source: str) -> re.Pattern[str]:
     for field in _FIELD.finditer(source):
         name = field[1]
         pattern += re.escape(source[end : field.start()])
-        pattern += f'(?P={name})' if name in seen else f'(?P<{name}>{_WITHIN_A_SENTENCE})'
+        pattern += (
+            f'(?P={name})'
+            if name in seen
+            else f'(?P<{name}>{_VALUES.get(name, _WITHIN_A_SENTENCE)})'
+        )
         end = field.end()
         seen.add(name)
     return re.compile(pattern + re.escape(source[end:]), re.DOTALL)

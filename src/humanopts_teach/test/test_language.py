@@ -239,8 +239,9 @@ def domain_texts(name: str) -> Iterator[str]:
     yield from (text for _sign, text in explanation(domain))
     state = domain.reset(rng)
     for step in range(400):
-        board = board_of(domain, state)
-        yield from (*(mark.name for mark in board.marks), *board.notes)
+        shown = domain.features[step % len(domain.features)].name
+        for board in (board_of(domain, state), board_of(domain, state, [shown])):
+            yield from (*(mark.name for mark in board.marks), *board.notes)
         action = int(rng.integers(len(domain.actions)))
         result = domain.step(state, action, rng)
         yield step_effect(domain, state, action, result.state).text
@@ -274,7 +275,7 @@ def test_texts_of_messages_are_translated_when_displayed(tmp_path: Path) -> None
         'msgid "the option {option} has {count} runs: {reason}."\n'
         'msgstr "{count} Läufe hat {option}: {reason}."\n'
         'msgid "too few"\nmsgstr "zu wenige"\n'
-        'msgid "{share:.0f} % of it"\nmsgstr "davon {share:.1f} %"\n',
+        'msgid "{share:.0f} % of it"\nmsgstr "davon {share:.0f} %"\n',
     )
     with speaking(path):
         assert spoken() == 'de-AT'
@@ -300,7 +301,9 @@ def test_plurals(tmp_path: Path) -> None:
     [
         ('msgid "a {b}"\nmsgstr "a {c}"\n', "'a {c}' has other placeholders than 'a {b}'"),
         ('msgid "a"\nmsgstr "a {"\n', 'has other placeholders'),
+        ('msgid "a {b}"\nmsgstr "a {b:x}"\n', 'has other placeholders'),
         ('nonsense\n', 'cannot be read as a PO file'),
+        ('msgid ""\nmsgstr "Plural-Forms: nplurals=2; plural=f(n);\\n"\n', 'cannot be read'),
     ],
 )
 def test_a_file_that_cannot_be_used(text: str, why: str, tmp_path: Path) -> None:
