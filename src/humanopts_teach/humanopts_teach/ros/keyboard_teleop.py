@@ -21,7 +21,7 @@ class KeyboardTeleopNode(TeleopNode):
     def serve(self, executor: Executor, stop: Callable[[], bool]) -> None:
         """Serve the person until they quit, the terminal is closed, or the process must stop."""
         with speaking(self.app.language):
-            farewell = _(_FAREWELL)
+            farewell = '' if self.app.in_study else _(_FAREWELL)
         with Device(farewell) as device:
             while not (stop() or self.app.ended or device.closed):
                 self.turn(executor, POLL_SECONDS)
