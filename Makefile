@@ -161,7 +161,7 @@ test-slow: checked
 test-browser: checked
 	@for each in chromium chromedriver nginx; do PATH=$$PATH:/usr/sbin command -v $$each > /dev/null || { \
 	  echo 'make test-browser needs: sudo apt install chromium chromium-driver nginx-light' >&2; exit 1; }; done
-	@$(WITH_ROS) $(VENV)/bin/python -m pytest -m chromium $(or $(ARGS),$(wildcard tests/test_browser_*.py))
+	@$(WITH_ROS) $(VENV)/bin/python -m pytest -n 2 --dist loadfile -m chromium $(or $(ARGS),$(wildcard tests/test_browser_*.py))
 
 test-hosts: checked
 	@for each in unshare nsenter ip; do command -v $$each > /dev/null || { \

@@ -12,6 +12,20 @@ pytestmark = [pytest.mark.chromium, pytest.mark.live, pytest.mark.timeout(300)]
 __all__ = ['windows']
 
 
+def focus(window: Window) -> str | None:
+    """Return the title of the button with the focus."""
+    return window.driver.switch_to.active_element.get_attribute('title')
+
+
+def tab_to(window: Window, title: str) -> None:
+    """Press Tab until a button has the focus."""
+    for _ in range(30):
+        window.press(Keys.TAB)
+        if focus(window) == title:
+            return
+    pytest.fail(f'Tab does not reach {title}')
+
+
 def test_a_lesson_by_keyboard_and_no_finding_of_axe(
     tmp_path: Path, windows: Callable[..., Window]
 ) -> None:
@@ -62,6 +76,12 @@ def test_a_lesson_by_keyboard_and_no_finding_of_axe(
                     visit.look('before-a-step')
                     person.step()
                     visit.look('after-a-step')
+                    tab_to(window, 'south')
+                    window.press(Keys.ENTER)
+                    window.see(f'start {start}, step 2 ')
+                    assert focus(window) == 'south'  # its button was replaced meanwhile
+                    window.press('u')
+                    window.see(f'start {start}, step 1 ')
                     window.press('u')
                     window.see(f'next: start {start} ')
                 person.show(start)

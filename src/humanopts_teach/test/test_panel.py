@@ -5,6 +5,7 @@ import json
 from typing import get_args
 from xml.etree import ElementTree
 
+from humanopts_env.colours import GREY
 from humanopts_env.domains.base import Feature
 from humanopts_env.domains.described import DescribedDomain
 from humanopts_env.domains.registry import make_domain
@@ -32,7 +33,7 @@ from humanopts_teach.dialogue.panel import (
     Tone,
     TypedText,
 )
-from humanopts_teach.dialogue.view import view
+from humanopts_teach.dialogue.view import EMPTY, view
 from humanopts_teach.lesson.requests import LessonView, Phase
 from humanopts_teach.terminal.drawing import drawn, frame
 import pytest
@@ -84,6 +85,16 @@ def test_a_lesson_shows_the_chosen_features_and_no_others(app: App) -> None:
     board = view(app).board
     assert board is not None
     assert 'destination' not in [mark.name for mark in board.marks]
+
+
+def test_a_board_on_which_nothing_chosen_has_a_place_says_so_and_is_grey(app: App) -> None:
+    app.world.lesson = replace(app.world.lesson, chosen_features=('passenger_in_taxi',))
+    board = view(app).board
+    assert board is not None
+    assert {mark.name for mark in board.marks} == {'landmarks'}
+    assert (board.colour, board.notes[0]) == (GREY, EMPTY)
+    assert EMPTY in '\n'.join(frame(app, 80, 24))
+    assert EMPTY in parts(view(app))['board']
 
 
 def test_without_rules_the_features_of_the_state_are_listed(app: App) -> None:

@@ -16,7 +16,7 @@ from humanopts_teach.lesson.requests import Phase
 
 _SEEN = N_('the picture shows more than the option sees')
 _NO_PICTURE = N_('No picture: it needs a terminal with colours.')
-_EMPTY = N_('nothing that you chose has a place on the board')
+EMPTY = N_('nothing that you chose has a place on the board')
 _ALL_FEATURES = {Phase.NO_SESSION, Phase.NO_OPTION, Phase.ASKING}  # phases that hide no features
 
 
@@ -114,7 +114,7 @@ def _drawn(app: App, panel: Panel, images: bool) -> tuple[Board, Panel]:
     board = _in_words(pictured_board_of(domain, here, shown)) if app.pictures else Board()
     if board.rows:
         if shown is not None and board.marks == _in_words(board_of(domain, here, ())).marks:
-            board = replace(board, colour=GREY, notes=(_(_EMPTY), *board.notes))
+            board = replace(board, colour=GREY, notes=(_(EMPTY), *board.notes))
         return board, panel
     if board.image is not None and not images:
         board, panel = (
