@@ -6,6 +6,7 @@ from humanopts_env.domains.base import Action, Feature
 from humanopts_env.domains.described import DescribedDomain
 from humanopts_env.game import Begun, Command, Holder, Source, Transition
 from humanopts_env.worlds.acted_game import ActedGame
+from humanopts_env.worlds.sensors import Sensed
 from humanopts_env.worlds.world import Ending, Timing
 from humanopts_teach.lesson.requests import (
     Answer,
@@ -52,8 +53,8 @@ class Rover:
     def halt(self) -> None:
         self.speed = 0.0
 
-    def features(self) -> tuple[float, ...]:
-        return self.x, self.door
+    def sense(self) -> Sensed:
+        return Sensed((self.x, self.door))
 
     def text(self, features: tuple[float, ...]) -> str:
         return f'x {features[0]:.2f}, door {features[1]:g}'
