@@ -60,6 +60,6 @@ class Liveliness:
     def _on_change(self, publisher_id: str, status: Any) -> None:
         if status.alive_count_change > 0:
             self.lost.discard(publisher_id)
-        elif status.alive_count_change < 0:
+        elif status.alive_count_change < 0 or status.not_alive_count_change > 0:
             self.lost.add(publisher_id)
             self._on_lost(publisher_id)
