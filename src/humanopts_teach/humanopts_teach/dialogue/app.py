@@ -305,12 +305,12 @@ class App:
             if key in (INTERRUPT, END_OF_FILE):
                 self.ended = True
                 continue
-            if early and key not in (UP, DOWN):
-                self.say(_(_EARLY).format(key=label(key)))
-                continue
             moves = self.run is not None or bool(self.world.progress.action)
             if key == SPACE and self.world.robot and (moves or not self.screen.takes_text):
                 self.stop()
+                continue
+            if early and key not in (UP, DOWN):
+                self.say(_(_EARLY).format(key=label(key)))
                 continue
             if self._lasts is not None and (action := self._action_of(key)):
                 if action != self._lasts.action:
