@@ -10,9 +10,10 @@ With few demonstrations, beta holds in too many states, so an end must also rese
 demonstrated ones. First, the task must be over or continue there, as in most of them. If
 demonstrations then pass nearer ends, the goal is more specific. An option may have several kinds
 of ends, such as a pickup and a delivery, so the last step of a path must change the same nominal
-features as that of a demonstration, in the same direction: a passenger gets in or out. If
-demonstrations still pass nearer ends, paths lead to the reachable end with the most values that
-the chosen features share in most demonstrated ends, unless demonstrations then pass more ends.
+features as that of a demonstration; if this is not enough, in the same direction: a passenger
+gets in or out. If demonstrations still pass nearer ends, paths lead to the reachable end with the
+most values that the chosen features share in most demonstrated ends, unless demonstrations then
+pass more ends.
 
 A path from a state that looks like an end leads to another end, unless a demonstration led back.
 """
@@ -106,11 +107,12 @@ def paths_to_goal(
     nominal = [True, *(column.feature.kind is FeatureKind.NOMINAL for column in chosen)]
     kinds = columns[:, nominal]
     weights = 3.0 ** np.arange(sum(nominal))
-    changes = np.sign(kinds[table.successor] - kinds[:, None, None]) @ weights
-    shown = np.sign(kinds[ends] - kinds[last]) @ weights
-    similar = paths_to_best(2 * over_as_most + np.isin(changes, shown))
-    if passed(similar) <= 1 - MOST:
-        return similar
+    turns = np.sign(kinds[table.successor] - kinds[:, None, None])
+    shown = np.sign(kinds[ends] - kinds[last])
+    for change in (np.abs, np.positive):  # any change of the same features; in one direction
+        same = np.isin(change(turns) @ weights, change(shown) @ weights)
+        if passed(similar := paths_to_best(2 * over_as_most + same)) <= 1 - MOST:
+            return similar
     rank = agreement @ [1 + len(chosen), *[1] * len(chosen)]
     return min(paths_to_best(rank[table.successor]), similar, key=passed)
 
