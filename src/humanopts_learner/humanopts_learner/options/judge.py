@@ -36,7 +36,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 import math
-from typing import Any
 
 from humanopts_env.arrays import Flags, Floats, Ints, Rows
 from humanopts_env.domains.base import ActableDomain, action_index, Domain, is_enumerable
@@ -214,7 +213,8 @@ def judge(
             known = successes_by_chance(option, domain, demonstrations)
         success, evidence = _success(look, domain, thresholds.success, known)
         keys = [f'in-sample {demo.uuid}' for demo in demos]
-        in_sample = rollouts(option, domain, _starts(demos, domain), seed, keys)
+        starts = [domain.decode(demo.states[0]) for demo in demos]
+        in_sample = rollouts(option, domain, starts, seed, keys)
         gain = Interval.of_difference(in_sample.total_reward, returns)
         mean_return = float(in_sample.total_reward.mean())
         criteria.append(success)
@@ -289,10 +289,6 @@ def taught_before(
         for demos in groups.values()
         if any(demo.kind is Kind.TRAJECTORY for demo in demos)
     ]
-
-
-def _starts(demos: Sequence[Demonstration], domain: Domain) -> list[Any]:
-    return [domain.decode(demo.states[0]) for demo in demos]
 
 
 def more_needed(criteria: Sequence[Criterion], n_demonstrations: int) -> int:
