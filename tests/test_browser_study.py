@@ -72,6 +72,14 @@ def record_of(folder: StudyFolder, code: str) -> Record:
     return record
 
 
+def choose(window: Window, words: str) -> None:
+    """Choose an answer once the question was displayed long enough, and see it chosen."""
+    time.sleep(0.5)
+    window.click(words)
+    chosen = '[aria-checked=true]'
+    window.until(lambda: window.driver.find_elements('css selector', chosen), f'{words} chosen')
+
+
 def test_a_participant_on_a_phone_from_the_invitation_to_the_completion(
     study: tuple[str, StudyFolder], windows: Callable[..., Window]
 ) -> None:
@@ -108,18 +116,15 @@ def test_a_participant_on_a_phone_from_the_invitation_to_the_completion(
     window.click('Finish teaching')
     window.see('Did you like it?')
     visit.look('rating')
-    window.click('4')
-    time.sleep(0.5)
+    choose(window, '4')
     window.click('accept')
     window.see('Which hand')
     visit.look('choice')
-    window.click('left')
-    time.sleep(0.5)
+    choose(window, 'left')
     window.click('accept')
     window.see('What did you know before?')
     visit.look('choices')
-    window.click('Pac-Man')
-    time.sleep(0.5)
+    choose(window, 'Pac-Man')
     window.click('accept')
     window.see('How old are you?')
     visit.look('number')
