@@ -214,7 +214,7 @@ class Visit:
     def report(self) -> None:
         """Print what was read, and fail if there were findings."""
         print('\n'.join(self.spoken))
-        assert self.findings == []
+        assert not self.findings, '\n'.join(self.findings)
 
 
 @dataclass(frozen=True)
