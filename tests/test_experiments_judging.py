@@ -226,7 +226,7 @@ def test_goals_count_options_called_learned_and_lessons_that_call_a_wrong_one_so
         ('Rooms', 'goal', 'careful', 11),  # slips lead through another doorway
         ('FrozenLake 4x4', 'trees', '10 % slips', 1),  # whoever is shown has reached the goal
         pytest.param(  # points that have nothing to do with the option
-            *('Pac-Man', 'trees', 'careful', 9), marks=pytest.mark.heavy
+            *('Pac-Man', 'trees', 'careful', 9), marks=pytest.mark.slow
         ),
     ],
 )
