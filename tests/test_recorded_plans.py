@@ -37,7 +37,7 @@ def graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Graph]:
         graph.start(LEARNER, directory=options)
         graph.start(OPTION_SERVER)
         graph.start(PLANNER, directory=graph.folder / 'runs')
-        graph.ready('/learner', '/option_server', '/planner')
+        graph.ready('/recorder', '/learner', '/option_server', '/planner')
         graph.until(lambda: len({each.name for each in learned}) == 2, 'two options')
         yield graph
         courier.kill(signal.SIGKILL)  # as in test_own_robot
