@@ -224,9 +224,9 @@ def test_goals_count_options_called_learned_and_lessons_that_call_a_wrong_one_so
     [
         ('Taxi', 'goal', 'two kinds of ends', 17),  # deliveries pass what looks like an end
         ('Rooms', 'goal', 'careful', 11),  # slips lead through another doorway
-        ('FrozenLake 4x4', 'trees', '10 % slips', 1),  # whoever is shown has reached the goal
+        ('FrozenLake 4x4', 'trees', '10 % slips', 1),  # only runs that reach the goal are shown
         pytest.param(  # points that have nothing to do with the option
-            *('Pac-Man', 'trees', 'careful', 9), marks=pytest.mark.slow
+            *('Pac-Man', 'trees', 'careful', 9), marks=pytest.mark.heavy
         ),
     ],
 )

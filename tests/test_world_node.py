@@ -14,6 +14,7 @@ from graph_support.live import (
     Graph,
     JOY,
     KEYBOARD,
+    NodeProcess,
     open_graph,
     OPTION_SERVER,
     TEACHER,
@@ -469,15 +470,21 @@ def test_two_worlds_in_one_namespace_both_stand(course: Course) -> None:
     assert isinstance(course.player.do('forward'), GameState)
 
 
+def going(graph: Graph) -> tuple[Robot, NodeProcess, Player]:
+    """Return a robot on its way to a goal, with its world in a process of its own."""
+    robot = Robot(graph)
+    world = graph.spawn(WORLD, world=robot.file())
+    graph.ready('/world')
+    player = Player(graph)
+    player.send(player.command('go', PERSON))
+    graph.until(lambda: robot.goals, 'the goal')
+    return robot, world, player
+
+
 def test_a_process_of_its_own_acts_and_stops_as_well(tmp_path: Path) -> None:
     """It has another executor than the nodes of a test."""
     with open_graph(tmp_path) as graph:
-        robot = Robot(graph)
-        world = graph.spawn(WORLD, world=robot.file())
-        graph.ready('/world')
-        player = Player(graph)
-        player.send(player.command('go', PERSON))
-        graph.until(lambda: robot.goals, 'the goal')
+        robot, world, player = going(graph)
         robot.ended.set_result('succeed')
         graph.until(lambda: player.state.previous_action == 'go', 'its end')
         assert not player.state.cut_short
@@ -497,12 +504,7 @@ def test_a_process_of_its_own_acts_and_stops_as_well(tmp_path: Path) -> None:
 
 def test_a_world_that_starts_cancels_what_a_killed_one_began(tmp_path: Path) -> None:
     with open_graph(tmp_path) as graph:
-        robot = Robot(graph)
-        world = graph.spawn(WORLD, world=robot.file())
-        graph.ready('/world')
-        player = Player(graph)
-        player.send(player.command('go', PERSON))
-        graph.until(lambda: robot.goals, 'the goal')
+        robot, world, _ = going(graph)
         world.kill(signal.SIGKILL)
         assert not robot.canceled
         graph.spawn(WORLD, world=robot.file())

@@ -13,14 +13,15 @@ import os
 from pathlib import Path
 import re
 import stat
-from typing import Any, TYPE_CHECKING
+from typing import Any, TYPE_CHECKING, TypeVar
 
 from humanopts_ros.limits import check_json, JsonError, MAX_DEPTH, shown
 import yaml
 
 if TYPE_CHECKING:
-    from pydantic import ValidationError
+    from pydantic import BaseModel, ValidationError
 
+M = TypeVar('M', bound='BaseModel')
 MAX_TEXT = 2**20  # bytes of a text file
 MAX_YAML = 4 * 2**20  # characters of a YAML text
 MAX_NODES = 200_000  # values of a YAML text, including those repeated by aliases
@@ -199,6 +200,21 @@ def fault_in(error: 'ValidationError', known: Iterable[str] = ()) -> str:
     if first['type'] == 'string_type' and isinstance(given, bool | float):
         why += ': put it in quotes'
     return shown(f'{place}: {why}' if place else why)
+
+
+def model_of(kind: type[M], what: str, line: str) -> M:
+    """
+    Parse the model in a line of JSON.
+
+    :param what: what a valid line is, with its article.
+    :raises ValueError: the line is something else; the message is a single line.
+    """
+    from pydantic import ValidationError
+
+    try:
+        return kind.model_validate_json(line)
+    except ValidationError as error:
+        raise ValueError(f'it is not {what}: {fault_in(error)}') from None
 
 
 def _refused(place: Any, why: str) -> YamlError:

@@ -67,7 +67,9 @@ class PracticeScreen(PlayScreen):
                 'For practice, say that "take three steps" makes no sense here. Press n: not here.'
             )
             if step:
-                todo = _('Not here is said before the first step. Backspace: a new start.')
+                todo = _(
+                    'You can say "not here" only before the first step. Backspace: a new start.'
+                )
         kept = Line(f'  {_("Nothing here is kept.")}', Tone.QUIET)
         title = Line(_('Practice'), strong=True, more=(kept,))
         blocks = [

@@ -1,12 +1,13 @@
 """The log of a study: what happened to people who have no record, or no longer have one."""
 
+from functools import partial
 from pathlib import Path
 import time
 from typing import Annotated, ClassVar, Literal
 
 from humanopts_learner.append_only_log import AppendOnlyLog, read_lines
-from humanopts_ros.text_files import fault_in
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from humanopts_ros.text_files import model_of
+from pydantic import BaseModel, ConfigDict, Field
 
 FILE = 'log.jsonl'
 LogEvent = Literal[
@@ -43,7 +44,9 @@ class StudyLog:
         :raises OSError: the file cannot be read.
         """
         self.path = folder / FILE
-        self.entries, self.problems = read_lines(self.path, _entry_of)
+        self.entries, self.problems = read_lines(
+            self.path, partial(model_of, LogEntry, 'an entry of a log')
+        )
 
     def of(self, event: LogEvent) -> list[LogEntry]:
         """Return the events of one kind; a deletion that was repeated counts once."""
@@ -60,15 +63,3 @@ class StudyLog:
         entry = LogEntry(event=event, time=round(time.time(), 3), **values)
         AppendOnlyLog(self.path).append(entry.model_dump_json(exclude_unset=True))
         self.entries.append(entry)
-
-
-def _entry_of(line: str) -> LogEntry:
-    """
-    Parse the entry in a line.
-
-    :raises ValueError: the line is not an entry.
-    """
-    try:
-        return LogEntry.model_validate_json(line)
-    except ValidationError as error:
-        raise ValueError(f'it is not an entry of a log: {fault_in(error)}') from None

@@ -6,6 +6,7 @@ versions; participants continue with the version with which they began.
 """
 
 import difflib
+from functools import partial
 import hashlib
 from importlib.metadata import version as version_of
 import json
@@ -15,9 +16,9 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 from humanopts_learner.append_only_log import AppendOnlyLog, read_lines
 from humanopts_ros.limits import MAX_JSON
-from humanopts_ros.text_files import fault_in
+from humanopts_ros.text_files import model_of
 from humanopts_teach.study.plan import StudyPlan
-from pydantic import BaseModel, ConfigDict, Field, model_validator, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 FILE = 'protocol.jsonl'
 SOFTWARE = version_of('humanopts_teach')
@@ -87,7 +88,9 @@ class Protocol:
         :raises OSError: the file cannot be read.
         """
         self.path = folder / FILE
-        self.versions, self.problems = read_lines(self.path, _version_of, MAX_JSON)
+        self.versions, self.problems = read_lines(
+            self.path, partial(model_of, Version, 'a protocol'), MAX_JSON
+        )
 
     @property
     def plan(self) -> StudyPlan | None:
@@ -114,15 +117,3 @@ class Protocol:
             version = version.model_copy(update=change)
         AppendOnlyLog(self.path).append(version.model_dump_json(exclude_none=True))
         self.versions.append(version)
-
-
-def _version_of(line: str) -> Version:
-    """
-    Parse the version in a line.
-
-    :raises ValueError: the line is not a version.
-    """
-    try:
-        return Version.model_validate_json(line)
-    except ValidationError as error:
-        raise ValueError(f'it is not a protocol: {fault_in(error)}') from None
