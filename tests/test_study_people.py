@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 import json
 from pathlib import Path
@@ -61,6 +61,30 @@ FEW = Size(seats=2, places=6, first=2, leave=1, withdraw=1, second=3)
 pytestmark = [pytest.mark.whole, pytest.mark.timeout(3600)]
 
 
+class Page:
+    """A page that is opened again when its connection is lost, as in a browser."""
+
+    def __init__(self, address: str, path: str) -> None:
+        self._address, self._path = address, path
+        self._client = PageClient(address, path)
+
+    def panel(self) -> str:
+        """Return the HTML of the panel."""
+        if not self._client.socket.connected:
+            self.close()
+            self._client = PageClient(self._address, self._path)
+        return self._client.shows('panel')
+
+    def press(self, *keys: str) -> None:
+        """Press keys, or report that the frame is displayed; nothing happens offline."""
+        with suppress(BadNamespaceError):
+            self._client.press(*keys)
+
+    def close(self) -> None:
+        """Close the page."""
+        self._client.socket.shutdown()
+
+
 class People:
     """Those who take part; each has a page, and a thread that reads and presses keys."""
 
@@ -90,19 +114,19 @@ class People:
             self._read(page, code, 'Nothing was saved')
 
     @contextmanager
-    def _page(self, code: str) -> Iterator[PageClient]:
+    def _page(self, code: str) -> Iterator['Page']:
         """Open a page; the failure of one person ends the study of all."""
         try:
-            with PageClient(self.address, f'{self.token}/{code}') as page:
+            with closing(Page(self.address, f'{self.token}/{code}')) as page:
                 yield page
         except BaseException:
             self.failed = True
             raise
 
-    def _read(self, page: PageClient, code: str, words: str) -> None:
+    def _read(self, page: Page, code: str, words: str) -> None:
         """Wait until a page shows something."""
         deadline = time.monotonic() + PATIENCE
-        while words not in (shown := page.shows('panel')):
+        while words not in (shown := page.panel()):
             if 'in line' in shown:
                 self.waited.add(code)
             assert 'cannot go on' not in shown, f'{code}: {shown}'
@@ -110,15 +134,14 @@ class People:
             assert time.monotonic() < deadline, f'no {words} for {code}: {shown}'
             time.sleep(0.1)
 
-    def _press(self, page: PageClient, words: str, keys: Sequence[str]) -> None:
+    def _press(self, page: Page, words: str, keys: Sequence[str]) -> None:
         """Press keys once they count, and again if nothing changes."""
-        while words in page.shows('panel') and not self.failed:
-            with suppress(BadNamespaceError):  # it connects again
-                page.press()  # it is displayed
-                time.sleep(BLINK)
-                page.press(*keys)
+        while words in page.panel() and not self.failed:
+            page.press()  # it is displayed
+            time.sleep(BLINK)
+            page.press(*keys)
             until = time.monotonic() + AGAIN
-            while words in page.shows('panel') and time.monotonic() < until:
+            while words in page.panel() and time.monotonic() < until:
                 time.sleep(0.1)
 
     @staticmethod
