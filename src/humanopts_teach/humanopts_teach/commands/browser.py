@@ -2,17 +2,22 @@
 
 import asyncio
 from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
-from contextlib import AbstractAsyncContextManager, asynccontextmanager, suppress
-from dataclasses import replace
+from contextlib import (
+    AbstractAsyncContextManager,
+    asynccontextmanager,
+    AsyncExitStack,
+    suppress,
+)
+from dataclasses import dataclass, field, replace
 from functools import partial
 import json
+import os
 from pathlib import Path
 import re
 import secrets
 import socket
 import sys
 import traceback
-from typing import Any
 
 from humanopts_env.domains.names import is_robot
 from humanopts_ros.limits import one_line
@@ -49,7 +54,24 @@ _CANNOT_GO_ON = N_(
 _STOPPING_SECONDS = 40.0  # for the processes of a graph to end; each has less
 
 
-OpenGame = Callable[[TeleopThread, Seat], AbstractAsyncContextManager[Press]]
+def _turns_to_start() -> asyncio.Semaphore:
+    return asyncio.Semaphore(max(1, len(os.sched_getaffinity(0)) // 2))
+
+
+@dataclass
+class Games:
+    """
+    What the games of all seats share.
+
+    :ivar thread: runs their nodes.
+    :ivar starting: limits how many graphs start at once: the pages need the processor, too.
+    """
+
+    thread: TeleopThread
+    starting: asyncio.Semaphore = field(default_factory=_turns_to_start)
+
+
+OpenGame = Callable[[Games, Seat], AbstractAsyncContextManager[Press]]
 
 
 def teach_in_browser(setup: Setup, pages: PageOptions, participant: str) -> int:
@@ -64,7 +86,7 @@ def teach_in_browser(setup: Setup, pages: PageOptions, participant: str) -> int:
             raise CommandError('a robot is taught by one person at a time: --seats 1')
         pages = replace(pages, seats=1)
 
-    def open_game(thread: TeleopThread, seat: Seat) -> AbstractAsyncContextManager[Press]:
+    def open_game(games: Games, seat: Seat) -> AbstractAsyncContextManager[Press]:
         own = replace(
             setup,
             directory=setup.directory / seat.participant,
@@ -73,7 +95,7 @@ def teach_in_browser(setup: Setup, pages: PageOptions, participant: str) -> int:
             bag_name=new_name('bags/teach'),
             language=seat.language,
         )
-        return _game(own, thread, seat)
+        return _game(own, games, seat)
 
     def known() -> list[str]:
         return [each.parent.name for each in setup.directory.glob('*/demonstrations')]
@@ -110,7 +132,9 @@ def _serve_seats(
     try:
         with catch_interrupts() as interrupts:
             fits = partial(_fits, pages)
-            seats = Seats(name, partial(open_game, thread), pages.linger, fits, known, arrive)
+            seats = Seats(
+                name, partial(open_game, Games(thread)), pages.linger, fits, known, arrive
+            )
             print(f'Open http://{host}:{port}/{token} in a browser; Ctrl-C stops everything.')
             for name in pages.allow_host:
                 print(f'Through a reverse proxy: https://{name}/{token}')
@@ -157,36 +181,47 @@ def _name(host: str) -> str:
 
 
 @asynccontextmanager
-async def _game(
-    setup: Setup, thread: TeleopThread, seat: Seat | ConditionSeat
-) -> AsyncIterator[Press]:
+async def _game(setup: Setup, games: Games, seat: Seat | ConditionSeat) -> AsyncIterator[Press]:
     """
     Run the graph of a seat, and the node through which its participant teaches.
 
     :param setup: of this participant; the graph has a namespace of its own within the setup's.
     """
     setup = replace(setup, namespace=f'{setup.namespace.rstrip("/")}/seat_{seat.number}')
+    async with AsyncExitStack() as game:
+        async with games.starting:
+            await game.enter_async_context(_graph(setup, seat))
+            node = await game.enter_async_context(_node(setup, games.thread, seat))
+        yield lambda keys, frame: games.thread.call(partial(node.press, keys, frame))
+
+
+@asynccontextmanager
+async def _node(
+    setup: Setup, thread: TeleopThread, seat: Seat | ConditionSeat
+) -> AsyncIterator[BrowserTeleopNode]:
+    """Run the node through which a participant teaches."""
     loop = asyncio.get_running_loop()
     (spec,) = [spec for spec in processes(setup) if spec.terminal]
-    async with _graph(setup, seat):
-        found: asyncio.Future[Any] = loop.create_future()
+    made: asyncio.Future[BrowserTeleopNode | Exception] = loop.create_future()
 
-        def show(view: ScreenView, frame: int) -> None:
-            loop.call_soon_threadsafe(seat.show, view, frame)
+    def show(view: ScreenView, frame: int) -> None:
+        loop.call_soon_threadsafe(seat.show, view, frame)
 
-        def end() -> None:
-            loop.call_soon_threadsafe(seat.end)
+    def end() -> None:
+        loop.call_soon_threadsafe(seat.end)
 
-        thread.open(
-            lambda: BrowserTeleopNode(setup.namespace, spec.parameters, show, end),
-            lambda node: loop.call_soon_threadsafe(found.set_result, node),
-        )
-        node = await found
+    thread.open(
+        lambda: BrowserTeleopNode(setup.namespace, spec.parameters, show, end),
+        lambda result: loop.call_soon_threadsafe(made.set_result, result),
+    )
+    try:
+        node = await asyncio.shield(made)
         if isinstance(node, Exception):
             raise GameError(f'The game cannot be joined: {node}')
-        try:
-            yield lambda keys, frame: thread.call(partial(node.press, keys, frame))
-        finally:
+        yield node
+    finally:
+        node = await made  # the seat may have ended before it was
+        if not isinstance(node, Exception):
             closed = asyncio.Event()
             thread.close(node, partial(loop.call_soon_threadsafe, closed.set))
             await closed.wait()
@@ -320,7 +355,7 @@ async def _converse(seat: Seat, app: ConsentApp) -> None:
 
 @asynccontextmanager
 async def _all_turns(
-    study: Study, agreed: dict[Seat, float | None], thread: TeleopThread, seat: Seat
+    study: Study, agreed: dict[Seat, float | None], games: Games, seat: Seat
 ) -> AsyncIterator[Press]:
     """Run the games of all conditions, one after the other; the last one ends the seat."""
     press: Press = _nothing
@@ -335,7 +370,7 @@ async def _all_turns(
                 while isinstance(turn, Turn):
                     condition = ConditionSeat(seat)
                     setup = replace(turn.setup, language=seat.language)
-                    async with _game(setup, thread, condition) as pressed:
+                    async with _game(setup, games, condition) as pressed:
                         press = pressed
                         await condition.over.wait()
                         press = _nothing
