@@ -339,9 +339,8 @@ def times_section(results: Results) -> Section | None:
     if len(people):
         active = people['active_seconds'] / 60
         text = [
-            f'Those who finished took {number(float(active.median()), 3)} min (median; '
-            f'{number(float(active.min()), 3)} to {number(float(active.max()), 3)}) without '
-            'breaks.'
+            f'Those who finished took {active.median():.1f} min (median; {active.min():.1f} to '
+            f'{active.max():.1f}) without breaks.'
         ]
     text.append('Minutes at the parts that ended, over all sittings, without breaks.')
     return Section('times', 'Times', text, tables=[('', found)])
