@@ -3,10 +3,12 @@
 import asyncio
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import asynccontextmanager, suppress
+import gc
 from pathlib import Path
 import re
 import socket
 import statistics
+import struct
 import threading
 import time
 from typing import Any
@@ -233,6 +235,35 @@ def test_what_a_page_logs_does_not_reach_the_terminal(
     output = ''.join(capfd.readouterr())
     assert '\x1b' not in output
     assert not any(line.startswith('[sudo]') for line in output.splitlines())
+
+
+def test_connections_that_are_lost_leave_nothing_on_the_terminal(
+    address: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    port = int(address.rpartition(':')[2])
+    polling = f'/{TOKEN}/_nicegui_ws/socket.io/?EIO=4&transport=polling'
+    head = 'HTTP/1.1\r\nHost: localhost\r\n'
+    for sent in (
+        f'POST {polling} {head}Content-Length: 9\r\n\r\n',  # the body is never sent
+        f'GET {polling} {head}\r\n',
+        f'GET {polling.replace("polling", "websocket")} {head}{UPGRADE}\r\n',
+        f'GET /{TOKEN}/leo {head}\r\n',
+    ):
+        with socket.create_connection(('127.0.0.1', port), PATIENCE) as connection:
+            connection.sendall(sent.encode())
+            connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack('ii', 1, 0))
+    page = PageClient(address, f'/{TOKEN}/lou')
+    page.until('panel', 'Which?')
+    page.socket.eio.ws.sock.setsockopt(
+        socket.SOL_SOCKET, socket.SO_LINGER, struct.pack('ii', 1, 0)
+    )
+    page.socket.eio.ws.shutdown()
+    with PageClient(address, f'/{TOKEN}/lou') as page:
+        page.until('panel', 'Which?')
+        page.press('1')
+        page.until('said', 'one is picked')
+    gc.collect()  # tasks that were forgotten would be reported
+    assert capfd.readouterr().err == ''
 
 
 def test_two_people_teach_while_strangers_keep_2000_connections_open(

@@ -96,6 +96,17 @@ def files(folder: StudyFolder) -> list[str]:
     return sorted(path.name for path in folder.path.rglob('*')) if folder.path.exists() else []
 
 
+def decline(study: Study, code: str) -> None:
+    app = study.consent_app(code)
+    assert app is not None
+    for key in ('enter', 'n'):
+        app.drawn()
+        for keys in ([], [], [key]):  # displayed, read, decided
+            app.type(keys)
+            app.advance(app.now + 3.0)
+    assert app.agreed is False
+
+
 def note(record: Record, clock: Clock, *kinds: Any, **values: Any) -> None:
     for kind in kinds:
         OpenRecord(record.path, clock=clock).note(kind, **values)
@@ -115,6 +126,8 @@ def test_nothing_is_written_before_a_person_agrees(plan: StudyPlan, folder: Stud
     assert app is not None
     assert not folder.path.exists()
     assert study.declined().text.startswith('Nothing was saved.')
+    for _ in range(2):  # the page is loaded again
+        decline(study, 'ben')
     assert files(folder) == ['.lock', 'log.jsonl']
     (line,) = (folder.path / 'log.jsonl').read_text().splitlines()
     assert json.loads(line).keys() == {'event', 'time'}
@@ -134,8 +147,28 @@ def test_nothing_is_written_before_a_person_agrees(plan: StudyPlan, folder: Stud
         assert study.consent_app('anna') is None  # already given
 
 
+def test_a_person_counts_once_by_the_latest_visit(plan: StudyPlan, folder: StudyFolder) -> None:
+    study = Study(plan, folder, '/')
+    for code in ('anna', 'ben', 'anna'):
+        decline(study, code)
+    for number in range(4):
+        folder.enter(plan, f'p{number}')
+    for code in ('anna', 'cleo', 'cleo'):
+        with pytest.raises(FullError):
+            study.consent_app(code)
+    log = StudyLog(folder.path)
+    assert (log.people('declined'), log.people('full')) == (1, 2)
+    folder.withdraw('p2')
+    with study.enter('cleo', consent_seconds=1.0):
+        pass
+    log = StudyLog(folder.path)
+    assert (log.people('declined'), log.people('full'), log.people('withdrawn')) == (1, 1, 1)
+    text = log.path.read_text()
+    assert not any(code in text for code in ('anna', 'ben', 'cleo'))
+
+
 def test_a_full_disk_at_consent_leaves_nothing_of_the_person(
-    plan: StudyPlan, folder: StudyFolder
+    plan: StudyPlan, folder: StudyFolder, capsys: pytest.CaptureFixture[str]
 ) -> None:
     study = Study(plan, folder, '/')
     folder.enter(plan, 'first')  # and the protocol
@@ -145,11 +178,18 @@ def test_a_full_disk_at_consent_leaves_nothing_of_the_person(
     try:
         with pytest.raises(StudyError) as raised, study.enter('anna', consent_seconds=1.0):
             pass
+        with pytest.raises(OSError, match='File too large'), study.enter('first', width=390):
+            pass
+        resource.setrlimit(resource.RLIMIT_FSIZE, (0, hard))
+        decline(study, 'ben')
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-    text = 'The study could not begin, and nothing was saved: File too large.'
-    assert str(raised.value) == text
-    assert files(folder) == before
+    text = 'The study cannot begin just now, and nothing was saved.'
+    assert str(raised.value).startswith(text)
+    began, declined = capsys.readouterr().err.splitlines()
+    assert 'anna could not begin, and nothing was saved: ' in began
+    assert 'the number of people in the log is wrong by one: ' in declined
+    assert {*files(folder)} - {*before} <= {'log.jsonl'}
     with study.enter('anna', consent_seconds=1.0) as record:
         assert record.number == 1
 
@@ -342,7 +382,7 @@ def test_status_shows_people_and_places(
     for code, how in (('old', 'part left'), ('anna', 'ended')):
         where = {'part': 'a/teach', 'condition': 'a'} if how == 'part left' else {}
         note(folder.enter(plan, code), clock, how, **where)
-    study.declined()
+    decline(study, 'cleo')
     with StudyFolder(folder.path).hold(StudyFolder(folder.path).enter(plan, 'ben')):
         assert main(['study', 'status', str(path), '--study', str(folder.path)]) == 0
     lines = [' '.join(line.split()) for line in capsys.readouterr().out.splitlines()]

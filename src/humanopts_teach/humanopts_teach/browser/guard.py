@@ -12,7 +12,7 @@ from secrets import compare_digest
 import socket
 from urllib.parse import urlsplit
 
-from starlette.types import ASGIApp, Receive, Scope, Send
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 _NO_NAME = (
     'The server does not know this name of its machine. Open the address that was printed where '
@@ -55,13 +55,22 @@ class Guard:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Reject a request or forward it."""
-        if scope['type'] != 'lifespan':
-            if reason := self._refusal(scope):
-                await _refuse(scope, send, reason)
-                return
-            if scope['path'].count('/') == 1:  # Starlette's redirect would drop a proxy's prefix
-                scope = {**scope, 'path': f'{scope["path"]}/'}
-        await self._app(scope, receive, send)
+        if scope['type'] == 'lifespan':
+            await self._app(scope, receive, send)
+            return
+        if reason := self._refusal(scope):
+            await _refuse(scope, send, reason)
+            return
+        if scope['path'].count('/') == 1:  # Starlette's redirect would drop a proxy's prefix
+            scope = {**scope, 'path': f'{scope["path"]}/'}
+        first = [await receive()]
+        if first[0]['type'].endswith('.disconnect'):
+            return  # the client has left already; engine.io would fail
+
+        async def received() -> Message:
+            return first.pop() if first else await receive()
+
+        await self._app(scope, received, send)
 
     def _refusal(self, scope: Scope) -> str:
         """Return a page that says why a request is rejected; empty: it is accepted."""

@@ -127,7 +127,7 @@ def status(
     running = study_folder.running()
     people = participants_table(protocol, records, running, study.return_within, now)
     places = places_table(study, records, now)
-    counts = {event: len(log.of(event)) for event in ('declined', 'withdrawn', 'full')}
+    counts = {event: log.people(event) for event in ('declined', 'withdrawn', 'full')}
     if as_json:
         tables = {'participants': people.to_dict('records'), 'places': places.to_dict('records')}
         print(json.dumps({**tables, **counts}, indent=2))

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 import sys
 from typing import Any, NamedTuple
 from urllib.parse import quote
@@ -26,10 +27,11 @@ from humanopts_teach.commands.session import (
     WATCHED,
 )
 from humanopts_teach.dialogue.consent import ConsentApp
-from humanopts_teach.language import _, speaking
+from humanopts_teach.language import _, N_, speaking
 from humanopts_teach.launching.processes import Setup
 from humanopts_teach.ros.teleop import published_record
 from humanopts_teach.study.events import learned, TIME
+from humanopts_teach.study.log import LogEvent
 from humanopts_teach.study.plan import Condition, Part, PartKind, PARTS, StudyPlan
 from humanopts_teach.study.questions import QuestionKind
 from humanopts_teach.study.record import (
@@ -44,6 +46,10 @@ from humanopts_teach.study.record import (
 from humanopts_teach.terminal.show import show
 
 _MIN_SECONDS = 1.0  # remaining time of a part that can be continued
+_CANNOT_BEGIN = N_(
+    'The study cannot begin just now, and nothing was saved. Please tell the person who invited '
+    'you.'
+)
 _ERROR_RATE = 0.02  # share of a simulated participant's steps that are wrong
 
 
@@ -161,22 +167,29 @@ class Study:
         try:
             known = self.folder.find(self.plan, code)
         except FullError:
-            self.folder.turn_away()
+            self._count(code, 'full')
             raise
         pages = self.plan.consent_parts
         if known is not None:
             pages = known.remaining(self.folder.plan_of(self.plan, known).consent_parts)
         if not pages:
             return None
-        app = ConsentApp(pages)
+        app = ConsentApp(pages, partial(self._count, code, 'declined'))
         app.language = self.plan.language
         return app
 
     def declined(self) -> Farewell:
-        """Count a person who did not agree to take part; nothing else is written."""
-        self.folder.decline()
+        """Return what a person reads who did not agree to take part, and has been counted."""
         text = _('Nothing was saved. Only the number of people who decline is counted.')
         return Farewell(text, _address(self.plan.recruiting.declined, ''))
+
+    def _count(self, code: str, event: LogEvent | None) -> None:
+        """Count a person once; that this fails concerns only the researcher."""
+        try:
+            self.folder.count(code, event)
+        except OSError as error:
+            text = f'humanopts study: the number of people in the log is wrong by one: {error}'
+            print(one_line(text), file=sys.stderr, flush=True)
 
     @contextmanager
     def enter(
@@ -192,19 +205,22 @@ class Study:
 
         :param consent_seconds: time in which the person has agreed just now; None: was not asked.
         :param client: fields of the 'client' event: browser, width, height, language, columns.
-        :raises StudyError: this code cannot take part, takes part elsewhere, or cannot be written;
-            in the last case, nothing about the participant is left.
+        :raises StudyError: this code cannot take part, takes part elsewhere, or is new and cannot
+            be written; in the last case, nothing about the participant is left.
+        :raises OSError: the record of a participant who continues cannot be written.
         """
         try:
             record = self.folder.enter(
-                self.plan, code, simulated=simulated, consent_seconds=consent_seconds
+                self.plan, code, simulated=simulated, consent_seconds=consent_seconds, **client
             )
         except OSError as error:
-            text = _('The study could not begin, and nothing was saved: {why}.')
-            raise StudyError(text.format(why=error.strerror)) from error
+            if code in self.folder.codes():
+                raise
+            text = f'humanopts study: {code} could not begin, and nothing was saved: {error}'
+            print(one_line(text), file=sys.stderr, flush=True)
+            raise StudyError(_CANNOT_BEGIN) from error
+        self._count(code, None)
         with self.folder.hold(record):
-            if client:
-                OpenRecord(record.path).note('client', **client)
             yield record
 
     def farewell(self, record: Record) -> Farewell:

@@ -1,6 +1,6 @@
 """The consent to a study: pages that are shown before any game runs or anything is recorded."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from humanopts_teach.dialogue.app import App, EARLIEST, Screen
 from humanopts_teach.dialogue.entry import Notice
@@ -20,10 +20,16 @@ class ConsentApp(App):
 
     needs_game = False
 
-    def __init__(self, pages: Sequence[Part]) -> None:
-        """Show the first page; there is at least one."""
+    def __init__(
+        self, pages: Sequence[Part], declined: Callable[[], object] = lambda: None
+    ) -> None:
+        """
+        Show the first page; there is at least one.
+
+        :param declined: called when the person does not agree.
+        """
         super().__init__(Screen())
-        self._pages = pages
+        self._pages, self._declined = pages, declined
         self._began: float | None = None  # s
         self.agreed: bool | None = None
         self._turn_to(0)
@@ -51,6 +57,8 @@ class ConsentApp(App):
 
     def _decide(self, agreed: bool) -> None:
         self.agreed = agreed
+        if not agreed:
+            self._declined()
         self.end()
 
 

@@ -62,9 +62,9 @@ def flow_of(data: StudyData, found: Mapping[str, pd.DataFrame]) -> Flow:
             ConditionFlow(str(name), len(own), count['reached'], count['finished'], gone[name])
         )
     return Flow(
-        declined=len(data.log.of('declined')),
-        full=len(data.log.of('full')),
-        withdrawn=len(data.log.of('withdrawn')),
+        declined=data.log.people('declined'),
+        full=data.log.people('full'),
+        withdrawn=data.log.people('withdrawn'),
         excluded=states['excluded'],
         dropped_out=states['dropped out'],
         under_way=states['under way'],

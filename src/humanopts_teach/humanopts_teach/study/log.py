@@ -24,6 +24,7 @@ class LogEntry(BaseModel):
 
     event: LogEvent
     time: Annotated[float, Field(ge=0, lt=1e11)]  # s since 1970
+    people: Annotated[int, Field(ge=-1, le=1)] = 1  # -1: no longer counts, having come again
     number: Annotated[int, Field(ge=0)] | None = None  # of the participant; None: has none
     place: Annotated[int, Field(ge=0)] | None = None  # of the participant
     files: Annotated[int, Field(ge=0)] = 0  # number of deleted files
@@ -48,11 +49,12 @@ class StudyLog:
             self.path, partial(model_of, LogEntry, 'an entry of a log')
         )
 
-    def of(self, event: LogEvent) -> list[LogEntry]:
-        """Return the events of one kind; a deletion that was repeated counts once."""
+    def people(self, event: LogEvent) -> int:
+        """Return the number of people; a deletion that was repeated counts once."""
         found = [entry for entry in self.entries if entry.event == event]
-        numbers = {entry.number: entry for entry in found}
-        return list(numbers.values()) if event == 'withdrawn' else found
+        if event == 'withdrawn':
+            return len({entry.number for entry in found})
+        return sum(entry.people for entry in found)
 
     def note(self, event: LogEvent, **values: int) -> None:
         """

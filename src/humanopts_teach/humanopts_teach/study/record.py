@@ -262,6 +262,7 @@ class StudyFolder:
         """
         self.path, self._clock = path, clock
         self._parsed: dict[tuple[Path, int, int, int], Record] = {}  # by file, size and time
+        self._counted: dict[str, LogEvent] = {}  # by code; never written
 
     def records(self) -> tuple[list[Record], list[str]]:
         """
@@ -348,6 +349,7 @@ class StudyFolder:
         *,
         simulated: bool = False,
         consent_seconds: float | None = None,
+        **client: Any,
     ) -> Record:
         """
         Return the record of a new participant, or of one who continues the study.
@@ -356,29 +358,34 @@ class StudyFolder:
         nothing.
 
         :param consent_seconds: time in which the person has agreed just now; None: was not asked.
+        :param client: fields of the 'client' event: browser, width, height, language, columns.
         :raises StudyError: as of ``find``.
         :raises OSError: the folder cannot be written.
         """
         self.path.mkdir(parents=True, exist_ok=True)
         with self._locked():
             found = self.find(plan, code, simulated=simulated)
+            now = round(self._clock(), 3)
+            came = [Event(event='client', time=now, **client)] if client else []
             if found is not None:
                 if consent_seconds is not None:
                     pages = found.remaining(self.plan_of(plan, found).consent_parts)
-                    OpenRecord(found.path).append(*self._agreed(pages, consent_seconds))
+                    came = [*self._agreed(pages, consent_seconds), *came]
+                if came:
+                    OpenRecord(found.path).append(*came)
                 return found.read()
             named = self._named()[0]
             place = self._free_place(plan, self.records()[0])
             record = next((each for each in named if each.code == code), None)
             if record is None:
-                deleted = (entry.number or 0 for entry in StudyLog(self.path).of('withdrawn'))
+                log = StudyLog(self.path).entries
+                deleted = (entry.number for entry in log if entry.number is not None)
                 number = max((*(each.number for each in named), *deleted), default=-1) + 1
                 if number > MAX_NUMBER:
                     raise StudyError(
                         f'{named[-1].path} has the last number; give it a smaller one'
                     )
                 record = Record(self.path / _file_name(number, code), code, number)
-            now = round(self._clock(), 3)
             began = Event(
                 event='began',
                 time=now,
@@ -395,7 +402,7 @@ class StudyFolder:
             consent = self._agreed(pages, consent_seconds or 0.0)
             try:
                 Protocol(self.path).keep(plan)
-                OpenRecord(record.path).append(began, *consent)
+                OpenRecord(record.path).append(began, *consent, *came)
             except OSError:
                 if _is_empty(record.path):  # its name has the code
                     record.path.unlink(missing_ok=True)
@@ -444,13 +451,28 @@ class StudyFolder:
                     os.close(handle)
         return {code for code, handle in handles.items() if handle is None}
 
-    def decline(self) -> None:
-        """Count a person who did not agree; nothing else about the person is written."""
-        self._log('declined')
+    def count(self, code: str, event: LogEvent | None) -> None:
+        """
+        Count a person without a record once, by the latest visit; the code is not written.
 
-    def turn_away(self) -> None:
-        """Count a person who came when all places were taken."""
-        self._log('full')
+        Who was counted is known only to this object, so someone who comes again later, when
+        another one has the folder, counts again.
+
+        :param event: how the visit ended; None: the person takes part.
+        :raises OSError: the log cannot be written.
+        """
+        before = self._counted.get(code)
+        if before == event:
+            return
+        self.path.mkdir(parents=True, exist_ok=True)
+        with self._locked():
+            log = StudyLog(self.path)
+            if before is not None:
+                log.note(before, people=-1)
+                del self._counted[code]
+            if event is not None:
+                log.note(event)
+                self._counted[code] = event
 
     def withdraw(self, code: str) -> int:
         """
@@ -487,11 +509,6 @@ class StudyFolder:
             raise StudyError(f'{shown(code)!r} has no record in {self.path}')
         records = [path for each in named for path in self.path.glob(f'{each.path.name}*')]
         return [*(path for path in (self.path / code).rglob('*') if path.is_file()), *records]
-
-    def _log(self, event: LogEvent) -> None:
-        self.path.mkdir(parents=True, exist_ok=True)
-        with self._locked():
-            StudyLog(self.path).note(event)
 
     def _free_place(self, plan: StudyPlan, records: Iterable[Record]) -> int:
         """Return the lowest place that no one holds."""
