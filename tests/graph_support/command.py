@@ -63,6 +63,11 @@ class Command:
             )
 
     @property
+    def pid(self) -> int:
+        """The number of its process."""
+        return self._process.pid
+
+    @property
     def output(self) -> str:
         """What it has printed so far."""
         return self._out.read_text('utf-8')

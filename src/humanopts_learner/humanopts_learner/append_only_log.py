@@ -118,12 +118,17 @@ def append_bytes(path: Path, content: bytes) -> None:
     """
     Append and fsync.
 
-    :raises OSError: writing failed; the file is truncated to its previous size.
+    :raises OSError: writing failed; the file is truncated to its previous size, or deleted if that
+        is zero.
     """
     refuse_link(path)
     handle = os.open(path, _APPENDING, 0o644)
     try:
         size = append_whole(handle, content, os.fsync)
+    except OSError:
+        if not os.fstat(handle).st_size:
+            path.unlink(missing_ok=True)
+        raise
     finally:
         os.close(handle)
     if size == 0:

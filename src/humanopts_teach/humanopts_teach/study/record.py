@@ -400,13 +400,8 @@ class StudyFolder:
             )
             pages = [] if consent_seconds is None else plan.consent_parts
             consent = self._agreed(pages, consent_seconds or 0.0)
-            try:
-                Protocol(self.path).keep(plan)
-                OpenRecord(record.path).append(began, *consent, *came)
-            except OSError:
-                if _is_empty(record.path):  # its name has the code
-                    record.path.unlink(missing_ok=True)
-                raise
+            Protocol(self.path).keep(plan)
+            OpenRecord(record.path).append(began, *consent, *came)
             return record.read()
 
     def _agreed(self, pages: Iterable[Part], seconds: float) -> list[Event]:
