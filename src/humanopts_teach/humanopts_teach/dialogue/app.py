@@ -199,6 +199,10 @@ class App:
         assert self.world.domain is not None
         return self.world.domain
 
+    def leaving_question(self) -> str:
+        """Return the question to answer before the dialogue is left by the menu; empty: none."""
+        return ''
+
     @property
     def waits_for(self) -> Request | None:
         """The pending request."""

@@ -1,7 +1,7 @@
 """Navigation between screens: sign-in, main menu, choice of an option."""
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 from humanopts_env.domains.base import Feature, FeatureKind, is_enumerable
@@ -16,7 +16,7 @@ from humanopts_learner.planning.request import (
     PRIMITIVE,
     Q,
 )
-from humanopts_teach.dialogue.app import App
+from humanopts_teach.dialogue.app import App, EARLIEST
 from humanopts_teach.dialogue.driving import LEARNING_EPISODES, PlayScreen, RunScreen, WatchScreen
 from humanopts_teach.dialogue.entry import confirm, end, Item, ListScreen, Notice, TextScreen
 from humanopts_teach.dialogue.keys import Command, Do, ESCAPE
@@ -152,7 +152,15 @@ def to_menu(app: App) -> None:
     if not app.in_study:
         items.append(Item(_('Play the whole task once'), _('then name its parts'), _play_whole))
     text, note = app.leaving
-    app.show(ListScreen(_('What next?'), [*items, Item(_(text), _(note), end)]))
+    app.show(ListScreen(_('What next?'), [*items, Item(_(text), _(note), _finish)]))
+
+
+def _finish(app: App) -> None:
+    """Leave the dialogue, after a question if something is unfinished."""
+    if question := app.leaving_question():
+        app.show(replace(confirm(question, end, to_menu), earliest=EARLIEST))
+    else:
+        end(app)
 
 
 def to_lesson(app: App) -> None:

@@ -168,6 +168,14 @@ class StudyApp(App):
         self._outbox = deque(each for each in self._outbox if not self._is_anothers(each[0]))
         self.show(Screen())
 
+    def leaving_question(self) -> str:
+        """Return the question to answer before teaching ends with buttons that are not learned."""
+        names = self.given_options or self.known_options
+        known = {name: self.world.summary_of(self.code, name) for name in names}
+        left = [name for name, each in known.items() if each is None or not each.learned]
+        text = _('Not learned yet: {names}. Finish teaching? You cannot come back to it.')
+        return text.format(names=', '.join(left)) if left else ''
+
     def _note_taught(self) -> None:
         """Record the options learned so far, if they have changed."""
         own = [each for each in self.world.summaries if each.participant == self.code]

@@ -11,7 +11,7 @@ _HINTS = {
     Phase.READY: 'Begin the next demonstration.',
     Phase.DEMONSTRATING: 'Show the option, then say done; or say not here, or discard.',
     Phase.LEARNING: 'The learner is working on the demonstration.',
-    Phase.FINISHED: 'Name the next option to teach.',
+    Phase.FINISHED: 'Go to the menu for the next option, or to finish.',
     Phase.CHECKING: 'Answer the question.',
     Phase.EXAM: 'Begin the next run of the exam.',
 }
