@@ -12,11 +12,13 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import cache, lru_cache, wraps
 from gettext import GNUTranslations, NullTranslations
-from io import BytesIO
+from io import BytesIO, StringIO
 from itertools import product
 from pathlib import Path
 import re
 from typing import Concatenate, NamedTuple, ParamSpec, Protocol, TypeVar
+
+from humanopts_ros.text_files import FileError, read_text
 
 ENGLISH = 'en'  # in plain words, for participants of studies
 _FOLDER = Path(__file__).parent / 'locale'
@@ -32,7 +34,6 @@ _NAMES = {
 }  # placeholders of what people typed
 P = ParamSpec('P')
 R = TypeVar('R')
-# Between texts that are joined: first sentences, then their parts.
 # Between texts that are joined: first sentences, then their parts.
 _JOINTS = tuple(map(re.compile, ('((?<=[.!?]) )', r'( \(|\))', '([,:;] | -> )')))
 _WITHIN_A_SENTENCE = '(?:(?![.!?] ).)*?'
@@ -63,8 +64,8 @@ def speaking(language: str) -> Iterator[None]:
     """
     Speak a language in this context: this thread or task, and the tasks that it creates.
 
-    :param language: one of ``languages``, or the path of a PO file; empty: the texts as in the
-        code, for those who know the terms.
+    :param language: one of ``languages``, or the path or the text of a PO file; empty: the texts
+        as in the code, for those who know the terms.
     :raises LanguageError: it is unknown, or its file cannot be used.
     """
     token = _spoken.set(read_language(language))
@@ -168,22 +169,31 @@ def read_language(language: str) -> _Language:
     """
     if not language:
         return _SOURCE
+    if '\n' in language:
+        return _parsed('the file of texts', language)
     if not language.endswith('.po') and language not in languages():
         names = ', '.join(languages())
         raise LanguageError(f'unknown language {language!r}; choose from {names}, or a .po file')
     path = Path(language) if language.endswith('.po') else _FOLDER / f'{language}.po'
+    try:
+        return _parsed(path.name, read_text(path))
+    except FileError as error:
+        raise LanguageError(str(error)) from None
+
+
+def _parsed(name: str, text: str) -> _Language:
+    """Parse the text of the PO file with a name."""
     from babel.messages.mofile import write_mo  # not needed for English
     from babel.messages.pofile import PoFileError, read_po
 
     try:
-        with path.open('rb') as file:
-            catalog = read_po(file, abort_invalid=True)
+        catalog = read_po(StringIO(text), abort_invalid=True)
         compiled = BytesIO()
         write_mo(compiled, catalog)
         compiled.seek(0)
         texts = GNUTranslations(compiled)
-    except (OSError, ValueError, LookupError, PoFileError) as error:
-        raise LanguageError(f'{path.name} cannot be read as a PO file: {error}') from None
+    except (ValueError, LookupError, PoFileError) as error:
+        raise LanguageError(f'{name} cannot be read as a PO file: {error}') from None
     templates = dict[str, tuple[re.Pattern[str], str]]()
     for message in catalog:
         sources, given = _forms(message.id), _forms(message.string)
@@ -194,7 +204,7 @@ def read_language(language: str) -> _Language:
             fields = {field[0] for field in _FIELD.finditer(text)}
             if not fields <= known or re.search('[{}]', _FIELD.sub('', text)):
                 raise LanguageError(
-                    f'{path.name}: {text!r} has other placeholders than {sources[-1]!r}'
+                    f'{name}: {text!r} has other placeholders than {sources[-1]!r}'
                 )
             if _FIELD.search(source):
                 templates[source] = _pattern(source), _FIELD.sub(r'{\1}', text)

@@ -15,6 +15,7 @@ from humanopts_learner.summary import Criterion, OptionSummary
 from humanopts_teach.cli import main
 from humanopts_teach.commands.study_session import simulated_part
 from humanopts_teach.dialogue.study import StudyApp
+from humanopts_teach.language import _, speaking, spoken
 from humanopts_teach.lesson.requests import CancelRun, EndDemonstration, SetControl, Verdict, World
 from humanopts_teach.study.codebook import codebook
 from humanopts_teach.study.plan import (
@@ -324,6 +325,32 @@ def test_a_maze_in_a_file_is_part_of_the_plan(
     said = capsys.readouterr().err
     assert 'accept the change with --accept-changes' in said
     assert said.count(f'\n-     "{yard.splitlines()[1]}",') == 2  # in each condition
+
+
+def test_the_texts_of_a_language_are_part_of_the_plan(
+    write: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    header = 'msgid ""\nmsgstr "Language: fr\\n"\n"Content-Type: text/plain; charset=UTF-8\\n"\n\n'
+    texts = f'{header}msgid "yes"\nmsgstr "oui"\n'
+    (tmp_path / 'fr.po').write_text(texts)
+    path = write(f'language: fr.po\n{PLAN}')
+    folder = StudyFolder(tmp_path / 'study')
+    folder.enter(read_plan(path), 'anna')
+    place = [str(path), '--study', str(folder.path)]
+    (tmp_path / 'fr.po').write_text(texts.replace('oui', 'si'))
+    assert main(['study', *place, '--participant', 'ben']) == 2
+    said = capsys.readouterr().err
+    changes = {line[0] + line[1:].strip(' ",') for line in said.splitlines() if 'msgstr' in line}
+    assert {'-msgstr \\"oui\\', '+msgstr \\"si\\'} <= changes
+    assert 'accept the change with --accept-changes' in said
+    assert main(['study', *place, '--accept-changes', '--participant', 'ben']) == 2
+    changed = read_plan(path)
+    folder.enter(changed, 'ben')
+    (tmp_path / 'fr.po').unlink()
+    for record, yes in zip(folder.records()[0], ('oui', 'si')):
+        with speaking(folder.plan_of(changed, record).language):
+            assert (spoken(), _('yes')) == ('fr', yes)
+    assert str(tmp_path) not in (folder.path / 'protocol.jsonl').read_text()
 
 
 def test_a_file_of_features_is_beside_the_plan(write: Write, tmp_path: Path) -> None:

@@ -381,13 +381,13 @@ def read_plan(path: Path) -> StudyPlan:
 
 
 def _language(name: str, folder: Path) -> str:
-    """Return a shipped language, or the absolute path of a file of texts."""
-    language = str((folder / name).absolute()) if name.endswith('.po') else name
+    """Return a shipped language, or the text of a PO file."""
+    own = name.endswith('.po')
     try:
-        read_language(language)
+        read_language(str(folder / name) if own else name)
     except LanguageError as error:
         raise PlanFileError(f'language: {error}') from error
-    return language
+    return read_text(folder / name) if own else name
 
 
 def read_name(path: Path) -> str:
