@@ -331,7 +331,7 @@ def test_the_texts_of_a_language_are_part_of_the_plan(
     write: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     header = 'msgid ""\nmsgstr "Language: fr\\n"\n"Content-Type: text/plain; charset=UTF-8\\n"\n\n'
-    texts = f'{header}msgid "yes"\nmsgstr "oui"\n'
+    texts = f'{header}# {4000 * "x"}\nmsgid "yes"\nmsgstr "oui"\n'
     (tmp_path / 'fr.po').write_text(texts)
     path = write(f'language: fr.po\n{PLAN}')
     folder = StudyFolder(tmp_path / 'study')

@@ -247,6 +247,7 @@ class _PlanFile(Values):
 class StudyPlan(_PlanFile):
     """A complete study plan, including the contents of the files it references."""
 
+    language: str = ENGLISH  # or the text of a PO file
     pages: dict[str, tuple[str, ...]]  # by file name
     questionnaires: dict[str, Questionnaire]
 
