@@ -37,6 +37,7 @@ R = TypeVar('R')
 # Between texts that are joined: first sentences, then their parts.
 _JOINTS = tuple(map(re.compile, ('((?<=[.!?]) )', r'( \(|\))', '([,:;] | -> )')))
 _WITHIN_A_SENTENCE = '(?:(?![.!?] ).)*?'
+_DECIMAL = re.compile(r'-?\d+\.\d+')
 _VALUES = dict.fromkeys(('count', 'number'), r'-?\d+')
 
 
@@ -48,6 +49,7 @@ class _Language(NamedTuple):
     tag: str  # BCP 47
     catalog: NullTranslations
     templates: tuple[tuple[re.Pattern[str], str], ...]  # English and translation; longest first
+    decimal: str = '.'  # mark
 
 
 _SOURCE = _Language('en', NullTranslations(), ())
@@ -119,6 +121,14 @@ def ngettext(one: str, more: str, count: int) -> str:
     return _spoken.get().catalog.ngettext(one, more, count)
 
 
+class Number(float):
+    """A number that people read: formatted, it has the decimal mark of the language spoken."""
+
+    def __format__(self, spec: str) -> str:
+        """Return the number in a format of ``float``."""
+        return super().__format__(spec).replace('.', _spoken.get().decimal)
+
+
 def N_(text: str) -> str:  # noqa: N802, the usual name
     """Mark a text, or an f-string, that is translated when it is displayed."""
     return text
@@ -131,6 +141,8 @@ def translated(text: str) -> str:
 
 @lru_cache(4096)
 def _translated(language: _Language, text: str) -> str:
+    if _DECIMAL.fullmatch(text):
+        return text.replace('.', language.decimal)
     # The English text may begin with a capital, and end with a full stop, because of its place.
     stem = text.removesuffix('.')
     forms = dict.fromkeys((text, stem, text[:1].lower() + text[1:], stem[:1].lower() + stem[1:]))
@@ -185,6 +197,7 @@ def _parsed(name: str, text: str) -> _Language:
     """Parse the text of the PO file with a name."""
     from babel.messages.mofile import write_mo  # not needed for English
     from babel.messages.pofile import PoFileError, read_po
+    from babel.numbers import get_decimal_symbol
 
     try:
         catalog = read_po(StringIO(text), abort_invalid=True)
@@ -210,7 +223,8 @@ def _parsed(name: str, text: str) -> _Language:
                 templates[source] = _pattern(source), _FIELD.sub(r'{\1}', text)
     longest = sorted(templates, key=lambda source: len(_FIELD.sub('', source)), reverse=True)
     tag = (catalog.locale_identifier or 'und').replace('_', '-')
-    return _Language(tag, texts, tuple(map(templates.__getitem__, longest)))
+    decimal = get_decimal_symbol(catalog.locale or ENGLISH)
+    return _Language(tag, texts, tuple(map(templates.__getitem__, longest)), decimal)
 
 
 def _forms(text: str | tuple[str, ...] | list[str] | None) -> tuple[str, ...]:

@@ -42,6 +42,7 @@ from humanopts_teach.language import (
     LanguageError,
     languages,
     ngettext,
+    Number,
     speaking,
     spoken,
     translated,
@@ -311,6 +312,15 @@ def test_a_file_that_cannot_be_used(text: str, why: str, tmp_path: Path) -> None
         pass
 
 
+@pytest.mark.parametrize(('language', 'text'), [('', '-0.5'), ('en', '-0.5'), ('de', '-0,5')])
+def test_numbers_have_the_decimal_mark_of_the_language(language: str, text: str) -> None:
+    with speaking(language):
+        assert f'{Number(-0.5):.3g}' == translated('-0.5') == text
+        assert translated('-0.5 m') == f'{text} m'
+        assert f'{Number(-0.5):g} and {Number(4):.0f}' == f'{text} and 4'
+        assert translated('version 0.5.1') == 'version 0.5.1'
+
+
 @pytest.mark.parametrize('name', ['fr', 'missing.po', '../de'])
 def test_an_unknown_language(name: str) -> None:
     with pytest.raises(LanguageError, match=r'unknown language|cannot read'), speaking(name):
@@ -420,13 +430,17 @@ def test_every_screen_of_a_study_is_in_the_language_of_the_participant(
                 desk.press(rng.choice(sorted(stays) or ['enter']))
         app.last_requests()
         desk.store.close()
-    # The names of features are typed in formulas.
+    # The names of features, and numbers, are typed in formulas.
     names = re.compile('|'.join(feature.name for feature in taxi.features if '_' in feature.name))
     found = sorted(names.sub('', text) for text in seen if text.strip())
     assert len(found) > 150
     wrong = [
         text
         for text in found
-        if (JARGON['en'].search(text) if language == 'en' else words(text) & foreign)
+        if (
+            JARGON['en'].search(text)
+            if language == 'en'
+            else words(text) & foreign or re.search(r'(?<![<>=] )\d\.\d', text)
+        )
     ]
     assert not wrong, '\n'.join(wrong)

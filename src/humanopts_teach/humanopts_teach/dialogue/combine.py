@@ -12,7 +12,7 @@ from humanopts_teach.dialogue.app import App, Screen
 from humanopts_teach.dialogue.entry import INTERRUPT, PAGE
 from humanopts_teach.dialogue.keys import Command, Do
 from humanopts_teach.dialogue.panel import Block, Choices, GAP, Line, Panel, Tone
-from humanopts_teach.language import _, N_, translated
+from humanopts_teach.language import _, N_, Number, translated
 from humanopts_teach.lesson.requests import DefineOption
 import numpy as np
 
@@ -142,7 +142,7 @@ class CombineScreen(Screen):
         )
         if feature.kind is FeatureKind.CONTINUOUS:
             value += _(', between {low:.4g} and {high:.4g}').format(
-                low=feature.low, high=feature.high
+                low=Number(feature.low), high=Number(feature.high)
             )
         return feature.name, value
 

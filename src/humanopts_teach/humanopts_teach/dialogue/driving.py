@@ -11,7 +11,7 @@ from humanopts_teach.dialogue.app import App, Screen
 from humanopts_teach.dialogue.entry import Item, ListScreen, quitting, with_help
 from humanopts_teach.dialogue.keys import Command, Do, ENTER, ESCAPE, key_table, SPACE
 from humanopts_teach.dialogue.panel import GAP, Line, Panel, Tone
-from humanopts_teach.language import _, N_, translated
+from humanopts_teach.language import _, N_, Number, translated
 from humanopts_teach.lesson.requests import (
     ActionGoal,
     Answer,
@@ -75,7 +75,7 @@ def pace_line(world: World) -> Line:
         return Line(_('An action key takes over{where}.').format(where=where), Tone.QUIET)
     if world.paused_by:
         return Line(_('The machine is paused.'), Tone.WARNING)
-    limit = _('At most one step every {seconds:g} s.').format(seconds=world.step_period)
+    limit = _('At most one step every {seconds:g} s.').format(seconds=Number(world.step_period))
     return Line(limit if world.step_period else _('At full speed.'), Tone.QUIET)
 
 
@@ -92,7 +92,9 @@ def last_step(world: World) -> Iterator[Line]:
         cut = _(', cut short') if game.cut_short else ''
         tone = Tone.WARNING if without or cut else Tone.PLAIN
         yield Line(
-            _('{text} (reward {reward:g}{cut})').format(text=text, reward=game.reward, cut=cut),
+            _('{text} (reward {reward:g}{cut})').format(
+                text=text, reward=Number(game.reward), cut=cut
+            ),
             tone,
         )
 
@@ -139,8 +141,8 @@ def robot_lines(app: App) -> Iterator[Line]:
         feedback = f'; {now.feedback}' if now.feedback else ''
         text = _('{action}: {seconds:.1f} of {most:g} s{feedback}').format(
             action=translated(now.action),
-            seconds=now.seconds,
-            most=world.longest(now.action),
+            seconds=Number(now.seconds),
+            most=Number(world.longest(now.action)),
             feedback=feedback,
         )
         yield Line(text, Tone.NEWS, more=(Line('  ' + _('Space stops the robot.'), Tone.QUIET),))
@@ -396,7 +398,7 @@ class WatchScreen(PlayScreen):
 
         items = [
             Item(
-                _('A single step is worth {gain:.2g} more').format(gain=gain)
+                _('A single step is worth {gain:.2g} more').format(gain=Number(gain))
                 if gain
                 else _('No option can start here'),
                 '',

@@ -24,7 +24,7 @@ from humanopts_teach.dialogue.panel import (
     TARGET,
     Tone,
 )
-from humanopts_teach.language import _, N_, translated
+from humanopts_teach.language import _, N_, Number, translated
 from humanopts_teach.lesson.requests import LessonView, Phase
 
 ADVICE = 2  # most important lines of advice on features
@@ -242,7 +242,7 @@ def _criterion(criterion: Criterion) -> CriterionRow:
 
 
 def _percent(share: float) -> str:
-    return f'{100 * share:.3g} %'
+    return f'{Number(100 * share):.3g} %'
 
 
 def _estimate(lesson: LessonView, progress: OptionSummary) -> Iterator[Line]:
@@ -278,7 +278,7 @@ def _results(lesson: LessonView, progress: OptionSummary) -> Iterator[Line]:
     if not math.isnan(its):
         text = _(
             'mean return on starts it has seen: yours {yours:.2f}, the option {its:.2f}'
-        ).format(yours=yours, its=its)
+        ).format(yours=Number(yours), its=Number(its))
         yield Line(text, Tone.QUIET)
     changed = progress.method != lesson.method
     if changed or set(progress.features) != set(lesson.chosen_features):

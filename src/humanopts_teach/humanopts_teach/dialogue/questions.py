@@ -20,7 +20,7 @@ from humanopts_teach.dialogue.panel import (
     Tone,
     TypedText,
 )
-from humanopts_teach.language import _
+from humanopts_teach.language import _, Number
 from humanopts_teach.study.questions import Question, QuestionKind, Questionnaire
 
 _DIGITS = 25  # maximum number of characters of a number
@@ -187,7 +187,7 @@ class _TextQuestion(TextScreen):
         super().__init__(
             _(question.text),
             _limits(question) if number else '',
-            '' if given is None else f'{given:.15g}' if number else given,
+            '' if given is None else f'{Number(given):.15g}' if number else given,
             submit=self._submit,
             back=asked.back(),
             back_words=_('previous question'),
@@ -227,6 +227,8 @@ def _limits(question: Question) -> str:
         (True, False): _('a number from {least} on'),
         (False, True): _('a number up to {most}'),
         (False, False): _('a number'),
-    }[least is not None, most is not None].format(least=f'{least or 0:g}', most=f'{most or 0:g}')
+    }[least is not None, most is not None].format(
+        least=f'{Number(least or 0):g}', most=f'{Number(most or 0):g}'
+    )
     unit = f' ({question.unit})' if question.unit else ''
     return _('Please type {what}.').format(what=f'{words}{unit}')

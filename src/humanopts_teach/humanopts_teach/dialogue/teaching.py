@@ -27,7 +27,7 @@ from humanopts_teach.dialogue.keys import (
 from humanopts_teach.dialogue.lesson_panel import progress_panel, question_panel
 from humanopts_teach.dialogue.panel import GAP, Panel
 from humanopts_teach.dialogue.question import RunQuestion
-from humanopts_teach.language import _, N_, ngettext, pgettext, translated
+from humanopts_teach.language import _, N_, ngettext, Number, pgettext, translated
 from humanopts_teach.lesson.question_groups import GroupAnswer
 from humanopts_teach.lesson.requests import (
     ActionGoal,
@@ -649,7 +649,7 @@ def _in_words(demo: Demonstration) -> tuple[str, str]:
     """Return a short description of a demonstration, and further details."""
     steps = len(demo.actions)
     what = ngettext('{count} step, return {reward:g}', '{count} steps, return {reward:g}', steps)
-    what = what.format(count=steps, reward=demo.total_reward)
+    what = what.format(count=steps, reward=Number(demo.total_reward))
     notes = [_('by {method}').format(method=translated(demo.method)), f'{demo.seconds:.0f} s']
     text = _('no. {number}: {what}').format(
         number=demo.number, what=what if steps else _('not here')
