@@ -296,12 +296,14 @@ class Run:
         steps = Steps(np.array([reward]), np.array([terminated]))
         seen = self._seen()
         ended = self._execution.observe(seen, steps, truncated, seen.rows)
-        if ended.reached.any():
+        if not ended.game.size:
+            return None
+        if ended.reached[0]:
             return self.end(RunStatus.REACHED)
         if terminated or truncated:
             why = 'the task is over' if terminated else 'at its step limit'
             return self.end(RunStatus.EPISODE_OVER, why)
-        return self.end(RunStatus.MAX_STEPS, self._cut_off()) if ended.game.size else None
+        return self.end(RunStatus.MAX_STEPS, self._cut_off())
 
     def stopped(self) -> RunResult | None:
         """Return the result if the plan stops the run before its next action; None otherwise."""

@@ -454,11 +454,13 @@ class Runner:
             if here < _position(known) or not newer:
                 return
         self.state = observed
+        if self._active is not None:
+            self._continue(self._active, observed, same_game=same_game)
         self._node.waiting.check()
-        active = self._active
-        if active is None:
-            return
-        position = active.run.position
+
+    def _continue(self, active: _Active, observed: Observed, *, same_game: bool) -> None:
+        """Handle a newer state during a run."""
+        here, position = _position(observed), active.run.position
         if not same_game:
             self._finish(RunStatus.INTERRUPTED, 'the game was restarted')
         elif here[0] != position[0]:
@@ -485,7 +487,7 @@ class Runner:
             active.cut_short, active.seconds = transition.previous_action, 0.0
             active.deadline = self._node.monotonic() + _CHECK_PERIOD
             return
-        if transition.cut_short and ending is not None:
+        if ending is not None and (end is None or transition.cut_short):
             end = run.end(*ending)
         end = end or self._stopped(active)
         if end is not None:
@@ -496,8 +498,6 @@ class Runner:
     def _stopped(self, active: _Active) -> RunResult | None:
         """Return the result if the run ends before its next command; None: it continues."""
         run, request, plan_id = active.run, active.request, active.request.goal.plan_id
-        if (ending := self._ending(request)) is not None:
-            return run.end(*ending)
         newer, before = self._policy.newer(request), run.execution
         if newer is None or newer.plan_id != plan_id or newer.execution == before:
             return run.stopped()
