@@ -54,6 +54,21 @@ PAGES = {
     'asked.yaml': ASKED,
 }
 
+CLOCK = """
+window.reactions = {};
+let heading = '', since = 0;
+new MutationObserver(() => {
+  const now = document.querySelector('h1')?.textContent ?? '';
+  if (now === heading) return;
+  heading = now;
+  requestAnimationFrame(() => { since = performance.now(); });
+}).observe(document.documentElement, { childList: true, subtree: true });
+document.addEventListener('click', (event) => {
+  const keys = event.target.closest('[data-keys]')?.dataset.keys ?? '';
+  if (keys.includes('enter')) window.reactions[heading] = (performance.now() - since) / 1000;
+}, true);
+"""
+
 
 @pytest.fixture(scope='module')
 def study(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, StudyFolder]]:
@@ -113,6 +128,7 @@ def test_a_participant_on_a_phone_from_the_invitation_to_the_completion(
     window.click('OK')
     window.see('What next?')
     visit.look('menu')
+    window.driver.execute_script(CLOCK)
     window.click('Finish teaching')
     window.see('Did you like it?')
     visit.look('rating')
@@ -140,12 +156,17 @@ def test_a_participant_on_a_phone_from_the_invitation_to_the_completion(
     window.click('continue')
     window.see('You have finished the study.')
     visit.look('end')
+    reactions = window.driver.execute_script('return reactions')
     assert '/data' not in window.text()
     assert severe(window) == []
     window.click('back to the site that invited you')
     window.until(lambda: window.driver.current_url == f'{SITE}/done?id=pia', 'the completion')
     record = record_of(folder, 'pia')
     assert record.over
+    seconds = {each.item: each.seconds for each in record.of('answer')}
+    for item, words in (('hand', 'Which hand do'), ('knew', 'What did you know')):
+        (measured,) = (each for heading, each in reactions.items() if words in heading)
+        assert seconds[item] == pytest.approx(measured, abs=0.3)  # 0.02 unless the machine is busy
     (client,) = record.of('client')
     assert 'Chrome' in client.browser
     assert (client.width, client.height) == PHONE
