@@ -19,7 +19,6 @@ import yaml
 
 # Import name -> rosdep key, if they differ.
 KEYS = {
-    'babel': 'python3-babel',
     'fastapi': 'python3-nicegui-pip',
     'gymnasium': 'python3-gymnasium-pip',
     'jinja2': 'python3-jinja2',
@@ -33,6 +32,7 @@ KEYS = {
     'markdown_it': 'python3-markdown-it',
     'pandas': 'python3-pandas',
     'PIL': 'python3-pil',
+    'polib': 'python3-polib',
     'prompt_toolkit': 'python3-prompt-toolkit',
     'psutil': 'python3-psutil',
     'pydantic': 'python3-pydantic-pip',
@@ -41,7 +41,6 @@ KEYS = {
     'scipy': 'python3-scipy',
     'setproctitle': 'python3-setproctitle',
     'sklearn': 'python3-sklearn',
-    'statsmodels': 'python3-statsmodels',
     'typer': 'python3-typer-pip',
     'starlette': 'python3-nicegui-pip',
     'typing_extensions': 'python3-typing-extensions',

@@ -27,7 +27,6 @@ setup(
     long_description_content_type='text/markdown',
     license=MANIFEST.findtext('license'),
     install_requires=[
-        'babel>=2.10.3',
         'humanopts-env',
         'humanopts-learner',
         'humanopts-ros',
@@ -40,6 +39,7 @@ setup(
         'numpy>=1.26.4',
         'pandas>=2.1.4',
         'pillow>=10.2.0',
+        'polib>=1.1.1',
         'prompt-toolkit>=3.0.43',
         'psutil>=5.9.8',
         'pydantic>=2.7',
@@ -76,7 +76,7 @@ setup(
     ],
     extras_require={
         'browser': ['nicegui>=3'],
-        'study': ['pyreadstat', 'statsmodels>=0.14.1'],
+        'study': ['pyreadstat'],
         'dask': ['dask', 'distributed'],
         'minari': ['minari[arrow]'],
         'parquet': ['pyarrow'],

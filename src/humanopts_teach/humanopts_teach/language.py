@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import cache, lru_cache, wraps
 from gettext import GNUTranslations, NullTranslations
-from io import BytesIO, StringIO
+from io import BytesIO
 from itertools import product
 from pathlib import Path
 import re
@@ -49,7 +49,6 @@ class _Language(NamedTuple):
     tag: str  # BCP 47
     catalog: NullTranslations
     templates: tuple[tuple[re.Pattern[str], str], ...]  # English and translation; longest first
-    decimal: str = '.'  # mark
 
 
 _SOURCE = _Language('en', NullTranslations(), ())
@@ -126,7 +125,7 @@ class Number(float):
 
     def __format__(self, spec: str) -> str:
         """Return the number in a format of ``float``."""
-        return super().__format__(spec).replace('.', _spoken.get().decimal)
+        return super().__format__(spec).replace('.', pgettext('decimal mark', '.'))
 
 
 def N_(text: str) -> str:  # noqa: N802, the usual name
@@ -142,7 +141,7 @@ def translated(text: str) -> str:
 @lru_cache(4096)
 def _translated(language: _Language, text: str) -> str:
     if _DECIMAL.fullmatch(text):
-        return text.replace('.', language.decimal)
+        return text.replace('.', language.catalog.pgettext('decimal mark', '.'))
     # The English text may begin with a capital, and end with a full stop, because of its place.
     stem = text.removesuffix('.')
     forms = dict.fromkeys((text, stem, text[:1].lower() + text[1:], stem[:1].lower() + stem[1:]))
@@ -195,23 +194,18 @@ def read_language(language: str) -> _Language:
 
 def _parsed(name: str, text: str) -> _Language:
     """Parse the text of the PO file with a name."""
-    from babel.messages.mofile import write_mo  # not needed for English
-    from babel.messages.pofile import PoFileError, read_po
-    from babel.numbers import get_decimal_symbol
+    import polib  # not needed for English
 
     try:
-        catalog = read_po(StringIO(text), abort_invalid=True)
-        compiled = BytesIO()
-        write_mo(compiled, catalog)
-        compiled.seek(0)
-        texts = GNUTranslations(compiled)
-    except (ValueError, LookupError, PoFileError) as error:
+        catalog = polib.pofile(text)
+        texts = GNUTranslations(BytesIO(catalog.to_binary()))
+    except (OSError, ValueError, LookupError) as error:
         raise LanguageError(f'{name} cannot be read as a PO file: {error}') from None
     templates = dict[str, tuple[re.Pattern[str], str]]()
-    for message in catalog:
-        sources, given = _forms(message.id), _forms(message.string)
-        if not message.id or message.fuzzy or not all(given):
-            continue
+    for entry in catalog.translated_entries():
+        sources, given = [entry.msgid], [entry.msgstr]
+        if entry.msgid_plural:
+            sources, given = [entry.msgid, entry.msgid_plural], [*entry.msgstr_plural.values()]
         known = {field[0] for field in _FIELD.finditer(sources[-1])}
         for source, text in zip([*sources, *sources[-1:] * len(given)], given):
             fields = {field[0] for field in _FIELD.finditer(text)}
@@ -222,14 +216,8 @@ def _parsed(name: str, text: str) -> _Language:
             if _FIELD.search(source):
                 templates[source] = _pattern(source), _FIELD.sub(r'{\1}', text)
     longest = sorted(templates, key=lambda source: len(_FIELD.sub('', source)), reverse=True)
-    tag = (catalog.locale_identifier or 'und').replace('_', '-')
-    decimal = get_decimal_symbol(catalog.locale or ENGLISH)
-    return _Language(tag, texts, tuple(map(templates.__getitem__, longest)), decimal)
-
-
-def _forms(text: str | tuple[str, ...] | list[str] | None) -> tuple[str, ...]:
-    """Return the singular and plural forms of a message."""
-    return tuple(text) if isinstance(text, tuple | list) else (text or '',)
+    tag = (catalog.metadata.get('Language') or 'und').replace('_', '-')
+    return _Language(tag, texts, tuple(map(templates.__getitem__, longest)))
 
 
 def _pattern(source: str) -> re.Pattern[str]:
