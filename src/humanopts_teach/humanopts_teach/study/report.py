@@ -169,7 +169,7 @@ def curves_section(results: Results) -> Section | None:
         (
             progress_figure(given, results.analysed('options'), results.conditions),
             'An option counts from its last demonstration if it was learned in the end. The mean '
-            'is of all who taught; who showed less keeps the last value.',
+            'is of all who taught; those who showed fewer keep their last value.',
         ),
         (
             pace_figure(given, results.conditions),
