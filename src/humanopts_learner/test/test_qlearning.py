@@ -137,7 +137,7 @@ def test_hallway_options_need_fewer_steps_early_on() -> None:
 
 @pytest.mark.heavy
 def test_taxi_is_learned_at_once_with_the_options_that_people_taught() -> None:
-    """Figure 4: with them every episode is about as short as the best; 13 steps on the mean."""
+    """Figure 4: with them every episode is about as short as the best; 13 steps on average."""
     human, primitive = (
         learn(TAXI, option_table(TAXI, s, taxi_options()), [Rates()] * 10, Settings(20), 0).steps
         for s in ('human', 'primitive')

@@ -129,7 +129,10 @@ def a_state_has_a_text_features_and_a_board(seen: Evidence) -> None:
         again = domain.decode(text)
         same = again == state and hash(again) == hash(state)
         expect(same, f'{text!r} is read back as another state')
-        expect(values.shape == (len(domain.features),), f'{text!r} has {values.shape} features')
+        expect(
+            values.shape == (len(domain.features),),
+            f'{text!r} has features of shape {values.shape}, not {(len(domain.features),)}',
+        )
         expect(values.dtype == np.float64, f'the features of {text!r} are {values.dtype}')
         check_values(domain, values[None], text)
         board = board_of(domain, state)

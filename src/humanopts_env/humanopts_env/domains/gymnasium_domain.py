@@ -11,6 +11,7 @@ from functools import cache
 import importlib
 import string
 import sys
+import sysconfig
 from typing import Any, ClassVar
 import warnings
 
@@ -297,7 +298,8 @@ def make_env(
         missing = package or error.name
         raise DomainError(
             f'{name} needs the module {missing}; install its package: '
-            f'{sys.executable} -m pip install {missing}'
+            f'{sys.executable} -m pip install {missing} (a file of your own, {missing}.py, goes '
+            f'into {sysconfig.get_path("purelib")})'
         ) from error
     except gymnasium.error.UnregisteredEnv as error:
         hint = 'if another package registers it, name its module, as in gymnasium:MODULE:ENV_ID'

@@ -187,20 +187,35 @@ def tabulate(option: Option | TabularOption, domain: EnumerableDomain) -> Tabula
     """
     Evaluate an option in every state of its domain; a tabular option is returned unchanged.
 
-    :raises OptionError: it is a learned option of another domain.
+    :raises OptionError: it is a learned option of another domain, or as of ``decisions``.
     """
     if isinstance(option, TabularOption):
         return option
     if isinstance(option, LearnedOption):
         option.check_domain(domain)
-    rows = domain.feature_table()
-    return TabularOption(
-        option.name,
-        option.max_steps,
-        option.action(rows),
-        option.can_start(rows),
-        option.ends(rows),
-    )
+    initiation, action, termination = decisions(option, domain.feature_table(), domain)
+    return TabularOption(option.name, option.max_steps, action, initiation, termination)
+
+
+def decisions(option: Option, rows: Rows, domain: ActableDomain) -> tuple[Flags, Ints, Flags]:
+    """
+    Return (N,) each: whether an option can start, its action, and whether it ends.
+
+    :raises OptionError: it returns anything else.
+    """
+    found = option.can_start(rows), option.action(rows), option.ends(rows)
+    kinds = ('b', 'bools'), ('iu', 'integers'), ('b', 'bools')
+    for name, each, (kind, needed) in zip(('can_start', 'action', 'ends'), found, kinds):
+        if np.shape(each) != (len(rows),) or np.asarray(each).dtype.kind not in kind:
+            raise OptionError(
+                f'{name} of option {option.name!r} must return an array of {len(rows)} {needed}, '
+                'one for each row'
+            )
+    action, last = found[1], len(domain.actions) - 1
+    if len(rows) and not 0 <= action.min() <= action.max() <= last:
+        wrong = action[(action < 0) | (action > last)][0]
+        raise OptionError(f'option {option.name!r} takes action {wrong}; they are 0 to {last}')
+    return found
 
 
 class OptionTable:

@@ -17,7 +17,7 @@ from humanopts_env.games import Games, games_at
 from humanopts_learner.demonstrations import PRIMITIVE_PREFIX
 from humanopts_learner.execution import draw_among, Loops, Policy
 from humanopts_learner.option import Option, StochasticOption
-from humanopts_learner.options.learned_option import loops_of, SeenStates
+from humanopts_learner.options.learned_option import decisions, loops_of, SeenStates
 from humanopts_learner.planning.abstraction import Abstraction, Codes
 from humanopts_learner.planning.request import OPTIONS_ONLY, PRIMITIVE
 import numpy as np
@@ -134,10 +134,9 @@ class ActionSet:
         wanted[:, n_options:] = np.arange(shape[1] - n_options)
         stuck = np.full(len(rows), n_options == shape[1])
         for o, option in enumerate(self.options):
-            startable[:, o] = can_start = option.can_start(rows)
+            can_start, action, ends = decisions(option, rows, self.domain)
+            startable[:, o], wanted[:, o], ending[:, o] = can_start, action, ends
             stuck &= ~can_start
-            wanted[:, o] = option.action(rows)
-            ending[:, o] = option.ends(rows)
         symbols = [*startable.T[:n_options], *ending.T[:n_options], *wanted.T[:n_options]]
         states = self._abstraction.codes(games, rows, symbols)
         fallback = np.full(len(rows), -1, dtype=np.intp)

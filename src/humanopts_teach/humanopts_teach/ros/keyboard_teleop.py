@@ -12,7 +12,7 @@ from humanopts_teach.terminal.device import Device, why_not
 from humanopts_teach.terminal.drawing import frame
 from rclpy.executors import Executor
 
-_FAREWELL = N_('Everything taught is saved; the same command takes it up again.')
+_FAREWELL = N_('Everything taught is saved; the same command continues it.')
 
 
 class KeyboardTeleopNode(TeleopNode):
