@@ -197,13 +197,15 @@ class OptionSummary:
         found = next((c for c in self.criteria if c.at_least and c.value is not None), None)
         if found is None or found.value is None:
             return ''
-        of = f'{round(found.value * found.count)} of {found.count}'
+        count = round(found.value * found.count)
+        of = f'{count} of {found.count}'
         if found.name == AGREEMENT:
             return f'It would repeat {of} demonstrations that it was not learned from.'
         other = round(((found.possible or 0.0) - found.value) * found.count)
         also = f', and an end that you have not judged from {other}' if other > 0 else ''
-        which = 'all of them' if self.evidence == EVERY_START else 'drawn at random'
-        return f'It reaches an end like yours from {of} starts ({which}){also}.'
+        if self.evidence == EVERY_START:
+            return f'Of all {found.count} starts, it reaches an end like yours from {count}{also}.'
+        return f'It reaches an end like yours from {of} starts (drawn at random){also}.'
 
 
 @dataclass(frozen=True, slots=True)

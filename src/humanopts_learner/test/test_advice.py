@@ -42,9 +42,7 @@ def eaten(seed: int, count: int, option: str, *features: str) -> list[Demonstrat
         if reference.can_start(start):
             number = len(found) + 1
             fields = {'option_name': option, 'chosen_features': features, 'number': number}
-            demo = show(PACMAN, start, choose, rng, **fields)
-            if not demo.terminated:
-                found.append(demo)
+            found.append(show(PACMAN, start, choose, rng, **fields))
     return found
 
 
@@ -69,10 +67,20 @@ def test_a_beginner_is_told_what_is_missing_and_nothing_wrong(seed: int) -> None
         assert not any('start' in text for text in conflicts)  # nothing was said about starts
     assert found[-1] == (ATE, SAY_AGAIN)
     right = [
-        replace(demo, chosen_features=('food_direction', 'ate'), can_start_at_end=True)
+        replace(
+            demo,
+            chosen_features=('food_direction', 'ate'),
+            can_start_at_end=not demo.terminated,
+        )
         for demo in demos
     ]
     assert set(advice(right)) == {()}
+
+
+def test_an_end_of_the_task_does_not_hide_that_the_option_can_start_again() -> None:
+    demos = eaten(1, 12, FOOD, 'food_direction', 'ate')
+    over = [replace(demos[0], terminated=True), *demos[1:]]
+    assert advice(demos)[-1] == advice(over)[-1] == (SAY_AGAIN,)
 
 
 def test_right_features_are_left_alone() -> None:

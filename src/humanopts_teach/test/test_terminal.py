@@ -10,7 +10,7 @@ from humanopts_env import colours
 from humanopts_env.domains.registry import make_domain
 from humanopts_env.seeding import generator
 from humanopts_learner.options.conflicts import SAY_AGAIN, UNTOLD
-from humanopts_learner.options.judge import MIN_HELD_OUT
+from humanopts_learner.options.judge import MIN_HELD_OUT, NO_REFUSAL
 from humanopts_learner.summary import Criterion, OptionSummary
 from humanopts_teach.dialogue.keys import Command, command_of, key_table, SUSPEND
 from humanopts_teach.lesson.requests import LessonView, Phase
@@ -95,6 +95,44 @@ def test_the_fullest_screens_fit_in_80_by_24(desk: Desk, pacman: Desk) -> None:
         said = each.see().split('\n')[2:-2]  # all words are there, however they are wrapped
         words = {word for line in said for word in line.split() if word.isalpha()}
         assert words <= set(re.findall(r'\w+', screen))
+
+
+def test_advice_fits_in_80_by_24_even_if_the_criteria_do_not(pacman: Desk) -> None:
+    pacman.world.summaries = [
+        OptionSummary(
+            NAME,
+            'p1',
+            ('food_direction',),
+            n_demonstrations=9,
+            criteria=(
+                replace(Criterion.of('success', 0.991, 0.9, count=342), limit=0.949),
+                Criterion.of('return', -0.0781, 0.1),
+                replace(Criterion.of('initiation', None, 0.05), obstacle=NO_REFUSAL),
+                Criterion.of('termination', 0.556, 0.1),
+            ),
+            evidence='sampled',
+            ended_early=2,
+            ended_late=1,
+            ended_never=2,
+            more_needed=41,
+            conflicts=('food direction east: not the end (3x), the end (3x)', 'another'),
+            advice=(UNTOLD, SAY_AGAIN),
+        )
+    ]
+    words = ' '.join(line[41:].strip() for line in pacman.sees().split('\n'))
+    assert 'choose what changes there (e questions).' in words
+    assert 'say so before done (s can start again at its end).' in words
+    assert 'higher window' in pacman.sees()
+    assert 'say so before done' not in pacman.press('s').see()  # it is said from now on
+
+
+def test_advice_for_earlier_answers_is_not_shown(pacman: Desk) -> None:
+    found = learned(('ate',), 12.5, 0.125, None, conflicts=('a conflict',), advice=(UNTOLD,))
+    pacman.world.summaries = [found]
+    shown = pacman.see()
+    assert 'for your earlier answers: show one more' in shown
+    assert 'Nothing that you chose' not in shown
+    assert 'a conflict' not in shown
 
 
 def test_a_wide_board_leaves_room_for_what_is_beside_it(pacman: Desk) -> None:

@@ -57,14 +57,14 @@ def advise(data: Dataset, domain: ActableDomain) -> tuple[str, ...]:
     whole = Examples.of((demo.feature_rows, [0] * len(demo.actions) + [MEMBER]) for demo in demos)
     looks = _looks(whole.rows, data.chosen)
     ends = whole.labels == MEMBER
+    not_over = [not demo.terminated for demo in demos]  # ends where it could start again
     first = np.append(True, ends[:-1])
-    like_any, like_passed = (
-        np.isin(looks[ends], looks[rows]).sum() for rows in (~ends, ~ends & ~first)
-    )
-    alike = len(demos) >= MIN_SHOWN and 2 * like_any > len(demos)
+    like_any, like_passed = (np.isin(looks[ends], looks[rows]) for rows in (~ends, ~ends & ~first))
+    shown = len(demos) >= MIN_SHOWN
+    alike = shown and 2 * like_any.sum() > len(demos)
     if missing := _missing(whole, data.chosen, left, rng, whole.source, first):
         advice.append(f'Add "{plain_name(missing)}": it tells where the option ends.')
-    elif alike and like_passed:
+    elif alike and like_passed.any():
         advice.append(UNTOLD)
     else:
         _, (starts, _), (actions, _) = _parts(data)
@@ -73,7 +73,8 @@ def advise(data: Dataset, domain: ActableDomain) -> tuple[str, ...]:
             if missing := _missing(units, data.chosen, left, rng):
                 advice.append(f'Add "{plain_name(missing)}": it tells {what}.')
                 break
-    if alike and not any(demo.can_start_at_end or demo.terminated for demo in demos):
+    like_starts = shown and 2 * like_any[not_over].sum() > sum(not_over)
+    if like_starts and not any(demo.can_start_at_end for demo in demos):
         advice.append(SAY_AGAIN)
     return tuple(advice)
 

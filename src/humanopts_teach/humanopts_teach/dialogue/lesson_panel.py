@@ -29,12 +29,12 @@ from humanopts_teach.lesson.requests import LessonView, Phase
 
 ADVICE = 2  # most important lines of advice on features
 _EXAM = N_(
-    'The criteria are met. Enter begins a run from a start drawn at random. Watch it; press r '
-    'if it was right, or w as soon as it is wrong.'
+    'The criteria are met. Begin a run, from a start drawn at random, and watch it. Say right '
+    'after a right run, or wrong as soon as it goes wrong.'
 )
 _EXAM_OF_ROBOT = N_(
-    'The criteria are met. Enter runs the option from here. Watch it; press r if it was right, or '
-    'w as soon as it is wrong: the robot stops.'
+    'The criteria are met. Run the option from here, and watch it. Say right after a right run, '
+    'or wrong as soon as it goes wrong: the robot stops.'
 )
 
 
@@ -92,9 +92,17 @@ def progress_panel(app: App, *, questions: str, again: str, demonstrations: str)
         blocks.append(Line(_('The run has ended. Was it right?'), strong=True))
     if lesson.phase is Phase.DEMONSTRATING:
         blocks += last_step(world)
-    blocks.append(_features(app))
     if lesson.exam or lesson.phase is Phase.EXAM:
-        return Panel(blocks)
+        return Panel([*blocks, _features(app)])
+    below = list[Line]() if progress is None else [*_results(progress)]
+    if progress is not None and _is_current(progress, lesson):
+        advice = [*_advice(progress, questions, again)]
+        blocks += advice  # at the top, since a small window hides what is at the end
+        below += _conflicts(progress, not advice, questions, demonstrations)
+    elif progress is not None:
+        text = _('These results are for your earlier answers: show one more.')
+        blocks.append(Line(text, Tone.WARNING))
+    blocks.append(_features(app))
     if lesson.method not in ('', TREES):
         blocks.append(
             Line(_('policy {how}').format(how=translated(METHODS[lesson.method])), Tone.QUIET)
@@ -102,16 +110,8 @@ def progress_panel(app: App, *, questions: str, again: str, demonstrations: str)
     if progress is None or not progress.criteria:
         blocks.append(Line(_('Nothing has been learned yet.')))
     else:
-        blocks += [
-            *_criteria(progress),
-            *_estimate(lesson, progress),
-        ]
-    if progress is None:
-        return Panel(blocks)
-    return Panel(
-        blocks,
-        [*_results(lesson, progress), *_conflicts(progress, questions, again, demonstrations)],
-    )
+        blocks += [*_criteria(progress), *_estimate(lesson, progress)]
+    return Panel(blocks, below)
 
 
 def _title(lesson: LessonView) -> Line:
@@ -272,42 +272,46 @@ def _estimate(lesson: LessonView, progress: OptionSummary) -> Iterator[Line]:
         yield Line(text)
 
 
-def _results(lesson: LessonView, progress: OptionSummary) -> Iterator[Line]:
-    """Yield the mean returns, and a warning if they are outdated."""
+def _results(progress: OptionSummary) -> Iterator[Line]:
+    """Yield the mean returns."""
     yours, its = progress.mean_return_demonstrations, progress.mean_return_policy
     if not math.isnan(its):
         text = _(
             'mean return on starts it has seen: yours {yours:.2f}, the option {its:.2f}'
         ).format(yours=Number(yours), its=Number(its))
         yield Line(text, Tone.QUIET)
-    changed = progress.method != lesson.method
-    if changed or set(progress.features) != set(lesson.chosen_features):
-        yield Line(_('These results are for your earlier answers: show one more.'), Tone.WARNING)
+
+
+def _is_current(progress: OptionSummary, lesson: LessonView) -> bool:
+    """Return whether a summary is of the current answers."""
+    same = progress.method == lesson.method
+    return same and set(progress.features) == set(lesson.chosen_features)
+
+
+def _advice(progress: OptionSummary, questions: str, again: str) -> Iterator[Line]:
+    """Yield advice on the chosen features."""
+    advice = [text for text in progress.advice if again or text != SAY_AGAIN]
+    for text in advice[:ADVICE]:
+        key, words = again if text == SAY_AGAIN else questions, translated(text)
+        yield Line(f'{words[:-1]} ({key}).' if key else words, Tone.WARNING)
 
 
 def _conflicts(
-    progress: OptionSummary, questions: str, again: str, demonstrations: str
+    progress: OptionSummary, advise: bool, questions: str, demonstrations: str
 ) -> Iterator[Line]:
-    """Yield conflicts between demonstrations, and advice on the chosen features."""
+    """Yield conflicts between demonstrations, and what to do about them."""
     if progress.conflicts and len(progress.advice) < ADVICE:
         more = len(progress.conflicts) - 1
         also = _(' (and {count} more)').format(count=more) if more else ''
         yield Line(_('Same situation, shown differently{also}:').format(also=also), Tone.WARNING)
         yield Line(translated(progress.conflicts[0]))
-        if not progress.advice:
-            yield Line(
-                _('If one was a mistake, delete it ({key}).').format(key=demonstrations),
-                Tone.WARNING,
-            )
+        if advise:
+            text = _('If one was a mistake, delete it ({key}).')
+            if questions:
+                text = _('Delete a mistake ({key}), or choose what differs ({questions}).')
+            words = text.format(key=demonstrations, questions=questions)
+            yield Line(words, Tone.WARNING)
     repeats = any(c.name == IMITATION and c.value == 1.0 for c in progress.criteria)
     if repeats and progress.n_questions + progress.exam_runs + progress.exams_failed:
         text = _('It may still repeat a run that you called wrong. If that was a slip, delete it')
         yield Line(f'{text} ({demonstrations}).', Tone.WARNING)
-    for text in progress.advice[:ADVICE]:
-        words = translated(text)
-        if text == SAY_AGAIN:
-            words = _('If the option can start where it ends, press {key} before done.')
-            words = words.format(key=again)
-        elif questions:
-            words = f'{words[:-1]} ({questions}).'
-        yield Line(words, Tone.WARNING)

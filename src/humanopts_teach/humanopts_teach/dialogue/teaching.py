@@ -117,12 +117,15 @@ class LessonScreen(Screen):
 
         def key(do: Do, phase: Phase) -> str:
             table = key_table(self._commands(phase, app)).items()
-            return next((label(key) for key, each in table if each.do == do), '')
+            for name, each in table:
+                if each.do == do:  # with its words, since pages on phones do not show keys
+                    return f'{label(name)} {each.words.partition(":")[0]}'
+            return ''
 
         return progress_panel(
             app,
             questions=key(self._ask_again, phase),
-            again=key(self._toggle_start, Phase.DEMONSTRATING),
+            again='' if _can_start_again(app) else key(self._toggle_start, Phase.DEMONSTRATING),
             demonstrations=key(self._list, Phase.DEMONSTRATING),
         )
 
@@ -354,7 +357,8 @@ class LessonScreen(Screen):
             if lesson.phase is not Phase.LEARNING and self.counted in (-1, count):
                 change = self.changes.pop(0)
                 self.counted = count + (1 if isinstance(change, AddDemonstrations) else -1)
-                app.ask(change)
+                again = any(isinstance(each, AddDemonstrations) for each in self.changes)
+                app.ask(change, then=partial(_say_changed, app) if again else None)
         elif lesson.phase is Phase.ASKING:
             reply = app.groups.reply(app.domain, lesson)
             if self.rest and _can_skip(lesson) and not _is_derived(lesson):
@@ -664,6 +668,10 @@ def _in_words(demo: Demonstration) -> tuple[str, str]:
     elif demo.machine_steps:
         notes.append(_('{count} by the machine').format(count=demo.machine_steps))
     return text, ', '.join([*notes, *([_('DELETED')] if demo.withdrawn else [])])
+
+
+def _say_changed(app: App, answer: Answer) -> None:
+    app.say(_('Earlier demonstrations are changed: it can start again at their ends.'))
 
 
 def _run(app: App) -> list[Request]:

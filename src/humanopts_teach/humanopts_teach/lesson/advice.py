@@ -63,5 +63,7 @@ def advice(
         return f'{why}{status[0].upper()}{status[1:]}. {hint}'
     fails = phase in (Phase.READY, Phase.DEMONSTRATING) and stage is Phase.READY and wrong is None
     if fails and settled is not None and settled.criteria_met:
-        return f'{settled.result[:-1]}, but from some starts it still fails. {hint}'
+        return (
+            f'{settled.result[:-1]}, but from some starts it fails or too little was shown. {hint}'
+        )
     return hint
