@@ -4,8 +4,8 @@ Options taught to a robot: a simulated rover in a house of two rooms.
 This goes beyond the paper. The rover of ``examples/humanopts_rover`` can only be acted in: the
 learner sees the features of its world file, but neither rules nor states. A simulated person
 places it, shows the option, and steers with hysteresis: turns until the rover points well, then
-drives until it does not. A share of the steps are slips. So equal situations have different
-actions, and no option can repeat a demonstration step by step.
+drives until it does not, or until a wall stops it. A share of the steps are slips. So equal
+situations have different actions, and no option can repeat a demonstration step by step.
 
 From the third demonstration on, the option is examined: the person watches runs, and shows the
 option next from where one went wrong. After an exam was passed, they watch ``WATCHED`` runs before
@@ -194,8 +194,8 @@ class Person:
 
     def action(self, rover: Simulation) -> str:
         """Return the next action."""
-        bearing = self._skill.steer(rover)
-        self._turning = abs(bearing) > (0.1 if self._turning else 0.3)
+        bearing, turns = self._skill.steer(rover), self._turning or rover.bumped
+        self._turning = abs(bearing) > (0.1 if turns else 0.3)
         best = (LEFT if bearing > 0 else RIGHT) if self._turning else FORWARD
         if self._rng.random() >= self._slips:
             return best
@@ -251,13 +251,13 @@ def give_lesson(parameters: Mapping[str, Any]) -> Rows:
             continue
         answers, failed = answers + runs, failed + (not right)
         if right:
-            learned, early = len(demos), success(option, skill, seed)
+            learned, early = len(demos), success(option, skill, seed, lesson)
     option = learn_option(demos, DOMAIN, seed)
     found = {each.name: each for each in judge(demos, DOMAIN, Thresholds(), seed, option).criteria}
     row = {
         **{key: parameters[key] for key in ('option', 'model', 'lesson')},
         'demonstrations': len(demos),
-        'success': success(option, skill, seed),
+        'success': success(option, skill, seed, lesson),
         'learned': learned,
         'exam answers': answers,
         'agreement': found['agreement'].value,
@@ -325,9 +325,9 @@ def _try(rover: Simulation, option: Option, skill: Skill) -> bool:
     return False
 
 
-def success(option: Option, skill: Skill, seed: int) -> float:
-    """Return the share of unseen places from which an option succeeds."""
-    rover = Simulation(int(generator(seed, NAME, 'unseen').integers(2**31)))
+def success(option: Option, skill: Skill, seed: int, lesson: int) -> float:
+    """Return the share of unseen places, other ones in each lesson, from which it succeeds."""
+    rover = Simulation(int(generator(seed, NAME, 'unseen', lesson).integers(2**31)))
     return sum(_try(rover, option, skill) for _ in range(PLACES_TRIED)) / PLACES_TRIED
 
 

@@ -49,16 +49,24 @@ def test_own_evaluator_agrees_with_scikit_learn(
 
 
 @settings(max_examples=20)
-@given(st.integers(0, 2**31 - 1), st.integers(2, 60), st.integers(1, 7))
-def test_a_forest_agrees_with_scikit_learn(seed: int, rows: int, min_leaf: int) -> None:
+@given(st.integers(0, 2**31 - 1), st.integers(2, 60), st.integers(1, 7), st.floats(0.0, 4.0))
+def test_a_forest_agrees_with_scikit_learn(
+    seed: int, rows: int, min_leaf: int, min_gain: float
+) -> None:
     """The probabilities of its trees are averaged, for many rows and for one."""
     rng = np.random.default_rng(seed)
     X, Z = rng.normal(scale=3, size=(2, 60, 3)).astype(np.float32)
     X, y = X[:rows], rng.choice([0, 2, 5], rows)
-    theirs = RandomForestClassifier(7, random_state=seed, min_samples_leaf=min_leaf).fit(X, y)
+    theirs = RandomForestClassifier(
+        7,
+        max_features=None,
+        random_state=seed,
+        min_samples_leaf=min_leaf,
+        ccp_alpha=min_gain / rows,
+    ).fit(X, y)
     expected = np.zeros((len(Z), 6))
     expected[:, theirs.classes_] = theirs.predict_proba(Z)
-    forest = fit_tree(X, y, range(6), seed, n_trees=7, min_leaf=min_leaf)
+    forest = fit_tree(X, y, range(6), seed, n_trees=7, min_leaf=min_leaf, min_gain=min_gain)
     assert len(forest.roots) == 7
     assert forest.probabilities(Z) == pytest.approx(expected)
     assert forest.probability_of(2, Z) == pytest.approx(expected[:, 2])

@@ -95,6 +95,15 @@ def test_disagreement_is_named_by_the_range_that_holds_it() -> None:
     )
 
 
+def test_a_slip_makes_no_leaf_but_a_few_turns_do() -> None:
+    rows = [(0, 10 - step / 4, 0) for step in range(41)]
+    slip = ['left' if step == 20 else 'forward' for step in range(40)]
+    assert learn_option([demonstration(rows, slip)], WORLD, 0).policy.depth == 0
+    turn = ['left' if 20 <= step < 26 else 'forward' for step in range(40)]
+    policy = learn_option([demonstration(rows, turn)], WORLD, 0)
+    assert policy.action(np.array(rows, dtype=float)).tolist()[20:26] == [1] * 6
+
+
 @pytest.mark.parametrize(
     ('doors', 'actions', 'kept'),
     [

@@ -106,7 +106,7 @@ class Tree:
 
     Axes: N nodes, the first root first and every child after its parent; K classes. A row goes
     left if its feature is at most the threshold. A forest gives the mean of the shares in the
-    leaves of its trees (Breiman 2001).
+    leaves of its trees (bagging, Breiman 1996).
     """
 
     left: NDArray[np.int32]  # (N,)
@@ -242,6 +242,7 @@ def fit_tree(
     *,
     n_trees: int = 1,
     min_leaf: int = 1,
+    min_gain: float = 0.0,
 ) -> Tree:
     """
     Fit a tree that separates the examples as far as their features allow (CART, Gini impurity).
@@ -250,8 +251,10 @@ def fit_tree(
     :param y: (N,) labels.
     :param classes: all possible labels, ascending; those not in y have count 0.
     :param seed: random seed for choosing between equally good splits.
-    :param n_trees: more than one: a random forest (Breiman 2001).
+    :param n_trees: more than one: a forest, by bagging (Breiman 1996).
     :param min_leaf: smallest number of examples in a leaf.
+    :param min_gain: least decrease of the Gini impurity, in examples, by each leaf of a subtree;
+        others are pruned (minimal cost-complexity pruning; Breiman et al. 1984).
     :raises ValueError: there are no rows, or a label is not among the classes.
     """
     if len(X) == 0 or not np.isin(y, classes).all():
@@ -259,7 +262,11 @@ def fit_tree(
     from sklearn import config_context  # slow to import
 
     # Use the public classes: their internals are twice as fast, but differ between versions.
-    usual: dict[str, Any] = {'random_state': seed, 'min_samples_leaf': min_leaf}
+    usual: dict[str, Any] = {
+        'random_state': seed,
+        'min_samples_leaf': min_leaf,
+        'ccp_alpha': min_gain / len(X),
+    }
     with config_context(assume_finite=True, skip_parameter_validation=True):
         if n_trees == 1:
             from sklearn.tree import DecisionTreeClassifier
@@ -270,7 +277,8 @@ def fit_tree(
         else:
             from sklearn.ensemble import RandomForestClassifier
 
-            classifier = RandomForestClassifier(n_trees, **usual).fit(X, y)
+            # People choose few features; among random ones, splits often miss the one that counts.
+            classifier = RandomForestClassifier(n_trees, max_features=None, **usual).fit(X, y)
             trees = [each.tree_ for each in classifier.estimators_]
     ends = np.cumsum([tree.node_count for tree in trees])
     roots = ends - [tree.node_count for tree in trees]

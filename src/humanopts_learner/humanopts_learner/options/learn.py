@@ -50,6 +50,7 @@ MAX_STEPS = 200  # per option run, if the domain has no step limit
 FOLDS = 10
 N_TREES = 30  # of a forest
 LEAF_SIZE = 5  # on a robot: what it senses separates any two rows, and so every slip, too
+SLIP_GAIN = 2.0  # there, a split of pi must explain more: one deviating example adds at most 2
 
 
 class NotLearnableError(ValueError):
@@ -278,6 +279,7 @@ def _fit(data: Dataset, examples: Examples, classes: Sequence[int], seed: int) -
         int(rng.integers(2**31)),
         n_trees=N_TREES if data.method == FOREST else 1,
         min_leaf=1 if examples is data.initiation else data.min_leaf,
+        min_gain=SLIP_GAIN if examples is data.policy and data.min_leaf > 1 else 0.0,
     )
 
 
